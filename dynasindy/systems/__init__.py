@@ -1,0 +1,10 @@
+"""What moves, in SI units."""
+
+from dynasindy.systems.base import Signature, System
+from dynasindy.systems.integrators import integrate, rk4
+from dynasindy.systems.pendulum import Pendulum
+from dynasindy.systems.stops import Stops
+from dynasindy.systems.tras import Tras
+from dynasindy.systems.xi import Xi
+
+__all__ = ["Pendulum", "Signature", "Stops", "System", "Tras", "Xi", "integrate", "rk4"]

@@ -1,0 +1,87 @@
+"""What moves: a vector field in SI units, batched in torch."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+from torch import Tensor, nn
+
+from dynasindy.systems.stops import Stops
+
+
+@dataclass(frozen=True)
+class Signature:
+    """Names, units and ranges of a system's states and inputs.
+
+    A plant and the models fitted to it share one signature; tasks, libraries and figures find states by it.
+
+    Args:
+        state_names: One name per state, in the order of `x`.
+        state_units: One unit per state, e.g. "rad".
+        input_names: One name per input, in the order of `u`.
+        x_scale: Typical range of each state, in its unit; observations are states divided by it.
+
+    Raises:
+        ValueError: The lengths disagree, a name occurs twice, or a range is not positive.
+    """
+
+    state_names: tuple[str, ...]
+    state_units: tuple[str, ...]
+    input_names: tuple[str, ...]
+    x_scale: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for field in ("state_names", "state_units", "input_names", "x_scale"):
+            object.__setattr__(self, field, tuple(getattr(self, field)))
+        if not len(self.state_names) == len(self.state_units) == len(self.x_scale):
+            raise ValueError(
+                f"a signature was given {len(self.state_names)} state names, {len(self.state_units)} units and "
+                f"{len(self.x_scale)} ranges; give one unit and one range per state"
+            )
+        names = self.state_names + self.input_names
+        if len(set(names)) != len(names):
+            raise ValueError(f"state and input names must differ, got {names}; rename the repeated one")
+        if not all(scale > 0 for scale in self.x_scale):
+            raise ValueError(f"x_scale must be positive, got {self.x_scale}; give the typical range of each state")
+
+    @property
+    def n_x(self) -> int:
+        """Number of states."""
+        return len(self.state_names)
+
+    @property
+    def n_u(self) -> int:
+        """Number of inputs."""
+        return len(self.input_names)
+
+    def state_index(self, name: str) -> int:
+        """Return the position of a state in `x`.
+
+        Raises:
+            ValueError: No state has that name.
+        """
+        if name not in self.state_names:
+            raise ValueError(f"state '{name}' does not exist; the states are {', '.join(self.state_names)}")
+        return self.state_names.index(name)
+
+
+class System(nn.Module, ABC):
+    """A vector field dx/dt = f(x, u) under inputs normalised to [-1, 1].
+
+    A system computes in the dtype and on the device of `x`. Constants are Python floats; tensors are buffers
+    in float64, cast where they are used.
+
+    Args:
+        signature: Names, units and ranges of states and inputs.
+        stops: Mechanical stops of the plant, if any.
+    """
+
+    def __init__(self, signature: Signature, stops: Stops | None = None) -> None:
+        super().__init__()
+        self.signature = signature
+        self.stops = stops
+
+    @abstractmethod
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Return dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""

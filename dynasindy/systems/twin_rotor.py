@@ -1,0 +1,31 @@
+"""What the two twin-rotor plants share: names, units, ranges and the stops of the beam."""
+
+from __future__ import annotations
+
+import math
+
+from dynasindy.systems.base import Signature
+from dynasindy.systems.stops import Stops
+
+SIGNATURE = Signature(
+    state_names=("alpha_a", "alpha_p", "Omega_a", "Omega_p", "omega_a", "omega_p"),
+    state_units=("rad", "rad", "rad/s", "rad/s", "rpm", "rpm"),
+    input_names=("u_a", "u_p"),
+    x_scale=(1.0, 1.0, 1.0, 1.0, 4000.0, 2500.0),
+)
+"""State order of the paper, eq. (states): azimuth, pitch, their rates, tail- and main-rotor speed."""
+
+
+def beam_stops(azimuth: float = 6.0, pitch: float = math.pi / 2) -> Stops:
+    """Return the stops of the beam, by default those of the vendor's simulation.
+
+    Args:
+        azimuth: Half range of the azimuth angle [rad].
+        pitch: Half range of the pitch angle [rad].
+
+    Raises:
+        ValueError: A half range is not positive.
+    """
+    if not (azimuth > 0 and pitch > 0):
+        raise ValueError(f"half ranges must be positive, got azimuth={azimuth}, pitch={pitch}; give them in rad")
+    return Stops(positions=(0, 1), rates=(2, 3), low=(-azimuth, -pitch), high=(azimuth, pitch))
