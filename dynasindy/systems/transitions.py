@@ -1,0 +1,127 @@
+"""Transitions of a controlled system: what identification reads and what a model predicts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Transitions:
+    """Hold N transitions `(x, u, x_next)`, `dt` seconds apart, under zero-order hold of the inputs.
+
+    Rows of one segment follow each other in time: where `segment[k] == segment[k + 1]`, `x_next[k]` is `x[k + 1]`.
+
+    Attributes:
+        x: states at the start of each transition, `(N, n_x)` [SI, or the units of the signature].
+        u: inputs held during each transition, `(N, n_u)` [normalised].
+        x_next: states at the end of each transition, `(N, n_x)`.
+        dt: time between `x` and `x_next` [s].
+        segment: number of the unbroken stretch each row belongs to, `(N,)` int64, in non-decreasing blocks.
+    """
+
+    x: Tensor
+    u: Tensor
+    x_next: Tensor
+    dt: float
+    segment: Tensor
+
+    def __post_init__(self) -> None:
+        """Check shapes and the sampling time.
+
+        Raises:
+            ValueError: a shape does not fit the others.
+            ValueError: `dt` is not positive.
+        """
+        n = self.x.shape[0]
+        shapes = [tuple(t.shape) for t in (self.x, self.u, self.x_next, self.segment)]
+        fits = self.x.ndim == self.u.ndim == 2 and self.x_next.shape == self.x.shape
+        if not fits or self.u.shape[0] != n or self.segment.shape != (n,):
+            raise ValueError(
+                f"Transitions got shapes x, u, x_next, segment = {shapes}; allowed are (N, n_x), (N, n_u), "
+                "(N, n_x), (N,) with one N: flatten or trim the data first"
+            )
+        if not self.dt > 0:
+            raise ValueError(f"Transitions got dt = {self.dt} s; allowed is dt > 0: give the sampling time")
+
+    @classmethod
+    def from_trajectory(cls, x: Tensor, u: Tensor, dt: float) -> Transitions:
+        """Make transitions of one unbroken trajectory.
+
+        Args:
+            x: sampled states, `(T + 1, n_x)`.
+            u: inputs held from each sample on, `(T, n_u)`, or `(T + 1, n_u)`, whose last row is not used.
+            dt: sampling time [s].
+        """
+        n = x.shape[0] - 1
+        return cls(x[:n], u[:n], x[1:], dt, torch.zeros(n, dtype=torch.int64, device=x.device))
+
+    @classmethod
+    def from_samples(cls, start: Tensor, u: Tensor, samples: Tensor, dt: float) -> Transitions:
+        """Make fine transitions of control periods whose samples were logged.
+
+        Args:
+            start: state at the start of each control period, `(*batch, T, n_x)`.
+            u: input held in each control period, `(*batch, T, n_u)`.
+            samples: states within each period, the last one at its end, `(*batch, T, substeps, n_x)`.
+            dt: time between two samples [s]; a control period lasts `substeps * dt`.
+
+        Returns:
+            Transitions, one row per sample; a new segment where a period does not start where the last one ended.
+        """
+        substeps, n_x = samples.shape[-2:]
+        x = torch.cat([start.unsqueeze(-2), samples[..., :-1, :]], dim=-2).reshape(-1, n_x)
+        held = u.unsqueeze(-2).expand(*u.shape[:-1], substeps, u.shape[-1]).reshape(-1, u.shape[-1])
+        x_next = samples.reshape(-1, n_x)
+        return cls(x, held, x_next, dt, _segments(x, x_next))
+
+    @classmethod
+    def cat(cls, parts: Sequence[Transitions]) -> Transitions:
+        """Join several recordings; segments of different recordings stay apart.
+
+        Raises:
+            ValueError: there is nothing to join.
+            ValueError: the sampling times differ.
+        """
+        if not parts:
+            raise ValueError("Transitions.cat got an empty list; allowed is one recording or more: collect data first")
+        if len({part.dt for part in parts}) > 1:
+            raise ValueError(
+                f"Transitions.cat got sampling times {sorted({p.dt for p in parts})} s; allowed is one: fit each rate alone"
+            )
+        segments, offset = [], 0
+        for part in parts:
+            segments.append(part.segment + offset)
+            offset += int(part.segment.max()) + 1 if len(part) else 0
+        x, u, x_next = (torch.cat([getattr(p, name) for p in parts]) for name in ("x", "u", "x_next"))
+        return cls(x, u, x_next, parts[0].dt, torch.cat(segments))
+
+    def __len__(self) -> int:
+        """Count the transitions."""
+        return self.x.shape[0]
+
+    def select(self, mask: Tensor) -> Transitions:
+        """Keep the rows where `mask` `(N,)` bool is true; a gap begins a new segment."""
+        keep = mask.nonzero().squeeze(-1)
+        segment = self.segment[keep]
+        breaks = torch.zeros_like(keep)
+        breaks[1:] = ((keep.diff() > 1) | (segment.diff() != 0)).long()
+        return Transitions(self.x[keep], self.u[keep], self.x_next[keep], self.dt, breaks.cumsum(0))
+
+    def last(self, n: int) -> Transitions:
+        """Keep the newest `n` rows."""
+        return self.select(torch.arange(len(self), device=self.x.device) >= len(self) - n)
+
+    def to(self, dtype: torch.dtype) -> Transitions:
+        """Cast states and inputs."""
+        return replace(self, x=self.x.to(dtype), u=self.u.to(dtype), x_next=self.x_next.to(dtype))
+
+
+def _segments(x: Tensor, x_next: Tensor) -> Tensor:
+    """Number the unbroken stretches of rows that should follow each other."""
+    breaks = torch.zeros(x.shape[0], dtype=torch.int64, device=x.device)
+    breaks[1:] = (x[1:] != x_next[:-1]).any(-1).long()
+    return breaks.cumsum(0)
