@@ -1,0 +1,124 @@
+"""Tracking metrics of a control engineer, from plain tensors, at any batch size.
+
+| name                | meaning                                                                  | unit |
+| ------------------- | ------------------------------------------------------------------------ | ---- |
+| rmse                | root mean square error over the record                                   | rad  |
+| mean_abs_error      | mean absolute error over the record                                      | rad  |
+| steady_state_error  | mean absolute error over the last 5 s                                    | rad  |
+| overshoot           | largest excursion beyond the reference, in percent of the step           | %    |
+| rise_time           | from 10 % to 90 % of the step                                            | s    |
+| settling_time       | from the step until the error stays within 5 % of the step               | s    |
+| control_effort      | mean square input                                                        | -    |
+| control_variation   | mean absolute change of the input per second                             | 1/s  |
+
+The first six are per tracked axis, the last two per input. Overshoot, rise and settling time belong to steps:
+they are NaN where the reference moves during the record or the step is smaller than `MIN_STEP`, and a step that
+never rises or never settles has an infinite time, so that a failure is never averaged away.
+"""
+
+import torch
+from torch import Tensor
+
+TRACKING = ("rmse", "mean_abs_error", "steady_state_error")
+STEP = ("overshoot", "rise_time", "settling_time")
+CONTROL = ("control_effort", "control_variation")
+UNITS = {
+    **dict.fromkeys(TRACKING, "rad"),
+    **dict(zip(STEP, ("%", "s", "s"), strict=True)),
+    **dict(zip(CONTROL, ("-", "1/s"), strict=True)),
+}
+
+STEADY_SECONDS = 5.0
+"""Length of the final part of a record that counts as steady state [s]."""
+SETTLING_BAND = 0.05
+"""Half width of the settling band, as a share of the step."""
+MIN_STEP = 0.05
+"""Smallest step whose overshoot, rise and settling time are meaningful [rad]."""
+
+
+def tracking_metrics(time: Tensor, y: Tensor, r: Tensor, u: Tensor) -> dict[str, Tensor]:
+    """Compute every metric of the module's table.
+
+    Args:
+        time: `(T,)` sample times, evenly spaced, the first one is the moment of the step [s].
+        y: `(*batch, T, n_r)` measured outputs [rad].
+        r: `(*batch, T, n_r)` references at the same times [rad].
+        u: `(*batch, T, n_u)` inputs held from each sample on, in [-1, 1].
+
+    Returns:
+        `rmse` to `settling_time` of shape `(*batch, n_r)`, `control_*` of shape `(*batch, n_u)`.
+
+    Raises:
+        ValueError: if the shapes do not agree or the record has fewer than two samples.
+    """
+    _check(time, y, r, u)
+    error, dt = (y - r).abs(), time[1] - time[0]
+    steady = time > time[-1] - STEADY_SECONDS + 0.5 * dt  # exactly the last STEADY_SECONDS / dt samples
+    return {
+        "rmse": error.square().mean(-2).sqrt(),
+        "mean_abs_error": error.mean(-2),
+        "steady_state_error": error[..., steady, :].mean(-2),
+        "overshoot": overshoot(y, r),
+        "rise_time": rise_time(time, y, r),
+        "settling_time": settling_time(time, y, r),
+        "control_effort": u.square().mean(-2),
+        "control_variation": u.diff(dim=-2).abs().mean(-2) / dt,
+    }
+
+
+def overshoot(y: Tensor, r: Tensor) -> Tensor:
+    """Return the largest excursion beyond a step reference, `(*batch, n_r)` [% of the step]."""
+    progress, valid = _progress(y, r)
+    return torch.where(valid, 100.0 * (progress.amax(-2) - 1.0).clamp_min(0.0), torch.nan)
+
+
+def rise_time(time: Tensor, y: Tensor, r: Tensor, low: float = 0.1, high: float = 0.9) -> Tensor:
+    """Return the time from `low` to `high` of the step, `(*batch, n_r)` [s], inf where never reached."""
+    progress, valid = _progress(y, r)
+    # inf - inf would be NaN, which is reserved for "not a step".
+    start, end = _first_crossing(time, progress, low), _first_crossing(time, progress, high)
+    return torch.where(valid, torch.where(end.isinf(), end, end - start), torch.nan)
+
+
+def settling_time(time: Tensor, y: Tensor, r: Tensor, band: float = SETTLING_BAND) -> Tensor:
+    """Return the time after which the error stays within `band` of the step, `(*batch, n_r)` [s].
+
+    Infinite where the last sample is still outside the band.
+    """
+    progress, valid = _progress(y, r)
+    outside = (progress - 1.0).abs() > band
+    # Index of the first sample that is inside together with all that follow it.
+    index = torch.where(outside, torch.arange(1, len(time) + 1, device=y.device).unsqueeze(-1), 0).amax(-2)
+    never = index == len(time)
+    elapsed = (time - time[0])[index.clamp_max(len(time) - 1)]
+    return torch.where(valid, torch.where(never, torch.inf, elapsed), torch.nan)
+
+
+def _progress(y: Tensor, r: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the share of the step done so far, 0 at its start and 1 on the reference, and which rows are steps."""
+    start, target = y[..., :1, :], r[..., -1:, :]
+    size = target - start
+    valid = (size.abs() >= MIN_STEP) & (r == target).all(-2, keepdim=True)
+    return (y - start) / torch.where(valid, size, 1.0), valid.squeeze(-2)
+
+
+def _first_crossing(time: Tensor, progress: Tensor, level: float) -> Tensor:
+    """Return the first time `progress` reaches `level`, interpolated between samples, inf where it never does."""
+    above = progress >= level
+    after = above.long().argmax(-2, keepdim=True)
+    before = (after - 1).clamp_min(0)
+    p0, p1 = progress.gather(-2, before), progress.gather(-2, after)
+    fraction = ((level - p0) / torch.where(p1 == p0, 1.0, p1 - p0)).clamp(0.0, 1.0)
+    crossing = torch.lerp(time[before].to(progress), time[after].to(progress), fraction)
+    return torch.where(above.any(-2), crossing.squeeze(-2), torch.inf)
+
+
+def _check(time: Tensor, y: Tensor, r: Tensor, u: Tensor) -> None:
+    if time.ndim != 1 or len(time) < 2:
+        raise ValueError(f"time has shape {tuple(time.shape)}; it must be (T,) with T >= 2, pass a longer record")
+    if y.shape != r.shape:
+        raise ValueError(f"y has shape {tuple(y.shape)}, r {tuple(r.shape)}; they must be equal, select the tracked axes")
+    if y.shape[:-1] != u.shape[:-1] or y.shape[-2] != len(time):
+        raise ValueError(
+            f"y {tuple(y.shape)} and u {tuple(u.shape)} must share (*batch, T) with T = {len(time)}; slice them alike"
+        )

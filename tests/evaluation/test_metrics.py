@@ -1,0 +1,108 @@
+"""Tracking metrics against closed-form step responses and hand-made records."""
+
+import math
+
+import pytest
+import torch
+
+from dynasindy.evaluation.metrics import MIN_STEP, TRACKING, tracking_metrics
+
+DT = 0.001
+TIME = torch.arange(0, 20, DT, dtype=torch.float64)
+
+
+def second_order(zeta: float, omega: float, size: float) -> torch.Tensor:
+    """Unit step response of omega^2 / (s^2 + 2 zeta omega s + omega^2), scaled by `size`."""
+    damped = omega * math.sqrt(1 - zeta**2)
+    phase = math.acos(zeta)
+    decay = torch.exp(-zeta * omega * TIME) / math.sqrt(1 - zeta**2)
+    return size * (1 - decay * torch.sin(damped * TIME + phase))
+
+
+def measure(y: torch.Tensor, r: torch.Tensor, u: torch.Tensor | None = None) -> dict[str, torch.Tensor]:
+    return tracking_metrics(TIME, y, r, torch.zeros_like(y) if u is None else u)
+
+
+@pytest.mark.parametrize("size", [0.4, -0.25])
+@pytest.mark.parametrize("zeta", [0.2, 0.5, 0.7])
+def test_overshoot_of_a_second_order_system(zeta: float, size: float) -> None:
+    y = second_order(zeta, 2.0, size).unsqueeze(-1)
+    expected = 100 * math.exp(-math.pi * zeta / math.sqrt(1 - zeta**2))
+    assert measure(y, torch.full_like(y, size))["overshoot"].item() == pytest.approx(expected, abs=1e-3)
+
+
+def test_times_of_a_first_order_system() -> None:
+    # 1 - exp(-t / tau): 10 % to 90 % takes tau ln 9, the error is 5 % at tau ln 20.
+    tau = 0.8
+    y = (0.3 * (1 - torch.exp(-TIME / tau))).unsqueeze(-1)
+    metrics = measure(y, torch.full_like(y, 0.3))
+    assert metrics["rise_time"].item() == pytest.approx(tau * math.log(9), abs=1e-5)
+    assert metrics["settling_time"].item() == pytest.approx(tau * math.log(20), abs=1.001 * DT)
+    assert metrics["overshoot"].item() == 0.0
+    assert metrics["rmse"].item() == pytest.approx(0.3 * math.sqrt(tau / 2 / 20), rel=2e-3)
+    assert metrics["mean_abs_error"].item() == pytest.approx(0.3 * tau / 20, rel=2e-3)
+
+
+def test_settling_waits_for_the_last_excursion() -> None:
+    # The envelope of the error is exp(-zeta omega t) / sqrt(1 - zeta^2): settled no later than it enters 5 %.
+    zeta, omega = 0.3, 2.0
+    y = second_order(zeta, omega, 0.4).unsqueeze(-1)
+    bound = -math.log(0.05 * math.sqrt(1 - zeta**2)) / (zeta * omega)
+    settled = measure(y, torch.full_like(y, 0.4))["settling_time"].item()
+    assert bound - math.pi / (omega * math.sqrt(1 - zeta**2)) < settled <= bound
+    assert ((y[TIME >= settled] - 0.4).abs() <= 0.02).all()
+
+
+def test_steady_state_error_is_the_mean_over_the_last_five_seconds() -> None:
+    y = torch.full((len(TIME), 1), 9.0, dtype=torch.float64)
+    y[-5000:] = 0.27
+    assert measure(y, torch.full_like(y, 0.3))["steady_state_error"].item() == pytest.approx(0.03, abs=1e-12)
+
+
+def test_control_metrics_of_a_square_wave() -> None:
+    u = 0.6 * torch.where((TIME * 0.5) % 1 < 0.5, 1.0, -1.0).double().unsqueeze(-1)
+    metrics = measure(torch.zeros_like(u), torch.zeros_like(u), u)
+    assert metrics["control_effort"].item() == pytest.approx(0.36)
+    # 19 jumps of 1.2 in 20 s.
+    assert metrics["control_variation"].item() == pytest.approx(19 * 1.2 / 20, rel=1e-3)
+
+
+def test_a_step_that_fails_is_infinite_and_not_lost() -> None:
+    stuck = torch.zeros(len(TIME), 1, dtype=torch.float64)
+    metrics = measure(stuck, stuck + 0.4)
+    assert metrics["rise_time"].item() == math.inf
+    assert metrics["settling_time"].item() == math.inf
+
+
+def test_step_metrics_are_nan_where_there_is_no_step() -> None:
+    still = torch.zeros(len(TIME), 1, dtype=torch.float64)
+    moving = 0.35 * torch.sin(TIME).unsqueeze(-1)
+    for reference in (still + 0.5 * MIN_STEP, moving):
+        metrics = measure(still, reference)
+        assert all(metrics[name].isnan() for name in ("overshoot", "rise_time", "settling_time"))
+        assert all(metrics[name].isfinite() for name in TRACKING)
+
+
+def test_batched_equals_row_by_row() -> None:
+    generator = torch.Generator().manual_seed(3)
+    y = torch.rand(2, 3, len(TIME), 2, dtype=torch.float64, generator=generator)
+    r = torch.rand(2, 3, 1, 2, dtype=torch.float64, generator=generator).expand_as(y)
+    batched = measure(y, r, y)
+    for i in range(2):
+        for j in range(3):
+            for name, value in measure(y[i, j], r[i, j], y[i, j]).items():
+                torch.testing.assert_close(batched[name][i, j], value, equal_nan=True)
+
+
+@pytest.mark.parametrize("bad", ["short", "reference", "input"])
+def test_shapes_that_do_not_agree_are_refused(bad: str) -> None:
+    time, y = torch.arange(4.0), torch.zeros(4, 2)
+    r, u = y, y
+    if bad == "short":
+        time, y, r, u = time[:1], y[:1], y[:1], y[:1]
+    elif bad == "reference":
+        r = y[:, :1]
+    else:
+        u = y[:3]
+    with pytest.raises(ValueError, match="must"):
+        tracking_metrics(time, y, r, u)
