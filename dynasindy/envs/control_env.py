@@ -1,0 +1,190 @@
+"""The one environment: a system plus a task, sampled every control period."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from dynasindy.systems import System, integrate
+from dynasindy.tasks import Task
+
+
+class ControlEnv(EnvBase):
+    """A batched, stateless TorchRL environment around a vector field.
+
+    The plant and a fitted model differ by the system alone: `env.with_system(world_model)` is the imagined
+    environment, with the same task, reward, references, stops and specs.
+
+    Root keys: `observation` (what the agent reads), `state` (what SINDy reads), `reference`, `task_params`,
+    `step_count`; after a step also `samples` (the states after each sub-step, the last of which is `state`)
+    and `at_stop`. Episodes are truncated after `task.max_steps` periods and never terminated.
+
+    Args:
+        system: Vector field of the plant or of a model.
+        task: What is wanted of it.
+        dt: Control period [s] (paper: 0.05).
+        substeps: Runge-Kutta steps, and logged samples, per control period.
+        batch_size: Default batch; a caller's tensordict may have any other.
+        dtype: Floating type of states, samples and references; observation, action and reward are float32,
+            the type of policies, so that a plant may move in float64 while agents stay fast.
+        seed: Seed of the environment's own generator.
+
+    Raises:
+        ValueError: dt or substeps is not positive.
+    """
+
+    batch_locked = False
+
+    def __init__(
+        self,
+        system: System,
+        task: Task,
+        dt: float = 0.05,
+        substeps: int = 5,
+        *,
+        batch_size: tuple[int, ...] = (),
+        dtype: torch.dtype = torch.float32,
+        seed: int = 0,
+    ) -> None:
+        if not dt > 0 or substeps < 1:
+            raise ValueError(f"need dt > 0 s and substeps >= 1, got dt={dt}, substeps={substeps}; the paper has 0.05 s")
+        super().__init__(batch_size=torch.Size(batch_size))
+        self.system, self.task = system, task
+        self.stops = system.stops
+        self.dt, self.substeps, self.dtype_out = dt, substeps, dtype
+        self._make_specs()
+        self._set_seed(seed)
+
+    @property
+    def log_dt(self) -> float:
+        """Time between the logged samples [s]."""
+        return self.dt / self.substeps
+
+    def with_system(self, system: System, seed: int = 0) -> ControlEnv:
+        """Return this environment around another system; task, stops and specs stay.
+
+        Args:
+            system: Vector field with the same signature.
+            seed: Seed of the new environment's generator.
+
+        Raises:
+            ValueError: The numbers of states or inputs differ.
+        """
+        mine, other = self.system.signature, system.signature
+        if (mine.n_x, mine.n_u) != (other.n_x, other.n_u):
+            raise ValueError(
+                f"the system has {other.n_x} states and {other.n_u} inputs, the environment {mine.n_x} and "
+                f"{mine.n_u}; fit the model on data of this plant"
+            )
+        env = ControlEnv(
+            system,
+            self.task,
+            self.dt,
+            self.substeps,
+            batch_size=tuple(self.batch_size),
+            dtype=self.dtype_out,
+            seed=seed,
+        )
+        env.stops = self.stops  # the beam's, not the model's: a model knows nothing of them
+        return env
+
+    def with_task(self, task: Task, seed: int = 0) -> ControlEnv:
+        """Return this environment with another task for the same system."""
+        env = ControlEnv(self.system, task, self.dt, self.substeps, dtype=self.dtype_out, seed=seed)
+        env.stops = self.stops
+        return env
+
+    def advance(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+        """Advance states by one control period; differentiable.
+
+        Args:
+            x: States, `(*batch, n_x)`.
+            u: Inputs, `(*batch, n_u)`, in [-1, 1].
+
+        Returns:
+            Samples after each sub-step, `(*batch, substeps, n_x)`, and whether a stop was touched, `(*batch,)`.
+        """
+        return integrate(self.system, x, u, self.dt, self.substeps, self.stops)
+
+    def start_from(self, states: Tensor) -> TensorDict:
+        """Begin episodes at given states, with fresh references.
+
+        Args:
+            states: Initial states, `(*batch, n_x)`.
+
+        Returns:
+            What `reset` returns, batch `(*batch,)`; pass it to `rollout(..., auto_reset=False)`.
+        """
+        batch = states.shape[:-1]
+        states = states.to(self.dtype_out)
+        params = self.task.sample(batch, self.rng).to(self.dtype_out)
+        steps = torch.zeros(*batch, 1, dtype=torch.int64)
+        out = self._observed(states, params, steps)
+        out["samples"] = states.unsqueeze(-2).expand(*batch, self.substeps, states.shape[-1]).clone()
+        out["at_stop"] = torch.zeros(*batch, 1, dtype=torch.bool)
+        for key in ("done", "terminated", "truncated"):
+            out[key] = torch.zeros(*batch, 1, dtype=torch.bool)
+        return TensorDict(out, batch_size=batch, device=self.device)
+
+    def _observed(self, x: Tensor, params: Tensor, steps: Tensor) -> dict[str, Tensor]:
+        t = steps.to(x.dtype) * self.dt
+        return {
+            "observation": self.task.observation(x, params, t).float(),
+            "state": x,
+            "reference": self.task.reference(params, t),
+            "task_params": params,
+            "step_count": steps,
+        }
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDict:
+        batch = self.batch_size if tensordict is None else tensordict.batch_size
+        return self.start_from(self.task.initial_state(batch, self.rng))
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        x, u, params = (tensordict[key] for key in ("state", "action", "task_params"))
+        steps = tensordict["step_count"] + 1
+        samples, touched = self.advance(x, u.to(x.dtype))
+        x_next = samples[..., -1, :]
+        out = self._observed(x_next, params, steps)
+        t_next = steps.to(x.dtype) * self.dt
+        out["reward"] = self.task.reward(x, x_next, params, t_next, touched).float().unsqueeze(-1)
+        out["samples"], out["at_stop"] = samples, touched.unsqueeze(-1)
+        out["truncated"] = steps >= self.task.max_steps
+        out["done"] = out["truncated"].clone()
+        out["terminated"] = torch.zeros_like(out["done"])
+        return TensorDict(out, batch_size=tensordict.batch_size, device=self.device)
+
+    def _set_seed(self, seed: int | None) -> None:
+        self.rng = torch.Generator().manual_seed(0 if seed is None else seed)
+
+    def _make_specs(self) -> None:
+        batch, dtype, signature = self.batch_size, self.dtype_out, self.system.signature
+
+        def unbounded(*shape: int, dtype: torch.dtype = dtype) -> Unbounded:
+            return Unbounded(shape=(*batch, *shape), dtype=dtype)
+
+        carried = {
+            "state": unbounded(signature.n_x),
+            "task_params": unbounded(*self.task.params_shape),
+            "step_count": unbounded(1, dtype=torch.int64),
+        }
+        self.state_spec = Composite(carried, shape=batch)
+        self.observation_spec = Composite(
+            {key: spec.clone() for key, spec in carried.items()}
+            | {
+                "observation": unbounded(self.task.n_o, dtype=torch.float32),
+                "reference": unbounded(self.task.n_r),
+                "samples": unbounded(self.substeps, signature.n_x),
+                "at_stop": Binary(n=1, shape=(*batch, 1), dtype=torch.bool),
+            },
+            shape=batch,
+        )
+        self.action_spec = Bounded(low=-1.0, high=1.0, shape=(*batch, signature.n_u), dtype=torch.float32)
+        self.reward_spec = unbounded(1, dtype=torch.float32)
+        done = {key: Binary(n=1, shape=(*batch, 1), dtype=torch.bool) for key in ("done", "terminated", "truncated")}
+        self.done_spec = Composite(done, shape=batch)

@@ -1,0 +1,58 @@
+"""What is wanted of a system: observation, reward, references and initial states of an episode."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import torch
+from torch import Tensor
+
+from dynasindy.systems import Signature
+
+
+class Task(ABC):
+    """What a `ControlEnv` asks of a task; pure functions of tensors, so real and imagined steps share them.
+
+    Args:
+        signature: Names and ranges of the system's states and inputs.
+        max_steps: Control periods per episode.
+
+    Raises:
+        ValueError: max_steps is not positive.
+    """
+
+    n_o: int
+    """Length of the observation."""
+    n_r: int
+    """Number of tracked outputs."""
+
+    def __init__(self, signature: Signature, max_steps: int) -> None:
+        if max_steps < 1:
+            raise ValueError(f"max_steps must be at least 1 control period, got {max_steps}; the paper has 400")
+        self.signature = signature
+        self.max_steps = max_steps
+
+    @property
+    @abstractmethod
+    def params_shape(self) -> torch.Size:
+        """Shape of one episode's parameters."""
+
+    @abstractmethod
+    def sample(self, batch: torch.Size, generator: torch.Generator) -> Tensor:
+        """Draw the parameters of new episodes, `(*batch, *params_shape)`."""
+
+    @abstractmethod
+    def initial_state(self, batch: torch.Size, generator: torch.Generator) -> Tensor:
+        """Draw initial states, `(*batch, n_x)`."""
+
+    @abstractmethod
+    def reference(self, params: Tensor, t: Tensor) -> Tensor:
+        """Return the reference, `(*batch, n_r)`, at times `t` `(*batch, 1)` [s]."""
+
+    @abstractmethod
+    def observation(self, x: Tensor, params: Tensor, t: Tensor) -> Tensor:
+        """Return what the agent sees, `(*batch, n_o)`, of states `(*batch, n_x)` at times `t` [s]."""
+
+    @abstractmethod
+    def reward(self, x: Tensor, x_next: Tensor, params: Tensor, t_next: Tensor, at_stop: Tensor) -> Tensor:
+        """Return the reward of a control period, `(*batch,)`, from the states at its ends."""

@@ -1,0 +1,192 @@
+"""References to track: constants and periodic waves, one draw per episode.
+
+Every reference is a row of five numbers per output, so that a batch may mix steps, sines and squares:
+
+    r(t) = offset + amplitude * w(2 pi frequency t + phase),  w = sin, or sign(sin) where `square` is 1
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+N_PARAMS = 5
+"""offset, amplitude [unit of the output], frequency [Hz], phase [rad], square (0 or 1)."""
+
+
+def value(params: Tensor, t: Tensor) -> Tensor:
+    """Return the reference at a time.
+
+    Args:
+        params: Parameters, `(*batch, n_r, 5)`.
+        t: Time since the start of the episode [s], `(*batch, 1)`.
+
+    Returns:
+        Reference [unit of the output], `(*batch, n_r)`.
+    """
+    offset, amplitude, frequency, phase, square = params.unbind(-1)
+    angle = 2 * math.pi * frequency * t + phase
+    sine = torch.sin(angle)
+    # sign(0) would be 0 for one sample at the jump, so a square wave is +1 from its zero on.
+    jump = torch.where(torch.remainder(angle, 2 * math.pi) < math.pi, 1.0, -1.0).to(sine)
+    return offset + amplitude * (sine + square * (jump - sine))
+
+
+def rate(params: Tensor, t: Tensor) -> Tensor:
+    """Return the derivative of the reference, zero for steps and squares.
+
+    Args:
+        params: Parameters, `(*batch, n_r, 5)`.
+        t: Time since the start of the episode [s], `(*batch, 1)`.
+
+    Returns:
+        Rate of the reference [unit of the output per second], `(*batch, n_r)`.
+    """
+    _, amplitude, frequency, phase, square = params.unbind(-1)
+    omega = 2 * math.pi * frequency
+    return (1 - square) * amplitude * omega * torch.cos(omega * t + phase)
+
+
+class Reference(ABC):
+    """A distribution over references."""
+
+    n_r: int
+
+    @abstractmethod
+    def sample(self, batch: torch.Size, generator: torch.Generator) -> Tensor:
+        """Draw parameters, `(*batch, n_r, 5)`, float32, from the generator."""
+
+
+def _finite(name: str, *values: Sequence[float]) -> None:
+    """Refuse values that are not finite numbers or whose lengths differ."""
+    lengths = {len(row) for row in values}
+    if len(lengths) != 1 or not all(math.isfinite(v) for row in values for v in row):
+        raise ValueError(f"{name} needs one finite number per output in each list, got {values}; complete the lists")
+
+
+class Step(Reference):
+    """Fixed targets; row k of a batch gets target k modulo their number.
+
+    Args:
+        targets: One list of targets per step, `(n_steps, n_r)` [unit of the outputs].
+
+    Raises:
+        ValueError: No target, rows of different lengths or a number that is not finite.
+    """
+
+    def __init__(self, targets: Sequence[Sequence[float]]) -> None:
+        if not len(targets):
+            raise ValueError("step references need at least one target, got none; give e.g. [[0.4, 0.25]]")
+        _finite("step reference", *targets)
+        self.targets = torch.tensor([list(row) for row in targets], dtype=torch.float32)
+        self.n_r = self.targets.shape[-1]
+
+    def sample(self, batch: torch.Size, generator: torch.Generator) -> Tensor:
+        """Return the targets in order, `(*batch, n_r, 5)`; the generator is not used."""
+        rows = torch.arange(batch.numel()) % len(self.targets)
+        params = torch.zeros(batch.numel(), self.n_r, N_PARAMS)
+        params[..., 0] = self.targets[rows]
+        return params.reshape(*batch, self.n_r, N_PARAMS)
+
+
+class RandomStep(Reference):
+    """A fresh constant target per episode, uniform in a box (the paper's training references).
+
+    Args:
+        low: Lower ends, one per output [unit of the output].
+        high: Upper ends, one per output [unit of the output].
+
+    Raises:
+        ValueError: The lengths differ, a number is not finite, or low exceeds high.
+    """
+
+    def __init__(self, low: Sequence[float], high: Sequence[float]) -> None:
+        _finite("random step", low, high)
+        if not all(a <= b for a, b in zip(low, high, strict=True)):
+            raise ValueError(f"random step needs low <= high, got low={list(low)}, high={list(high)}; swap them")
+        self.low, self.high = torch.tensor(list(low)), torch.tensor(list(high))
+        self.n_r = len(low)
+
+    def sample(self, batch: torch.Size, generator: torch.Generator) -> Tensor:
+        """Draw targets, `(*batch, n_r, 5)`."""
+        params = torch.zeros(*batch, self.n_r, N_PARAMS)
+        draw = torch.rand(*batch, self.n_r, generator=generator)
+        params[..., 0] = self.low + (self.high - self.low) * draw
+        return params
+
+
+class Wave(Reference):
+    """A sine or square wave about an offset, with given or random phase.
+
+    Args:
+        amplitude: One per output [unit of the output].
+        frequency: One per output [Hz], >= 0.
+        shape: "sine" or "square".
+        offset: One per output [unit of the output]; zero if omitted.
+        random: Scale amplitude and frequency by a factor uniform in [0, 1] and draw the phase, per row.
+
+    Raises:
+        ValueError: Lengths differ, a number is not finite, a frequency is negative, or the shape is unknown.
+    """
+
+    def __init__(
+        self,
+        amplitude: Sequence[float],
+        frequency: Sequence[float],
+        shape: str = "sine",
+        offset: Sequence[float] | None = None,
+        random: bool = False,
+    ) -> None:
+        offset = [0.0] * len(amplitude) if offset is None else offset
+        _finite(f"{shape} reference", amplitude, frequency, offset)
+        if min(frequency) < 0:
+            raise ValueError(f"frequencies must be >= 0 Hz, got {list(frequency)}; give e.g. 0.015")
+        if shape not in ("sine", "square"):
+            raise ValueError(f"shape '{shape}' of a wave is unknown; use 'sine' or 'square'")
+        self.n_r = len(amplitude)
+        self.random = random
+        self.params = torch.zeros(self.n_r, N_PARAMS)
+        for column, row in enumerate((offset, amplitude, frequency)):
+            self.params[:, column] = torch.tensor(list(row))
+        self.params[:, 4] = float(shape == "square")
+
+    def sample(self, batch: torch.Size, generator: torch.Generator) -> Tensor:
+        """Return the wave, or draw one per row, `(*batch, n_r, 5)`."""
+        params = self.params.expand(*batch, self.n_r, N_PARAMS).clone()
+        if self.random:
+            params[..., 1:3] *= torch.rand(*batch, self.n_r, 2, generator=generator)
+            params[..., 3] = 2 * math.pi * torch.rand(*batch, self.n_r, generator=generator)
+        return params
+
+
+class Mixture(Reference):
+    """One of several references per row, drawn with given weights.
+
+    Args:
+        references: The components; all with the same number of outputs.
+        weights: One weight >= 0 per component; equal if omitted.
+
+    Raises:
+        ValueError: No component, different numbers of outputs, or weights that do not fit.
+    """
+
+    def __init__(self, references: Sequence[Reference], weights: Sequence[float] | None = None) -> None:
+        weights = [1.0] * len(references) if weights is None else weights
+        if not references or len({r.n_r for r in references}) != 1:
+            raise ValueError(f"a mixture needs references with equal numbers of outputs, got {references}")
+        if len(weights) != len(references) or min(weights) < 0 or sum(weights) <= 0:
+            raise ValueError(f"a mixture needs one weight >= 0 per reference, got {list(weights)}")
+        self.references = list(references)
+        self.weights = torch.tensor(list(weights), dtype=torch.float32)
+        self.n_r = references[0].n_r
+
+    def sample(self, batch: torch.Size, generator: torch.Generator) -> Tensor:
+        """Draw a component and its parameters per row, `(*batch, n_r, 5)`."""
+        draws = torch.stack([r.sample(batch, generator) for r in self.references])
+        draws = draws.reshape(len(self.references), batch.numel(), self.n_r, N_PARAMS)
+        choice = torch.multinomial(self.weights, batch.numel(), replacement=True, generator=generator)
+        return draws[choice, torch.arange(batch.numel())].reshape(*batch, self.n_r, N_PARAMS)

@@ -1,0 +1,66 @@
+"""The tracking reward of the paper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+ERROR_SHAPES = ("quadratic", "linear")
+
+
+@dataclass(frozen=True)
+class TrackingReward:
+    """reward = -(a e_a^2 + b e_p^2) - c (dOmega_a^2 + dOmega_p^2) + d   (paper, reward function).
+
+    Args:
+        error_weights: a, b: weight of the squared error of each output [1/rad^2].
+        rate_weight: c: weight of the squared change of each rate over a control period [s^2/rad^2].
+        bonus: d: paid per output while its error is below `tolerance`.
+        tolerance: Half width of the bonus band [rad] (paper: 0.01).
+        stop_penalty: Cost of each control period in which a mechanical stop is touched.
+        error_shape: "quadratic" as in the paper, or "linear": e^2 / (width + |e|), quadratic within `width`
+            and linear beyond it, so that small errors still matter.
+        width: Error at which the linear shape turns over [rad].
+
+    Raises:
+        ValueError: A weight, penalty, tolerance or width is negative, or the shape is unknown.
+    """
+
+    # Departure: the paper pays d when "the error" is small; here each output earns its own d.
+    # Departure: "the penalty of exceeding the bounds" is a cost per period at a mechanical stop; ending the
+    # episode there instead would pay the agent for leaving.
+    error_weights: tuple[float, ...] = (4.0, 4.0)
+    rate_weight: float = 0.1
+    bonus: float = 0.1
+    tolerance: float = 0.01
+    stop_penalty: float = 1.0
+    error_shape: str = "quadratic"
+    width: float = 0.05
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "error_weights", tuple(self.error_weights))
+        numbers = (*self.error_weights, self.rate_weight, self.bonus, self.tolerance, self.stop_penalty)
+        if not all(number >= 0 for number in numbers) or not self.width > 0:
+            raise ValueError(f"weights of the reward must be >= 0 and its width > 0, got {self}; mend task.reward")
+        if self.error_shape not in ERROR_SHAPES:
+            raise ValueError(f"error_shape '{self.error_shape}' is unknown; use one of {', '.join(ERROR_SHAPES)}")
+
+    def __call__(self, error: Tensor, rate_change: Tensor, at_stop: Tensor) -> Tensor:
+        """Return the reward of one control period.
+
+        Args:
+            error: Tracking errors at its end [rad], `(*batch, n_r)`.
+            rate_change: Change of the rates over it [rad/s], `(*batch, n_r)`.
+            at_stop: Whether a stop was touched in it, bool `(*batch,)`.
+
+        Returns:
+            Rewards, `(*batch,)`.
+        """
+        square = error * error
+        cost = square if self.error_shape == "quadratic" else square / (self.width + error.abs())
+        weights = torch.tensor(self.error_weights, dtype=error.dtype, device=error.device)
+        reward = -(cost * weights).sum(-1) - self.rate_weight * (rate_change * rate_change).sum(-1)
+        reward = reward + self.bonus * (error.abs() < self.tolerance).to(error.dtype).sum(-1)
+        return reward - self.stop_penalty * at_stop.to(error.dtype)
