@@ -1,0 +1,43 @@
+"""What the loop asks of its planning phase."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Planned:
+    """What a planning phase cost.
+
+    Args:
+        imagined: Imagined transitions.
+        updates: Gradient updates made inside the phase.
+    """
+
+    imagined: int = 0
+    updates: int = 0
+
+
+class Planner(ABC):
+    """Dyna's planning phase: improve the policy with imagined experience.
+
+    Args:
+        every: Episodes between two planning phases (paper: N).
+
+    Raises:
+        ValueError: `every` is not positive.
+    """
+
+    def __init__(self, every: int = 1) -> None:
+        if every < 1:
+            raise ValueError(f"planning.every must be at least 1 episode, got {every}; use planning=none for none")
+        self.every = every
+
+    @abstractmethod
+    def plan(self) -> Planned:
+        """Plan once with the world model as it is now."""
+
+    @abstractmethod
+    def distrust(self) -> None:
+        """Drop what came from a model that is no longer trusted."""

@@ -1,0 +1,77 @@
+"""Imagining: a TorchRL transform that turns real start states into imagined transitions."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+from torchrl.envs import Transform
+
+from dynasindy.envs import ControlEnv
+
+IMAGINED_KEYS = ("observation", "action") + tuple(
+    ("next", key) for key in ("observation", "reward", "done", "terminated", "truncated")
+)
+"""What an imagined transition holds: what TD3 reads, and nothing else."""
+
+
+class Imagination(Transform):
+    """Write-side transform of a replay buffer: start states go in, imagined transitions are stored.
+
+    `buffer.append_transform(Imagination(env.with_system(world_model), policy, horizon))`, then
+    `buffer.extend(starts)` with a batch of `state` stores up to `len(starts) * horizon` transitions. Each start
+    gets a fresh reference. The end of an imagined rollout is truncated, never terminated, and a rollout is
+    cut before the first state that is not finite or lies outside `limit`.
+
+    Args:
+        env: Imagined environment.
+        policy: Policy that acts in it, reading `observation` and writing `action`.
+        horizon: Length of a rollout [control periods].
+        limit: Largest absolute value of each state, `(n_x,)`; no limit if omitted.
+
+    Raises:
+        ValueError: The horizon is not positive.
+    """
+
+    def __init__(
+        self, env: ControlEnv, policy: TensorDictModuleBase, horizon: int, limit: Tensor | None = None
+    ) -> None:
+        super().__init__(in_keys=[], out_keys=[])
+        if horizon < 1:
+            raise ValueError(f"horizon must be at least 1 control period, got {horizon}; mend planning.horizon")
+        # Held outside nn.Module's registry: the buffer must not own, save or move the environment and policy.
+        self.__dict__.update(env=env, policy=policy)
+        self.horizon = horizon
+        self.limit = limit
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        return self.imagine(tensordict["state"])
+
+    @torch.no_grad()
+    def imagine(self, states: Tensor) -> TensorDict:
+        """Roll the policy out in the model from given states.
+
+        Args:
+            states: Start states, `(*batch, n_x)`.
+
+        Returns:
+            Imagined transitions with `IMAGINED_KEYS`, flat, at most `batch * horizon` of them.
+        """
+        starts = self.env.start_from(states.reshape(-1, states.shape[-1]))
+        rollout = self.env.rollout(
+            self.horizon, self.policy, auto_reset=False, tensordict=starts, break_when_any_done=False
+        )
+        kept, last = _kept(rollout["next", "state"], self.limit)
+        rollout["next", "truncated"] = rollout["next", "done"] = last.unsqueeze(-1)
+        return rollout.select(*IMAGINED_KEYS)[kept]
+
+
+def _kept(states: Tensor, limit: Tensor | None) -> tuple[Tensor, Tensor]:
+    """Return which steps precede the cut and which of them is the last of its rollout, `(batch, horizon)` bool."""
+    sound = states.isfinite().all(-1)
+    if limit is not None:
+        sound = sound & (states.abs() <= limit.to(states)).all(-1)
+    kept = sound.long().cumprod(-1).bool()
+    following = torch.cat([kept[:, 1:], torch.zeros_like(kept[:, :1])], -1)
+    return kept, kept & ~following
