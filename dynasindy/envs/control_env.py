@@ -56,7 +56,7 @@ class ControlEnv(EnvBase):
         super().__init__(batch_size=torch.Size(batch_size))
         self.system, self.task = system, task
         self.stops = system.stops
-        self.dt, self.substeps, self.dtype_out = dt, substeps, dtype
+        self.dt, self.substeps, self.float_type = dt, substeps, dtype
         self._make_specs()
         self._set_seed(seed)
 
@@ -65,11 +65,12 @@ class ControlEnv(EnvBase):
         """Time between the logged samples [s]."""
         return self.dt / self.substeps
 
-    def with_system(self, system: System, seed: int = 0) -> ControlEnv:
+    def with_system(self, system: System, dtype: torch.dtype | None = None, seed: int = 0) -> ControlEnv:
         """Return this environment around another system; task, stops and specs stay.
 
         Args:
             system: Vector field with the same signature.
+            dtype: Floating type of its states; that of this environment if omitted.
             seed: Seed of the new environment's generator.
 
         Raises:
@@ -87,7 +88,7 @@ class ControlEnv(EnvBase):
             self.dt,
             self.substeps,
             batch_size=tuple(self.batch_size),
-            dtype=self.dtype_out,
+            dtype=dtype or self.float_type,
             seed=seed,
         )
         env.stops = self.stops  # the beam's, not the model's: a model knows nothing of them
@@ -95,7 +96,7 @@ class ControlEnv(EnvBase):
 
     def with_task(self, task: Task, seed: int = 0) -> ControlEnv:
         """Return this environment with another task for the same system."""
-        env = ControlEnv(self.system, task, self.dt, self.substeps, dtype=self.dtype_out, seed=seed)
+        env = ControlEnv(self.system, task, self.dt, self.substeps, dtype=self.float_type, seed=seed)
         env.stops = self.stops
         return env
 
@@ -121,8 +122,8 @@ class ControlEnv(EnvBase):
             What `reset` returns, batch `(*batch,)`; pass it to `rollout(..., auto_reset=False)`.
         """
         batch = states.shape[:-1]
-        states = states.to(self.dtype_out)
-        params = self.task.sample(batch, self.rng).to(self.dtype_out)
+        states = states.to(self.float_type)
+        params = self.task.sample(batch, self.rng).to(self.float_type)
         steps = torch.zeros(*batch, 1, dtype=torch.int64)
         out = self._observed(states, params, steps)
         out["samples"] = states.unsqueeze(-2).expand(*batch, self.substeps, states.shape[-1]).clone()
@@ -163,7 +164,7 @@ class ControlEnv(EnvBase):
         self.rng = torch.Generator().manual_seed(0 if seed is None else seed)
 
     def _make_specs(self) -> None:
-        batch, dtype, signature = self.batch_size, self.dtype_out, self.system.signature
+        batch, dtype, signature = self.batch_size, self.float_type, self.system.signature
 
         def unbounded(*shape: int, dtype: torch.dtype = dtype) -> Unbounded:
             return Unbounded(shape=(*batch, *shape), dtype=dtype)

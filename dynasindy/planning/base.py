@@ -34,6 +34,10 @@ class Planner(ABC):
             raise ValueError(f"planning.every must be at least 1 episode, got {every}; use planning=none for none")
         self.every = every
 
+    def due(self, episode: int) -> bool:
+        """Return whether a planning phase follows real episode `episode`, counted from 1."""
+        return episode % self.every == 0
+
     @abstractmethod
     def plan(self) -> Planned:
         """Plan once with the world model as it is now."""

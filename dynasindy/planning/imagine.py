@@ -8,12 +8,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs import Transform
 
+from dynasindy.data.replay import LEARN_KEYS
 from dynasindy.envs import ControlEnv
-
-IMAGINED_KEYS = ("observation", "action") + tuple(
-    ("next", key) for key in ("observation", "reward", "done", "terminated", "truncated")
-)
-"""What an imagined transition holds: what TD3 reads, and nothing else."""
 
 
 class Imagination(Transform):
@@ -56,7 +52,7 @@ class Imagination(Transform):
             states: Start states, `(*batch, n_x)`.
 
         Returns:
-            Imagined transitions with `IMAGINED_KEYS`, flat, at most `batch * horizon` of them.
+            Imagined transitions with `LEARN_KEYS`, flat, at most `batch * horizon` of them.
         """
         starts = self.env.start_from(states.reshape(-1, states.shape[-1]))
         rollout = self.env.rollout(
@@ -64,7 +60,7 @@ class Imagination(Transform):
         )
         kept, last = _kept(rollout["next", "state"], self.limit)
         rollout["next", "truncated"] = rollout["next", "done"] = last.unsqueeze(-1)
-        return rollout.select(*IMAGINED_KEYS)[kept]
+        return rollout.select(*LEARN_KEYS)[kept]
 
 
 def _kept(states: Tensor, limit: Tensor | None) -> tuple[Tensor, Tensor]:

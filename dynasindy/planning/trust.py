@@ -35,7 +35,7 @@ def replay_error(model_env: ControlEnv, episode: TensorDictBase) -> ModelError:
     Returns:
         The open-loop errors; infinite where the model's states are not finite.
     """
-    x = episode["state"][0].to(model_env.dtype_out)
+    x = episode["state"][0].to(model_env.float_type)
     params = episode["task_params"][0].to(x)
     states, rewards = [], []
     for k, u in enumerate(episode["action"].to(x)):

@@ -1,0 +1,26 @@
+"""Identification data out of real rollouts."""
+
+from __future__ import annotations
+
+from tensordict import TensorDictBase
+
+from dynasindy.systems.transitions import Transitions
+
+
+def transitions(rows: TensorDictBase, log_dt: float) -> Transitions:
+    """Return the logged samples of real control periods as transitions, in float64.
+
+    Periods in which a mechanical stop was touched are left out: they are not smooth dynamics.
+
+    Args:
+        rows: Control periods `(T,)` in the order of time, with `state`, `action`, ("next", "samples") and
+            ("next", "at_stop").
+        log_dt: Time between samples [s].
+
+    Returns:
+        Up to `T * substeps` transitions.
+    """
+    samples = rows["next", "samples"].double()
+    fine = Transitions.from_samples(rows["state"].double(), rows["action"].double(), samples, log_dt)
+    free = ~rows["next", "at_stop"].reshape(-1).repeat_interleave(samples.shape[-2])
+    return fine.select(free)

@@ -1,0 +1,81 @@
+"""An experiment: the parts of Algorithm 1, built from a recipe and one seed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torchrl.envs import TransformedEnv
+
+from dynasindy.agents import TD3
+from dynasindy.data import DynaReplay
+from dynasindy.dyna.loop import Parts, Settings
+from dynasindy.envs import ControlEnv
+from dynasindy.excitation import Excitation
+from dynasindy.planning import Gate, ModelPrediction, Planner
+from dynasindy.systems import System
+from dynasindy.tasks import Task
+from dynasindy.world_models import WorldModel
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What an experiment is made of; builders that need something of the others get it when it is built.
+
+    Args:
+        system: The real plant.
+        task: Builder of the task, called with `signature`.
+        env: Builder of the real environment, called with `system`, `task` and `seed`.
+        excitation: Builder of the excitation, called with `n_u`, `dt` and `seed`.
+        world_model: Builder of the world model, called with `signature`.
+        agent: Builder of the agent, called with `n_obs`, `n_u` and `seed`.
+        replay: Builder of the storages, called with `seed`.
+        planning: Builder of the planner, called with `env`, `agent`, `replay` and `seed`.
+        gate: Trust in the model.
+        train: Lengths of the loop.
+        seed: Seed of everything; each part draws its own from it.
+    """
+
+    system: System
+    task: Callable[..., Task]
+    env: Callable[..., ControlEnv]
+    excitation: Callable[..., Excitation]
+    world_model: Callable[..., WorldModel]
+    agent: Callable[..., TD3]
+    replay: Callable[..., DynaReplay]
+    planning: Callable[..., Planner]
+    gate: Gate
+    train: Settings
+    seed: int = 0
+
+    def build(self) -> Parts:
+        """Build the parts; nothing is written and no step is taken.
+
+        Raises:
+            ValueError: A part refuses its settings.
+        """
+        seeds = torch.randint(2**31, (6,), generator=torch.Generator().manual_seed(self.seed)).tolist()
+        signature = self.system.signature
+        plant = self.env(system=self.system, task=self.task(signature=signature), seed=seeds[0])
+        world_model = self.world_model(signature=signature)
+        model_env = plant.with_system(world_model, torch.float32, seed=seeds[1])
+        agent = self.agent(n_obs=plant.task.n_o, n_u=signature.n_u, seed=seeds[2])
+        replay = self.replay(seed=seeds[3])
+        return Parts(
+            env=TransformedEnv(plant, ModelPrediction(model_env)),
+            model_env=model_env,
+            excitation=self.excitation(n_u=signature.n_u, dt=plant.dt, seed=seeds[4]),
+            world_model=world_model,
+            agent=agent,
+            replay=replay,
+            planner=self.planning(env=model_env, agent=agent, replay=replay, seed=seeds[5]),
+            gate=self.gate,
+        )
+
+
+def recipe(**settings: Any) -> Recipe:
+    """Return a recipe, dropping the settings that concern the run and not the experiment."""
+    names = Recipe.__dataclass_fields__
+    return Recipe(**{key: value for key, value in settings.items() if key in names})
