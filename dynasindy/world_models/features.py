@@ -1,0 +1,190 @@
+"""Candidate functions as data: products of powers of elementary functions of states and inputs.
+
+A feature that is data can be named, printed as LaTeX, saved, multiplied, differentiated and turned into code.
+
+| name              | meaning                                         | example                         |
+| ----------------- | ----------------------------------------------- | ------------------------------- |
+| Function          | elementary function of one variable or more      | `sin`                           |
+| Factor            | function of `frequency * variable`, to a power   | `cos(2 alpha_p)^3`              |
+| Feature           | product of factors; `1` is the empty product      | `omega_a |omega_a| cos(alpha_p)` |
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Function:
+    """Describe an elementary function.
+
+    Attributes:
+        name: name in tables and files, e.g. `sin`.
+        compute: torch function, elementwise in every argument.
+        text: format string of its value, e.g. `sin({0})`.
+        latex: format string for LaTeX.
+        atomic: whether the value needs no brackets before a power.
+    """
+
+    name: str
+    compute: Callable[..., Tensor]
+    text: str
+    latex: str
+    atomic: bool = True
+
+
+_REGISTRY: dict[str, Function] = {
+    f.name: f
+    for f in (
+        Function("id", lambda z: z, "{0}", "{0}"),
+        Function("sin", torch.sin, "sin({0})", r"\sin {0}"),
+        Function("cos", torch.cos, "cos({0})", r"\cos {0}"),
+        Function("abs", torch.abs, "|{0}|", r"|{0}|"),
+        Function("sign", torch.sign, "sign({0})", r"\operatorname{{sign}} {0}"),
+        Function("exp", torch.exp, "exp({0})", r"e^{{{0}}}"),
+        Function("tanh", torch.tanh, "tanh({0})", r"\tanh {0}"),
+    )
+}
+
+
+def register_function(name: str, compute: Callable[..., Tensor], latex: str | None = None) -> Function:
+    """Make a torch function available to libraries, saved models and printed equations under a name.
+
+    Args:
+        name: a Python identifier; registering a name again replaces it.
+        compute: torch function, elementwise in each argument, differentiable by autograd.
+        latex: format string, `{0}` standing for the first argument; by default the name in roman type.
+
+    Raises:
+        ValueError: the name is not an identifier.
+    """
+    if not name.isidentifier():
+        raise ValueError(f"register_function got the name {name!r}; allowed is a Python identifier: rename it")
+    default = r"\operatorname{{" + name.replace("_", r"\_") + r"}}({0})"
+    _REGISTRY[name] = Function(name, compute, name + "({0})", latex or default)
+    return _REGISTRY[name]
+
+
+def function(name: str) -> Function:
+    """Look up an elementary function.
+
+    Raises:
+        ValueError: no function has that name.
+    """
+    if name not in _REGISTRY:
+        raise ValueError(
+            f"function {name!r} is not known; allowed are {', '.join(sorted(_REGISTRY))}: "
+            "call register_function for your own before building or loading"
+        )
+    return _REGISTRY[name]
+
+
+@dataclass(frozen=True, order=True)
+class Factor:
+    """Raise `function(frequency * variables)` to a power."""
+
+    variables: tuple[str, ...]
+    function: str = "id"
+    power: int = 1
+    frequency: float = 1.0
+
+    @property
+    def base(self) -> Factor:
+        """Return the same factor to the power of one."""
+        return replace(self, power=1)
+
+    def text(self, latex: bool = False) -> str:
+        """Write the factor as a reader would."""
+        scale = "" if self.frequency == 1 else f"{self.frequency:g} "
+        names = [scale + (latex_name(v) if latex else v) for v in self.variables]
+        known = function(self.function)
+        form = known.latex if latex else known.text
+        written = form.format(", ".join(names))
+        if self.power == 1:
+            return written
+        if latex and self.function in ("sin", "cos", "tanh"):
+            return form.replace(" {0}", f"^{{{self.power}}} {{0}}").format(", ".join(names))
+        return f"{written}^{{{self.power}}}" if latex else f"{written}^{self.power}"
+
+
+@dataclass(frozen=True)
+class Feature:
+    """Multiply factors; no factor is the constant 1."""
+
+    factors: tuple[Factor, ...] = ()
+
+    @classmethod
+    def of(cls, factors: Iterable[Factor]) -> Feature:
+        """Multiply factors, joining powers of the same function of the same variable."""
+        powers: dict[Factor, int] = {}
+        for factor in factors:
+            powers[factor.base] = powers.get(factor.base, 0) + factor.power
+        return cls(tuple(replace(base, power=p) for base, p in powers.items() if p))
+
+    def __mul__(self, other: Feature) -> Feature:
+        """Multiply two features."""
+        return Feature.of(self.factors + other.factors)
+
+    @property
+    def key(self) -> frozenset[Factor]:
+        """Return what makes two features the same function, whatever the order of factors."""
+        return frozenset(self.factors)
+
+    @property
+    def variables(self) -> set[str]:
+        """Collect the states and inputs it reads."""
+        return {v for factor in self.factors for v in factor.variables}
+
+    def name(self) -> str:
+        """Write the feature in the names of states and inputs, e.g. `Omega_a^2 sin(alpha_p)`."""
+        return " ".join(f.text() for f in self.factors) or "1"
+
+    def latex(self) -> str:
+        """Write the feature as LaTeX."""
+        return r" \, ".join(f.text(latex=True) for f in self.factors) or "1"
+
+    def to_list(self) -> list[list]:
+        """Return plain lists for JSON."""
+        return [[list(f.variables), f.function, f.power, f.frequency] for f in self.factors]
+
+    @classmethod
+    def from_list(cls, data: list[list]) -> Feature:
+        """Read what `to_list` wrote.
+
+        Raises:
+            ValueError: a function is not known (user functions are registered before loading).
+        """
+        return cls(tuple(Factor(tuple(v), function(f).name, int(p), float(w)) for v, f, p, w in data))
+
+
+def variable(name: str, power: int = 1) -> Feature:
+    """Return a power of a state or an input as a feature."""
+    return Feature((Factor((name,), "id", power),))
+
+
+def of(function_name: str, *variables: str, power: int = 1, frequency: float = 1.0) -> Feature:
+    """Return a function of states or inputs as a feature, e.g. `of("sin", "alpha_p")`."""
+    return Feature((Factor(variables, function(function_name).name, power, frequency),))
+
+
+_GREEK = ("alpha", "beta", "gamma", "delta", "theta", "phi", "psi", "omega", "Omega", "Theta", "Phi", "Psi")
+
+
+def latex_name(name: str) -> str:
+    """Write a state or input name as LaTeX, e.g. `Omega_a` as `\\Omega_{a}`."""
+    head, _, tail = name.partition("_")
+    number = re.fullmatch(r"([A-Za-z]+?)(\d+)", head)
+    if number and not tail:
+        head, tail = number.groups()
+    head = "\\" + head if head in _GREEK else (head if len(head) == 1 else rf"\mathrm{{{head}}}")
+    return f"{head}_{{{tail}}}" if tail else head
+
+
+CONSTANT: Feature = Feature()
+"""The function 1."""
+

@@ -1,0 +1,172 @@
+"""Named libraries, each built from a signature: the two of the paper, rotor terms, polynomial, fourier.
+
+Source of the first two: the paper's table "SINDY model Xi matrix" (27 functions) and its display equation of
+Theta(X, U) (40 functions).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from itertools import combinations_with_replacement
+
+from dynasindy.systems.base import Signature
+from dynasindy.world_models.features import CONSTANT, Feature, of, variable
+from dynasindy.world_models.library import Library
+
+LibraryBuilder = Callable[[Signature], Library]
+
+
+def _variables(signature: Signature) -> tuple[str, ...]:
+    return (*signature.state_names, *signature.input_names)
+
+
+def paper_table(signature: Signature, angle: str = "alpha_p") -> Library:
+    """Build the library of the paper's Xi table: 1; z; z cos a; z^2 sin a; sin a; cos a.
+
+    Args:
+        signature: names of states and inputs, z = (x, u); 27 functions for six states and two inputs.
+        angle: state a, the pitch angle x2 of the paper [rad].
+    """
+    z, c, s = [variable(n) for n in _variables(signature)], of("cos", angle), of("sin", angle)
+    return Library(signature, [CONSTANT, *z, *(f * c for f in z), *(f * f * s for f in z), s, c])
+
+
+def paper_equation(signature: Signature, angle: str = "alpha_p") -> Library:
+    """Build the library of the paper's equation of Theta(X, U): z; z cos a; z^2 sin a; sin z; cos z.
+
+    Args:
+        signature: names of states and inputs, z = (x, u); 40 functions for six states and two inputs.
+        angle: state a, the pitch angle x2 of the paper [rad].
+    """
+    names = _variables(signature)
+    z, c, s = [variable(n) for n in names], of("cos", angle), of("sin", angle)
+    trigonometric = [of(f, n) for f in ("sin", "cos") for n in names]
+    return Library(signature, [*z, *(f * c for f in z), *(f * f * s for f in z), *trigonometric])
+
+
+def rotor(
+    signature: Signature,
+    angle: str = "alpha_p",
+    rotors: Iterable[str] = ("omega_a", "omega_p"),
+    rates: Iterable[str] = ("Omega_a", "Omega_p"),
+    inertia_order: int = 2,
+) -> Library:
+    """Build the library of a beam with rotors: drag and thrust w|w|, and what divides by J_h(alpha_p).
+
+    1/J_h is no function of the library; it is even in cos a, so products with cos^2 a up to a power stand for it.
+
+    Args:
+        signature: names of states and inputs.
+        angle: pitch angle a [rad].
+        rotors: states that are rotor speeds w [rpm].
+        rates: azimuth and pitch rate [rad/s], in this order.
+        inertia_order: highest power of cos^2 a in the stand-in for 1/J_h.
+    """
+    c, s, rate_a, rate_p = of("cos", angle), of("sin", angle), *(variable(n) for n in rates)
+    features = [CONSTANT, *(variable(n) for n in _variables(signature)), s, c]
+    azimuth = [rate_a, s * c * rate_a * rate_p, *(variable(n) * c for n in signature.input_names)]
+    for name in rotors:
+        w, size = variable(name), of("abs", name)
+        features += [size, w * size, w * w]
+        azimuth += [w * size * c, w * w * c]
+    features += [rate_a * rate_a * s * c]
+    for order in range(inertia_order + 1):
+        features += [f * _power(c * c, order) for f in azimuth]
+    return Library(signature, features)
+
+
+def _power(feature: Feature, order: int) -> Feature:
+    product = CONSTANT
+    for _ in range(order):
+        product = product * feature
+    return product
+
+
+def polynomial(signature: Signature, degree: int = 2, variables: Iterable[str] | None = None) -> Library:
+    """Build all monomials of states and inputs, constant included.
+
+    Args:
+        signature: names of states and inputs.
+        degree: highest total degree.
+        variables: states and inputs to use; all by default.
+
+    Raises:
+        ValueError: the degree is below 1.
+    """
+    if degree < 1:
+        raise ValueError(f"polynomial library got degree {degree}; allowed is 1 or more: raise it")
+    names = tuple(variables) if variables is not None else _variables(signature)
+    features = [CONSTANT]
+    for total in range(1, degree + 1):
+        for group in combinations_with_replacement(names, total):
+            features.append(Feature.of(f for n in group for f in variable(n).factors))
+    return Library(signature, features)
+
+
+def fourier(signature: Signature, n_frequencies: int = 1, variables: Iterable[str] | None = None) -> Library:
+    """Build sin(k z) and cos(k z) for k = 1..n_frequencies.
+
+    Args:
+        signature: names of states and inputs.
+        n_frequencies: number of harmonics.
+        variables: states and inputs to use; all by default.
+
+    Raises:
+        ValueError: there is no harmonic.
+    """
+    if n_frequencies < 1:
+        raise ValueError(f"fourier library got {n_frequencies} harmonics; allowed is 1 or more: raise it")
+    names = tuple(variables) if variables is not None else _variables(signature)
+    harmonics = range(1, n_frequencies + 1)
+    return Library(signature, [of(f, n, frequency=float(k)) for k in harmonics for n in names for f in ("sin", "cos")])
+
+
+def terms(signature: Signature, functions: Iterable[str], variables: Iterable[str]) -> Library:
+    """Build registered functions, user functions included, of each given state or input.
+
+    Args:
+        signature: names of states and inputs.
+        functions: names of elementary functions, e.g. `tanh`.
+        variables: states and inputs to use.
+    """
+    names = tuple(variables)
+    return Library(signature, [of(f, n) for f in functions for n in names])
+
+
+def sum_of(signature: Signature, libraries: Iterable[LibraryBuilder]) -> Library:
+    """Unite libraries given as builders (a config's `libraries` list of partials)."""
+    built = [build(signature) for build in libraries]
+    return Library(signature, [f for library in built for f in library.features])
+
+
+def product_of(signature: Signature, libraries: Iterable[LibraryBuilder]) -> Library:
+    """Multiply libraries given as builders: every product of one feature of each."""
+    product = Library(signature, [CONSTANT])
+    for build in libraries:
+        product = product * build(signature)
+    return product
+
+
+NAMED: dict[str, LibraryBuilder] = {
+    "paper_table": paper_table,
+    "paper_equation": paper_equation,
+    "rotor": rotor,
+    "polynomial": polynomial,
+    "fourier": fourier,
+}
+"""Libraries that a word selects."""
+
+
+def build_library(library: str | Library | LibraryBuilder, signature: Signature) -> Library:
+    """Make a library from a name, a builder or a library.
+
+    Raises:
+        ValueError: no library has that name.
+    """
+    if isinstance(library, Library):
+        return library
+    if isinstance(library, str):
+        if library not in NAMED:
+            raise ValueError(f"library {library!r} does not exist; allowed are {', '.join(NAMED)}: choose one of them")
+        return NAMED[library](signature)
+    return library(signature)

@@ -1,0 +1,143 @@
+"""Library of candidate functions Theta(x, u): an ordered set of features over a signature."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+import torch
+from torch import Tensor
+
+from dynasindy.systems.base import Signature
+from dynasindy.world_models.features import Factor, Feature, function
+
+
+class Library:
+    """Evaluate candidate functions of states and inputs, Theta(x, u) of the paper, eq. (library).
+
+    `a + b` holds the functions of both, `a * b` all products of a function of one with a function of the other.
+
+    Args:
+        signature: names of the states and inputs the features read.
+        features: candidate functions; repeated ones are kept once.
+
+    Raises:
+        ValueError: a feature reads a state or an input that does not exist.
+        ValueError: there is no feature.
+    """
+
+    def __init__(self, signature: Signature, features: Iterable[Feature]) -> None:
+        self.signature = signature
+        self.features: tuple[Feature, ...] = tuple({f.key: f for f in features}.values())
+        self._index = {n: i for i, n in enumerate((*signature.state_names, *signature.input_names))}
+        wrong = sorted(set().union(*(f.variables for f in self.features)) - set(self._index))
+        if wrong:
+            raise ValueError(
+                f"the library names {', '.join(wrong)}, which do not exist; allowed are {', '.join(self._index)}: "
+                "correct the name"
+            )
+        if not self.features:
+            raise ValueError("the library is empty; allowed is one feature or more: add functions to it")
+        self.names = tuple(f.name() for f in self.features)
+
+    def __len__(self) -> int:
+        """Count the features."""
+        return len(self.features)
+
+    def __add__(self, other: Library) -> Library:
+        """Unite two libraries."""
+        return Library(self.signature, self.features + other.features)
+
+    def __mul__(self, other: Library) -> Library:
+        """Multiply every feature of one library with every feature of the other."""
+        return Library(self.signature, [a * b for b in other.features for a in self.features])
+
+    def subset(self, indices: Sequence[int]) -> Library:
+        """Keep the features at the given positions."""
+        return Library(self.signature, [self.features[i] for i in indices])
+
+    def index(self, name: str) -> int:
+        """Find a feature by its readable name.
+
+        Raises:
+            ValueError: no feature has that name.
+        """
+        if name not in self.names:
+            raise ValueError(
+                f"feature {name!r} is not in the library; allowed are {', '.join(self.names)}: correct it or add it"
+            )
+        return self.names.index(name)
+
+    def __call__(self, x: Tensor, u: Tensor) -> Tensor:
+        """Evaluate all features.
+
+        Args:
+            x: states, `(*batch, n_x)`.
+            u: inputs, `(*batch, n_u)`.
+
+        Returns:
+            Theta, `(*batch, n_features)`, in the dtype of `x`.
+        """
+        columns = (*x.unbind(-1), *u.to(x.dtype).unbind(-1))
+        values: dict[Factor, Tensor] = {}
+        ones = torch.ones_like(columns[0])
+        return torch.stack([self._product(f.factors, columns, values, ones) for f in self.features], -1)
+
+    def jacobian(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+        """Evaluate all features and their derivatives by the states.
+
+        Args:
+            x: states, `(*batch, n_x)`.
+            u: inputs, `(*batch, n_u)`.
+
+        Returns:
+            Theta, `(*batch, n_features)`, and dTheta/dx, `(*batch, n_features, n_x)`.
+        """
+        columns = (*x.unbind(-1), *u.to(x.dtype).unbind(-1))
+        values: dict[Factor, Tensor] = {}
+        ones, zeros = torch.ones_like(columns[0]), torch.zeros_like(columns[0])
+        theta, slopes = [], []
+        for feature in self.features:
+            theta.append(self._product(feature.factors, columns, values, ones))
+            row = [zeros] * self.signature.n_x
+            for k, factor in enumerate(feature.factors):
+                rest = feature.factors[:k] + feature.factors[k + 1 :]
+                rest = rest if factor.power == 1 else (*rest, Factor(factor.variables, factor.function, factor.power - 1, factor.frequency))
+                others = self._product(rest, columns, values, ones) * factor.power
+                for j, name in enumerate(factor.variables):
+                    if self._index[name] < self.signature.n_x:
+                        slope = self._slope(factor, j, columns) * others
+                        row[self._index[name]] = row[self._index[name]] + slope
+            slopes.append(torch.stack(row, -1))
+        return torch.stack(theta, -1), torch.stack(slopes, -2)
+
+    def _product(
+        self, factors: Iterable[Factor], columns: Sequence[Tensor], values: dict[Factor, Tensor], ones: Tensor
+    ) -> Tensor:
+        product: Tensor | None = None
+        for factor in factors:
+            value = self._value(factor, columns, values)
+            product = value if product is None else product * value
+        return ones if product is None else product
+
+    def _value(self, factor: Factor, columns: Sequence[Tensor], values: dict[Factor, Tensor]) -> Tensor:
+        if factor not in values:
+            if factor.power != 1:
+                values[factor] = self._value(factor.base, columns, values) ** factor.power
+            else:
+                values[factor] = self._compute(factor)(*(columns[self._index[v]] for v in factor.variables))
+        return values[factor]
+
+    @staticmethod
+    def _compute(factor: Factor) -> Callable[..., Tensor]:
+        compute = function(factor.function).compute
+        if factor.frequency == 1:
+            return compute
+        return lambda *args: compute(*(factor.frequency * a for a in args))
+
+    def _slope(self, factor: Factor, argument: int, columns: Sequence[Tensor]) -> Tensor:
+        """Differentiate an elementwise function by one argument: its tangent along ones."""
+        args = tuple(columns[self._index[v]] for v in factor.variables)
+        if factor.function == "id":
+            return torch.full_like(args[0], factor.frequency)
+        tangents = tuple(torch.ones_like(a) if j == argument else torch.zeros_like(a) for j, a in enumerate(args))
+        return torch.func.jvp(self._compute(factor), args, tangents)[1]

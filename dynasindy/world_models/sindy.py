@@ -1,0 +1,192 @@
+"""The sparse world model: dx/dt = Xi' Theta(x, u), fitted to transitions.
+
+| name         | symbol          | unit                     | source                          |
+| ------------ | --------------- | ------------------------ | ------------------------------- |
+| library      | Theta(x, u)     | that of each function    | the paper, eq. (library)        |
+| coefficients | Xi              | dx per unit of Theta     | the paper, eq. SINDY-EQ         |
+| threshold    | lambda          | 1                        | the paper, 0.9; see `Regression` |
+
+Departure: the paper regresses derivatives; here changes over sampling intervals are regressed on the functions
+averaged over the intervals, which is exact for inputs held by a zero-order hold.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from dynasindy.systems.base import Signature, System
+from dynasindy.systems.integrators import rk4
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.constraints import Constraints
+from dynasindy.world_models.fast_field import Field, generate
+from dynasindy.world_models.files import load, save
+from dynasindy.world_models.libraries import LibraryBuilder, build_library
+from dynasindy.world_models.library import Library
+from dynasindy.world_models.refine import Refinement
+from dynasindy.world_models.regression import Regression, RunningSums, integral_form
+from dynasindy.world_models.report import FitReport
+from dynasindy.world_models.tables import equations
+
+
+class SindyModel(System):
+    """A vector field that is a sparse sum of candidate functions.
+
+    Args:
+        signature: names, units and ranges of the plant.
+        library: candidate functions, or a builder or a name of `libraries.NAMED`.
+        regression: settings of the sparse regression; the paper's by default.
+        refinement: settings of the refinement on the prediction error; none by default.
+        known: equations that are known, e.g. `{"alpha_a": "Omega_a"}`: the state's rate is that function, nothing else.
+        allowed: functions that may occur in an equation, by state; all by default.
+        fixed: coefficients that are given, by state and function name.
+
+    Raises:
+        ValueError: a name of a state, an input or a function does not exist.
+    """
+
+    coefficients: Tensor
+
+    def __init__(
+        self,
+        signature: Signature,
+        library: str | Library | LibraryBuilder = "paper_table",
+        regression: Regression | None = None,
+        refinement: Refinement | None = None,
+        known: Mapping[str, str] | None = None,
+        allowed: Mapping[str, Sequence[str]] | None = None,
+        fixed: Mapping[str, Mapping[str, float]] | None = None,
+    ) -> None:
+        super().__init__(signature)
+        self.library = build_library(library, signature)
+        self.regression = regression or Regression()
+        self.refinement = refinement
+        self.constraints = Constraints.build(self.library, known or {}, allowed or {}, fixed or {})
+        self.sums = RunningSums(len(self.library), signature.n_x)
+        self.register_buffer("coefficients", self.constraints.offset.clone())
+        self._field: Field | None = None
+        self._field_version: tuple[int, int] = (0, 0)
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Compute dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
+        version = (id(self.coefficients), self.coefficients._version)
+        if self._field is None or self._field_version != version:
+            self._field, self._field_version = generate(self.library, self.coefficients.cpu()), version
+        return self._field(x, u)
+
+    def predict(self, x: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
+        """Predict states one sampling time ahead, `(*batch, n_x)`, by `substeps` Runge-Kutta steps."""
+        for _ in range(substeps):
+            x = rk4(self, x, u, dt / substeps)
+        return x
+
+    def simulate(self, x0: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
+        """Predict trajectories open loop.
+
+        Args:
+            x0: start states, `(*batch, n_x)`.
+            u: inputs held in each interval, `(*batch, T, n_u)`.
+            dt: sampling time [s].
+            substeps: Runge-Kutta steps per interval.
+
+        Returns:
+            States, `(*batch, T + 1, n_x)`, the start first.
+        """
+        states = [x0]
+        for held in u.unbind(-2):
+            states.append(self.predict(states[-1], held, dt, substeps))
+        return torch.stack(states, -2)
+
+    def fit(self, transitions: Transitions) -> FitReport:
+        """Identify the model from transitions alone, forgetting earlier data.
+
+        Args:
+            transitions: samples; those that touch a stop are no smooth dynamics and belong left out.
+
+        Returns:
+            What was found and how well it fits.
+
+        Raises:
+            ValueError: there are fewer samples than functions.
+            ValueError: a sample is not finite.
+        """
+        self.sums = RunningSums(len(self.library), self.signature.n_x)
+        return self.update(transitions)
+
+    def update(self, transitions: Transitions) -> FitReport:
+        """Identify the model anew from all earlier data and new transitions, at the cost of the new ones.
+
+        The refinement, if any, works on the new transitions.
+
+        Raises:
+            ValueError: there are fewer samples than functions.
+            ValueError: a sample is not finite.
+        """
+        start = time.perf_counter()
+        data = transitions.to(torch.float64)
+        self._check(data)
+        self.sums.add(integral_form(self.library, data))
+        self._solve(self.sums)
+        if self.refinement is not None:
+            self.set_coefficients(self.refinement.run(self.library, self.coefficients, self.constraints, data))
+        return FitReport.of(self.library, self.coefficients, self.sums, time.perf_counter() - start)
+
+    def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
+        """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`."""
+        x, u, dx = (t.to(torch.float64) for t in (x, u, dx))
+        self.sums = RunningSums(len(self.library), self.signature.n_x)
+        self.sums.add((self.library(x, u), dx))
+        self._solve(self.sums)
+
+    def equations(self, digits: int = 4) -> list[str]:
+        """Write one equation per state, e.g. `Omega_p' = -0.414 Omega_p + ...`."""
+        return equations(self.library, self.coefficients, digits)
+
+    def set_coefficients(self, coefficients: Tensor) -> None:
+        """Replace Xi, `(n_features, n_x)`.
+
+        Raises:
+            ValueError: the shape does not fit the library.
+        """
+        if coefficients.shape != self.coefficients.shape:
+            raise ValueError(
+                f"coefficients got shape {tuple(coefficients.shape)}; allowed is {tuple(self.coefficients.shape)}: "
+                "one row per function, one column per state"
+            )
+        self.coefficients = coefficients.detach().to(torch.float64).clone()
+
+    def save(self, path: str | Path) -> None:
+        """Write the model as readable JSON."""
+        save(self.library, self.coefficients, path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> SindyModel:
+        """Read a model that `save` wrote; it predicts as the saved one did, to the last digit.
+
+        Raises:
+            ValueError: the file is not such a model, or needs a function that is not registered.
+        """
+        library, coefficients = load(path)
+        model = cls(library.signature, library)
+        model.set_coefficients(coefficients)
+        return model
+
+    def _check(self, data: Transitions) -> None:
+        shape = (data.x.shape[1], data.u.shape[1])
+        if shape != (self.signature.n_x, self.signature.n_u):
+            raise ValueError(
+                f"fit got {shape[0]} states and {shape[1]} inputs; allowed are {self.signature.n_x} and "
+                f"{self.signature.n_u}, as in the signature: check the columns"
+            )
+        if len(data) + self.sums.count < len(self.library):
+            raise ValueError(
+                f"fit got {len(data) + self.sums.count} samples; allowed are {len(self.library)} or more, one per "
+                "function: collect more data or choose a smaller library"
+            )
+
+    def _solve(self, sums: RunningSums) -> None:
+        self.set_coefficients(self.regression.solve(sums, self.constraints.free, self.constraints.offset))

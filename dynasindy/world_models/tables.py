@@ -1,0 +1,98 @@
+"""Write Xi for readers: equations, text, LaTeX and CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+
+from torch import Tensor
+
+from dynasindy.world_models.features import latex_name
+from dynasindy.world_models.library import Library
+
+
+def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[str]:
+    """Write one equation per state.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`.
+        digits: significant digits.
+
+    Returns:
+        Lines such as `Omega_p' = -0.414 Omega_p + 0.0013 omega_p`.
+    """
+    lines = []
+    for i, state in enumerate(library.signature.state_names):
+        written = ""
+        for name, value in zip(library.names, coefficients[:, i].tolist(), strict=True):
+            if value:
+                sign = (" - " if written else "-") if value < 0 else (" + " if written else "")
+                size = f"{abs(value):.{digits}g}"
+                written += sign + (size if name == "1" else name if size == "1" else f"{size} {name}")
+        lines.append(f"{state}' = {written or '0'}")
+    return lines
+
+
+def _rows(library: Library, coefficients: Tensor, digits: int, latex: bool, active_only: bool) -> list[list[str]]:
+    rows = []
+    for feature, values in zip(library.features, coefficients.tolist(), strict=True):
+        if active_only and not any(values):
+            continue
+        name = f"${feature.latex()}$" if latex else feature.name()
+        rows.append([name, *(_number(v, digits, latex) for v in values)])
+    return rows
+
+
+def _number(value: float, digits: int, latex: bool) -> str:
+    written = f"{value:.{digits}g}"
+    if latex and "e" in written:
+        mantissa, exponent = written.split("e")
+        return rf"${mantissa}\times10^{{{int(exponent)}}}$"
+    return f"${written}$" if latex and value < 0 else written
+
+
+def to_text(library: Library, coefficients: Tensor, digits: int = 5, active_only: bool = False) -> str:
+    """Write the Xi table with aligned columns.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`.
+        digits: significant digits.
+        active_only: whether functions without any coefficient are left out.
+    """
+    header = ["function", *(f"{s}'" for s in library.signature.state_names)]
+    rows = [header, *_rows(library, coefficients, digits, False, active_only)]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(header))]
+    return "\n".join(
+        "  ".join(cell.ljust(w) if k == 0 else cell.rjust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True)))
+        for row in rows
+    )
+
+
+def to_latex(library: Library, coefficients: Tensor, digits: int = 5, active_only: bool = False) -> str:
+    """Write the Xi table as a LaTeX tabular, as in the paper.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`.
+        digits: significant digits.
+        active_only: whether functions without any coefficient are left out.
+    """
+    states = [rf"$\dot{{{latex_name(s)}}}$" for s in library.signature.state_names]
+    rows = _rows(library, coefficients, digits, True, active_only)
+    lines = [r"\begin{tabular}{|" + "c|" * (len(states) + 1) + "}", r"\hline"]
+    lines += [" & ".join(["Library function", *states]) + r" \\ \hline"]
+    lines += [" & ".join(row) + r" \\ \hline" for row in rows]
+    return "\n".join([*lines, r"\end{tabular}"]) + "\n"
+
+
+def to_csv(library: Library, coefficients: Tensor) -> str:
+    """Write the Xi table as CSV at full precision: one row per function, one column per state."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    units = zip(library.signature.state_names, library.signature.state_units, strict=True)
+    writer.writerow(["function", *(f"d({s})/dt [{unit}/s]" for s, unit in units)])
+    for name, values in zip(library.names, coefficients.tolist(), strict=True):
+        writer.writerow([name, *(repr(v) for v in values)])
+    return out.getvalue()
