@@ -1,0 +1,223 @@
+"""Twin delayed deep deterministic policy gradient (TD3), on TorchRL's loss module and target updater.
+
+Source: Fujimoto, van Hoof, Meger, "Addressing Function Approximation Error in Actor-Critic Methods", 2018
+(Algorithm 1 and its equations), with the hyperparameters of the paper's table.
+
+| Name                     | Symbol     | Unit   | Where                                             |
+| ------------------------ | ---------- | ------ | ------------------------------------------------- |
+| `gamma`                  | gamma      | -      | target y = r + gamma min_i Q'_i                   |
+| `tau`                    | tau        | -      | theta' <- tau theta + (1 - tau) theta'            |
+| `policy_delay`           | d          | update | the actor learns every d-th critic update         |
+| `target_update_interval` | -          | update | "Target Update Frequency", apart from d           |
+| `policy_noise`           | sigma~     | -      | smoothing noise on the target action              |
+| `noise_clip`             | c          | -      | bound of the smoothing noise                      |
+| `exploration_noise`      | sigma      | -      | noise on real actions, decaying by `noise_decay`  |
+"""
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictSequential
+from torch import Tensor, nn
+from torch.optim import Adam
+from torchrl.objectives import SoftUpdate
+
+from dynasindy.agents.loss import TD3Loss
+from dynasindy.agents.networks import actor, critic
+from dynasindy.agents.noise import DecayingGaussian
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """Everything that can be set about the agent; the defaults are the paper's, then TD3's.
+
+    Attributes:
+        hidden: widths of the hidden layers of actor and critics.
+        actor_lr: learning rate of the actor [1/update].
+        critic_lr: learning rate of the critics [1/update].
+        lr_decay: share of both learning rates lost per update [-].
+        gamma: discount factor per control step [-].
+        tau: target smooth factor [-].
+        policy_delay: critic updates per actor update.
+        target_update_interval: critic updates per target update.
+        policy_noise: standard deviation of the target smoothing noise [-].
+        noise_clip: bound of the target smoothing noise [-].
+        exploration_noise: standard deviation of the exploration noise at first [-].
+        noise_decay: share of the exploration noise lost per real control step [-].
+        noise_min: lower bound of the exploration noise [-].
+        critics: number of critics, of which the target takes the smallest.
+        layer_norm: normalise the hidden layers of the critics.
+        max_grad_norm: bound of each gradient's norm; 0 leaves gradients as they are.
+        policy_average: share of the actor that enters the deployed average per actor update;
+            0 deploys the actor itself.
+    """
+
+    hidden: Sequence[int] = (400, 300)
+    actor_lr: float = 1e-4
+    critic_lr: float = 1e-4
+    lr_decay: float = 0.0
+    gamma: float = 0.995
+    tau: float = 0.005
+    policy_delay: int = 2
+    target_update_interval: int = 10
+    policy_noise: float = 0.2
+    noise_clip: float = 0.5
+    exploration_noise: float = 0.15
+    noise_decay: float = 1e-3
+    noise_min: float = 0.0
+    critics: int = 2
+    layer_norm: bool = False
+    max_grad_norm: float = 0.0
+    policy_average: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check every range.
+
+        Raises:
+            ValueError: a value lies outside its range.
+        """
+        for names, kinds, allowed, words in _RANGES:
+            for name in names:
+                value = getattr(self, name)
+                if not isinstance(value, kinds) or not allowed(value):
+                    raise ValueError(f"TD3 has {name}={value}; give {words}.")
+
+
+_RANGES: tuple[tuple[tuple[str, ...], tuple[type, ...], Callable[[Any], bool], str], ...] = (
+    (("actor_lr", "critic_lr"), (int, float), lambda v: v > 0, "a number > 0"),
+    (("gamma", "tau"), (int, float), lambda v: 0 < v <= 1, "a number in (0, 1]"),
+    (("lr_decay", "policy_average"), (int, float), lambda v: 0 <= v < 1, "a number in [0, 1)"),
+    (("policy_noise", "noise_clip", "max_grad_norm"), (int, float), lambda v: v >= 0, "a number >= 0"),
+    (("policy_delay", "target_update_interval", "critics"), (int,), lambda v: v > 0, "a whole number > 0"),
+)
+
+
+class TD3:
+    """Agent: a policy, its noise, and the update that improves it.
+
+    Attributes:
+        policy: `observation` to `action`, deterministic.
+        explore: `policy` plus decaying noise, for the real plant; each call is one control step.
+        explore_imagined: `policy` plus the present noise, for imagined rollouts, which do not count as steps.
+        deployed: the policy to evaluate and to save: `policy`, or its running average.
+        loss: the TorchRL loss module with all parameters and targets.
+        settings: the hyperparameters.
+        updates: number of updates so far.
+
+    Args:
+        n_obs: width of `observation`.
+        n_u: width of `action`.
+        seed: seed of the initial weights and of both noises.
+        device: device of all tensors.
+        **settings: fields of `Hyperparameters`.
+
+    Raises:
+        TypeError: a setting does not exist.
+        ValueError: a setting lies outside its range.
+    """
+
+    def __init__(
+        self, n_obs: int, n_u: int, seed: int = 0, device: torch.device | str = "cpu", **settings: Any
+    ) -> None:
+        allowed = {field.name for field in fields(Hyperparameters)}
+        if unknown := set(settings) - allowed:
+            raise TypeError(f"TD3 has no setting {_words(unknown)}; the settings are {_words(allowed)}.")
+        self.settings = s = Hyperparameters(**settings)
+        with torch.random.fork_rng():
+            torch.manual_seed(seed)
+            self.policy = actor(n_obs, n_u, s.hidden).to(device)
+            critics = [critic(n_obs, n_u, s.hidden, s.layer_norm).to(device) for _ in range(s.critics)]
+        generator = torch.Generator(device).manual_seed(seed + 1)
+        self.loss = TD3Loss(
+            self.policy,
+            critics,
+            gamma=s.gamma,
+            policy_noise=s.policy_noise,
+            noise_clip=s.noise_clip,
+            generator=generator,
+        )
+        self.noise = DecayingGaussian(s.exploration_noise, s.noise_decay, s.noise_min, seed + 2, device)
+        self.explore = TensorDictSequential(self.policy, self.noise)
+        self.explore_imagined = TensorDictSequential(self.policy, self.noise.frozen())
+        self.deployed = copy.deepcopy(self.policy).requires_grad_(False) if s.policy_average else self.policy
+        self.target_updater = SoftUpdate(self.loss, tau=s.tau)
+        self.actor_optimizer = self._optimizer(self.loss.actor_network_params, s.actor_lr)
+        self.critic_optimizer = self._optimizer(self.loss.qvalue_network_params, s.critic_lr)
+        self.updates = 0
+        self.actor_loss = torch.zeros((), device=device)
+
+    def update(self, batch: TensorDictBase) -> dict[str, Tensor]:
+        """Take one step of TD3 on a batch of transitions (Fujimoto 2018, Algorithm 1).
+
+        Args:
+            batch: `observation`, `action` and `next` transitions `(batch,)`, as `DynaReplay.sample` returns.
+
+        Returns:
+            Scalars on the agent's device: `critic_loss`, `q_value`, and the latest `actor_loss`.
+        """
+        s = self.settings
+        self.updates += 1
+
+        critic_loss, parts = self.loss.value_loss(batch)
+        self._descend(critic_loss, self.critic_optimizer)
+
+        if self.updates % s.policy_delay == 0:
+            actor_loss, _ = self.loss.actor_loss(batch)
+            self._descend(actor_loss, self.actor_optimizer)
+            self.actor_loss = actor_loss.detach()
+            if s.policy_average:
+                self._average()
+
+        if self.updates % s.target_update_interval == 0:
+            self.target_updater.step()
+
+        if s.lr_decay:
+            self._decay_learning_rates()
+        value = parts["pred_value"].mean()
+        return {"critic_loss": critic_loss.detach(), "q_value": value, "actor_loss": self.actor_loss}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return everything that a resumed run needs to equal an uninterrupted one."""
+        return {
+            **{name: getattr(self, name).state_dict() for name in self._parts},
+            "deployed": self.deployed.state_dict(),
+            "generator": self.loss.generator.get_state(),
+            "updates": self.updates,
+            "actor_loss": self.actor_loss,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned."""
+        for name in self._parts:
+            getattr(self, name).load_state_dict(state[name])
+        self.deployed.load_state_dict(state["deployed"])
+        self.loss.generator.set_state(state["generator"])
+        self.updates, self.actor_loss = state["updates"], state["actor_loss"]
+
+    _parts = ("loss", "noise", "target_updater", "actor_optimizer", "critic_optimizer")
+
+    def _optimizer(self, parameters: nn.Module, lr: float) -> Adam:
+        return Adam(list(parameters.parameters()), lr=lr, fused=True)
+
+    def _descend(self, loss: Tensor, optimizer: Adam) -> None:
+        optimizer.zero_grad()
+        loss.backward()
+        if self.settings.max_grad_norm:
+            nn.utils.clip_grad_norm_(optimizer.param_groups[0]["params"], self.settings.max_grad_norm)
+        optimizer.step()
+
+    def _decay_learning_rates(self) -> None:
+        for optimizer in (self.actor_optimizer, self.critic_optimizer):
+            optimizer.param_groups[0]["lr"] *= 1.0 - self.settings.lr_decay
+
+    def _average(self) -> None:
+        averaged, latest = list(self.deployed.parameters()), list(self.policy.parameters())
+        torch._foreach_lerp_(averaged, [p.detach() for p in latest], self.settings.policy_average)
+
+
+def _words(names: set[str]) -> str:
+    return ", ".join(sorted(names))

@@ -1,0 +1,216 @@
+"""Replay with separate storages for real and imagined transitions, mixed in an exact share.
+
+TorchRL's `ReplayBufferEnsemble` mixes in expectation only and cannot sample while a member is empty; a Dyna
+agent needs every batch to hold the share it was told, from the first batch before any planning.
+"""
+
+from collections.abc import Collection, Sequence
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer, TensorDictRoundRobinWriter
+
+LEARN_KEYS: tuple[NestedKey, ...] = (
+    "observation",
+    "action",
+    ("next", "observation"),
+    ("next", "reward"),
+    ("next", "done"),
+    ("next", "terminated"),
+    ("next", "truncated"),
+)
+"""What the agent learns from."""
+
+REAL_KEYS: tuple[NestedKey, ...] = (
+    *LEARN_KEYS,
+    "state",
+    "step_count",
+    ("next", "state"),
+    ("next", "samples"),
+    ("next", "at_stop"),
+)
+"""What is kept of the real plant: also what identification and planning read."""
+
+
+class CheckedWriter(TensorDictRoundRobinWriter):
+    """Writer that refuses rows a storage would accept silently and return as zeros later.
+
+    Args:
+        name: what the storage holds, for messages.
+        keys: the keys of each row, no more and no fewer.
+    """
+
+    def __init__(self, name: str, keys: Sequence[NestedKey]) -> None:
+        super().__init__()
+        self.name, self.keys = name, frozenset(keys)
+        self.version = 0
+
+    def add(self, data: TensorDictBase) -> int | Tensor:
+        """Write one row."""
+        self._check(data)
+        return super().add(data)
+
+    def extend(self, data: TensorDictBase) -> Tensor:
+        """Write rows `(n,)`."""
+        self._check(data)
+        if data.ndim != 1:
+            raise ValueError(
+                f"The {self.name} storage takes rows (n,), given a batch {tuple(data.shape)}; "
+                "call reshape(-1) first."
+            )
+        return super().extend(data)
+
+    def _check(self, data: TensorDictBase) -> None:
+        given = set(data.keys(include_nested=True, leaves_only=True)) - {"index"}
+        if given != self.keys:
+            raise KeyError(
+                f"The {self.name} storage takes exactly its {len(self.keys)} keys; "
+                f"missing: {_words(self.keys - given)}; not allowed: {_words(given - self.keys)}."
+            )
+        for key in self.keys:
+            if not torch.isfinite(data.get(key)).all():
+                raise ValueError(
+                    f"The {self.name} storage takes finite rows; {_words([key])} holds NaN or infinity; "
+                    "leave such rows out."
+                )
+        self.version += 1
+
+
+class DynaReplay:
+    """Real and imagined transitions, sampled together.
+
+    Attributes:
+        real: buffer of real transitions, with `keys`.
+        model: buffer of imagined transitions, with `LEARN_KEYS`; a transform appended to it may turn what is
+            written (start states) into what is stored; `model.empty()` evicts all.
+        real_ratio: share of real transitions in every batch, or None for the share they have of all
+            transitions (the single buffer of Algorithm 1).
+
+    Args:
+        capacity: rows of the real storage.
+        batch_size: transitions per batch.
+        real_ratio: see above; [0, 1] or None.
+        seed: seed of the sampling.
+        keys: keys of a real row, `LEARN_KEYS` among them.
+        model_capacity: rows of the model storage, a ring in which new rows replace the oldest;
+            `capacity` if not given.
+        device: device of the storages.
+
+    Raises:
+        ValueError: a size is not positive, or `real_ratio` or `keys` is not allowed.
+    """
+
+    def __init__(
+        self,
+        capacity: int,
+        batch_size: int,
+        real_ratio: float | None = 0.5,
+        seed: int = 0,
+        keys: Sequence[NestedKey] = REAL_KEYS,
+        model_capacity: int | None = None,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        model_capacity = capacity if model_capacity is None else model_capacity
+        if min(capacity, batch_size, model_capacity) < 1:
+            raise ValueError(
+                f"Replay has capacity={capacity}, batch_size={batch_size}, model_capacity={model_capacity}; "
+                "give positive numbers."
+            )
+        if real_ratio is not None and not 0 <= real_ratio <= 1:
+            raise ValueError(
+                f"Replay has real_ratio={real_ratio}; give a share in [0, 1], or null for a single buffer."
+            )
+        if missing := set(LEARN_KEYS) - set(keys):
+            raise ValueError(
+                f"Replay keys lack {_words(missing)}; give the keys to learn from and any others."
+            )
+        self.batch_size, self.real_ratio = batch_size, real_ratio
+        self.device = torch.device(device)
+        self.generator = torch.Generator(device).manual_seed(seed)
+        self.real = self._buffer("real", capacity, keys)
+        self.model = self._buffer("model", model_capacity, LEARN_KEYS)
+        self._views: dict[str, tuple[int, list[Tensor]]] = {}
+
+    def extend_real(self, rollout: TensorDictBase) -> None:
+        """Store the rows of a real rollout `(*batch, steps)`, of which only the storage's keys are kept."""
+        writer = self.real.writer
+        assert isinstance(writer, CheckedWriter)
+        self.real.extend(rollout.select(*writer.keys, strict=False).reshape(-1))
+
+    def counts(self) -> tuple[int, int]:
+        """Return how many real and how many imagined transitions the next batch holds."""
+        real, model = len(self.real), len(self.model)
+        if not real or not model:
+            return (self.batch_size, 0) if real else (0, self.batch_size)
+        share = real / (real + model) if self.real_ratio is None else self.real_ratio
+        k = round(share * self.batch_size)
+        return k, self.batch_size - k
+
+    def sample(self) -> TensorDict:
+        """Draw a batch `(batch_size,)` with `LEARN_KEYS`, its first rows real, uniformly with replacement.
+
+        Raises:
+            RuntimeError: both storages are empty.
+        """
+        if not len(self.real) and not len(self.model):
+            raise RuntimeError("Replay is empty; collect real transitions before sampling.")
+        drawn = [
+            [column.index_select(0, index) for column in self._columns(buffer)]
+            for buffer, k in zip((self.real, self.model), self.counts())
+            if k
+            for index in (torch.randint(len(buffer), (k,), generator=self.generator, device=self.device),)
+        ]
+        columns = [torch.cat(pair) for pair in zip(*drawn)] if len(drawn) == 2 else drawn[0]
+        observation, action, next_observation, reward, done, terminated, truncated = columns
+        following = {"observation": next_observation, "reward": reward}
+        following |= {"done": done, "terminated": terminated, "truncated": truncated}
+        size = [self.batch_size]
+        return TensorDict(
+            {"observation": observation, "action": action, "next": TensorDict(following, size)}, size
+        )
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the written rows of both storages, and the sampling's generator."""
+        buffers = {"real": self.real, "model": self.model}
+        state: dict[str, Any] = {"generator": self.generator.get_state()}
+        for name, buffer in buffers.items():
+            rows = buffer[:].clone().to_dict() if len(buffer) else {}
+            state[name] = {"rows": rows, "writer": buffer.writer.state_dict()}
+        return state
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned."""
+        self.generator.set_state(state["generator"])
+        for name, buffer in (("real", self.real), ("model", self.model)):
+            buffer.empty()
+            if rows := state[name]["rows"]:
+                stored = TensorDict(rows, batch_size=[len(rows["action"])])
+                buffer.storage.set(range(len(stored)), stored)
+            buffer.writer.load_state_dict(state[name]["writer"])
+        self._views.clear()
+
+    def _buffer(self, name: str, capacity: int, keys: Sequence[NestedKey]) -> TensorDictReplayBuffer:
+        return TensorDictReplayBuffer(
+            storage=LazyTensorStorage(capacity, device=self.device),
+            writer=CheckedWriter(name, keys),
+            batch_size=self.batch_size,
+            generator=self.generator,
+        )
+
+    def _columns(self, buffer: TensorDictReplayBuffer) -> list[Tensor]:
+        """Return views of the columns to learn from, taken anew after each write."""
+        writer = buffer.writer
+        assert isinstance(writer, CheckedWriter)
+        version, columns = self._views.get(writer.name, (None, []))
+        if version != writer.version:
+            rows = buffer.storage.get(slice(0, len(buffer)))
+            columns = [rows.get(key) for key in LEARN_KEYS]
+            self._views[writer.name] = writer.version, columns
+        return columns
+
+
+def _words(keys: Collection[NestedKey]) -> str:
+    return ", ".join(sorted(key if isinstance(key, str) else ".".join(key) for key in keys)) or "none"

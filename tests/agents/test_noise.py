@@ -1,0 +1,73 @@
+"""Exploration noise: distribution, decay, own generator."""
+
+import math
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from dynasindy.agents.noise import DecayingGaussian
+
+
+def zeros(n=20000):
+    return TensorDict({"action": torch.zeros(n, 1)}, [n])
+
+
+def test_noise_has_its_standard_deviation():
+    action = DecayingGaussian(sigma=0.15, decay=0.0)(zeros())["action"]
+    assert action.std().item() == pytest.approx(0.15, rel=0.02)
+    assert action.mean().item() == pytest.approx(0.0, abs=0.005)
+
+
+def test_sigma_decays_by_its_rate_each_step_down_to_the_minimum():
+    noise = DecayingGaussian(sigma=0.15, decay=1e-3, minimum=0.05)
+    for _ in range(400):
+        noise(zeros(1))
+    assert noise.sigma == pytest.approx(0.15 * math.exp(400 * math.log1p(-1e-3)))
+    for _ in range(1000):
+        noise(zeros(1))
+    assert noise.sigma == 0.05
+
+
+def test_imagined_steps_use_the_noise_without_advancing_its_decay():
+    noise = DecayingGaussian(sigma=0.15, decay=0.5)
+    frozen = noise.frozen()
+    assert frozen(zeros())["action"].std().item() == pytest.approx(0.15, rel=0.02)
+    assert noise.sigma == 0.15
+    assert not frozen.state_dict()
+
+
+def test_nothing_is_added_or_decayed_when_told_to_be_deterministic():
+    noise = DecayingGaussian(sigma=0.15, decay=0.5)
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        assert noise(zeros())["action"].abs().max() == 0
+    assert noise.sigma == 0.15
+
+
+def test_actions_are_clipped():
+    noise = DecayingGaussian(sigma=5.0)
+    assert noise(zeros())["action"].abs().max() == 1
+
+
+def test_draws_depend_on_the_seed_and_not_on_the_global_generator():
+    draws = []
+    for seed, other in ((1, 5), (1, 6), (2, 5)):
+        torch.manual_seed(other)
+        draws.append(DecayingGaussian(seed=seed)(zeros(8))["action"])
+    assert torch.equal(draws[0], draws[1])
+    assert not torch.equal(draws[0], draws[2])
+
+
+def test_state_is_restored():
+    noise, other = DecayingGaussian(seed=1), DecayingGaussian(seed=2)
+    noise(zeros(4))
+    other.load_state_dict(noise.state_dict())
+    assert other.sigma == noise.sigma
+    assert torch.equal(other(zeros(4))["action"], noise(zeros(4))["action"])
+
+
+@pytest.mark.parametrize("wrong", [{"sigma": -1.0}, {"decay": 1.0}, {"minimum": -0.1}])
+def test_refuses_values_outside_their_range(wrong):
+    with pytest.raises(ValueError, match="give sigma >= 0"):
+        DecayingGaussian(**wrong)

@@ -1,0 +1,200 @@
+"""The agent: update frequencies, seeds, resume, settings."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.objectives import SoftUpdate
+from torchrl.objectives import TD3Loss as TorchRLTD3Loss
+
+from dynasindy.agents.td3 import TD3, Hyperparameters
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+
+def batches(n, size=32, seed=0):
+    rng = torch.Generator().manual_seed(seed)
+    flags = {key: torch.zeros(size, 1, dtype=torch.bool) for key in ("done", "terminated", "truncated")}
+    for _ in range(n):
+        x, x_next = torch.randn(2, size, 4, generator=rng)
+        u, reward = torch.rand(size, 2, generator=rng) * 2 - 1, torch.randn(size, 1, generator=rng)
+        following = {"observation": x_next, "reward": reward, **flags}
+        yield TensorDict({"observation": x, "action": u, "next": following}, [size])
+
+
+def tensors(agent):
+    return torch.cat(
+        [p.detach().flatten() for p in agent.loss.state_dict().values() if p.is_floating_point()]
+    )
+
+
+def small(**settings):
+    return TD3(4, 2, **{"hidden": (16, 12), "seed": 3} | settings)
+
+
+def test_it_is_a_torchrl_loss_with_a_torchrl_updater():
+    agent = small()
+    assert isinstance(agent.loss, TorchRLTD3Loss)
+    assert isinstance(agent.target_updater, SoftUpdate)
+
+
+def test_actor_and_targets_move_at_their_own_intervals():
+    agent = small(policy_delay=2, target_update_interval=5)
+    names = ("actor_network_params", "qvalue_network_params", "target_actor_network_params")
+    moved = {name: [] for name in (*names, "target_qvalue_network_params")}
+    for i, batch in enumerate(batches(10), start=1):
+        before = {name: getattr(agent.loss, name).flatten_keys().clone() for name in moved}
+        agent.update(batch)
+        for name, old in before.items():
+            if any((old[key] != new).any() for key, new in getattr(agent.loss, name).flatten_keys().items()):
+                moved[name].append(i)
+    assert moved["qvalue_network_params"] == list(range(1, 11))
+    assert moved["actor_network_params"] == [2, 4, 6, 8, 10]
+    assert moved["target_actor_network_params"] == [5, 10]
+    assert moved["target_qvalue_network_params"] == [5, 10]
+
+
+def test_targets_move_by_tau():
+    agent = small(tau=0.25, target_update_interval=1, policy_delay=1)
+    old = agent.loss.target_critic_layers[0].weight.clone()
+    agent.update(next(batches(1)))
+    expected = 0.75 * old + 0.25 * agent.loss.critic_layers[0].weight.detach()
+    torch.testing.assert_close(agent.loss.target_critic_layers[0].weight, expected)
+
+
+def test_critics_start_different_from_each_other_and_equal_to_their_targets():
+    loss = small().loss
+    assert not torch.equal(loss.critic_layers[0].weight[0], loss.critic_layers[0].weight[1])
+    assert torch.equal(loss.critic_layers[0].weight, loss.target_critic_layers[0].weight)
+
+
+def test_same_seed_gives_the_same_agent_whatever_the_global_generator():
+    finals = []
+    for seed, other in ((3, 1), (3, 2), (4, 1)):
+        torch.manual_seed(other)
+        agent = small(seed=seed)
+        for batch in batches(6):
+            agent.update(batch)
+        finals.append(tensors(agent))
+    assert torch.equal(finals[0], finals[1])
+    assert not torch.equal(finals[0], finals[2])
+
+
+def test_constructing_leaves_the_global_generator_as_it_was():
+    before = torch.get_rng_state()
+    small()
+    assert torch.equal(before, torch.get_rng_state())
+
+
+def test_resumed_agent_equals_an_uninterrupted_one(tmp_path):
+    settings = {"policy_average": 0.1, "lr_decay": 0.01, "policy_delay": 2, "target_update_interval": 3}
+    agent, resumed = small(**settings), small(**settings, seed=9)
+    data = list(batches(14))
+    explored = TensorDict({"observation": torch.zeros(5, 4)}, [5])
+    for batch in data[:7]:
+        agent.update(batch)
+        agent.explore(explored.clone())
+    torch.save(agent.state_dict(), tmp_path / "agent.pt")
+    resumed.load_state_dict(torch.load(tmp_path / "agent.pt", weights_only=True))
+    for batch in data[7:]:
+        expected, given = agent.update(batch), resumed.update(batch)
+        assert {k: v.item() for k, v in expected.items()} == {k: v.item() for k, v in given.items()}
+    assert torch.equal(tensors(agent), tensors(resumed))
+    actions = [a.explore(explored.clone())["action"] for a in (agent, resumed)]
+    assert torch.equal(*actions)
+    assert torch.equal(*[a.deployed(explored.clone())["action"] for a in (agent, resumed)])
+
+
+def test_critics_learn_a_known_value():
+    # Reward 1 for ever, gamma 0.5: the value is 2 everywhere.
+    agent = small(gamma=0.5, critic_lr=3e-3, target_update_interval=1, tau=0.05)
+    for batch in batches(600):
+        batch["next", "reward"] = torch.ones(32, 1)
+        metrics = agent.update(batch)
+    assert metrics["q_value"].item() == pytest.approx(2.0, abs=0.1)
+
+
+def test_actor_climbs_the_critic():
+    # Reward -(u - 0.5)^2 at once, gamma ~ 0: the best action is 0.5 everywhere.
+    agent = small(gamma=1e-6, critic_lr=3e-3, actor_lr=1e-3, hidden=(32, 32))
+    assert (agent.policy(next(batches(1, seed=5)))["action"] - 0.5).abs().mean().item() > 0.4
+    for batch in batches(1500, size=64):
+        batch["next", "reward"] = -(batch["action"] - 0.5).square().sum(-1, keepdim=True)
+        agent.update(batch)
+    action = agent.policy(next(batches(1, seed=5)))["action"]
+    assert (action - 0.5).abs().mean().item() < 0.2
+
+
+def test_averaged_policy_trails_the_actor_by_its_rate():
+    agent = small(policy_average=0.25, policy_delay=1)
+    before = [p.clone() for p in agent.deployed.parameters()]
+    agent.update(next(batches(1)))
+    for old, averaged, new in zip(
+        before, agent.deployed.parameters(), agent.policy.parameters(), strict=True
+    ):
+        torch.testing.assert_close(averaged, 0.75 * old + 0.25 * new.detach())
+
+
+def test_without_average_the_actor_is_deployed():
+    agent = small()
+    assert agent.deployed is agent.policy
+
+
+def test_learning_rates_decay_per_update():
+    agent = small(lr_decay=0.1, policy_delay=2, critic_lr=1e-3, actor_lr=1e-3)
+    for batch in batches(4):
+        agent.update(batch)
+    assert agent.critic_optimizer.param_groups[0]["lr"] == pytest.approx(1e-3 * 0.9**4)
+    assert agent.actor_optimizer.param_groups[0]["lr"] == pytest.approx(1e-3 * 0.9**4)
+
+
+def test_gradients_are_clipped_to_the_norm_given():
+    agent = small(max_grad_norm=1e-3)
+    agent.update(next(batches(1)))
+    norm = torch.cat([p.grad.flatten() for p in agent.loss.qvalue_network_params.parameters()]).norm()
+    assert norm.item() == pytest.approx(1e-3, rel=1e-3)
+
+
+def test_explore_is_the_policy_plus_noise_of_the_given_size():
+    agent = small(exploration_noise=0.05, noise_decay=0.0)
+    td = TensorDict({"observation": torch.zeros(20000, 4)}, [20000])
+    difference = agent.explore(td.clone())["action"] - agent.policy(td.clone())["action"]
+    assert difference.std().item() == pytest.approx(0.05, rel=0.02)
+
+
+def test_imagined_steps_do_not_count_as_exploration_steps():
+    agent = small(exploration_noise=0.2, noise_decay=0.5)
+    td = TensorDict({"observation": torch.zeros(3, 4)}, [3])
+    agent.explore_imagined(td.clone())
+    assert agent.noise.sigma == 0.2
+    agent.explore(td.clone())
+    assert agent.noise.sigma == pytest.approx(0.1)
+
+
+def test_defaults_are_the_rows_of_the_papers_table():
+    s = Hyperparameters()
+    assert (s.hidden, s.actor_lr, s.critic_lr, s.gamma) == ((400, 300), 1e-4, 1e-4, 0.995)
+    assert (s.exploration_noise, s.noise_decay, s.tau, s.target_update_interval) == (0.15, 1e-3, 0.005, 10)
+
+
+def test_unknown_setting_is_refused_by_name():
+    with pytest.raises(TypeError, match=r"TD3 has no setting gama; the settings are .*gamma"):
+        small(gama=0.9)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("gamma", 1.5),
+        ("tau", 0.0),
+        ("actor_lr", -1e-4),
+        ("policy_delay", 0),
+        ("noise_clip", -0.1),
+        ("lr_decay", 1.0),
+        ("policy_delay", 2.5),
+        ("tau", "fast"),
+        ("gamma", float("nan")),
+    ],
+)
+def test_setting_outside_its_range_is_refused(name, value):
+    with pytest.raises(ValueError, match=rf"TD3 has {name}=.*; give a value"):
+        small(**{name: value})

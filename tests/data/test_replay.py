@@ -1,0 +1,190 @@
+"""Replay: exact shares, refusals, seeds, resume."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.envs.transforms import Transform
+
+from dynasindy.data.replay import LEARN_KEYS, REAL_KEYS, DynaReplay
+
+
+def rows(n, value=0.0, keys=LEARN_KEYS):
+    """Rows whose every float is `value + row number`."""
+    number = value + torch.arange(n, dtype=torch.float32)
+    td = TensorDict({}, [n])
+    for key in keys:
+        name = key if isinstance(key, str) else key[-1]
+        if name in ("done", "terminated", "truncated", "at_stop"):
+            td[key] = torch.zeros(n, 1, dtype=torch.bool)
+        elif name == "reward":
+            td[key] = number[:, None].clone()
+        elif name == "step_count":
+            td[key] = torch.arange(n)[:, None]
+        elif name == "samples":
+            td[key] = number[:, None, None].repeat(1, 5, 6)
+        else:
+            td[key] = number[:, None].repeat(1, 3)
+    return td
+
+
+def filled(real_ratio=0.3, batch_size=50, real=200, model=400, **settings):
+    replay = DynaReplay(1000, batch_size, real_ratio, **settings)
+    if real:
+        replay.extend_real(rows(real, keys=REAL_KEYS))
+    if model:
+        replay.model.extend(rows(model, value=10_000))
+    return replay
+
+
+@pytest.mark.parametrize(("real_ratio", "expected"), [(0.0, 0), (0.3, 15), (0.5, 25), (0.99, 50), (1.0, 50)])
+def test_every_batch_holds_the_exact_real_share(real_ratio, expected):
+    replay = filled(real_ratio)
+    for _ in range(20):
+        batch = replay.sample()
+        assert batch.shape == (50,)
+        assert int((batch["next", "reward"] < 10_000).sum()) == expected
+
+
+def test_without_a_ratio_the_share_is_that_of_a_single_buffer():
+    assert filled(None, real=200, model=600).counts() == (12, 38)
+
+
+def test_empty_model_storage_gives_real_batches():
+    replay = filled(0.1, model=0)
+    assert (replay.sample()["next", "reward"] < 10_000).all()
+    replay.model.extend(rows(30, value=10_000))
+    assert int((replay.sample()["next", "reward"] < 10_000).sum()) == 5
+    replay.model.empty()
+    assert (replay.sample()["next", "reward"] < 10_000).all()
+
+
+def test_empty_replay_says_what_to_do():
+    with pytest.raises(RuntimeError, match="Replay is empty; collect real transitions"):
+        filled(real=0, model=0).sample()
+
+
+def test_samples_are_whole_rows_with_the_keys_to_learn_from():
+    batch = filled().sample()
+    assert set(batch.keys(True, True)) == set(LEARN_KEYS)
+    for key in ("observation", "action", ("next", "observation")):
+        assert torch.equal(batch[key], batch["next", "reward"].expand(-1, 3))
+    assert batch["next", "done"].dtype == torch.bool
+
+
+def test_sampling_is_uniform_over_the_written_rows():
+    replay = filled(1.0, batch_size=1000, real=10)
+    drawn = torch.cat([replay.sample()["next", "reward"] for _ in range(20)]).flatten()
+    counts = torch.bincount(drawn.long(), minlength=10)
+    assert len(counts) == 10
+    assert (counts - 2000).abs().max() < 5 * (20000 * 0.1 * 0.9) ** 0.5  # five standard deviations
+
+
+def test_rows_evicted_and_written_again_are_the_ones_sampled():
+    replay = filled(0.0, model=400)
+    assert (replay.sample()["next", "reward"] >= 10_000).all()
+    replay.model.empty()
+    replay.model.extend(rows(400, value=20_000))
+    assert (replay.sample()["next", "reward"] >= 20_000).all()
+
+
+def test_a_smaller_model_storage_keeps_the_latest_rows():
+    replay = filled(0.0, model=0, model_capacity=100)
+    for generation in range(3):
+        replay.model.extend(rows(60, value=1000.0 * generation))
+    assert len(replay.model) == 100
+    kept = replay.model[:]["next", "reward"].flatten()
+    assert set(kept.tolist()) == {*(2000.0 + i for i in range(60)), *(1000.0 + i for i in range(20, 60))}
+
+
+def test_real_rollouts_are_flattened_and_reduced_to_their_keys():
+    replay = filled(model=0, real=0)
+    rollout = rows(24, keys=REAL_KEYS).reshape(4, 6)
+    rollout["reference"] = torch.zeros(4, 6, 2)
+    replay.extend_real(rollout)
+    assert len(replay.real) == 24
+    assert set(replay.real[:].keys(True, True)) - {"index"} == set(REAL_KEYS)
+
+
+@pytest.mark.parametrize("which", ["real", "model"])
+def test_missing_and_extra_keys_are_refused_and_leave_no_trace(which):
+    replay = filled()
+    buffer, keys = getattr(replay, which), REAL_KEYS if which == "real" else LEARN_KEYS
+    before = buffer[:].clone()
+    with pytest.raises(KeyError, match=rf"The {which} storage .*missing: next.reward; not allowed: none"):
+        buffer.extend(rows(5, keys=keys).exclude(("next", "reward")))
+    with pytest.raises(KeyError, match=rf"The {which} storage .*missing: none; not allowed: colour"):
+        buffer.extend(rows(5, keys=keys).set("colour", torch.zeros(5, 1)))
+    with pytest.raises(KeyError, match="not allowed: colour"):
+        buffer.add(rows(5, keys=keys).set("colour", torch.zeros(5, 1))[0])
+    buffer.extend(rows(5, value=77.0, keys=keys))
+    assert torch.equal(buffer[: len(before)]["action"], before["action"])
+    assert torch.equal(buffer[len(before) :]["action"], rows(5, value=77.0)["action"])
+
+
+def test_rows_that_are_not_finite_are_refused():
+    bad = rows(5)
+    bad["next", "observation"][2] = float("nan")
+    with pytest.raises(ValueError, match=r"model storage takes finite rows; next.observation holds NaN"):
+        filled().model.extend(bad)
+
+
+def test_a_batch_of_trajectories_is_refused():
+    with pytest.raises(ValueError, match=r"takes rows \(n,\), given a batch \(4, 5\)"):
+        filled().model.extend(rows(20).reshape(4, 5))
+
+
+def test_a_transform_may_turn_what_is_written_into_rows():
+    class Imagine(Transform):
+        def _inv_call(self, tensordict):
+            return rows(7 * len(tensordict), value=10_000)
+
+    replay = filled(model=0)
+    replay.model.append_transform(Imagine())
+    replay.model.extend(TensorDict({"state": torch.zeros(3, 6)}, [3]))
+    assert len(replay.model) == 21
+
+
+def test_storages_are_torchrl_buffers():
+    replay = filled()
+    for buffer in (replay.real, replay.model):
+        assert isinstance(buffer, TensorDictReplayBuffer)
+        assert isinstance(buffer.storage, LazyTensorStorage)
+        assert len(buffer.sample()) == 50
+
+
+def test_seed_decides_the_batches_and_the_global_generator_does_not():
+    drawn = []
+    for seed, other in ((1, 3), (1, 4), (2, 3)):
+        torch.manual_seed(other)
+        drawn.append(filled(seed=seed).sample()["next", "reward"])
+    assert torch.equal(drawn[0], drawn[1])
+    assert not torch.equal(drawn[0], drawn[2])
+
+
+@pytest.mark.parametrize("model", [0, 400])
+def test_resumed_replay_equals_an_uninterrupted_one(tmp_path, model):
+    replay, resumed = filled(model=model, model_capacity=450), filled(real=30, seed=5, model_capacity=450)
+    resumed.sample()
+    torch.save(replay.state_dict(), tmp_path / "replay.pt")
+    resumed.load_state_dict(torch.load(tmp_path / "replay.pt", weights_only=True))
+    assert (len(resumed.real), len(resumed.model)) == (200, model)
+    for _ in range(2):
+        assert torch.equal(replay.sample()["action"], resumed.sample()["action"])
+        for each in (replay, resumed):  # the ring wraps at the same row
+            each.model.extend(rows(100, value=30_000))
+    assert torch.equal(replay.model[:]["action"], resumed.model[:]["action"])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"capacity": 0}, "give positive numbers"),
+        ({"batch_size": -1}, "give positive numbers"),
+        ({"real_ratio": 1.2}, r"give a share in \[0, 1\]"),
+        ({"keys": ("observation", "action")}, "Replay keys lack next.done"),
+    ],
+)
+def test_impossible_settings_are_refused(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        DynaReplay(**{"capacity": 10, "batch_size": 4} | wrong)
