@@ -11,9 +11,9 @@
 | control_effort      | mean square input                                                        | -    |
 | control_variation   | mean absolute change of the input per second                             | 1/s  |
 
-The first six are per tracked axis, the last two per input. Overshoot, rise and settling time belong to steps:
-they are NaN where the reference moves during the record or the step is smaller than `MIN_STEP`, and a step that
-never rises or never settles has an infinite time, so that a failure is never averaged away.
+The first six are per tracked axis, the last two per input. Overshoot, rise and settling time belong to
+steps: they are NaN where the reference moves during the record or the step is smaller than `MIN_STEP`. A
+step that never rises or never settles has an infinite time, so that a failure is never averaged away.
 """
 
 import torch
@@ -95,7 +95,7 @@ def settling_time(time: Tensor, y: Tensor, r: Tensor, band: float = SETTLING_BAN
 
 
 def _progress(y: Tensor, r: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the share of the step done so far, 0 at its start and 1 on the reference, and which rows are steps."""
+    """Return the share of the step done so far, 1 on the reference, and which rows are steps."""
     start, target = y[..., :1, :], r[..., -1:, :]
     size = target - start
     valid = (size.abs() >= MIN_STEP) & (r == target).all(-2, keepdim=True)
@@ -103,7 +103,7 @@ def _progress(y: Tensor, r: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _first_crossing(time: Tensor, progress: Tensor, level: float) -> Tensor:
-    """Return the first time `progress` reaches `level`, interpolated between samples, inf where it never does."""
+    """Return when `progress` first reaches `level`, between samples too, inf where it never does."""
     above = progress >= level
     after = above.long().argmax(-2, keepdim=True)
     before = (after - 1).clamp_min(0)
@@ -115,10 +115,15 @@ def _first_crossing(time: Tensor, progress: Tensor, level: float) -> Tensor:
 
 def _check(time: Tensor, y: Tensor, r: Tensor, u: Tensor) -> None:
     if time.ndim != 1 or len(time) < 2:
-        raise ValueError(f"time has shape {tuple(time.shape)}; it must be (T,) with T >= 2, pass a longer record")
+        raise ValueError(
+            f"time has shape {tuple(time.shape)}; it must be (T,) with T >= 2, pass a longer record"
+        )
     if y.shape != r.shape:
-        raise ValueError(f"y has shape {tuple(y.shape)}, r {tuple(r.shape)}; they must be equal, select the tracked axes")
+        raise ValueError(
+            f"y has shape {tuple(y.shape)}, r {tuple(r.shape)}; they must be equal, select the tracked axes"
+        )
     if y.shape[:-1] != u.shape[:-1] or y.shape[-2] != len(time):
         raise ValueError(
-            f"y {tuple(y.shape)} and u {tuple(u.shape)} must share (*batch, T) with T = {len(time)}; slice them alike"
+            f"y {tuple(y.shape)} and u {tuple(u.shape)} must share (*batch, T) with T = {len(time)}; "
+            "slice them alike"
         )

@@ -15,7 +15,7 @@ Statistic = Callable[[Tensor], Tensor]
 def interquartile_mean(values: Tensor) -> Tensor:
     """Return the mean of the middle half of the last dimension, `(*batch, n)` to `(*batch,)`.
 
-    As in the source, `floor(n / 4)` values are dropped at each end, so that up to three values give their mean.
+    As in the source, `floor(n / 4)` values are dropped at each end: up to three values give their mean.
     """
     n = values.shape[-1]
     drop = n // 4
@@ -50,7 +50,9 @@ def bootstrap_interval(
     if not 0.0 < confidence < 1.0:
         raise ValueError(f"confidence is {confidence}; it must be between 0 and 1, for example 0.95")
     if scores.ndim < 2:
-        raise ValueError(f"scores has shape {tuple(scores.shape)}; it must be (*batch, n_seeds, n_tasks), add a task axis")
+        raise ValueError(
+            f"scores has shape {tuple(scores.shape)}; it must be (*batch, n_seeds, n_tasks), add a task axis"
+        )
     n_seeds, n_tasks = scores.shape[-2:]
     generator = torch.Generator().manual_seed(seed)
     draws = torch.randint(n_seeds, (resamples, n_seeds, n_tasks), generator=generator).to(scores.device)

@@ -28,7 +28,7 @@ def test_interval_of_a_mean_matches_the_normal_theory() -> None:
 
 
 def test_resampling_stays_within_each_task() -> None:
-    # Two tasks of very different scale without spread over seeds: stratified resampling leaves nothing to vary.
+    # Two tasks of different scale without spread over seeds: stratified resampling leaves nothing to vary.
     scores = torch.tensor([[0.0, 100.0]]).expand(6, 2)
     low, high = bootstrap_interval(scores)
     assert low == high == 50.0

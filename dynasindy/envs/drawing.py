@@ -1,0 +1,161 @@
+"""Pictures of a controlled plant: a dial per tracked output and, of the twin rotor, the beam in space.
+
+Drawn with Pillow at twice the size and scaled down, which smooths the edges.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from dynasindy.systems import Signature
+
+Vector = NDArray[np.float64]
+Frame = NDArray[np.uint8]
+Colour = tuple[int, int, int, int]
+
+HEIGHT = 360
+"""Height of a frame [pixels]."""
+_ZOOM = 2
+_INK, _GHOST = (30, 30, 30, 255), (213, 94, 0, 255)
+_BEAM, _MAIN, _TAIL, _FAINT = (70, 80, 95, 255), (0, 114, 178), (0, 158, 115), (215, 215, 215, 255)
+_VIEW = (
+    math.radians(-90.0),
+    math.radians(22.0),
+)  # the camera's azimuth and elevation: a level beam looks level
+_ZERO = {"theta": -0.5 * math.pi}  # a pendulum at rest hangs down
+
+
+def draw(
+    signature: Signature,
+    x: Sequence[float],
+    reference: Sequence[float],
+    outputs: Sequence[int],
+    time: float | None = None,
+) -> Frame:
+    """Draw one state of a plant.
+
+    Args:
+        signature: Names and units of the states.
+        x: `(n_x,)` state.
+        reference: `(n_r,)` reference of each tracked output; drawn in orange.
+        outputs: Indices of the tracked outputs in `x`.
+        time: Time to write into the corner [s].
+
+    Returns:
+        Colours, uint8 `(height, width, 3)`.
+    """
+    beam = signature.state_names[:2] == ("alpha_a", "alpha_p")
+    width = (HEIGHT if beam else 0) + HEIGHT // 2 * max(1, 1 if beam else len(outputs))
+    image = Image.new("RGB", (_ZOOM * width, _ZOOM * HEIGHT), "white")
+    if beam:
+        _draw_twin_rotor(image, np.asarray(x, dtype=np.float64), np.asarray(reference, dtype=np.float64))
+    for k, index in enumerate(outputs):
+        corner = (HEIGHT, k * HEIGHT // 2) if beam else (k * HEIGHT // 2, HEIGHT // 4)
+        _draw_dial(image, corner, signature.state_names[index], float(x[index]), float(reference[k]))
+    if time is not None:
+        _write(image, (10, 8), f"t = {time:.2f} s")
+    return np.asarray(image.resize((width, HEIGHT), Image.Resampling.LANCZOS))
+
+
+def _draw_dial(
+    image: Image.Image, corner: tuple[int, int], name: str, value: float, reference: float
+) -> None:
+    """Draw an angle as a needle, 0 to the right and positive upwards, and its reference behind it."""
+    pen = ImageDraw.Draw(image, "RGBA")
+    centre, radius = (corner[0] + 90, corner[1] + 86), 56
+    box = [_ZOOM * (c + s * radius) for s in (-1, 1) for c in centre]
+    pen.ellipse(box, outline=_FAINT, width=2 * _ZOOM)
+    for angle, colour, thick in ((reference, _GHOST, 2), (value, _INK, 4)):
+        turned = angle + _ZERO.get(name, 0.0)
+        tip = (centre[0] + radius * math.cos(turned), centre[1] - radius * math.sin(turned))
+        pen.line([_ZOOM * c for c in (*centre, *tip)], fill=colour, width=thick * _ZOOM)
+    _write(image, (corner[0] + 8, corner[1] + 4), name)
+    _write(image, (corner[0] + 8, corner[1] + 152), f"{value:+.3f} rad")
+    _write(image, (corner[0] + 94, corner[1] + 152), f"{reference:+.3f}", _GHOST)
+
+
+def _draw_twin_rotor(image: Image.Image, x: Vector, reference: Vector) -> None:
+    pen = ImageDraw.Draw(image, "RGBA")
+    pen.line(_points([(0, 0, -1.0), (0, 0, 0)]), fill=_FAINT, width=10 * _ZOOM)
+    pen.polygon(_points(_circle(np.array([0, 0, -1.0]), 0.45, (1, 0, 0), (0, 1, 0))), fill=_FAINT)
+    ghost, _, _ = _frame(reference[0], reference[1])
+    pen.line(_points([-ghost, ghost]), fill=_GHOST, width=2 * _ZOOM)
+    along, side, up = _frame(x[0], x[1])
+    parts = [
+        (along, lambda: _draw_rotor(pen, along, 0.42, (along, side), (*_MAIN, _opacity(x[5], 3800.0)))),
+        (-along, lambda: _draw_rotor(pen, -along, 0.3, (along, up), (*_TAIL, _opacity(x[4], 7500.0)))),
+        (np.zeros(3), lambda: _draw_beam(pen, along, up)),
+    ]
+    # The farthest part first, so that nearer ones cover it.
+    for _, part in sorted(parts, key=lambda item: _depth(item[0])):
+        part()
+
+
+def _draw_beam(pen: ImageDraw.ImageDraw, along: Vector, up: Vector) -> None:
+    pen.line(_points([-along, along]), fill=_BEAM, width=6 * _ZOOM)
+    pen.line(_points([np.zeros(3), -0.45 * up]), fill=_BEAM, width=4 * _ZOOM)  # counterweight arm
+    (u, v), r = _points([-0.45 * up])[0], 8 * _ZOOM
+    pen.ellipse([u - r, v - r, u + r, v + r], fill=_BEAM)
+
+
+def _draw_rotor(
+    pen: ImageDraw.ImageDraw, centre: Vector, radius: float, plane: tuple[Vector, Vector], colour: Colour
+) -> None:
+    outline = _points(_circle(centre, radius, *plane))
+    pen.polygon(outline, fill=colour)
+    pen.line([*outline, outline[0]], fill=(*colour[:3], 255), width=2 * _ZOOM)
+
+
+def _frame(azimuth: float, pitch: float) -> tuple[Vector, Vector, Vector]:
+    """Return the unit vectors along the beam to the main rotor, to its side, and upwards from it."""
+    ca, sa, cp, sp = math.cos(azimuth), math.sin(azimuth), math.cos(pitch), math.sin(pitch)
+    return np.array([cp * ca, cp * sa, sp]), np.array([-sa, ca, 0.0]), np.array([-sp * ca, -sp * sa, cp])
+
+
+def _circle(
+    centre: Vector, radius: float, e1: Sequence[float] | Vector, e2: Sequence[float] | Vector
+) -> Vector:
+    angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)[:, None]
+    return centre + radius * (np.cos(angle) * np.asarray(e1) + np.sin(angle) * np.asarray(e2))
+
+
+def _points(positions: Sequence[Sequence[float] | Vector] | Vector) -> list[tuple[float, float]]:
+    """Project positions orthographically onto the picture [pixels of the enlarged image]."""
+    azimuth, elevation = _VIEW
+    right = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
+    above = np.array(
+        [
+            -math.sin(elevation) * math.cos(azimuth),
+            -math.sin(elevation) * math.sin(azimuth),
+            math.cos(elevation),
+        ]
+    )
+    space = np.asarray(positions, dtype=np.float64)
+    scale, middle = 0.32 * HEIGHT * _ZOOM, 0.5 * HEIGHT * _ZOOM
+    return [
+        (float(middle + scale * u), float(0.9 * middle - scale * v))
+        for u, v in zip(space @ right, space @ above)
+    ]
+
+
+def _depth(position: Vector) -> float:
+    azimuth, elevation = _VIEW
+    towards = [
+        math.cos(elevation) * math.cos(azimuth),
+        math.cos(elevation) * math.sin(azimuth),
+        math.sin(elevation),
+    ]
+    return float(position @ np.array(towards))
+
+
+def _opacity(speed: float, full: float) -> int:
+    """Return how solid a rotor looks: the faster it turns, the more."""
+    return int(40 + 160 * min(1.0, abs(float(speed)) / full)) if math.isfinite(speed) else 0
+
+
+def _write(image: Image.Image, at: tuple[float, float], text: str, colour: Colour = _INK) -> None:
+    font = ImageFont.load_default(size=13 * _ZOOM)
+    ImageDraw.Draw(image).text((_ZOOM * at[0], _ZOOM * at[1]), text, fill=colour, font=font)

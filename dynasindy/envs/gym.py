@@ -1,0 +1,131 @@
+"""The control environment as a plain Gymnasium environment, for users and libraries outside TorchRL.
+
+`import dynasindy` registers `dynasindy/TwinRotor-v0` and `dynasindy/Pendulum-v0` with `gymnasium.make`.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium import spaces
+from numpy.typing import NDArray
+from tensordict import TensorDictBase
+
+from dynasindy.envs.control_env import ControlEnv
+from dynasindy.envs.drawing import Frame, draw
+from dynasindy.systems import Pendulum, System, Tras, Xi
+from dynasindy.tasks import RandomStep, Tracking, TrackingReward
+
+PLANTS: dict[str, Callable[[], System]] = {"tras": Tras, "xi": Xi}
+Array = NDArray[np.float32]
+
+
+class GymControl(gymnasium.Env[Array, Array]):
+    """A `ControlEnv` with one row behind Gymnasium's interface.
+
+    Observation, action and reward are those of `ControlEnv`; `info` holds `state` and `reference`. Episodes
+    are truncated after the task's `max_steps` periods and never terminated. Actions are clipped to [-1, 1].
+
+    Args:
+        env: The environment to adapt; its batch size is ().
+        render_mode: None or "rgb_array".
+
+    Raises:
+        TypeError: The task does not track a reference.
+        ValueError: The environment is batched or the render mode is unknown.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012 (Gymnasium's name)
+
+    def __init__(self, env: ControlEnv, render_mode: str | None = None) -> None:
+        if tuple(env.batch_size):
+            raise ValueError(
+                f"Gymnasium environments have one row, got batch size {tuple(env.batch_size)}; use ()"
+            )
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode '{render_mode}' is unknown; use None or 'rgb_array'")
+        if not isinstance(env.task, Tracking):
+            raise TypeError(
+                f"task {type(env.task).__name__} tracks nothing; adapt environments with a Tracking task"
+            )
+        self.env, self._task = env, env.task
+        self.render_mode = render_mode
+        n_o, n_u = env.task.n_o, env.system.signature.n_u
+        self.observation_space = spaces.Box(-np.inf, np.inf, (n_o,), np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (n_u,), np.float32)
+        self._now: TensorDictBase | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
+        """Begin an episode with a fresh reference; the same seed begins the same sequence of episodes."""
+        super().reset(seed=seed)
+        # EnvBase.set_seed would also seed torch's global generator, which is not ours to touch.
+        self.env.rng.manual_seed(int(self.np_random.integers(2**31)))
+        self._now = self.env.reset()
+        return self._observed()
+
+    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """Advance by one control period.
+
+        Raises:
+            RuntimeError: The environment was not reset.
+        """
+        if self._now is None:
+            raise RuntimeError("step was called before reset; call reset first")
+        clipped = np.clip(action, -1.0, 1.0).astype(np.float32)
+        after = self.env.step(self._now.set("action", torch.from_numpy(clipped)))["next"]
+        self._now = self.env.step_mdp(self._now)
+        observation, info = self._observed()
+        return observation, float(after["reward"]), bool(after["terminated"]), bool(after["truncated"]), info
+
+    def render(self) -> Frame | None:
+        """Return a picture of the state, uint8 `(height, width, 3)`, or None without a render mode."""
+        if self.render_mode is None or self._now is None:
+            return None
+        time = float(self._now["step_count"]) * self.env.dt
+        x, reference = self._now["state"].tolist(), self._now["reference"].tolist()
+        return draw(self.env.system.signature, x, reference, self._task.outputs, time)
+
+    def _observed(self) -> tuple[Array, dict[str, Any]]:
+        assert self._now is not None
+        now = {key: self._now[key].numpy().copy() for key in ("observation", "state", "reference")}
+        return now.pop("observation"), now
+
+
+def twin_rotor(
+    plant: str = "tras",
+    low: tuple[float, float] = (-0.4, -0.25),
+    high: tuple[float, float] = (0.4, 0.25),
+    render_mode: str | None = None,
+) -> GymControl:
+    """Return the twin rotor under random step references, the paper's training task.
+
+    Args:
+        plant: "tras" or "xi".
+        low: Lower ends of the azimuth and pitch references [rad].
+        high: Upper ends [rad].
+        render_mode: None or "rgb_array".
+
+    Raises:
+        ValueError: The plant is unknown.
+    """
+    if plant not in PLANTS:
+        raise ValueError(f"plant '{plant}' is unknown; use one of {', '.join(PLANTS)}")
+    system = PLANTS[plant]()
+    return GymControl(ControlEnv(system, Tracking(system.signature, RandomStep(low, high))), render_mode)
+
+
+def pendulum(low: float = -1.0, high: float = 1.0, render_mode: str | None = None) -> GymControl:
+    """Return the pendulum under random step references between `low` and `high` [rad]."""
+    system = Pendulum()
+    task = Tracking(
+        system.signature,
+        RandomStep([low], [high]),
+        outputs=("theta",),
+        rates=("Omega",),
+        reward=TrackingReward(error_weights=(4.0,)),
+    )
+    return GymControl(ControlEnv(system, task), render_mode)

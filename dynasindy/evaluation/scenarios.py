@@ -1,0 +1,206 @@
+"""Fixed situations in which controllers are compared, and how a policy is run in them.
+
+A scenario is a reference, a number of rows (one per drawn reference, run as one batch) and a length. It may
+replace the plant, for the whole run or within windows of time, and what lies between policy and plant:
+`dynasindy.evaluation.disturbances` has wind, detuned parameters, sensor noise and a delayed actuator.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.metrics import tracking_metrics
+from dynasindy.systems import System
+from dynasindy.tasks import Reference, Step, Tracking
+
+Policy = Callable[[TensorDictBase], TensorDictBase]
+"""Reads `observation` (or `state` and `reference`) of a tensordict and writes `action`."""
+PolicyWrapper = Callable[[Policy, ControlEnv], Policy]
+Window = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One fixed situation.
+
+    Args:
+        name: Short name, also of its files and rows in tables.
+        reference: What to track; None draws from the environment's own task, always the same for a seed.
+        episodes: Rows of the batch, one reference each.
+        seconds: Length of the run [s].
+        plant: Makes the disturbed plant from the nominal one; None leaves it as it is.
+        windows: Times `(start, end)` at which the disturbed plant holds [s]; None is the whole run.
+        wrappers: What lies between policy and plant, in order; each gets the policy and the environment.
+        seed: Of drawn references and initial states.
+
+    Raises:
+        ValueError: `episodes` or `seconds` is not positive, or the windows are not in order within the run.
+    """
+
+    name: str
+    reference: Reference | None = None
+    episodes: int = 1
+    seconds: float = 20.0
+    plant: Callable[[System], System] | None = None
+    windows: Sequence[Window] | None = None
+    wrappers: Sequence[PolicyWrapper] = ()
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.episodes < 1 or not self.seconds > 0:
+            raise ValueError(
+                f"scenario '{self.name}' has episodes={self.episodes}, seconds={self.seconds}; "
+                "both must be positive"
+            )
+        edges = [0.0, *(edge for window in self.windows or () for edge in window), self.seconds]
+        if any(start > end for start, end in pairwise(edges)):
+            raise ValueError(
+                f"windows {list(self.windows or ())} of scenario '{self.name}' must be (start, end) pairs "
+                f"in order within 0 and {self.seconds} s; sort or shorten them"
+            )
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What came of a policy in a scenario.
+
+    Args:
+        scenario: Name of the scenario.
+        trajectory: `[episodes, T]` as `ControlEnv.rollout` writes it.
+        time: `(T,)` times of the root entries [s].
+        outputs: `(episodes, T, n_r)` tracked states at these times.
+        metrics: Per row, see `dynasindy.evaluation.metrics`.
+        returns: `(episodes,)` sums of rewards.
+        stop_share: `(episodes,)` share of the run spent at a mechanical stop.
+        output_names: Names of the tracked states.
+        input_names: Names of the inputs.
+    """
+
+    scenario: str
+    trajectory: TensorDictBase
+    time: Tensor
+    outputs: Tensor
+    metrics: dict[str, Tensor]
+    returns: Tensor
+    stop_share: Tensor
+    output_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+
+
+def step_references(low: Sequence[float], high: Sequence[float], number: int = 64, seed: int = 0) -> Step:
+    """Return `number` fixed step references that fill a box evenly (scrambled Sobol points).
+
+    Args:
+        low: Lower end per output; keep to angles that the plant can hold [rad].
+        high: Upper end per output [rad].
+        number: How many; a power of two fills the box best.
+        seed: Of the scrambling; the same seed gives the same references.
+
+    Raises:
+        ValueError: `low` and `high` differ in length.
+    """
+    if len(low) != len(high):
+        raise ValueError(
+            f"low={list(low)} and high={list(high)} differ in length; give one end per output in each"
+        )
+    points = torch.quasirandom.SobolEngine(len(low), scramble=True, seed=seed).draw(number)
+    return Step(torch.lerp(torch.tensor(low), torch.tensor(high), points).tolist())
+
+
+@torch.no_grad()
+def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario) -> Evaluation:
+    """Run a policy, without exploration, in a scenario.
+
+    The environment and all random generators are left as they were.
+
+    Args:
+        env: Environment whose plant, task and control period are meant.
+        policy: Policy to run; its exploration is off.
+        scenario: Situation to run it in.
+
+    Raises:
+        TypeError: The task does not track a reference.
+        ValueError: The policy gives an action of the wrong shape or one that is not finite.
+    """
+    calm, task = _prepare(env, scenario)
+    wrapped = policy
+    for wrap in scenario.wrappers:
+        wrapped = wrap(wrapped, calm)
+    state = task.initial_state(torch.Size((scenario.episodes,)), calm.rng)
+    start = calm.start_from(state)
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.random.fork_rng():
+        _check_action(policy, start, env.system.signature.n_u, scenario.name)
+        trajectory = _run(calm, wrapped, scenario, start)
+    return _measure(calm, task, scenario, trajectory)
+
+
+def _prepare(env: ControlEnv, scenario: Scenario) -> tuple[ControlEnv, Tracking]:
+    """Return the undisturbed environment, with the scenario's reference and length, and its task."""
+    if not isinstance(env.task, Tracking):
+        raise TypeError(
+            f"task {type(env.task).__name__} tracks no reference; give an environment with a Tracking task"
+        )
+    task = env.task.with_reference(scenario.reference or env.task.references)
+    task.max_steps = round(scenario.seconds / env.dt)
+    return env.with_task(task, seed=scenario.seed), task
+
+
+def _run(calm: ControlEnv, policy: Policy, scenario: Scenario, start: TensorDict) -> TensorDictBase:
+    """Roll the policy out phase by phase, each phase with its own plant."""
+    parts = []
+    for steps, disturbed in _phases(scenario, calm.dt):
+        env = calm.with_system(scenario.plant(calm.system)) if disturbed and scenario.plant else calm
+        part = env.rollout(steps, policy, auto_reset=False, tensordict=start, break_when_any_done=False)
+        start = env.step_mdp(part[..., -1])
+        parts.append(part)
+    trajectory: TensorDictBase = torch.cat(parts, -1)
+    finite = trajectory["action"].isfinite().all(-1).all(0)
+    if not finite.all():
+        first = int((~finite).nonzero()[0])
+        raise ValueError(
+            f"the policy gave an action that is not finite in scenario '{scenario.name}' at "
+            f"{first * calm.dt:.2f} s; check its weights and its observation"
+        )
+    return trajectory
+
+
+def _phases(scenario: Scenario, dt: float) -> list[tuple[int, bool]]:
+    """Return the control periods of each phase and whether the disturbed plant holds in it."""
+    windows = [(0.0, scenario.seconds)] if scenario.windows is None else scenario.windows
+    edges = [0.0, *(edge for window in windows for edge in window), scenario.seconds]
+    steps = [round(edge / dt) for edge in edges]
+    return [(end - start, k % 2 == 1) for k, (start, end) in enumerate(pairwise(steps)) if end > start]
+
+
+def _check_action(policy: Policy, start: TensorDict, n_u: int, name: str) -> None:
+    shape = tuple(policy(start.clone())["action"].shape)
+    wanted = (*start.batch_size, n_u)
+    if shape != wanted:
+        raise ValueError(
+            f"the policy gave an action of shape {shape} in scenario '{name}', the plant takes {wanted}; "
+            "load the policy that was trained on this plant"
+        )
+
+
+def _measure(env: ControlEnv, task: Tracking, scenario: Scenario, trajectory: TensorDictBase) -> Evaluation:
+    signature, columns = env.system.signature, task.outputs
+    # Root entries: state and reference at the moment an action is chosen, so that a step begins at time zero.
+    outputs = trajectory["state"][..., columns]
+    time = torch.arange(trajectory.shape[-1]) * env.dt
+    return Evaluation(
+        scenario=scenario.name,
+        trajectory=trajectory,
+        time=time,
+        outputs=outputs,
+        metrics=tracking_metrics(time, outputs, trajectory["reference"], trajectory["action"]),
+        returns=trajectory["next", "reward"].sum((-1, -2)),
+        stop_share=trajectory["next", "at_stop"].float().mean((-1, -2)),
+        output_names=tuple(signature.state_names[i] for i in columns),
+        input_names=signature.input_names,
+    )

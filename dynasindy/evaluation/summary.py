@@ -1,0 +1,84 @@
+"""An evaluation in a few numbers: a dictionary for `metrics.json` and a table to read."""
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, UNITS
+from dynasindy.evaluation.scenarios import Evaluation
+
+Summary = dict[str, float | None]
+
+WORDS = {
+    "rmse": "RMSE",
+    "mean_abs_error": "mean abs error",
+    "steady_state_error": "steady-state error (last 5 s)",
+    "overshoot": "overshoot",
+    "rise_time": "rise time (10-90 %)",
+    "settling_time": "settling time (5 %)",
+    "settled": "settled within the run",
+    "control_effort": "control effort (mean u^2)",
+    "control_variation": "control variation",
+}
+
+
+def summarise(evaluation: Evaluation) -> Summary:
+    """Return flat, JSON-ready figures: `return`, `stop_share` and `<metric>/<axis or input>`.
+
+    Errors and control figures are means over the rows. Overshoot and times are medians over the rows that are
+    steps, because one step that never settles has an infinite time; a median that is infinite, or that no row
+    defines, is None. `settled/<axis>` is the share of steps that settle.
+    """
+    summary: Summary = {
+        "return": _number(evaluation.returns.mean()),
+        "stop_share": _number(evaluation.stop_share.mean()),
+    }
+    for i, axis in enumerate(evaluation.output_names):
+        for name in TRACKING:
+            summary[f"{name}/{axis}"] = _number(evaluation.metrics[name][:, i].mean())
+        for name in STEP:
+            summary[f"{name}/{axis}"] = _number(evaluation.metrics[name][:, i].nanmedian())
+        times = evaluation.metrics["settling_time"][:, i]
+        steps = times[~times.isnan()]
+        summary[f"settled/{axis}"] = _number(steps.isfinite().float().mean())
+    for i, name in enumerate(evaluation.input_names):
+        for metric in CONTROL:
+            summary[f"{metric}/{name}"] = _number(evaluation.metrics[metric][:, i].mean())
+    return summary
+
+
+def to_text(summary: Mapping[str, float | None], title: str = "") -> str:
+    """Return a table of a summary, metrics down and axes across, aligned for a terminal."""
+    axes = _columns(summary, "rmse")
+    inputs = _columns(summary, "control_effort")
+    lines = [title] if title else []
+    lines.append(f"{'':38s}" + "".join(f"{name:>12s}" for name in axes))
+    for name in (*TRACKING, *STEP, "settled"):
+        lines.append(_row(name, summary, axes))
+    lines.append(f"{'':38s}" + "".join(f"{name:>12s}" for name in inputs))
+    for name in CONTROL:
+        lines.append(_row(name, summary, inputs))
+    total, stops = summary["return"], summary["stop_share"]
+    lines.append(f"{'return':38s}{_cell(total):>12s}")
+    lines.append(f"{'share of time at a stop [%]':38s}{_cell(None if stops is None else 100 * stops):>12s}")
+    return "\n".join(lines)
+
+
+def _row(metric: str, summary: Mapping[str, float | None], columns: Sequence[str]) -> str:
+    unit, factor = ("%", 100.0) if metric == "settled" else (UNITS[metric], 1.0)
+    cells = [summary[f"{metric}/{column}"] for column in columns]
+    values = "".join(f"{_cell(None if cell is None else factor * cell):>12s}" for cell in cells)
+    return f"{f'{WORDS[metric]} [{unit}]':38s}" + values
+
+
+def _columns(summary: Mapping[str, float | None], metric: str) -> list[str]:
+    return [key.partition("/")[2] for key in summary if key.startswith(f"{metric}/")]
+
+
+def _cell(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
+
+
+def _number(value: Tensor) -> float | None:
+    return value.item() if torch.isfinite(value) else None

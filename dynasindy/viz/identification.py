@@ -1,0 +1,166 @@
+"""What the model was fitted to and how well it predicts: inputs, training data, prediction, coefficients."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+
+from dynasindy.viz.response import INPUTS
+from dynasindy.viz.style import BLACK, BLUE, GREY, RED, Array, array, label, panels, styled, symbol
+
+STATES = ("alpha_a", "alpha_p", "Omega_a", "Omega_p", "omega_a", "omega_p")
+UNITS = ("rad", "rad", "rad/s", "rad/s", "rpm", "rpm")
+
+
+@styled
+def excitation(
+    time: ArrayLike, u: ArrayLike, input_names: Sequence[str] = INPUTS, title: str = "Excitation"
+) -> Figure:
+    """Draw the excitation signal, `(T, n_u)` in [-1, 1], over `time` `(T,)` [s]."""
+    seconds, values = array(time), array(u)
+    figure, axes = panels(len(input_names), 1, (7.0, 1.5 * len(input_names) + 0.6), title)
+    for i, (axis, name) in enumerate(zip(axes, input_names, strict=True)):
+        axis.step(seconds, values[:, i], where="post", color=BLUE)
+        axis.set_ylim(-1.08, 1.08)
+        axis.set_ylabel(label(name, "-"))
+    _finish(axes, 1, seconds)
+    return figure
+
+
+@styled
+def training_data(
+    time: ArrayLike,
+    x: ArrayLike,
+    names: Sequence[str] = STATES,
+    units: Sequence[str] = UNITS,
+    title: str = "Training data",
+) -> Figure:
+    """Draw the states `(T, n_x)` that the model was fitted to over `time` `(T,)` [s]."""
+    seconds, values = array(time), array(x)
+    figure, axes, columns = _states(names, units, title)
+    for i in range(len(names)):
+        axes[i].plot(seconds, values[:, i], color=BLUE)
+    _finish(axes, columns, seconds)
+    return figure
+
+
+@styled
+def prediction(
+    time: ArrayLike,
+    real: ArrayLike,
+    predicted: ArrayLike,
+    names: Sequence[str] = STATES,
+    units: Sequence[str] = UNITS,
+    title: str = "Model prediction against the real plant",
+) -> Figure:
+    """Draw free-running prediction against the real plant, each panel with its error in percent of the range.
+
+    Args:
+        time: `(T,)` [s].
+        real: `(T, n_x)` states of the plant.
+        predicted: `(T, n_x)` states of the model under the same input; what is not finite is left out.
+        names: states.
+        units: their units.
+        title: of the figure.
+    """
+    seconds, truth, model = array(time), array(real), array(predicted)
+    figure, axes, columns = _states(names, units, title)
+    for i in range(len(names)):
+        span = truth[:, i].max() - truth[:, i].min()
+        axes[i].plot(seconds, truth[:, i], color=BLACK, linewidth=1.2, label="real")
+        axes[i].plot(seconds, model[:, i], color=RED, linestyle=":", linewidth=1.8, label="predicted")
+        axes[i].set_title(_fit(truth[:, i], model[:, i], span), fontsize=8.5, loc="right")
+        if span > 0:
+            # A model that runs away must not flatten the plant's own curve.
+            axes[i].set_ylim(truth[:, i].min() - 0.6 * span, truth[:, i].max() + 0.6 * span)
+    axes[0].legend(loc="best", ncols=2)
+    _finish(axes, columns, seconds)
+    return figure
+
+
+@styled
+def model_error(
+    episode: ArrayLike,
+    error: ArrayLike,
+    refits: ArrayLike | None = None,
+    what: str = "reward error, |real - model|",
+    title: str = "SINDy model learning progress",
+) -> Figure:
+    """Draw the model's error over real episodes on a log axis, with a tick at each refit.
+
+    Args:
+        episode: `(n,)` real episodes.
+        error: `(n,)` or `(n, k)` error of the model; several columns are drawn as median and range.
+        refits: episodes after which the model was fitted anew.
+        what: the error in words, the label of the axis.
+        title: of the figure.
+    """
+    x, y = array(episode), array(error)
+    # Zero has no place on a log axis: it is drawn on the floor.
+    y = np.maximum(y.reshape(len(y), -1), 1e-12)
+    figure, (axis,) = panels(1, 1, (7.0, 3.2), title)
+    axis.plot(x, np.median(y, axis=1), color=RED, marker="o", markersize=2.5, linewidth=1.0)
+    if y.shape[1] > 1:
+        axis.fill_between(x, y.min(1), y.max(1), color=RED, alpha=0.2, linewidth=0)
+    for k, at in enumerate([] if refits is None else array(refits)):
+        axis.axvline(at, color=GREY, linestyle=":", linewidth=0.8, label="model refitted" if k == 0 else None)
+    if refits is not None and len(array(refits)):
+        axis.legend(loc="upper right")
+    axis.set_yscale("log")
+    axis.set_xlabel("real episode")
+    axis.set_ylabel(f"{what} [-]")
+    return figure
+
+
+@styled
+def coefficient_table(
+    coefficients: ArrayLike,
+    feature_names: Sequence[str],
+    state_names: Sequence[str] = STATES,
+    title: str = r"SINDy model $\Xi$",
+) -> Figure:
+    """Draw the coefficients `(n_features, n_x)` as a table; features that no state uses are left out."""
+    values = array(coefficients)
+    used = [int(k) for k in np.flatnonzero((values != 0).any(axis=1))]
+    rows = [[f"{v:.4g}" if v else "" for v in values[k]] for k in used] or [[""] * len(state_names)]
+    figure, (axis,) = panels(1, 1, (1.3 * (len(state_names) + 1.5), 0.28 * (len(rows) + 2) + 0.3), title)
+    axis.axis("off")
+    table = axis.table(
+        cellText=rows,
+        rowLabels=[feature_names[k] for k in used] or ["(none)"],
+        colLabels=[rf"d{symbol(name)}/dt" for name in state_names],
+        cellColours=[["#dcebf5" if text else "white" for text in row] for row in rows],
+        loc="center",
+        bbox=(0.0, 0.0, 1.0, 1.0),  # type: ignore[arg-type]  # the stubs forget sequences
+    )
+    table.auto_set_font_size(False)
+    table.set_fontsize(8.5)
+    for cell in table.get_celld().values():
+        cell.set_edgecolor("#bfbfbf")
+    return figure
+
+
+def _states(names: Sequence[str], units: Sequence[str], title: str) -> tuple[Figure, list[Axes], int]:
+    columns = 2 if len(names) > 3 else 1
+    rows = -(-len(names) // columns)
+    figure, axes = panels(rows, columns, (4.5 * columns, 1.9 * rows + 0.5), title)
+    for axis, name, unit in zip(axes, names, units, strict=False):
+        axis.set_ylabel(label(name, unit))
+    for axis in axes[len(names) :]:
+        axis.set_visible(False)
+    return figure, axes, columns
+
+
+def _finish(axes: Sequence[Axes], columns: int, seconds: Array) -> None:
+    for axis in axes[-columns:]:
+        axis.set_xlabel("time [s]")
+    axes[0].set_xlim(seconds[0], seconds[-1])
+
+
+def _fit(real: Array, predicted: Array, span: float) -> str:
+    if not np.isfinite(predicted).all():
+        return "runs away"
+    rmse = float(np.sqrt(np.mean((real - predicted) ** 2)))
+    return f"RMSE {100 * rmse / span:.1f} % of range" if span > 0 else f"RMSE {rmse:.2g}"

@@ -1,0 +1,97 @@
+"""How learning went: the return over episodes of one run, and of several settings over seeds."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+
+from dynasindy.evaluation.statistics import bootstrap_interval, interquartile_mean
+from dynasindy.viz.style import BLUE, CYCLE, RED, Array, array, panels, styled
+
+
+@styled
+def learning_curve(
+    episode: ArrayLike,
+    train_return: ArrayLike,
+    eval_episode: ArrayLike | None = None,
+    eval_return: ArrayLike | None = None,
+    window: int = 10,
+    title: str = "Learning curve",
+) -> Figure:
+    """Draw the return of the exploring policy per real episode and that of the policy in evaluation.
+
+    Args:
+        episode: `(n,)` number of each real episode.
+        train_return: `(n,)` its return, with exploration noise.
+        eval_episode: `(m,)` episodes after which the policy was evaluated.
+        eval_return: `(m,)` mean evaluated return, without noise.
+        window: episodes in the moving mean.
+        title: of the figure.
+    """
+    x, y = array(episode), array(train_return)
+    figure, (axis,) = panels(1, 1, (7.0, 3.6), title)
+    axis.plot(x, y, color=BLUE, alpha=0.3, linewidth=0.9, label="real episode, exploring")
+    if len(y) > window:
+        axis.plot(x, moving_mean(y, window), color=BLUE, label=f"mean of {window} episodes")
+    if eval_episode is not None and eval_return is not None:
+        axis.plot(
+            array(eval_episode),
+            array(eval_return),
+            color=RED,
+            marker="o",
+            markersize=3.5,
+            label="evaluated policy",
+        )
+    axis.set_xlabel("real episode")
+    axis.set_ylabel("return [-]")
+    axis.legend(loc="lower right")
+    return figure
+
+
+@styled
+def average_rewards(
+    curves: Mapping[str, ArrayLike],
+    episode: ArrayLike | None = None,
+    window: int = 10,
+    seed: int = 0,
+    title: str = "Average rewards",
+) -> Figure:
+    """Draw interquartile mean and 95 % bootstrap band over seeds, one line per setting.
+
+    Args:
+        curves: `(n_seeds, n_episodes)` return of each episode, per setting.
+        episode: `(n_episodes,)` numbers of the episodes, by default 1, 2, ...
+        window: episodes in the moving mean taken of each seed before the statistics.
+        seed: of the bootstrap.
+        title: of the figure.
+    """
+    figure, (axis,) = panels(1, 1, (7.0, 3.8), title)
+    for k, (name, values) in enumerate(curves.items()):
+        returns = np.atleast_2d(array(values))
+        smooth = np.stack([moving_mean(row, window) for row in returns])
+        x = array(episode)[: smooth.shape[1]] if episode is not None else np.arange(1, smooth.shape[1] + 1)
+        middle, low, high = _band(smooth, seed)
+        color = CYCLE[k % len(CYCLE)]
+        axis.plot(x, middle, color=color, label=f"{name} ({len(returns)} seeds)")
+        axis.fill_between(x, low, high, color=color, alpha=0.2, linewidth=0)
+    axis.set_xlabel("real episode")
+    axis.set_ylabel(f"return, mean of {window} episodes [-]")
+    axis.legend(loc="lower right")
+    return figure
+
+
+def moving_mean(values: Array, window: int) -> Array:
+    """Return the mean of the last `window` values at each place, of fewer at the beginning."""
+    total = np.cumsum(np.insert(values, 0, 0.0))
+    end = np.arange(1, len(values) + 1)
+    start = np.maximum(end - window, 0)
+    return (total[end] - total[start]) / (end - start)
+
+
+def _band(returns: Array, seed: int) -> tuple[Array, Array, Array]:
+    """Return interquartile mean and interval over seeds at each episode of `(n_seeds, n_episodes)`."""
+    by_episode = torch.as_tensor(returns.T)
+    low, high = bootstrap_interval(by_episode.unsqueeze(-1), resamples=1000, seed=seed)
+    return interquartile_mean(by_episode).numpy(), low.numpy(), high.numpy()

@@ -1,0 +1,122 @@
+"""How a controlled plant responds: steps, sines and squares, and the error over many references."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+
+from dynasindy.viz.style import BLACK, BLUE, CYCLE, GREY, array, label, panels, styled
+
+AXES = ("alpha_a", "alpha_p")
+INPUTS = ("u_a", "u_p")
+
+
+@styled
+def tracking(
+    time: ArrayLike,
+    reference: ArrayLike,
+    outputs: Mapping[str, ArrayLike],
+    inputs: Mapping[str, ArrayLike] | None = None,
+    names: Sequence[str] = AXES,
+    input_names: Sequence[str] = INPUTS,
+    title: str = "",
+) -> Figure:
+    """Draw the tracked axes of one or several controllers against the same reference.
+
+    Args:
+        time: `(T,)` [s].
+        reference: `(T, n_r)` [rad].
+        outputs: `(T, n_r)` per controller [rad].
+        inputs: `(T, n_u)` per controller, in [-1, 1]; adds one panel per input.
+        names: tracked states.
+        input_names: inputs.
+        title: of the figure.
+    """
+    seconds, target = array(time), array(reference)
+    inputs = inputs or {}
+    n_u = len(input_names) if inputs else 0
+    figure, axes = panels(len(names) + n_u, 1, (7.0, 2.1 * len(names) + 1.4 * n_u + 0.5), title)
+    for i, name in enumerate(names):
+        axes[i].plot(seconds, target[:, i], color=BLACK, linestyle="--", linewidth=1.2, label="reference")
+        _lines(axes[i], seconds, outputs, i)
+        axes[i].set_ylabel(label(name, "rad"))
+    for i, name in enumerate(input_names[:n_u]):
+        _inputs(axes[len(names) + i], seconds, inputs, i, name)
+    axes[0].legend(loc="best", ncols=min(4, 1 + len(outputs)))
+    axes[-1].set_xlabel("time [s]")
+    axes[-1].set_xlim(seconds[0], seconds[-1])
+    return figure
+
+
+@styled
+def step_response(
+    time: ArrayLike,
+    reference: ArrayLike,
+    outputs: Mapping[str, ArrayLike],
+    inputs: Mapping[str, ArrayLike] | None = None,
+    names: Sequence[str] = AXES,
+    input_names: Sequence[str] = INPUTS,
+    title: str = "Step response",
+) -> Figure:
+    """Draw `tracking` with what the step metrics use: the 5 % settling band and the last 5 s."""
+    figure = tracking(time, reference, outputs, inputs, names, input_names, title)
+    seconds, target = array(time), array(reference)
+    for i, axis in enumerate(figure.axes[: len(names)]):
+        starts = [array(y)[0, i] for y in outputs.values()]
+        half = 0.05 * max((abs(target[-1, i] - start) for start in starts), default=0.0)
+        axis.axhspan(
+            target[-1, i] - half, target[-1, i] + half, color=GREY, alpha=0.2, lw=0, label="5 % band"
+        )
+        axis.axvspan(seconds[-1] - 5.0, seconds[-1], color=GREY, alpha=0.08, lw=0, label="steady state")
+    figure.axes[0].legend(loc="lower right", ncols=2)
+    return figure
+
+
+@styled
+def error_fan(
+    time: ArrayLike,
+    outputs: ArrayLike,
+    references: ArrayLike,
+    names: Sequence[str] = AXES,
+    title: str = "Tracking error over all references",
+) -> Figure:
+    """Draw the absolute error over a batch of references: median, middle half and 5 to 95 %.
+
+    Args:
+        time: `(T,)` [s].
+        outputs: `(N, T, n_r)` [rad].
+        references: `(N, T, n_r)` [rad].
+        names: tracked states.
+        title: of the figure.
+    """
+    seconds = array(time)
+    error = np.abs(array(outputs) - array(references))
+    # A log axis needs a floor; a tenth of a milliradian is below what the bench's encoders see.
+    p05, p25, p50, p75, p95 = np.maximum(np.quantile(error, (0.05, 0.25, 0.5, 0.75, 0.95), axis=0), 1e-4)
+    figure, axes = panels(len(names), 1, (7.0, 2.2 * len(names) + 0.5), f"{title} ({len(error)})")
+    for i, (axis, name) in enumerate(zip(axes, names, strict=True)):
+        axis.fill_between(seconds, p05[:, i], p95[:, i], color=BLUE, alpha=0.15, lw=0, label="5 to 95 %")
+        axis.fill_between(seconds, p25[:, i], p75[:, i], color=BLUE, alpha=0.3, lw=0, label="middle half")
+        axis.plot(seconds, p50[:, i], color=BLUE, label="median")
+        axis.axhline(0.01, color=BLACK, linestyle=":", linewidth=1.0, label="0.01 rad (bonus band)")
+        axis.set_yscale("log")
+        axis.set_ylabel(f"|error| of {label(name, 'rad')}")
+    axes[0].legend(loc="upper right", ncols=2)
+    axes[-1].set_xlabel("time [s]")
+    axes[-1].set_xlim(seconds[0], seconds[-1])
+    return figure
+
+
+def _lines(axis: Axes, seconds: ArrayLike, outputs: Mapping[str, ArrayLike], column: int) -> None:
+    for k, (name, values) in enumerate(outputs.items()):
+        axis.plot(seconds, array(values)[:, column], color=CYCLE[k % len(CYCLE)], label=name)
+
+
+def _inputs(axis: Axes, seconds: ArrayLike, inputs: Mapping[str, ArrayLike], column: int, name: str) -> None:
+    for k, values in enumerate(inputs.values()):
+        # Zero-order hold: the input is constant until the next sample.
+        axis.step(seconds, array(values)[:, column], where="post", color=CYCLE[k % len(CYCLE)], linewidth=1.0)
+    axis.set_ylim(-1.08, 1.08)
+    axis.set_ylabel(label(name, "-"))

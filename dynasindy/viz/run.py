@@ -1,0 +1,95 @@
+"""The figures of a run folder, drawn from the files that the run wrote."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from dynasindy.systems import Signature
+from dynasindy.viz.identification import excitation, model_error, prediction, training_data
+from dynasindy.viz.learning import learning_curve
+from dynasindy.viz.response import step_response
+from dynasindy.viz.style import save
+
+Table = dict[str, NDArray[np.float64]]
+
+
+def read_table(path: Path) -> Table:
+    """Read a CSV file with a header into columns; empty cells become NaN.
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist; give the folder of a finished run")
+    with path.open(newline="") as file:
+        header, *rows = list(csv.reader(file))
+    cells = np.array([[float(cell) if cell else np.nan for cell in row] for row in rows]).reshape(
+        -1, len(header)
+    )
+    return dict(zip(header, cells.T, strict=True))
+
+
+def draw_run(folder: Path, signature: Signature, formats: tuple[str, ...] = ("png",)) -> list[Path]:
+    """Draw every figure whose data a run folder holds.
+
+    Args:
+        folder: Run folder.
+        signature: Names and units of the plant.
+        formats: File formats, e.g. ("png", "svg").
+
+    Returns:
+        The files, in `folder/figures`.
+    """
+    files = []
+    for name, figure in _figures(folder, signature).items():
+        files += save(figure, folder / "figures" / name, formats)
+    return files
+
+
+def _figures(folder: Path, signature: Signature) -> dict[str, Figure]:
+    names, units = signature.state_names, signature.state_units
+    figures = {}
+    excited = read_table(folder / "data" / "excitation.csv")
+    figures["excitation"] = excitation(
+        excited["time"], _stack(excited, signature.input_names), signature.input_names
+    )
+    figures["training_data"] = training_data(excited["time"], _stack(excited, names), names, units)
+    for when, title in (("first", "before reinforcement learning"), ("last", "after reinforcement learning")):
+        path = folder / "data" / f"prediction_{when}_episode.csv"
+        if path.is_file():
+            table = read_table(path)
+            predicted = _stack(table, [f"predicted_{name}" for name in names])
+            title = f"Open-loop model prediction of a real episode, {title}"
+            figures[path.stem] = prediction(
+                table["time"], _stack(table, names), predicted, names, units, title
+            )
+    if (folder / "progress.csv").is_file():
+        progress = read_table(folder / "progress.csv")
+        at = np.isfinite(progress["evaluated_return"])
+        figures["learning_curve"] = learning_curve(
+            progress["episode"], progress["return"], progress["episode"][at], progress["evaluated_return"][at]
+        )
+        figures["model_error"] = model_error(progress["episode"], progress["one_step_reward_error"])
+    figures["step_response"] = _response(read_table(folder / "data" / "step_response.csv"), signature)
+    return figures
+
+
+def _response(table: Table, signature: Signature) -> Figure:
+    outputs = [name.removeprefix("reference_") for name in table if name.startswith("reference_")]
+    return step_response(
+        table["time"],
+        _stack(table, [f"reference_{name}" for name in outputs]),
+        {"policy": _stack(table, outputs)},
+        {"policy": _stack(table, signature.input_names)},
+        outputs,
+        signature.input_names,
+    )
+
+
+def _stack(table: Table, columns: list[str] | tuple[str, ...]) -> NDArray[np.float64]:
+    return np.stack([table[column] for column in columns], -1)

@@ -1,0 +1,119 @@
+"""The one style of all figures: colours, labels with units, saving; pyplot and its global state stay out."""
+
+from collections.abc import Callable, Sequence
+from functools import wraps
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+import matplotlib
+import numpy as np
+from cycler import cycler
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike, NDArray
+
+P = ParamSpec("P")
+T = TypeVar("T")
+Array = NDArray[np.float64]
+
+BLACK, ORANGE, SKY, GREEN, BLUE, RED, PURPLE = (
+    "#000000",
+    "#E69F00",
+    "#56B4E9",
+    "#009E73",
+    "#0072B2",
+    "#D55E00",
+    "#CC79A7",
+)
+"""Colour-blind safe palette (Okabe and Ito 2008); black is always the reference or the real plant."""
+CYCLE = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
+GREY = "#7f7f7f"
+
+# Any: the stubs want a literal type of every setting.
+STYLE: Any = {
+    "figure.dpi": 100,
+    "savefig.dpi": 150,
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.prop_cycle": cycler(color=CYCLE),
+    "axes.formatter.useoffset": False,
+    "grid.color": "#d9d9d9",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.4,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    # The same data give the same file, byte for byte.
+    "svg.hashsalt": "dynasindy",
+}
+
+WORDS = {
+    "alpha_a": "azimuth",
+    "alpha_p": "pitch",
+    "Omega_a": "azimuth rate",
+    "Omega_p": "pitch rate",
+    "omega_a": "tail rotor speed",
+    "omega_p": "main rotor speed",
+    "u_a": "tail input",
+    "u_p": "main input",
+}
+GREEK = ("alpha", "beta", "theta", "phi", "psi", "omega", "Omega")
+
+
+def styled(draw: Callable[P, T]) -> Callable[P, T]:
+    """Make a figure function draw in the module's style without leaving a trace in matplotlib's settings."""
+
+    @wraps(draw)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> T:
+        with matplotlib.rc_context(STYLE):
+            return draw(*args, **kwargs)
+
+    return drawn
+
+
+def panels(
+    rows: int, columns: int = 1, size: tuple[float, float] = (7.0, 4.0), title: str = "", sharex: bool = True
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure of `size` [inch] and its axes row by row."""
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplots(rows, columns, sharex=sharex, squeeze=False)
+    for axis in axes.flat:
+        axis.xaxis.set_major_locator(MaxNLocator(steps=[1, 2, 5, 10]))
+    if title:
+        figure.suptitle(title, fontsize=11)
+    return figure, list(axes.flat)
+
+
+def symbol(name: str) -> str:
+    r"""Return a name as mathematics: `alpha_a` becomes `$\alpha_a$`."""
+    head, _, tail = name.partition("_")
+    head = rf"\{head}" if head in GREEK else head
+    return f"${head}_{{{tail}}}$" if tail else f"${head}$"
+
+
+def label(name: str, unit: str = "") -> str:
+    """Return an axis label: the quantity in words, its symbol and its unit."""
+    words = f"{WORDS[name]} " if name in WORDS else ""
+    return f"{words}{symbol(name)}" + (f" [{unit}]" if unit else "")
+
+
+def array(values: ArrayLike) -> Array:
+    """Return values, a tensor included, as a float64 array."""
+    return np.asarray(values, dtype=np.float64)
+
+
+def save(figure: Figure, path: str | Path, formats: Sequence[str] = ("png",)) -> list[Path]:
+    """Write a figure once per format as `path` with the format's suffix and return the files."""
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    files = [target.with_name(f"{target.name}.{suffix}") for suffix in formats]
+    with matplotlib.rc_context(STYLE):
+        for file, suffix in zip(files, formats, strict=True):
+            # Dates would make equal figures differ.
+            figure.savefig(file, format=suffix, metadata={"Date": None} if suffix in ("svg", "pdf") else None)
+    return files

@@ -1,0 +1,151 @@
+"""Scenarios with policies whose outcome is known in advance."""
+
+import math
+
+import pytest
+import torch
+from tensordict import TensorDictBase
+from torchrl.envs.utils import ExplorationType, exploration_type
+
+from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate, step_references
+from dynasindy.systems import Tras, Xi
+from dynasindy.tasks import RandomStep, Step, Tracking, Wave
+
+PITCH_ZERO = (-0.1223, 0.2100)
+"""Inputs that hold `xi` at pitch 0 (design table of equilibria)."""
+
+
+def make(plant: type[Tras] | type[Xi] = Xi) -> ControlEnv:
+    system = plant()
+    task = Tracking(system.signature, RandomStep([-0.4, -0.25], [0.4, 0.25]))
+    return ControlEnv(system, task, substeps=1, seed=7)
+
+
+def constant(u_a: float, u_p: float):
+    def policy(td: TensorDictBase) -> TensorDictBase:
+        return td.set("action", torch.tensor([u_a, u_p]).expand(*td.batch_size, 2))
+
+    return policy
+
+
+def test_an_equilibrium_held_open_loop_ends_at_its_pitch() -> None:
+    result = evaluate(make(), constant(*PITCH_ZERO), Scenario("hold", Step([[0.0, 0.0]]), seconds=40.0))
+    assert result.output_names == ("alpha_a", "alpha_p")
+    assert result.outputs.shape == (1, 800, 2)
+    assert result.metrics["steady_state_error"][0, 1] < 2e-3
+    assert result.metrics["control_effort"][0, 0] == pytest.approx(PITCH_ZERO[0] ** 2, rel=1e-5)
+    assert result.stop_share.item() == 0.0
+
+
+def test_returns_are_sums_of_the_rewards_and_rows_are_in_order() -> None:
+    result = evaluate(
+        make(), constant(0.0, 0.2), Scenario("two", Step([[0.1, 0.2], [0.3, -0.1]]), episodes=2)
+    )
+    torch.testing.assert_close(result.trajectory["reference"][:, 0], torch.tensor([[0.1, 0.2], [0.3, -0.1]]))
+    rewards = result.trajectory["next", "reward"]
+    assert result.returns[1].item() == pytest.approx(sum(r.item() for r in rewards[1]), rel=1e-4)
+    assert result.trajectory["next", "truncated"][:, -1].all()
+    assert not result.trajectory["next", "done"][:, :-1].any()
+
+
+def test_scenarios_may_be_longer_than_the_episodes_of_training() -> None:
+    wave = Scenario("sine", Wave([0.35, 0.25], [0.015, 0.015]), seconds=40.0)
+    reference = evaluate(make(), constant(0.0, 0.2), wave).trajectory["reference"]
+    assert reference.shape == (1, 800, 2)
+    # A quarter period, 1 / (4 * 0.015) s, after the start the sine is at its amplitude.
+    torch.testing.assert_close(
+        reference[0, round(1 / 0.06 / 0.05)], torch.tensor([0.35, 0.25]), atol=1e-4, rtol=0
+    )
+
+
+def test_batched_rows_equal_single_runs() -> None:
+    targets = [[0.1, 0.2], [-0.3, 0.1], [0.2, -0.2]]
+
+    def feedback(td: TensorDictBase) -> TensorDictBase:
+        error = td["reference"] - td["state"][..., :2]
+        return td.set("action", (0.5 * error).clamp(-1, 1))
+
+    batch = evaluate(make(), feedback, Scenario("all", Step(targets), episodes=3))
+    for k, target in enumerate(targets):
+        single = evaluate(make(), feedback, Scenario("one", Step([target])))
+        torch.testing.assert_close(single.outputs[0], batch.outputs[k], atol=1e-5, rtol=0)
+
+
+def test_no_exploration_and_no_trace_in_any_generator() -> None:
+    seen = set()
+
+    def curious(td: TensorDictBase) -> TensorDictBase:
+        seen.add(exploration_type())
+        return td.set("action", 0.1 * torch.randn(*td.batch_size, 2))
+
+    env = make()
+    before, own = torch.random.get_rng_state(), env.rng.get_state()
+    scenario = Scenario("drawn", episodes=3, seconds=0.5)
+    first, second = evaluate(env, curious, scenario), evaluate(env, curious, scenario)
+    assert seen == {ExplorationType.DETERMINISTIC}
+    assert torch.equal(before, torch.random.get_rng_state())
+    assert torch.equal(own, env.rng.get_state())
+    torch.testing.assert_close(first.trajectory["reference"], second.trajectory["reference"], rtol=0, atol=0)
+
+
+def test_step_references_are_fixed_and_fill_the_box() -> None:
+    targets = step_references([-0.4, -0.25], [0.4, 0.25]).targets
+    assert targets.shape == (64, 2)
+    assert torch.equal(targets, step_references([-0.4, -0.25], [0.4, 0.25]).targets)
+    assert not torch.equal(targets, step_references([-0.4, -0.25], [0.4, 0.25], seed=1).targets)
+    # 64 scrambled Sobol points put exactly 16 into each quadrant.
+    quadrant = 2 * (targets[:, 0] > 0) + (targets[:, 1] > 0)
+    assert quadrant.bincount().tolist() == [16] * 4
+    with pytest.raises(ValueError, match="differ in length"):
+        step_references([0.0], [0.1, 0.1])
+
+
+def run_with(windows: list[tuple[float, float]] | None) -> Evaluation:
+    scenario = Scenario("swap", Step([[0.0, 0.0]]), seconds=3.0, plant=lambda _: Tras(), windows=windows)
+    return evaluate(make(Xi), constant(0.1, 0.3), scenario)
+
+
+def test_the_disturbed_plant_holds_in_its_windows_only() -> None:
+    xi = evaluate(make(Xi), constant(0.1, 0.3), Scenario("xi", Step([[0.0, 0.0]]), seconds=3.0))
+    tras = evaluate(make(Tras), constant(0.1, 0.3), Scenario("tras", Step([[0.0, 0.0]]), seconds=3.0))
+    torch.testing.assert_close(run_with(None).outputs, tras.outputs)
+    torch.testing.assert_close(run_with([]).outputs, xi.outputs)
+    swapped = run_with([(1.0, 2.0)])
+    assert torch.equal(swapped.trajectory["step_count"][0, :, 0], torch.arange(60))
+    torch.testing.assert_close(swapped.outputs[:, :21], xi.outputs[:, :21])
+    # Within the window the plant continues from the state it has: one step of tras from there.
+    x = swapped.trajectory["state"][:, 20]
+    after, _ = make(Tras).advance(x, torch.tensor([[0.1, 0.3]]))
+    torch.testing.assert_close(swapped.trajectory["state"][:, 21], after[:, -1])
+
+
+def test_wrappers_are_applied_in_order() -> None:
+    def scaled(factor: float, offset: float):
+        def wrap(policy, env):
+            def wrapped(td: TensorDictBase) -> TensorDictBase:
+                return td.set("action", factor * policy(td)["action"] + offset)
+
+            return wrapped
+
+        return wrap
+
+    scenario = Scenario("wrapped", seconds=0.1, wrappers=[scaled(2.0, 0.0), scaled(1.0, 0.1)])
+    result = evaluate(make(), constant(0.1, 0.2), scenario)
+    torch.testing.assert_close(result.trajectory["action"][0, 0], torch.tensor([0.3, 0.5]))
+
+
+def test_mistakes_get_one_line() -> None:
+    with pytest.raises(ValueError, match="both must be positive"):
+        Scenario("none", episodes=0)
+    with pytest.raises(ValueError, match="in order"):
+        Scenario("late", seconds=5.0, windows=[(4.0, 6.0)])
+    with pytest.raises(ValueError, match=r"shape \(1, 3\) in scenario 'shape'"):
+        evaluate(make(), lambda td: td.set("action", torch.zeros(1, 3)), Scenario("shape", seconds=0.1))
+
+    def fails_later(td: TensorDictBase) -> TensorDictBase:
+        late = td["step_count"] >= 4
+        return td.set("action", torch.where(late, math.nan, torch.zeros(*td.batch_size, 2)))
+
+    with pytest.raises(ValueError, match=r"not finite in scenario 'nan' at 0\.20 s"):
+        evaluate(make(), fails_later, Scenario("nan", seconds=1.0))

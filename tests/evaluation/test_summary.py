@@ -1,0 +1,60 @@
+"""Summaries: what is a mean, what is a median, and that JSON can hold them."""
+
+import json
+import math
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING
+from dynasindy.evaluation.scenarios import Evaluation
+from dynasindy.evaluation.summary import summarise, to_text
+
+
+def evaluation(**changes: torch.Tensor) -> Evaluation:
+    metrics = {name: torch.tensor([[0.1, 0.2], [0.3, 0.4], [0.5, 0.9]]) for name in (*TRACKING, *STEP)}
+    metrics |= {name: torch.tensor([[1.0], [2.0], [3.0]]) for name in CONTROL}
+    return Evaluation(
+        scenario="made up",
+        trajectory=TensorDict({}, [3, 1]),
+        time=torch.zeros(1),
+        outputs=torch.zeros(3, 1, 2),
+        metrics=metrics | changes,
+        returns=torch.tensor([-3.0, 0.0, 9.0]),
+        stop_share=torch.tensor([0.0, 0.0, 0.3]),
+        output_names=("alpha_a", "alpha_p"),
+        input_names=("u",),
+    )
+
+
+def test_means_of_errors_and_medians_of_times() -> None:
+    summary = summarise(evaluation())
+    assert summary["return"] == pytest.approx(2.0)
+    assert summary["stop_share"] == pytest.approx(0.1)
+    assert summary["rmse/alpha_p"] == pytest.approx(0.5)
+    assert summary["rise_time/alpha_p"] == pytest.approx(0.4)
+    assert summary["control_effort/u"] == pytest.approx(2.0)
+
+
+def test_steps_that_never_settle_count_and_rows_without_a_step_do_not() -> None:
+    times = torch.tensor([[math.inf, math.nan], [math.inf, math.nan], [2.0, 3.0]])
+    summary = summarise(evaluation(settling_time=times))
+    assert summary["settling_time/alpha_a"] is None
+    assert summary["settled/alpha_a"] == pytest.approx(1 / 3)
+    assert summary["settling_time/alpha_p"] == pytest.approx(3.0)
+    assert summary["settled/alpha_p"] == 1.0
+    json.dumps(summary, allow_nan=False)
+
+
+def test_the_table_names_every_metric_with_its_unit() -> None:
+    undefined = torch.full((3, 2), math.nan)
+    text = to_text(summarise(evaluation(overshoot=undefined)), "Step")
+    lines = text.splitlines()
+    assert lines[0] == "Step"
+    row = next(line for line in lines if line.startswith("steady-state error"))
+    assert "[rad]" in row
+    assert row.split()[-2:] == ["0.3", "0.5"]
+    row = next(line for line in lines if line.startswith("overshoot [%]"))
+    assert row.split()[-2:] == ["-", "-"]
+    assert len({len(line) for line in lines[2:9]}) == 1

@@ -1,0 +1,68 @@
+"""Identification figures: what they write into panels and tables."""
+
+import numpy as np
+
+from dynasindy.viz import coefficient_table, excitation, model_error, prediction, training_data
+
+TIME = np.arange(100) * 0.01
+STATES = np.linspace(0, 1, 100)[:, None] * np.array([1.0, 2.0, 3.0, 4.0, 1000.0, 2000.0])
+
+
+def test_prediction_titles_say_the_error_in_percent_of_the_range() -> None:
+    figure = prediction(TIME, STATES, STATES + np.array([0.1, 0, 0, 0, 0, 0]))
+    titles = [axis.get_title(loc="right") for axis in figure.axes]
+    assert titles[0] == "RMSE 10.0 % of range"
+    assert set(titles[1:]) == {"RMSE 0.0 % of range"}
+    assert figure.axes[4].get_ylabel().endswith("[rpm]")
+
+
+def test_a_model_that_runs_away_is_said_and_does_not_flatten_the_plant() -> None:
+    wild = STATES.copy()
+    wild[50:, 0] = 1e30
+    wild[50:, 1] = np.nan
+    figure = prediction(TIME, STATES, wild)
+    assert figure.axes[0].get_ylim()[1] < 2
+    assert figure.axes[1].get_title(loc="right") == "runs away"
+
+
+def test_training_data_and_excitation_draw_their_columns() -> None:
+    figure = training_data(TIME, STATES)
+    for k, axis in enumerate(figure.axes):
+        np.testing.assert_array_equal(axis.lines[0].get_ydata(), STATES[:, k])
+    u = np.stack([np.sin(TIME), np.cos(TIME)], -1)
+    figure = excitation(TIME, u)
+    np.testing.assert_array_equal(figure.axes[1].lines[0].get_ydata(), u[:, 1])
+
+
+def test_one_state_gets_one_panel() -> None:
+    figure = training_data(TIME, STATES[:, :2], names=("theta", "Omega"), units=("rad", "rad/s"))
+    assert len(figure.axes) == 2
+    assert figure.axes[0].get_ylabel() == r"$\theta$ [rad]"
+
+
+def test_model_error_is_the_median_on_a_log_axis_with_refits() -> None:
+    errors = np.array([[1.0, 3.0, 100.0], [0.1, 0.2, 0.3]])
+    figure = model_error([1, 2], errors, refits=[1.5])
+    axis = figure.axes[0]
+    np.testing.assert_allclose(axis.lines[0].get_ydata(), [3.0, 0.2])
+    assert axis.get_yscale() == "log"
+    assert axis.lines[1].get_xdata()[0] == 1.5
+
+
+def test_an_error_of_zero_stays_on_the_figure() -> None:
+    assert (model_error([1, 2], [0.0, 1.0]).axes[0].lines[0].get_ydata() > 0).all()
+
+
+def test_the_table_holds_the_used_features_only() -> None:
+    coefficients = np.zeros((3, 2))
+    coefficients[0, 1], coefficients[2, 0] = -9.81, 1.0
+    figure = coefficient_table(coefficients, ["1", "theta", "Omega"], ["theta", "Omega"])
+    cells = {
+        place: cell.get_text().get_text() for place, cell in figure.axes[0].tables[0].get_celld().items()
+    }
+    assert [cells[k, -1] for k in (1, 2)] == ["1", "Omega"]
+    assert [cells[1, 0], cells[1, 1], cells[2, 0], cells[2, 1]] == ["", "-9.81", "1", ""]
+
+
+def test_an_empty_model_still_has_a_table() -> None:
+    assert coefficient_table(np.zeros((3, 2)), ["1", "a", "b"], ["a", "b"]).axes[0].tables

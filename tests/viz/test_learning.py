@@ -1,0 +1,35 @@
+"""Learning figures: the statistics they draw against hand-computed ones."""
+
+import numpy as np
+
+from dynasindy.viz import average_rewards, learning_curve
+from dynasindy.viz.learning import moving_mean
+
+
+def test_moving_mean_by_hand() -> None:
+    np.testing.assert_allclose(moving_mean(np.array([2.0, 4.0, 9.0, 2.0]), 2), [2.0, 3.0, 6.5, 5.5])
+
+
+def test_learning_curve_draws_episodes_and_evaluations() -> None:
+    returns = np.arange(30.0)
+    figure = learning_curve(np.arange(1, 31), returns, [10, 20], [12.0, 22.0], window=5)
+    raw, mean, evaluated = figure.axes[0].lines
+    np.testing.assert_array_equal(raw.get_ydata(), returns)
+    assert mean.get_ydata()[-1] == 27.0
+    np.testing.assert_array_equal(evaluated.get_xydata(), [[10, 12.0], [20, 22.0]])
+
+
+def test_average_rewards_draw_the_interquartile_mean_within_its_band() -> None:
+    one = np.array([[0.0], [10.0], [20.0], [1000.0]]) + np.zeros((4, 6))
+    figure = average_rewards({"wild": one, "calm": np.ones((3, 6))}, window=1)
+    np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata(), 15.0)
+    low, high = (f(figure.axes[0].collections[0].get_paths()[0].vertices[:, 1]) for f in (np.min, np.max))
+    assert 0 <= low <= 15 <= high <= 1000
+    assert "(4 seeds)" in figure.axes[0].get_legend().get_texts()[0].get_text()
+
+
+def test_one_seed_draws_a_line_without_a_band() -> None:
+    figure = average_rewards({"one": np.arange(5.0)}, episode=[10, 20, 30, 40, 50], window=1)
+    np.testing.assert_array_equal(figure.axes[0].lines[0].get_xydata()[:, 0], [10, 20, 30, 40, 50])
+    vertices = figure.axes[0].collections[0].get_paths()[0].vertices
+    assert set(vertices[:, 1]) == set(np.arange(5.0))

@@ -1,0 +1,40 @@
+"""Response figures draw the data they are given, with the bands the metrics use."""
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy.viz import error_fan, step_response, tracking
+
+TIME = torch.arange(400) * 0.05
+REFERENCE = torch.tensor([0.4, 0.25]).expand(400, 2)
+OUTPUT = REFERENCE * (1 - torch.exp(-TIME)).unsqueeze(-1)
+
+
+def test_tracking_draws_reference_and_every_controller() -> None:
+    figure = tracking(TIME, REFERENCE, {"a": OUTPUT, "b": 0.5 * OUTPUT}, {"a": OUTPUT, "b": -OUTPUT})
+    assert [a.get_ylabel().split(" [")[1] for a in figure.axes] == ["rad]", "rad]", "-]", "-]"]
+    assert figure.axes[-1].get_xlabel() == "time [s]"
+    lines = figure.axes[1].lines
+    np.testing.assert_allclose(lines[0].get_ydata(), 0.25)
+    np.testing.assert_allclose(lines[2].get_ydata(), 0.5 * OUTPUT[:, 1], rtol=1e-6)
+    assert [t.get_text() for t in figure.axes[0].get_legend().get_texts()] == ["reference", "a", "b"]
+
+
+def test_inputs_are_drawn_as_held() -> None:
+    figure = tracking(TIME, REFERENCE, {"a": OUTPUT}, {"a": OUTPUT})
+    assert figure.axes[2].lines[0].get_drawstyle() == "steps-post"
+
+
+def test_step_response_shows_the_five_percent_band_and_the_last_five_seconds() -> None:
+    figure = step_response(TIME, REFERENCE, {"a": OUTPUT})
+    band, steady = figure.axes[0].patches
+    assert (band.get_y(), band.get_height()) == pytest.approx((0.38, 0.04))
+    assert (steady.get_x(), steady.get_width()) == pytest.approx((14.95, 5.0))
+
+
+def test_error_fan_draws_the_median_of_the_absolute_error() -> None:
+    outputs = REFERENCE + torch.tensor([-0.3, 0.1, 0.2]).reshape(3, 1, 1)
+    figure = error_fan(TIME, outputs, REFERENCE.expand(3, 400, 2))
+    np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata(), 0.2, rtol=1e-5)
+    assert figure.axes[0].get_yscale() == "log"

@@ -1,0 +1,57 @@
+"""The style: labels with units, equal files for equal data, no trace in matplotlib's settings."""
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+
+from dynasindy.viz.style import CYCLE, label, panels, save, styled, symbol
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("alpha_a", r"$\alpha_{a}$"), ("Omega", r"$\Omega$"), ("u_p", "$u_{p}$"), ("x", "$x$")],
+)
+def test_symbols(name: str, expected: str) -> None:
+    assert symbol(name) == expected
+
+
+def test_labels_say_words_symbol_and_unit() -> None:
+    assert label("alpha_p", "rad") == r"pitch $\alpha_{p}$ [rad]"
+    assert label("x", "m") == "$x$ [m]"
+
+
+def test_drawing_leaves_the_global_settings_alone() -> None:
+    before = dict(matplotlib.rcParams)
+
+    @styled
+    def draw() -> float:
+        panels(1)
+        return matplotlib.rcParams["font.size"]
+
+    assert draw() == 9
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_colours_differ_in_lightness_for_readers_without_colour_vision() -> None:
+    # Rec. 709 luma of the first four colours of the cycle, those that most figures use.
+    rgb = np.array([matplotlib.colors.to_rgb(c) for c in CYCLE[:4]])
+    luma = np.sort(rgb @ [0.2126, 0.7152, 0.0722])
+    assert len(set(CYCLE)) == len(CYCLE)
+    assert np.diff(luma).min() > 0.02
+
+
+def test_equal_data_give_equal_files(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        figure, (axis,) = panels(1)
+        axis.plot([0, 1], [1, 2])
+        files = save(figure, tmp_path / "new" / name, ("png", "svg"))
+        assert [f.name for f in files] == [f"{name}.png", f"{name}.svg"]
+    for suffix in ("png", "svg"):
+        one, two = (tmp_path / "new" / f"{name}.{suffix}" for name in ("one", "two"))
+        assert one.read_bytes() == two.read_bytes()
+
+
+def test_a_dot_in_the_name_is_kept(tmp_path: Path) -> None:
+    assert save(panels(1)[0], tmp_path / "lambda_0.9")[0].name == "lambda_0.9.png"
