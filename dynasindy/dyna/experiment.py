@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torchrl.envs import TransformedEnv
@@ -28,7 +27,7 @@ class Recipe:
         system: The real plant.
         task: Builder of the task, called with `signature`.
         env: Builder of the real environment, called with `system`, `task` and `seed`.
-        excitation: Builder of the excitation, called with `n_u`, `dt` and `seed`.
+        excitation: Builder of the excitation, called with `n_u` and `dt`.
         world_model: Builder of the world model, called with `signature`.
         agent: Builder of the agent, called with `n_obs`, `n_u` and `seed`.
         replay: Builder of the storages, called with `seed`.
@@ -56,7 +55,7 @@ class Recipe:
         Raises:
             ValueError: A part refuses its settings.
         """
-        seeds = torch.randint(2**31, (6,), generator=torch.Generator().manual_seed(self.seed)).tolist()
+        seeds = torch.randint(2**31, (5,), generator=torch.Generator().manual_seed(self.seed)).tolist()
         signature = self.system.signature
         plant = self.env(system=self.system, task=self.task(signature=signature), seed=seeds[0])
         world_model = self.world_model(signature=signature)
@@ -64,18 +63,14 @@ class Recipe:
         agent = self.agent(n_obs=plant.task.n_o, n_u=signature.n_u, seed=seeds[2])
         replay = self.replay(seed=seeds[3])
         return Parts(
+            plant=plant,
             env=TransformedEnv(plant, ModelPrediction(model_env)),
             model_env=model_env,
-            excitation=self.excitation(n_u=signature.n_u, dt=plant.dt, seed=seeds[4]),
+            excitation=self.excitation(n_u=signature.n_u, dt=plant.dt),
             world_model=world_model,
             agent=agent,
             replay=replay,
-            planner=self.planning(env=model_env, agent=agent, replay=replay, seed=seeds[5]),
+            planner=self.planning(env=model_env, agent=agent, replay=replay, seed=seeds[4]),
             gate=self.gate,
         )
 
-
-def recipe(**settings: Any) -> Recipe:
-    """Return a recipe, dropping the settings that concern the run and not the experiment."""
-    names = Recipe.__dataclass_fields__
-    return Recipe(**{key: value for key, value in settings.items() if key in names})

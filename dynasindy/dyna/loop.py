@@ -35,7 +35,8 @@ class Parts:
     """What Algorithm 1 works on.
 
     Args:
-        env: Real environment.
+        plant: Real environment.
+        env: The same, with the model's one-step prediction beside every step.
         model_env: The same environment around the world model.
         excitation: Input signal of the data collection.
         world_model: Model to fit.
@@ -45,6 +46,7 @@ class Parts:
         gate: Trust in the model.
     """
 
+    plant: ControlEnv
     env: EnvBase
     model_env: ControlEnv
     excitation: Excitation

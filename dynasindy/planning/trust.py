@@ -18,10 +18,12 @@ class ModelError:
     Args:
         reward_error: Mean absolute difference of the rewards per control period.
         state_error: Root mean square difference of the states, each divided by its range.
+        states: The model's states, `(T, n_x)`, to compare with ("next", "state").
     """
 
     reward_error: float
     state_error: float
+    states: Tensor
 
 
 @torch.no_grad()
@@ -52,7 +54,7 @@ def _errors(model_env: ControlEnv, states: Tensor, rewards: Tensor, episode: Ten
     strayed = ((states - episode["next", "state"].to(states)) / scale).square().mean().sqrt()
     reward = (rewards - episode["next", "reward"].squeeze(-1).to(rewards)).abs().mean()
     errors = torch.stack([reward, strayed]).nan_to_num(nan=torch.inf)
-    return ModelError(errors[0].item(), errors[1].item())
+    return ModelError(errors[0].item(), errors[1].item(), states)
 
 
 class Gate:

@@ -1,11 +1,25 @@
 """Sparse models of controlled systems, identified from transitions."""
 
+from dynasindy.world_models.base import WorldModel
+from dynasindy.world_models.base import WorldModel
 from dynasindy.world_models.features import register_function
 from dynasindy.world_models.libraries import build_library
 from dynasindy.world_models.library import Library
+from dynasindy.world_models.oracle import Oracle
+from dynasindy.world_models.oracle import Oracle
 from dynasindy.world_models.refine import Refinement
 from dynasindy.world_models.regression import Regression
 from dynasindy.world_models.report import FitReport
 from dynasindy.world_models.sindy import SindyModel
 
-__all__ = ["FitReport", "Library", "Refinement", "Regression", "SindyModel", "build_library", "register_function"]
+__all__ = [
+    "FitReport",
+    "Library",
+    "Oracle",
+    "Refinement",
+    "Regression",
+    "SindyModel",
+    "WorldModel",
+    "build_library",
+    "register_function",
+]

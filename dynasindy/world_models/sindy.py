@@ -19,9 +19,11 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from dynasindy.systems.base import Signature, System
+from dynasindy.systems.base import Signature
 from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.base import WorldModel
+from dynasindy.world_models.base import WorldModel
 from dynasindy.world_models.constraints import Constraints
 from dynasindy.world_models.fast_field import Field, generate
 from dynasindy.world_models.files import load, save
@@ -33,7 +35,7 @@ from dynasindy.world_models.report import FitReport
 from dynasindy.world_models.tables import equations
 
 
-class SindyModel(System):
+class SindyModel(WorldModel):
     """A vector field that is a sparse sum of candidate functions.
 
     Args:

@@ -1,0 +1,37 @@
+"""A progress bar over the real episodes."""
+
+from __future__ import annotations
+
+from tensordict import TensorDict
+from tqdm import tqdm
+
+from dynasindy.dyna.callback import Callback, Cost, Episode
+
+
+class ProgressBar(Callback):
+    """Show episode, return, model error, real steps and the time left.
+
+    Args:
+        episodes: Episodes of the run.
+    """
+
+    def __init__(self, episodes: int) -> None:
+        self.bar = tqdm(total=episodes, unit="episode", desc="exciting the plant", dynamic_ncols=True)
+
+    def fitted(self, report: object, excited: TensorDict, cost: Cost) -> None:
+        """Say that the model is identified."""
+        self.bar.set_description("planning")
+        self.bar.set_postfix_str(f"real steps {cost.real_steps}")
+
+    def episode(self, episode: Episode, cost: Cost) -> None:
+        """Advance by an episode."""
+        total = episode.rollout["next", "reward"].sum().item()
+        self.bar.set_description("learning")
+        self.bar.set_postfix_str(
+            f"return {total:.1f}, model error {episode.error.reward_error:.3g}, real steps {cost.real_steps}"
+        )
+        self.bar.update()
+
+    def close(self) -> None:
+        """Leave the bar as it is."""
+        self.bar.close()

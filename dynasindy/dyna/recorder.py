@@ -1,0 +1,149 @@
+"""What a run leaves behind: CSV logs as it goes, and at its end the figures, the model and the policy."""
+
+from __future__ import annotations
+
+import csv
+import json
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+from torchrl.record import CSVLogger
+
+from dynasindy.dyna.callback import Callback, Cost, Episode
+from dynasindy.dyna.loop import Parts
+from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
+from dynasindy.evaluation.summary import Summary, summarise
+
+
+class Recorder(Callback):
+    """Write the run folder and evaluate the policy now and then.
+
+    `progress.csv` holds a row per real episode, `scalars/` the same by TorchRL's `CSVLogger`, `data/` what
+    the figures are drawn from.
+
+    Args:
+        folder: Run folder; made if missing.
+        parts: What the run works on.
+        scenario: Situation in which the policy is evaluated.
+        every: Episodes between two evaluations; the last episode is evaluated in any case.
+        episodes: Episodes of the run.
+    """
+
+    def __init__(self, folder: Path, parts: Parts, scenario: Scenario, every: int, episodes: int) -> None:
+        self.folder, self.parts, self.plant, self.scenario = folder, parts, parts.plant, scenario
+        self.every, self.episodes = every, episodes
+        self.logger = CSVLogger(exp_name="scalars", log_dir=str(folder))
+        self.rows: list[dict[str, float | None]] = []
+        self.start = time.perf_counter()
+        self.untrained = summarise(self.evaluate())
+        self.latest: Summary = self.untrained
+        self.cost = Cost()
+
+    def evaluate(self) -> Evaluation:
+        """Run the deployed policy, without noise, in the scenario; its steps are not counted as real."""
+        return evaluate(self.plant, self.parts.agent.deployed, self.scenario)
+
+    def fitted(self, report: object, excited: TensorDict, cost: Cost) -> None:
+        """Write the excitation data."""
+        self.cost = cost
+        self._write_rollout("excitation", excited)
+
+    def episode(self, episode: Episode, cost: Cost) -> None:
+        """Write a row, and the model's prediction of the first and of the last episode."""
+        due = episode.number % self.every == 0 or episode.number == self.episodes
+        if due:
+            self.latest = summarise(self.evaluate())
+        following = episode.rollout["next"]
+        row: dict[str, float | None] = {
+            "episode": episode.number,
+            "return": following["reward"].sum().item(),
+            "one_step_reward_error": (following["predicted_reward"] - following["reward"]).abs().mean().item(),
+            "reward_error": episode.error.reward_error,
+            "state_error": episode.error.state_error,
+            "model_trusted": float(episode.trusted),
+            "real_steps": cost.real_steps,
+            "plant_seconds": cost.real_steps * self.plant.dt,
+            "imagined_transitions": cost.imagined,
+            "updates": cost.updates,
+            "wall_seconds": time.perf_counter() - self.start,
+        }
+        row |= {f"evaluated_{key}": value if due else None for key, value in _headline(self.latest).items()}
+        self._log(row)
+        if episode.number in (1, self.episodes):
+            when = "first" if episode.number == 1 else "last"
+            self._write_prediction(f"prediction_{when}_episode", episode)
+
+    def finish(self, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Evaluate the final policy and write `metrics.json`, the policy, the model and the step response.
+
+        Args:
+            settings: Facts to record beside the figures, such as the seed.
+
+        Returns:
+            What `metrics.json` holds.
+        """
+        final, cost = self.evaluate(), self.cost
+        metrics = {
+            **settings,
+            "cost": {
+                "real_steps": cost.real_steps,
+                "plant_seconds": cost.real_steps * self.plant.dt,
+                "imagined_transitions": cost.imagined,
+                "updates": cost.updates,
+                "wall_seconds": time.perf_counter() - self.start,
+            },
+            "scenario": final.scenario,
+            "evaluation": summarise(final),
+            "untrained": self.untrained,
+            "equations": self.parts.world_model.equations(),
+        }
+        self._write_rollout("step_response", final.trajectory[0])
+        self.parts.world_model.save(self.folder / "model.json")
+        torch.save(self.parts.agent.deployed.state_dict(), self.folder / "policy.pt")
+        (self.folder / "metrics.json").write_text(json.dumps(metrics, indent=2) + "\n")
+        return metrics
+
+    def _log(self, row: dict[str, float | None]) -> None:
+        self.rows.append(row)
+        write_csv(self.folder / "progress.csv", list(row), [list(r.values()) for r in self.rows])
+        for key, value in row.items():
+            if value is not None and key != "episode":
+                self.logger.log_scalar(key, value, step=int(row["episode"] or 0))
+
+    def _write_rollout(self, name: str, rollout: TensorDict) -> None:
+        signature = self.plant.system.signature
+        names = [signature.state_names[i] for i in self.plant.task.outputs]
+        columns = [*signature.state_names, *signature.input_names, *(f"reference_{name}" for name in names)]
+        values = torch.cat([rollout["state"], rollout["action"], rollout["reference"]], -1)
+        self._write_series(name, columns, values)
+
+    def _write_prediction(self, name: str, episode: Episode) -> None:
+        states = self.plant.system.signature.state_names
+        values = torch.cat([episode.rollout["next", "state"], episode.error.states], -1)
+        self._write_series(name, [*states, *(f"predicted_{state}" for state in states)], values)
+
+    def _write_series(self, name: str, columns: Sequence[str], values: Tensor) -> None:
+        time_column = torch.arange(len(values)).unsqueeze(-1) * self.plant.dt
+        rows = torch.cat([time_column, values], -1).tolist()
+        write_csv(self.folder / "data" / f"{name}.csv", ["time", *columns], rows)
+
+
+def write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[float | None]]) -> None:
+    """Write a table whole, through a temporary file, so that a reader never meets half of it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_suffix(".tmp")
+    with temporary.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        writer.writerows([["" if v is None else f"{v:.9g}" for v in row] for row in rows])
+    temporary.replace(path)
+
+
+def _headline(summary: Summary) -> Summary:
+    """Return the figures of an evaluation that belong in the progress table."""
+    return {k: v for k, v in summary.items() if k == "return" or k.startswith(("steady_state_error/", "rmse/"))}

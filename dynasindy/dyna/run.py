@@ -1,0 +1,79 @@
+"""A whole run: build, train, evaluate, write the run folder, say what came of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dynasindy.dyna.callback import Callbacks
+from dynasindy.dyna.experiment import Recipe
+from dynasindy.dyna.loop import train
+from dynasindy.dyna.progress import ProgressBar
+from dynasindy.dyna.recorder import Recorder
+from dynasindy.evaluation.scenarios import Scenario
+from dynasindy.evaluation.summary import to_text
+
+
+@dataclass(frozen=True)
+class Evaluating:
+    """When and where the policy is evaluated during a run.
+
+    Args:
+        scenario: Situation, without disturbances.
+        every: Episodes between two evaluations; the last one is always evaluated.
+
+    Raises:
+        ValueError: `every` is not positive.
+    """
+
+    scenario: Scenario
+    every: int = 1
+
+    def __post_init__(self) -> None:
+        if self.every < 1:
+            raise ValueError(f"evaluation.every must be at least 1 episode, got {self.every}; use a large number for rarely")
+
+
+def run(recipe: Recipe, evaluating: Evaluating, folder: Path, settings: str) -> dict[str, Any]:
+    """Run an experiment and write its folder.
+
+    Args:
+        recipe: What to run; it is built, and so checked, before the folder is touched.
+        evaluating: When and where to evaluate.
+        folder: Run folder.
+        settings: The resolved configuration, written beside the results.
+
+    Returns:
+        What `metrics.json` holds.
+
+    Raises:
+        ValueError: A part refuses its settings.
+    """
+    parts = recipe.build()
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "config.yaml").write_text(settings)
+    episodes = recipe.train.episodes
+    recorder = Recorder(folder, parts, evaluating.scenario, evaluating.every, episodes)
+    bar = ProgressBar(episodes)
+    try:
+        train(parts, recipe.train, Callbacks([recorder, bar]))
+    finally:
+        bar.close()
+    return recorder.finish({"seed": recipe.seed, "system": type(recipe.system).__name__.lower()})
+
+
+def report(metrics: dict[str, Any], folder: Path) -> str:
+    """Return what a user reads at the end: equations, step tracking, cost, folder."""
+    cost = metrics["cost"]
+    lines = ["", "Identified equations", *(f"  {line}" for line in metrics["equations"]), ""]
+    title = f"Policy on the real plant, scenario '{metrics['scenario']}' (untrained return {metrics['untrained']['return']:.1f})"
+    lines.append(to_text(metrics["evaluation"], title))
+    lines += [
+        "",
+        f"Cost: {cost['real_steps']} real steps = {cost['plant_seconds']:.0f} s of plant time, "
+        f"{cost['imagined_transitions']} imagined transitions, {cost['updates']} gradient updates, "
+        f"{cost['wall_seconds']:.0f} s wall time",
+        f"Run folder: {folder}",
+    ]
+    return "\n".join(lines)
