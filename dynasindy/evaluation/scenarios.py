@@ -16,7 +16,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.metrics import tracking_metrics
-from dynasindy.systems import System
+from dynasindy.systems import Signature, System
 from dynasindy.tasks import Reference, Step, Tracking
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
@@ -72,25 +72,49 @@ class Evaluation:
 
     Args:
         scenario: Name of the scenario.
+        signature: Names and units of the plant.
+        columns: Indices of the tracked states.
+        time: `(T,)` times of the root entries of the trajectory [s].
         trajectory: `[episodes, T]` as `ControlEnv.rollout` writes it.
-        time: `(T,)` times of the root entries [s].
-        outputs: `(episodes, T, n_r)` tracked states at these times.
         metrics: Per row, see `dynasindy.evaluation.metrics`.
-        returns: `(episodes,)` sums of rewards.
-        stop_share: `(episodes,)` share of the run spent at a mechanical stop.
-        output_names: Names of the tracked states.
-        input_names: Names of the inputs.
     """
 
     scenario: str
-    trajectory: TensorDictBase
+    signature: Signature
+    columns: tuple[int, ...]
     time: Tensor
-    outputs: Tensor
+    trajectory: TensorDictBase
     metrics: dict[str, Tensor]
-    returns: Tensor
-    stop_share: Tensor
-    output_names: tuple[str, ...]
-    input_names: tuple[str, ...]
+
+    @property
+    def outputs(self) -> Tensor:
+        """Tracked states, `(episodes, T, n_r)`."""
+        return self.trajectory["state"][..., list(self.columns)]
+
+    @property
+    def references(self) -> Tensor:
+        """References, `(episodes, T, n_r)`."""
+        return self.trajectory["reference"]
+
+    @property
+    def inputs(self) -> Tensor:
+        """Inputs, `(episodes, T, n_u)`."""
+        return self.trajectory["action"]
+
+    @property
+    def returns(self) -> Tensor:
+        """Sums of rewards, `(episodes,)`."""
+        return self.trajectory["next", "reward"].sum((-1, -2))
+
+    @property
+    def stop_share(self) -> Tensor:
+        """Share of each run spent at a mechanical stop, `(episodes,)`."""
+        return self.trajectory["next", "at_stop"].float().mean((-1, -2))
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of the tracked states."""
+        return tuple(self.signature.state_names[i] for i in self.columns)
 
 
 def step_references(low: Sequence[float], high: Sequence[float], number: int = 64, seed: int = 0) -> Step:
@@ -137,7 +161,7 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario) -> Evaluation:
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.random.fork_rng():
         _check_action(policy, start, env.system.signature.n_u, scenario.name)
         trajectory = _run(calm, wrapped, scenario, start)
-    return _measure(calm, task, scenario, trajectory)
+    return _measure(calm, task, scenario.name, trajectory)
 
 
 def _prepare(env: ControlEnv, scenario: Scenario) -> tuple[ControlEnv, Tracking]:
@@ -188,19 +212,9 @@ def _check_action(policy: Policy, start: TensorDict, n_u: int, name: str) -> Non
         )
 
 
-def _measure(env: ControlEnv, task: Tracking, scenario: Scenario, trajectory: TensorDictBase) -> Evaluation:
-    signature, columns = env.system.signature, task.outputs
+def _measure(env: ControlEnv, task: Tracking, name: str, trajectory: TensorDictBase) -> Evaluation:
     # Root entries: state and reference at the moment an action is chosen, so that a step begins at time zero.
-    outputs = trajectory["state"][..., columns]
     time = torch.arange(trajectory.shape[-1]) * env.dt
-    return Evaluation(
-        scenario=scenario.name,
-        trajectory=trajectory,
-        time=time,
-        outputs=outputs,
-        metrics=tracking_metrics(time, outputs, trajectory["reference"], trajectory["action"]),
-        returns=trajectory["next", "reward"].sum((-1, -2)),
-        stop_share=trajectory["next", "at_stop"].float().mean((-1, -2)),
-        output_names=tuple(signature.state_names[i] for i in columns),
-        input_names=signature.input_names,
-    )
+    y, r, u = trajectory["state"][..., task.outputs], trajectory["reference"], trajectory["action"]
+    metrics = tracking_metrics(time, y, r, u)
+    return Evaluation(name, env.system.signature, tuple(task.outputs), time, trajectory, metrics)

@@ -42,7 +42,7 @@ def summarise(evaluation: Evaluation) -> Summary:
         times = evaluation.metrics["settling_time"][:, i]
         steps = times[~times.isnan()]
         summary[f"settled/{axis}"] = _number(steps.isfinite().float().mean())
-    for i, name in enumerate(evaluation.input_names):
+    for i, name in enumerate(evaluation.signature.input_names):
         for metric in CONTROL:
             summary[f"{metric}/{name}"] = _number(evaluation.metrics[metric][:, i].mean())
     return summary

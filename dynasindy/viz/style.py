@@ -69,11 +69,11 @@ def styled(draw: Callable[P, T]) -> Callable[P, T]:
     """Make a figure function draw in the module's style without leaving a trace in matplotlib's settings."""
 
     @wraps(draw)
-    def drawn(*args: P.args, **kwargs: P.kwargs) -> T:
+    def _drawn(*args: P.args, **kwargs: P.kwargs) -> T:
         with matplotlib.rc_context(STYLE):
             return draw(*args, **kwargs)
 
-    return drawn
+    return _drawn
 
 
 def panels(

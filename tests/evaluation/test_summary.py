@@ -10,28 +10,23 @@ from tensordict import TensorDict
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.evaluation.summary import summarise, to_text
+from dynasindy.systems import Signature
 
 
 def evaluation(**changes: torch.Tensor) -> Evaluation:
     metrics = {name: torch.tensor([[0.1, 0.2], [0.3, 0.4], [0.5, 0.9]]) for name in (*TRACKING, *STEP)}
     metrics |= {name: torch.tensor([[1.0], [2.0], [3.0]]) for name in CONTROL}
-    return Evaluation(
-        scenario="made up",
-        trajectory=TensorDict({}, [3, 1]),
-        time=torch.zeros(1),
-        outputs=torch.zeros(3, 1, 2),
-        metrics=metrics | changes,
-        returns=torch.tensor([-3.0, 0.0, 9.0]),
-        stop_share=torch.tensor([0.0, 0.0, 0.3]),
-        output_names=("alpha_a", "alpha_p"),
-        input_names=("u",),
-    )
+    rewards = torch.tensor([-3.0, 0.0, 9.0]).reshape(3, 1, 1)
+    at_stop = torch.tensor([False, False, True]).reshape(3, 1, 1)
+    trajectory = TensorDict({"next": TensorDict({"reward": rewards, "at_stop": at_stop}, [3, 1])}, [3, 1])
+    signature = Signature(("alpha_a", "alpha_p"), ("rad", "rad"), ("u",), (1.0, 1.0))
+    return Evaluation("made up", signature, (0, 1), torch.zeros(1), trajectory, metrics | changes)
 
 
 def test_means_of_errors_and_medians_of_times() -> None:
     summary = summarise(evaluation())
     assert summary["return"] == pytest.approx(2.0)
-    assert summary["stop_share"] == pytest.approx(0.1)
+    assert summary["stop_share"] == pytest.approx(1 / 3)
     assert summary["rmse/alpha_p"] == pytest.approx(0.5)
     assert summary["rise_time/alpha_p"] == pytest.approx(0.4)
     assert summary["control_effort/u"] == pytest.approx(2.0)

@@ -1,0 +1,141 @@
+"""What goes wrong between the laboratory and the model: wind, other parameters, noise, delay.
+
+`Pushed` and `Detuned` are plants made from a plant, for `Scenario.plant`; `SensorNoise` and `DelayedActuator`
+are policies made from a policy, for `Scenario.wrappers`.
+"""
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.scenarios import Policy
+from dynasindy.systems import Signature, System
+
+
+class Pushed(System):
+    """A plant under a constant push, such as wind on the beam: dx/dt = f(x, u) + push.
+
+    Args:
+        system: The plant.
+        push: Acceleration by name of a state, e.g. `{"Omega_a": 0.5}` [unit of the state per second].
+
+    Raises:
+        ValueError: A named state does not exist.
+    """
+
+    push: Tensor
+
+    def __init__(self, system: System, push: Mapping[str, float]) -> None:
+        super().__init__(system.signature, system.stops)
+        self.system = system
+        self.register_buffer("push", _by_name(system.signature, push, 0.0))
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Return dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
+        return self.system(x, u) + self.push.to(x)
+
+
+class Detuned(System):
+    """A plant with other parameters: dx/dt = gain * f(x, input_gain * u).
+
+    A gain of 0.9 on a rate is a moment of inertia 11 % larger, an input gain of 0.9 an amplifier 10 % weaker.
+
+    Args:
+        system: The plant.
+        gain: Factor on dx/dt by name of a state; 1 where not named.
+        input_gain: Factor on each input; 1 if omitted.
+
+    Raises:
+        ValueError: A named state does not exist, or there is not one input gain per input.
+    """
+
+    gain: Tensor
+    input_gain: Tensor
+
+    def __init__(
+        self, system: System, gain: Mapping[str, float], input_gain: Sequence[float] | None = None
+    ) -> None:
+        super().__init__(system.signature, system.stops)
+        n_u = system.signature.n_u
+        input_gain = [1.0] * n_u if input_gain is None else list(input_gain)
+        if len(input_gain) != n_u:
+            raise ValueError(
+                f"input_gain has {len(input_gain)} numbers, the plant {n_u} inputs; give one each"
+            )
+        self.system = system
+        self.register_buffer("gain", _by_name(system.signature, gain, 1.0))
+        self.register_buffer("input_gain", torch.tensor(input_gain, dtype=torch.float64))
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Return dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
+        return self.gain.to(x) * self.system(x, self.input_gain.to(u) * u)
+
+
+class SensorNoise:
+    """A policy that sees the states through noisy sensors.
+
+    Args:
+        policy: The policy.
+        env: Environment whose task makes the observation.
+        std: Standard deviation of white noise on each state [unit of the state].
+        seed: Of the noise.
+
+    Raises:
+        ValueError: There is not one standard deviation >= 0 per state.
+    """
+
+    def __init__(self, policy: Policy, env: ControlEnv, std: Sequence[float], seed: int = 0) -> None:
+        n_x = env.system.signature.n_x
+        if len(std) != n_x or not all(value >= 0 for value in std):
+            raise ValueError(f"std must hold one number >= 0 for each of the {n_x} states, got {list(std)}")
+        self.policy, self.env = policy, env
+        self.std = torch.tensor(list(std))
+        self.generator = torch.Generator().manual_seed(seed)
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the action for a noisy measurement; the true state stays in the tensordict."""
+        x, t = tensordict["state"], tensordict["step_count"] * self.env.dt
+        measured = x + self.std.to(x) * torch.randn(x.shape, generator=self.generator).to(x)
+        seen = tensordict.copy().set("state", measured)
+        seen["observation"] = self.env.task.observation(measured, tensordict["task_params"], t.to(x)).float()
+        return tensordict.set("action", self.policy(seen)["action"])
+
+
+class DelayedActuator:
+    """A policy whose actions reach the plant some control periods late; until then the inputs are zero.
+
+    Args:
+        policy: The policy.
+        env: Environment it runs in; not used.
+        periods: Delay [control periods].
+
+    Raises:
+        ValueError: `periods` is negative.
+    """
+
+    def __init__(self, policy: Policy, env: ControlEnv, periods: int) -> None:
+        if periods < 0:
+            raise ValueError(
+                f"periods of a delayed actuator must be >= 0, got {periods}; 2 are 0.1 s at 0.05 s"
+            )
+        self.policy, self.periods = policy, periods
+        self.waiting: deque[Tensor] = deque()
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the action that was chosen `periods` control periods ago."""
+        action = self.policy(tensordict)["action"]
+        if not self.waiting:
+            self.waiting.extend(torch.zeros_like(action) for _ in range(self.periods))
+        self.waiting.append(action)
+        return tensordict.set("action", self.waiting.popleft())
+
+
+def _by_name(signature: Signature, values: Mapping[str, float], default: float) -> Tensor:
+    row = torch.full((signature.n_x,), default, dtype=torch.float64)
+    for name, value in values.items():
+        row[signature.state_index(name)] = value
+    return row

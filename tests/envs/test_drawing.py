@@ -1,0 +1,52 @@
+"""Pictures: sizes, what moves in them and what does not."""
+
+import math
+
+import numpy as np
+import pytest
+
+from dynasindy.envs.drawing import HEIGHT, draw
+from dynasindy.systems import Pendulum, Tras
+
+LEVEL = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+BEAM = np.array([70, 80, 95])
+
+
+def beam_ends(pitch: float) -> tuple[float, float]:
+    """Mean heights of the beam's colour left and right of the post, in pixels above the frame's bottom."""
+    frame = draw(Tras().signature, [0.0, pitch, 0, 0, 0, 0], [0.0, 0.0], [0, 1]).astype(int)
+    rows, columns = np.nonzero(np.abs(frame[:, :HEIGHT] - BEAM).max(-1) < 12)
+    right, left = columns > 0.65 * HEIGHT, columns < 0.35 * HEIGHT
+    return HEIGHT - rows[left].mean(), HEIGHT - rows[right].mean()
+
+
+def test_frames_are_pictures_of_a_fixed_size() -> None:
+    frame = draw(Tras().signature, LEVEL, [0.4, 0.25], [0, 1], time=1.25)
+    assert frame.shape == (360, 540, 3)
+    assert frame.dtype == np.uint8
+    assert draw(Pendulum().signature, [0.1, 0.0], [0.5], [0]).shape == (360, 180, 3)
+
+
+def test_a_level_beam_looks_level_and_positive_pitch_lifts_the_main_rotor() -> None:
+    left, right = beam_ends(0.0)
+    assert left == pytest.approx(right, abs=1.5)
+    left, right = beam_ends(0.4)
+    # The main rotor is at the right end, one beam's half length (0.32 of the frame) from the pivot.
+    slope = math.atan2(right - left, 0.32 * HEIGHT * math.cos(0.4) * 2 * 0.8)
+    assert slope == pytest.approx(0.4 * math.cos(math.radians(22)), abs=0.12)
+
+
+def test_time_reference_and_speeds_change_the_picture() -> None:
+    signature = Tras().signature
+    plain = draw(signature, LEVEL, [0.0, 0.0], [0, 1])
+    assert (draw(signature, LEVEL, [0.4, 0.0], [0, 1]) != plain).any()
+    assert (draw(signature, [*LEVEL[:5], 3000.0], [0.0, 0.0], [0, 1]) != plain).any()
+    assert (draw(signature, LEVEL, [0.0, 0.0], [0, 1], time=1.0) != plain).any()
+
+
+def test_a_pendulum_at_rest_hangs() -> None:
+    frame = draw(Pendulum().signature, [0.0, 0.0], [0.0], [0]).astype(int)
+    rows, columns = np.nonzero((frame < 60).all(-1) & (np.arange(180) > 60) & (np.arange(180) < 120))
+    needle = rows[(rows > 170) & (rows < 240)]
+    assert len(needle) > 100
+    assert np.ptp(columns[(rows > 180) & (rows < 230)]) < 8

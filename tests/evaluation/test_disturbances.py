@@ -1,0 +1,78 @@
+"""Disturbances against the plant's own equations and against hand-made policies."""
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+
+from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.disturbances import DelayedActuator, Detuned, Pushed, SensorNoise
+from dynasindy.systems import Tras, Xi
+from dynasindy.tasks import Step, Tracking
+
+X = torch.rand(4, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+U = torch.rand(4, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+
+
+def make() -> ControlEnv:
+    system = Tras()
+    return ControlEnv(system, Tracking(system.signature, Step([[0.3, 0.2]])))
+
+
+def test_a_push_adds_its_acceleration_and_nothing_else() -> None:
+    change = Pushed(Xi(), {"Omega_p": -0.5})(X, U) - Xi()(X, U)
+    expected = torch.tensor([0, 0, 0, -0.5, 0, 0], dtype=torch.float64).expand(4, 6)
+    torch.testing.assert_close(change, expected)
+
+
+def test_detuning_scales_accelerations_and_inputs() -> None:
+    detuned = Detuned(Xi(), {"Omega_a": 0.9}, [1.0, 0.8])(X, U)
+    expected = Xi()(X, U * torch.tensor([1.0, 0.8], dtype=torch.float64))
+    expected[:, 2] *= 0.9
+    torch.testing.assert_close(detuned, expected)
+
+
+def test_disturbed_plants_keep_stops_and_dtype() -> None:
+    for plant in (Pushed(Tras(), {"Omega_a": 1.0}), Detuned(Tras(), {})):
+        assert plant.stops == Tras().stops
+        assert plant(X.float(), U.float()).dtype == torch.float32
+
+
+def test_noise_reaches_the_policy_and_not_the_plant() -> None:
+    env, seen = make(), []
+
+    def policy(td: TensorDictBase) -> TensorDictBase:
+        seen.append(td.clone())
+        return td.set("action", torch.zeros(*td.batch_size, 2))
+
+    std = [0.01, 0.02, 0.0, 0.0, 50.0, 0.0]
+    start = env.start_from(torch.zeros(2000, 6))
+    true = start.clone()
+    out = SensorNoise(policy, env, std, seed=3)(start)
+    torch.testing.assert_close(out["state"], true["state"])
+    torch.testing.assert_close(out["observation"], true["observation"])
+    torch.testing.assert_close(seen[0]["state"].std(0), torch.tensor(std), rtol=0.05, atol=0)
+    # The observation is made of the noisy state: scaled states first, then errors over 0.5 rad.
+    torch.testing.assert_close(seen[0]["observation"][:, 4], seen[0]["state"][:, 4] / 4000)
+    torch.testing.assert_close(seen[0]["observation"][:, 6], (0.3 - seen[0]["state"][:, 0]) / 0.5)
+    again = SensorNoise(policy, env, std, seed=3)
+    again(true)
+    torch.testing.assert_close(seen[0]["state"], seen[1]["state"], rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("periods", [0, 1, 3])
+def test_a_delay_shifts_the_actions(periods: int) -> None:
+    wrapped = DelayedActuator(lambda td: td.set("action", td["step_count"] + 1.0), make(), periods)
+    steps = [TensorDict({"step_count": torch.tensor([k])}, []) for k in range(6)]
+    actions = [wrapped(td)["action"].item() for td in steps]
+    assert actions == [0.0] * periods + [k + 1.0 for k in range(6 - periods)]
+
+
+def test_mistakes_get_one_line() -> None:
+    with pytest.raises(ValueError, match="state 'Omega' does not exist; the states are alpha_a"):
+        Pushed(Tras(), {"Omega": 1.0})
+    with pytest.raises(ValueError, match="input_gain has 1 numbers, the plant 2 inputs"):
+        Detuned(Tras(), {}, [0.9])
+    with pytest.raises(ValueError, match="each of the 6 states"):
+        SensorNoise(lambda td: td, make(), [0.1])
+    with pytest.raises(ValueError, match="periods of a delayed actuator must be >= 0"):
+        DelayedActuator(lambda td: td, make(), -1)
