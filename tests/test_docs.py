@@ -1,0 +1,85 @@
+"""The pages in docs/ say what the code says: links, names, config values and departures from the paper."""
+
+import pydoc
+import re
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+REPOSITORY = Path(__file__).parents[1]
+README = REPOSITORY / "README.md"
+PAGES = sorted((REPOSITORY / "docs").glob("*.md")) + [README]
+ALGORITHM = REPOSITORY / "docs" / "algorithm.md"
+SOURCES = sorted(
+    path
+    for folder, suffix in (("dynasindy", "py"), ("scripts", "py"), ("conf", "yaml"))
+    for path in (REPOSITORY / folder).rglob(f"*.{suffix}")
+)
+
+
+def departures(text: str) -> list[str]:
+    """Every `Departure:` of a source text, to the end of its sentence or paragraph, on one line."""
+    found = []
+    lines = [re.sub(r'^\s*#?:?\s?|"""\s*$', "", line).strip() for line in text.splitlines()]
+    for number, line in enumerate(lines):
+        if "Departure:" not in line:
+            continue
+        words = [line.partition("Departure:")[2]]
+        for following in lines[number + 1 :]:
+            if words[-1].endswith(".") or not following or "Departure:" in following:
+                break
+            words.append(following)
+        found.append(" ".join(" ".join(words).split()))
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_to_files(page):
+    targets = re.findall(r"\]\(([^)#\s]+)", page.read_text())
+    missing = [t for t in targets if "://" not in t and not (page.parent / t).exists()]
+    assert not missing
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_names_of_code_exist(page):
+    names = set(re.findall(r"`(dynasindy(?:\.\w+)+)`", page.read_text()))
+    assert not [name for name in sorted(names) if pydoc.locate(name) is None]
+
+
+@pytest.mark.parametrize(
+    "command", ["pip install -e . && python scripts/train.py", 'pip install -e ".[test]" && pytest']
+)
+def test_readme_shows_the_commands(command):
+    assert command in README.read_text()
+
+
+def test_departures_are_collected_from_comments_and_docstrings():
+    text = "# Departure: the paper does a;\n# we do b.\nx = 1\n    Departure: no c here.\n    More words.\n"
+    assert departures(text) == ["the paper does a; we do b.", "no c here."]
+
+
+def test_algorithm_page_lists_every_departure_and_no_other():
+    in_code = {
+        f"`{path.relative_to(REPOSITORY)}`: {text}"
+        for path in SOURCES
+        for text in departures(path.read_text())
+    }
+    section = ALGORITHM.read_text().partition("## Departures")[2]
+    listed = {
+        " ".join(item.split()) for item in re.findall(r"^- (.+?)(?=\n- |\n\n|\Z)", section, re.M | re.S)
+    }
+    assert listed == in_code
+
+
+@pytest.mark.parametrize(
+    ("overrides", "column"), [(["experiment=paper"], 0), ([], 1)], ids=["paper", "default"]
+)
+def test_algorithm_page_shows_the_values_of_the_configs(overrides, column):
+    with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
+        config = compose("train", overrides)
+    rows = re.findall(r"\| `([\w.]+)` \| ([^|]+) \| ([^|]+) \|$", ALGORITHM.read_text(), re.M)
+    assert len(rows) > 11  # the rows of the paper's table, and what its text sets
+    shown = {key: OmegaConf.create(f"value: {values[column]}").value for key, *values in rows}
+    assert shown == {key: OmegaConf.select(config, key) for key in shown}

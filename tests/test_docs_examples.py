@@ -1,0 +1,60 @@
+"""The files that docs/extending.md shows are written where it says, and run."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[1]
+PAGE = REPOSITORY / "docs" / "extending.md"
+BLOCKS = dict(re.findall(r"```(?:python|yaml)\n# (\S+)\n(.*?)```", PAGE.read_text(), re.S))
+COMMAND = re.search(r"^    python (scripts/train\.py .*)$", PAGE.read_text(), re.M)[1].split()
+
+
+@pytest.fixture(scope="module")
+def extended(tmp_path_factory):
+    """A copy of the repository with the files of the page in their places."""
+    root = tmp_path_factory.mktemp("extended")
+    for folder in ("dynasindy", "conf", "scripts"):
+        shutil.copytree(REPOSITORY / folder, root / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(REPOSITORY / "pyproject.toml", root)
+    for name, text in BLOCKS.items():
+        path = root / name
+        assert not path.exists(), f"{name} exists already; the page would overwrite it"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    return root
+
+
+def run(root: Path, *arguments: str) -> str:
+    """Run Python on the copied package and return what it printed."""
+    environment = os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [sys.executable, *arguments], cwd=root, env=environment, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_the_page_shows_one_file_of_each_kind_with_its_test():
+    folders = {str(Path(name).parent) for name in BLOCKS}
+    kinds = {"systems", "tasks", "excitation", "world_models"}
+    assert {f"dynasindy/{kind}" for kind in kinds} | {f"tests/{kind}" for kind in kinds} <= folders
+    assert {f"conf/{kind}" for kind in ("system", "task", "excitation", "world_model", "agent")} <= folders
+
+
+def test_tests_of_the_page_pass(extended):
+    printed = run(extended, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests")
+    assert re.search(r"^4 passed", printed, re.M)
+
+
+@pytest.mark.slow
+def test_the_command_of_the_page_trains(extended):
+    folder = extended / "run"
+    printed = run(extended, *COMMAND, "experiment=smoke", f"hydra.run.dir={folder}")
+    assert "theta' = " in printed
+    assert '"linear"' in (folder / "model.json").read_text()
