@@ -53,7 +53,7 @@ class Recipe:
         """Build the parts; nothing is written and no step is taken.
 
         Raises:
-            ValueError: A part refuses its settings.
+            ValueError: A part refuses its settings, or the excitation is longer than an episode.
         """
         seeds = torch.randint(2**31, (5,), generator=torch.Generator().manual_seed(self.seed)).tolist()
         signature = self.system.signature
@@ -62,11 +62,17 @@ class Recipe:
         model_env = plant.with_system(world_model, torch.float32, seed=seeds[1])
         agent = self.agent(n_obs=plant.task.n_o, n_u=signature.n_u, seed=seeds[2])
         replay = self.replay(seed=seeds[3])
+        excitation = self.excitation(n_u=signature.n_u, dt=plant.dt)
+        if excitation.n_steps > plant.task.max_steps:
+            raise ValueError(
+                f"an excitation of {excitation.n_steps * plant.dt:g} s does not fit into an episode of "
+                f"{plant.task.max_steps * plant.dt:g} s; shorten excitation.duration or raise task.max_steps"
+            )
         return Parts(
             plant=plant,
             env=TransformedEnv(plant, ModelPrediction(model_env)),
             model_env=model_env,
-            excitation=self.excitation(n_u=signature.n_u, dt=plant.dt),
+            excitation=excitation,
             world_model=world_model,
             agent=agent,
             replay=replay,

@@ -58,16 +58,17 @@ class Imagination(Transform):
         rollout = self.env.rollout(
             self.horizon, self.policy, auto_reset=False, tensordict=starts, break_when_any_done=False
         )
-        kept, last = _kept(rollout["next", "state"], self.limit)
+        kept, last = _kept(rollout["next"], self.limit)
         rollout["next", "truncated"] = rollout["next", "done"] = last.unsqueeze(-1)
         return rollout.select(*LEARN_KEYS)[kept]
 
 
-def _kept(states: Tensor, limit: Tensor | None) -> tuple[Tensor, Tensor]:
+def _kept(following: TensorDictBase, limit: Tensor | None) -> tuple[Tensor, Tensor]:
     """Return which steps precede the cut and which of them is the last of its rollout, `(batch, horizon)` bool."""
-    sound = states.isfinite().all(-1)
+    states = following["state"]
+    sound = torch.cat([states, following["observation"], following["reward"]], -1).isfinite().all(-1)
     if limit is not None:
         sound = sound & (states.abs() <= limit.to(states)).all(-1)
     kept = sound.long().cumprod(-1).bool()
-    following = torch.cat([kept[:, 1:], torch.zeros_like(kept[:, :1])], -1)
-    return kept, kept & ~following
+    after = torch.cat([kept[:, 1:], torch.zeros_like(kept[:, :1])], -1)
+    return kept, kept & ~after

@@ -1,0 +1,30 @@
+import torch
+from tensordict.nn import TensorDictModule
+
+from dynasindy.data.recording import transitions
+from dynasindy.envs import ControlEnv
+from dynasindy.systems import Tras, rk4
+from dynasindy.tasks import Step, Tracking
+
+
+def rollout(u, steps):
+    plant = Tras()
+    env = ControlEnv(plant, Tracking(plant.signature, Step([[0.0, 0.0]])), dtype=torch.float64)
+    policy = TensorDictModule(lambda o: torch.tensor(u), in_keys=["observation"], out_keys=["action"])
+    return env.rollout(steps, policy)
+
+
+def test_every_logged_sample_becomes_a_transition_of_the_plant():
+    data = transitions(rollout([0.2, 0.4], 20), 0.01)
+    assert len(data) == 100 and data.dt == 0.01
+    assert torch.allclose(rk4(Tras(), data.x, data.u, 0.01), data.x_next, rtol=1e-12)
+
+
+def test_periods_at_a_stop_are_left_out_and_break_the_segment():
+    rows = rollout([1.0, 1.0], 300)
+    at_stop = rows["next", "at_stop"].flatten()
+    assert 0 < at_stop.sum() < 300
+    data = transitions(rows, 0.01)
+    assert len(data) == 5 * int((~at_stop).sum())
+    follows = data.segment[1:] == data.segment[:-1]
+    assert torch.equal(data.x[1:][follows], data.x_next[:-1][follows])

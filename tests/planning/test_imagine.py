@@ -1,0 +1,71 @@
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+
+from dynasindy.data import LEARN_KEYS
+from dynasindy.envs import ControlEnv
+from dynasindy.planning import Imagination
+from dynasindy.systems import System, Tras
+from dynasindy.tasks import Step, Tracking
+
+POLICY = TensorDictModule(lambda o: o[..., :2] * 0 + 0.3, in_keys=["observation"], out_keys=["action"])
+
+
+def make_env(system=None):
+    plant = Tras()
+    env = ControlEnv(plant, Tracking(plant.signature, Step([[0.1, 0.1]])))
+    return env.with_system(system) if system else env
+
+
+class Explosion(System):
+    """The pitch doubles every period; row k starts at its own value."""
+
+    def __init__(self):
+        super().__init__(Tras().signature)
+
+    def forward(self, x, u):
+        return x * (torch.log(torch.tensor(2.0)) / 0.05)
+
+
+def test_starts_in_transitions_out_on_any_buffer():
+    buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(1000), batch_size=16)
+    buffer.append_transform(Imagination(make_env(), POLICY, horizon=7))
+    buffer.extend(TensorDict({"state": torch.zeros(5, 6)}, [5]))
+    assert len(buffer) == 35
+    stored = set(buffer[:].keys(include_nested=True, leaves_only=True)) - {"index"}
+    assert stored == set(LEARN_KEYS)
+
+
+def test_imagined_with_the_true_plant_equals_real():
+    env = make_env()
+    imagined = Imagination(env, POLICY, horizon=6).imagine(torch.zeros(1, 6))
+    real = env.rollout(6, POLICY)
+    for key in ("observation", "action", ("next", "observation"), ("next", "reward")):
+        assert torch.equal(imagined[key], real[key]), key
+
+
+def test_ends_are_truncated_and_never_terminated():
+    imagined = Imagination(make_env(), POLICY, horizon=4).imagine(torch.zeros(2, 6))
+    ends = imagined["next", "truncated"].flatten().reshape(2, 4)
+    assert ends.tolist() == [[False, False, False, True]] * 2
+    assert torch.equal(imagined["next", "done"], imagined["next", "truncated"])
+    assert not imagined["next", "terminated"].any()
+
+
+def test_a_rollout_is_cut_before_it_leaves_the_limit():
+    # 0.01 doubles to 0.02, 0.04, 0.08, 0.16: three transitions stay within 0.1; 0.04 -> 0.08 stays, once.
+    starts = torch.zeros(2, 6)
+    starts[:, 1] = torch.tensor([0.01, 0.04])
+    imagination = Imagination(make_env(Explosion()), POLICY, horizon=10, limit=torch.full((6,), 0.1))
+    imagined = imagination.imagine(starts)
+    assert len(imagined) == 3 + 1
+    assert imagined["next", "truncated"].flatten().tolist() == [False, False, True, True]
+
+
+def test_what_is_not_finite_is_never_stored():
+    starts = torch.zeros(3, 6)
+    starts[:, 4] = 1e30  # a rotor speed that overflows float32 after some doublings
+    imagined = Imagination(make_env(Explosion()), POLICY, horizon=50).imagine(starts)
+    assert 0 < len(imagined) < 150
+    assert all(imagined[key].isfinite().all() for key in LEARN_KEYS)

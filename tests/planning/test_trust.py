@@ -1,0 +1,36 @@
+import pytest
+import torch
+
+from dynasindy.envs import ControlEnv
+from dynasindy.planning import Gate, ModelError, replay_error
+from dynasindy.systems import Tras, Xi
+from dynasindy.tasks import Step, Tracking
+
+
+def errors(*rewards):
+    return [ModelError(r, 0.0, torch.zeros(0)) for r in rewards]
+
+
+def test_the_gate_has_hysteresis():
+    gate = Gate(open_below=0.1, close_above=0.3, is_open=True)
+    decisions = [gate.judge(error) for error in errors(0.2, 0.29, 0.31, 0.2, 0.11, 0.1, 0.2)]
+    assert decisions == [True, True, False, False, False, True, True]
+
+
+def test_an_infinite_error_closes():
+    assert not Gate().judge(errors(float("inf"))[0])
+
+
+def test_a_gate_that_closes_below_its_opening_is_refused():
+    with pytest.raises(ValueError, match="open_below"):
+        Gate(open_below=0.3, close_above=0.1)
+
+
+def test_the_true_model_has_no_error_and_another_has():
+    plant = Tras()
+    env = ControlEnv(plant, Tracking(plant.signature, Step([[0.1, 0.1]])), dtype=torch.float64)
+    episode = env.rollout(100)
+    right, wrong = replay_error(env, episode), replay_error(env.with_system(Xi()), episode)
+    assert right.reward_error == pytest.approx(0, abs=1e-6) and right.state_error == 0
+    assert wrong.state_error > 0.01
+    assert torch.equal(right.states, episode["next", "state"])
