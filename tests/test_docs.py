@@ -10,7 +10,7 @@ from omegaconf import OmegaConf
 
 REPOSITORY = Path(__file__).parents[1]
 README = REPOSITORY / "README.md"
-PAGES = sorted((REPOSITORY / "docs").glob("*.md")) + [README]
+PAGES = [*sorted((REPOSITORY / "docs").glob("*.md")), README]
 ALGORITHM = REPOSITORY / "docs" / "algorithm.md"
 SOURCES = sorted(
     path
