@@ -120,6 +120,8 @@ class Evaluation:
 def step_references(low: Sequence[float], high: Sequence[float], number: int = 64, seed: int = 0) -> Step:
     """Return `number` fixed step references that fill a box evenly (scrambled Sobol points).
 
+    The first, which figures show, is the one nearest to three quarters of the upper ends.
+
     Args:
         low: Lower end per output; keep to angles that the plant can hold [rad].
         high: Upper end per output [rad].
@@ -134,7 +136,9 @@ def step_references(low: Sequence[float], high: Sequence[float], number: int = 6
             f"low={list(low)} and high={list(high)} differ in length; give one end per output in each"
         )
     points = torch.quasirandom.SobolEngine(len(low), scramble=True, seed=seed).draw(number)
-    return Step(torch.lerp(torch.tensor(low), torch.tensor(high), points).tolist())
+    targets = torch.lerp(torch.tensor(low), torch.tensor(high), points)
+    worth_a_figure = 0.75 * torch.tensor(high)
+    return Step(targets[(targets - worth_a_figure).square().sum(-1).argsort()].tolist())
 
 
 @torch.no_grad()

@@ -1,0 +1,37 @@
+"""An evaluation on disk: its figures as JSON, one row of its trajectory as CSV."""
+
+import csv
+import json
+from pathlib import Path
+
+import torch
+
+from dynasindy.evaluation.scenarios import Evaluation
+from dynasindy.evaluation.summary import summarise
+
+
+def save_evaluation(evaluation: Evaluation, folder: Path, row: int = 0) -> list[Path]:
+    """Write `<scenario>.json` (the summary) and `<scenario>.csv` (states, inputs and references of one row).
+
+    Args:
+        evaluation: What to write.
+        folder: Where; made if missing.
+        row: Which reference goes into the CSV file.
+
+    Returns:
+        The files.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    figures, table = (folder / f"{evaluation.scenario}.{suffix}" for suffix in ("json", "csv"))
+    record = {"scenario": evaluation.scenario, "rows": len(evaluation.outputs), **summarise(evaluation)}
+    figures.write_text(json.dumps(record, indent=2, allow_nan=False) + "\n")
+    signature = evaluation.signature
+    header = [*signature.state_names, *signature.input_names]
+    header += [f"reference_{name}" for name in evaluation.output_names]
+    parts = (evaluation.trajectory["state"], evaluation.inputs, evaluation.references)
+    values = torch.cat([evaluation.time.unsqueeze(-1), *(part[row] for part in parts)], -1)
+    with table.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["time", *header])
+        writer.writerows([[f"{value:.9g}" for value in line] for line in values.tolist()])
+    return [figures, table]

@@ -1,0 +1,54 @@
+"""The figures of an evaluation: its first row over time and, over many references, the error."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from dynasindy.evaluation.scenarios import Evaluation
+from dynasindy.viz.response import error_fan, step_response, tracking
+from dynasindy.viz.style import save
+
+
+def draw_evaluation(
+    evaluation: Evaluation, folder: Path, label: str = "policy", formats: Sequence[str] = ("png",)
+) -> list[Path]:
+    """Draw an evaluation into a folder, in files that begin with the scenario's name.
+
+    Args:
+        evaluation: What to draw.
+        folder: Where; made if missing.
+        label: Name of the controller in the legend.
+        formats: File formats, e.g. ("png", "svg").
+
+    Returns:
+        The files.
+    """
+    files = []
+    for name, figure in figures(evaluation, label).items():
+        files += save(figure, folder / name, formats)
+    return files
+
+
+def figures(evaluation: Evaluation, label: str = "policy", row: int = 0) -> dict[str, Figure]:
+    """Return the figures by name of file: one row over time and, of several rows, the spread of the error."""
+    name, reference = evaluation.scenario, evaluation.references[row]
+    # A constant reference is a step; what moves has no settling band.
+    draw = step_response if bool((reference == reference[0]).all()) else tracking
+    drawn = {
+        name: draw(
+            evaluation.time,
+            reference,
+            {label: evaluation.outputs[row]},
+            {label: evaluation.inputs[row]},
+            evaluation.output_names,
+            evaluation.signature.input_names,
+            title=f"Scenario '{name}'",
+        )
+    }
+    if len(evaluation.outputs) > 1:
+        title = f"Scenario '{name}': error over all references"
+        drawn[f"{name}_errors"] = error_fan(
+            evaluation.time, evaluation.outputs, evaluation.references, evaluation.output_names, title
+        )
+    return drawn

@@ -1,0 +1,81 @@
+"""The evaluation script on a run folder that holds an untrained policy, as a user runs it."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+
+REPOSITORY = Path(__file__).parents[2]
+SCENARIOS = sorted(path.stem for path in (REPOSITORY / "conf" / "scenario").glob("*.yaml"))
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
+        config = compose("train", [f"folder={folder}", "experiment=smoke", "env.substeps=1"])
+    (folder / "config.yaml").write_text(OmegaConf.to_yaml(config, resolve=True))
+    policy = instantiate(config.agent, _convert_="all")(n_obs=8, n_u=2).deployed
+    torch.save(policy.state_dict(), folder / "policy.pt")
+    return folder
+
+
+@pytest.fixture
+def saved_run(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.syspath_prepend(REPOSITORY / "scripts")
+    import saved_run
+
+    return saved_run
+
+
+def evaluate(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(REPOSITORY / "scripts" / "evaluate.py"), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_it_writes_tables_figures_and_an_animation(run_folder: Path) -> None:
+    done = evaluate(f"run={run_folder}", "scenarios=[delay]", "animate=true", "formats=[svg]")
+    assert done.returncode == 0, done.stderr
+    assert "Scenario 'delay' (64 references)" in done.stdout
+    names = {path.name for path in (run_folder / "evaluation").iterdir()}
+    assert names == {"delay.json", "delay.csv", "delay.svg", "delay_errors.svg", "delay.gif"}
+    assert json.loads((run_folder / "evaluation" / "delay.json").read_text())["rows"] == 64
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run=nowhere"], "error: nowhere is not a run folder"),
+        ([], "error: run is not given; give run=PATH"),
+    ],
+)
+def test_mistakes_of_a_user_get_one_line_and_no_folder(arguments: list[str], message: str) -> None:
+    done = evaluate(*arguments)
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].startswith(message)
+    assert not Path("nowhere").exists()
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_every_scenario_is_built_under_its_own_name(name: str, run_folder: Path, saved_run) -> None:
+    scenario = saved_run.load_scenario(name, saved_run.load_config(run_folder))
+    assert scenario.name == name
+
+
+def test_unknown_scenarios_and_unfinished_runs_are_refused(
+    run_folder: Path, tmp_path: Path, saved_run
+) -> None:
+    config = saved_run.load_config(run_folder)
+    with pytest.raises(ValueError, match=r"scenario 'stepp' is unknown; use some of delay, .*wind"):
+        saved_run.load_scenario("stepp", config)
+    with pytest.raises(FileNotFoundError, match=r"has no policy\.pt, its run did not end"):
+        saved_run.load_policy(config, tmp_path)
+    torch.save({"weight": torch.zeros(3)}, tmp_path / "policy.pt")
+    with pytest.raises(ValueError, match=r"does not fit its config\.yaml"):
+        saved_run.load_policy(config, tmp_path)

@@ -1,0 +1,48 @@
+"""Figures of an evaluation: which kind is drawn for which scenario."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
+from dynasindy.systems import Pendulum, Tras
+from dynasindy.tasks import Reference, Step, Tracking, TrackingReward, Wave
+from dynasindy.viz.evaluation import draw_evaluation, figures
+
+
+def run(reference: Reference, episodes: int) -> Evaluation:
+    system = Tras()
+    env = ControlEnv(system, Tracking(system.signature, reference), substeps=1)
+    scenario = Scenario("short", reference, episodes, seconds=1.0)
+    return evaluate(env, lambda td: td.set("action", torch.zeros(*td.batch_size, 2)), scenario)
+
+
+@pytest.mark.parametrize("episodes", [1, 3])
+def test_many_references_add_the_spread_of_the_error(episodes: int, tmp_path: Path) -> None:
+    files = draw_evaluation(run(Step([[0.1, 0.1]]), episodes), tmp_path, formats=("png", "svg"))
+    names = {file.name for file in files}
+    assert names == {"short.png", "short.svg"} | (
+        {"short_errors.png", "short_errors.svg"} if episodes > 1 else set()
+    )
+    assert all(file.stat().st_size > 1000 for file in files)
+
+
+def test_steps_show_their_settling_band_and_waves_do_not() -> None:
+    assert figures(run(Step([[0.1, 0.1]]), 1))["short"].axes[0].patches
+    assert not figures(run(Wave([0.3, 0.2], [0.5, 0.5]), 1))["short"].axes[0].patches
+
+
+def test_other_plants_get_their_own_labels() -> None:
+    system = Pendulum()
+    task = Tracking(
+        system.signature, Step([[0.5]]), ["theta"], ["Omega"], TrackingReward(error_weights=(4.0,))
+    )
+    result = evaluate(
+        ControlEnv(system, task),
+        lambda td: td.set("action", torch.zeros(*td.batch_size, 1)),
+        Scenario("hang", seconds=1.0),
+    )
+    labels = [axis.get_ylabel() for axis in figures(result)["hang"].axes]
+    assert labels == [r"$\theta$ [rad]", "$u$ [-]"]

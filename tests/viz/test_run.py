@@ -1,0 +1,56 @@
+"""The figures of a run folder, from files written by hand."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynasindy.systems import Pendulum
+from dynasindy.viz.run import draw_run, read_table
+
+TIME = [f"{0.05 * k:.2f}" for k in range(200)]
+
+
+def write(path: Path, header: str, *columns: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lines = [",".join([t, *columns]) for t in TIME]
+    path.write_text("\n".join([header, *lines]) + "\n")
+
+
+def test_every_figure_whose_data_are_there_is_drawn(tmp_path: Path) -> None:
+    write(
+        tmp_path / "data" / "excitation.csv", "time,theta,Omega,u,reference_theta", "0.1", "0.2", "0.3", "0.0"
+    )
+    write(
+        tmp_path / "data" / "step_response.csv",
+        "time,theta,Omega,u,reference_theta",
+        "0.1",
+        "0",
+        "0.3",
+        "0.5",
+    )
+    drawn = {file.name for file in draw_run(tmp_path, Pendulum().signature)}
+    assert drawn == {"excitation.png", "training_data.png", "step_response.png"}
+
+    names = "time,theta,Omega,predicted_theta,predicted_Omega"
+    write(tmp_path / "data" / "prediction_first_episode.csv", names, "0.1", "0.2", "0.1", "0.2")
+    (tmp_path / "progress.csv").write_text(
+        "episode,return,one_step_reward_error,evaluated_return\n1,-5,0.1,\n2,-3,0.01,-2\n"
+    )
+    files = draw_run(tmp_path, Pendulum().signature, formats=("svg",))
+    assert {"prediction_first_episode.svg", "learning_curve.svg", "model_error.svg"} <= {
+        f.name for f in files
+    }
+    assert all(file.parent == tmp_path / "figures" for file in files)
+
+
+def test_empty_cells_are_nan(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("a,b\n1,\n2,3.5\n")
+    table = read_table(tmp_path / "t.csv")
+    np.testing.assert_array_equal(table["a"], [1.0, 2.0])
+    np.testing.assert_array_equal(table["b"], [np.nan, 3.5])
+
+
+def test_a_missing_file_gets_one_line(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="does not exist; give the folder of a finished run"):
+        read_table(tmp_path / "progress.csv")
