@@ -1,36 +1,106 @@
-"""What the scripts share: errors of a user's making become one line."""
+"""What the scripts share: a Hydra command whose user's errors are one line each."""
 
 import os
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from difflib import get_close_matches
+from functools import wraps
+from pathlib import Path
 
-os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors reach `one_line_errors` instead of Hydra's printer
+os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # read when torchrl is imported
+os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors reach us instead of Hydra's printer
 
+import hydra
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, InstantiationException
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-OURS = (ValueError, TypeError, KeyError, FileNotFoundError)
+CONF = Path(__file__).resolve().parents[1] / "conf"
+MENDABLE = (ValueError, TypeError, KeyError, FileNotFoundError, HydraException, OmegaConfBaseException)
 
 
-def one_line_errors(main: Callable[[], None]) -> None:
-    """Run a Hydra main and print what a user can mend as one line, with exit code 2."""
+def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
+    """Make a function of a config a command: a bad setting or file costs one line and exit code 2.
+
+    A run folder without files is removed; one with files keeps them, and the line, as `error.txt`. Set
+    DYNASINDY_TRACEBACK=1 to see where an error comes from.
+    """
+
+    def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
+        @wraps(task)
+        def guarded(cfg: DictConfig) -> None:
+            with _one_line(config_name):
+                task(cfg)
+
+        main = hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)(guarded)
+
+        def run() -> None:
+            with _one_line(config_name):
+                main()
+
+        return run
+
+    return decorate
+
+
+@contextmanager
+def _one_line(config_name: str) -> Iterator[None]:
     try:
-        main()
-    except (HydraException, OmegaConfBaseException, *OURS) as error:
+        yield
+    except MENDABLE as error:
         if os.environ.get("DYNASINDY_TRACEBACK"):
             raise
-        print(f"error: {_words(error)}", file=sys.stderr)
+        line = f"error: {_words(error, config_name)}"
+        _leave_word(line)
+        print(line, file=sys.stderr)
         sys.exit(2)
 
 
-def _words(error: BaseException) -> str:
-    """Return the innermost message of an error of Hydra's, or the message itself, on one line."""
-    while isinstance(error, HydraException) and not str(error).strip() and error.__cause__:
+def _words(error: BaseException, config_name: str) -> str:
+    """Return the innermost message of an error on one line, with what is allowed where it names a key."""
+    part = ""
+    while isinstance(error, InstantiationException) and error.__cause__ is not None:
+        part = str(error).rpartition("full_key: ")[2].strip()
         error = error.__cause__
-    where = ""
-    if isinstance(error, InstantiationException):
-        key = str(error).rpartition("full_key: ")[2].strip()
-        where = f"{key}: " if "full_key" in str(error) else ""
-        while error.__cause__ is not None:
-            error = error.__cause__
-    return where + " ".join(str(error).strip("'\"").split())
+    if part and not isinstance(error, ValueError):
+        return f"{part} got a setting of the wrong type or name ({error}); compare it with conf/"
+    text = " ".join(str(error).strip("'\"").split()).partition(" Config search path:")[0]
+    misspelt = re.search(r"Could not override '([^']+)'", text)
+    return _allowed_keys(misspelt[1], config_name) if misspelt else text
+
+
+def _allowed_keys(key: str, config_name: str) -> str:
+    """Return which keys stand where a misspelt one was given."""
+    GlobalHydra.instance().clear()
+    others = [word for word in sys.argv[1:] if "=" in word and not word.lstrip("+~").startswith(f"{key}=")]
+    with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
+        node = hydra.compose(config_name, overrides=others)
+    given, parent = key.split("."), []
+    for step in given[:-1]:
+        if not (step in node and OmegaConf.is_dict(node[step])):
+            break
+        node = node[step]
+        parent.append(step)
+    name = ".".join(given[len(parent) :])
+    names = sorted(str(k) for k in node if not str(k).startswith("_"))
+    guess = get_close_matches(name, names, 1)
+    hint = f"; did you mean '{guess[0]}'?" if guess else ""
+    where = f" in '{'.'.join(parent)}'" if parent else ""
+    return f"'{name}' does not exist{where}; allowed are {', '.join(names)}{hint}"
+
+
+def _leave_word(line: str) -> None:
+    """Remove the run folder if it is empty; else write the line into it."""
+    if not HydraConfig.initialized():
+        return
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    if not folder.is_dir():
+        return
+    if any(folder.iterdir()):
+        (folder / "error.txt").write_text(line + "\n")
+    else:
+        folder.rmdir()
