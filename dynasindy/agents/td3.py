@@ -24,9 +24,8 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictSequential
 from torch import Tensor, nn
 from torch.optim import Adam
-from torchrl.objectives import SoftUpdate
 
-from dynasindy.agents.loss import TD3Loss
+from dynasindy.agents.loss import SoftUpdate, TD3Loss
 from dynasindy.agents.networks import actor, critic
 from dynasindy.agents.noise import DecayingGaussian
 

@@ -7,6 +7,7 @@ from tensordict import TensorDict
 from torchrl.objectives import SoftUpdate, ValueEstimators
 from torchrl.objectives import TD3Loss as TorchRLTD3Loss
 
+from dynasindy.agents.loss import SoftUpdate as OurSoftUpdate
 from dynasindy.agents.loss import TD3Loss
 from dynasindy.agents.networks import actor, critic
 
@@ -139,3 +140,20 @@ def test_moving_to_float64_moves_what_is_evaluated():
     td = batch().apply(lambda x: x.double() if x.is_floating_point() else x)
     assert loss.value_loss(td)[0].dtype == torch.float64
     assert loss.critic_layers[0].weight is loss.qvalue_network_params["module", "linears", "0", "weight"]
+
+
+def test_soft_update_equals_torchrl():
+    loss = ours()
+    plain = theirs(loss, False)
+    SoftUpdate(loss, tau=0.3)  # copies the sources into the targets
+    ours_updater, theirs_updater = OurSoftUpdate(loss, tau=0.3), SoftUpdate(plain, tau=0.3)
+    for module in (loss, plain):
+        torch.manual_seed(5)
+        for p in [*module.actor_network_params.parameters(), *module.qvalue_network_params.parameters()]:
+            p.data.add_(torch.randn_like(p))
+    before = loss.target_actor_layers[0].weight.clone()
+    ours_updater.step()
+    theirs_updater.step()
+    assert not torch.equal(before, loss.target_actor_layers[0].weight)
+    for name, value in plain.state_dict().items():
+        torch.testing.assert_close(loss.state_dict()[name], value)

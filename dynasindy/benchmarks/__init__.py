@@ -1,0 +1,1 @@
+"""Measurements against other software: one module each, with a `main(argv)`."""
