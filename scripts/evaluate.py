@@ -1,13 +1,10 @@
 """Evaluate a policy: `python scripts/evaluate.py run=PATH 'scenarios=[step,sine,wind]' [animate=true]`."""
 
-import os
 from pathlib import Path
 
-os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
+from command import command  # first: it sets what torchrl reads when it is imported
 
-import hydra
 import torch
-from command import one_line_errors
 from omegaconf import DictConfig
 from saved_run import load_config, load_policy, load_scenario
 
@@ -18,7 +15,7 @@ from dynasindy.viz.animation import animate
 from dynasindy.viz.evaluation import draw_evaluation
 
 
-@hydra.main(version_base="1.3", config_path="../conf", config_name="evaluate")
+@command("evaluate")
 def main(cfg: DictConfig) -> None:
     """Run the policy in each scenario, print its table and write its figures."""
     torch.set_num_threads(cfg.threads)
@@ -42,4 +39,4 @@ def main(cfg: DictConfig) -> None:
 
 
 if __name__ == "__main__":
-    one_line_errors(main)
+    main()
