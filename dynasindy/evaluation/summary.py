@@ -49,26 +49,34 @@ def summarise(evaluation: Evaluation) -> Summary:
 
 
 def to_text(summary: Mapping[str, float | None], title: str = "") -> str:
-    """Return a table of a summary, metrics down and axes across, aligned for a terminal."""
+    """Return a table of a summary, metrics down and axes across, aligned for a terminal.
+
+    Where the scenario has no steps, their metrics are left out.
+    """
     axes = _columns(summary, "rmse")
     inputs = _columns(summary, "control_effort")
     lines = [title] if title else []
     lines.append(f"{'':38s}" + "".join(f"{name:>12s}" for name in axes))
-    for name in (*TRACKING, *STEP, "settled"):
+    stepped = any(summary[f"settled/{axis}"] is not None for axis in axes)
+    for name in (*TRACKING, *((*STEP, "settled") if stepped else ())):
         lines.append(_row(name, summary, axes))
     lines.append(f"{'':38s}" + "".join(f"{name:>12s}" for name in inputs))
     for name in CONTROL:
         lines.append(_row(name, summary, inputs))
     total, stops = summary["return"], summary["stop_share"]
     lines.append(f"{'return':38s}{_cell(total):>12s}")
-    lines.append(f"{'share of time at a stop [%]':38s}{_cell(None if stops is None else 100 * stops):>12s}")
+    lines.append(f"{'share of time at a stop [%]':38s}{_cell(stops, 100.0):>12s}")
     return "\n".join(lines)
 
 
 def _row(metric: str, summary: Mapping[str, float | None], columns: Sequence[str]) -> str:
     unit, factor = ("%", 100.0) if metric == "settled" else (UNITS[metric], 1.0)
     cells = [summary[f"{metric}/{column}"] for column in columns]
-    values = "".join(f"{_cell(None if cell is None else factor * cell):>12s}" for cell in cells)
+    # Among steps, a time without a number is one that most of them never reach.
+    never = [metric.endswith("_time") and summary[f"settled/{column}"] is not None for column in columns]
+    values = "".join(
+        f"{_cell(v, factor, 'never' if n else '-'):>12s}" for v, n in zip(cells, never, strict=True)
+    )
     return f"{f'{WORDS[metric]} [{unit}]':38s}" + values
 
 
@@ -76,8 +84,8 @@ def _columns(summary: Mapping[str, float | None], metric: str) -> list[str]:
     return [key.partition("/")[2] for key in summary if key.startswith(f"{metric}/")]
 
 
-def _cell(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"
+def _cell(value: float | None, factor: float = 1.0, missing: str = "-") -> str:
+    return missing if value is None else f"{factor * value:.4g}"
 
 
 def _number(value: Tensor) -> float | None:

@@ -53,3 +53,22 @@ def test_the_table_names_every_metric_with_its_unit() -> None:
     row = next(line for line in lines if line.startswith("overshoot [%]"))
     assert row.split()[-2:] == ["-", "-"]
     assert len({len(line) for line in lines[2:9]}) == 1
+
+
+def row(text: str, start: str) -> list[str]:
+    return next(line for line in text.splitlines() if line.startswith(start)).split()
+
+
+def test_the_table_says_never_where_most_steps_do_not_settle() -> None:
+    times = torch.tensor([[math.inf, math.nan], [math.inf, math.nan], [2.0, math.nan]])
+    text = to_text(summarise(evaluation(settling_time=times)))
+    assert row(text, "settling time")[-2:] == ["never", "-"]
+    assert row(text, "settled within")[-2:] == ["33.33", "-"]
+
+
+def test_the_table_of_a_wave_leaves_the_metrics_of_steps_out() -> None:
+    undefined = torch.full((3, 2), math.nan)
+    text = to_text(summarise(evaluation(**dict.fromkeys(STEP, undefined))))
+    assert "settl" not in text
+    assert "overshoot" not in text
+    assert row(text, "RMSE")[-2:] == ["0.3", "0.5"]
