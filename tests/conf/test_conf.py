@@ -1,0 +1,69 @@
+"""Every option of every group composes and its parts are built."""
+
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
+
+from dynasindy.dyna.experiment import Recipe
+
+CONF = Path(__file__).resolve().parents[2] / "conf"
+GROUPS = ("system", "task", "excitation", "world_model", "planning", "agent", "scenario", "experiment")
+OPTIONS = [f"{group}={file.stem}" for group in GROUPS for file in sorted((CONF / group).glob("*.yaml"))]
+ABSTRACT = {"task=tracking"}
+
+
+def build(*overrides):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        cfg = compose("train", overrides=list(overrides))
+    parts = {f.name: instantiate(cfg[f.name], _convert_="all") for f in fields(Recipe) if f.name != "seed"}
+    instantiate(cfg.scenario, _convert_="all")
+    return cfg, Recipe(**parts, seed=cfg.seed).build()
+
+
+@pytest.mark.parametrize("option", sorted(set(OPTIONS) - ABSTRACT))
+def test_every_option_is_built(option):
+    build(option)
+
+
+@pytest.mark.parametrize("system", sorted(file.stem for file in (CONF / "system").glob("*.yaml")))
+@pytest.mark.parametrize("planning", ["none", "dyna"])
+def test_every_plant_goes_with_and_without_planning(system, planning):
+    _, parts = build(f"system={system}", f"planning={planning}", "experiment=smoke")
+    assert parts.world_model.signature == parts.plant.system.signature
+
+
+def test_the_paper_experiment_holds_every_row_of_its_table():
+    cfg, parts = build("experiment=paper")
+    agent = parts.agent.settings
+    assert cfg.env.dt == 0.05 and parts.plant.dt == 0.05  # sampling time
+    assert parts.plant.task.max_steps == 400
+    assert agent.critic_lr == agent.actor_lr == 1e-4
+    assert agent.gamma == 0.995
+    assert cfg.replay.capacity == 2_000_000
+    assert cfg.replay.batch_size == 512
+    assert agent.exploration_noise == 0.15
+    assert agent.noise_decay == 1e-3
+    assert agent.tau == 0.005
+    assert agent.target_update_interval == 10
+    assert tuple(agent.hidden) == (400, 300)
+    assert parts.plant.task.reward_function.error_shape == "quadratic"
+    assert parts.planner.rollouts in (400, 800)
+
+
+def test_the_excitation_of_the_default_is_a_thousand_samples():
+    cfg, parts = build()
+    assert parts.excitation.n_steps * cfg.env.substeps == 1000
+    assert parts.model_env.log_dt == pytest.approx(0.01)
+
+
+def test_every_key_of_the_main_config_is_explained():
+    lines = (CONF / "train.yaml").read_text().splitlines()
+    for above, line in zip(lines, lines[1:], strict=False):
+        key = line.strip().partition(":")[0]
+        if line.startswith("  ") and ":" in line and not key.startswith(("-", "_", "path")) and "hydra" not in line:
+            if any(line.strip().startswith(word) for word in ("job", "run", "sweep", "dir", "subdir", "chdir", "output")):
+                continue
+            assert above.strip().startswith("#"), f"{line.strip()} has no sentence above it"

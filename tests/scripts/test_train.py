@@ -1,0 +1,64 @@
+"""The main job as a user runs it."""
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA = ("excitation", "prediction_first_episode", "step_response")
+
+
+def run(*overrides, cwd):
+    command = [sys.executable, str(ROOT / "scripts" / "train.py"), *overrides]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300)
+
+
+def test_the_smoke_run_leaves_a_complete_folder_and_says_what_came_of_it(tmp_path):
+    done = run("experiment=smoke", f"hydra.run.dir={tmp_path / 'run'}", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    folder = tmp_path / "run"
+    files = {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()}
+    assert {"config.yaml", "progress.csv", "metrics.json", "policy.pt", "model.json"} <= files
+    assert {f"data/{name}.csv" for name in DATA} <= files
+    assert {f"figures/{name}.png" for name in (*DATA, "learning_curve", "training_data", "model_error")} <= files
+    assert "scalars/scalars/return.csv" in files
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["cost"]["real_steps"] == 600 and metrics["cost"]["plant_seconds"] == pytest.approx(30.0)
+    with (folder / "progress.csv").open() as file:
+        (row,) = csv.DictReader(file)
+    assert int(float(row["real_steps"])) == 600
+    for words in ("Omega_p' = ", "steady-state error", "overshoot", "settling time", "RMSE", "600 real steps", str(folder)):
+        assert words in done.stdout, words
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("planning.rolouts=3", "did you mean 'rollouts'?"),
+        ("planning=magic", "Available options in 'planning'"),
+        ("env.dt=-0.05", "need dt > 0 s"),
+        ("task.outputs=[yaw,alpha_p]", "state 'yaw' does not exist; the states are alpha_a"),
+    ],
+)
+def test_a_bad_setting_costs_one_line_and_leaves_nothing(tmp_path, override, words):
+    done = run("experiment=smoke", override, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
+    assert words in done.stderr
+    assert not [file for file in tmp_path.rglob("*") if file.is_file()]
+
+
+@pytest.mark.slow
+def test_a_sweep_runs_a_job_for_each_setting(tmp_path):
+    done = run(
+        "-m", "experiment=smoke", "planning.rollouts=0,10", "seed=0,1", "train.updates_per_step=0.01",
+        f"hydra.sweep.dir={tmp_path / 'sweep'}", cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    runs = [json.loads(file.read_text()) for file in sorted((tmp_path / "sweep").glob("*/metrics.json"))]
+    imagined = sorted((run["seed"], run["cost"]["imagined_transitions"] > 0) for run in runs)
+    assert imagined == [(0, False), (0, True), (1, False), (1, True)]
