@@ -34,13 +34,13 @@ def saved_run(monkeypatch: pytest.MonkeyPatch):
     return saved_run
 
 
-def evaluate(*arguments: str) -> subprocess.CompletedProcess[str]:
+def evaluate(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(REPOSITORY / "scripts" / "evaluate.py"), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd)
 
 
-def test_it_writes_tables_figures_and_an_animation(run_folder: Path) -> None:
-    done = evaluate(f"run={run_folder}", "scenarios=[delay]", "animate=true", "formats=[svg]")
+def test_it_writes_tables_figures_and_an_animation(run_folder: Path, tmp_path: Path) -> None:
+    done = evaluate(f"run={run_folder}", "scenarios=[delay]", "animate=true", "formats=[svg]", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Scenario 'delay' (64 references)" in done.stdout
     names = {path.name for path in (run_folder / "evaluation").iterdir()}
@@ -55,11 +55,14 @@ def test_it_writes_tables_figures_and_an_animation(run_folder: Path) -> None:
         ([], "error: run is not given; give run=PATH"),
     ],
 )
-def test_mistakes_of_a_user_get_one_line_and_no_folder(arguments: list[str], message: str) -> None:
-    done = evaluate(*arguments)
+def test_mistakes_of_a_user_get_one_line_and_leave_the_working_directory(
+    arguments: list[str], message: str, tmp_path: Path
+) -> None:
+    (tmp_path / "mine.txt").write_text("untouched")
+    done = evaluate(*arguments, cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1].startswith(message)
-    assert not Path("nowhere").exists()
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [tmp_path / "mine.txt"]
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
