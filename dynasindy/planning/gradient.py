@@ -1,0 +1,233 @@
+"""Planning through the model's gradient: the policy learns by back-propagation through imagined rollouts.
+
+The model is a smooth closed-form function, so the derivative of the imagined return by the policy's parameters is
+exact (analytic policy gradient; SVG(inf), Heess et al. 2015; SHAC, Xu et al. 2022). Episodes are imagined side by
+side and carried on from window to window; the gradient reaches back to the start of each window.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+
+import torch
+from tensordict.nn import TensorDictModule
+from torch import Tensor, nn
+
+from dynasindy.agents import TD3
+from dynasindy.data import DynaReplay
+from dynasindy.envs import ControlEnv
+from dynasindy.planning.base import Planned, Planner
+from dynasindy.planning.variation import Variation, Varied
+from dynasindy.planning.window import Rows, backward, imagine
+from dynasindy.systems import System
+from dynasindy.tasks import Tracking
+
+
+class GradientPlanning(Planner):
+    """Improve the agent's actor by its analytic gradient in the model.
+
+    Args:
+        env: Imagined environment, `real.with_system(world_model)`.
+        agent: Agent whose actor learns.
+        replay: Storages; imagined episodes may begin at real states.
+        updates: Gradient updates of the first planning phase.
+        more_updates: Gradient updates of each later phase, which goes on from the policy as it is.
+        rows: Imagined episodes side by side.
+        window: Control periods that a gradient reaches back.
+        lr: Learning rate of the first phase at its start; it falls along a half cosine to 1 % of that.
+        more_lr: Learning rate of each later phase at its start.
+        max_grad_norm: Bound of each gradient's norm.
+        width: Error at which the imagined cost turns from quadratic to linear [of the outputs].
+        real_starts: Share of imagined episodes that begin at real states.
+        jumps: Share that begin where the last episode ended, so that the reference jumps; the rest begin as the
+            task does.
+        substeps: Runge-Kutta steps per imagined control period.
+        check_every: Updates between two tests on held-out imagined references; the best policy is kept.
+        patience: Tests in a row without improvement after which a phase ends early.
+        variation: How imagined plants stray from the model; none by default.
+        every: Episodes between two planning phases.
+        seed: Seed of references, starts and variations.
+
+    Raises:
+        TypeError: The task tracks no reference.
+        ValueError: A number is out of range.
+    """
+
+    # Departure: the paper's reward is quadratic with a bonus; its slope vanishes near zero and the bonus has none.
+    # The imagined cost has the task's weights, is linear beyond `width`, and has no bonus.
+
+    def __init__(
+        self,
+        env: ControlEnv,
+        agent: TD3,
+        replay: DynaReplay,
+        *,
+        updates: int = 300,
+        more_updates: int = 150,
+        rows: int = 128,
+        window: int = 60,
+        lr: float = 2e-3,
+        more_lr: float = 1e-3,
+        max_grad_norm: float = 1.0,
+        width: float = 0.02,
+        real_starts: float = 0.25,
+        jumps: float = 0.25,
+        substeps: int = 1,
+        check_every: int = 50,
+        patience: int = 3,
+        variation: Variation | None = None,
+        every: int = 1,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(every)
+        counts = {"rows": rows, "window": window, "check_every": check_every, "patience": patience}
+        sizes = {"lr": lr, "more_lr": more_lr, "max_grad_norm": max_grad_norm}
+        if bad := [f"{name}={value}" for name, value in {**counts, **sizes}.items() if not value > 0]:
+            raise ValueError(f"gradient planning got {', '.join(bad)}; these must be positive: mend planning")
+        if min(updates, more_updates) < 0 or min(real_starts, jumps) < 0 or real_starts + jumps > 1:
+            raise ValueError(
+                f"gradient planning got updates={updates}, more_updates={more_updates}, real_starts={real_starts}, "
+                f"jumps={jumps}; updates must be >= 0 and the shares at most 1 together: mend planning"
+            )
+        self.agent, self.replay, self.network = agent, replay, _network(agent)
+        self.phases = ((updates, lr), (more_updates, more_lr))
+        self.rows, self.window, self.max_grad_norm = rows, window, max_grad_norm
+        self.real_starts, self.jumps = real_starts, jumps
+        self.check_every, self.patience = check_every, patience
+        self.variation = variation or Variation()
+        self.rng = torch.Generator().manual_seed(seed)
+        self.env = ControlEnv(env.system, _imagined_task(env.task, width), env.dt, substeps)
+        self.env.stops = env.stops
+        self.held_out = _references(self.env, 64, torch.Generator().manual_seed(seed + 1))
+        self.phase = 0
+
+    def plan(self) -> Planned:
+        """Improve the actor with the model as it is now."""
+        updates, lr = self.phases[min(self.phase, 1)]
+        self.phase += 1
+        if not updates:
+            return Planned()
+        episodes = Episodes(self)
+        optimizer = torch.optim.Adam(self.network.parameters(), lr=lr, betas=(0.9, 0.99), fused=True)
+        best, best_weights, failures, done = -math.inf, None, 0, 0
+        for done in range(1, updates + 1):
+            optimizer.param_groups[0]["lr"] = lr * _schedule(done - 1, updates)
+            self._update(episodes, optimizer)
+            if done % self.check_every == 0 or done == updates:
+                score = self.test()
+                failures = 0 if score > best else failures + 1
+                if score > best:
+                    best, best_weights = score, copy.deepcopy(self.network.state_dict())
+                if failures >= self.patience:
+                    break
+        if best_weights is not None:
+            self.network.load_state_dict(best_weights)
+        self._deploy()
+        return Planned(imagined=done * self.rows * self.window, updates=done)
+
+    def distrust(self) -> None:
+        """Do nothing: no imagined data are kept."""
+
+    def test(self) -> float:
+        """Return the policy's mean reward per control period over held-out imagined references."""
+        rows = self.held_out
+        whole = imagine(self.env, self.env.system, self.network, rows, self.env.task.max_steps, False, self.rng)
+        free = torch.zeros(whole.applied.shape[:-1], dtype=torch.bool)
+        params = rows.params.expand(len(free), *rows.params.shape)
+        reward = self.env.task.reward(whole.states[:-1], whole.states[1:], params, whole.times[1:], free)
+        return reward.mean().nan_to_num(nan=-math.inf).item()
+
+    def _update(self, episodes: Episodes, optimizer: torch.optim.Adam) -> None:
+        late = self.variation.late
+        rows, system = episodes.rows, episodes.system
+        window = imagine(self.env, system, self.network, rows, self.window, late, self.rng)
+        optimizer.zero_grad()
+        backward(self.env, system, self.network, rows, window, late)
+        norm = nn.utils.clip_grad_norm_(self.network.parameters(), self.max_grad_norm)
+        if norm.isfinite():
+            optimizer.step()
+        episodes.carry_on(window.states[-1], window.actions[-1])
+
+    def _deploy(self) -> None:
+        """Let an agent that deploys a running average of its actor deploy the planned actor."""
+        if self.agent.deployed is not self.agent.policy:
+            self.agent.deployed.load_state_dict(self.agent.policy.state_dict())
+
+
+class Episodes:
+    """Imagined episodes side by side, begun at staggered times and begun anew when they end.
+
+    Args:
+        planner: Whose episodes they are.
+    """
+
+    def __init__(self, planner: GradientPlanning) -> None:
+        self.planner = planner
+        self.rows = _references(planner.env, planner.rows, planner.rng)
+        self.rows.noise = planner.variation.deviations(planner.env.system.signature.n_x)
+        self.system: System = planner.env.system
+        if planner.variation.plants:
+            self.system = Varied(planner.env.system, planner.variation, planner.rows)
+            self.system.draw(torch.ones(planner.rows, dtype=torch.bool), planner.rng)
+        self.length = planner.env.task.max_steps * planner.env.dt
+        self.end = torch.rand(planner.rows, 1, generator=planner.rng) * self.length
+        real = planner.replay.real
+        self.real_states = real[:]["state"].to(self.rows.x) if len(real) else self.rows.x
+
+    def carry_on(self, x: Tensor, held: Tensor) -> None:
+        """Go on from the end of a window; episodes that are over, or whose states are not finite, begin anew."""
+        planner, rows = self.planner, self.rows
+        rows.t = rows.t + planner.window * planner.env.dt
+        lost = ~x.isfinite().all(-1)
+        new = (rows.t >= self.end - 1e-6).squeeze(-1) | lost
+        rows.x = torch.where(new.unsqueeze(-1), self._starts(x, lost), x)
+        rows.held = torch.where(lost.unsqueeze(-1), torch.zeros_like(held), held)
+        fresh = planner.env.task.sample(new.shape, planner.rng)
+        rows.params = torch.where(new.reshape(-1, *[1] * (fresh.dim() - 1)), fresh, rows.params)
+        rows.t = rows.t.masked_fill(new.unsqueeze(-1), 0.0)
+        self.end = self.end.masked_fill(new.unsqueeze(-1), self.length)
+        if isinstance(self.system, Varied):
+            self.system.draw(new, planner.rng)
+
+    def _starts(self, x: Tensor, lost: Tensor) -> Tensor:
+        """Draw where episodes begin: where the task does, at real states, or where the last one ended."""
+        planner = self.planner
+        chance = torch.rand(len(x), 1, generator=planner.rng)
+        pick = torch.randint(len(self.real_states), (len(x),), generator=planner.rng)
+        starts = planner.env.task.initial_state(lost.shape, planner.rng).to(x)
+        starts = torch.where(chance < planner.real_starts, self.real_states[pick], starts)
+        return torch.where((chance > 1 - planner.jumps) & ~lost.unsqueeze(-1), x, starts)
+
+
+def _network(agent: TD3) -> nn.Module:
+    """Return the bare network of the actor; tensors need no tensordict."""
+    policy = agent.policy
+    assert isinstance(policy, TensorDictModule)
+    network = policy.module
+    assert isinstance(network, nn.Module)
+    return network
+
+
+def _imagined_task(task: object, width: float) -> Tracking:
+    """Return the task with a cost whose slope does not vanish near zero."""
+    if not isinstance(task, Tracking):
+        raise TypeError(f"task {type(task).__name__} tracks no reference; use planning=dyna, which any task allows")
+    smooth = copy.copy(task)
+    smooth.reward_function = dataclasses.replace(task.reward_function, error_shape="linear", width=width, bonus=0.0)
+    return smooth
+
+
+def _references(env: ControlEnv, rows: int, rng: torch.Generator) -> Rows:
+    """Return rows at the start of the task, with drawn references."""
+    batch = torch.Size((rows,))
+    x = env.task.initial_state(batch, rng).to(torch.float32)
+    params = env.task.sample(batch, rng)
+    return Rows(x, torch.zeros(rows, env.system.signature.n_u), params, torch.zeros(rows, 1))
+
+
+def _schedule(step: int, steps: int) -> float:
+    """Return the factor on the learning rate: ten steps of warm-up, then half a cosine down to 1 %."""
+    fall = 0.5 * (1 + math.cos(math.pi * step / steps))
+    return min(1.0, (step + 1) / 10) * (0.01 + 0.99 * fall)

@@ -1,0 +1,98 @@
+"""What may differ between the model and the plant, imagined: parameters, disturbances, sensors, actuator."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from dynasindy.systems import System
+
+
+@dataclass(frozen=True)
+class Variation:
+    """How far imagined plants stray from the model; every number is zero by default.
+
+    Args:
+        parameters: Half range of a factor on each rate of change and on each input, e.g. 0.1 for +-10 %.
+        disturbance: Half range of a constant added to each rate of change, in ranges of the state per second.
+        noise: Standard deviation of the measurement noise of each state [its unit]; none if empty.
+        late: Whether inputs reach the plant one control period late.
+
+    Raises:
+        ValueError: A number is negative, or `parameters` is not below 1.
+    """
+
+    parameters: float = 0.0
+    disturbance: float = 0.0
+    noise: Sequence[float] = ()
+    late: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.parameters < 1 or self.disturbance < 0 or any(deviation < 0 for deviation in self.noise):
+            raise ValueError(
+                f"a variation needs 0 <= parameters < 1, disturbance >= 0 and noise >= 0, got {self}; mend planning.variation"
+            )
+
+    @property
+    def plants(self) -> bool:
+        """Whether imagined plants differ from the model."""
+        return self.parameters > 0 or self.disturbance > 0
+
+    def deviations(self, n_x: int) -> Tensor | None:
+        """Return the standard deviations of the measurement noise, `(n_x,)`, or None without noise.
+
+        Raises:
+            ValueError: There are neither no nor `n_x` deviations.
+        """
+        if not len(self.noise):
+            return None
+        if len(self.noise) != n_x:
+            raise ValueError(f"noise has {len(self.noise)} deviations for {n_x} states; give one per state or none")
+        return torch.tensor(list(self.noise), dtype=torch.float32)
+
+
+class Varied(System):
+    """A system in as many versions as there are rows: dx = (1 + g) f(x, (1 + h) u) + d.
+
+    States whose rate is another state (angles) keep their equation.
+
+    Args:
+        system: Nominal vector field.
+        variation: How far the versions stray.
+        rows: Number of versions; states and inputs are `(*batch, rows, n)`.
+    """
+
+    def __init__(self, system: System, variation: Variation, rows: int) -> None:
+        super().__init__(system.signature, system.stops)
+        self.system, self.variation = system, variation
+        n_x, n_u = system.signature.n_x, system.signature.n_u
+        self.gain, self.drift, self.input_gain = torch.ones(rows, n_x), torch.zeros(rows, n_x), torch.ones(rows, n_u)
+        self.moved = self._moved()
+
+    def draw(self, new: Tensor, rng: torch.Generator) -> None:
+        """Draw new versions for the rows marked in `new`, bool `(rows,)`."""
+        scale = torch.tensor(self.system.signature.x_scale)
+        for tensor, centre, reach in (
+            (self.gain, 1.0, self.variation.parameters * self.moved),
+            (self.input_gain, 1.0, torch.tensor(self.variation.parameters)),
+            (self.drift, 0.0, self.variation.disturbance * self.moved * scale),
+        ):
+            fresh = centre + reach * (2 * torch.rand(tensor.shape, generator=rng) - 1)
+            tensor[new] = fresh[new]
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Return dx/dt, `(*batch, rows, n_x)`, of states `(*batch, rows, n_x)` under inputs `(*batch, rows, n_u)`."""
+        dx: Tensor = self.system(x, u * self.input_gain)
+        return torch.addcmul(self.drift, self.gain, dx)
+
+    def _moved(self) -> Tensor:
+        """Return 1 for states with dynamics of their own and 0 for those whose rate is another state, `(n_x,)`."""
+        n_x, n_u = self.signature.n_x, self.signature.n_u
+        x = torch.randn(16, n_x, generator=torch.Generator().manual_seed(0)) * torch.tensor(self.signature.x_scale)
+        with torch.no_grad():
+            dx = self.system(x, torch.zeros(16, n_u))
+        copies = (dx.unsqueeze(-1) - x.unsqueeze(-2)).abs().amax(0).amin(-1) == 0
+        return 1.0 - copies.float()

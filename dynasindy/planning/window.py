@@ -1,0 +1,186 @@
+"""One imagined window: a closed-loop rollout of a differentiable model and the policy's gradient through it.
+
+| name      | symbol                         | shape                    |
+| --------- | ------------------------------ | ------------------------ |
+| `states`  | z_k, k = 0..T                  | `(T + 1, rows, n_z)`     |
+| `actions` | u_k = pi(o(z_k))               | `(T, rows, n_u)`         |
+| `a`, `b`  | A_k = dz_k+1/dz_k, B_k = dz_k+1/du_k | `(T, rows, n_z, n_z or n_u)` |
+| `k`       | K_k = du_k/dz_k                | `(T, rows, n_u, n_z)`    |
+| `adjoint` | lambda_k = dJ/dz_k             | `(rows, n_z)`            |
+
+The rollout is sequential and runs without a graph. Every derivative of every period is then taken at once, on
+`T * rows` rows, and what is left of back-propagation through time is the adjoint equation of the closed loop
+
+    lambda_k = dJ/dz_k + (A_k + B_k K_k)' lambda_k+1,    dJ/du_k = B_k' lambda_k+1,
+
+and one backward pass of the policy. The gradient equals that of automatic differentiation through the rollout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from dynasindy.envs import ControlEnv
+from dynasindy.systems import System, integrate
+
+Network = Callable[[Tensor], Tensor]
+"""Observations `(*batch, n_o)` to actions `(*batch, n_u)`."""
+
+CHUNK = 20
+"""Control periods whose activations are handled at once; more would not stay in a core's cache."""
+
+
+@dataclass
+class Rows:
+    """Where the parallel imagined episodes stand.
+
+    Args:
+        x: States, `(rows, n_x)`.
+        held: Inputs that still wait for the actuator under a delay, `(rows, n_u)`.
+        params: Task parameters, `(rows, *params_shape)`.
+        t: Time since the start of each episode [s], `(rows, 1)`.
+        noise: Standard deviation of the measurement noise of each state, `(n_x,)`; None measures exactly.
+    """
+
+    x: Tensor
+    held: Tensor
+    params: Tensor
+    t: Tensor
+    noise: Tensor | None = None
+
+
+@dataclass(frozen=True)
+class Window:
+    """An imagined window.
+
+    Args:
+        states: `(T + 1, rows, n_x)`.
+        applied: Inputs that reached the plant, `(T, rows, n_u)`.
+        actions: Actions of the policy, `(T, rows, n_u)`; those applied unless the actuator is late.
+        seen: States as measured, `(T, rows, n_x)`.
+        times: `(T + 1, rows, 1)` [s].
+    """
+
+    states: Tensor
+    applied: Tensor
+    actions: Tensor
+    seen: Tensor
+    times: Tensor
+
+
+@torch.no_grad()
+def imagine(
+    env: ControlEnv, system: System, network: Network, rows: Rows, steps: int, late: bool, rng: torch.Generator
+) -> Window:
+    """Roll the policy out in the model.
+
+    Args:
+        env: Imagined environment: its task, period, sub-steps and stops.
+        system: Vector field; the environment's own, or a variation of it with a row per rollout.
+        network: Policy.
+        rows: Where the rollouts begin; not changed.
+        steps: Control periods T of the window.
+        late: Whether inputs reach the plant one period late.
+        rng: Generator of the measurement noise.
+    """
+    x, held, states, applied, actions, seen = rows.x, rows.held, [rows.x], [], [], []
+    times = rows.t + env.dt * torch.arange(steps + 1, dtype=x.dtype).reshape(-1, 1, 1)
+    for k in range(steps):
+        measured = x
+        if rows.noise is not None:
+            measured = x + rows.noise * torch.randn(x.shape, generator=rng, dtype=x.dtype)
+        u = network(env.task.observation(measured, rows.params, times[k]))
+        entering, held = (held, u) if late else (u, held)
+        samples, _ = integrate(system, x, entering, env.dt, env.substeps, env.stops)
+        x = samples[..., -1, :]
+        states.append(x)
+        applied.append(entering)
+        actions.append(u)
+        seen.append(measured)
+    return Window(torch.stack(states), torch.stack(applied), torch.stack(actions), torch.stack(seen), times)
+
+
+def backward(
+    env: ControlEnv, system: System, network: Network, rows: Rows, window: Window, late: bool
+) -> Tensor:
+    """Add the gradient of the window's mean cost, the negative reward, to the policy's parameters.
+
+    Args:
+        env: Imagined environment.
+        system: Vector field of the window.
+        network: Policy.
+        rows: Where the window began.
+        window: What `imagine` returned.
+        late: Whether inputs reach the plant one period late.
+
+    Returns:
+        The mean reward of the window's periods, a scalar.
+    """
+    with torch.enable_grad():
+        a, b = sensitivities(env, system, window.states[:-1], window.applied)
+        reward, cost = _cost(env, rows, window)
+        actions, k = _policy(env, network, rows, window)
+        if late:
+            a, b, k, cost = _behind_delay(a, b, k, cost)
+        slopes = _adjoint(a, b, k, cost).split(CHUNK)
+        torch.autograd.backward(actions, list(slopes))
+    return reward
+
+
+def sensitivities(env: ControlEnv, system: System, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+    """Return dx_next/dx, `(*batch, n_x, n_x)`, and dx_next/du, `(*batch, n_x, n_u)`, of a control period.
+
+    The mechanical stops are left out: a beam that lies at a stop would have no gradient that leads away.
+    """
+    x, u = x.detach().requires_grad_(), u.detach().requires_grad_()
+    samples, _ = integrate(system, x, u, env.dt, env.substeps)
+    columns = samples[..., -1, :].unbind(-1)
+    rows = [torch.autograd.grad(column.sum(), (x, u), retain_graph=True) for column in columns]
+    return torch.stack([row[0] for row in rows], -2), torch.stack([row[1] for row in rows], -2)
+
+
+def _policy(env: ControlEnv, network: Network, rows: Rows, window: Window) -> tuple[list[Tensor], Tensor]:
+    """Return the actions with their graph, in chunks of periods, and K, `(T, rows, n_u, n_x)`."""
+    actions, gains = [], []
+    for x, t in zip(window.seen.split(CHUNK), window.times[:-1].split(CHUNK)):
+        seen = x.detach().requires_grad_()
+        u = network(env.task.observation(seen, rows.params.expand(len(x), *rows.params.shape), t))
+        columns = [torch.autograd.grad(column.sum(), seen, retain_graph=True)[0] for column in u.unbind(-1)]
+        actions.append(u)
+        gains.append(torch.stack(columns, -2))
+    return actions, torch.cat(gains)
+
+
+def _cost(env: ControlEnv, rows: Rows, window: Window) -> tuple[Tensor, Tensor]:
+    """Return the mean reward and the derivative of the mean cost by the states, `(T + 1, rows, n_x)`."""
+    states = window.states.detach().requires_grad_()
+    free = torch.zeros(states[1:].shape[:-1], dtype=torch.bool)
+    params = rows.params.expand(len(free), *rows.params.shape)
+    reward = env.task.reward(states[:-1], states[1:], params, window.times[1:], free).mean()
+    (slope,) = torch.autograd.grad(-reward, states)
+    return reward.detach(), slope
+
+
+def _behind_delay(a: Tensor, b: Tensor, k: Tensor, cost_x: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Append the waiting input to the state: z = (x, u_k-1)."""
+    n_u = b.shape[-1]
+    width = (0, n_u)
+    waiting = torch.nn.functional.pad(torch.cat([a, b], -1), (0, 0, *width))
+    entry = torch.zeros(*b.shape[:-2], a.shape[-1] + n_u, n_u, dtype=b.dtype)
+    entry[..., -n_u:, :] = torch.eye(n_u, dtype=b.dtype)
+    return waiting, entry, torch.nn.functional.pad(k, width), torch.nn.functional.pad(cost_x, width)
+
+
+def _adjoint(a: Tensor, b: Tensor, k: Tensor, cost: Tensor) -> Tensor:
+    """Solve the adjoint equation backwards and return dJ/du, `(T, rows, n_u)`."""
+    closed = a + b @ k
+    adjoint = cost[-1].unsqueeze(-2)
+    slopes = []
+    for step in range(len(a) - 1, -1, -1):
+        slopes.append(adjoint)
+        adjoint = torch.baddbmm(cost[step].unsqueeze(-2), adjoint, closed[step])
+    return (torch.stack(slopes[::-1]) @ b).squeeze(-2)

@@ -1,0 +1,102 @@
+"""The adjoint gradient equals automatic differentiation through the rollout."""
+
+import pytest
+import torch
+from torch import nn
+
+from dynasindy.envs import ControlEnv
+from dynasindy.planning.window import Rows, backward, imagine, sensitivities
+from dynasindy.systems import rk4
+from dynasindy.systems.pendulum import Pendulum
+from dynasindy.systems.xi import Xi
+from dynasindy.tasks import RandomStep, Tracking, TrackingReward
+
+STEPS = 25
+
+
+def setting(plant=None):
+    plant = plant or Xi()
+    reward = TrackingReward(error_shape="linear", width=0.02, bonus=0.0)
+    task = Tracking(plant.signature, RandomStep([-0.5, -0.5], [0.5, 0.4]), reward=reward)
+    env = ControlEnv(plant, task, substeps=1)
+    network = nn.Sequential(nn.Linear(task.n_o, 16), nn.Tanh(), nn.Linear(16, 2), nn.Tanh())
+    rng = torch.Generator().manual_seed(3)
+    x = 0.1 * torch.randn(8, 6, generator=rng)
+    rows = Rows(x, torch.zeros(8, 2), task.sample(torch.Size((8,)), rng), torch.zeros(8, 1))
+    return env, network, rows, rng
+
+
+def unrolled(env, network, rows, late=False):
+    """Back-propagate through time, step by step, with nothing but autograd."""
+    x, held, total = rows.x, rows.held, 0.0
+    for k in range(STEPS):
+        t = torch.full((8, 1), k * env.dt)
+        u = network(env.task.observation(x, rows.params, t))
+        entering, held = (held, u) if late else (u, held)
+        x_next = rk4(env.system, x, entering, env.dt)
+        stopped = torch.zeros(8, dtype=torch.bool)
+        total = total + env.task.reward(x, x_next, rows.params, t + env.dt, stopped).mean() / STEPS
+        x = x_next
+    (-total).backward()
+    return total.detach()
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_gradient_equals_back_propagation_through_time(late):
+    env, network, rows, rng = setting()
+    expected = unrolled(env, network, rows, late)
+    wanted = [p.grad.clone() for p in network.parameters()]
+    network.zero_grad()
+    window = imagine(env, env.system, network, rows, STEPS, late, rng)
+    reward = backward(env, env.system, network, rows, window, late)
+    torch.testing.assert_close(reward, expected, rtol=1e-5, atol=1e-6)
+    for parameter, gradient in zip(network.parameters(), wanted, strict=True):
+        torch.testing.assert_close(parameter.grad, gradient, rtol=2e-3, atol=1e-5 * float(gradient.abs().max()))
+
+
+def test_rollout_equals_the_environment():
+    env, network, rows, rng = setting()
+    window = imagine(env, env.system, network, rows, STEPS, False, rng)
+    x = rows.x
+    for k in range(STEPS):
+        x = env.advance(x, window.actions[k])[0][:, -1]
+        torch.testing.assert_close(window.states[k + 1], x)
+
+
+def test_late_inputs_arrive_one_period_later():
+    env, network, rows, rng = setting()
+    window = imagine(env, env.system, network, rows, STEPS, True, rng)
+    torch.testing.assert_close(window.applied[0], rows.held)
+    torch.testing.assert_close(window.applied[1:], window.actions[:-1])
+
+
+def test_noise_disturbs_what_is_seen_and_not_the_plant():
+    env, network, rows, rng = setting()
+    rows.noise = torch.tensor([5e-4, 5e-4, 5e-3, 5e-3, 20.0, 20.0])
+    window = imagine(env, env.system, network, rows, STEPS, False, rng)
+    spread = (window.seen - window.states[:-1]).std((0, 1))
+    torch.testing.assert_close(spread, rows.noise, rtol=0.3, atol=0.0)
+
+
+def test_sensitivities_equal_central_differences():
+    plant = Pendulum()
+    task = Tracking(plant.signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), TrackingReward((4.0,)))
+    env = ControlEnv(plant, task, substeps=1, dtype=torch.float64)
+    x, u = torch.tensor([[0.3, -0.2]], dtype=torch.float64), torch.tensor([[0.4]], dtype=torch.float64)
+    a, b = sensitivities(env, plant, x, u)
+    step = 1e-6
+    for j in range(2):
+        bump = torch.zeros(1, 2, dtype=torch.float64)
+        bump[0, j] = step
+        slope = (rk4(plant, x + bump, u, env.dt) - rk4(plant, x - bump, u, env.dt)) / (2 * step)
+        torch.testing.assert_close(a[..., j], slope, rtol=1e-6, atol=1e-8)
+    slope = (rk4(plant, x, u + step, env.dt) - rk4(plant, x, u - step, env.dt)) / (2 * step)
+    torch.testing.assert_close(b[..., 0], slope, rtol=1e-6, atol=1e-8)
+
+
+def test_gradient_at_a_stop_leads_away_from_it():
+    env, network, rows, rng = setting()
+    x = torch.zeros(8, 6)
+    x[:, 1] = torch.pi / 2
+    a, _ = sensitivities(env, env.system, x, torch.ones(8, 2))
+    assert bool((a[:, 1, 3] > 0).all())
