@@ -36,7 +36,7 @@ class Constraints:
         Args:
             library: candidate functions.
             known: state to the function that is its rate, coefficient 1, e.g. `{"alpha_a": "Omega_a"}`.
-            allowed: state to the functions that may occur in its equation.
+            allowed: state to the functions that may occur in its equation; it goes before the library's own.
             fixed: state to functions with given coefficients.
 
         Raises:
@@ -45,7 +45,7 @@ class Constraints:
         states = library.signature
         free = torch.ones(len(library), states.n_x, dtype=torch.bool)
         offset = torch.zeros(len(library), states.n_x, dtype=torch.float64)
-        for state, names in allowed.items():
+        for state, names in {**library.allowed, **allowed}.items():
             free[:, states.state_index(state)] = False
             for name in names:
                 free[library.index(name), states.state_index(state)] = True

@@ -31,7 +31,7 @@ def generate(library: Library, coefficients: Tensor) -> Field:
     """
     writer = _Writer(library, coefficients)
     scope: dict[str, object] = {"torch": torch, **writer.functions}
-    exec(compile(writer.source(), "<sparse model>", "exec"), scope)  # noqa: S102 - our own text: names are never in it
+    exec(compile(writer.source(), "<sparse model>", "exec"), scope)
     field: Field = scope["field"]  # type: ignore[assignment]
     field.__doc__ = writer.source()
     return field
@@ -48,7 +48,10 @@ class _Writer:
         names = (*library.signature.state_names, *library.signature.input_names)
         self.variable = {n: f"z[{i}]" for i, n in enumerate(names)}
         table = coefficients.tolist()
-        rows = [[(f, table[k][i]) for k, f in enumerate(library.features) if table[k][i]] for i in range(library.signature.n_x)]
+        rows = [
+            [(f, table[k][i]) for k, f in enumerate(library.features) if table[k][i]]
+            for i in range(library.signature.n_x)
+        ]
         self.uses = Counter(p for row in rows for f, _ in row for p in self._pairs(f))
         self.results = [self._row(row) for row in rows]
 
@@ -76,18 +79,28 @@ class _Writer:
         for feature, c in row:
             common = [p for p in feature.factors if shared[p] > 1]
             if feature.factors:
-                groups.setdefault(max(common, key=lambda p: shared[p]) if common else None, []).append((feature, c))
+                groups.setdefault(max(common, key=lambda p: shared[p]) if common else None, []).append(
+                    (feature, c)
+                )
         total = self._sum([(self._product(f.factors), c) for f, c in groups.pop(None, [])], constant)
         for factor, members in groups.items():
             rests = [(tuple(p for p in f.factors if p != factor), c) for f, c in members]
-            inner = self._sum([(self._product(f), c) for f, c in rests if f], sum(c for f, c in rests if not f))
-            product = f"torch.addcmul({total}, {inner}, {self._factor(factor)})" if total else f"{inner} * {self._factor(factor)}"
+            inner = self._sum(
+                [(self._product(f), c) for f, c in rests if f], sum(c for f, c in rests if not f)
+            )
+            product = (
+                f"torch.addcmul({total}, {inner}, {self._factor(factor)})"
+                if total
+                else f"{inner} * {self._factor(factor)}"
+            )
             total = self._line(("sum", len(self.lines)), product)
         return total
 
     def _sum(self, terms: list[tuple[str, float]], constant: float) -> str:
         if not terms:
-            return self._line(("constant", constant), f"torch.full_like(z[0], {constant!r})") if constant else ""
+            return (
+                self._line(("constant", constant), f"torch.full_like(z[0], {constant!r})") if constant else ""
+            )
         value, c = terms[0]
         total = value if c == 1 else self._line((value, c), f"{value} * {c!r}")
         if constant:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -19,13 +20,20 @@ class Library:
     Args:
         signature: names of the states and inputs the features read.
         features: candidate functions; repeated ones are kept once.
+        allowed: features that may occur in a state's equation, by state; all where a state is not named.
 
     Raises:
         ValueError: a feature reads a state or an input that does not exist.
+        ValueError: `allowed` names a state that does not exist.
         ValueError: there is no feature.
     """
 
-    def __init__(self, signature: Signature, features: Iterable[Feature]) -> None:
+    def __init__(
+        self,
+        signature: Signature,
+        features: Iterable[Feature],
+        allowed: Mapping[str, Iterable[Feature]] | None = None,
+    ) -> None:
         self.signature = signature
         self.features: tuple[Feature, ...] = tuple({f.key: f for f in features}.values())
         self._index = {n: i for i, n in enumerate((*signature.state_names, *signature.input_names))}
@@ -38,17 +46,22 @@ class Library:
         if not self.features:
             raise ValueError("the library is empty; allowed is one feature or more: add functions to it")
         self.names = tuple(f.name() for f in self.features)
+        self.allowed: dict[str, tuple[str, ...]] = {}
+        for state, group in (allowed or {}).items():
+            signature.state_index(state)
+            keys = {f.key for f in group}
+            self.allowed[state] = tuple(f.name() for f in self.features if f.key in keys)
 
     def __len__(self) -> int:
         """Count the features."""
         return len(self.features)
 
     def __add__(self, other: Library) -> Library:
-        """Unite two libraries."""
+        """Unite two libraries; what was allowed where is forgotten."""
         return Library(self.signature, self.features + other.features)
 
     def __mul__(self, other: Library) -> Library:
-        """Multiply every feature of one library with every feature of the other."""
+        """Multiply every feature of one library with every feature of the other; `allowed` is forgotten."""
         return Library(self.signature, [a * b for b in other.features for a in self.features])
 
     def subset(self, indices: Sequence[int]) -> Library:
@@ -100,8 +113,8 @@ class Library:
             theta.append(self._product(feature.factors, columns, values, ones))
             row = [zeros] * self.signature.n_x
             for k, factor in enumerate(feature.factors):
-                rest = feature.factors[:k] + feature.factors[k + 1 :]
-                rest = rest if factor.power == 1 else (*rest, Factor(factor.variables, factor.function, factor.power - 1, factor.frequency))
+                lower = (replace(factor, power=factor.power - 1),) if factor.power != 1 else ()
+                rest = feature.factors[:k] + lower + feature.factors[k + 1 :]
                 others = self._product(rest, columns, values, ones) * factor.power
                 for j, name in enumerate(factor.variables):
                     if self._index[name] < self.signature.n_x:
@@ -139,5 +152,7 @@ class Library:
         args = tuple(columns[self._index[v]] for v in factor.variables)
         if factor.function == "id":
             return torch.full_like(args[0], factor.frequency)
-        tangents = tuple(torch.ones_like(a) if j == argument else torch.zeros_like(a) for j, a in enumerate(args))
+        tangents = tuple(
+            torch.ones_like(a) if j == argument else torch.zeros_like(a) for j, a in enumerate(args)
+        )
         return torch.func.jvp(self._compute(factor), args, tangents)[1]

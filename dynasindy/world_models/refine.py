@@ -8,9 +8,9 @@ from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.constraints import Constraints
+from dynasindy.world_models.fast_field import generate
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.regression import Regression, RunningSums, simpson_form
-from dynasindy.world_models.fast_field import generate
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,9 @@ class Refinement:
     rounds: int = 2
     tolerance: float = 1e-6
 
-    def run(self, library: Library, coefficients: Tensor, constraints: Constraints, data: Transitions) -> Tensor:
+    def run(
+        self, library: Library, coefficients: Tensor, constraints: Constraints, data: Transitions
+    ) -> Tensor:
         """Return refined coefficients, `(n_features, n_x)`."""
         regression = Regression(method="bic", tolerance=self.tolerance)
         for _ in range(self.rounds):

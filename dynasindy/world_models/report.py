@@ -55,5 +55,7 @@ class FitReport:
     def to_text(self) -> str:
         """Write the report in a few lines."""
         lines = [f"fit of {self.samples} samples in {self.seconds:.3g} s"]
-        lines += [f"  {s}': {self.terms[s]} terms, unexplained {100 * r:.3g} %" for s, r in self.residual.items()]
+        lines += [
+            f"  {s}': {self.terms[s]} terms, unexplained {100 * r:.3g} %" for s, r in self.residual.items()
+        ]
         return "\n".join(lines)

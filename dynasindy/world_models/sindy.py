@@ -23,7 +23,6 @@ from dynasindy.systems.base import Signature
 from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.base import WorldModel
-from dynasindy.world_models.base import WorldModel
 from dynasindy.world_models.constraints import Constraints
 from dynasindy.world_models.fast_field import Field, generate
 from dynasindy.world_models.files import load, save
@@ -134,7 +133,9 @@ class SindyModel(WorldModel):
         self.sums.add(integral_form(self.library, data))
         self._solve(self.sums)
         if self.refinement is not None:
-            self.set_coefficients(self.refinement.run(self.library, self.coefficients, self.constraints, data))
+            self.set_coefficients(
+                self.refinement.run(self.library, self.coefficients, self.constraints, data)
+            )
         return FitReport.of(self.library, self.coefficients, self.sums, time.perf_counter() - start)
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:

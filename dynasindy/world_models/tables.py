@@ -34,7 +34,9 @@ def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[s
     return lines
 
 
-def _rows(library: Library, coefficients: Tensor, digits: int, latex: bool, active_only: bool) -> list[list[str]]:
+def _rows(
+    library: Library, coefficients: Tensor, digits: int, latex: bool, active_only: bool
+) -> list[list[str]]:
     rows = []
     for feature, values in zip(library.features, coefficients.tolist(), strict=True):
         if active_only and not any(values):
@@ -65,7 +67,10 @@ def to_text(library: Library, coefficients: Tensor, digits: int = 5, active_only
     rows = [header, *_rows(library, coefficients, digits, False, active_only)]
     widths = [max(len(row[k]) for row in rows) for k in range(len(header))]
     return "\n".join(
-        "  ".join(cell.ljust(w) if k == 0 else cell.rjust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True)))
+        "  ".join(
+            cell.ljust(w) if k == 0 else cell.rjust(w)
+            for k, (cell, w) in enumerate(zip(row, widths, strict=True))
+        )
         for row in rows
     )
 

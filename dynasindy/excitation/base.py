@@ -1,0 +1,101 @@
+"""What all excitations share: levels per input, clipping, and the face of a policy."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+Levels = float | Sequence[float]
+
+
+class Excitation(TensorDictModuleBase, ABC):
+    """Give inputs over time: `offset + amplitude * wave(t)`, clipped to [-1, 1].
+
+    As a policy it reads `step_count` and writes `action`; the input is held for one control period.
+
+    Args:
+        n_u: number of inputs.
+        duration: length of the experiment [s].
+        dt: control period [s].
+        amplitude: half range of each input, or one for all [normalised].
+        offset: mean of each input, or one for all: the input that holds the plant where it is to be excited.
+        seed: seed of what is random in the signal, if anything is.
+
+    Raises:
+        ValueError: a time or the number of inputs is not positive.
+        ValueError: amplitudes or offsets are not one per input, or an input would always be clipped.
+    """
+
+    in_keys = ["step_count"]  # noqa: RUF012 - the base class of TensorDict sets these per class
+    out_keys = ["action"]  # noqa: RUF012
+
+    def __init__(
+        self,
+        n_u: int,
+        duration: float = 10.0,
+        dt: float = 0.05,
+        amplitude: Levels = 0.3,
+        offset: Levels = 0.0,
+        seed: int = 0,
+    ) -> None:
+        super().__init__()
+        self.seed = seed
+        if n_u < 1 or not duration > 0 or not dt > 0:
+            raise ValueError(
+                f"excitation got {n_u} inputs, duration {duration} s, dt {dt} s; allowed are positive numbers: correct them"
+            )
+        self.n_u, self.duration, self.dt = n_u, float(duration), float(dt)
+        self.register_buffer("amplitude", per_input(amplitude, n_u, "amplitude"))
+        self.register_buffer("offset", per_input(offset, n_u, "offset"))
+        if bool((self.offset.abs() - self.amplitude.abs() >= 1).any()):
+            raise ValueError(
+                f"excitation got offset {self.offset.tolist()} and amplitude {self.amplitude.tolist()}; allowed is a "
+                "range that meets [-1, 1]: move the offset towards 0"
+            )
+
+    amplitude: Tensor
+    offset: Tensor
+
+    @property
+    def n_steps(self) -> int:
+        """Count the control periods of the experiment."""
+        return max(1, round(self.duration / self.dt))
+
+    @abstractmethod
+    def wave(self, t: Tensor) -> Tensor:
+        """Give the bare signal in [-1, 1] at times `(*batch,)` [s], as `(*batch, n_u)` float64."""
+
+    def signal(self, t: Tensor) -> Tensor:
+        """Give the inputs, `(*batch, n_u)` in [-1, 1], at times `(*batch,)` [s], float64."""
+        return (self.offset + self.amplitude * self.wave(t.to(torch.float64))).clamp(-1.0, 1.0)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write `action`, `(*batch, n_u)` float32, for `step_count`, `(*batch, 1)`."""
+        t = tensordict.get("step_count").squeeze(-1).to(torch.float64) * self.dt
+        return tensordict.set("action", self.signal(t).to(torch.float32))
+
+    def samples(self, dt: float | None = None) -> Tensor:
+        """Give the inputs of the whole experiment, `(N, n_u)` float64, sampled every `dt` [s] (default: `self.dt`)."""
+        step = self.dt if dt is None else dt
+        return self.signal(torch.arange(round(self.duration / step), dtype=torch.float64) * step)
+
+
+def per_input(value: Levels, n_u: int, what: str) -> Tensor:
+    """Give one number per input, `(n_u,)` float64.
+
+    Raises:
+        ValueError: there are neither one nor `n_u` numbers.
+    """
+    values = torch.as_tensor(
+        value if isinstance(value, float | int) else list(value), dtype=torch.float64
+    ).reshape(-1)
+    if values.numel() not in (1, n_u):
+        raise ValueError(
+            f"excitation got {values.numel()} values of {what}; allowed is one, or one for each of {n_u} inputs: adjust the list"
+        )
+    return values.expand(n_u).clone()

@@ -1,0 +1,182 @@
+"""The sparse model finds the published table, equals PySINDy, and survives a file."""
+
+import json
+
+import numpy as np
+import pysindy
+import pytest
+import torch
+from torch import Tensor
+
+from dynasindy.excitation import HeldRandom
+from dynasindy.systems import Tras, Xi, integrate, rk4
+from dynasindy.systems.base import System
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import Refinement, Regression, SindyModel
+
+# The paper, table "SINDY model Xi matrix": 19 coefficients.
+PUBLISHED = {
+    ("alpha_a", "Omega_a"): 1.0,
+    ("alpha_p", "Omega_p"): 1.0,
+    ("Omega_a", "Omega_a"): -10.0573,
+    ("Omega_a", "omega_a cos(alpha_p)"): 9.8316e-4,
+    ("Omega_a", "u_p cos(alpha_p)"): -0.7025,
+    ("Omega_a", "cos(alpha_p)"): 0.9479,
+    ("Omega_p", "1"): 0.5961,
+    ("Omega_p", "Omega_p"): -0.414,
+    ("Omega_p", "omega_p"): 0.0013,
+    ("Omega_p", "u_a"): 0.1303,
+    ("Omega_p", "Omega_a^2 sin(alpha_p)"): -16.3547,
+    ("Omega_p", "sin(alpha_p)"): -3.54373,
+    ("Omega_p", "cos(alpha_p)"): -1.7473,
+    ("omega_a", "1"): 262.7,
+    ("omega_a", "omega_a"): -5.2281,
+    ("omega_a", "u_a"): 3.7e4,
+    ("omega_p", "1"): -8.54,
+    ("omega_p", "omega_p"): -1.4193,
+    ("omega_p", "u_p"): 6.1e3,
+}
+KNOWN = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
+
+
+def _points(n: int = 2000) -> tuple[Tensor, Tensor]:
+    generator = torch.Generator().manual_seed(1)
+    x = (2 * torch.rand(n, 6, generator=generator, dtype=torch.float64) - 1) * torch.tensor(
+        [1, 1, 1, 1, 3000, 2000.0]
+    )
+    return x, 2 * torch.rand(n, 2, generator=generator, dtype=torch.float64) - 1
+
+
+def _found(model: SindyModel) -> dict[tuple[str, str], float]:
+    return {
+        (state, name): float(model.coefficients[k, i])
+        for i, state in enumerate(model.signature.state_names)
+        for k, name in enumerate(model.library.names)
+        if model.coefficients[k, i]
+    }
+
+
+def _recording(plant: System, seconds: float, seed: int, amplitude: tuple[float, float]) -> Transitions:
+    u = HeldRandom(2, seconds, amplitude=amplitude, offset=(-0.11, 0.25), seed=seed).samples(0.01)
+    x, states = torch.zeros(1, 6, dtype=torch.float64), [torch.zeros(1, 6, dtype=torch.float64)]
+    for k in range(len(u)):
+        samples, touched = integrate(plant, x, u[k : k + 1], 0.01, 2, plant.stops)
+        x = samples[:, -1]
+        assert not bool(touched)
+        states.append(x)
+    return Transitions.from_trajectory(torch.cat(states), u, 0.01)
+
+
+def test_exact_derivatives_give_the_published_table_and_nothing_else():
+    x, u = _points()
+    model = SindyModel(Xi().signature, "paper_table", Regression(threshold=0.9))
+    model.fit_derivatives(x, u, Xi()(x, u))
+    found = _found(model)
+    assert found.keys() == PUBLISHED.keys()
+    assert max(abs(found[k] / v - 1) for k, v in PUBLISHED.items()) < 1e-11
+
+
+def test_equals_pysindy_on_the_same_data():
+    x, u = _points()
+    dx = Xi()(x, u)
+    model = SindyModel(Xi().signature, "paper_table", Regression(threshold=0.9))
+    model.fit_derivatives(x, u, dx)
+    optimizer = pysindy.STLSQ(threshold=0.9, alpha=0, normalize_columns=True)
+    optimizer.fit(model.library(x, u).numpy(), dx.numpy())
+    theirs = torch.from_numpy(np.asarray(optimizer.coef_)).mT
+    scale = theirs.abs().amax(0)
+    assert torch.equal(theirs != 0, model.coefficients != 0)
+    assert float(((model.coefficients - theirs) / scale).abs().max()) < 1e-8
+
+
+def test_ten_seconds_of_held_inputs_give_the_published_terms():
+    data = _recording(Xi(), 10.0, 0, (0.6, 0.45))
+    model = SindyModel(Xi().signature, "paper_table", Regression("bic"), Refinement())
+    model.fit(data)
+    found = _found(model)
+    assert found.keys() == PUBLISHED.keys()
+    assert max(abs(found[k] / v - 1) for k, v in PUBLISHED.items()) < 1e-5
+
+
+def test_the_rotor_model_predicts_the_first_principles_plant_over_an_episode():
+    model = SindyModel(Tras().signature, "rotor", Regression("bic"), Refinement(), known=KNOWN)
+    model.fit(_recording(Tras(), 10.0, 0, (0.3, 0.2)))
+    unseen = _recording(Tras(), 20.0, 4, (0.3, 0.2))
+    with torch.no_grad():
+        predicted = model.simulate(unseen.x[:1], unseen.u.unsqueeze(0), 0.01)[0, 1:]
+    error = (predicted - unseen.x_next).square().mean(0).sqrt() / unseen.x_next.std(0)
+    assert float(error.max()) < 0.02
+
+
+def test_forward_is_theta_times_xi_and_follows_new_coefficients():
+    x, u = _points(7)
+    model = SindyModel(Xi().signature, "paper_equation")
+    for seed in (0, 1):
+        generator = torch.Generator().manual_seed(seed)
+        xi = torch.rand(40, 6, generator=generator, dtype=torch.float64)
+        model.set_coefficients(xi)
+        assert torch.allclose(model(x, u), model.library(x, u) @ xi)
+    assert model(x.float(), u.float()).dtype == torch.float32
+
+
+def test_prediction_is_runge_kutta_and_simulation_is_prediction_repeated():
+    x, u = _points(2)
+    model = SindyModel(Xi().signature)
+    model.fit_derivatives(*_points(), Xi()(*_points()))
+    once = model.predict(x, u, 0.01)
+    assert torch.allclose(once, rk4(Xi(), x, u, 0.01), rtol=1e-9)
+    path = model.simulate(x, u.unsqueeze(1).expand(-1, 2, -1), 0.01)
+    assert torch.equal(path[:, 2], model.predict(once, u, 0.01))
+
+
+def test_known_rows_masks_and_fixed_coefficients_are_kept():
+    x, u = _points()
+    model = SindyModel(
+        Xi().signature,
+        "paper_table",
+        known=KNOWN,
+        allowed={"omega_a": ["1", "omega_a", "u_a"]},
+        fixed={"omega_p": {"u_p": 6000.0}},
+    )
+    model.fit_derivatives(x, u, Xi()(x, u))
+    found = _found(model)
+    assert [v for (s, _), v in found.items() if s == "alpha_a"] == [1.0]
+    assert {n for s, n in found if s == "omega_a"} == {"1", "omega_a", "u_a"}
+    assert found["omega_p", "u_p"] == 6000.0
+    assert found["omega_p", "omega_p"] == pytest.approx(-1.4193, rel=0.1)
+
+
+def test_a_saved_model_predicts_as_it_did(tmp_path):
+    x, u = _points()
+    model = SindyModel(Xi().signature)
+    model.fit_derivatives(x, u, Xi()(x, u))
+    model.save(tmp_path / "model.json")
+    assert torch.equal(SindyModel.load(tmp_path / "model.json")(x, u), model(x, u))
+    assert json.loads((tmp_path / "model.json").read_text())["coefficients"]["omega_p"][
+        "u_p"
+    ] == pytest.approx(6100)
+
+
+def test_an_update_equals_a_fit_to_all_data():
+    data = _recording(Xi(), 4.0, 3, (0.5, 0.3))
+    parts = [data.select(torch.arange(400) < 250), data.select(torch.arange(400) >= 250)]
+    whole, grown = SindyModel(Xi().signature), SindyModel(Xi().signature)
+    whole.fit(Transitions.cat(parts))
+    grown.fit(parts[0])
+    grown.update(parts[1])
+    assert torch.allclose(whole.coefficients, grown.coefficients, rtol=1e-5, atol=1e-5)
+
+
+def test_too_few_samples_wrong_widths_and_unfinished_numbers_are_refused():
+    model = SindyModel(Xi().signature)
+    zeros = torch.zeros(11, 6)
+    with pytest.raises(ValueError, match="10 samples; allowed are 27 or more"):
+        model.fit(Transitions.from_trajectory(zeros, torch.zeros(11, 2), 0.01))
+    with pytest.raises(ValueError, match="1 inputs; allowed are 6 and 2"):
+        model.fit(Transitions.from_trajectory(zeros, torch.zeros(11, 1), 0.01))
+    bad = torch.zeros(41, 6)
+    bad[3, 2] = float("nan")
+    with pytest.raises(ValueError, match="not finite"):
+        model.fit(Transitions.from_trajectory(bad, torch.zeros(41, 2), 0.01))
+    with pytest.raises(ValueError, match="coefficients got shape"):
+        model.set_coefficients(torch.zeros(3, 6))
