@@ -4,11 +4,15 @@ Importing the package imports no heavy library; each subpackage imports what it 
 Gymnasium environments `dynasindy/TwinRotor-v0` and `dynasindy/Pendulum-v0` by name.
 """
 
+import os
+
 import gymnasium
 
 __all__ = ["__version__"]
 
 __version__ = "0.1.0"
+
+os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # torchrl reads it when it is imported, and chats at INFO
 
 # Entry points as text: torch is imported when such an environment is made, not here.
 gymnasium.register("dynasindy/TwinRotor-v0", entry_point="dynasindy.envs.gym:twin_rotor")

@@ -9,7 +9,6 @@ from difflib import get_close_matches
 from functools import wraps
 from pathlib import Path
 
-os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # read when torchrl is imported
 os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors reach us instead of Hydra's printer
 
 import hydra
@@ -98,7 +97,7 @@ def _leave_word(line: str) -> None:
     if not HydraConfig.initialized():
         return
     folder = Path(HydraConfig.get().runtime.output_dir)
-    if not folder.is_dir():
+    if not folder.is_dir() or folder.resolve() == Path.cwd():
         return
     if any(folder.iterdir()):
         (folder / "error.txt").write_text(line + "\n")

@@ -2,9 +2,8 @@
 
 from pathlib import Path
 
-from command import command  # first: it sets what torchrl reads when it is imported
-
 import torch
+from command import command
 from omegaconf import DictConfig
 from saved_run import load_config, load_policy, load_scenario
 

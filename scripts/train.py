@@ -3,9 +3,8 @@
 from dataclasses import fields
 from pathlib import Path
 
-from command import command  # first: it sets what torchrl reads when it is imported
-
 import torch
+from command import command
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
@@ -18,7 +17,8 @@ from dynasindy.viz.run import draw_run
 def main(cfg: DictConfig) -> None:
     """Build the experiment, run it, draw its figures and print what came of it."""
     torch.set_num_threads(cfg.threads)
-    parts = {field.name: instantiate(cfg[field.name], _convert_="all") for field in fields(Recipe) if field.name != "seed"}
+    names = [field.name for field in fields(Recipe) if field.name != "seed"]
+    parts = {name: instantiate(cfg[name], _convert_="all") for name in names}
     recipe = Recipe(**parts, seed=cfg.seed)
     evaluating = Evaluating(instantiate(cfg.scenario, _convert_="all"), cfg.evaluation.every)
     folder = Path(cfg.folder)

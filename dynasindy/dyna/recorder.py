@@ -117,8 +117,8 @@ class Recorder(Callback):
 
     def _write_rollout(self, name: str, rollout: TensorDict) -> None:
         signature = self.plant.system.signature
-        names = [signature.state_names[i] for i in self.plant.task.outputs]
-        columns = [*signature.state_names, *signature.input_names, *(f"reference_{name}" for name in names)]
+        columns = [*signature.state_names, *signature.input_names]
+        columns += [f"reference_{name}" for name in self.plant.task.output_names]
         values = torch.cat([rollout["state"], rollout["action"], rollout["reference"]], -1)
         self._write_series(name, columns, values)
 

@@ -25,6 +25,8 @@ class Task(ABC):
     """Length of the observation."""
     n_r: int
     """Number of tracked outputs."""
+    output_names: tuple[str, ...]
+    """Names of the tracked states."""
 
     def __init__(self, signature: Signature, max_steps: int) -> None:
         if max_steps < 1:

@@ -59,6 +59,7 @@ class Tracking(Task):
             )
         if not error_scale > 0:
             raise ValueError(f"error_scale must be positive, got {error_scale}; give it in the unit of the outputs")
+        self.output_names = tuple(outputs)
         self.outputs = [signature.state_index(name) for name in outputs]
         self.rates = [signature.state_index(name) for name in rates]
         self.references = reference
@@ -83,10 +84,12 @@ class Tracking(Task):
         return Tracking(
             self.signature,
             reference,
-            [names[i] for i in self.outputs],
+            self.output_names,
             [names[i] for i in self.rates],
             self.reward_function,
-            **{"max_steps": self.max_steps, "observe_rate": self.observe_rate, "error_scale": self.error_scale},
+            max_steps=self.max_steps,
+            observe_rate=self.observe_rate,
+            error_scale=self.error_scale,
         )
 
     def sample(self, batch: torch.Size, generator: torch.Generator) -> Tensor:
