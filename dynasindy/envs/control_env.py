@@ -166,26 +166,26 @@ class ControlEnv(EnvBase):
     def _make_specs(self) -> None:
         batch, dtype, signature = self.batch_size, self.float_type, self.system.signature
 
-        def unbounded(*shape: int, dtype: torch.dtype = dtype) -> Unbounded:
+        def _unbounded(*shape: int, dtype: torch.dtype = dtype) -> Unbounded:
             return Unbounded(shape=(*batch, *shape), dtype=dtype)
 
         carried = {
-            "state": unbounded(signature.n_x),
-            "task_params": unbounded(*self.task.params_shape),
-            "step_count": unbounded(1, dtype=torch.int64),
+            "state": _unbounded(signature.n_x),
+            "task_params": _unbounded(*self.task.params_shape),
+            "step_count": _unbounded(1, dtype=torch.int64),
         }
         self.state_spec = Composite(carried, shape=batch)
         self.observation_spec = Composite(
             {key: spec.clone() for key, spec in carried.items()}
             | {
-                "observation": unbounded(self.task.n_o, dtype=torch.float32),
-                "reference": unbounded(self.task.n_r),
-                "samples": unbounded(self.substeps, signature.n_x),
+                "observation": _unbounded(self.task.n_o, dtype=torch.float32),
+                "reference": _unbounded(self.task.n_r),
+                "samples": _unbounded(self.substeps, signature.n_x),
                 "at_stop": Binary(n=1, shape=(*batch, 1), dtype=torch.bool),
             },
             shape=batch,
         )
         self.action_spec = Bounded(low=-1.0, high=1.0, shape=(*batch, signature.n_u), dtype=torch.float32)
-        self.reward_spec = unbounded(1, dtype=torch.float32)
+        self.reward_spec = _unbounded(1, dtype=torch.float32)
         done = {key: Binary(n=1, shape=(*batch, 1), dtype=torch.bool) for key in ("done", "terminated", "truncated")}
         self.done_spec = Composite(done, shape=batch)

@@ -1,0 +1,67 @@
+from dataclasses import replace
+from functools import partial
+
+import pytest
+import torch
+
+from dynasindy.agents import TD3
+from dynasindy.data import DynaReplay
+from dynasindy.dyna.experiment import Recipe
+from dynasindy.dyna.loop import Settings
+from dynasindy.envs import ControlEnv
+from dynasindy.excitation import Chirp
+from dynasindy.planning import Gate, NoPlanning
+from dynasindy.systems import Tras
+from dynasindy.tasks import RandomStep, Tracking
+from dynasindy.world_models import Oracle
+
+
+def recipe(seed=0):
+    return Recipe(
+        system=Tras(azimuth_stop=2.0),
+        task=partial(Tracking, reference=RandomStep([-0.5, -0.5], [0.5, 0.4])),
+        env=partial(ControlEnv, dtype=torch.float64),
+        excitation=Chirp,
+        world_model=partial(Oracle, system=Tras(azimuth_stop=2.0)),
+        agent=partial(TD3, hidden=(8,)),
+        replay=partial(DynaReplay, 1000, 16),
+        planning=NoPlanning,
+        gate=Gate(),
+        train=Settings(1),
+        seed=seed,
+    )
+
+
+def weights(parts):
+    return torch.cat([p.flatten() for p in parts.agent.deployed.parameters()])
+
+
+def test_one_seed_decides_everything():
+    one, same, other = recipe(1).build(), recipe(1).build(), recipe(2).build()
+    assert torch.equal(weights(one), weights(same)) and not torch.equal(weights(one), weights(other))
+    assert torch.equal(one.env.reset()["reference"], same.env.reset()["reference"])
+    assert not torch.equal(one.env.reset()["reference"], other.env.reset()["reference"])
+
+
+def test_the_parts_do_not_share_a_seed():
+    # The agent's target noise and the exploration noise must not be copies of the environment's draws.
+    parts = recipe(1).build()
+    seeds = {parts.plant.rng.initial_seed(), parts.model_env.rng.initial_seed(), parts.replay.generator.initial_seed()}
+    assert len(seeds) == 3
+
+
+def test_imagined_and_real_environment_share_task_and_stops():
+    parts = recipe().build()
+    assert parts.model_env.task is parts.plant.task
+    assert parts.model_env.stops is parts.plant.system.stops
+    assert parts.model_env.float_type == torch.float32 and parts.plant.float_type == torch.float64
+
+
+def test_the_model_is_the_one_that_imagines():
+    parts = recipe().build()
+    assert parts.model_env.system is parts.world_model
+
+
+def test_a_part_that_refuses_its_settings_stops_the_build():
+    with pytest.raises(ValueError, match="need dt > 0 s"):
+        replace(recipe(), env=partial(ControlEnv, dt=-1.0)).build()

@@ -1,0 +1,91 @@
+import csv
+import json
+from functools import partial
+
+import pytest
+import torch
+
+from dynasindy.agents import TD3
+from dynasindy.data import DynaReplay
+from dynasindy.dyna.experiment import Recipe
+from dynasindy.dyna.loop import Settings, train
+from dynasindy.dyna.recorder import Recorder, write_csv
+from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.scenarios import Scenario
+from dynasindy.excitation import Chirp
+from dynasindy.planning import Gate, NoPlanning
+from dynasindy.systems import Tras
+from dynasindy.tasks import RandomStep, Step, Tracking
+from dynasindy.world_models import Oracle
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    recipe = Recipe(
+        system=Tras(),
+        task=partial(Tracking, reference=RandomStep([-0.5, -0.5], [0.5, 0.4]), max_steps=20),
+        env=ControlEnv,
+        excitation=partial(Chirp, duration=1.0),
+        world_model=partial(Oracle, system=Tras()),
+        agent=partial(TD3, hidden=(8,)),
+        replay=partial(DynaReplay, 1000, 16),
+        planning=NoPlanning,
+        gate=Gate(),
+        train=Settings(3, 0.1),
+    )
+    parts = recipe.build()
+    scenario = Scenario("step", Step([[0.1, 0.1], [0.2, -0.1]]), episodes=2, seconds=6.0)
+    recorder = Recorder(tmp_path, parts, scenario, every=2, episodes=3)
+    train(parts, recipe.train, recorder)
+    return tmp_path, parts, recorder
+
+
+def rows(path):
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_row_per_episode_with_the_cost_so_far(recorded):
+    folder, _, _ = recorded
+    progress = rows(folder / "progress.csv")
+    assert [float(row["real_steps"]) for row in progress] == [40, 60, 80]
+    assert [float(row["plant_seconds"]) for row in progress] == pytest.approx([2, 3, 4])
+    assert [float(row["updates"]) for row in progress] == [2, 4, 6]
+
+
+def test_only_evaluated_episodes_have_evaluated_figures(recorded):
+    folder, _, _ = recorded
+    given = [bool(row["evaluated_return"]) for row in rows(folder / "progress.csv")]
+    assert given == [False, True, True]  # every second one, and the last
+
+
+def test_the_true_model_predicts_without_error(recorded):
+    folder, _, _ = recorded
+    for row in rows(folder / "progress.csv"):
+        assert float(row["one_step_reward_error"]) < 1e-5 and float(row["reward_error"]) < 1e-4
+
+
+def test_evaluation_neither_counts_nor_changes_the_run(recorded):
+    _, parts, recorder = recorded
+    before = parts.env.rng.get_state(), parts.agent.noise.sigma, len(parts.replay.real)
+    recorder.evaluate()
+    assert torch.equal(parts.env.rng.get_state(), before[0])
+    assert (parts.agent.noise.sigma, len(parts.replay.real)) == before[1:]
+
+
+def test_the_end_leaves_policy_model_and_metrics(recorded):
+    folder, parts, recorder = recorded
+    metrics = recorder.finish({"seed": 0})
+    assert json.loads((folder / "metrics.json").read_text()) == metrics
+    saved = torch.load(folder / "policy.pt", weights_only=True)
+    assert all(torch.equal(saved[name], value) for name, value in parts.agent.deployed.state_dict().items())
+    assert (folder / "model.json").is_file()
+    assert len(rows(folder / "data" / "step_response.csv")) == 120
+
+
+def test_a_table_replaces_the_old_one_whole(tmp_path):
+    path = tmp_path / "deep" / "table.csv"
+    write_csv(path, ["a", "b"], [[1.0, None]])
+    write_csv(path, ["a", "b"], [[1.0, None], [2.5, 3.0]])
+    assert path.read_text().split() == ["a,b", "1,", "2.5,3"]
+    assert [file.name for file in path.parent.iterdir()] == ["table.csv"]

@@ -1,0 +1,21 @@
+import pytest
+import torch
+
+from dynasindy.systems import Tras
+from dynasindy.world_models import Oracle, SindyModel, WorldModel
+
+
+def test_a_model_that_cannot_be_fitted_is_abstract():
+    with pytest.raises(TypeError, match="abstract"):
+        WorldModel(Tras().signature)
+
+
+@pytest.mark.parametrize("make", [lambda p: Oracle(p.signature, p), lambda p: SindyModel(p.signature)])
+def test_every_model_is_a_system_with_the_plants_signature(make, tmp_path):
+    plant = Tras()
+    model = make(plant)
+    assert model.signature == plant.signature
+    assert model(torch.zeros(4, 6), torch.zeros(4, 2)).shape == (4, 6)
+    assert len(model.equations()) == 6
+    model.save(tmp_path / "model.json")
+    assert (tmp_path / "model.json").read_text().startswith("{")
