@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
+from collections.abc import Callable
 
 import torch
 from tensordict.nn import TensorDictModule
@@ -64,13 +65,13 @@ class GradientPlanning(Planner):
         agent: TD3,
         replay: DynaReplay,
         *,
-        updates: int = 300,
-        more_updates: int = 150,
+        updates: int = 250,
+        more_updates: int = 100,
         rows: int = 128,
         window: int = 60,
-        lr: float = 2e-3,
-        more_lr: float = 1e-3,
-        max_grad_norm: float = 1.0,
+        lr: float = 5e-3,
+        more_lr: float = 2e-3,
+        max_grad_norm: float = 0.3,
         width: float = 0.02,
         real_starts: float = 0.25,
         jumps: float = 0.25,
@@ -154,6 +155,41 @@ class GradientPlanning(Planner):
         """Let an agent that deploys a running average of its actor deploy the planned actor."""
         if self.agent.deployed is not self.agent.policy:
             self.agent.deployed.load_state_dict(self.agent.policy.state_dict())
+
+
+class GradientThenReplay(Planner):
+    """Plan by the model's gradient, then imagine transitions for TD3, which goes on with the same actor.
+
+    Args:
+        env: Imagined environment.
+        agent: Agent whose actor learns.
+        replay: Both storages.
+        gradient: Builder of the planning by gradient, called with `env`, `agent`, `replay` and `seed`.
+        replayed: Builder of the planning by imagined replay, called alike.
+        seed: Seed of both.
+    """
+
+    def __init__(
+        self,
+        env: ControlEnv,
+        agent: TD3,
+        replay: DynaReplay,
+        gradient: Callable[..., Planner],
+        replayed: Callable[..., Planner],
+        seed: int = 0,
+    ) -> None:
+        self.planners = [build(env=env, agent=agent, replay=replay, seed=seed) for build in (gradient, replayed)]
+        super().__init__(min(planner.every for planner in self.planners))
+
+    def plan(self) -> Planned:
+        """Plan both ways, the gradient first, so that the transitions are those of its policy."""
+        parts = [planner.plan() for planner in self.planners]
+        return Planned(sum(part.imagined for part in parts), sum(part.updates for part in parts))
+
+    def distrust(self) -> None:
+        """Drop what was imagined."""
+        for planner in self.planners:
+            planner.distrust()
 
 
 class Episodes:

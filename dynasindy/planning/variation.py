@@ -33,7 +33,8 @@ class Variation:
     def __post_init__(self) -> None:
         if not 0 <= self.parameters < 1 or self.disturbance < 0 or any(deviation < 0 for deviation in self.noise):
             raise ValueError(
-                f"a variation needs 0 <= parameters < 1, disturbance >= 0 and noise >= 0, got {self}; mend planning.variation"
+                f"a variation needs 0 <= parameters < 1, disturbance >= 0 and noise >= 0, got {self}; "
+                "mend planning.variation"
             )
 
     @property

@@ -14,8 +14,8 @@ from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 STEPS = 25
 
 
-def setting(plant=None):
-    plant = plant or Xi()
+def setting():
+    plant = Xi()
     reward = TrackingReward(error_shape="linear", width=0.02, bonus=0.0)
     task = Tracking(plant.signature, RandomStep([-0.5, -0.5], [0.5, 0.4]), reward=reward)
     env = ControlEnv(plant, task, substeps=1)
@@ -95,7 +95,7 @@ def test_sensitivities_equal_central_differences():
 
 
 def test_gradient_at_a_stop_leads_away_from_it():
-    env, network, rows, rng = setting()
+    env, *_ = setting()
     x = torch.zeros(8, 6)
     x[:, 1] = torch.pi / 2
     a, _ = sensitivities(env, env.system, x, torch.ones(8, 2))

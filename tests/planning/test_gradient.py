@@ -1,0 +1,123 @@
+"""Planning through the model's gradient, with the true plant as the model."""
+
+from functools import partial
+
+import pytest
+import torch
+
+from dynasindy.agents import TD3
+from dynasindy.data import DynaReplay
+from dynasindy.envs import ControlEnv
+from dynasindy.planning import GradientPlanning, GradientThenReplay, ImaginedReplay, Variation
+from dynasindy.planning.gradient import Episodes
+from dynasindy.systems.xi import Xi
+from dynasindy.tasks import RandomStep, Tracking
+
+SMALL = {"rows": 16, "window": 20, "check_every": 4}
+
+
+def setting(max_steps=60, **agent):
+    plant = Xi()
+    task = Tracking(plant.signature, RandomStep([-0.3, -0.3], [0.3, 0.3]), max_steps=max_steps)
+    env = ControlEnv(plant, task)
+    return env, TD3(task.n_o, 2, hidden=(32, 32), **agent), DynaReplay(1000, 16)
+
+
+@torch.no_grad()
+def total(env, agent):
+    return float(env.with_task(env.task).rollout(60, agent.policy)["next", "reward"].sum())
+
+
+def weights(policy):
+    return torch.cat([p.detach().reshape(-1).clone() for p in policy.parameters()])
+
+
+def test_planning_improves_the_return_in_the_real_environment():
+    env, agent, replay = setting()
+    before = total(env, agent)
+    planned = GradientPlanning(env, agent, replay, updates=40, lr=1e-2, **SMALL).plan()
+    after = total(env, agent)
+    assert planned.updates == 40
+    assert planned.imagined == 40 * 16 * 20
+    assert after > 0.5 * before  # returns are negative: more than half of the cost is gone
+
+
+def test_the_actor_of_the_agent_itself_learns_and_td3_goes_on_from_it():
+    env, agent, replay = setting()
+    before = weights(agent.policy)
+    GradientPlanning(env, agent, replay, updates=4, **SMALL).plan()
+    learnt = torch.cat([p.reshape(-1) for p in agent.loss.actor_network_params.values(True, True)])
+    assert not torch.equal(weights(agent.policy), before)
+    assert sorted(learnt.tolist()) == sorted(weights(agent.policy).tolist())
+
+
+def test_a_deployed_average_becomes_the_planned_actor():
+    env, agent, replay = setting(policy_average=0.01)
+    GradientPlanning(env, agent, replay, updates=4, **SMALL).plan()
+    torch.testing.assert_close(weights(agent.deployed), weights(agent.policy))
+
+
+def test_equal_seeds_plan_equally():
+    policies = []
+    for _ in range(2):
+        env, agent, replay = setting()
+        GradientPlanning(env, agent, replay, updates=6, seed=5, **SMALL).plan()
+        policies.append(weights(agent.policy))
+    assert torch.equal(*policies)
+
+
+def test_later_phases_take_their_own_number_of_updates():
+    env, agent, replay = setting()
+    planner = GradientPlanning(env, agent, replay, updates=5, more_updates=2, **SMALL)
+    assert [planner.plan().updates for _ in range(3)] == [5, 2, 2]
+
+
+def test_the_best_policy_on_held_out_references_is_kept_and_a_phase_without_progress_ends():
+    env, agent, replay = setting()
+    planner = GradientPlanning(env, agent, replay, updates=1000, rows=16, window=20, check_every=1, patience=2)
+    scores = iter([-3.0, -1.0, -2.0, -2.0])
+    seen = []
+    planner.test = lambda: (seen.append(weights(agent.policy)), next(scores))[1]
+    assert planner.plan().updates == 4
+    assert torch.equal(weights(agent.policy), seen[1])
+
+
+def test_episodes_begin_at_real_states_when_asked():
+    env, agent, replay = setting()
+    real = env.rollout(20, agent.policy)
+    real["state"] = torch.full_like(real["state"], 0.123)
+    replay.extend_real(real)
+    planner = GradientPlanning(env, agent, replay, updates=1, real_starts=1.0, jumps=0.0, **SMALL)
+    episodes = Episodes(planner)
+    lost = torch.full((16, 6), torch.nan)
+    episodes.carry_on(lost, torch.zeros(16, 2))
+    torch.testing.assert_close(episodes.rows.x, torch.full((16, 6), 0.123))
+
+
+def test_every_variation_can_be_planned_with():
+    env, agent, replay = setting()
+    noise = [5e-4, 5e-4, 5e-3, 5e-3, 20.0, 20.0]
+    variation = Variation(parameters=0.1, disturbance=0.05, noise=noise, late=True)
+    planner = GradientPlanning(env, agent, replay, updates=3, variation=variation, **SMALL)
+    planner.plan()
+    assert bool(weights(agent.policy).isfinite().all())
+
+
+def test_both_ways_of_planning_share_one_phase():
+    env, agent, replay = setting()
+    replay.extend_real(env.rollout(20, agent.policy))
+    gradient = partial(GradientPlanning, updates=2, **SMALL)
+    planner = GradientThenReplay(env, agent, replay, gradient, partial(ImaginedReplay, rollouts=3, horizon=2, reach=1e6))
+    assert planner.plan().imagined == 2 * 16 * 20 + 6
+    assert len(replay.model) == 6
+    planner.distrust()
+    assert not len(replay.model)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"rows": 0}, {"lr": 0.0}, {"updates": -1}, {"real_starts": 0.8, "jumps": 0.8}]
+)
+def test_impossible_settings_are_refused(wrong):
+    env, agent, replay = setting()
+    with pytest.raises(ValueError, match="mend planning"):
+        GradientPlanning(env, agent, replay, **wrong)
