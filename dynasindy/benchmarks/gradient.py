@@ -1,0 +1,331 @@
+"""Seconds of plant data to a controller: planning through the model's gradient, measured on the real plant.
+
+Every row is one policy in one scenario. A file that exists is carried on: rows it holds are not measured again.
+Wall and CPU seconds are those from nothing to the policy (excitation, fits, planning, episodes), evaluation left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDict
+
+from dynasindy.agents import TD3
+from dynasindy.data import DynaReplay
+from dynasindy.dyna.callback import Callback
+from dynasindy.dyna.experiment import Recipe
+from dynasindy.dyna.loop import Parts, Settings, train
+from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.disturbances import Detuned, Pushed, SensorNoise
+from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate, step_references
+from dynasindy.excitation import Multisine
+from dynasindy.planning import Gate, GradientPlanning, Planned, Planner, Variation
+from dynasindy.planning.integral import IntegralAction
+from dynasindy.systems import System, Tras, Xi
+from dynasindy.tasks import Mixture, RandomStep, Tracking, TrackingReward, Wave
+from dynasindy.world_models import Oracle, Refinement, Regression, SindyModel
+
+PLANTS: dict[str, tuple[type[System], str]] = {"xi": (Xi, "paper_table"), "tras": (Tras, "rotor")}
+LOW, HIGH = (-0.5, -0.5), (0.5, 0.4)  # targets that both plants can hold [rad]
+NOISE = (5e-4, 5e-4, 5e-3, 5e-3, 20.0, 20.0)  # rad, rad, rad/s, rad/s, rpm, rpm
+GUST = {"Omega_a": 0.5, "Omega_p": 0.5}  # rad/s^2
+COLUMNS = (
+    "case",
+    "plant",
+    "seed",
+    "plant_seconds",
+    "scenario",
+    "metric",
+    "azimuth",
+    "pitch",
+    "azimuth_worst",
+    "pitch_worst",
+    "return",
+    "updates",
+    "wall_seconds",
+    "cpu_seconds",
+)
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is measured.
+
+    Args:
+        episodes: Real episodes after the excitation.
+        oracle: Plan with the true plant as the model.
+        moving: Train on moving references and evaluate on the paper's sine and square.
+        noise: Standard deviations of the measurement noise, in the data and in flight.
+        detuned: Evaluate on a plant with other parameters, in a gust, with integral action.
+        variation: How imagined plants stray.
+    """
+
+    episodes: int = 0
+    oracle: bool = False
+    moving: bool = False
+    noise: tuple[float, ...] = ()
+    detuned: bool = False
+    variation: Variation = field(default_factory=Variation)
+
+
+CASES = {
+    "step": Case(episodes=1),
+    "oracle": Case(oracle=True),
+    "moving": Case(moving=True),
+    "noise": Case(episodes=3, noise=NOISE),
+    "noise_robust": Case(episodes=3, noise=NOISE, variation=Variation(noise=NOISE)),
+    "detuned": Case(detuned=True),
+    "detuned_robust": Case(detuned=True, variation=Variation(parameters=0.1)),
+}
+
+
+def main(argv: list[str]) -> None:
+    """Measure cases, plants and seeds, and append a row per policy and scenario."""
+    parser = argparse.ArgumentParser(prog="benchmark.py gradient", description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
+    parser.add_argument("--plants", nargs="+", choices=PLANTS, default=list(PLANTS))
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(10)), help="seeds to measure")
+    parser.add_argument("--out", type=Path, default=Path("docs/results/gradient.csv"), help="CSV file to append to")
+    arguments = parser.parse_args(argv)
+    torch.set_num_threads(1)
+    for case in arguments.cases:
+        for seed in arguments.seeds:
+            for plant in arguments.plants:
+                if not any(_same(row, case, plant, seed) for row in read(arguments.out)):
+                    append(arguments.out, measure(case, plant, seed))
+    print("\n".join(table(read(arguments.out))))
+
+
+def measure(name: str, plant: str, seed: int, **planning: Any) -> list[Row]:
+    """Run one case and return its rows, one per phase and scenario.
+
+    Args:
+        name: Name of the case.
+        plant: Name of the plant.
+        seed: Seed of the run.
+        **planning: Settings of `GradientPlanning` other than its defaults.
+    """
+    case, rows = CASES[name], []
+    watch = Watch()
+
+    def planned(updates: int) -> None:
+        watch.stop(updates)
+        for scenario, metric, values in judge(case, parts, seed):
+            head = {"case": name, "plant": plant, "seed": seed, "plant_seconds": watch.plant_seconds}
+            rows.append({**head, "scenario": scenario, "metric": metric, **values, **watch.costs()})
+        watch.start()
+
+    recipe = build_recipe(case, plant, seed, planning)
+    parts = recipe.build()
+    if case.noise:
+        measured(parts, case.noise, seed)
+    parts.planner = Watched(parts.planner, planned)
+    watch.real = parts.replay
+    train(parts, recipe.train, Callback())
+    return rows
+
+
+def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) -> Recipe:
+    """Return the experiment of a case."""
+    system_type, library = PLANTS[plant]
+    system = system_type()
+    model = partial(Oracle, system=system) if case.oracle else partial(sparse_model, library)
+    references = Mixture([RandomStep(LOW, HIGH), *_waves(random=True)]) if case.moving else RandomStep(LOW, HIGH)
+    reward = TrackingReward(error_shape="linear")
+    return Recipe(
+        system=system,
+        task=partial(Tracking, reference=references, reward=reward, observe_rate=case.moving),
+        env=partial(ControlEnv, dtype=torch.float64),
+        excitation=partial(Multisine, duration=10.0, amplitude=(0.5, 0.3), offset=(-0.1, 0.2), seed=seed),
+        world_model=model,
+        agent=partial(TD3, hidden=(128, 128)),
+        replay=partial(DynaReplay, capacity=100_000, batch_size=256),
+        planning=partial(GradientPlanning, variation=case.variation, **planning),
+        gate=Gate(open_below=torch.inf, close_above=torch.inf),
+        train=Settings(episodes=case.episodes, updates_per_step=0),
+        seed=seed,
+    )
+
+
+def sparse_model(library: str, signature: Any) -> SindyModel:
+    """Return the world model of the main job."""
+    return SindyModel(
+        signature,
+        library,
+        Regression(method="bic", tolerance=1e-4),
+        Refinement(),
+        known={"alpha_a": "Omega_a", "alpha_p": "Omega_p"},
+    )
+
+
+def judge(case: Case, parts: Parts, seed: int) -> Iterable[tuple[str, str, Row]]:
+    """Yield scenario, metric and numbers of the policy on the real plant."""
+    policy = parts.agent.deployed
+    steps = step_references(LOW, HIGH, 64)
+    if case.moving:
+        for wave, seconds in zip(_waves(), (100.0, 200.0)):
+            name = "square" if float(wave.params[0, 4]) else "sine"
+            result = evaluate(parts.plant, policy, Scenario(name, wave, 1, seconds))
+            yield name, "rmse", _numbers(result, result.metrics["rmse"])
+    elif case.detuned:
+        gust = Scenario("detuned_gust", steps, 64, 30.0, partial(Pushed, push=GUST), [(12.0, 15.0)])
+        env = parts.plant.with_system(detuned(parts.plant.system, seed))
+        for name, wrap in (("detuned_gust", None), ("detuned_gust_integral", IntegralAction)):
+            result = evaluate(env, wrap(policy, env) if wrap else policy, gust)
+            yield name, "max_abs_error_5s_after_gust", _numbers(result, _after(result, 20.0))
+    else:
+        wrappers = [partial(SensorNoise, std=case.noise, seed=seed)] if case.noise else []
+        result = evaluate(parts.plant, policy, Scenario("step", steps, 64, wrappers=wrappers))
+        yield "step", "mean_abs_error_last_5s", _numbers(result, result.metrics["steady_state_error"])
+
+
+def detuned(system: System, seed: int) -> Detuned:
+    """Return a plant with each rate of change and each input off by up to 10 %."""
+    factors = 0.9 + 0.2 * torch.rand(6, generator=torch.Generator().manual_seed(1000 + seed))
+    names = system.signature.state_names[2:]
+    return Detuned(system, dict(zip(names, factors[:4].tolist())), factors[4:].tolist())
+
+
+def measured(parts: Parts, std: tuple[float, ...], seed: int) -> None:
+    """Let the agent see, and the storage keep, noisy measurements of the plant."""
+    deviation, rng = torch.tensor(std, dtype=torch.float64), torch.Generator().manual_seed(seed + 7)
+    store, explore = parts.replay.extend_real, parts.agent.explore
+
+    def noisy(rollout: TensorDict) -> None:
+        rows = rollout.clone()
+        samples = rows["next", "samples"]
+        rows["next", "samples"] = samples + deviation * torch.randn(samples.shape, generator=rng).to(samples)
+        rows["next", "state"] = rows["next", "samples"][..., -1, :]
+        first = rows["state"][:1] + deviation * torch.randn(1, len(std), generator=rng)
+        rows["state"] = torch.cat([first, rows["next", "state"][:-1]])
+        store(rows)
+
+    parts.replay.extend_real = noisy  # type: ignore[method-assign, assignment]
+    parts.agent.explore = SensorNoise(explore, parts.plant, std, seed)  # type: ignore[assignment]
+
+
+class Watched(Planner):
+    """A planner that tells of each finished phase.
+
+    Args:
+        planner: The planner.
+        told: Called with the number of updates of the phase.
+    """
+
+    def __init__(self, planner: Planner, told: Callable[[int], None]) -> None:
+        super().__init__(planner.every)
+        self.planner, self.told = planner, told
+
+    def plan(self) -> Planned:
+        """Plan once."""
+        planned = self.planner.plan()
+        self.told(planned.updates)
+        return planned
+
+    def distrust(self) -> None:
+        """Pass it on."""
+        self.planner.distrust()
+
+
+class Watch:
+    """Wall and CPU time, updates and plant time of a run, evaluation left out."""
+
+    def __init__(self) -> None:
+        self.wall = self.cpu = 0.0
+        self.updates = 0
+        self.real: DynaReplay | None = None
+        self.start()
+
+    def start(self) -> None:
+        """Go on."""
+        self.since = time.perf_counter(), time.process_time()
+
+    def stop(self, updates: int) -> None:
+        """Pause after a phase of so many updates."""
+        self.wall += time.perf_counter() - self.since[0]
+        self.cpu += time.process_time() - self.since[1]
+        self.updates += updates
+
+    @property
+    def plant_seconds(self) -> float:
+        """Seconds on the real plant so far."""
+        return 0.05 * len(self.real.real) if self.real is not None else 0.0
+
+    def costs(self) -> Row:
+        """Return the last columns of a row."""
+        return {"updates": self.updates, "wall_seconds": round(self.wall, 1), "cpu_seconds": round(self.cpu, 1)}
+
+
+def read(path: Path) -> list[Row]:
+    """Return the rows of a file, none if there is no file."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def append(path: Path, rows: list[Row]) -> None:
+    """Append rows to a file and print them."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    new = not path.exists()
+    with path.open("a", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        if new:
+            writer.writeheader()
+        writer.writerows(rows)
+    for row in rows:
+        print(", ".join(f"{key} {row[key]}" for key in COLUMNS), flush=True)
+
+
+def table(rows: list[Row]) -> list[str]:
+    """Return one line per case, plant, plant time and scenario: median and worst seed."""
+    groups: dict[tuple[str, ...], list[Row]] = {}
+    for row in rows:
+        key = ("case", "plant", "plant_seconds", "scenario")
+        groups.setdefault(tuple(str(row[name]) for name in key), []).append(row)
+    lines = [f"{'case':<15}{'plant':<6}{'data [s]':>9}  {'scenario':<22}{'seeds':>6}  azimuth, pitch [rad]: median (worst)"]
+    for (case, plant, seconds, scenario), members in groups.items():
+        columns = [sorted(float(row[name]) for row in members) for name in ("azimuth", "pitch", "wall_seconds", "return")]
+        middle = [column[len(column) // 2] for column in columns]
+        lines.append(
+            f"{case:<15}{plant:<6}{float(seconds):>9.0f}  {scenario:<22}{len(members):>6}  "
+            f"{middle[0]:.4f} ({columns[0][-1]:.4f}), {middle[1]:.4f} ({columns[1][-1]:.4f}), "
+            f"return {middle[3]:.1f}, wall {middle[2]:.0f} ({columns[2][-1]:.0f}) s"
+        )
+    return lines
+
+
+def _waves(random: bool = False) -> list[Wave]:
+    """Return the paper's sine B and square C, or faster and larger random ones to train on."""
+    if random:
+        sine = Wave((0.5, 0.45), (0.05, 0.05), offset=(0.0, -0.05), random=True)
+        return [sine, Wave((0.5, 0.45), (0.05, 0.05), "square", offset=(0.0, -0.05), random=True)]
+    return [Wave((0.35, 0.25), (0.015, 0.015)), Wave((0.4, -0.5), (0.01, 0.01), "square")]
+
+
+def _after(result: Evaluation, second: float) -> torch.Tensor:
+    """Return the largest absolute error from a time on, `(episodes, n_r)` [rad]."""
+    error = (result.trajectory["reference"] - result.outputs).abs()
+    return error[:, result.time >= second].amax(1)
+
+
+def _numbers(result: Evaluation, errors: torch.Tensor) -> Row:
+    """Return mean and worst of errors `(episodes, 2)` and the mean return."""
+    mean, worst = errors.mean(0).tolist(), errors.amax(0).tolist()
+    names = ("azimuth", "pitch", "azimuth_worst", "pitch_worst")
+    numbers: Row = {name: round(value, 5) for name, value in zip(names, (*mean, *worst))}
+    return {**numbers, "return": round(float(result.returns.mean()), 3)}
+
+
+def _same(row: Row, case: str, plant: str, seed: int) -> bool:
+    return (row["case"], row["plant"], int(row["seed"])) == (case, plant, seed)

@@ -1,0 +1,64 @@
+"""Integral action around a trained policy: what the plant has and the model has not leaves no steady error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from dynasindy.envs import ControlEnv
+from dynasindy.tasks import Tracking
+
+
+class IntegralAction:
+    """A policy that is shown its error plus the error's integral.
+
+    The policy holds any target, so that shifting what it sees by `integral` moves the output until the error is
+    zero; no training is needed. Errors beyond `band` are not integrated: a step does not wind the integral up.
+
+    Args:
+        policy: Reads `observation`, writes `action`.
+        env: Environment of a `Tracking` task.
+        gain: Integral gain [1/s].
+        band: Largest error that is integrated [of the outputs].
+        limit: Largest integral [of the outputs].
+
+    Raises:
+        TypeError: The task tracks no reference.
+        ValueError: A number is not positive.
+    """
+
+    def __init__(
+        self,
+        policy: Callable[[TensorDictBase], TensorDictBase],
+        env: ControlEnv,
+        gain: float = 0.7,
+        band: float = 0.1,
+        limit: float = 0.3,
+    ) -> None:
+        if not isinstance(env.task, Tracking):
+            raise TypeError(f"task {type(env.task).__name__} has no error to integrate; use a tracking task")
+        if not min(gain, band, limit) > 0:
+            raise ValueError(f"integral action needs positive numbers, got gain={gain}, band={band}, limit={limit}")
+        self.policy, self.task, self.dt = policy, env.task, env.dt
+        self.gain, self.band, self.limit = gain, band, limit
+        self.integral: Tensor | None = None
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the action for the shifted error and advance the integral; step 0 begins at zero."""
+        task, x, steps = self.task, tensordict["state"], tensordict["step_count"]
+        error = task.error(x, tensordict["task_params"], steps.to(x.dtype) * self.dt)
+        if self.integral is None or self.integral.shape != error.shape:
+            self.integral = torch.zeros_like(error)
+        self.integral = self.integral.masked_fill(steps == 0, 0.0)
+        seen = tensordict.copy()
+        observation = tensordict["observation"].clone()
+        first = task.signature.n_x
+        shift = (self.integral / task.error_scale).to(observation)
+        observation[..., first : first + task.n_r] += shift
+        seen["observation"] = observation
+        inside = (error.abs() < self.band).to(error)
+        self.integral = (self.integral + self.gain * self.dt * inside * error).clamp(-self.limit, self.limit)
+        return tensordict.set("action", self.policy(seen)["action"])
