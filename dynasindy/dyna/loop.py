@@ -77,7 +77,8 @@ class Settings:
     def __post_init__(self) -> None:
         if self.episodes < 0 or not self.updates_per_step >= 0 or (self.recent_steps or 1) < 1:
             raise ValueError(
-                f"train needs episodes >= 0, updates_per_step >= 0 and recent_steps >= 1 or null, got {self}; mend train"
+                f"train needs episodes >= 0, updates_per_step >= 0 and recent_steps >= 1 or null, got {self}; "
+                "mend train"
             )
 
 
@@ -109,7 +110,7 @@ def train(parts: Parts, settings: Settings, callback: Callback) -> TensorDictMod
         replay.extend_real(rollout)
         cost.real_steps += rollout.numel()
         # Policy learning.
-        for _ in range(round(settings.updates_per_step * rollout.numel())):
+        for _ in range(round(settings.updates_per_step * rollout.numel()) if planner.learns_by_td3 else 0):
             agent.update(replay.sample())
             cost.updates += 1
         # Planning: after every N episodes, on the updated model if it is trusted.

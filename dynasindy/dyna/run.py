@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,10 +33,12 @@ class Evaluating:
 
     def __post_init__(self) -> None:
         if self.every < 1:
-            raise ValueError(f"evaluation.every must be at least 1 episode, got {self.every}; use a large number for rarely")
+            raise ValueError(f"evaluation.every must be at least 1 episode, got {self.every}; give 1 or more")
 
 
-def run(recipe: Recipe, evaluating: Evaluating, folder: Path, settings: str) -> dict[str, Any]:
+def run(
+    recipe: Recipe, evaluating: Evaluating, folder: Path, settings: str, progress: bool = True
+) -> dict[str, Any]:
     """Run an experiment and write its folder.
 
     Args:
@@ -43,6 +46,7 @@ def run(recipe: Recipe, evaluating: Evaluating, folder: Path, settings: str) -> 
         evaluating: When and where to evaluate.
         folder: Run folder.
         settings: The resolved configuration, written beside the results.
+        progress: Show a progress bar.
 
     Returns:
         What `metrics.json` holds.
@@ -52,10 +56,13 @@ def run(recipe: Recipe, evaluating: Evaluating, folder: Path, settings: str) -> 
     """
     parts = recipe.build()
     folder.mkdir(parents=True, exist_ok=True)
+    # An interrupted run begins anew, and `metrics.json` always belongs to the config beside it.
+    (folder / "metrics.json").unlink(missing_ok=True)
+    shutil.rmtree(folder / "scalars", ignore_errors=True)
     (folder / "config.yaml").write_text(settings)
     episodes = recipe.train.episodes
     recorder = Recorder(folder, parts, evaluating.scenario, evaluating.every, episodes)
-    bar = ProgressBar(episodes)
+    bar = ProgressBar(episodes, progress)
     try:
         train(parts, recipe.train, Callbacks([recorder, bar]))
     finally:
@@ -67,7 +74,8 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
     """Return what a user reads at the end: equations, step tracking, cost, folder."""
     cost = metrics["cost"]
     lines = ["", "Identified equations", *(f"  {line}" for line in metrics["equations"]), ""]
-    title = f"Policy on the real plant, scenario '{metrics['scenario']}' (untrained return {metrics['untrained']['return']:.1f})"
+    untrained = metrics["untrained"]["return"]
+    title = f"Policy on the real plant, scenario '{metrics['scenario']}' (untrained return {untrained:.1f})"
     lines.append(to_text(metrics["evaluation"], title))
     lines += [
         "",

@@ -29,6 +29,9 @@ class Planner(ABC):
         ValueError: `every` is not positive.
     """
 
+    learns_by_td3: bool = True
+    """Whether TD3 updates the actor after each episode; False where planning alone trains it."""
+
     def __init__(self, every: int = 1) -> None:
         if every < 1:
             raise ValueError(f"planning.every must be at least 1 episode, got {every}; use planning=none for none")

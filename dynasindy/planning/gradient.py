@@ -56,6 +56,8 @@ class GradientPlanning(Planner):
         ValueError: A number is out of range.
     """
 
+    learns_by_td3 = False  # its critics know nothing of the imagined windows and would pull the actor away
+
     # Departure: the paper's reward is quadratic with a bonus; its slope vanishes near zero and the bonus has none.
     # The imagined cost has the task's weights, is linear beyond `width`, and has no bonus.
 
