@@ -25,7 +25,7 @@ from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import Parts, Settings, train
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.disturbances import Detuned, Pushed, SensorNoise
-from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate, step_references
+from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate, step_references
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Gate, GradientPlanning, Planned, Planner, Variation
 from dynasindy.planning.integral import IntegralAction
@@ -33,7 +33,7 @@ from dynasindy.systems import System, Tras, Xi
 from dynasindy.tasks import Mixture, RandomStep, Tracking, TrackingReward, Wave
 from dynasindy.world_models import Oracle, Refinement, Regression, SindyModel
 
-PLANTS: dict[str, tuple[type[System], str]] = {"xi": (Xi, "paper_table"), "tras": (Tras, "rotor")}
+PLANTS: dict[str, tuple[Callable[[], System], str]] = {"xi": (Xi, "paper_table"), "tras": (Tras, "rotor")}
 LOW, HIGH = (-0.5, -0.5), (0.5, 0.4)  # targets that both plants can hold [rad]
 NOISE = (5e-4, 5e-4, 5e-3, 5e-3, 20.0, 20.0)  # rad, rad, rad/s, rad/s, rpm, rpm
 GUST = {"Omega_a": 0.5, "Omega_p": 0.5}  # rad/s^2
@@ -115,7 +115,8 @@ def measure(name: str, plant: str, seed: int, **planning: Any) -> list[Row]:
         seed: Seed of the run.
         **planning: Settings of `GradientPlanning` other than its defaults.
     """
-    case, rows = CASES[name], []
+    case = CASES[name]
+    rows: list[Row] = []
     watch = Watch()
 
     def planned(updates: int) -> None:
@@ -137,8 +138,8 @@ def measure(name: str, plant: str, seed: int, **planning: Any) -> list[Row]:
 
 def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) -> Recipe:
     """Return the experiment of a case."""
-    system_type, library = PLANTS[plant]
-    system = system_type()
+    build, library = PLANTS[plant]
+    system = build()
     model = partial(Oracle, system=system) if case.oracle else partial(sparse_model, library)
     references = Mixture([RandomStep(LOW, HIGH), *_waves(random=True)]) if case.moving else RandomStep(LOW, HIGH)
     reward = TrackingReward(error_shape="linear")
@@ -210,8 +211,8 @@ def measured(parts: Parts, std: tuple[float, ...], seed: int) -> None:
         rows["state"] = torch.cat([first, rows["next", "state"][:-1]])
         store(rows)
 
-    parts.replay.extend_real = noisy  # type: ignore[method-assign, assignment]
-    parts.agent.explore = SensorNoise(explore, parts.plant, std, seed)  # type: ignore[assignment]
+    parts.replay.extend_real = noisy  # type: ignore[method-assign]
+    parts.agent.explore = SensorNoise(explore, parts.plant, std, seed)
 
 
 class Watched(Planner):
@@ -293,9 +294,11 @@ def table(rows: list[Row]) -> list[str]:
     for row in rows:
         key = ("case", "plant", "plant_seconds", "scenario")
         groups.setdefault(tuple(str(row[name]) for name in key), []).append(row)
-    lines = [f"{'case':<15}{'plant':<6}{'data [s]':>9}  {'scenario':<22}{'seeds':>6}  azimuth, pitch [rad]: median (worst)"]
+    head = f"{'case':<15}{'plant':<6}{'data [s]':>9}  {'scenario':<22}{'seeds':>6}"
+    lines = [f"{head}  azimuth, pitch [rad]: median (worst)"]
     for (case, plant, seconds, scenario), members in groups.items():
-        columns = [sorted(float(row[name]) for row in members) for name in ("azimuth", "pitch", "wall_seconds", "return")]
+        names = ("azimuth", "pitch", "wall_seconds", "return")
+        columns = [sorted(float(row[name]) for row in members) for name in names]
         middle = [column[len(column) // 2] for column in columns]
         lines.append(
             f"{case:<15}{plant:<6}{float(seconds):>9.0f}  {scenario:<22}{len(members):>6}  "

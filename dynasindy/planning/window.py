@@ -104,9 +104,7 @@ def imagine(
     return Window(torch.stack(states), torch.stack(applied), torch.stack(actions), torch.stack(seen), times)
 
 
-def backward(
-    env: ControlEnv, system: System, network: Network, rows: Rows, window: Window, late: bool
-) -> Tensor:
+def backward(env: ControlEnv, system: System, network: Network, rows: Rows, window: Window, late: bool) -> Tensor:
     """Add the gradient of the window's mean cost, the negative reward, to the policy's parameters.
 
     Args:

@@ -1,0 +1,59 @@
+"""The benchmark of planning by gradient: its rows, its plants, and how it is carried on."""
+
+import pytest
+import torch
+
+from dynasindy.benchmarks import gradient
+from dynasindy.systems import Tras
+
+TINY = {"updates": 2, "more_updates": 1, "rows": 4, "window": 5}
+
+
+@pytest.fixture
+def unjudged(monkeypatch):
+    numbers = {"azimuth": 0.1, "pitch": 0.2, "azimuth_worst": 0.3, "pitch_worst": 0.4, "return": 1.0}
+    monkeypatch.setattr(gradient, "judge", lambda case, parts, seed: [("step", "error", dict(numbers))])
+
+
+def test_every_phase_has_a_row_that_counts_all_seconds_of_plant_time(unjudged):
+    rows = gradient.measure("step", "xi", 0, **TINY)
+    assert [row["plant_seconds"] for row in rows] == [10.0, 30.0]
+    assert [row["updates"] for row in rows] == [2, 3]
+    assert all(set(row) == set(gradient.COLUMNS) for row in rows)
+
+
+def test_noise_is_in_the_data_and_samples_still_follow_each_other(unjudged):
+    case = gradient.CASES["noise"]
+    parts = gradient.build_recipe(case, "xi", 0, TINY).build()
+    gradient.measured(parts, case.noise, 0)
+    calm = parts.plant.rollout(50, parts.excitation)
+    parts.replay.extend_real(calm)
+    stored = parts.replay.real[:]
+    spread = (stored["next", "samples"] - calm["next", "samples"]).std((0, 1))
+    torch.testing.assert_close(spread, torch.tensor(case.noise, dtype=spread.dtype), rtol=0.3, atol=0)
+    torch.testing.assert_close(stored["state"][1:], stored["next", "samples"][:-1, -1])
+
+
+def test_the_detuned_plant_is_off_by_at_most_a_tenth():
+    plant = gradient.detuned(Tras(), seed=3)
+    factors = torch.cat([plant.gain[2:], plant.input_gain])
+    assert float((factors - 1).abs().max()) <= 0.1
+    assert float((factors - 1).abs().min()) > 0
+    assert plant.gain[:2].tolist() == [1.0, 1.0]
+
+
+def test_rows_already_in_the_file_are_not_measured_again(tmp_path, monkeypatch, capsys):
+    calls = []
+
+    def measured(case, plant, seed):
+        calls.append(seed)
+        values = dict.fromkeys(gradient.COLUMNS, 1.0)
+        return [{**values, "case": case, "plant": plant, "seed": seed, "scenario": "step"}]
+
+    monkeypatch.setattr(gradient, "measure", measured)
+    options = ["--cases", "step", "--plants", "xi", "--out", str(tmp_path / "gradient.csv")]
+    gradient.main([*options, "--seeds", "0"])
+    gradient.main([*options, "--seeds", "0", "1"])
+    assert calls == [0, 1]
+    assert len(gradient.read(tmp_path / "gradient.csv")) == 2
+    assert "step" in capsys.readouterr().out.splitlines()[-1]
