@@ -84,6 +84,8 @@ class _Writer:
                 )
         total = self._sum([(self._product(f.factors), c) for f, c in groups.pop(None, [])], constant)
         for factor, members in groups.items():
+            if factor is None:
+                continue
             rests = [(tuple(p for p in f.factors if p != factor), c) for f, c in members]
             inner = self._sum(
                 [(self._product(f), c) for f, c in rests if f], sum(c for f, c in rests if not f)

@@ -1,32 +1,68 @@
-"""Refinement of a sparse model on its prediction error."""
+"""Refinement of a sparse model: from the trapezoidal rule to what the data can tell."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
+import torch
 from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.constraints import Constraints
 from dynasindy.world_models.fast_field import generate
 from dynasindy.world_models.library import Library
+from dynasindy.world_models.one_step import refine_one_step
 from dynasindy.world_models.regression import Regression, RunningSums, simpson_form
+
+METHODS = ("integral", "one_step", "trajectory", "auto")
 
 
 @dataclass(frozen=True)
 class Refinement:
-    """Settings of the refinement."""
+    """Settings of the refinement.
 
+    Attributes:
+        method: `integral` repeats the regression with a fourth-order integral form, at the cost of a regression;
+            `one_step` minimises the one-step prediction error after that, for data without noise; `trajectory`
+            minimises the error of whole trajectories, their start states estimated too, for data with noise;
+            `auto` takes `trajectory` where the one-step errors look like measurement noise, else `one_step`.
+        rounds: repetitions of the fourth-order regression.
+        tolerance: unexplained part of a rate of change that is taken as exact.
+        window: sampling intervals between two states that `trajectory` estimates.
+
+    Raises:
+        ValueError: a setting is not allowed.
+    """
+
+    method: Literal["integral", "one_step", "trajectory", "auto"] = "integral"
     rounds: int = 2
     tolerance: float = 1e-6
+    window: int = 50
 
-    def run(
-        self, library: Library, coefficients: Tensor, constraints: Constraints, data: Transitions
-    ) -> Tensor:
-        """Return refined coefficients, `(n_features, n_x)`."""
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise ValueError(f"refinement got method {self.method!r}; allowed are {', '.join(METHODS)}: choose one")
+        if self.rounds < 0 or not self.tolerance > 0 or self.window < 1:
+            raise ValueError(
+                f"refinement got rounds {self.rounds}, tolerance {self.tolerance}, window {self.window}; allowed are "
+                "rounds >= 0, tolerance > 0, window >= 1: correct them"
+            )
+
+    def run(self, library: Library, coefficients: Tensor, constraints: Constraints, data: Transitions) -> Tensor:
+        """Return refined coefficients, `(n_features, n_x)`.
+
+        Args:
+            library: candidate functions.
+            coefficients: first estimate, `(n_features, n_x)`.
+            constraints: what is known of the equations.
+            data: transitions to refine on.
+        """
         regression = Regression(method="bic", tolerance=self.tolerance)
         for _ in range(self.rounds):
             sums = RunningSums(len(library), library.signature.n_x)
             sums.add(simpson_form(library, generate(library, coefficients), data))
             coefficients = regression.solve(sums, constraints.free, constraints.offset)
+        if self.method == "one_step":
+            return refine_one_step(library, coefficients, constraints.free, data, self.tolerance)
         return coefficients

@@ -266,17 +266,33 @@ def _best_subset(theta: Tensor, target: Tensor, active: Tensor, count: int, tole
             best, best_score = active, score
         if not n:
             return best
-        j = _least_missed(triangle, n)
+        j, _ = least_missed(triangle, n)
         keep = [k for k in range(n) if k != j]
         triangle = torch.linalg.qr(triangle[:, [*keep, n]], mode="r")[1]
         active = active[keep]
 
 
-def _least_missed(triangle: Tensor, n: int) -> int:
-    """Find the column whose removal lets the squared residual grow least; a dependent column is free to go."""
+def least_missed(triangle: Tensor, n: int, removable: Tensor | None = None) -> tuple[int, float]:
+    """Find the column whose removal lets the squared residual grow least; a dependent column is free to go.
+
+    Args:
+        triangle: R of [columns, target], `(n + 1, n + 1)` or taller.
+        n: number of columns.
+        removable: columns to choose from, bool `(n,)`; all by default.
+
+    Returns:
+        Position of the column and the growth of the squared residual; -1 where there is nothing to choose.
+    """
+    if n == 0 or (removable is not None and not bool(removable.any())):
+        return -1, math.inf
     square, rotated = triangle[:n, :n], triangle[:n, n]
     pivots = square.diagonal().abs()
+    if removable is not None:
+        pivots = torch.where(removable, pivots, math.inf)
     if float(pivots.min()) < 1e-13:
-        return int(pivots.argmin())
+        return int(pivots.argmin()), 0.0
     inverse = torch.linalg.solve_triangular(square, torch.eye(n, dtype=square.dtype), upper=True)
-    return int(((inverse @ rotated).square() / inverse.square().sum(-1)).argmin())
+    growth = (inverse @ rotated).square() / inverse.square().sum(-1)
+    if removable is not None:
+        growth = torch.where(removable, growth, math.inf)
+    return int(growth.argmin()), float(growth.min())
