@@ -74,7 +74,7 @@ def test_algorithm_page_lists_every_departure_and_no_other():
 
 
 @pytest.mark.parametrize(
-    ("overrides", "column"), [(["experiment=paper"], 0), ([], 1)], ids=["paper", "default"]
+    ("overrides", "column"), [(["experiment=paper"], 0), (["experiment=dyna"], 1)], ids=["paper", "dyna"]
 )
 def test_algorithm_page_shows_the_values_of_the_configs(overrides, column):
     with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
