@@ -68,9 +68,7 @@ def numpy_mlp(layers, x, squash=False):
 
 def nets(layers):
     """Split a stack of networks into single ones."""
-    return [
-        [type(layer)(layer.weight[i], layer.bias[i]) for layer in layers] for i in range(len(layers[0].bias))
-    ]
+    return [[type(layer)(layer.weight[i], layer.bias[i]) for layer in layers] for i in range(len(layers[0].bias))]
 
 
 def test_target_equals_the_formula_by_hand():
@@ -125,9 +123,7 @@ def test_actor_loss_leaves_the_critics_without_gradients():
     assert all(p.grad is not None for p in loss.actor_network_params.parameters())
 
 
-@pytest.mark.parametrize(
-    ("terminated", "truncated", "bootstraps"), [(0, 0, True), (0, 1, True), (1, 0, False)]
-)
+@pytest.mark.parametrize(("terminated", "truncated", "bootstraps"), [(0, 0, True), (0, 1, True), (1, 0, False)])
 def test_only_termination_stops_the_bootstrap(terminated, truncated, bootstraps):
     loss, td = ours(), batch(terminated=bool(terminated), truncated=bool(truncated))
     difference = loss.target_value(td["next"]) - td["next", "reward"].squeeze(-1)

@@ -22,9 +22,7 @@ def batches(n, size=32, seed=0):
 
 
 def tensors(agent):
-    return torch.cat(
-        [p.detach().flatten() for p in agent.loss.state_dict().values() if p.is_floating_point()]
-    )
+    return torch.cat([p.detach().flatten() for p in agent.loss.state_dict().values() if p.is_floating_point()])
 
 
 def small(**settings):
@@ -128,9 +126,7 @@ def test_averaged_policy_trails_the_actor_by_its_rate():
     agent = small(policy_average=0.25, policy_delay=1)
     before = [p.clone() for p in agent.deployed.parameters()]
     agent.update(next(batches(1)))
-    for old, averaged, new in zip(
-        before, agent.deployed.parameters(), agent.policy.parameters(), strict=True
-    ):
+    for old, averaged, new in zip(before, agent.deployed.parameters(), agent.policy.parameters(), strict=True):
         torch.testing.assert_close(averaged, 0.75 * old + 0.25 * new.detach())
 
 

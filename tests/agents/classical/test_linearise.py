@@ -1,0 +1,67 @@
+"""Linear models and equilibria against published figures and scipy."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.signal import cont2discrete
+
+from dynasindy.agents.classical.linearise import Equilibria, jacobians, zero_order_hold
+from dynasindy.systems import Pendulum, Tras, Xi
+
+OUTPUTS = ("alpha_a", "alpha_p")
+
+
+def linear_xi():
+    equilibria = Equilibria(Xi(), OUTPUTS)
+    return jacobians(Xi(), *equilibria.state_and_input(torch.zeros(2), equilibria.home))
+
+
+def test_eigenvalues_of_xi_at_pitch_zero_are_those_known():
+    eigenvalues = np.sort_complex(torch.linalg.eigvals(linear_xi()[0]).numpy())
+    known = np.sort_complex([0, -10.06, -5.23, -1.42, -0.207 + 1.871j, -0.207 - 1.871j])
+    np.testing.assert_allclose(eigenvalues, known, atol=0.005)
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.05, 1.0])
+def test_zero_order_hold_equals_scipy(dt):
+    a, b = linear_xi()
+    expected = cont2discrete((a.numpy(), b.numpy(), np.eye(6), np.zeros((6, 2))), dt, method="zoh")[:2]
+    for given, wanted in zip(zero_order_hold(a, b, dt), expected, strict=True):
+        np.testing.assert_allclose(given.numpy(), wanted, rtol=1e-9, atol=1e-9)
+
+
+def test_equilibria_of_xi_are_those_known():
+    known = {-0.5: (-0.157, -0.131), -0.25: (-0.139, 0.044), 0.0: (-0.122, 0.210), 0.4: (-0.100, 0.432)}
+    reference = torch.tensor([[0.3, pitch] for pitch in known])
+    equilibria = Equilibria(Xi(), OUTPUTS)
+    x, u = equilibria.state_and_input(reference, equilibria(reference))
+    torch.testing.assert_close(u.float(), torch.tensor(list(known.values())), atol=1e-3, rtol=0)
+    torch.testing.assert_close(x[:, :2], reference.double())
+
+
+@pytest.mark.parametrize("system", [Tras(), Xi()])
+def test_a_system_stays_at_its_equilibrium(system):
+    reference = torch.rand(3, 4, 2) - 0.5
+    equilibria = Equilibria(system, OUTPUTS)
+    x, u = equilibria.state_and_input(reference, equilibria(reference))
+    assert x.shape == (3, 4, 6)
+    scale = torch.tensor(system.signature.x_scale)
+    assert (system(x, u) / scale).abs().max() < 1e-8
+
+
+def test_pendulum_is_held_against_gravity():
+    system = Pendulum()
+    equilibria = Equilibria(system, ("theta",))
+    angles = torch.tensor([[-0.5], [0.3]])
+    _, u = equilibria.state_and_input(angles, equilibria(angles))
+    assert (u[0] / u[1]).item() == pytest.approx(np.sin(-0.5) / np.sin(0.3), rel=1e-5)
+
+
+def test_as_many_outputs_as_inputs_are_asked_for():
+    with pytest.raises(ValueError, match=r"outputs \['alpha_a'\] are 1 and inputs are 2; name one output"):
+        Equilibria(Tras(), ("alpha_a",))
+
+
+def test_reference_out_of_reach_is_refused():
+    with pytest.raises(ValueError, match="does not rest with its outputs at"):
+        Equilibria(Tras(), OUTPUTS)(torch.tensor([[0.0, float("nan")]]))
