@@ -68,6 +68,7 @@ class Case:
         noise: Standard deviations of the measurement noise, in the data and in flight.
         detuned: Evaluate on a plant with other parameters, in a gust, with integral action.
         variation: How imagined plants stray.
+        updates: Gradient updates of the first planning phase.
     """
 
     episodes: int = 0
@@ -76,12 +77,13 @@ class Case:
     noise: tuple[float, ...] = ()
     detuned: bool = False
     variation: Variation = field(default_factory=Variation)
+    updates: int = 200
 
 
 CASES = {
     "step": Case(episodes=1),
     "oracle": Case(oracle=True),
-    "moving": Case(moving=True),
+    "moving": Case(moving=True, updates=400),
     "noise": Case(episodes=3, noise=NOISE),
     "noise_robust": Case(episodes=3, noise=NOISE, variation=Variation(noise=NOISE)),
     "detuned": Case(detuned=True),
@@ -141,7 +143,7 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
     build, library = PLANTS[plant]
     system = build()
     model = partial(Oracle, system=system) if case.oracle else partial(sparse_model, library)
-    references = Mixture([RandomStep(LOW, HIGH), *_waves(random=True)]) if case.moving else RandomStep(LOW, HIGH)
+    references = Mixture([RandomStep((-0.55, -0.55), (0.55, 0.55)), *_waves(random=True)]) if case.moving else RandomStep(LOW, HIGH)
     reward = TrackingReward(error_shape="linear")
     return Recipe(
         system=system,
@@ -151,7 +153,7 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
         world_model=model,
         agent=partial(TD3, hidden=(128, 128)),
         replay=partial(DynaReplay, capacity=100_000, batch_size=256),
-        planning=partial(GradientPlanning, variation=case.variation, **planning),
+        planning=partial(GradientPlanning, **{"variation": case.variation, "updates": case.updates, **planning}),
         gate=Gate(open_below=torch.inf, close_above=torch.inf),
         train=Settings(episodes=case.episodes, updates_per_step=0),
         seed=seed,
@@ -311,8 +313,8 @@ def table(rows: list[Row]) -> list[str]:
 def _waves(random: bool = False) -> list[Wave]:
     """Return the paper's sine B and square C, or faster and larger random ones to train on."""
     if random:
-        sine = Wave((0.5, 0.45), (0.05, 0.05), offset=(0.0, -0.05), random=True)
-        return [sine, Wave((0.5, 0.45), (0.05, 0.05), "square", offset=(0.0, -0.05), random=True)]
+        wide = (0.55, 0.55)
+        return [Wave(wide, (0.05, 0.05), shape, random=True) for shape in ("sine", "square")]
     return [Wave((0.35, 0.25), (0.015, 0.015)), Wave((0.4, -0.5), (0.01, 0.01), "square")]
 
 
