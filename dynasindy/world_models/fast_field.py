@@ -79,17 +79,13 @@ class _Writer:
         for feature, c in row:
             common = [p for p in feature.factors if shared[p] > 1]
             if feature.factors:
-                groups.setdefault(max(common, key=lambda p: shared[p]) if common else None, []).append(
-                    (feature, c)
-                )
+                groups.setdefault(max(common, key=lambda p: shared[p]) if common else None, []).append((feature, c))
         total = self._sum([(self._product(f.factors), c) for f, c in groups.pop(None, [])], constant)
         for factor, members in groups.items():
             if factor is None:
                 continue
             rests = [(tuple(p for p in f.factors if p != factor), c) for f, c in members]
-            inner = self._sum(
-                [(self._product(f), c) for f, c in rests if f], sum(c for f, c in rests if not f)
-            )
+            inner = self._sum([(self._product(f), c) for f, c in rests if f], sum(c for f, c in rests if not f))
             product = (
                 f"torch.addcmul({total}, {inner}, {self._factor(factor)})"
                 if total
@@ -100,9 +96,7 @@ class _Writer:
 
     def _sum(self, terms: list[tuple[str, float]], constant: float) -> str:
         if not terms:
-            return (
-                self._line(("constant", constant), f"torch.full_like(z[0], {constant!r})") if constant else ""
-            )
+            return self._line(("constant", constant), f"torch.full_like(z[0], {constant!r})") if constant else ""
         value, c = terms[0]
         total = value if c == 1 else self._line((value, c), f"{value} * {c!r}")
         if constant:

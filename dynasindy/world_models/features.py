@@ -64,9 +64,7 @@ def register_function(name: str, compute: Callable[..., Tensor], latex: str | No
         ValueError: the name is not an identifier.
     """
     if not name.isidentifier():
-        raise ValueError(
-            f"register_function got the name {name!r}; allowed is a Python identifier: rename it"
-        )
+        raise ValueError(f"register_function got the name {name!r}; allowed is a Python identifier: rename it")
     default = r"\operatorname{{" + name.replace("_", r"\_") + r"}}({0})"
     _REGISTRY[name] = Function(name, compute, name + "({0})", latex or default)
     return _REGISTRY[name]

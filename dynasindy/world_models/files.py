@@ -32,8 +32,7 @@ def save(library: Library, coefficients: Tensor, path: str | Path) -> None:
         "equations": equations(library, coefficients),
         "signature": asdict(signature),
         "coefficients": {
-            s: {n: table[k][i] for k, n in enumerate(library.names) if table[k][i]}
-            for i, s in enumerate(states)
+            s: {n: table[k][i] for k, n in enumerate(library.names) if table[k][i]} for i, s in enumerate(states)
         },
         "library": {f.name(): f.to_list() for f in library.features},
     }
@@ -56,13 +55,9 @@ def load(path: str | Path) -> tuple[Library, Tensor]:
     try:
         data = json.loads(Path(path).read_text(encoding="utf-8"))
     except json.JSONDecodeError as error:
-        raise ValueError(
-            f"{path} is not JSON ({error}); allowed is a file that SindyModel.save wrote"
-        ) from error
+        raise ValueError(f"{path} is not JSON ({error}); allowed is a file that SindyModel.save wrote") from error
     if not isinstance(data, dict) or data.get("format") != FORMAT:
-        raise ValueError(
-            f"{path} is not of the format {FORMAT!r}; allowed is a file that SindyModel.save wrote"
-        )
+        raise ValueError(f"{path} is not of the format {FORMAT!r}; allowed is a file that SindyModel.save wrote")
     signature = Signature(**data["signature"])
     library = Library(signature, [Feature.from_list(f) for f in data["library"].values()])
     coefficients = torch.zeros(len(library), signature.n_x, dtype=torch.float64)

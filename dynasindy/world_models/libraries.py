@@ -125,9 +125,7 @@ def fourier(signature: Signature, n_frequencies: int = 1, variables: Iterable[st
         raise ValueError(f"fourier library got {n_frequencies} harmonics; allowed is 1 or more: raise it")
     names = tuple(variables) if variables is not None else _variables(signature)
     harmonics = range(1, n_frequencies + 1)
-    return Library(
-        signature, [of(f, n, frequency=float(k)) for k in harmonics for n in names for f in ("sin", "cos")]
-    )
+    return Library(signature, [of(f, n, frequency=float(k)) for k in harmonics for n in names for f in ("sin", "cos")])
 
 
 def terms(signature: Signature, functions: Iterable[str], variables: Iterable[str]) -> Library:
@@ -176,8 +174,6 @@ def build_library(library: str | Library | LibraryBuilder, signature: Signature)
         return library
     if isinstance(library, str):
         if library not in NAMED:
-            raise ValueError(
-                f"library {library!r} does not exist; allowed are {', '.join(NAMED)}: choose one of them"
-            )
+            raise ValueError(f"library {library!r} does not exist; allowed are {', '.join(NAMED)}: choose one of them")
         return NAMED[library](signature)
     return library(signature)

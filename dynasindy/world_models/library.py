@@ -152,7 +152,5 @@ class Library:
         args = tuple(columns[self._index[v]] for v in factor.variables)
         if factor.function == "id":
             return torch.full_like(args[0], factor.frequency)
-        tangents = tuple(
-            torch.ones_like(a) if j == argument else torch.zeros_like(a) for j, a in enumerate(args)
-        )
+        tangents = tuple(torch.ones_like(a) if j == argument else torch.zeros_like(a) for j, a in enumerate(args))
         return torch.func.jvp(self._compute(factor), args, tangents)[1]

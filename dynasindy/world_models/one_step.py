@@ -45,7 +45,7 @@ def refine_one_step(
     floor = tolerance * (data.x_next - data.x).square().mean(0).sqrt()
     limit = math.log(len(data))
     support = (xi != 0) & free
-    for _ in range(3):
+    for _ in range(6):
         xi, support = _descend(library, xi, support, data, floor, max_rounds)
         missed = _missed(library, xi, support, free, data, floor, limit)
         if not bool(missed.any()):
@@ -87,8 +87,7 @@ def _missed(
     basis = torch.linalg.qr(rows[:, :n])[0]
     error, columns = (t - basis @ (basis.mT @ t) for t in (target, rows[:, n:]))
     growth = (columns.mT @ error).squeeze(-1).square() / columns.square().sum(0).clamp_min(1e-12)
-    worth = growth > 2 * limit
-    return Parameters(others.features[worth], others.states[worth]).support(support.shape)
+    return others.best_of_each_state(growth, 2 * limit).support(support.shape)
 
 
 def linear_model(

@@ -8,12 +8,14 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.constraints import Constraints
 from dynasindy.world_models.fast_field import generate
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.one_step import refine_one_step
 from dynasindy.world_models.regression import Regression, RunningSums, simpson_form
+from dynasindy.world_models.trajectory import refine_trajectory
 
 METHODS = ("integral", "one_step", "trajectory", "auto")
 
@@ -63,6 +65,25 @@ class Refinement:
             sums = RunningSums(len(library), library.signature.n_x)
             sums.add(simpson_form(library, generate(library, coefficients), data))
             coefficients = regression.solve(sums, constraints.free, constraints.offset)
-        if self.method == "one_step":
+        method = self.method
+        if method == "auto":
+            method = "trajectory" if looks_noisy(library, coefficients, data) else "one_step"
+        if method == "one_step":
             return refine_one_step(library, coefficients, constraints.free, data, self.tolerance)
+        if method == "trajectory":
+            return refine_trajectory(library, coefficients, constraints.free, data, self.window)
         return coefficients
+
+
+def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bool:
+    """Tell measurement noise from errors of the model by the one-step errors.
+
+    White noise n of the states makes errors n_k+1 - n_k, whose neighbours correlate by -0.5; errors of a model
+    last over many samples, and their neighbours correlate positively.
+    """
+    data = data.to(torch.float64)
+    error = data.x_next - rk4(generate(library, coefficients), data.x, data.u, data.dt)
+    follows = data.segment[1:] == data.segment[:-1]
+    before, after = error[:-1][follows], error[1:][follows]
+    correlation = (before * after).sum(0) / (before.norm(dim=0) * after.norm(dim=0)).clamp_min(1e-300)
+    return bool((correlation < -0.3).sum() * 2 > len(correlation))

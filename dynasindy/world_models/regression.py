@@ -96,6 +96,12 @@ class RunningSums:
             self.r = torch.linalg.qr(torch.cat([self.r, part]), mode="r")[1]
             self.count += part.shape[0]
 
+    def copy(self) -> RunningSums:
+        """Return sums that no longer grow with these."""
+        copied = RunningSums(self.n_features, self.n_x)
+        copied.r, copied.count = self.r, self.count
+        return copied
+
     def norms(self) -> Tensor:
         """Return the 2-norm of every column of [Theta dX], `(n_features + n_x,)`."""
         return self.r.norm(dim=0)
@@ -143,13 +149,9 @@ class Regression:
         if self.method not in ("stlsq", "bic"):
             raise ValueError(f"regression got method {self.method!r}; allowed are stlsq, bic: choose one")
         if self.normalize not in ("two_norm", "rms"):
-            raise ValueError(
-                f"regression got normalize {self.normalize!r}; allowed are two_norm, rms: choose one"
-            )
+            raise ValueError(f"regression got normalize {self.normalize!r}; allowed are two_norm, rms: choose one")
         if self.threshold < 0:
-            raise ValueError(
-                f"regression got threshold {self.threshold}; allowed is 0 or more: the paper's is 0.9"
-            )
+            raise ValueError(f"regression got threshold {self.threshold}; allowed is 0 or more: the paper's is 0.9")
 
     def solve(self, sums: RunningSums, support: Tensor, offset: Tensor) -> Tensor:
         """Find sparse coefficients.
@@ -178,9 +180,7 @@ class Regression:
             return offset + free * rates / columns.unsqueeze(-1)
         threshold = self.threshold / math.sqrt(1000.0)
         threshold = threshold * math.sqrt(max(sums.count, 1)) if self.normalize == "rms" else self.threshold
-        limits = threshold * (
-            rates / math.sqrt(max(sums.count, 1)) if self.scale_targets else torch.ones_like(rates)
-        )
+        limits = threshold * (rates / math.sqrt(max(sums.count, 1)) if self.scale_targets else torch.ones_like(rates))
         return offset + stlsq(theta, targets, support, limits, self.max_iterations) / columns.unsqueeze(-1)
 
 
@@ -191,9 +191,7 @@ def least_squares(theta: Tensor, target: Tensor) -> Tensor:
     )
 
 
-def stlsq(
-    theta: Tensor, targets: Tensor, support: Tensor, limits: Tensor, max_iterations: int = 20
-) -> Tensor:
+def stlsq(theta: Tensor, targets: Tensor, support: Tensor, limits: Tensor, max_iterations: int = 20) -> Tensor:
     """Threshold and refit until the support stands still (Brunton, Proctor, Kutz 2016), ridge 0.
 
     Args:
@@ -208,9 +206,7 @@ def stlsq(
         coefficients = least_squares(theta, targets)
     for i in range(targets.shape[1]):
         active = support[:, i].nonzero().squeeze(-1)
-        xi = (
-            coefficients[active, i] if bool(support.all()) else least_squares(theta[:, active], targets[:, i])
-        )
+        xi = coefficients[active, i] if bool(support.all()) else least_squares(theta[:, active], targets[:, i])
         for _ in range(max_iterations):
             big = xi.abs() >= limits[i]
             if bool(big.all()):

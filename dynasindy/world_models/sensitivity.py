@@ -43,6 +43,15 @@ class Parameters:
         """Count the coefficients."""
         return len(self.features)
 
+    def best_of_each_state(self, gain: Tensor, limit: float) -> Parameters:
+        """Return, for each state, the coefficient of largest gain, if that is above the limit."""
+        best = []
+        for state in self.states.unique().tolist():
+            mine = (self.states == state).nonzero().flatten()
+            first = mine[gain[mine].argmax()]
+            best += [int(first)] if float(gain[first]) > limit else []
+        return Parameters(self.features[best], self.states[best])
+
     def read(self, xi: Tensor) -> Tensor:
         """Return their values, `(P,)`."""
         return xi[self.features, self.states]

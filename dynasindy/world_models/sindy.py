@@ -81,6 +81,8 @@ class SindyModel(WorldModel):
 
     def predict(self, x: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
         """Predict states one sampling time ahead, `(*batch, n_x)`, by `substeps` Runge-Kutta steps."""
+        # State-major memory: every row of an elementwise operation is contiguous.
+        x, u = (t.movedim(-1, 0).contiguous().movedim(0, -1) for t in (x, u))
         for _ in range(substeps):
             x = rk4(self, x, u, dt / substeps)
         return x
@@ -133,9 +135,7 @@ class SindyModel(WorldModel):
         self.sums.add(integral_form(self.library, data))
         self._solve(self.sums)
         if self.refinement is not None:
-            self.set_coefficients(
-                self.refinement.run(self.library, self.coefficients, self.constraints, data)
-            )
+            self.set_coefficients(self.refinement.run(self.library, self.coefficients, self.constraints, data))
         return FitReport.of(self.library, self.coefficients, self.sums, time.perf_counter() - start)
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:

@@ -34,9 +34,7 @@ def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[s
     return lines
 
 
-def _rows(
-    library: Library, coefficients: Tensor, digits: int, latex: bool, active_only: bool
-) -> list[list[str]]:
+def _rows(library: Library, coefficients: Tensor, digits: int, latex: bool, active_only: bool) -> list[list[str]]:
     rows = []
     for feature, values in zip(library.features, coefficients.tolist(), strict=True):
         if active_only and not any(values):
@@ -68,8 +66,7 @@ def to_text(library: Library, coefficients: Tensor, digits: int = 5, active_only
     widths = [max(len(row[k]) for row in rows) for k in range(len(header))]
     return "\n".join(
         "  ".join(
-            cell.ljust(w) if k == 0 else cell.rjust(w)
-            for k, (cell, w) in enumerate(zip(row, widths, strict=True))
+            cell.ljust(w) if k == 0 else cell.rjust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True))
         )
         for row in rows
     )
