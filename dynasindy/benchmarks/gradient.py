@@ -30,7 +30,7 @@ from dynasindy.excitation import Multisine
 from dynasindy.planning import Gate, GradientPlanning, Planned, Planner, Variation
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.systems import System, Tras, Xi
-from dynasindy.tasks import Mixture, RandomStep, Tracking, TrackingReward, Wave
+from dynasindy.tasks import Mixture, RandomStep, Reference, Tracking, TrackingReward, Wave
 from dynasindy.world_models import Oracle, Refinement, Regression, SindyModel
 
 PLANTS: dict[str, tuple[Callable[[], System], str]] = {"xi": (Xi, "paper_table"), "tras": (Tras, "rotor")}
@@ -143,7 +143,9 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
     build, library = PLANTS[plant]
     system = build()
     model = partial(Oracle, system=system) if case.oracle else partial(sparse_model, library)
-    references = Mixture([RandomStep((-0.55, -0.55), (0.55, 0.55)), *_waves(random=True)]) if case.moving else RandomStep(LOW, HIGH)
+    references: Reference = RandomStep(LOW, HIGH)
+    if case.moving:
+        references = Mixture([RandomStep((-0.55, -0.55), (0.55, 0.55)), *_waves(random=True)])
     reward = TrackingReward(error_shape="linear")
     return Recipe(
         system=system,
@@ -153,7 +155,9 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
         world_model=model,
         agent=partial(TD3, hidden=(128, 128)),
         replay=partial(DynaReplay, capacity=100_000, batch_size=256),
-        planning=partial(GradientPlanning, **{"variation": case.variation, "updates": case.updates, **planning}),
+        planning=partial(
+            GradientPlanning, **{"variation": case.variation, "updates": case.updates, **planning}
+        ),
         gate=Gate(open_below=torch.inf, close_above=torch.inf),
         train=Settings(episodes=case.episodes, updates_per_step=0),
         seed=seed,
