@@ -20,9 +20,7 @@ def load_config(folder: Path) -> DictConfig:
     """
     file = folder / "config.yaml"
     if not file.is_file():
-        raise FileNotFoundError(
-            f"{folder} is not a run folder, it has no config.yaml; give one that train.py printed"
-        )
+        raise FileNotFoundError(f"{folder} is not a run folder, it has no config.yaml; give one that train.py printed")
     config = OmegaConf.load(file)
     assert isinstance(config, DictConfig)
     return config
@@ -40,15 +38,11 @@ def load_policy(config: DictConfig, folder: Path) -> tuple[ControlEnv, Policy]:
     env = instantiate(config.env)(system=system, task=task)
     policy = instantiate(config.agent, _convert_="all")(n_obs=task.n_o, n_u=system.signature.n_u).deployed
     if not (folder / "policy.pt").is_file():
-        raise FileNotFoundError(
-            f"{folder} has no policy.pt, its run did not end; give the folder of a finished run"
-        )
+        raise FileNotFoundError(f"{folder} has no policy.pt, its run did not end; give the folder of a finished run")
     try:
         policy.load_state_dict(torch.load(folder / "policy.pt", weights_only=True))
     except RuntimeError as error:
-        raise ValueError(
-            f"policy.pt in {folder} does not fit its config.yaml; restore the pair: {error}"
-        ) from error
+        raise ValueError(f"policy.pt in {folder} does not fit its config.yaml; restore the pair: {error}") from error
     return env, policy
 
 
@@ -61,8 +55,6 @@ def load_scenario(name: str, config: DictConfig) -> Scenario:
     names = sorted(path.stem for path in (CONF / "scenario").glob("*.yaml"))
     if name not in names:
         raise ValueError(f"scenario '{name}' is unknown; use some of {', '.join(names)}")
-    merged = OmegaConf.create(
-        {"plant": config.plant, "scenario": OmegaConf.load(CONF / "scenario" / f"{name}.yaml")}
-    )
+    merged = OmegaConf.create({"plant": config.plant, "scenario": OmegaConf.load(CONF / "scenario" / f"{name}.yaml")})
     scenario: Scenario = instantiate(merged.scenario, _convert_="all")
     return scenario

@@ -61,15 +61,9 @@ def test_departures_are_collected_from_comments_and_docstrings():
 
 
 def test_algorithm_page_lists_every_departure_and_no_other():
-    in_code = {
-        f"`{path.relative_to(REPOSITORY)}`: {text}"
-        for path in SOURCES
-        for text in departures(path.read_text())
-    }
+    in_code = {f"`{path.relative_to(REPOSITORY)}`: {text}" for path in SOURCES for text in departures(path.read_text())}
     section = ALGORITHM.read_text().partition("## Departures")[2]
-    listed = {
-        " ".join(item.split()) for item in re.findall(r"^- (.+?)(?=\n- |\n\n|\Z)", section, re.M | re.S)
-    }
+    listed = {" ".join(item.split()) for item in re.findall(r"^- (.+?)(?=\n- |\n\n|\Z)", section, re.M | re.S)}
     assert listed == in_code
 
 

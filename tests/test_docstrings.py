@@ -34,9 +34,7 @@ def own_arguments(function: Function) -> list[ast.arg]:
 
 def bare_names(tree: ast.AST) -> list[str]:
     """The module, and public classes and functions in it, that have no docstring."""
-    nodes = [
-        node for node in ast.walk(tree) if isinstance(node, Function | ast.ClassDef) and is_public(node.name)
-    ]
+    nodes = [node for node in ast.walk(tree) if isinstance(node, Function | ast.ClassDef) and is_public(node.name)]
     names = [f"{node.name}:{node.lineno}" for node in nodes if not ast.get_docstring(node)]
     return names if ast.get_docstring(tree) else ["module", *names]
 
@@ -101,9 +99,7 @@ RULES = [bare_names, untyped_functions, long_functions, crowded_functions, undoc
 @pytest.mark.parametrize("rule", RULES)
 def test_source_keeps_the_rule(rule):
     trees = {path: ast.parse(path.read_text()) for path in MODULES}
-    broken = [
-        f"{path.relative_to(REPOSITORY)}: {name}" for path, tree in trees.items() for name in rule(tree)
-    ]
+    broken = [f"{path.relative_to(REPOSITORY)}: {name}" for path, tree in trees.items() for name in rule(tree)]
     assert not broken, "\n".join(broken)
 
 

@@ -58,8 +58,7 @@ class CheckedWriter(TensorDictRoundRobinWriter):
         self._check(data)
         if data.ndim != 1:
             raise ValueError(
-                f"The {self.name} storage takes rows (n,), given a batch {tuple(data.shape)}; "
-                "call reshape(-1) first."
+                f"The {self.name} storage takes rows (n,), given a batch {tuple(data.shape)}; call reshape(-1) first."
             )
         return super().extend(data)
 
@@ -124,9 +123,7 @@ class DynaReplay:
                 f"Replay has real_ratio={real_ratio}; give a share in [0, 1], or null for a single buffer."
             )
         if missing := set(LEARN_KEYS) - set(keys):
-            raise ValueError(
-                f"Replay keys lack {_words(missing)}; give the keys to learn from and any others."
-            )
+            raise ValueError(f"Replay keys lack {_words(missing)}; give the keys to learn from and any others.")
         self.batch_size, self.real_ratio = batch_size, real_ratio
         self.device = torch.device(device)
         self.generator = torch.Generator(device).manual_seed(seed)
@@ -168,9 +165,7 @@ class DynaReplay:
         following = {"observation": next_observation, "reward": reward}
         following |= {"done": done, "terminated": terminated, "truncated": truncated}
         size = [self.batch_size]
-        return TensorDict(
-            {"observation": observation, "action": action, "next": TensorDict(following, size)}, size
-        )
+        return TensorDict({"observation": observation, "action": action, "next": TensorDict(following, size)}, size)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the written rows of both storages, and the sampling's generator."""

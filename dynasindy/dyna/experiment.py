@@ -79,4 +79,3 @@ class Recipe:
             planner=self.planning(env=model_env, agent=agent, replay=replay, seed=seeds[4]),
             gate=self.gate,
         )
-

@@ -36,9 +36,7 @@ class Evaluating:
             raise ValueError(f"evaluation.every must be at least 1 episode, got {self.every}; give 1 or more")
 
 
-def run(
-    recipe: Recipe, evaluating: Evaluating, folder: Path, settings: str, progress: bool = True
-) -> dict[str, Any]:
+def run(recipe: Recipe, evaluating: Evaluating, folder: Path, settings: str, progress: bool = True) -> dict[str, Any]:
     """Run an experiment and write its folder.
 
     Args:

@@ -60,9 +60,7 @@ def draw(
     return np.asarray(image.resize((width, HEIGHT), Image.Resampling.LANCZOS))
 
 
-def _draw_dial(
-    image: Image.Image, corner: tuple[int, int], name: str, value: float, reference: float
-) -> None:
+def _draw_dial(image: Image.Image, corner: tuple[int, int], name: str, value: float, reference: float) -> None:
     """Draw an angle as a needle, 0 to the right and positive upwards, and its reference behind it."""
     pen = ImageDraw.Draw(image, "RGBA")
     centre, radius = (corner[0] + 90, corner[1] + 86), 56
@@ -115,9 +113,7 @@ def _frame(azimuth: float, pitch: float) -> tuple[Vector, Vector, Vector]:
     return np.array([cp * ca, cp * sa, sp]), np.array([-sa, ca, 0.0]), np.array([-sp * ca, -sp * sa, cp])
 
 
-def _circle(
-    centre: Vector, radius: float, e1: Sequence[float] | Vector, e2: Sequence[float] | Vector
-) -> Vector:
+def _circle(centre: Vector, radius: float, e1: Sequence[float] | Vector, e2: Sequence[float] | Vector) -> Vector:
     angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)[:, None]
     return centre + radius * (np.cos(angle) * np.asarray(e1) + np.sin(angle) * np.asarray(e2))
 
@@ -135,10 +131,7 @@ def _points(positions: Sequence[Sequence[float] | Vector] | Vector) -> list[tupl
     )
     space = np.asarray(positions, dtype=np.float64)
     scale, middle = 0.32 * HEIGHT * _ZOOM, 0.5 * HEIGHT * _ZOOM
-    return [
-        (float(middle + scale * u), float(0.9 * middle - scale * v))
-        for u, v in zip(space @ right, space @ above)
-    ]
+    return [(float(middle + scale * u), float(0.9 * middle - scale * v)) for u, v in zip(space @ right, space @ above)]
 
 
 def _depth(position: Vector) -> float:

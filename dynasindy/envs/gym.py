@@ -41,15 +41,11 @@ class GymControl(gymnasium.Env[Array, Array]):
 
     def __init__(self, env: ControlEnv, render_mode: str | None = None) -> None:
         if tuple(env.batch_size):
-            raise ValueError(
-                f"Gymnasium environments have one row, got batch size {tuple(env.batch_size)}; use ()"
-            )
+            raise ValueError(f"Gymnasium environments have one row, got batch size {tuple(env.batch_size)}; use ()")
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode '{render_mode}' is unknown; use None or 'rgb_array'")
         if not isinstance(env.task, Tracking):
-            raise TypeError(
-                f"task {type(env.task).__name__} tracks nothing; adapt environments with a Tracking task"
-            )
+            raise TypeError(f"task {type(env.task).__name__} tracks nothing; adapt environments with a Tracking task")
         self.env, self._task = env, env.task
         self.render_mode = render_mode
         n_o, n_u = env.task.n_o, env.system.signature.n_u
@@ -57,9 +53,7 @@ class GymControl(gymnasium.Env[Array, Array]):
         self.action_space = spaces.Box(-1.0, 1.0, (n_u,), np.float32)
         self._now: TensorDictBase | None = None
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Array, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Begin an episode with a fresh reference; the same seed begins the same sequence of episodes."""
         super().reset(seed=seed)
         # EnvBase.set_seed would also seed torch's global generator, which is not ours to touch.

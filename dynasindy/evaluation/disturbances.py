@@ -56,16 +56,12 @@ class Detuned(System):
     gain: Tensor
     input_gain: Tensor
 
-    def __init__(
-        self, system: System, gain: Mapping[str, float], input_gain: Sequence[float] | None = None
-    ) -> None:
+    def __init__(self, system: System, gain: Mapping[str, float], input_gain: Sequence[float] | None = None) -> None:
         super().__init__(system.signature, system.stops)
         n_u = system.signature.n_u
         input_gain = [1.0] * n_u if input_gain is None else list(input_gain)
         if len(input_gain) != n_u:
-            raise ValueError(
-                f"input_gain has {len(input_gain)} numbers, the plant {n_u} inputs; give one each"
-            )
+            raise ValueError(f"input_gain has {len(input_gain)} numbers, the plant {n_u} inputs; give one each")
         self.system = system
         self.register_buffer("gain", _by_name(system.signature, gain, 1.0))
         self.register_buffer("input_gain", torch.tensor(input_gain, dtype=torch.float64))
@@ -119,9 +115,7 @@ class DelayedActuator:
 
     def __init__(self, policy: Policy, env: ControlEnv, periods: int) -> None:
         if periods < 0:
-            raise ValueError(
-                f"periods of a delayed actuator must be >= 0, got {periods}; 2 are 0.1 s at 0.05 s"
-            )
+            raise ValueError(f"periods of a delayed actuator must be >= 0, got {periods}; 2 are 0.1 s at 0.05 s")
         self.policy, self.periods = policy, periods
         self.waiting: deque[Tensor] = deque()
 

@@ -115,15 +115,12 @@ def _first_crossing(time: Tensor, progress: Tensor, level: float) -> Tensor:
 
 def _check(time: Tensor, y: Tensor, r: Tensor, u: Tensor) -> None:
     if time.ndim != 1 or len(time) < 2:
-        raise ValueError(
-            f"time has shape {tuple(time.shape)}; it must be (T,) with T >= 2, pass a longer record"
-        )
+        raise ValueError(f"time has shape {tuple(time.shape)}; it must be (T,) with T >= 2, pass a longer record")
     if y.shape != r.shape:
         raise ValueError(
             f"y has shape {tuple(y.shape)}, r {tuple(r.shape)}; they must be equal, select the tracked axes"
         )
     if y.shape[:-1] != u.shape[:-1] or y.shape[-2] != len(time):
         raise ValueError(
-            f"y {tuple(y.shape)} and u {tuple(u.shape)} must share (*batch, T) with T = {len(time)}; "
-            "slice them alike"
+            f"y {tuple(y.shape)} and u {tuple(u.shape)} must share (*batch, T) with T = {len(time)}; slice them alike"
         )

@@ -55,8 +55,7 @@ class Scenario:
     def __post_init__(self) -> None:
         if self.episodes < 1 or not self.seconds > 0:
             raise ValueError(
-                f"scenario '{self.name}' has episodes={self.episodes}, seconds={self.seconds}; "
-                "both must be positive"
+                f"scenario '{self.name}' has episodes={self.episodes}, seconds={self.seconds}; both must be positive"
             )
         edges = [0.0, *(edge for window in self.windows or () for edge in window), self.seconds]
         if any(start > end for start, end in pairwise(edges)):
@@ -132,9 +131,7 @@ def step_references(low: Sequence[float], high: Sequence[float], number: int = 6
         ValueError: `low` and `high` differ in length.
     """
     if len(low) != len(high):
-        raise ValueError(
-            f"low={list(low)} and high={list(high)} differ in length; give one end per output in each"
-        )
+        raise ValueError(f"low={list(low)} and high={list(high)} differ in length; give one end per output in each")
     points = torch.quasirandom.SobolEngine(len(low), scramble=True, seed=seed).draw(number)
     targets = torch.lerp(torch.tensor(low), torch.tensor(high), points)
     worth_a_figure = 0.75 * torch.tensor(high)
@@ -171,9 +168,7 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario) -> Evaluation:
 def _prepare(env: ControlEnv, scenario: Scenario) -> tuple[ControlEnv, Tracking]:
     """Return the undisturbed environment, with the scenario's reference and length, and its task."""
     if not isinstance(env.task, Tracking):
-        raise TypeError(
-            f"task {type(env.task).__name__} tracks no reference; give an environment with a Tracking task"
-        )
+        raise TypeError(f"task {type(env.task).__name__} tracks no reference; give an environment with a Tracking task")
     task = env.task.with_reference(scenario.reference or env.task.references)
     task.max_steps = round(scenario.seconds / env.dt)
     return env.with_task(task, seed=scenario.seed), task

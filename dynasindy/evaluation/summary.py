@@ -74,9 +74,7 @@ def _row(metric: str, summary: Mapping[str, float | None], columns: Sequence[str
     cells = [summary[f"{metric}/{column}"] for column in columns]
     # Among steps, a time without a number is one that most of them never reach.
     never = [metric.endswith("_time") and summary[f"settled/{column}"] is not None for column in columns]
-    values = "".join(
-        f"{_cell(v, factor, 'never' if n else '-'):>12s}" for v, n in zip(cells, never, strict=True)
-    )
+    values = "".join(f"{_cell(v, factor, 'never' if n else '-'):>12s}" for v, n in zip(cells, never, strict=True))
     return f"{f'{WORDS[metric]} [{unit}]':38s}" + values
 
 

@@ -91,9 +91,7 @@ def per_input(value: Levels, n_u: int, what: str) -> Tensor:
     Raises:
         ValueError: there are neither one nor `n_u` numbers.
     """
-    values = torch.as_tensor(
-        value if isinstance(value, float | int) else list(value), dtype=torch.float64
-    ).reshape(-1)
+    values = torch.as_tensor(value if isinstance(value, float | int) else list(value), dtype=torch.float64).reshape(-1)
     if values.numel() not in (1, n_u):
         raise ValueError(
             f"excitation got {values.numel()} values of {what}; allowed is one, or one for each of {n_u} inputs: adjust the list"

@@ -46,13 +46,9 @@ class Chirp(Excitation):
     ) -> None:
         super().__init__(n_u, duration, dt, amplitude, offset, seed)
         if len(band) != 2 or min(band) < 0:
-            raise ValueError(
-                f"chirp got the band {list(band)} Hz; allowed are two frequencies of 0 or more: from, to"
-            )
+            raise ValueError(f"chirp got the band {list(band)} Hz; allowed are two frequencies of 0 or more: from, to")
         self.start = float(band[0])
-        self.stop = torch.tensor(
-            [band[1] * (1.0 if i % 2 == 0 else 0.7) for i in range(n_u)], dtype=torch.float64
-        )
+        self.stop = torch.tensor([band[1] * (1.0 if i % 2 == 0 else 0.7) for i in range(n_u)], dtype=torch.float64)
         self.phase = torch.tensor([(i - 1) * math.pi / 2 for i in range(n_u)], dtype=torch.float64)
 
     def wave(self, t: Tensor) -> Tensor:

@@ -38,9 +38,7 @@ class Switching(Excitation):
     ) -> None:
         super().__init__(n_u, duration, dt, amplitude, offset, seed)
         if not hold > 0:
-            raise ValueError(
-                f"excitation got hold {hold} s; allowed is a positive time: 0.5 s suits the twin rotor"
-            )
+            raise ValueError(f"excitation got hold {hold} s; allowed is a positive time: 0.5 s suits the twin rotor")
         self.hold = float(hold)
         generator = torch.Generator().manual_seed(seed)
         self.levels = self._levels(int(self.duration / self.hold) + 3, generator)

@@ -23,9 +23,7 @@ class Pendulum(System):
         ValueError: Mass, length or torque is not positive, or the damping is negative.
     """
 
-    def __init__(
-        self, mass: float = 1.0, length: float = 1.0, damping: float = 0.5, max_torque: float = 12.0
-    ) -> None:
+    def __init__(self, mass: float = 1.0, length: float = 1.0, damping: float = 0.5, max_torque: float = 12.0) -> None:
         super().__init__(Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.0, 3.0)))
         if not (mass > 0 and length > 0 and max_torque > 0 and damping >= 0):
             raise ValueError(
@@ -40,7 +38,5 @@ class Pendulum(System):
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, 2)`, of states `(*batch, 2)` under inputs `(*batch, 1)` in [-1, 1]."""
         theta, rate = x.unbind(-1)
-        acceleration = (
-            self.input_gain * u[..., 0] - self.gravity_term * torch.sin(theta) - self.damping_term * rate
-        )
+        acceleration = self.input_gain * u[..., 0] - self.gravity_term * torch.sin(theta) - self.damping_term * rate
         return torch.stack((rate, acceleration), -1)

@@ -45,13 +45,9 @@ def animate(evaluation: Evaluation, path: Path, row: int = 0, every: int = 2) ->
         ValueError: The suffix is unknown, `every` is not positive, or ffmpeg is missing.
     """
     if path.suffix not in SUFFIXES:
-        raise ValueError(
-            f"an animation cannot be written as '{path.name}'; use a name in {' or '.join(SUFFIXES)}"
-        )
+        raise ValueError(f"an animation cannot be written as '{path.name}'; use a name in {' or '.join(SUFFIXES)}")
     if every < 1:
-        raise ValueError(
-            f"every must be at least 1 control period per picture, got {every}; 2 is smooth enough"
-        )
+        raise ValueError(f"every must be at least 1 control period per picture, got {every}; 2 is smooth enough")
     path.parent.mkdir(parents=True, exist_ok=True)
     seconds = every * float(evaluation.time[1] - evaluation.time[0])
     write = _write_gif if path.suffix == ".gif" else _write_mp4

@@ -15,9 +15,7 @@ UNITS = ("rad", "rad", "rad/s", "rad/s", "rpm", "rpm")
 
 
 @styled
-def excitation(
-    time: ArrayLike, u: ArrayLike, input_names: Sequence[str] = INPUTS, title: str = "Excitation"
-) -> Figure:
+def excitation(time: ArrayLike, u: ArrayLike, input_names: Sequence[str] = INPUTS, title: str = "Excitation") -> Figure:
     """Draw the excitation signal, `(T, n_u)` in [-1, 1], over `time` `(T,)` [s]."""
     seconds, values = array(time), array(u)
     figure, axes = panels(len(input_names), 1, (7.0, 1.5 * len(input_names) + 0.6), title)

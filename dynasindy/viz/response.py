@@ -66,9 +66,7 @@ def step_response(
     for i, axis in enumerate(figure.axes[: len(names)]):
         starts = [array(y)[0, i] for y in outputs.values()]
         half = 0.05 * max((abs(target[-1, i] - start) for start in starts), default=0.0)
-        axis.axhspan(
-            target[-1, i] - half, target[-1, i] + half, color=GREY, alpha=0.2, lw=0, label="5 % band"
-        )
+        axis.axhspan(target[-1, i] - half, target[-1, i] + half, color=GREY, alpha=0.2, lw=0, label="5 % band")
         axis.axvspan(seconds[-1] - 5.0, seconds[-1], color=GREY, alpha=0.08, lw=0, label="steady state")
     figure.axes[0].legend(loc="lower right", ncols=2)
     return figure

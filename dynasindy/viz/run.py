@@ -28,9 +28,7 @@ def read_table(path: Path) -> Table:
         raise FileNotFoundError(f"{path} does not exist; give the folder of a finished run")
     with path.open(newline="") as file:
         header, *rows = list(csv.reader(file))
-    cells = np.array([[float(cell) if cell else np.nan for cell in row] for row in rows]).reshape(
-        -1, len(header)
-    )
+    cells = np.array([[float(cell) if cell else np.nan for cell in row] for row in rows]).reshape(-1, len(header))
     return dict(zip(header, cells.T, strict=True))
 
 
@@ -55,9 +53,7 @@ def _figures(folder: Path, signature: Signature) -> dict[str, Figure]:
     names, units = signature.state_names, signature.state_units
     figures = {}
     excited = read_table(folder / "data" / "excitation.csv")
-    figures["excitation"] = excitation(
-        excited["time"], _stack(excited, signature.input_names), signature.input_names
-    )
+    figures["excitation"] = excitation(excited["time"], _stack(excited, signature.input_names), signature.input_names)
     figures["training_data"] = training_data(excited["time"], _stack(excited, names), names, units)
     for when, title in (("first", "before reinforcement learning"), ("last", "after reinforcement learning")):
         path = folder / "data" / f"prediction_{when}_episode.csv"
@@ -65,9 +61,7 @@ def _figures(folder: Path, signature: Signature) -> dict[str, Figure]:
             table = read_table(path)
             predicted = _stack(table, [f"predicted_{name}" for name in names])
             title = f"Open-loop model prediction of a real episode, {title}"
-            figures[path.stem] = prediction(
-                table["time"], _stack(table, names), predicted, names, units, title
-            )
+            figures[path.stem] = prediction(table["time"], _stack(table, names), predicted, names, units, title)
     if (folder / "progress.csv").is_file():
         progress = read_table(folder / "progress.csv")
         at = np.isfinite(progress["evaluated_return"])

@@ -70,7 +70,9 @@ class Listener(Callback):
         self.log.append(f"fitted after {cost.real_steps}")
 
     def episode(self, episode, cost):
-        self.log.append(f"episode {episode.number}: {cost.real_steps} real, {cost.imagined} imagined, {cost.updates} updates")
+        self.log.append(
+            f"episode {episode.number}: {cost.real_steps} real, {cost.imagined} imagined, {cost.updates} updates"
+        )
 
 
 def test_the_phases_come_in_the_order_of_algorithm_1():

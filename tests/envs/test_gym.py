@@ -24,9 +24,7 @@ def test_gymnasium_check_env_passes(name: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         # States have no bounds (rotor speeds follow from the physics), so neither has their space.
-        warnings.filterwarnings(
-            "ignore", message=".*Box observation space (min|max)imum value is -?infinity.*"
-        )
+        warnings.filterwarnings("ignore", message=".*Box observation space (min|max)imum value is -?infinity.*")
         # The id ends in -v0 on purpose.
         warnings.filterwarnings("ignore", message=".*is out of date.*")
         env = gymnasium.make(name, render_mode="rgb_array")

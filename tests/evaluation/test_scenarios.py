@@ -39,9 +39,7 @@ def test_an_equilibrium_held_open_loop_ends_at_its_pitch() -> None:
 
 
 def test_returns_are_sums_of_the_rewards_and_rows_are_in_order() -> None:
-    result = evaluate(
-        make(), constant(0.0, 0.2), Scenario("two", Step([[0.1, 0.2], [0.3, -0.1]]), episodes=2)
-    )
+    result = evaluate(make(), constant(0.0, 0.2), Scenario("two", Step([[0.1, 0.2], [0.3, -0.1]]), episodes=2))
     torch.testing.assert_close(result.trajectory["reference"][:, 0], torch.tensor([[0.1, 0.2], [0.3, -0.1]]))
     rewards = result.trajectory["next", "reward"]
     assert result.returns[1].item() == pytest.approx(sum(r.item() for r in rewards[1]), rel=1e-4)
@@ -54,9 +52,7 @@ def test_scenarios_may_be_longer_than_the_episodes_of_training() -> None:
     reference = evaluate(make(), constant(0.0, 0.2), wave).trajectory["reference"]
     assert reference.shape == (1, 800, 2)
     # A quarter period, 1 / (4 * 0.015) s, after the start the sine is at its amplitude.
-    torch.testing.assert_close(
-        reference[0, round(1 / 0.06 / 0.05)], torch.tensor([0.35, 0.25]), atol=1e-4, rtol=0
-    )
+    torch.testing.assert_close(reference[0, round(1 / 0.06 / 0.05)], torch.tensor([0.35, 0.25]), atol=1e-4, rtol=0)
 
 
 def test_batched_rows_equal_single_runs() -> None:

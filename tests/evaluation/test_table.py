@@ -10,7 +10,9 @@ def write(folder, name, trained):
     run.mkdir(parents=True)
     evaluation = {"return": trained, "steady_state_error/alpha_a": 0.01, "rmse/alpha_a": 0.02}
     cost = {"real_steps": 600, "plant_seconds": 30.0, "wall_seconds": 100.0}
-    (run / "metrics.json").write_text(json.dumps({"cost": cost, "untrained": {"return": -9.0}, "evaluation": evaluation}))
+    (run / "metrics.json").write_text(
+        json.dumps({"cost": cost, "untrained": {"return": -9.0}, "evaluation": evaluation})
+    )
 
 
 def test_seeds_are_joined_and_settings_are_not(tmp_path):

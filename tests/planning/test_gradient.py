@@ -107,16 +107,16 @@ def test_both_ways_of_planning_share_one_phase():
     env, agent, replay = setting()
     replay.extend_real(env.rollout(20, agent.policy))
     gradient = partial(GradientPlanning, updates=2, **SMALL)
-    planner = GradientThenReplay(env, agent, replay, gradient, partial(ImaginedReplay, rollouts=3, horizon=2, reach=1e6))
+    planner = GradientThenReplay(
+        env, agent, replay, gradient, partial(ImaginedReplay, rollouts=3, horizon=2, reach=1e6)
+    )
     assert planner.plan().imagined == 2 * 16 * 20 + 6
     assert len(replay.model) == 6
     planner.distrust()
     assert not len(replay.model)
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"rows": 0}, {"lr": 0.0}, {"updates": -1}, {"real_starts": 0.8, "jumps": 0.8}]
-)
+@pytest.mark.parametrize("wrong", [{"rows": 0}, {"lr": 0.0}, {"updates": -1}, {"real_starts": 0.8, "jumps": 0.8}])
 def test_impossible_settings_are_refused(wrong):
     env, agent, replay = setting()
     with pytest.raises(ValueError, match="mend planning"):

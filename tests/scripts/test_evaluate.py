@@ -71,9 +71,7 @@ def test_every_scenario_is_built_under_its_own_name(name: str, run_folder: Path,
     assert scenario.name == name
 
 
-def test_unknown_scenarios_and_unfinished_runs_are_refused(
-    run_folder: Path, tmp_path: Path, saved_run
-) -> None:
+def test_unknown_scenarios_and_unfinished_runs_are_refused(run_folder: Path, tmp_path: Path, saved_run) -> None:
     config = saved_run.load_config(run_folder)
     with pytest.raises(ValueError, match=r"scenario 'stepp' is unknown; use some of delay, .*wind"):
         saved_run.load_scenario("stepp", config)

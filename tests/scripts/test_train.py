@@ -31,7 +31,15 @@ def test_the_smoke_run_leaves_a_complete_folder_and_says_what_came_of_it(tmp_pat
     with (folder / "progress.csv").open() as file:
         (row,) = csv.DictReader(file)
     assert int(float(row["real_steps"])) == 600
-    for words in ("Omega_p' = ", "steady-state error", "overshoot", "settling time", "RMSE", "600 real steps", str(folder)):
+    for words in (
+        "Omega_p' = ",
+        "steady-state error",
+        "overshoot",
+        "settling time",
+        "RMSE",
+        "600 real steps",
+        str(folder),
+    ):
         assert words in done.stdout, words
 
 

@@ -27,7 +27,7 @@ def test_a_stop_costs_its_penalty():
 
 def test_the_linear_shape_is_quadratic_within_its_width_and_linear_beyond():
     settings = {"error_weights": (1.0, 0.0), "error_shape": "linear", "width": 0.05, "bonus": 0.0}
-    assert pay((0.05, 0.0), **settings) == pytest.approx(-0.05**2 / 0.1)
+    assert pay((0.05, 0.0), **settings) == pytest.approx(-(0.05**2) / 0.1)
     slope = pay((2.0, 0.0), **settings) - pay((3.0, 0.0), **settings)
     assert slope == pytest.approx(1.0, abs=1e-3)
 

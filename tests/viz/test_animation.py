@@ -45,9 +45,7 @@ def test_an_mp4_is_written_where_ffmpeg_is(evaluation: Evaluation, tmp_path: Pat
     assert animate(evaluation, tmp_path / "half.mp4").stat().st_size > 1000
 
 
-def test_mistakes_get_one_line(
-    evaluation: Evaluation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_mistakes_get_one_line(evaluation: Evaluation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match=r"'a\.avi'; use a name in \.gif or \.mp4"):
         animate(evaluation, tmp_path / "a.avi")
     with pytest.raises(ValueError, match="every must be at least 1"):

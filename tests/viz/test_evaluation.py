@@ -23,9 +23,7 @@ def run(reference: Reference, episodes: int) -> Evaluation:
 def test_many_references_add_the_spread_of_the_error(episodes: int, tmp_path: Path) -> None:
     files = draw_evaluation(run(Step([[0.1, 0.1]]), episodes), tmp_path, formats=("png", "svg"))
     names = {file.name for file in files}
-    assert names == {"short.png", "short.svg"} | (
-        {"short_errors.png", "short_errors.svg"} if episodes > 1 else set()
-    )
+    assert names == {"short.png", "short.svg"} | ({"short_errors.png", "short_errors.svg"} if episodes > 1 else set())
     assert all(file.stat().st_size > 1000 for file in files)
 
 
@@ -36,9 +34,7 @@ def test_steps_show_their_settling_band_and_waves_do_not() -> None:
 
 def test_other_plants_get_their_own_labels() -> None:
     system = Pendulum()
-    task = Tracking(
-        system.signature, Step([[0.5]]), ["theta"], ["Omega"], TrackingReward(error_weights=(4.0,))
-    )
+    task = Tracking(system.signature, Step([[0.5]]), ["theta"], ["Omega"], TrackingReward(error_weights=(4.0,)))
     result = evaluate(
         ControlEnv(system, task),
         lambda td: td.set("action", torch.zeros(*td.batch_size, 1)),

@@ -57,9 +57,7 @@ def test_the_table_holds_the_used_features_only() -> None:
     coefficients = np.zeros((3, 2))
     coefficients[0, 1], coefficients[2, 0] = -9.81, 1.0
     figure = coefficient_table(coefficients, ["1", "theta", "Omega"], ["theta", "Omega"])
-    cells = {
-        place: cell.get_text().get_text() for place, cell in figure.axes[0].tables[0].get_celld().items()
-    }
+    cells = {place: cell.get_text().get_text() for place, cell in figure.axes[0].tables[0].get_celld().items()}
     assert [cells[k, -1] for k in (1, 2)] == ["1", "Omega"]
     assert [cells[1, 0], cells[1, 1], cells[2, 0], cells[2, 1]] == ["", "-9.81", "1", ""]
 

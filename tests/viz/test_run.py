@@ -18,9 +18,7 @@ def write(path: Path, header: str, *columns: str) -> None:
 
 
 def test_every_figure_whose_data_are_there_is_drawn(tmp_path: Path) -> None:
-    write(
-        tmp_path / "data" / "excitation.csv", "time,theta,Omega,u,reference_theta", "0.1", "0.2", "0.3", "0.0"
-    )
+    write(tmp_path / "data" / "excitation.csv", "time,theta,Omega,u,reference_theta", "0.1", "0.2", "0.3", "0.0")
     write(
         tmp_path / "data" / "step_response.csv",
         "time,theta,Omega,u,reference_theta",
@@ -38,9 +36,7 @@ def test_every_figure_whose_data_are_there_is_drawn(tmp_path: Path) -> None:
         "episode,return,one_step_reward_error,evaluated_return\n1,-5,0.1,\n2,-3,0.01,-2\n"
     )
     files = draw_run(tmp_path, Pendulum().signature, formats=("svg",))
-    assert {"prediction_first_episode.svg", "learning_curve.svg", "model_error.svg"} <= {
-        f.name for f in files
-    }
+    assert {"prediction_first_episode.svg", "learning_curve.svg", "model_error.svg"} <= {f.name for f in files}
     assert all(file.parent == tmp_path / "figures" for file in files)
 
 

@@ -41,9 +41,7 @@ KNOWN = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
 
 def _points(n: int = 2000) -> tuple[Tensor, Tensor]:
     generator = torch.Generator().manual_seed(1)
-    x = (2 * torch.rand(n, 6, generator=generator, dtype=torch.float64) - 1) * torch.tensor(
-        [1, 1, 1, 1, 3000, 2000.0]
-    )
+    x = (2 * torch.rand(n, 6, generator=generator, dtype=torch.float64) - 1) * torch.tensor([1, 1, 1, 1, 3000, 2000.0])
     return x, 2 * torch.rand(n, 2, generator=generator, dtype=torch.float64) - 1
 
 
@@ -152,9 +150,7 @@ def test_a_saved_model_predicts_as_it_did(tmp_path):
     model.fit_derivatives(x, u, Xi()(x, u))
     model.save(tmp_path / "model.json")
     assert torch.equal(SindyModel.load(tmp_path / "model.json")(x, u), model(x, u))
-    assert json.loads((tmp_path / "model.json").read_text())["coefficients"]["omega_p"][
-        "u_p"
-    ] == pytest.approx(6100)
+    assert json.loads((tmp_path / "model.json").read_text())["coefficients"]["omega_p"]["u_p"] == pytest.approx(6100)
 
 
 def test_an_update_equals_a_fit_to_all_data():
