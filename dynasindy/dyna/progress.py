@@ -13,10 +13,13 @@ class ProgressBar(Callback):
 
     Args:
         episodes: Episodes of the run.
+        shown: Show the bar at all.
     """
 
-    def __init__(self, episodes: int) -> None:
-        self.bar = tqdm(total=episodes, unit="episode", desc="exciting the plant", dynamic_ncols=True)
+    def __init__(self, episodes: int, shown: bool = True) -> None:
+        self.bar = tqdm(
+            total=episodes, unit="episode", desc="exciting the plant", dynamic_ncols=True, disable=not shown
+        )
 
     def fitted(self, report: object, excited: TensorDict, cost: Cost) -> None:
         """Say that the model is identified."""

@@ -57,6 +57,7 @@ def average_rewards(
     window: int = 10,
     seed: int = 0,
     title: str = "Average rewards",
+    log: bool = False,
 ) -> Figure:
     """Draw interquartile mean and 95 % bootstrap band over seeds, one line per setting.
 
@@ -66,18 +67,21 @@ def average_rewards(
         window: episodes in the moving mean taken of each seed before the statistics.
         seed: of the bootstrap.
         title: of the figure.
+        log: logarithmic returns, linear within 10 of zero.
     """
     figure, (axis,) = panels(1, 1, (7.0, 3.8), title)
+    if log:
+        axis.set_yscale("symlog", linthresh=10.0)
     for k, (name, values) in enumerate(curves.items()):
         returns = np.atleast_2d(array(values))
         smooth = np.stack([moving_mean(row, window) for row in returns])
         x = array(episode)[: smooth.shape[1]] if episode is not None else np.arange(1, smooth.shape[1] + 1)
-        middle, low, high = _band(smooth, seed)
+        middle, low, high = band(smooth, seed)
         color = CYCLE[k % len(CYCLE)]
         axis.plot(x, middle, color=color, label=f"{name} ({len(returns)} seeds)")
         axis.fill_between(x, low, high, color=color, alpha=0.2, linewidth=0)
     axis.set_xlabel("real episode")
-    axis.set_ylabel(f"return, mean of {window} episodes [-]")
+    axis.set_ylabel(f"return, mean of {window} episodes [-]" if window > 1 else "return [-]")
     axis.legend(loc="lower right")
     return figure
 
@@ -90,7 +94,7 @@ def moving_mean(values: Array, window: int) -> Array:
     return (total[end] - total[start]) / (end - start)
 
 
-def _band(returns: Array, seed: int) -> tuple[Array, Array, Array]:
+def band(returns: Array, seed: int) -> tuple[Array, Array, Array]:
     """Return interquartile mean and interval over seeds at each episode of `(n_seeds, n_episodes)`."""
     by_episode = torch.as_tensor(returns.T)
     low, high = bootstrap_interval(by_episode.unsqueeze(-1), resamples=1000, seed=seed)

@@ -15,9 +15,9 @@ OPTIONS = [f"{group}={file.stem}" for group in GROUPS for file in sorted((CONF /
 ABSTRACT = {"task=tracking"}
 
 
-def build(*overrides):
+def build(*overrides, config="train"):
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        cfg = compose("train", overrides=list(overrides))
+        cfg = compose(config, overrides=list(overrides))
     parts = {f.name: instantiate(cfg[f.name], _convert_="all") for f in fields(Recipe) if f.name != "seed"}
     instantiate(cfg.scenario, _convert_="all")
     return cfg, Recipe(**parts, seed=cfg.seed).build()
@@ -26,6 +26,16 @@ def build(*overrides):
 @pytest.mark.parametrize("option", sorted(set(OPTIONS) - ABSTRACT))
 def test_every_option_is_built(option):
     build(option)
+
+
+@pytest.mark.parametrize("setting", sorted(file.stem for file in (CONF / "setting").glob("*.yaml")))
+def test_every_setting_of_the_ablation_differs_from_its_default_in_what_it_names(setting):
+    cfg, _ = build(f"setting={setting}", config="ablation")
+    default, _ = build(config="ablation")
+    text = (CONF / "setting" / f"{setting}.yaml").read_text()
+    changed = {key for key in cfg if cfg[key] != default[key]}
+    assert changed <= {line.partition(":")[0] for line in text.splitlines()} | {"world_model"}
+    assert bool(changed) == (setting != "rollouts_800")
 
 
 @pytest.mark.parametrize("system", sorted(file.stem for file in (CONF / "system").glob("*.yaml")))

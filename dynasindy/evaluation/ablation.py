@@ -1,0 +1,226 @@
+"""Settings compared over seeds, from the files that their runs wrote.
+
+A run lies in `root/system/experiment/setting/.../seed_N`. Two tables are made of all finished ones: a row per
+run (`ablation.csv`) and a row per episode (`ablation_curves.csv`), from which the figures are drawn.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+from dynasindy.evaluation.statistics import bootstrap_interval, interquartile_mean
+
+Row = dict[str, str | float | None]
+KEY = ("system", "experiment", "setting")
+ERROR = "steady_state_error"
+SUMMARY = {
+    "episodes_to_level": "real episodes to the level",
+    "real_steps_to_level": "real steps",
+    "plant_seconds_to_level": "plant time [s]",
+    "updates_to_level": "gradient updates",
+    "imagined_to_level": "imagined transitions",
+    "area_under_curve": "area under the curve",
+    "final_return": "final return",
+    ERROR: "steady-state error [rad]",
+    "wall_seconds": "wall time [s]",
+}
+"""Columns of the readable table, and their words."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """The level that a setting has to reach, fixed before the runs.
+
+    Args:
+        error: Mean absolute steady-state error over the references of the scenario, on every axis [rad].
+        consecutive: Evaluations in a row that hold it; the last of them is when it counts as reached.
+
+    Raises:
+        ValueError: `error` or `consecutive` is not positive.
+    """
+
+    error: float = 0.05
+    consecutive: int = 3
+
+    def __post_init__(self) -> None:
+        if not self.error > 0 or self.consecutive < 1:
+            raise ValueError(
+                f"level has error={self.error}, consecutive={self.consecutive}; give an error > 0 rad and a count >= 1"
+            )
+
+    def reached(self, errors: Sequence[float]) -> int | None:
+        """Return the place in `errors` at which the level is reached, or None."""
+        held = 0
+        for place, error in enumerate(errors):
+            held = held + 1 if error <= self.error else 0
+            if held == self.consecutive:
+                return place
+        return None
+
+
+def is_finished(folder: Path, settings: str) -> bool:
+    """Return whether a run folder holds the result of these settings.
+
+    Args:
+        folder: Run folder.
+        settings: The resolved configuration as `config.yaml` holds it; what does not change a result is ignored.
+    """
+    config = folder / "config.yaml"
+    return (folder / "metrics.json").is_file() and config.is_file() and _same(config.read_text(), settings)
+
+
+def gather(root: Path, results: Path, level: Level) -> list[Row]:
+    """Write `ablation.csv`, `ablation_curves.csv` and `ablation.md` from all finished runs.
+
+    Rows of settings that have no run in `root` stay as they are in the tables.
+
+    Args:
+        root: Folder of the runs.
+        results: Folder of the tables; made if missing.
+        level: The required level.
+
+    Returns:
+        The rows of `ablation.csv`.
+    """
+    folders = sorted(file.parent for file in root.rglob("metrics.json"))
+    read = [(_place(folder, root), _curve(folder)) for folder in folders]
+    results.mkdir(parents=True, exist_ok=True)
+    curves = [{**place, **line} for place, curve in read for line in curve]
+    write_rows(results / "ablation_curves.csv", _merged(read_rows(results / "ablation_curves.csv"), curves))
+    runs = [{**place, **summarise_run(curve, level)} for place, curve in read]
+    rows = _merged(read_rows(results / "ablation.csv"), runs)
+    write_rows(results / "ablation.csv", rows)
+    (results / "ablation.md").write_text(to_markdown(rows, level))
+    return rows
+
+
+def summarise_run(curve: Sequence[Mapping[str, float | None]], level: Level) -> Row:
+    """Return what one run came to.
+
+    Args:
+        curve: Its evaluated episodes in order, as `progress.csv` has them.
+        level: The required level.
+    """
+    last = curve[-1]
+    place = level.reached([_worst(line) for line in curve])
+    at = {} if place is None else curve[place]
+    returns = [line["evaluated_return"] or 0.0 for line in curve]
+    row: Row = {
+        "episodes": last["episode"],
+        "episodes_to_level": at.get("episode"),
+        "real_steps_to_level": at.get("real_steps"),
+        "plant_seconds_to_level": at.get("plant_seconds"),
+        "updates_to_level": at.get("updates"),
+        "imagined_to_level": at.get("imagined_transitions"),
+        "return_at_level": at.get("evaluated_return"),
+        "area_under_curve": sum(returns) / len(returns),
+        "final_return": last["evaluated_return"],
+        ERROR: _worst(last),
+    }
+    prefix = f"evaluated_{ERROR}/"
+    row |= {key.removeprefix("evaluated_"): value for key, value in last.items() if key.startswith(prefix)}
+    return row | {key: last[key] for key in ("real_steps", "updates", "imagined_transitions", "wall_seconds")}
+
+
+def to_markdown(rows: Iterable[Row], level: Level) -> str:
+    """Return a table of interquartile means over seeds with 95 % bootstrap intervals, a row per setting."""
+    groups: dict[tuple[str, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault(tuple(str(row[key]) for key in KEY), []).append(row)
+    lines = [
+        f"Level: mean abs steady-state error of every axis at or under {level.error:g} rad in {level.consecutive} "
+        "evaluations in a row.",
+        "Interquartile mean over seeds [95 % bootstrap interval]; excitation counts as real, evaluation does not.",
+        "Steady-state error: the worse axis after the last episode. Area: the mean evaluated return.",
+        "",
+        "| " + " | ".join((*KEY, "seeds", "reached", *SUMMARY.values())) + " |",
+        "| " + " | ".join(["---"] * (len(KEY) + 2 + len(SUMMARY))) + " |",
+    ]
+    for key, group in groups.items():
+        reached = sum(row["episodes_to_level"] is not None for row in group)
+        cells = [_cell([row[column] for row in group]) for column in SUMMARY]
+        counts = (str(len(group)), f"{reached}/{len(group)}")
+        lines.append("| " + " | ".join((*key, *counts, *cells)) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Read a table, numbers as numbers and empty cells as None; no file is an empty table."""
+    if not path.is_file():
+        return []
+    with path.open(newline="") as file:
+        return [{key: _value(key, cell) for key, cell in row.items()} for row in csv.DictReader(file)]
+
+
+def write_rows(path: Path, rows: Sequence[Row]) -> None:
+    """Write a table whole, with the columns of all rows, through a temporary file."""
+    columns = list(dict.fromkeys(column for row in rows for column in row))
+    temporary = path.with_suffix(".tmp")
+    with temporary.open("w", newline="") as file:
+        writer = csv.DictWriter(file, columns, restval="", lineterminator="\n")
+        writer.writeheader()
+        for row in rows:
+            writer.writerow({k: f"{v:.7g}" if isinstance(v, float) else v for k, v in row.items()})
+    temporary.replace(path)
+
+
+def _place(folder: Path, root: Path) -> Row:
+    system, experiment, *setting, _ = folder.relative_to(root).parts
+    seed = json.loads((folder / "metrics.json").read_text())["seed"]
+    return {"system": system, "experiment": experiment, "setting": ",".join(setting), "seed": int(seed)}
+
+
+def _curve(folder: Path) -> list[dict[str, float | None]]:
+    """Return the evaluated rows of a run's `progress.csv`."""
+    rows = [{key: _number(value) for key, value in row.items()} for row in read_rows(folder / "progress.csv")]
+    return [row for row in rows if row["evaluated_return"] is not None]
+
+
+def _merged(old: Sequence[Row], new: Sequence[Row]) -> list[Row]:
+    found = {tuple(row[key] for key in KEY) for row in new}
+    kept = [row for row in old if tuple(row[key] for key in KEY) not in found]
+    return sorted([*kept, *new], key=lambda row: [str(row[key]) for key in KEY])
+
+
+def _worst(line: Mapping[str, float | None]) -> float:
+    errors = [value for key, value in line.items() if key.startswith(f"evaluated_{ERROR}/") and value is not None]
+    return max(errors, default=math.inf)
+
+
+def _cell(values: Sequence[str | float | None]) -> str:
+    """Return interquartile mean and interval; a run that never reached the level counts as infinite."""
+    scores = torch.tensor([math.inf if (n := _number(v)) is None else n for v in values], dtype=torch.float64)
+    middle = interquartile_mean(scores).item()
+    # The bootstrap interpolates between resamples, which infinities do not allow.
+    low, high = bootstrap_interval(scores.nan_to_num(posinf=1e30).unsqueeze(-1))
+    return f"{_short(middle)} [{_short(low.item())}, {_short(high.item())}]"
+
+
+def _short(value: float) -> str:
+    return "never" if value > 1e20 else f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
+
+
+def _number(value: str | float | None) -> float | None:
+    return None if value is None else float(value)
+
+
+def _value(key: str, cell: str) -> str | float | None:
+    if key in KEY:
+        return cell
+    return float(cell) if cell else None
+
+
+def _same(first: str, second: str) -> bool:
+    one, other = ([line for line in text.splitlines() if not _free(line)] for text in (first, second))
+    return one == other
+
+
+def _free(line: str) -> bool:
+    return line.startswith(("folder:", "threads:", "results:"))

@@ -1,0 +1,39 @@
+"""Compare settings over seeds: `python scripts/ablation.py [system=tras] [setting=direct,oracle] ['seed=range(5)']`."""
+
+from pathlib import Path
+
+from command import command
+from hydra.experimental.callback import Callback
+from hydra.utils import instantiate
+from job import run_job, settings_of
+from omegaconf import DictConfig
+
+from dynasindy.evaluation.ablation import gather, is_finished
+from dynasindy.viz.ablation import draw_ablation
+
+
+class Gathering(Callback):
+    """When every job is done, make the tables and figures of all finished runs."""
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
+        """Gather what lies in the folder of the sweep."""
+        results, level = Path(config.results), instantiate(config.level)
+        gather(Path(config.hydra.sweep.dir), results, level)
+        draw_ablation(results, level.error)
+        print((results / "ablation.md").read_text(), f"Tables and figures: {results}", sep="\n")
+
+
+@command("ablation")
+def main(cfg: DictConfig) -> None:
+    """Run one job, unless it is finished."""
+    folder = Path(cfg.folder)
+    if is_finished(folder, settings_of(cfg)):
+        print(f"finished before: {folder}")
+        return
+    _, metrics = run_job(cfg, progress=False)
+    errors = [f"{v:.3g}" for k, v in metrics["evaluation"].items() if k.startswith("steady_state_error/")]
+    print(f"finished: {folder}, steady-state error {' / '.join(errors)} rad, {metrics['cost']['wall_seconds']:.0f} s")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+"""Tables of an ablation, from run folders written by hand."""
+
+import json
+import math
+
+import pytest
+
+from dynasindy.evaluation.ablation import Level, gather, is_finished, read_rows, summarise_run, to_markdown
+
+LEVEL = Level(0.05, 3)
+HEADER = (
+    "episode,return,real_steps,plant_seconds,imagined_transitions,updates,wall_seconds,"
+    "evaluated_return,evaluated_steady_state_error/y,evaluated_steady_state_error/z"
+)
+
+
+def run_folder(root, setting, seed, errors, system="xi", experiment="dyna"):
+    """Write a finished run whose n-th evaluation has the n-th error on axis z and half of it on y."""
+    folder = root / system / experiment / setting / f"seed_{seed}"
+    folder.mkdir(parents=True)
+    (folder / "metrics.json").write_text(json.dumps({"seed": seed}))
+    lines = [f"{n},-1,{200 + 400 * n},{10 + 20 * n},{100 * n},{50 * n},{7 * n},{-100 * e},{e / 2},{e}"
+             for n, e in enumerate(errors, start=1)]  # fmt: skip
+    (folder / "progress.csv").write_text("\n".join([HEADER, *lines]) + "\n")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("errors", "place"),
+    [
+        ([0.05, 0.05, 0.05], 2),
+        ([0.04, 0.04, 0.06, 0.04, 0.04, 0.04, 0.9], 5),
+        ([0.04, 0.04, 0.06], None),
+        ([math.inf, 0.01, 0.01], None),
+    ],
+)
+def test_the_level_counts_where_the_last_of_three_evaluations_holds_it(errors, place):
+    assert LEVEL.reached(errors) == place
+
+
+def test_a_run_is_judged_by_its_worse_axis_and_priced_where_it_reached_the_level(tmp_path):
+    run_folder(tmp_path / "runs", "s", 0, [0.2, 0.05, 0.04, 0.03, 0.08])
+    (row,) = gather(tmp_path / "runs", tmp_path, LEVEL)
+    assert row["episodes_to_level"] == 4 and row["real_steps_to_level"] == 1800 and row["plant_seconds_to_level"] == 90
+    assert row["updates_to_level"] == 200 and row["imagined_to_level"] == 400
+    assert row["return_at_level"] == pytest.approx(-3.0)
+    assert row["area_under_curve"] == pytest.approx(-8.0) and row["final_return"] == pytest.approx(-8.0)
+    assert row["steady_state_error"] == 0.08 and row["steady_state_error/y"] == 0.04
+
+
+def test_episodes_without_an_evaluation_are_left_out(tmp_path):
+    folder = run_folder(tmp_path / "runs", "s", 0, [0.04, 0.04, 0.04])
+    text = (folder / "progress.csv").read_text().replace("-4.0,0.02,0.04", ",,", 1)
+    (folder / "progress.csv").write_text(text)
+    (row,) = gather(tmp_path / "runs", tmp_path, LEVEL)
+    assert row["episodes_to_level"] is None and row["episodes"] == 3
+    assert len(read_rows(tmp_path / "ablation_curves.csv")) == 2
+
+
+def test_a_run_that_has_not_ended_is_no_row(tmp_path):
+    run_folder(tmp_path / "runs", "s", 0, [0.04])
+    (run_folder(tmp_path / "runs", "s", 1, [0.04]) / "metrics.json").unlink()
+    assert [row["seed"] for row in gather(tmp_path / "runs", tmp_path, LEVEL)] == [0]
+
+
+def test_rows_of_other_settings_stay_and_those_of_the_same_are_replaced(tmp_path):
+    run_folder(tmp_path / "one", "a", 0, [0.04])
+    run_folder(tmp_path / "one", "b", 0, [0.04])
+    gather(tmp_path / "one", tmp_path, LEVEL)
+    run_folder(tmp_path / "two", "b", 5, [0.03])
+    rows = gather(tmp_path / "two", tmp_path, LEVEL)
+    assert [(row["setting"], row["seed"]) for row in rows] == [("a", 0), ("b", 5)]
+    written = read_rows(tmp_path / "ablation.csv")
+    assert [(row["seed"], row["steady_state_error"]) for row in written] == [(0, 0.04), (5, 0.03)]
+
+
+def test_settings_changed_on_the_command_line_are_settings_of_their_own(tmp_path):
+    run_folder(tmp_path / "runs", "a/train.episodes=1", 0, [0.04])
+    (row,) = gather(tmp_path / "runs", tmp_path, LEVEL)
+    assert row["setting"] == "a,train.episodes=1"
+
+
+def test_the_table_has_interquartile_means_and_says_never(tmp_path):
+    for seed, episodes in enumerate([3, 4, 4, 5, 30]):  # the middle three of five: (4 + 4 + 5) / 3
+        run_folder(tmp_path / "runs", "good", seed, [0.2] * (episodes - 3) + [0.04] * 3)
+    for seed in range(5):
+        run_folder(tmp_path / "runs", "bad", seed, [0.04, 0.04] if seed else [0.04] * 3)
+    text = to_markdown(gather(tmp_path / "runs", tmp_path, LEVEL), LEVEL)
+    bad, good = text.splitlines()[-2:]
+    assert good.startswith("| xi | dyna | good | 5 | 5/5 | 4.333 [3")
+    assert bad.startswith("| xi | dyna | bad | 5 | 1/5 | never [")
+    assert (tmp_path / "ablation.md").read_text() == text
+
+
+def test_a_run_without_any_axis_never_reaches_the_level():
+    line = dict.fromkeys(HEADER.split(",")[:8], 1.0)
+    assert summarise_run([line] * 3, LEVEL)["episodes_to_level"] is None
+
+
+def test_a_job_is_finished_if_its_results_come_from_the_same_settings(tmp_path):
+    assert not is_finished(tmp_path, "a: 1\n")
+    (tmp_path / "config.yaml").write_text("a: 1\nfolder: here\nthreads: 1\n")
+    assert not is_finished(tmp_path, "a: 1\n")
+    (tmp_path / "metrics.json").write_text("{}")
+    assert is_finished(tmp_path, "a: 1\nfolder: there\nthreads: 2\n")
+    assert not is_finished(tmp_path, "a: 2\nfolder: here\nthreads: 1\n")
+
+
+@pytest.mark.parametrize("settings", [{"error": 0.0}, {"consecutive": 0}])
+def test_impossible_levels_are_refused(settings):
+    with pytest.raises(ValueError, match="error > 0 rad and a count >= 1"):
+        Level(**settings)

@@ -1,0 +1,31 @@
+import numpy as np
+
+from dynasindy.evaluation.ablation import write_rows
+from dynasindy.viz.ablation import draw_ablation, steady_state_errors
+
+
+def test_the_error_figure_has_a_line_per_setting_and_the_level():
+    figure = steady_state_errors({"a": np.full((3, 4), 0.1), "b": np.full((2, 4), 0.02)}, level=0.05)
+    (axis,) = figure.axes
+    lines = {line.get_label(): line.get_ydata() for line in axis.lines}
+    np.testing.assert_allclose(lines["a (3 seeds)"], 0.1)
+    np.testing.assert_allclose(lines["b (2 seeds)"], 0.02)
+    assert list(lines["required: 0.05 rad"]) == [0.05, 0.05]
+    assert axis.get_yscale() == "log"
+
+
+def test_a_pair_of_figures_for_every_plant_and_experiment(tmp_path):
+    rows = [
+        {
+            "system": system, "experiment": "dyna", "setting": setting, "seed": seed, "episode": episode,
+            "evaluated_return": -10.0, "evaluated_steady_state_error/y": 0.1, "evaluated_steady_state_error/z": 0.2,
+        }
+        for system in ("tras", "xi")
+        for setting in ("a", "b")
+        for seed in (0, 1)
+        for episode in range(1, 4 + seed)
+    ]  # fmt: skip
+    write_rows(tmp_path / "ablation_curves.csv", rows)
+    names = {file.name for file in draw_ablation(tmp_path, 0.05)}
+    kinds = ("average_rewards", "steady_state_error")
+    assert names == {f"{kind}_{system}_dyna.png" for kind in kinds for system in ("tras", "xi")}
