@@ -49,12 +49,22 @@ class CheckedWriter(TensorDictRoundRobinWriter):
         self.version = 0
 
     def add(self, data: TensorDictBase) -> int | Tensor:
-        """Write one row."""
+        """Write one row.
+
+        Raises:
+            KeyError: a key is missing or not allowed.
+            ValueError: a value is not finite.
+        """
         self._check(data)
         return super().add(data)
 
     def extend(self, data: TensorDictBase) -> Tensor:
-        """Write rows `(n,)`."""
+        """Write rows `(n,)`.
+
+        Raises:
+            ValueError: the batch is not one row of rows, or a row is not finite.
+            KeyError: keys are missing, or not those of the storage.
+        """
         self._check(data)
         if data.ndim != 1:
             raise ValueError(

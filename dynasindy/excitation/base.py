@@ -47,7 +47,8 @@ class Excitation(TensorDictModuleBase, ABC):
         self.seed = seed
         if n_u < 1 or not duration > 0 or not dt > 0:
             raise ValueError(
-                f"excitation got {n_u} inputs, duration {duration} s, dt {dt} s; allowed are positive numbers: correct them"
+                f"excitation got {n_u} inputs, duration {duration} s, dt {dt} s; "
+                "allowed are positive numbers: correct them"
             )
         self.n_u, self.duration, self.dt = n_u, float(duration), float(dt)
         self.register_buffer("amplitude", per_input(amplitude, n_u, "amplitude"))
@@ -94,6 +95,7 @@ def per_input(value: Levels, n_u: int, what: str) -> Tensor:
     values = torch.as_tensor(value if isinstance(value, float | int) else list(value), dtype=torch.float64).reshape(-1)
     if values.numel() not in (1, n_u):
         raise ValueError(
-            f"excitation got {values.numel()} values of {what}; allowed is one, or one for each of {n_u} inputs: adjust the list"
+            f"excitation got {values.numel()} values of {what}; allowed is one, or one for each of {n_u} inputs: "
+            "adjust the list"
         )
     return values.expand(n_u).clone()

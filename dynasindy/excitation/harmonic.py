@@ -14,8 +14,8 @@ class Sphs(Excitation):
     """Give the Schroeder-phased harmonic sequence, a flat spectrum of small peaks.
 
     `sqrt(2/K) sum_{i=1..K} cos(2 pi i t/T + theta_i)`, `theta_i = (2 pi/K) i(i+1)/2` (Schroeder 1970), T the duration,
-    divided by its peak. Harmonic i belongs to input `i mod n_u`, so that the spectra of the inputs interleave and nothing of
-    one input can be mistaken for another.
+    divided by its peak. Harmonic i belongs to input `i mod n_u`, so that the spectra of the inputs interleave and
+    nothing of one input can be mistaken for another.
 
     Args:
         n_u: number of inputs.

@@ -90,7 +90,8 @@ class Transitions:
             raise ValueError("Transitions.cat got an empty list; allowed is one recording or more: collect data first")
         if len({part.dt for part in parts}) > 1:
             raise ValueError(
-                f"Transitions.cat got sampling times {sorted({p.dt for p in parts})} s; allowed is one: fit each rate alone"
+                f"Transitions.cat got sampling times {sorted({p.dt for p in parts})} s; allowed is one: "
+                "fit each rate alone"
             )
         segments, offset = [], 0
         for part in parts:

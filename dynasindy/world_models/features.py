@@ -108,7 +108,7 @@ class Factor:
         if self.power == 1:
             return written
         if latex and self.function in ("sin", "cos", "tanh"):
-            return form.replace(" {0}", f"^{{{self.power}}} {{0}}").format(", ".join(names))
+            return form.replace(" {0}", f"^{{{{{self.power}}}}} {{0}}").format(", ".join(names))
         return f"{written}^{{{self.power}}}" if latex else f"{written}^{self.power}"
 
 
@@ -176,7 +176,7 @@ _GREEK = ("alpha", "beta", "gamma", "delta", "theta", "phi", "psi", "omega", "Om
 
 
 def latex_name(name: str) -> str:
-    """Write a state or input name as LaTeX, e.g. `Omega_a` as `\\Omega_{a}`."""
+    r"""Write a state or input name as LaTeX, e.g. `Omega_a` as `\Omega_{a}`."""
     head, _, tail = name.partition("_")
     number = re.fullmatch(r"([A-Za-z]+?)(\d+)", head)
     if number and not tail:

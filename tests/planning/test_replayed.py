@@ -67,5 +67,5 @@ def test_no_planning_is_never_due():
 
 @pytest.mark.parametrize("settings", [{"rollouts": -1}, {"every": 0}, {"horizon": 0}, {"reach": 0.0}])
 def test_impossible_plans_are_refused(settings):
-    with pytest.raises(ValueError):
+    with pytest.raises(ValueError, match=next(iter(settings))):
         make(**settings)

@@ -34,5 +34,5 @@ def test_the_linear_shape_is_quadratic_within_its_width_and_linear_beyond():
 
 @pytest.mark.parametrize("settings", [{"bonus": -1.0}, {"width": 0.0}, {"error_shape": "cubic"}])
 def test_impossible_rewards_are_refused(settings):
-    with pytest.raises(ValueError):
+    with pytest.raises(ValueError, match=str(next(iter(settings.values())))):
         TrackingReward(**settings)
