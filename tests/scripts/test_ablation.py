@@ -16,7 +16,8 @@ SMALL = (
 
 
 def run(*overrides, cwd):
-    done = subprocess.run([sys.executable, str(SCRIPT), *overrides], cwd=cwd, capture_output=True, text=True, timeout=600)
+    command = [sys.executable, str(SCRIPT), *overrides]
+    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
