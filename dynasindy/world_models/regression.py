@@ -1,11 +1,11 @@
 """Sparse regression dX = Theta(X, U) Xi on running sums (the paper, eq. SINDY-EQ).
 
-| name         | symbol        | meaning                                                            |
-| ------------ | ------------- | ------------------------------------------------------------------ |
-| theta        | Theta         | candidate functions over the samples, `(N, n_features)`            |
-| dx           | dX            | change of the states per second, `(N, n_x)`                        |
-| sums         | R, R'R = [Theta dX]'[Theta dX] | all that a fit needs to know of the samples, in size independent of N |
-| coefficients | Xi            | `(n_features, n_x)`                                                |
+| name         | symbol | meaning                                                                      |
+| ------------ | ------ | ---------------------------------------------------------------------------- |
+| theta        | Theta  | candidate functions over the samples, `(N, n_features)`                      |
+| dx           | dX     | change of the states per second, `(N, n_x)`                                  |
+| sums         | R      | all that a fit needs of the samples: R'R = [Theta dX]'[Theta dX], whatever N |
+| coefficients | Xi     | `(n_features, n_x)`                                                          |
 
 The sums are kept as the triangular factor R, not as the Gram matrix R'R: the condition number of the problem is
 not squared, and a fit from R equals the fit from all samples.
