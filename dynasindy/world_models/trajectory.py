@@ -52,8 +52,8 @@ class Windows:
                 measured.append(data.x_next[pad])
                 mask.append((torch.arange(length) < len(part)).to(torch.float64))
                 joined.append(k > 0)
-        stacked = (torch.stack(t) for t in (first, inputs, measured, mask))
-        return cls(*stacked, torch.tensor(joined), data.dt)
+        stacked = [torch.stack(t) for t in (first, inputs, measured, mask)]
+        return cls(*stacked, joined=torch.tensor(joined), dt=data.dt)
 
 
 @dataclass

@@ -66,5 +66,5 @@ def test_a_mixture_holds_its_weights():
     ],
 )
 def test_impossible_references_are_refused(make):
-    with pytest.raises(ValueError, match="need|must|unknown"):
+    with pytest.raises(ValueError, match=r"need|must|unknown"):
         make()
