@@ -52,8 +52,11 @@ class Windows:
                 measured.append(data.x_next[pad])
                 mask.append((torch.arange(length) < len(part)).to(torch.float64))
                 joined.append(k > 0)
-        stacked = [torch.stack(t) for t in (first, inputs, measured, mask)]
-        return cls(*stacked, joined=torch.tensor(joined), dt=data.dt)
+        return cls(
+            *(torch.stack(first), torch.stack(inputs), torch.stack(measured), torch.stack(mask)),
+            joined=torch.tensor(joined),
+            dt=data.dt,
+        )
 
 
 @dataclass
