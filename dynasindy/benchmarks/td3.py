@@ -147,7 +147,7 @@ def torchrl_update(size: Size, batch: TensorDict) -> Callable[[], None]:
     critic_optimizer = Adam(list(loss.qvalue_network_params.parameters()), 1e-4, fused=True)
     count = 0
 
-    def update() -> None:
+    def _step() -> None:
         nonlocal count
         count += 1
         critic_loss, _ = loss.value_loss(batch)
@@ -161,7 +161,7 @@ def torchrl_update(size: Size, batch: TensorDict) -> Callable[[], None]:
             actor_optimizer.step()
             updater.step()
 
-    return update
+    return _step
 
 
 def stable_baselines3_update(size: Size, batch: TensorDict) -> Callable[[], None]:
@@ -201,7 +201,7 @@ def matrix_products(size: Size) -> Callable[[], None]:
     critic = _Products(size, N_OBS + N_U, 1, 1)
     count = 0
 
-    def update() -> None:
+    def _step() -> None:
         nonlocal count
         count += 1
         actor.forward()
@@ -214,7 +214,7 @@ def matrix_products(size: Size) -> Callable[[], None]:
             critic.backward(inputs=True, weights=False)
             actor.backward(inputs=False, weights=True)
 
-    return update
+    return _step
 
 
 class _Products:
@@ -228,10 +228,12 @@ class _Products:
         self.dx, self.dw = [torch.empty_like(x) for x in self.x], [torch.empty_like(w) for w in self.w]
 
     def forward(self) -> None:
+        """Multiply through all layers."""
         for i, w in enumerate(self.w):
             torch.matmul(self.x[i], w.mT, out=self.dx[i + 1])
 
     def backward(self, *, inputs: bool, weights: bool) -> None:
+        """Multiply back, to the gradients of the first layer's inputs and of the weights as asked."""
         for i in reversed(range(len(self.w))):
             if weights:
                 torch.matmul(self.x[i + 1].mT, self.x[i], out=self.dw[i])
