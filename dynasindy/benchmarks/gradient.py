@@ -155,9 +155,7 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
         world_model=model,
         agent=partial(TD3, hidden=(128, 128)),
         replay=partial(DynaReplay, capacity=100_000, batch_size=256),
-        planning=partial(
-            GradientPlanning, **{"variation": case.variation, "updates": case.updates, **planning}
-        ),
+        planning=partial(GradientPlanning, **{"variation": case.variation, "updates": case.updates, **planning}),
         gate=Gate(open_below=torch.inf, close_above=torch.inf),
         train=Settings(episodes=case.episodes, updates_per_step=0),
         seed=seed,
