@@ -122,6 +122,7 @@ def measure(name: str, plant: str, seed: int, **planning: Any) -> list[Row]:
     watch = Watch()
 
     def planned(updates: int) -> None:
+        """Judge the policy of a finished planning phase."""
         watch.stop(updates)
         for scenario, metric, values in judge(case, parts, seed):
             head = {"case": name, "plant": plant, "seed": seed, "plant_seconds": watch.plant_seconds}
@@ -207,6 +208,7 @@ def measured(parts: Parts, std: tuple[float, ...], seed: int) -> None:
     store, explore = parts.replay.extend_real, parts.agent.explore
 
     def noisy(rollout: TensorDict) -> None:
+        """Store a rollout as measured."""
         rows = rollout.clone()
         samples = rows["next", "samples"]
         rows["next", "samples"] = samples + deviation * torch.randn(samples.shape, generator=rng).to(samples)
