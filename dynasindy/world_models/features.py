@@ -172,6 +172,44 @@ def of(function_name: str, *variables: str, power: int = 1, frequency: float = 1
     return Feature((Factor(variables, function(function_name).name, power, frequency),))
 
 
+_TOKEN = re.compile(
+    r"\s*(?:\|(?P<abs>[^|]+)\||(?P<function>[A-Za-z_]\w*)\((?P<args>[^()]*)\)|(?P<name>[A-Za-z_]\w*)|(?P<one>1))"
+    r"(?:\^(?P<power>\d+))?\s*\*?"
+)
+
+
+def parse(text: str) -> Feature:
+    """Read a feature from its name, e.g. `omega_a |omega_a|`, `Omega_a^2 sin(2 alpha_p)`, `1`.
+
+    Raises:
+        ValueError: the text is no product of states, inputs and known functions.
+    """
+    factors, place = [], 0
+    while place < len(text.rstrip()):
+        token = _TOKEN.match(text, place)
+        if token is None:
+            raise ValueError(
+                f"feature {text!r} cannot be read at {text[place:]!r}; allowed are products such as "
+                "'Omega_a^2 sin(alpha_p)': separate factors by spaces"
+            )
+        place = token.end()
+        power = int(token["power"] or 1)
+        if token["abs"]:
+            factors.append(Factor((token["abs"].strip(),), "abs", power))
+        elif token["function"]:
+            scales, names = zip(*(_scaled(a) for a in token["args"].split(",")), strict=True)
+            factors.append(Factor(names, function(token["function"]).name, power, scales[0]))
+        elif token["name"]:
+            factors.append(Factor((token["name"],), "id", power))
+    return Feature.of(factors)
+
+
+def _scaled(argument: str) -> tuple[float, str]:
+    """Split `2 alpha_p` into its factor and its name."""
+    parts = argument.replace("*", " ").split()
+    return (float(parts[0]), parts[1]) if len(parts) == 2 else (1.0, parts[0])
+
+
 _GREEK = ("alpha", "beta", "gamma", "delta", "theta", "phi", "psi", "omega", "Omega", "Theta", "Phi", "Psi")
 
 

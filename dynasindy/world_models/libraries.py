@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from itertools import combinations_with_replacement
 
 from dynasindy.systems.base import Signature
-from dynasindy.world_models.features import CONSTANT, Feature, of, variable
+from dynasindy.world_models.features import CONSTANT, Feature, of, parse, variable
 from dynasindy.world_models.library import Library
 
 LibraryBuilder = Callable[[Signature], Library]
@@ -164,11 +164,11 @@ NAMED: dict[str, LibraryBuilder] = {
 """Libraries that a word selects."""
 
 
-def build_library(library: str | Library | LibraryBuilder, signature: Signature) -> Library:
-    """Make a library from a name, a builder or a library.
+def build_library(library: str | Sequence[str] | Library | LibraryBuilder, signature: Signature) -> Library:
+    """Make a library from a name, a list of functions in words, a builder or a library.
 
     Raises:
-        ValueError: no library has that name.
+        ValueError: no library has that name, or a function cannot be read.
     """
     if isinstance(library, Library):
         return library
@@ -176,4 +176,6 @@ def build_library(library: str | Library | LibraryBuilder, signature: Signature)
         if library not in NAMED:
             raise ValueError(f"library {library!r} does not exist; allowed are {', '.join(NAMED)}: choose one of them")
         return NAMED[library](signature)
-    return library(signature)
+    if callable(library):
+        return library(signature)
+    return Library(signature, [parse(text) for text in library])

@@ -39,7 +39,7 @@ class SindyModel(WorldModel):
 
     Args:
         signature: names, units and ranges of the plant.
-        library: candidate functions, or a builder or a name of `libraries.NAMED`.
+        library: candidate functions: a library, its builder, a name of `libraries.NAMED`, or functions in words.
         regression: settings of the sparse regression; the paper's by default.
         refinement: settings of the refinement on the prediction error; none by default.
         known: equations that are known, e.g. `{"alpha_a": "Omega_a"}`: the state's rate is that function, nothing else.
@@ -55,7 +55,7 @@ class SindyModel(WorldModel):
     def __init__(
         self,
         signature: Signature,
-        library: str | Library | LibraryBuilder = "paper_table",
+        library: str | Sequence[str] | Library | LibraryBuilder = "paper_table",
         regression: Regression | None = None,
         refinement: Refinement | None = None,
         known: Mapping[str, str] | None = None,

@@ -1,0 +1,268 @@
+"""Logged data from CSV files, of any plant, into transitions; nothing is lost without a word."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.signal import savgol_filter
+
+from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
+
+Array = NDArray[np.float64]
+STUCK = 5  # samples with one value at the end of its range are a stop
+SMOOTH = 7  # samples under the local cubic that gives a rate
+
+
+@dataclass(frozen=True)
+class Column:
+    """Say where a state or an input stands in the file.
+
+    Attributes:
+        name: heading of the column; empty for a rate that is reconstructed from its angle.
+        unit: unit of the state or input after scaling.
+        scale: factor from the file's unit to this one, e.g. 0.0174533 from degrees to rad.
+        derivative_of: state whose derivative this one is, where it was not logged.
+    """
+
+    name: str = ""
+    unit: str = "-"
+    scale: float = 1.0
+    derivative_of: str = ""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Hold what a file gave.
+
+    Attributes:
+        transitions: the samples, in unbroken segments.
+        signature: names, units and ranges.
+        notes: sentences on what was skipped, masked, resampled or reconstructed.
+    """
+
+    transitions: Transitions
+    signature: Signature
+    notes: tuple[str, ...] = field(default=())
+
+
+@dataclass(frozen=True)
+class CsvLog:
+    """Read a recording from a CSV file.
+
+    Attributes:
+        path: the file, with a line of headings; separated by commas, semicolons or tabs.
+        states: columns of the states, by name, in the order of x.
+        inputs: columns of the inputs, by name, in the order of u.
+        time: heading of the time column [s].
+        dt: sampling time [s]; the median of the file by default.
+        missing: whether rows with a value that is missing are skipped or the file is refused.
+        min_samples: fewest transitions that are worth a fit.
+
+    Raises:
+        ValueError: a word is not allowed, or neither states nor inputs are given.
+    """
+
+    path: str
+    states: Mapping[str, Column | Mapping[str, object] | str]
+    inputs: Mapping[str, Column | Mapping[str, object] | str]
+    time: str = "time"
+    dt: float | None = None
+    missing: Literal["skip", "refuse"] = "skip"
+    min_samples: int = 50
+
+    def __post_init__(self) -> None:
+        if self.missing not in ("skip", "refuse"):
+            raise ValueError(f"csv got missing={self.missing!r}; allowed are skip, refuse: choose one")
+        if not self.states or not self.inputs:
+            raise ValueError("csv got no states or no inputs; allowed is one or more of each: name their columns")
+
+    def read(self) -> Recording:
+        """Read the file.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: a column is missing, a row has missing values and `missing` is refuse, time does not
+                increase, an input is constant, a state that is differentiated is not given, or there are too few
+                samples.
+        """
+        states, inputs = (_columns(group) for group in (self.states, self.inputs))
+        notes: list[str] = []
+        names = [self.time, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
+        table = _numbers(Path(self.path), names)
+        table = self._complete(table, names, notes)
+        t = table[:, 0]
+        self._check_time(t)
+        values = dict(zip(names[1:], table[:, 1:].T, strict=True))
+        x = {s: values[c.name] * c.scale for s, c in states.items() if c.name}
+        u = np.stack([values[c.name] * c.scale for c in inputs.values()], -1)
+        self._check_inputs(u, list(inputs))
+        dt = float(np.median(np.diff(t))) if self.dt is None else self.dt
+        t, x, u, segment = _even(t, x, u, dt, notes)
+        free = ~_stuck(x, notes)
+        full = _with_rates(x, states, segment, dt, notes)
+        data = _transitions(full, u, segment, free, dt)
+        if len(data) < self.min_samples:
+            raise ValueError(
+                f"{self.path} gives {len(data)} transitions; allowed are {self.min_samples} or more: log longer, or "
+                "check the notes on what was left out: " + ("; ".join(notes) or "nothing")
+            )
+        units = tuple(c.unit for c in states.values())
+        scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(full).max(0))
+        return Recording(data, Signature(tuple(states), units, tuple(inputs), scale), tuple(notes))
+
+    def _complete(self, table: Array, names: list[str], notes: list[str]) -> Array:
+        """Leave out rows with missing values, counted by column."""
+        bad = ~np.isfinite(table)
+        rows = bad.any(1)
+        if not rows.any():
+            return table
+        where = ", ".join(f"{n}: {int(k)}" for n, k in zip(names, bad.sum(0), strict=True) if k)
+        first = int(np.flatnonzero(rows)[0]) + 2
+        message = f"{int(rows.sum())} of {len(table)} rows have values that are missing or not finite ({where})"
+        if self.missing == "refuse":
+            raise ValueError(f"{self.path}: {message}, the first in line {first}; mend them or set missing=skip")
+        notes.append(f"{message}; they were skipped")
+        return table[~rows]
+
+    def _check_time(self, t: Array) -> None:
+        steps = np.diff(t)
+        if len(t) < 2:
+            raise ValueError(f"{self.path} gives {len(t)} complete rows; allowed are {self.min_samples} or more")
+        if (steps <= 0).any():
+            k = int(np.flatnonzero(steps <= 0)[0])
+            raise ValueError(
+                f"{self.path}: time does not increase: {t[k + 1]:g} s follows {t[k]:g} s at complete row {k + 2}; allowed "
+                "is increasing time: sort the rows or split the recordings"
+            )
+
+    def _check_inputs(self, u: Array, names: list[str]) -> None:
+        for name, column in zip(names, u.T, strict=True):
+            if np.ptp(column) == 0:
+                raise ValueError(
+                    f"{self.path}: input {name} is constant at {column[0]:g}; allowed is an input that moves: "
+                    "excite it, or leave it out of `inputs`"
+                )
+
+
+def _columns(group: Mapping[str, Column | Mapping[str, object] | str]) -> dict[str, Column]:
+    made: dict[str, Column] = {}
+    for name, given in group.items():
+        if isinstance(given, str):
+            made[name] = Column(given)
+        else:
+            made[name] = given if isinstance(given, Column) else Column(**given)  # type: ignore[arg-type]
+        if not made[name].name and made[name].derivative_of not in group:
+            raise ValueError(
+                f"{name} has no column and is the derivative of {made[name].derivative_of or 'nothing'!r}; allowed is a "
+                f"column name, or one of the states {', '.join(group)}: give one of them"
+            )
+    return made
+
+
+def _numbers(path: Path, names: list[str]) -> Array:
+    """Read the named columns; what is no number becomes NaN."""
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        first = file.readline()
+        separator = max(",;\t", key=first.count)
+        headings = [h.strip() for h in next(csv.reader([first], delimiter=separator), [])]
+        absent = [n for n in names if n not in headings]
+        if absent:
+            raise ValueError(
+                f"{path} has no column {', '.join(map(repr, absent))}; allowed are {', '.join(headings) or 'none'}: correct "
+                "the column map"
+            )
+        places = [headings.index(n) for n in names]
+        rows = [[_number(row, k) for k in places] for row in csv.reader(file, delimiter=separator) if row]
+    return np.array(rows, dtype=np.float64).reshape(len(rows), len(names))
+
+
+def _number(row: list[str], k: int) -> float:
+    try:
+        return float(row[k])
+    except (ValueError, IndexError):
+        return float("nan")
+
+
+def _even(
+    t: Array, x: dict[str, Array], u: Array, dt: float, notes: list[str]
+) -> tuple[Array, dict[str, Array], Array, NDArray[np.int64]]:
+    """Break segments at gaps; resample what is not even: states by cubic splines, inputs held."""
+    breaks = np.diff(t) > 1.5 * dt
+    if breaks.any():
+        notes.append(f"{int(breaks.sum())} gaps longer than 1.5 sampling times split the recording")
+    segment = np.concatenate([[0], np.cumsum(breaks)])
+    uneven = np.abs(np.diff(t)[~breaks] - dt) > 0.02 * dt
+    if not uneven.any():
+        return t, x, u, segment
+    notes.append(
+        f"{int(uneven.sum())} of {len(t) - 1} sampling times are not {dt:g} s; states were resampled by splines"
+    )
+    grids, states, inputs, labels = [], [], [], []
+    for label in np.unique(segment):
+        rows = segment == label
+        if rows.sum() < 4:
+            continue
+        grid = np.arange(t[rows][0], t[rows][-1] + 1e-9 * dt, dt)
+        grids.append(grid)
+        states.append(CubicSpline(t[rows], np.stack([v[rows] for v in x.values()], -1))(grid))
+        inputs.append(u[rows][np.searchsorted(t[rows], grid + 1e-6 * dt, side="right") - 1])
+        labels.append(np.full(len(grid), label))
+    stacked = np.concatenate(states)
+    return (
+        np.concatenate(grids),
+        {name: stacked[:, k] for k, name in enumerate(x)},
+        np.concatenate(inputs),
+        np.concatenate(labels),
+    )
+
+
+def _stuck(x: dict[str, Array], notes: list[str]) -> NDArray[np.bool_]:
+    """Find samples at which a state rests exactly at an end of its range for some time: a stop or a saturation."""
+    mask = np.zeros(len(next(iter(x.values()))), dtype=bool)
+    for name, value in x.items():
+        if np.ptp(value) == 0:
+            continue
+        for end in (value.min(), value.max()):
+            held = value == end
+            run = np.convolve(held, np.ones(STUCK), "valid") == STUCK
+            mine = np.convolve(run, np.ones(STUCK), "full") > 0
+            # The start of a recording at rest is no stop.
+            if mine.any() and not (mine[0] and mine.sum() == np.argmin(mine)):
+                notes.append(f"{int(mine.sum())} samples with {name} at {end:g}, a stop or saturation, were masked")
+                mask |= mine
+    return mask
+
+
+def _with_rates(
+    x: dict[str, Array], states: dict[str, Column], segment: NDArray[np.int64], dt: float, notes: list[str]
+) -> Array:
+    """Reconstruct rates that were not logged by a local cubic over the neighbouring samples."""
+    full = dict(x)
+    for name, column in states.items():
+        if column.name:
+            continue
+        rate = np.full(len(segment), np.nan)
+        for label in np.unique(segment):
+            rows = segment == label
+            if rows.sum() >= SMOOTH:
+                rate[rows] = savgol_filter(x[column.derivative_of][rows], SMOOTH, 3, deriv=1, delta=dt)
+        full[name] = rate * column.scale
+        notes.append(f"{name} was reconstructed from {column.derivative_of}")
+    return np.nan_to_num(np.stack([full[name] for name in states], -1))
+
+
+def _transitions(x: Array, u: Array, segment: NDArray[np.int64], free: NDArray[np.bool_], dt: float) -> Transitions:
+    follows = segment[1:] == segment[:-1]
+    usable = torch.from_numpy(follows & free[1:] & free[:-1])
+    states, inputs = torch.from_numpy(np.ascontiguousarray(x)), torch.from_numpy(np.ascontiguousarray(u))
+    data = Transitions(states[:-1], inputs[:-1], states[1:], dt, torch.from_numpy(segment[:-1].astype(np.int64)))
+    return data.select(usable)

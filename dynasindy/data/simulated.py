@@ -1,0 +1,34 @@
+"""Recordings of simulated plants."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from dynasindy.systems.base import System
+from dynasindy.systems.integrators import integrate
+from dynasindy.systems.transitions import Transitions
+
+
+def record(plant: System, u: Tensor, dt: float, substeps: int = 10, x0: Tensor | None = None) -> Transitions:
+    """Excite a plant and log its states; samples that touch a stop are left out.
+
+    Args:
+        plant: system to excite.
+        u: inputs held in each interval, `(T, n_u)`.
+        dt: time between two samples [s].
+        substeps: Runge-Kutta steps between two samples.
+        x0: start state, `(n_x,)`; zero by default.
+
+    Returns:
+        Up to T transitions, float64.
+    """
+    u = u.to(torch.float64)
+    x = torch.zeros(plant.signature.n_x, dtype=torch.float64) if x0 is None else x0.to(torch.float64)
+    states, free = [x], []
+    with torch.no_grad():
+        for held in u:
+            samples, touched = integrate(plant, states[-1], held, dt, substeps, plant.stops)
+            states.append(samples[-1])
+            free.append(not bool(touched))
+    return Transitions.from_trajectory(torch.stack(states), u, dt).select(torch.tensor(free))

@@ -1,0 +1,184 @@
+"""Identify a model from a source of data, judge it on data it has not seen, and write down what was found."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from dynasindy.data.csv import CsvLog
+from dynasindy.data.simulated import record
+from dynasindy.excitation import Excitation, HeldRandom
+from dynasindy.systems.base import Signature, System
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import FitReport, SindyModel
+from dynasindy.world_models.prediction import nrmse, one_step_error, open_loop
+from dynasindy.world_models.tables import to_csv, to_latex, to_text
+
+ExcitationBuilder = Callable[..., Excitation]
+
+
+@dataclass(frozen=True)
+class Source:
+    """Hold data to identify from and data to judge on.
+
+    Attributes:
+        signature: names, units and ranges of states and inputs.
+        training: transitions to fit.
+        validation: transitions that the fit does not see.
+        notes: sentences on how the data came about.
+    """
+
+    signature: Signature
+    training: Transitions
+    validation: Transitions
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """Take data from a simulated plant.
+
+    Attributes:
+        dt: time between two samples [s]; inputs are held for a control period of 0.05 s.
+        noise: standard deviation of white measurement noise, relative to that of each state.
+        substeps: Runge-Kutta steps of the plant between two samples.
+        validation_seconds: length of the validation, random held inputs [s].
+        seed: seed of noise and validation.
+
+    Raises:
+        ValueError: a time is not positive or the noise is negative.
+    """
+
+    dt: float = 0.01
+    noise: float = 0.0
+    substeps: int = 10
+    validation_seconds: float = 20.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.dt > 0 or not self.validation_seconds > 0 or not self.noise >= 0:
+            raise ValueError(
+                f"data=simulated got dt {self.dt} s, validation {self.validation_seconds} s, noise {self.noise}; allowed "
+                "are positive times and noise >= 0: correct them"
+            )
+
+    def load(self, system: System, excitation: ExcitationBuilder) -> Source:
+        """Excite the plant for training, and by random held inputs of the same range for validation."""
+        signal = excitation(n_u=system.signature.n_u, seed=self.seed)
+        levels = {"amplitude": (0.7 * signal.amplitude).tolist(), "offset": signal.offset.tolist()}
+        unseen = HeldRandom(system.signature.n_u, self.validation_seconds, signal.dt, seed=self.seed + 1, **levels)
+        training = record(system, signal.samples(self.dt), self.dt, self.substeps)
+        validation = record(system, unseen.samples(self.dt), self.dt, self.substeps)
+        left_out = signal.samples(self.dt).shape[0] - len(training)
+        notes = (f"{left_out} samples that touched a stop were left out",) if left_out else ()
+        return Source(system.signature, self._disturb(training), validation, notes)
+
+    def _disturb(self, data: Transitions) -> Transitions:
+        if not self.noise:
+            return data
+        generator = torch.Generator().manual_seed(self.seed)
+        states = torch.cat([data.x, data.x_next[-1:]])
+        scale = self.noise * states.std(0)
+        starts = torch.ones(len(data), dtype=torch.bool)
+        starts[1:] = data.segment[1:] != data.segment[:-1]
+        error = scale * torch.randn(data.x_next.shape, generator=generator, dtype=torch.float64)
+        first = scale * torch.randn(data.x.shape, generator=generator, dtype=torch.float64)
+        before = torch.where(starts.unsqueeze(-1), first, error.roll(1, 0))
+        return Transitions(data.x + before, data.u, data.x_next + error, data.dt, data.segment)
+
+
+@dataclass(frozen=True)
+class Logged:
+    """Take data from a CSV file; the last part of it is kept for validation.
+
+    Attributes:
+        path: the file.
+        states: column map of the states, see `CsvLog`; the heading, or heading, unit, scale, derivative_of.
+        inputs: column map of the inputs.
+        time: heading of the time column [s].
+        dt: sampling time [s]; the file's own by default.
+        missing: `skip` rows with missing values, or `refuse` the file.
+        validation_share: part of the transitions that is kept for validation.
+
+    Raises:
+        ValueError: there is no path, or the share is not between 0 and 1.
+    """
+
+    path: str | None
+    states: dict[str, Any]
+    inputs: dict[str, Any]
+    time: str = "time"
+    dt: float | None = None
+    missing: str = "skip"
+    validation_share: float = 0.25
+
+    def __post_init__(self) -> None:
+        if not self.path:
+            raise ValueError("data=csv got no path; allowed is a CSV file: give data.path=log.csv")
+        if not 0 < self.validation_share < 1:
+            raise ValueError(f"data=csv got validation_share {self.validation_share}; allowed is between 0 and 1")
+
+    def load(self, system: System, excitation: ExcitationBuilder) -> Source:
+        """Read the file; plant and excitation of the configuration are not used."""
+        log = CsvLog(str(self.path), self.states, self.inputs, self.time, self.dt, self.missing)  # type: ignore[arg-type]
+        recording = log.read()
+        data, place = recording.transitions, torch.arange(len(recording.transitions))
+        cut = int(len(data) * (1 - self.validation_share))
+        return Source(recording.signature, data.select(place < cut), data.select(place >= cut), recording.notes)
+
+
+@dataclass(frozen=True)
+class Identified:
+    """Hold a fitted model and its figures.
+
+    Attributes:
+        model: the model.
+        report: of the fit.
+        predicted: open-loop prediction of the validation data, `(N, n_x)`.
+        metrics: error of each state, one step ahead and open loop.
+    """
+
+    model: SindyModel
+    report: FitReport
+    predicted: Tensor
+    metrics: dict[str, dict[str, float]]
+
+
+def identify(model: SindyModel, source: Source) -> Identified:
+    """Fit a model and predict the validation data: one step ahead, and open loop over 400 control periods."""
+    report = model.fit(source.training)
+    predicted = open_loop(model, source.validation)
+    names = source.signature.state_names
+    errors = {
+        "one_step_error": one_step_error(model, source.validation),
+        "open_loop_nrmse": nrmse(predicted, source.validation),
+    }
+    metrics = {what: dict(zip(names, e.tolist(), strict=True)) for what, e in errors.items()}
+    return Identified(model, report, predicted, metrics)
+
+
+def to_words(found: Identified, source: Source) -> str:
+    """Write equations, fit, identifiability, errors and notes for a reader."""
+    lines = [*found.model.equations(), "", found.report.to_text(), "", "validation, relative to each state's deviation"]
+    for state in source.signature.state_names:
+        one, free = (found.metrics[k][state] for k in ("one_step_error", "open_loop_nrmse"))
+        lines.append(f"  {state:<10} one step {100 * one:.3g} %, open loop {100 * free:.3g} %")
+    return "\n".join([*lines, *(f"note: {n}" for n in source.notes)])
+
+
+def write(found: Identified, source: Source, folder: Path) -> None:
+    """Write model.json, metrics.json, report.txt and the Xi table as text, LaTeX and CSV."""
+    folder.mkdir(parents=True, exist_ok=True)
+    library, coefficients = found.model.library, found.model.coefficients
+    found.model.save(folder / "model.json")
+    (folder / "metrics.json").write_text(json.dumps(found.metrics, indent=1) + "\n")
+    (folder / "report.txt").write_text(to_words(found, source) + "\n")
+    (folder / "xi.txt").write_text(to_text(library, coefficients) + "\n")
+    (folder / "xi.tex").write_text(to_latex(library, coefficients))
+    (folder / "xi.csv").write_text(to_csv(library, coefficients))

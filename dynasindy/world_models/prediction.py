@@ -1,0 +1,48 @@
+"""How well a model predicts: one step ahead and open loop."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from dynasindy.systems.base import System
+from dynasindy.systems.integrators import rk4
+from dynasindy.systems.transitions import Transitions
+
+
+def one_step_error(model: System, data: Transitions, substeps: int = 1) -> Tensor:
+    """Return the root-mean-square one-step error of each state, relative to its standard deviation, `(n_x,)`."""
+    x = data.x
+    with torch.no_grad():
+        for _ in range(substeps):
+            x = rk4(model, x, data.u, data.dt / substeps)
+    return (x - data.x_next).square().mean(0).sqrt() / data.x_next.std(0).clamp_min(1e-300)
+
+
+def open_loop(model: System, data: Transitions, substeps: int = 1) -> Tensor:
+    """Predict each segment from its first state with the logged inputs.
+
+    Args:
+        model: vector field.
+        data: transitions, N rows.
+        substeps: Runge-Kutta steps between two samples.
+
+    Returns:
+        States in the place of `data.x_next`, `(N, n_x)`; what runs away is not finite or very large.
+    """
+    predicted = torch.empty_like(data.x_next)
+    fresh = torch.ones(len(data), dtype=torch.bool)
+    fresh[1:] = data.segment[1:] != data.segment[:-1]
+    with torch.no_grad():
+        for k in range(len(data)):
+            x = data.x[k] if fresh[k] else predicted[k - 1]
+            for _ in range(substeps):
+                x = rk4(model, x, data.u[k], data.dt / substeps)
+            predicted[k] = x
+    return predicted
+
+
+def nrmse(predicted: Tensor, data: Transitions) -> Tensor:
+    """Return the root-mean-square error of each state relative to its standard deviation, `(n_x,)`."""
+    error = (predicted - data.x_next).square().mean(0).sqrt() / data.x_next.std(0).clamp_min(1e-300)
+    return error.nan_to_num(torch.inf, torch.inf)

@@ -1,0 +1,45 @@
+"""Identify a model: `python scripts/identify.py [system=xi] [data=csv data.path=log.csv]`."""
+
+from pathlib import Path
+
+from command import command  # first: it sets what torchrl reads when it is imported
+
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+
+from dynasindy import viz
+from dynasindy.evaluation.identification import Identified, Source, identify, to_words, write
+
+
+@command("identify")
+def main(cfg: DictConfig) -> None:
+    """Load data, fit, judge, write everything and print it."""
+    torch.set_num_threads(cfg.threads)
+    built = {name: instantiate(cfg[name], _convert_="all") for name in ("data", "system", "excitation", "world_model")}
+    source = built["data"].load(built["system"], built["excitation"])
+    found = identify(built["world_model"](signature=source.signature), source)
+    folder = Path(cfg.folder)
+    write(found, source, folder)
+    draw(found, source, folder, list(cfg.formats))
+    print(to_words(found, source))
+    print(f"written to {folder}")
+
+
+def draw(found: Identified, source: Source, folder: Path, formats: list[str]) -> None:
+    """Draw the training data and the open-loop prediction against the real states."""
+    names = {"names": source.signature.state_names, "units": source.signature.state_units}
+    training, validation = source.training, source.validation
+    figures = {
+        "training_data": viz.training_data(torch.arange(len(training)) * training.dt, training.x, **names),
+        "prediction": viz.prediction(
+            torch.arange(len(validation)) * validation.dt, validation.x_next, found.predicted, **names
+        ),
+    }
+    for name, figure in figures.items():
+        for suffix in formats:
+            figure.savefig(folder / f"{name}.{suffix}")
+
+
+if __name__ == "__main__":
+    main()
