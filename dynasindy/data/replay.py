@@ -65,6 +65,8 @@ class CheckedWriter(TensorDictRoundRobinWriter):
             ValueError: the batch is not one row of rows, or a row is not finite.
             KeyError: keys are missing, or not those of the storage.
         """
+        if data.ndim == 1 and not len(data):
+            return torch.zeros(0, dtype=torch.int64)  # a model may diverge at once in every rollout
         self._check(data)
         if data.ndim != 1:
             raise ValueError(
@@ -147,6 +149,25 @@ class DynaReplay:
         assert isinstance(writer, CheckedWriter)
         self.real.extend(rollout.select(*writer.keys, strict=False).reshape(-1))
 
+    def real_in_order(self) -> TensorDict:
+        """Return the real rows, `(n,)`, the oldest first."""
+        return _in_order(self.real)
+
+    def keep_imagined(self, newest: int) -> None:
+        """Evict all imagined rows but the `newest`.
+
+        Raises:
+            ValueError: `newest` is negative.
+        """
+        if newest < 0:
+            raise ValueError(f"Replay was told to keep {newest} imagined rows; give 0 or more.")
+        if newest >= len(self.model):
+            return
+        rows = _in_order(self.model)[len(self.model) - newest :] if newest else None
+        self.model.empty()
+        if rows is not None:
+            self.model.writer.extend(rows.exclude("index"))  # past the transform, which would imagine anew
+
     def counts(self) -> tuple[int, int]:
         """Return how many real and how many imagined transitions the next batch holds."""
         real, model = len(self.real), len(self.model)
@@ -215,6 +236,15 @@ class DynaReplay:
             columns = [rows.get(key) for key in LEARN_KEYS]
             self._views[writer.name] = writer.version, columns
         return columns
+
+
+def _in_order(buffer: TensorDictReplayBuffer) -> TensorDict:
+    """Return a copy of the rows of a ring, the oldest first."""
+    writer = buffer.writer
+    assert isinstance(writer, CheckedWriter)
+    rows = torch.arange(len(buffer)).roll(-writer._cursor if len(buffer) == writer._storage.max_size else 0)
+    ordered: TensorDict = buffer.storage.get(rows).clone()
+    return ordered
 
 
 def _words(keys: Collection[NestedKey]) -> str:

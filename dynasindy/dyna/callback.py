@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from tensordict import TensorDict
 
+from dynasindy.dyna.refit import Refit
 from dynasindy.planning import ModelError, Planned
 
 
@@ -39,12 +40,14 @@ class Episode:
         rollout: What happened, `(T,)`.
         error: Open-loop error of the model on it, before the model was fitted to it.
         trusted: Whether the gate is open.
+        refit: What came of the refit after it; None if there was none.
     """
 
     number: int
     rollout: TensorDict
     error: ModelError
     trusted: bool
+    refit: Refit | None = None
 
 
 class Callback:

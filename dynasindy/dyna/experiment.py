@@ -10,7 +10,7 @@ from torchrl.envs import TransformedEnv
 
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
-from dynasindy.dyna.loop import Parts, Settings
+from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
 from dynasindy.planning import Gate, ModelPrediction, Planner

@@ -12,74 +12,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from dynasindy.agents import TD3
-from dynasindy.data import DynaReplay
-from dynasindy.data.recording import transitions
 from dynasindy.dyna.callback import Callback, Cost, Episode
-from dynasindy.envs import ControlEnv
-from dynasindy.excitation import Excitation
-from dynasindy.planning import Gate, Planner, replay_error
-from dynasindy.world_models import WorldModel
-
-
-@dataclass
-class Parts:
-    """What Algorithm 1 works on.
-
-    Args:
-        plant: Real environment.
-        env: The same, with the model's one-step prediction beside every step.
-        model_env: The same environment around the world model.
-        excitation: Input signal of the data collection.
-        world_model: Model to fit.
-        agent: TD3 agent.
-        replay: Real and model storages.
-        planner: Dyna's planning phase.
-        gate: Trust in the model.
-    """
-
-    plant: ControlEnv
-    env: EnvBase
-    model_env: ControlEnv
-    excitation: Excitation
-    world_model: WorldModel
-    agent: TD3
-    replay: DynaReplay
-    planner: Planner
-    gate: Gate
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Lengths of the loop.
-
-    Args:
-        episodes: Real episodes after the excitation.
-        updates_per_step: Gradient updates per real step (update-to-data ratio).
-        recent_steps: Newest real steps that a refit reads; all if None.
-
-    Raises:
-        ValueError: A number is negative, or recent_steps is not positive.
-    """
-
-    episodes: int
-    updates_per_step: float = 1.0
-    recent_steps: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.episodes < 0 or not self.updates_per_step >= 0 or (self.recent_steps or 1) < 1:
-            raise ValueError(
-                f"train needs episodes >= 0, updates_per_step >= 0 and recent_steps >= 1 or null, got {self}; "
-                "mend train"
-            )
+from dynasindy.dyna.parts import Parts, Settings
+from dynasindy.dyna.refit import fit, refit
+from dynasindy.planning import replay_error
 
 
 def train(parts: Parts, settings: Settings, callback: Callback) -> TensorDictModuleBase:
@@ -114,11 +56,11 @@ def train(parts: Parts, settings: Settings, callback: Callback) -> TensorDictMod
             agent.update(replay.sample())
             cost.updates += 1
         # Planning: after every N episodes, on the updated model if it is trusted.
-        error = replay_error(parts.model_env, rollout)
+        error, refitted = replay_error(parts.model_env, rollout), None
         if planner.due(number):
-            fit(parts, settings)
+            refitted = refit(parts, settings, rollout)
             cost.add(planner.plan()) if parts.gate.judge(error) else planner.distrust()
-        callback.episode(Episode(number, rollout, error, parts.gate.is_open), cost)
+        callback.episode(Episode(number, rollout, error, parts.gate.is_open, refitted), cost)
     # Deployment.
     return agent.deployed
 
@@ -127,11 +69,3 @@ def interact(env: EnvBase, policy: TensorDictModuleBase, steps: int) -> TensorDi
     """Run a policy, exploring, on the real system for at most one episode, `(T,)`."""
     with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
         return env.rollout(steps, policy)
-
-
-def fit(parts: Parts, settings: Settings) -> object:
-    """Fit the world model to the recent real transitions and return its report."""
-    rows = parts.replay.real[:]
-    if settings.recent_steps is not None:
-        rows = rows[-settings.recent_steps :]
-    return parts.world_model.fit(transitions(rows, parts.model_env.log_dt))

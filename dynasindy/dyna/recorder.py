@@ -15,16 +15,29 @@ from torch import Tensor
 from torchrl.record import CSVLogger
 
 from dynasindy.dyna.callback import Callback, Cost, Episode
-from dynasindy.dyna.loop import Parts
+from dynasindy.dyna.parts import Parts
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, summarise
+
+GATE_COLUMNS = (
+    "episode",
+    "reward_error",
+    "state_error",
+    "open_below",
+    "close_above",
+    "open",
+    "held_out_error_before",
+    "held_out_error_after",
+    "refit_kept",
+    "stored_imagined_transitions",
+)
 
 
 class Recorder(Callback):
     """Write the run folder and evaluate the policy now and then.
 
-    `progress.csv` holds a row per real episode, `scalars/` the same by TorchRL's `CSVLogger`, `data/` what
-    the figures are drawn from.
+    `progress.csv` holds a row per real episode, `scalars/` the same by TorchRL's `CSVLogger`, `gate.csv` the
+    gate's decisions and what became of each refit, `data/` what the figures are drawn from.
 
     Args:
         folder: Run folder; made if missing.
@@ -39,6 +52,7 @@ class Recorder(Callback):
         self.every, self.episodes = every, episodes
         self.logger = CSVLogger(exp_name="scalars", log_dir=str(folder))
         self.rows: list[dict[str, float | None]] = []
+        self.decisions: list[list[float | None]] = []
         self.start = time.perf_counter()
         self.untrained = summarise(self.evaluate())
         self.latest: Summary = self.untrained
@@ -74,6 +88,7 @@ class Recorder(Callback):
         }
         row |= {f"evaluated_{key}": value if due else None for key, value in _headline(self.latest).items()}
         self._log(row)
+        self._log_decision(episode)
         if episode.number in (1, self.episodes):
             when = "first" if episode.number == 1 else "last"
             self._write_prediction(f"prediction_{when}_episode", episode)
@@ -114,6 +129,17 @@ class Recorder(Callback):
         for key, value in row.items():
             if value is not None and key != "episode":
                 self.logger.log_scalar(key, value, step=int(row["episode"] or 0))
+
+    def _log_decision(self, episode: Episode) -> None:
+        """Append to `gate.csv`: what the gate saw and decided, and what became of the refit."""
+        gate, refit, error = self.parts.gate, episode.refit, episode.error
+        tested: list[float | None] = [None] * 3
+        if refit is not None:
+            tested = [refit.error_before, refit.error_after, float(refit.kept)]
+        decision = [episode.number, error.reward_error, error.state_error, gate.open_below, gate.close_above]
+        stored = float(len(self.parts.replay.model))
+        self.decisions.append([*map(float, decision), float(episode.trusted), *tested, stored])
+        write_csv(self.folder / "gate.csv", GATE_COLUMNS, self.decisions)
 
     def _write_rollout(self, name: str, rollout: TensorDict) -> None:
         signature = self.plant.system.signature

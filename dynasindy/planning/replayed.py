@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import torch
 from tensordict import TensorDict
 
@@ -9,7 +11,10 @@ from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.base import Planned, Planner
-from dynasindy.planning.imagine import Imagination
+from dynasindy.planning.imagine import Imagination, Near
+
+NEAR = 2000
+"""Real transitions that the distance to the data is measured to."""
 
 
 class NoPlanning(Planner):
@@ -42,18 +47,22 @@ class ImaginedReplay(Planner):
         agent: Agent whose exploring policy acts in it.
         replay: Both storages; the `Imagination` transform is appended to the model's.
         rollouts: Imagined rollouts per planning phase (paper: 400 or 800); 0 plans nothing.
-        horizon: Length of a rollout [control periods].
+        horizon: Length of a rollout [control periods]; or `(first, last, phases)`, which grows linearly from the
+            first planning phase to the last of so many.
         every: Episodes between two planning phases (paper: N).
-        evict: Drop what older models imagined before each phase.
+        generations: Planning phases whose transitions are kept; all, within the storage, if None.
         reach: Cut a rollout where a state exceeds this multiple of the largest value seen on the plant.
+        distance: Cut a rollout where state and action, in their ranges, are farther than this from every real
+            transition (of at most 2000 drawn); no cut if None.
+        recent_steps: Newest real steps from whose states rollouts branch; all if None.
         seed: Seed of the choice of start states.
 
     Raises:
         ValueError: A number is out of range.
     """
 
-    # Departure: the paper adds imagined transitions to one buffer for good; with `evict` those of the newest
-    # model alone are kept, since the models that made the others are gone.
+    # Departure: the paper adds imagined transitions to one buffer for good; here those of the newest `generations`
+    # of the model are kept, since the models that made the others are gone.
 
     def __init__(
         self,
@@ -61,32 +70,57 @@ class ImaginedReplay(Planner):
         agent: TD3,
         replay: DynaReplay,
         rollouts: int = 400,
-        horizon: int = 20,
+        horizon: int | Sequence[int] = 20,
         every: int = 1,
-        evict: bool = True,
+        generations: int | None = 1,
         reach: float = 1.5,
+        distance: float | None = None,
+        recent_steps: int | None = None,
         seed: int = 0,
     ) -> None:
         super().__init__(every)
-        if rollouts < 0 or not reach > 0:
-            raise ValueError(f"planning needs rollouts >= 0 and reach > 0, got {rollouts} and {reach}; mend planning")
-        self.replay, self.rollouts, self.evict, self.reach = replay, rollouts, evict, reach
+        if rollouts < 0 or not reach > 0 or min(1 if n is None else n for n in (generations, recent_steps)) < 1:
+            raise ValueError(
+                "planning needs rollouts >= 0, reach > 0, and generations and recent_steps >= 1 or null, "
+                f"got {rollouts}, {reach}, {generations} and {recent_steps}; mend planning"
+            )
+        self.replay, self.rollouts, self.generations, self.reach = replay, rollouts, generations, reach
+        self.horizons = _schedule(horizon)
+        self.distance, self.recent_steps = distance, recent_steps
+        self.made: list[int] = []
         self.generator = torch.Generator().manual_seed(seed)
-        self.imagination = Imagination(env, agent.explore_imagined, horizon)
+        self.imagination = Imagination(env, agent.explore_imagined, self.horizons(0))
         replay.model.append_transform(self.imagination)
 
     def plan(self) -> Planned:
         """Imagine `rollouts` rollouts with the model and policy as they are now."""
         if not self.rollouts:
             return Planned()
-        if self.evict:
-            self.replay.model.empty()
-        real = self.replay.real[:]
-        rows = torch.randint(len(real), (self.rollouts,), generator=self.generator)
+        if self.generations is not None:
+            self.replay.keep_imagined(sum(self.made[max(0, len(self.made) + 1 - self.generations) :]))
+        real = self.replay.real_in_order()
+        recent = min(self.recent_steps or len(real), len(real))
+        rows = len(real) - 1 - torch.randint(recent, (self.rollouts,), generator=self.generator)
+        self.imagination.horizon = self.horizons(len(self.made))
         self.imagination.limit = self.reach * real["next", "state"].abs().amax(0)
+        if self.distance is not None:
+            near = torch.randint(len(real), (NEAR,), generator=self.generator)
+            self.imagination.near = Near(real["state"][near], real["action"][near], self.distance)
         starts = TensorDict({"state": real["state"][rows]}, [self.rollouts])
-        return Planned(imagined=len(self.replay.model.extend(starts)))
+        self.made.append(len(self.replay.model.extend(starts)))
+        return Planned(imagined=self.made[-1])
 
     def distrust(self) -> None:
         """Empty the model storage."""
-        self.replay.model.empty()
+        self.replay.keep_imagined(0)
+        self.made = [0] * len(self.made)  # the phases themselves still count for the horizon
+
+
+def _schedule(horizon: int | Sequence[int]) -> Callable[[int], int]:
+    """Return the horizon of each planning phase, counted from 0."""
+    first, last, phases = (horizon, horizon, 1) if isinstance(horizon, int) else tuple(horizon)
+    if min(first, last, phases) < 1:
+        raise ValueError(
+            f"planning.horizon is {horizon}; give control periods >= 1, or [first, last, phases], such as [1, 20, 10]"
+        )
+    return lambda phase: round(first + (last - first) * min(1.0, phase / max(1, phases - 1)))

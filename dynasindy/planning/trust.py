@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -49,6 +50,28 @@ def replay_error(model_env: ControlEnv, episode: TensorDictBase) -> ModelError:
     return _errors(model_env, torch.stack(states), torch.stack(rewards), episode)
 
 
+@torch.no_grad()
+def window_error(model_env: ControlEnv, episode: TensorDictBase, starts: Tensor, length: int) -> float:
+    """Return how far the model strays within windows of a real episode, each replayed from its real first state.
+
+    Args:
+        model_env: Environment around the world model.
+        episode: Real rollout, `(T,)`.
+        starts: First steps of the windows, `(n_windows,)`.
+        length: Length of a window [control periods].
+
+    Returns:
+        Root mean square difference of the states, each divided by its range; infinite if not finite.
+    """
+    x = episode["state"][starts].to(model_env.float_type)
+    scale = torch.tensor(model_env.system.signature.x_scale, dtype=x.dtype)
+    squares = []
+    for k in range(length):
+        x = model_env.advance(x, episode["action"][starts + k].to(x))[0][..., -1, :]
+        squares.append(((x - episode["next", "state"][starts + k].to(x)) / scale).square().mean())
+    return torch.stack(squares).mean().sqrt().nan_to_num(nan=torch.inf).item()
+
+
 def _errors(model_env: ControlEnv, states: Tensor, rewards: Tensor, episode: TensorDictBase) -> ModelError:
     scale = torch.tensor(model_env.system.signature.x_scale, dtype=states.dtype)
     strayed = ((states - episode["next", "state"].to(states)) / scale).square().mean().sqrt()
@@ -64,23 +87,35 @@ class Gate:
     episode, replayed through the model before the model has seen it, falls to `open_below`, and closes when it
     rises above `close_above`.
 
+    The state error of the same episode must not exceed `state_error` either.
+
     Args:
         open_below: Reward error per control period at which a closed gate opens.
         close_above: Reward error per control period above which an open gate closes.
         is_open: Whether the model of the excitation data is trusted before any episode has tested it.
+        state_error: State error [ranges of the states] above which the gate is closed.
 
     Raises:
-        ValueError: Not 0 <= open_below <= close_above.
+        ValueError: Not 0 <= open_below <= close_above, or state_error is not positive.
     """
 
-    def __init__(self, open_below: float = 0.1, close_above: float = 0.3, is_open: bool = True) -> None:
-        if not 0 <= open_below <= close_above:
+    def __init__(
+        self,
+        open_below: float = 0.1,
+        close_above: float = 0.3,
+        is_open: bool = True,
+        state_error: float = math.inf,
+    ) -> None:
+        if not 0 <= open_below <= close_above or not state_error > 0:
             raise ValueError(
-                f"the gate needs 0 <= open_below <= close_above, got {open_below} and {close_above}; mend planning.gate"
+                f"the gate needs 0 <= open_below <= close_above and state_error > 0, got {open_below}, {close_above} "
+                f"and {state_error}; mend gate"
             )
-        self.open_below, self.close_above, self.is_open = open_below, close_above, is_open
+        self.open_below, self.close_above, self.state_error = open_below, close_above, state_error
+        self.is_open = is_open
 
     def judge(self, error: ModelError) -> bool:
-        """Update the gate with the error of the newest real episode, and return whether it is open."""
-        self.is_open = error.reward_error <= (self.close_above if self.is_open else self.open_below)
+        """Update the gate with the errors of the newest real episode, and return whether it is open."""
+        bound = self.close_above if self.is_open else self.open_below
+        self.is_open = error.reward_error <= bound and error.state_error <= self.state_error
         return self.is_open

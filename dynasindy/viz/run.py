@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from dynasindy.systems import Signature
+from dynasindy.viz.gate import gate
 from dynasindy.viz.identification import excitation, model_error, prediction, training_data
 from dynasindy.viz.learning import learning_curve
 from dynasindy.viz.response import step_response
@@ -69,6 +70,9 @@ def _figures(folder: Path, signature: Signature) -> dict[str, Figure]:
             progress["episode"], progress["return"], progress["episode"][at], progress["evaluated_return"][at]
         )
         figures["model_error"] = model_error(progress["episode"], progress["one_step_reward_error"])
+    if (folder / "gate.csv").is_file():
+        decisions = read_table(folder / "gate.csv")
+        figures["gate"] = gate(decisions)
     figures["step_response"] = _response(read_table(folder / "data" / "step_response.csv"), signature)
     return figures
 

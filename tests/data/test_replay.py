@@ -188,3 +188,24 @@ def test_resumed_replay_equals_an_uninterrupted_one(tmp_path, model):
 def test_impossible_settings_are_refused(wrong, message):
     with pytest.raises(ValueError, match=message):
         DynaReplay(**{"capacity": 10, "batch_size": 4} | wrong)
+
+
+def test_rows_in_order_begin_with_the_oldest_also_after_the_ring_wrapped():
+    replay = DynaReplay(5, 2, keys=LEARN_KEYS)
+    for number in range(7):
+        replay.extend_real(rows(1, number))
+    assert replay.real_in_order()["next", "reward"].flatten().tolist() == [2, 3, 4, 5, 6]
+
+
+def test_the_newest_imagined_rows_stay():
+    replay = DynaReplay(5, 2, keys=LEARN_KEYS)
+    for number in range(7):
+        replay.model.extend(rows(1, number))
+    replay.keep_imagined(9)
+    assert len(replay.model) == 5
+    replay.keep_imagined(2)
+    assert replay.model[:]["next", "reward"].flatten().tolist() == [5, 6]
+    replay.keep_imagined(0)
+    assert len(replay.model) == 0
+    with pytest.raises(ValueError, match="0 or more"):
+        replay.keep_imagined(-1)

@@ -25,11 +25,50 @@ def test_rollouts_times_horizon_are_stored_and_counted():
 
 
 def test_what_older_models_imagined_is_evicted_or_kept():
-    for evict, stored in ((True, 60), (False, 120)):
-        replay, planner, _ = make(rollouts=12, horizon=5, evict=evict)
-        planner.plan()
-        planner.plan()
-        assert len(replay.model) == stored
+    for generations, stored in ((1, [60, 60, 60]), (2, [60, 120, 120]), (None, [60, 120, 180])):
+        replay, planner, _ = make(rollouts=12, horizon=5, generations=generations)
+        found = []
+        for _ in stored:
+            planner.plan()
+            found.append(len(replay.model))
+        assert found == stored
+
+
+def test_the_newest_generations_are_the_ones_that_stay():
+    replay, planner, _ = make(rollouts=12, horizon=5, generations=2)
+    planner.plan()
+    planner.plan()
+    before = replay.model[:].clone()
+    planner.plan()
+    assert torch.equal(replay.model[:]["action"][:60], before["action"][60:])
+
+
+def test_the_horizon_grows_over_the_phases_and_stays():
+    _, planner, _ = make(rollouts=2, horizon=[1, 7, 4])
+    assert [planner.plan().imagined for _ in range(6)] == [2, 6, 10, 14, 14, 14]
+
+
+def test_distrust_does_not_set_the_horizon_back():
+    _, planner, _ = make(rollouts=2, horizon=[1, 7, 4])
+    planner.plan()
+    planner.distrust()
+    assert planner.plan().imagined == 6
+
+
+def test_branches_may_be_limited_to_recent_states():
+    replay, planner, _ = make(rollouts=40, horizon=1, recent_steps=3)
+    planner.plan()
+    recent = replay.real_in_order()["observation"][-3:, :6]
+    starts = replay.model[:]["observation"][:, :6]
+    assert (starts.unsqueeze(1) == recent).all(-1).any(-1).all()
+
+
+def test_what_lies_far_from_the_data_is_not_stored():
+    _, planner, _ = make(rollouts=12, horizon=5, distance=1e-9)
+    # Exploring actions differ from the real ones, so even the first steps are far.
+    assert planner.plan().imagined == 0
+    _, planner, _ = make(rollouts=12, horizon=5, distance=100.0)
+    assert planner.plan().imagined == 60
 
 
 def test_distrust_empties_the_model_storage_only():
@@ -65,7 +104,11 @@ def test_no_planning_is_never_due():
     assert not any(planner.due(episode) for episode in range(1, 10))
 
 
-@pytest.mark.parametrize("settings", [{"rollouts": -1}, {"every": 0}, {"horizon": 0}, {"reach": 0.0}])
+IMPOSSIBLE = [{"rollouts": -1}, {"every": 0}, {"horizon": 0}, {"horizon": [1, 0, 3]}, {"reach": 0.0}]
+IMPOSSIBLE += [{"generations": 0}, {"recent_steps": 0}]
+
+
+@pytest.mark.parametrize("settings", IMPOSSIBLE)
 def test_impossible_plans_are_refused(settings):
     with pytest.raises(ValueError, match=next(iter(settings))):
         make(**settings)

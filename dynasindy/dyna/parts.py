@@ -1,0 +1,72 @@
+"""What Algorithm 1 works on, and the lengths of its loop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torchrl.envs import EnvBase
+
+from dynasindy.agents import TD3
+from dynasindy.data import DynaReplay
+from dynasindy.envs import ControlEnv
+from dynasindy.excitation import Excitation
+from dynasindy.planning import Gate, Planner
+from dynasindy.world_models import WorldModel
+
+
+@dataclass
+class Parts:
+    """What Algorithm 1 works on.
+
+    Args:
+        plant: Real environment.
+        env: The same, with the model's one-step prediction beside every step.
+        model_env: The same environment around the world model.
+        excitation: Input signal of the data collection.
+        world_model: Model to fit.
+        agent: TD3 agent.
+        replay: Real and model storages.
+        planner: Dyna's planning phase.
+        gate: Trust in the model.
+    """
+
+    plant: ControlEnv
+    env: EnvBase
+    model_env: ControlEnv
+    excitation: Excitation
+    world_model: WorldModel
+    agent: TD3
+    replay: DynaReplay
+    planner: Planner
+    gate: Gate
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Lengths of the loop.
+
+    Args:
+        episodes: Real episodes after the excitation.
+        updates_per_step: Gradient updates per real step (update-to-data ratio).
+        recent_steps: Newest real steps that a refit reads; all if None.
+        held_out: Every n-th second of the newest episode tests the refit instead of entering it; 0 tests nothing.
+
+    Raises:
+        ValueError: A number is negative, recent_steps is not positive, or held_out is 1.
+    """
+
+    episodes: int
+    updates_per_step: float = 1.0
+    recent_steps: int | None = None
+    held_out: int = 4
+
+    def __post_init__(self) -> None:
+        if self.episodes < 0 or not self.updates_per_step >= 0 or (self.recent_steps or 1) < 1:
+            raise ValueError(
+                "train needs episodes >= 0, updates_per_step >= 0 and recent_steps >= 1 or null, "
+                f"got {self}; mend train"
+            )
+        if self.held_out < 0 or self.held_out == 1:
+            raise ValueError(
+                f"train.held_out is {self.held_out}; give 0 for no test, or 2 or more to leave data for the fit"
+            )

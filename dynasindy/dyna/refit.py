@@ -1,0 +1,92 @@
+"""Fitting the world model, and taking back a refit that predicts held-out real data worse than its forerunner."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from dynasindy.data.recording import transitions
+from dynasindy.dyna.parts import Parts, Settings
+from dynasindy.planning import window_error
+
+WINDOW_SECONDS = 1.0
+"""Length of a held-out window: that of an imagined rollout of 20 control periods."""
+WORSE = 1.1
+"""A refit is worse if its held-out error is larger by this factor: equally good models differ by less."""
+
+
+@dataclass(frozen=True)
+class Refit:
+    """What came of a refit.
+
+    Args:
+        report: What the model's fit returned.
+        error_before: Error of the earlier model on the held-out windows, in ranges of the states; NaN if none.
+        error_after: That of the refitted model.
+        kept: Whether the refitted model stays.
+    """
+
+    report: object
+    error_before: float
+    error_after: float
+    kept: bool
+
+
+def fit(parts: Parts, settings: Settings, held_out: Tensor | None = None) -> object:
+    """Fit the world model to the recent real transitions and return its report.
+
+    Args:
+        parts: The model and the data.
+        settings: How many steps count as recent.
+        held_out: Which of the newest steps stay out, `(n,)` bool.
+    """
+    rows = parts.replay.real_in_order()
+    if settings.recent_steps is not None:
+        rows = rows[-settings.recent_steps :]
+    if held_out is not None:
+        used = torch.ones(len(rows), dtype=torch.bool)
+        used[-len(held_out) :] &= ~held_out[-len(rows) :]
+        rows = rows[used]
+    return parts.world_model.fit(transitions(rows, parts.model_env.log_dt))
+
+
+def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
+    """Fit the world model anew, and go back to the earlier one if that predicts held-out windows better.
+
+    Neither model has seen the windows, which lie in the newest episode; the next refit reads them. What a
+    model has learnt is its `state_dict`.
+
+    Args:
+        parts: The model and the data, the episode among them.
+        settings: Lengths of the loop.
+        rollout: The newest real episode, `(T,)`.
+    """
+    length = round(WINDOW_SECONDS / parts.model_env.dt)
+    starts = held_out_windows(rollout.numel(), length, settings.held_out)
+    if not len(starts):
+        return Refit(fit(parts, settings), torch.nan, torch.nan, True)
+    held_out = torch.zeros(rollout.numel(), dtype=torch.bool)
+    held_out[(starts.unsqueeze(-1) + torch.arange(length)).flatten()] = True
+    earlier = {name: tensor.clone() for name, tensor in parts.world_model.state_dict().items()}
+    before = window_error(parts.model_env, rollout, starts, length)
+    report = fit(parts, settings, held_out)
+    after = window_error(parts.model_env, rollout, starts, length)
+    kept = after <= WORSE * before
+    if not kept:
+        parts.world_model.load_state_dict(earlier)
+    return Refit(report, before, after, kept)
+
+
+def held_out_windows(steps: int, length: int, every: int) -> Tensor:
+    """Return the first steps of the windows to hold out of an episode, `(n_windows,)`.
+
+    Args:
+        steps: Length of the episode [control periods].
+        length: Length of a window [control periods].
+        every: Every n-th window is held out; none if 0.
+    """
+    windows = range(every - 1, steps // length, every) if every else ()
+    return torch.tensor([*windows], dtype=torch.int64) * length

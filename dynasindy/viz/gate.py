@@ -1,0 +1,42 @@
+"""What the gate saw and decided, and what became of each refit."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+
+from dynasindy.viz.style import BLACK, BLUE, GREY, ORANGE, RED, array, panels, styled
+
+
+@styled
+def gate(decisions: Mapping[str, ArrayLike], title: str = "Trust in the model") -> Figure:
+    """Draw the reward error with its thresholds, shaded while the gate is closed, and the test of each refit.
+
+    Args:
+        decisions: The columns of `gate.csv`, `(n_episodes,)` each: `episode`; `reward_error` per control period of the
+            episode, replayed through the model; the thresholds `open_below` and `close_above`; `open`, 1 or 0; and of
+            the refit `held_out_error_before`, `held_out_error_after` and `refit_kept`, NaN without a test.
+        title: of the figure.
+    """
+    columns = {name: array(values) for name, values in decisions.items()}
+    x, before, after = (columns[name] for name in ("episode", "held_out_error_before", "held_out_error_after"))
+    figure, (upper, lower) = panels(2, 1, (7.0, 5.0), title)
+    upper.plot(x, columns["reward_error"], color=BLUE, marker="o", markersize=3, label="replayed real episode")
+    upper.plot(x, columns["open_below"], color=BLACK, linestyle=":", linewidth=0.9, label="opens below")
+    upper.plot(x, columns["close_above"], color=BLACK, linestyle="--", linewidth=0.9, label="closes above")
+    for closed in x[columns["open"] == 0]:
+        upper.axvspan(closed - 0.5, closed + 0.5, color=GREY, alpha=0.25, linewidth=0)
+    upper.set_yscale("log")
+    upper.set_ylabel("reward error [per period]")
+    upper.legend(loc="upper right")
+    lower.plot(x, before, color=ORANGE, marker="o", markersize=3, label="before the refit")
+    lower.plot(x, after, color=BLUE, marker="o", markersize=3, label="after the refit")
+    back = columns["refit_kept"] == 0
+    lower.plot(x[back], after[back], color=RED, marker="x", linestyle="none", label="rolled back")
+    if np.isfinite(before).any():
+        lower.set_yscale("log")
+    lower.set_xlabel("real episode")
+    lower.set_ylabel("held-out state error [ranges]")
+    lower.legend(loc="upper right")
+    return figure
