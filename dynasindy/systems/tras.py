@@ -19,17 +19,12 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.base import System
-from dynasindy.systems.twin_rotor import SIGNATURE, beam_stops
+from dynasindy.systems.twin_rotor import SIGNATURE, beam_stops, two_branches
 
 _DRAG_TAIL = (0.0872, 0.00577), (0.0864, 0.00678)  # u per krpm and per krpm^2, for w >= 0 and w < 0
 _DRAG_MAIN = (0.0604, 0.0504)
 _THRUST_TAIL = (0.01114, 0.02206)  # N per krpm^2, for w >= 0 and w < 0
 _THRUST_MAIN = (0.0735, 0.0475)
-
-
-def _two_branches(w: Tensor, positive: float, negative: float) -> Tensor:
-    """Return `positive` where w >= 0 and `negative` elsewhere, in the dtype of w."""
-    return negative + (positive - negative) * (w >= 0).to(w.dtype)
 
 
 class Tras(System):
@@ -60,10 +55,10 @@ class Tras(System):
         w_a, w_p = 1e-3 * speed_a, 1e-3 * speed_p  # krpm
         square_a, square_p = w_a * w_a.abs(), w_p * w_p.abs()
         (g1, g2), (g1n, g2n) = _DRAG_TAIL
-        drag_a = _two_branches(w_a, g1, g1n) * w_a + _two_branches(w_a, g2, g2n) * square_a  # g_h(omega_a)
+        drag_a = two_branches(w_a, g1, g1n) * w_a + two_branches(w_a, g2, g2n) * square_a  # g_h(omega_a)
         drag_p = _DRAG_MAIN[0] * w_p + _DRAG_MAIN[1] * square_p  # g_v(omega_p)
-        thrust_a = _two_branches(w_a, *_THRUST_TAIL) * square_a  # F_h(omega_a)
-        thrust_p = _two_branches(w_p, *_THRUST_MAIN) * square_p  # F_v(omega_p)
+        thrust_a = two_branches(w_a, *_THRUST_TAIL) * square_a  # F_h(omega_a)
+        thrust_p = two_branches(w_p, *_THRUST_MAIN) * square_p  # F_v(omega_p)
         inertia_a = 0.02379038 * c * c + 0.00300962  # J_h(alpha_p) [kg m^2]
         torque_a = (
             0.216 * thrust_a * c

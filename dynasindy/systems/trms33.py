@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.base import System
-from dynasindy.systems.twin_rotor import SIGNATURE, beam_stops
+from dynasindy.systems.twin_rotor import SIGNATURE, beam_stops, two_branches
 
 _RPM = 60 / (2 * math.pi)
 _VOLTS = 2.5  # V at u = 1
@@ -36,7 +36,7 @@ _H_Z, _H_Y = -1.9525e-3, 6.6120e-3  # kg m^2
 
 
 def _thrust(w: Tensor, gains: tuple[float, float]) -> Tensor:
-    return torch.where(w >= 0, gains[0], gains[1]) * w * w.abs()
+    return two_branches(w, *gains) * w * w.abs()
 
 
 class Trms33(System):

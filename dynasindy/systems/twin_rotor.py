@@ -1,8 +1,10 @@
-"""What the two twin-rotor plants share: names, units, ranges and the stops of the beam."""
+"""What the twin-rotor plants share: names, units, ranges, the stops of the beam and two-branched rotors."""
 
 from __future__ import annotations
 
 import math
+
+from torch import Tensor
 
 from dynasindy.systems.base import Signature
 from dynasindy.systems.stops import Stops
@@ -29,3 +31,15 @@ def beam_stops(azimuth: float = 6.0, pitch: float = math.pi / 2) -> Stops:
     if not (azimuth > 0 and pitch > 0):
         raise ValueError(f"half ranges must be positive, got azimuth={azimuth}, pitch={pitch}; give them in rad")
     return Stops(positions=(0, 1), rates=(2, 3), low=(-azimuth, -pitch), high=(azimuth, pitch))
+
+
+def two_branches(w: Tensor, positive: float, negative: float) -> Tensor:
+    """Return a coefficient of a rotor that differs with its sense of turning, in the dtype of `w`.
+
+    Args:
+        w: Rotor speed, `(*batch,)` [any unit].
+        positive: The coefficient where w >= 0.
+        negative: The coefficient elsewhere.
+    """
+    # torch.where of two numbers would round them to float32 under a float64 w.
+    return negative + (positive - negative) * (w >= 0).to(w.dtype)

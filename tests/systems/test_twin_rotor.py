@@ -1,6 +1,7 @@
 import pytest
+import torch
 
-from dynasindy.systems.twin_rotor import beam_stops
+from dynasindy.systems.twin_rotor import beam_stops, two_branches
 
 
 def test_default_stops_are_those_of_the_vendors_simulation():
@@ -12,3 +13,10 @@ def test_default_stops_are_those_of_the_vendors_simulation():
 def test_a_beam_without_travel_is_refused():
     with pytest.raises(ValueError, match="half ranges"):
         beam_stops(azimuth=0.0)
+
+
+def test_a_rotors_branch_is_chosen_by_its_sense_in_full_precision():
+    w = torch.tensor([-2.0, 0.0, 3.0], dtype=torch.float64)
+    chosen = two_branches(w, 1.4971e-5, 8.9974e-6)
+    assert chosen.dtype == torch.float64
+    assert chosen.tolist() == pytest.approx([8.9974e-6, 1.4971e-5, 1.4971e-5], rel=1e-14)
