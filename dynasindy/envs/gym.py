@@ -15,10 +15,10 @@ from tensordict import TensorDictBase
 
 from dynasindy.envs.control_env import ControlEnv
 from dynasindy.envs.drawing import Frame, draw
-from dynasindy.systems import Pendulum, System, Tras, Xi
+from dynasindy.systems import Pendulum, System, Tras, Trms33, Xi
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
-PLANTS: dict[str, Callable[[], System]] = {"tras": Tras, "xi": Xi}
+PLANTS: dict[str, Callable[[], System]] = {"tras": Tras, "xi": Xi, "trms33": Trms33}
 Array = NDArray[np.float32]
 
 
@@ -98,7 +98,7 @@ def twin_rotor(
     """Return the twin rotor under random step references, the paper's training task.
 
     Args:
-        plant: "tras" or "xi".
+        plant: "tras", "xi" or "trms33".
         low: Lower ends of the azimuth and pitch references [rad].
         high: Upper ends [rad].
         render_mode: None or "rgb_array".

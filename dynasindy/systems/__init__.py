@@ -5,6 +5,7 @@ from dynasindy.systems.integrators import integrate, rk4
 from dynasindy.systems.pendulum import Pendulum
 from dynasindy.systems.stops import Stops
 from dynasindy.systems.tras import Tras
+from dynasindy.systems.trms33 import Trms33
 from dynasindy.systems.xi import Xi
 
-__all__ = ["Pendulum", "Signature", "Stops", "System", "Tras", "Xi", "integrate", "rk4"]
+__all__ = ["Pendulum", "Signature", "Stops", "System", "Tras", "Trms33", "Xi", "integrate", "rk4"]

@@ -69,7 +69,7 @@ def test_actions_out_of_range_are_clipped() -> None:
 
 
 def test_mistakes_get_one_line() -> None:
-    with pytest.raises(ValueError, match="plant 'helicopter' is unknown; use one of tras, xi"):
+    with pytest.raises(ValueError, match="plant 'helicopter' is unknown; use one of tras, xi, trms33"):
         twin_rotor(plant="helicopter")
     with pytest.raises(ValueError, match="render_mode 'human' is unknown"):
         twin_rotor(render_mode="human")
