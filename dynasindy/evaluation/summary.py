@@ -38,7 +38,7 @@ def summarise(evaluation: Evaluation) -> Summary:
         for name in TRACKING:
             summary[f"{name}/{axis}"] = _number(evaluation.metrics[name][:, i].mean())
         for name in STEP:
-            summary[f"{name}/{axis}"] = _number(evaluation.metrics[name][:, i].nanmedian())
+            summary[f"{name}/{axis}"] = _number(evaluation.metrics[name][:, i].nanquantile(0.5))
         times = evaluation.metrics["settling_time"][:, i]
         steps = times[~times.isnan()]
         summary[f"settled/{axis}"] = _number(steps.isfinite().float().mean())
