@@ -56,8 +56,11 @@ def _axes(runs: Sequence[dict[str, Any]], metric: str) -> str:
     return " / ".join(_interval([run["evaluation"][name] for run in runs]) for name in names)
 
 
-def _interval(values: Sequence[float]) -> str:
-    """Return the interquartile mean and the 95 % interval of its bootstrap."""
+def _interval(values: Sequence[float | None]) -> str:
+    """Return the interquartile mean and the 95 % interval of its bootstrap, or how many runs have no number."""
+    # Leaving failed runs out would flatter the setting.
+    if missing := values.count(None):
+        return f"not finite in {missing} of {len(values)}"
     scores = torch.tensor(values, dtype=torch.float64)
     low, high = bootstrap_interval(scores.unsqueeze(-1))
     return f"{interquartile_mean(scores).item():.3g} [{low.item():.3g}, {high.item():.3g}]"

@@ -25,6 +25,13 @@ def test_seeds_are_joined_and_settings_are_not(tmp_path):
     assert none.startswith("| `planning=none` | 1 |") and "| -50 [-50, -50] |" in none
 
 
+def test_a_run_without_a_finite_figure_is_counted_and_not_left_out(tmp_path):
+    write(tmp_path, "0_planning=dyna,seed=0", 1.0)
+    write(tmp_path, "1_planning=dyna,seed=1", None)
+    (row,) = sweep_table(tmp_path).splitlines()[2:]
+    assert "| not finite in 1 of 2 |" in row
+
+
 def test_a_folder_without_finished_runs_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match="holds no finished run"):
         sweep_table(tmp_path)
