@@ -7,11 +7,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
+from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.response import INPUTS
 from dynasindy.viz.style import BLACK, BLUE, GREY, RED, Array, array, label, panels, styled, symbol
 
-STATES = ("alpha_a", "alpha_p", "Omega_a", "Omega_p", "omega_a", "omega_p")
-UNITS = ("rad", "rad", "rad/s", "rad/s", "rpm", "rpm")
+STATES = SIGNATURE.state_names
+UNITS = SIGNATURE.state_units
 
 
 @styled

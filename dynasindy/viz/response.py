@@ -7,10 +7,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
+from dynasindy.evaluation.metrics import SETTLING_BAND, STEADY_SECONDS
+from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.style import BLACK, BLUE, CYCLE, GREY, array, label, panels, styled
 
-AXES = ("alpha_a", "alpha_p")
-INPUTS = ("u_a", "u_p")
+AXES = SIGNATURE.state_names[:2]
+INPUTS = SIGNATURE.input_names
 
 
 @styled
@@ -60,14 +62,16 @@ def step_response(
     input_names: Sequence[str] = INPUTS,
     title: str = "Step response",
 ) -> Figure:
-    """Draw `tracking` with what the step metrics use: the 5 % settling band and the last 5 s."""
+    """Draw `tracking` with what the step metrics use: the settling band and the final seconds."""
     figure = tracking(time, reference, outputs, inputs, names, input_names, title)
     seconds, target = array(time), array(reference)
     for i, axis in enumerate(figure.axes[: len(names)]):
         starts = [array(y)[0, i] for y in outputs.values()]
-        half = 0.05 * max((abs(target[-1, i] - start) for start in starts), default=0.0)
-        axis.axhspan(target[-1, i] - half, target[-1, i] + half, color=GREY, alpha=0.2, lw=0, label="5 % band")
-        axis.axvspan(seconds[-1] - 5.0, seconds[-1], color=GREY, alpha=0.08, lw=0, label="steady state")
+        half = SETTLING_BAND * max((abs(target[-1, i] - start) for start in starts), default=0.0)
+        axis.axhspan(
+            target[-1, i] - half, target[-1, i] + half, color=GREY, alpha=0.2, lw=0, label=f"{SETTLING_BAND:.0%} band"
+        )
+        axis.axvspan(seconds[-1] - STEADY_SECONDS, seconds[-1], color=GREY, alpha=0.08, lw=0, label="steady state")
     figure.axes[0].legend(loc="lower right", ncols=2)
     return figure
 
