@@ -90,7 +90,7 @@ def per_input(value: Levels, n_u: int, what: str) -> Tensor:
     """Give one number per input, `(n_u,)` float64.
 
     Raises:
-        ValueError: there are neither one nor `n_u` numbers.
+        ValueError: there are neither one nor `n_u` numbers, or one is not finite.
     """
     values = torch.as_tensor(value if isinstance(value, float | int) else list(value), dtype=torch.float64).reshape(-1)
     if values.numel() not in (1, n_u):
@@ -98,4 +98,6 @@ def per_input(value: Levels, n_u: int, what: str) -> Tensor:
             f"excitation got {values.numel()} values of {what}; allowed is one, or one for each of {n_u} inputs: "
             "adjust the list"
         )
+    if not bool(values.isfinite().all()):
+        raise ValueError(f"excitation got {what} {values.tolist()}; allowed are finite numbers: correct them")
     return values.expand(n_u).clone()

@@ -46,7 +46,7 @@ def test_the_seed_makes_the_signal():
 
 @pytest.mark.parametrize(
     "settings",
-    [{"duration": -1.0}, {"dt": 0.0}, {"amplitude": (0.1, 0.2, 0.3)}, {"offset": (1.5, 0.0)}],
+    [{"duration": -1.0}, {"dt": 0.0}, {"amplitude": (0.1, 0.2, 0.3)}, {"offset": (1.5, 0.0)}, {"amplitude": math.nan}],
 )
 def test_settings_that_make_no_sense_are_refused(settings):
     with pytest.raises(ValueError, match="excitation got"):
