@@ -3,13 +3,12 @@
 from pathlib import Path
 
 import torch
+from command import CONF
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Policy, Scenario
-
-CONF = Path(__file__).parents[1] / "conf"
 
 
 def load_config(folder: Path) -> DictConfig:

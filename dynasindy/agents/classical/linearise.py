@@ -1,4 +1,4 @@
-"""Equilibria and linear models of any system, from its derivatives by automatic differentiation."""
+"""Equilibria and linear models of any system, from its vector field alone."""
 
 from collections.abc import Sequence
 
