@@ -54,13 +54,14 @@ class Recorder(Callback):
         self.rows: list[dict[str, float | None]] = []
         self.decisions: list[list[float | None]] = []
         self.start = time.perf_counter()
-        self.untrained = summarise(self.evaluate())
-        self.latest: Summary = self.untrained
-        self.cost = Cost()
+        self.cost, self.evaluation_steps = Cost(), 0
+        self.untrained = self.latest = summarise(self.evaluate())
 
     def evaluate(self) -> Evaluation:
-        """Run the deployed policy, without noise, in the scenario; its steps are not counted as real."""
-        return evaluate(self.plant, self.parts.agent.deployed, self.scenario)
+        """Run the deployed policy, without noise, in the scenario; its steps are counted apart from the real ones."""
+        evaluation = evaluate(self.plant, self.parts.agent.deployed, self.scenario)
+        self.evaluation_steps += evaluation.trajectory.numel()
+        return evaluation
 
     def fitted(self, report: object, excited: TensorDict, cost: Cost) -> None:
         """Write the excitation data."""
@@ -80,11 +81,7 @@ class Recorder(Callback):
             "reward_error": episode.error.reward_error,
             "state_error": episode.error.state_error,
             "model_trusted": float(episode.trusted),
-            "real_steps": cost.real_steps,
-            "plant_seconds": cost.real_steps * self.plant.dt,
-            "imagined_transitions": cost.imagined,
-            "updates": cost.updates,
-            "wall_seconds": time.perf_counter() - self.start,
+            **self._spent(cost),
         }
         row |= {f"evaluated_{key}": value if due else None for key, value in _headline(self.latest).items()}
         self._log(row)
@@ -102,16 +99,10 @@ class Recorder(Callback):
         Returns:
             What `metrics.json` holds.
         """
-        final, cost = self.evaluate(), self.cost
+        final = self.evaluate()
         metrics = {
             **settings,
-            "cost": {
-                "real_steps": cost.real_steps,
-                "plant_seconds": cost.real_steps * self.plant.dt,
-                "imagined_transitions": cost.imagined,
-                "updates": cost.updates,
-                "wall_seconds": time.perf_counter() - self.start,
-            },
+            "cost": self._spent(self.cost) | {"evaluation_steps": self.evaluation_steps},
             "scenario": final.scenario,
             "evaluation": summarise(final),
             "untrained": self.untrained,
@@ -122,6 +113,15 @@ class Recorder(Callback):
         torch.save(self.parts.agent.deployed.state_dict(), self.folder / "policy.pt")
         (self.folder / "metrics.json").write_text(json.dumps(metrics, indent=2) + "\n")
         return metrics
+
+    def _spent(self, cost: Cost) -> dict[str, float]:
+        return {
+            "real_steps": cost.real_steps,
+            "plant_seconds": cost.real_steps * self.plant.dt,
+            "imagined_transitions": cost.imagined,
+            "updates": cost.updates,
+            "wall_seconds": time.perf_counter() - self.start,
+        }
 
     def _log(self, row: dict[str, float | None]) -> None:
         self.rows.append(row)
@@ -151,10 +151,11 @@ class Recorder(Callback):
     def _write_prediction(self, name: str, episode: Episode) -> None:
         states = self.plant.system.signature.state_names
         values = torch.cat([episode.rollout["next", "state"], episode.error.states], -1)
-        self._write_series(name, [*states, *(f"predicted_{state}" for state in states)], values)
+        # These are the states at the end of each control period, so the first is one period old.
+        self._write_series(name, [*states, *(f"predicted_{state}" for state in states)], values, first=1)
 
-    def _write_series(self, name: str, columns: Sequence[str], values: Tensor) -> None:
-        time_column = torch.arange(len(values)).unsqueeze(-1) * self.plant.dt
+    def _write_series(self, name: str, columns: Sequence[str], values: Tensor, first: int = 0) -> None:
+        time_column = (first + torch.arange(len(values))).unsqueeze(-1) * self.plant.dt
         rows = torch.cat([time_column, values], -1).tolist()
         write_csv(self.folder / "data" / f"{name}.csv", ["time", *columns], rows)
 

@@ -79,7 +79,7 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
         "",
         f"Cost: {cost['real_steps']} real steps = {cost['plant_seconds']:.0f} s of plant time, "
         f"{cost['imagined_transitions']} imagined transitions, {cost['updates']} gradient updates, "
-        f"{cost['wall_seconds']:.0f} s wall time",
+        f"{cost['wall_seconds']:.0f} s wall time; apart from these {cost['evaluation_steps']} real steps of evaluation",
         f"Run folder: {folder}",
     ]
     return "\n".join(lines)

@@ -83,6 +83,21 @@ def test_the_end_leaves_policy_model_and_metrics(recorded):
     assert len(rows(folder / "data" / "step_response.csv")) == 120
 
 
+def test_steps_of_evaluation_are_counted_apart(recorded):
+    _, _, recorder = recorded
+    cost = recorder.finish({})["cost"]
+    assert cost["real_steps"] == 80
+    # The untrained policy, after episodes 2 and 3, and at the end: two references of 120 periods each.
+    assert cost["evaluation_steps"] == 4 * 2 * 120
+
+
+def test_states_are_written_at_the_times_they_were_reached(recorded):
+    folder, _, _ = recorded
+    predicted, excited = (rows(folder / "data" / f"{n}.csv") for n in ("prediction_first_episode", "excitation"))
+    assert [float(row["time"]) for row in predicted[:2]] == pytest.approx([0.05, 0.10])
+    assert float(excited[0]["time"]) == 0.0 and float(excited[0]["alpha_p"]) == 0.0
+
+
 def test_a_table_replaces_the_old_one_whole(tmp_path):
     path = tmp_path / "deep" / "table.csv"
     write_csv(path, ["a", "b"], [[1.0, None]])
