@@ -69,14 +69,14 @@ def window_error(model_env: ControlEnv, episode: TensorDictBase, starts: Tensor,
     for k in range(length):
         x = model_env.advance(x, episode["action"][starts + k].to(x))[0][..., -1, :]
         squares.append(((x - episode["next", "state"][starts + k].to(x)) / scale).square().mean())
-    return torch.stack(squares).mean().sqrt().nan_to_num(nan=torch.inf).item()
+    return torch.stack(squares).mean().sqrt().nan_to_num(nan=torch.inf, posinf=torch.inf).item()
 
 
 def _errors(model_env: ControlEnv, states: Tensor, rewards: Tensor, episode: TensorDictBase) -> ModelError:
     scale = torch.tensor(model_env.system.signature.x_scale, dtype=states.dtype)
     strayed = ((states - episode["next", "state"].to(states)) / scale).square().mean().sqrt()
     reward = (rewards - episode["next", "reward"].squeeze(-1).to(rewards)).abs().mean()
-    errors = torch.stack([reward, strayed]).nan_to_num(nan=torch.inf)
+    errors = torch.stack([reward, strayed]).nan_to_num(nan=torch.inf, posinf=torch.inf)
     return ModelError(errors[0].item(), errors[1].item(), states)
 
 

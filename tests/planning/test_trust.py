@@ -2,8 +2,8 @@ import pytest
 import torch
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning import Gate, ModelError, replay_error
-from dynasindy.systems import Tras, Xi
+from dynasindy.planning import Gate, ModelError, replay_error, window_error
+from dynasindy.systems import System, Tras, Xi
 from dynasindy.tasks import Step, Tracking
 
 
@@ -34,3 +34,15 @@ def test_the_true_model_has_no_error_and_another_has():
     assert right.reward_error == pytest.approx(0, abs=1e-6) and right.state_error == 0
     assert wrong.state_error > 0.01
     assert torch.equal(right.states, episode["next", "state"])
+
+
+def test_a_model_that_overflows_has_an_infinite_error():
+    class Runaway(System):
+        def forward(self, x, u):
+            return torch.full_like(x, 1e38)
+
+    plant = Tras()
+    env = ControlEnv(plant, Tracking(plant.signature, Step([[0.1, 0.1]])))
+    episode, wild = env.rollout(10), env.with_system(Runaway(plant.signature))
+    assert replay_error(wild, episode).state_error == float("inf")
+    assert window_error(wild, episode, torch.tensor([0]), 5) == float("inf")
