@@ -68,9 +68,8 @@ def step_response(
     for i, axis in enumerate(figure.axes[: len(names)]):
         starts = [array(y)[0, i] for y in outputs.values()]
         half = SETTLING_BAND * max((abs(target[-1, i] - start) for start in starts), default=0.0)
-        axis.axhspan(
-            target[-1, i] - half, target[-1, i] + half, color=GREY, alpha=0.2, lw=0, label=f"{SETTLING_BAND:.0%} band"
-        )
+        band = f"{100 * SETTLING_BAND:g} % band"
+        axis.axhspan(target[-1, i] - half, target[-1, i] + half, color=GREY, alpha=0.2, lw=0, label=band)
         axis.axvspan(seconds[-1] - STEADY_SECONDS, seconds[-1], color=GREY, alpha=0.08, lw=0, label="steady state")
     figure.axes[0].legend(loc="lower right", ncols=2)
     return figure
