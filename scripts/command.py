@@ -19,6 +19,8 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 CONF = Path(__file__).resolve().parents[1] / "conf"
+# The jobs of a sweep run in processes of their own, which have to find the modules beside this one.
+os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(Path(__file__).parent), os.environ.get("PYTHONPATH")]))
 MENDABLE = (ValueError, TypeError, KeyError, FileNotFoundError, HydraException, OmegaConfBaseException)
 
 
