@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import time
 from collections.abc import Mapping, Sequence
@@ -16,6 +15,7 @@ from torchrl.record import CSVLogger
 
 from dynasindy.dyna.callback import Callback, Cost, Episode
 from dynasindy.dyna.parts import Parts
+from dynasindy.evaluation.files import write_csv
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, summarise
 
@@ -158,17 +158,6 @@ class Recorder(Callback):
         time_column = (first + torch.arange(len(values))).unsqueeze(-1) * self.plant.dt
         rows = torch.cat([time_column, values], -1).tolist()
         write_csv(self.folder / "data" / f"{name}.csv", ["time", *columns], rows)
-
-
-def write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[float | None]]) -> None:
-    """Write a table whole, through a temporary file, so that a reader never meets half of it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(".tmp")
-    with temporary.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(header)
-        writer.writerows([["" if v is None else f"{v:.9g}" for v in row] for row in rows])
-    temporary.replace(path)
 
 
 def _headline(summary: Summary) -> Summary:

@@ -1,7 +1,8 @@
-"""An evaluation on disk: its figures as JSON, one row of its trajectory as CSV."""
+"""Results on disk: an evaluation's figures as JSON, one row of its trajectory as CSV, and any table as CSV."""
 
 import csv
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
@@ -30,8 +31,16 @@ def save_evaluation(evaluation: Evaluation, folder: Path, row: int = 0) -> list[
     header += [f"reference_{name}" for name in evaluation.output_names]
     parts = (evaluation.trajectory["state"], evaluation.inputs, evaluation.references)
     values = torch.cat([evaluation.time.unsqueeze(-1), *(part[row] for part in parts)], -1)
-    with table.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["time", *header])
-        writer.writerows([[f"{value:.9g}" for value in line] for line in values.tolist()])
+    write_csv(table, ["time", *header], values.tolist())
     return [figures, table]
+
+
+def write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[float | None]]) -> None:
+    """Write a table whole, through a temporary file, so that a reader never meets half of it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_suffix(".tmp")
+    with temporary.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        writer.writerows([["" if v is None else f"{v:.9g}" for v in row] for row in rows])
+    temporary.replace(path)

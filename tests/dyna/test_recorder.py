@@ -9,7 +9,7 @@ from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import Settings, train
-from dynasindy.dyna.recorder import Recorder, write_csv
+from dynasindy.dyna.recorder import Recorder
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Chirp
@@ -96,11 +96,3 @@ def test_states_are_written_at_the_times_they_were_reached(recorded):
     predicted, excited = (rows(folder / "data" / f"{n}.csv") for n in ("prediction_first_episode", "excitation"))
     assert [float(row["time"]) for row in predicted[:2]] == pytest.approx([0.05, 0.10])
     assert float(excited[0]["time"]) == 0.0 and float(excited[0]["alpha_p"]) == 0.0
-
-
-def test_a_table_replaces_the_old_one_whole(tmp_path):
-    path = tmp_path / "deep" / "table.csv"
-    write_csv(path, ["a", "b"], [[1.0, None]])
-    write_csv(path, ["a", "b"], [[1.0, None], [2.5, 3.0]])
-    assert path.read_text().split() == ["a,b", "1,", "2.5,3"]
-    assert [file.name for file in path.parent.iterdir()] == ["table.csv"]

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.files import save_evaluation
+from dynasindy.evaluation.files import save_evaluation, write_csv
 from dynasindy.evaluation.scenarios import Scenario, evaluate
 from dynasindy.evaluation.summary import summarise
 from dynasindy.systems import Xi
@@ -31,3 +31,11 @@ def test_json_holds_the_summary_and_csv_one_row(tmp_path: Path) -> None:
     assert float(rows[3]["time"]) == pytest.approx(0.15)
     assert float(rows[3]["omega_p"]) == pytest.approx(result.trajectory["state"][1, 3, 5].item(), rel=1e-8)
     assert (rows[3]["u_a"], float(rows[3]["reference_alpha_p"])) == ("0.25", pytest.approx(-0.1))
+
+
+def test_a_table_replaces_the_old_one_whole(tmp_path: Path) -> None:
+    path = tmp_path / "deep" / "table.csv"
+    write_csv(path, ["a", "b"], [[1.0, None]])
+    write_csv(path, ["a", "b"], [[1.0, None], [2.5, 3.0]])
+    assert path.read_text().split() == ["a,b", "1,", "2.5,3"]
+    assert [file.name for file in path.parent.iterdir()] == ["table.csv"]
