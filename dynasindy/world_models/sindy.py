@@ -70,13 +70,15 @@ class SindyModel(WorldModel):
         self.sums = RunningSums(len(self.library), signature.n_x)
         self.register_buffer("coefficients", self.constraints.offset.clone())
         self._field: Field | None = None
-        self._field_version: tuple[int, int] = (0, 0)
+        self._field_of: tuple[Tensor, int] | None = None
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Compute dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
-        version = (id(self.coefficients), self.coefficients._version)
-        if self._field is None or self._field_version != version:
-            self._field, self._field_version = generate(self.library, self.coefficients.cpu()), version
+        made_of, version = self._field_of or (None, 0)
+        # The tensor itself is compared and so kept alive: its id may be that of a later one once it is gone.
+        if self._field is None or made_of is not self.coefficients or version != self.coefficients._version:
+            self._field = generate(self.library, self.coefficients.cpu())
+            self._field_of = self.coefficients, self.coefficients._version
         return self._field(x, u)
 
     def predict(self, x: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:

@@ -118,6 +118,20 @@ def test_forward_is_theta_times_xi_and_follows_new_coefficients():
     assert model(x.float(), u.float()).dtype == torch.float32
 
 
+def test_coefficients_replaced_twice_between_predictions_are_the_ones_used():
+    # A fit sets coefficients before and after its refinement; the last tensor may lie where the first one lay.
+    x, u = _points(4)
+    model = SindyModel(Xi().signature, "paper_table")
+    for number in range(300):
+        model(x, u)
+        first = torch.rand(27, 6, dtype=torch.float64)
+        model.set_coefficients(first)
+        del first
+        model.coefficients.sum().item()
+        model.set_coefficients(torch.full((27, 6), float(number), dtype=torch.float64))
+        assert torch.allclose(model(x, u), model.library(x, u) @ model.coefficients)
+
+
 def test_prediction_is_runge_kutta_and_simulation_is_prediction_repeated():
     x, u = _points(2)
     model = SindyModel(Xi().signature)
