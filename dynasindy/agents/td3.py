@@ -91,7 +91,8 @@ _RANGES: tuple[tuple[tuple[str, ...], tuple[type, ...], Callable[[Any], bool], s
     (("gamma", "tau"), (int, float), lambda v: 0 < v <= 1, "a number in (0, 1]"),
     (("lr_decay", "policy_average"), (int, float), lambda v: 0 <= v < 1, "a number in [0, 1)"),
     (("policy_noise", "noise_clip", "max_grad_norm"), (int, float), lambda v: v >= 0, "a number >= 0"),
-    (("policy_delay", "target_update_interval", "critics"), (int,), lambda v: v > 0, "a whole number > 0"),
+    (("policy_delay", "target_update_interval"), (int,), lambda v: v > 0, "a whole number > 0"),
+    (("critics",), (int,), lambda v: v > 1, "a whole number > 1: the target takes the smallest of them"),
 )
 
 

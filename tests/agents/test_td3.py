@@ -194,3 +194,8 @@ def test_unknown_setting_is_refused_by_name():
 def test_setting_outside_its_range_is_refused(name, value):
     with pytest.raises(ValueError, match=rf"TD3 has {name}=.*; give a .*number"):
         small(**{name: value})
+
+
+def test_a_single_critic_is_refused():
+    with pytest.raises(ValueError, match="critics=1; give a whole number > 1"):
+        TD3(3, 2, critics=1)
