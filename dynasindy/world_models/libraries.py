@@ -50,6 +50,7 @@ def rotor(
     rotors: Sequence[str] = ("omega_a", "omega_p"),
     rates: Sequence[str] = ("Omega_a", "Omega_p"),
     inertia_order: int = 4,
+    reaction: bool = False,
 ) -> Library:
     """Build the library of a beam with two rotors, with the functions that each equation may use.
 
@@ -64,6 +65,8 @@ def rotor(
         rotors: speeds of the tail and the main rotor [rpm], in this order.
         rates: azimuth and pitch rate [rad/s], in this order.
         inertia_order: highest power of cos^2 a in the stand-in for 1/J_h; 4 holds pitch within about 1.1 rad.
+        reaction: whether the angles (a cable), the rotors' torques and their gyroscopic moments act on the beam too,
+            as on the Feedback rig.
     """
     c, s, rate_a, rate_p = of("cos", angle), of("sin", angle), *(variable(n) for n in rates)
     thrust, drag = {}, {}
@@ -76,6 +79,18 @@ def rotor(
     u_tail, u_main = (variable(n) for n in signature.input_names)
     pitch = [CONSTANT, c, s, rate_p, u_tail, *thrust[main], rate_a * rate_a * s * c]
     torques = [rate_a, s * c * rate_a * rate_p, u_main * c, *(f * c for f in thrust[tail])]
+    if reaction:
+        azimuth_angle = variable(signature.state_names[0])
+        w_tail, w_main = variable(tail), variable(main)
+        torques += [azimuth_angle, w_main * c, thrust[main][0] * c, rate_p * rate_p * c, rate_p * rate_p * s]
+        torques += [w_main * rate_p * s, w_tail]
+        pitch += [w_tail, thrust[tail][0], w_main * rate_a * s, rate_a, azimuth_angle, thrust[tail][0] * c, u_main * c]
+        # The centres of mass are off the axes: part of the torques of one axis goes to the other, and to the rotors.
+        swapped = [f * g for f in torques for g in (s, c)]
+        torques += [f * g for f in pitch for g in (s, c)]
+        pitch += swapped
+        drag[tail] += pitch
+        drag[main] += [f * c for f in torques]
     azimuth = [f * _power(c * c, order) for order in range(inertia_order + 1) for f in torques]
     allowed = {rates[0]: azimuth, rates[1]: pitch, **drag}
     basics = [CONSTANT, *(variable(n) for n in _variables(signature))]
@@ -154,10 +169,16 @@ def product_of(signature: Signature, libraries: Iterable[LibraryBuilder]) -> Lib
     return product
 
 
+def rotor_reaction(signature: Signature) -> Library:
+    """Build the rotor library with reactions, for the Feedback rig; see `rotor`."""
+    return rotor(signature, inertia_order=2, reaction=True)
+
+
 NAMED: dict[str, LibraryBuilder] = {
     "paper_table": paper_table,
     "paper_equation": paper_equation,
     "rotor": rotor,
+    "rotor_reaction": rotor_reaction,
     "polynomial": polynomial,
     "fourier": fourier,
 }
