@@ -22,19 +22,48 @@ from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.experiment import Recipe
-from dynasindy.dyna.loop import Parts, Settings, train
+from dynasindy.dyna.loop import train
+from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.disturbances import Detuned, Pushed, SensorNoise
+from dynasindy.evaluation.disturbances import Pushed, SensorNoise
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate, step_references
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Gate, GradientPlanning, Planned, Planner, Variation
 from dynasindy.planning.integral import IntegralAction
-from dynasindy.systems import System, Tras, Xi
+from dynasindy.systems import System, Tras, Trms33, Xi
+from dynasindy.systems.tras import TrasConstants
 from dynasindy.tasks import Mixture, RandomStep, Reference, Tracking, TrackingReward, Wave
 from dynasindy.world_models import Oracle, Refinement, Regression, SindyModel
 
-PLANTS: dict[str, tuple[Callable[[], System], str]] = {"xi": (Xi, "paper_table"), "tras": (Tras, "rotor")}
-LOW, HIGH = (-0.5, -0.5), (0.5, 0.4)  # targets that both plants can hold [rad]
+Pair = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A plant and what has to be known to excite it and to ask something of it.
+
+    Args:
+        build: Makes the system.
+        library: Candidate functions of its model.
+        low: Lower ends of the targets that it can hold [rad].
+        high: Upper ends [rad].
+        amplitude: Half range of each input of the excitation.
+        offset: Mean of each input.
+    """
+
+    build: Callable[[], System]
+    library: str
+    low: Pair = (-0.5, -0.5)
+    high: Pair = (0.5, 0.4)
+    amplitude: Pair = (0.5, 0.3)
+    offset: Pair = (-0.1, 0.2)
+
+
+PLANTS = {
+    "xi": Plant(Xi, "paper_table"),
+    "tras": Plant(Tras, "rotor"),
+    "trms33": Plant(Trms33, "rotor", high=(0.5, 0.3), amplitude=(0.4, 0.25), offset=(0.2, 0.5)),
+}
 NOISE = (5e-4, 5e-4, 5e-3, 5e-3, 20.0, 20.0)  # rad, rad, rad/s, rad/s, rpm, rpm
 GUST = {"Omega_a": 0.5, "Omega_p": 0.5}  # rad/s^2
 COLUMNS = (
@@ -69,6 +98,7 @@ class Case:
         detuned: Evaluate on a plant with other parameters, in a gust, with integral action.
         variation: How imagined plants stray.
         updates: Gradient updates of the first planning phase.
+        plants: Plants that it is measured on.
     """
 
     episodes: int = 0
@@ -78,6 +108,7 @@ class Case:
     detuned: bool = False
     variation: Variation = field(default_factory=Variation)
     updates: int = 200
+    plants: tuple[str, ...] = ("xi", "tras")
 
 
 CASES = {
@@ -86,8 +117,9 @@ CASES = {
     "moving": Case(moving=True, updates=400),
     "noise": Case(episodes=3, noise=NOISE),
     "noise_robust": Case(episodes=3, noise=NOISE, variation=Variation(noise=NOISE)),
-    "detuned": Case(detuned=True),
-    "detuned_robust": Case(detuned=True, variation=Variation(parameters=0.1)),
+    "detuned": Case(detuned=True, plants=("tras",)),
+    "detuned_robust": Case(detuned=True, variation=Variation(parameters=0.1), plants=("tras",)),
+    "friction": Case(episodes=5, plants=("trms33",)),
 }
 
 
@@ -102,7 +134,7 @@ def main(argv: list[str]) -> None:
     torch.set_num_threads(1)
     for case in arguments.cases:
         for seed in arguments.seeds:
-            for plant in arguments.plants:
+            for plant in [name for name in CASES[case].plants if name in arguments.plants]:
                 if not any(_same(row, case, plant, seed) for row in read(arguments.out)):
                     append(arguments.out, measure(case, plant, seed))
     print("\n".join(table(read(arguments.out))))
@@ -124,7 +156,7 @@ def measure(name: str, plant: str, seed: int, **planning: Any) -> list[Row]:
     def planned(updates: int) -> None:
         """Judge the policy of a finished planning phase."""
         watch.stop(updates)
-        for scenario, metric, values in judge(case, parts, seed):
+        for scenario, metric, values in judge(case, plant, parts, seed):
             head = {"case": name, "plant": plant, "seed": seed, "plant_seconds": watch.plant_seconds}
             rows.append({**head, "scenario": scenario, "metric": metric, **values, **watch.costs()})
         watch.start()
@@ -141,10 +173,10 @@ def measure(name: str, plant: str, seed: int, **planning: Any) -> list[Row]:
 
 def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) -> Recipe:
     """Return the experiment of a case."""
-    build, library = PLANTS[plant]
-    system = build()
-    model = partial(Oracle, system=system) if case.oracle else partial(sparse_model, library)
-    references: Reference = RandomStep(LOW, HIGH)
+    facts = PLANTS[plant]
+    system = facts.build()
+    model = partial(Oracle, system=system) if case.oracle else partial(sparse_model, facts.library)
+    references: Reference = RandomStep(facts.low, facts.high)
     if case.moving:
         references = Mixture([RandomStep((-0.55, -0.55), (0.55, 0.55)), *_waves(random=True)])
     reward = TrackingReward(error_shape="linear")
@@ -152,7 +184,7 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
         system=system,
         task=partial(Tracking, reference=references, reward=reward, observe_rate=case.moving),
         env=partial(ControlEnv, dtype=torch.float64),
-        excitation=partial(Multisine, duration=10.0, amplitude=(0.5, 0.3), offset=(-0.1, 0.2), seed=seed),
+        excitation=partial(Multisine, amplitude=facts.amplitude, offset=facts.offset, seed=seed),
         world_model=model,
         agent=partial(TD3, hidden=(128, 128)),
         replay=partial(DynaReplay, capacity=100_000, batch_size=256),
@@ -174,10 +206,11 @@ def sparse_model(library: str, signature: Any) -> SindyModel:
     )
 
 
-def judge(case: Case, parts: Parts, seed: int) -> Iterable[tuple[str, str, Row]]:
+def judge(case: Case, plant: str, parts: Parts, seed: int) -> Iterable[tuple[str, str, Row]]:
     """Yield scenario, metric and numbers of the policy on the real plant."""
     policy = parts.agent.deployed
-    steps = step_references(LOW, HIGH, 64)
+    facts = PLANTS[plant]
+    steps = step_references(facts.low, facts.high, 64)
     if case.moving:
         for wave, seconds in zip(_waves(), (100.0, 200.0)):
             name = "square" if float(wave.params[0, 4]) else "sine"
@@ -185,7 +218,7 @@ def judge(case: Case, parts: Parts, seed: int) -> Iterable[tuple[str, str, Row]]
             yield name, "rmse", _numbers(result, result.metrics["rmse"])
     elif case.detuned:
         gust = Scenario("detuned_gust", steps, 64, 30.0, partial(Pushed, push=GUST), [(12.0, 15.0)])
-        env = parts.plant.with_system(detuned(parts.plant.system, seed))
+        env = parts.plant.with_system(detuned(seed))
         for name, wrap in (("detuned_gust", None), ("detuned_gust_integral", IntegralAction)):
             result = evaluate(env, wrap(policy, env) if wrap else policy, gust)
             yield name, "max_abs_error_5s_after_gust", _numbers(result, _after(result, 20.0))
@@ -195,11 +228,9 @@ def judge(case: Case, parts: Parts, seed: int) -> Iterable[tuple[str, str, Row]]
         yield "step", "mean_abs_error_last_5s", _numbers(result, result.metrics["steady_state_error"])
 
 
-def detuned(system: System, seed: int) -> Detuned:
-    """Return a plant with each rate of change and each input off by up to 10 %."""
-    factors = 0.9 + 0.2 * torch.rand(6, generator=torch.Generator().manual_seed(1000 + seed))
-    names = system.signature.state_names[2:]
-    return Detuned(system, dict(zip(names, factors[:4].tolist())), factors[4:].tolist())
+def detuned(seed: int) -> Tras:
+    """Return `tras` with every constant of its own off by up to 10 %."""
+    return Tras(constants=TrasConstants().detuned(0.1, 1000 + seed))
 
 
 def measured(parts: Parts, std: tuple[float, ...], seed: int) -> None:

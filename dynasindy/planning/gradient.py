@@ -35,7 +35,7 @@ class GradientPlanning(Planner):
         replay: Storages; imagined episodes may begin at real states.
         updates: Gradient updates of the first planning phase.
         more_updates: Gradient updates of each later phase, which goes on from the policy as it is.
-        rows: Imagined episodes side by side.
+        rollouts: Imagined episodes side by side; 0 plans nothing and leaves the actor to TD3.
         window: Control periods that a gradient reaches back.
         lr: Learning rate of the first phase at its start; it falls along a half cosine to 1 % of that.
         more_lr: Learning rate of each later phase at its start.
@@ -56,8 +56,6 @@ class GradientPlanning(Planner):
         ValueError: A number is out of range.
     """
 
-    learns_by_td3 = False  # its critics know nothing of the imagined windows and would pull the actor away
-
     # Departure: the paper's reward is quadratic with a bonus; its slope vanishes near zero and the bonus has none.
     # The imagined cost has the task's weights, is linear beyond `width`, and has no bonus.
 
@@ -69,7 +67,7 @@ class GradientPlanning(Planner):
         *,
         updates: int = 200,
         more_updates: int = 80,
-        rows: int = 128,
+        rollouts: int = 128,
         window: int = 60,
         lr: float = 1e-2,
         more_lr: float = 3e-3,
@@ -85,18 +83,21 @@ class GradientPlanning(Planner):
         seed: int = 0,
     ) -> None:
         super().__init__(every)
-        counts = {"rows": rows, "window": window, "check_every": check_every, "patience": patience}
+        counts = {"window": window, "check_every": check_every, "patience": patience}
         sizes = {"lr": lr, "more_lr": more_lr, "max_grad_norm": max_grad_norm}
         if bad := [f"{name}={value}" for name, value in {**counts, **sizes}.items() if not value > 0]:
             raise ValueError(f"gradient planning got {', '.join(bad)}; these must be positive: mend planning")
-        if min(updates, more_updates) < 0 or min(real_starts, jumps) < 0 or real_starts + jumps > 1:
+        if min(rollouts, updates, more_updates) < 0 or min(real_starts, jumps) < 0 or real_starts + jumps > 1:
             raise ValueError(
-                f"gradient planning got updates={updates}, more_updates={more_updates}, real_starts={real_starts}, "
-                f"jumps={jumps}; updates must be >= 0 and the shares at most 1 together: mend planning"
+                f"gradient planning got rollouts={rollouts}, updates={updates}, more_updates={more_updates}, "
+                f"real_starts={real_starts}, jumps={jumps}; rollouts and updates must be >= 0 and the shares at most "
+                "1 together: mend planning"
             )
         self.agent, self.replay, self.network = agent, replay, _network(agent)
         self.phases = ((updates, lr), (more_updates, more_lr))
-        self.rows, self.window, self.max_grad_norm = rows, window, max_grad_norm
+        self.rollouts, self.window, self.max_grad_norm = rollouts, window, max_grad_norm
+        # TD3's critics know nothing of the imagined windows and would pull the actor away.
+        self.learns_by_td3 = rollouts == 0
         self.real_starts, self.jumps = real_starts, jumps
         self.check_every, self.patience = check_every, patience
         self.variation = variation or Variation()
@@ -110,7 +111,7 @@ class GradientPlanning(Planner):
         """Improve the actor with the model as it is now."""
         updates, lr = self.phases[min(self.phase, 1)]
         self.phase += 1
-        if not updates:
+        if not updates or not self.rollouts:
             return Planned()
         episodes = Episodes(self)
         optimizer = torch.optim.Adam(self.network.parameters(), lr=lr, betas=(0.9, 0.99), fused=True)
@@ -128,7 +129,7 @@ class GradientPlanning(Planner):
         if best_weights is not None:
             self.network.load_state_dict(best_weights)
         self._deploy()
-        return Planned(imagined=done * self.rows * self.window, updates=done)
+        return Planned(imagined=done * self.rollouts * self.window, updates=done)
 
     def distrust(self) -> None:
         """Do nothing: no imagined data are kept."""
@@ -203,14 +204,14 @@ class Episodes:
 
     def __init__(self, planner: GradientPlanning) -> None:
         self.planner = planner
-        self.rows = _references(planner.env, planner.rows, planner.rng)
+        self.rows = _references(planner.env, planner.rollouts, planner.rng)
         self.rows.noise = planner.variation.deviations(planner.env.system.signature.n_x)
         self.system: System = planner.env.system
         if planner.variation.plants:
-            self.system = Varied(planner.env.system, planner.variation, planner.rows)
-            self.system.draw(torch.ones(planner.rows, dtype=torch.bool), planner.rng)
+            self.system = Varied(planner.env.system, planner.variation, planner.rollouts)
+            self.system.draw(torch.ones(planner.rollouts, dtype=torch.bool), planner.rng)
         self.length = planner.env.task.max_steps * planner.env.dt
-        self.end = torch.rand(planner.rows, 1, generator=planner.rng) * self.length
+        self.end = torch.rand(planner.rollouts, 1, generator=planner.rng) * self.length
         real = planner.replay.real
         self.real_states = real[:]["state"].to(self.rows.x) if len(real) else self.rows.x
 

@@ -8,12 +8,12 @@ import torch
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.envs import ControlEnv
-from dynasindy.planning import GradientPlanning, GradientThenReplay, ImaginedReplay, Variation
+from dynasindy.planning import GradientPlanning, GradientThenReplay, ImaginedReplay, Planned, Variation
 from dynasindy.planning.gradient import Episodes
 from dynasindy.systems.xi import Xi
 from dynasindy.tasks import RandomStep, Tracking
 
-SMALL = {"rows": 16, "window": 20, "check_every": 4}
+SMALL = {"rollouts": 16, "window": 20, "check_every": 4}
 
 
 def setting(max_steps=60, **agent):
@@ -74,7 +74,7 @@ def test_later_phases_take_their_own_number_of_updates():
 
 def test_the_best_policy_on_held_out_references_is_kept_and_a_phase_without_progress_ends():
     env, agent, replay = setting()
-    planner = GradientPlanning(env, agent, replay, updates=1000, rows=16, window=20, check_every=1, patience=2)
+    planner = GradientPlanning(env, agent, replay, updates=1000, rollouts=16, window=20, check_every=1, patience=2)
     scores = iter([-3.0, -1.0, -2.0, -2.0])
     seen = []
     planner.test = lambda: (seen.append(weights(agent.policy)), next(scores))[1]
@@ -116,8 +116,15 @@ def test_both_ways_of_planning_share_one_phase():
     assert not len(replay.model)
 
 
-@pytest.mark.parametrize("wrong", [{"rows": 0}, {"lr": 0.0}, {"updates": -1}, {"real_starts": 0.8, "jumps": 0.8}])
+@pytest.mark.parametrize("wrong", [{"rollouts": -1}, {"lr": 0.0}, {"updates": -1}, {"real_starts": 0.8, "jumps": 0.8}])
 def test_impossible_settings_are_refused(wrong):
     env, agent, replay = setting()
     with pytest.raises(ValueError, match="mend planning"):
         GradientPlanning(env, agent, replay, **wrong)
+
+
+def test_no_rollouts_plan_nothing_and_leave_the_actor_to_td3():
+    env, agent, replay = setting()
+    idle = GradientPlanning(env, agent, replay, rollouts=0)
+    assert idle.plan() == Planned() and idle.learns_by_td3
+    assert not GradientPlanning(env, agent, replay, **SMALL).learns_by_td3

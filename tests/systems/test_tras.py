@@ -1,10 +1,14 @@
 """Oracles: the bench's top speeds and its equilibria, from the published tables."""
 
+import dataclasses
+import math
+
 import pytest
 import torch
 from scipy.optimize import fsolve
 
 from dynasindy.systems import Tras, rk4
+from dynasindy.systems.tras import TrasConstants
 
 
 def settle(u, seconds=60):
@@ -57,6 +61,25 @@ def test_float32_and_batches_agree_with_float64():
     assert torch.equal(plant(x, u)[1, 2], plant(x[1, 2], u[1, 2]))
 
 
-def test_negative_friction_is_refused():
-    with pytest.raises(ValueError, match="azimuth_friction"):
-        Tras(azimuth_friction=-1.0)
+def test_every_constant_is_detuned_by_a_factor_of_its_own():
+    nominal, other = TrasConstants(), TrasConstants().detuned(0.1, seed=3)
+    values = [torch.tensor(dataclasses.astuple(p)[i]).flatten() for p in (other, nominal) for i in range(18)]
+    factors = torch.cat(values[:18]) / torch.cat(values[18:])
+    assert (factors - 1).abs().max() <= 0.1 + 1e-6 and (factors - 1).abs().mean() > 0.03
+    assert factors.unique().numel() == factors.numel() == 24
+    assert other == nominal.detuned(0.1, seed=3) != nominal.detuned(0.1, seed=4)
+
+
+def test_a_detuned_plant_settles_elsewhere():
+    # Gravity alone sets the pitch of the free beam, up to the small thrust at u = 0: tan(pitch) = -gravity_c/gravity_s.
+    constants = TrasConstants().detuned(0.1, seed=0)
+    plant = Tras(constants=constants)
+    x = torch.zeros(6, dtype=torch.float64)
+    for _ in range(6000):
+        x = rk4(plant, x, torch.zeros(2, dtype=torch.float64), 0.01)
+    assert x[1].item() == pytest.approx(-math.atan(constants.gravity_c / constants.gravity_s), abs=1e-3)
+
+
+def test_an_impossible_spread_is_refused():
+    with pytest.raises(ValueError, match="spread must be in"):
+        TrasConstants().detuned(1.5, seed=0)
