@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import random
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -87,7 +88,7 @@ class TrasConstants:
             return value * (1 + spread * rng.uniform(-1, 1))
 
         values = {field.name: getattr(self, field.name) for field in fields(self)}
-        changed = {k: tuple(map(off, v)) if isinstance(v, tuple) else off(v) for k, v in values.items()}
+        changed: dict[str, Any] = {k: tuple(map(off, v)) if isinstance(v, tuple) else off(v) for k, v in values.items()}
         return replace(self, **changed)
 
 
