@@ -65,6 +65,15 @@ def test_the_true_model_predicts_without_error(recorded):
         assert float(row["one_step_reward_error"]) < 1e-5 and float(row["reward_error"]) < 1e-4
 
 
+def test_the_gate_has_a_row_per_episode(recorded):
+    folder, _, _ = recorded
+    decisions = rows(folder / "gate.csv")
+    assert [float(row["episode"]) for row in decisions] == [1, 2, 3]
+    for row in decisions:
+        assert float(row["open"]) == 1 and float(row["close_above"]) == pytest.approx(0.3)
+        assert row["refit_kept"] == "" and float(row["stored_imagined_transitions"]) == 0  # nothing is planned here
+
+
 def test_evaluation_neither_counts_nor_changes_the_run(recorded):
     _, parts, recorder = recorded
     before = parts.env.rng.get_state(), parts.agent.noise.sigma, len(parts.replay.real)

@@ -26,6 +26,32 @@ def test_a_gate_that_closes_below_its_opening_is_refused():
         Gate(open_below=0.3, close_above=0.1)
 
 
+def test_a_state_error_beyond_its_bound_closes_whatever_the_reward():
+    gate = Gate(open_below=0.1, close_above=0.3, state_error=0.5)
+    decisions = [gate.judge(ModelError(0.0, strayed, torch.zeros(0))) for strayed in (0.4, 0.6, 0.4)]
+    assert decisions == [True, False, True]
+
+
+@pytest.mark.parametrize("settings", [{"open_below": -0.1}, {"state_error": 0.0}])
+def test_impossible_gates_are_refused(settings):
+    with pytest.raises(ValueError, match="mend gate"):
+        Gate(**settings)
+
+
+def test_windows_are_replayed_from_their_real_first_states():
+    plant = Tras()
+    env = ControlEnv(plant, Tracking(plant.signature, Step([[0.1, 0.1]])), dtype=torch.float64)
+    episode = env.rollout(60)
+    starts = torch.tensor([0, 40])
+    assert window_error(env, episode, starts, 20) == 0
+    model_env = env.with_system(Xi())
+    one_step = window_error(model_env, episode, torch.arange(60), 1)
+    assert 0 < one_step < window_error(model_env, episode, starts, 20)
+    # One window over all of the episode is the replay of the whole.
+    whole = window_error(model_env, episode, starts[:1], 60)
+    assert whole == pytest.approx(replay_error(model_env, episode).state_error)
+
+
 def test_the_true_model_has_no_error_and_another_has():
     plant = Tras()
     env = ControlEnv(plant, Tracking(plant.signature, Step([[0.1, 0.1]])), dtype=torch.float64)
