@@ -18,6 +18,7 @@ from dynasindy.dyna.parts import Parts
 from dynasindy.evaluation.files import write_csv
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, summarise
+from dynasindy.world_models import FitReport
 
 GATE_COLUMNS = (
     "episode",
@@ -64,8 +65,10 @@ class Recorder(Callback):
         return evaluation
 
     def fitted(self, report: object, excited: TensorDict, cost: Cost) -> None:
-        """Write the excitation data."""
+        """Write the excitation data, and what the fit says of itself and of them."""
         self.cost = cost
+        if isinstance(report, FitReport):
+            (self.folder / "identification.txt").write_text(report.to_text() + "\n")
         self._write_rollout("excitation", excited)
 
     def episode(self, episode: Episode, cost: Cost) -> None:
