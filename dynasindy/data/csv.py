@@ -91,10 +91,10 @@ class CsvLog:
         Raises:
             FileNotFoundError: there is no such file.
             ValueError: a column is missing, a row has missing values and `missing` is refuse, time does not
-                increase, an input is constant, a state that is differentiated is not given, or there are too few
+                increase, an input is constant, a state that is differentiated is not logged, or there are too few
                 samples.
         """
-        states, inputs = (_columns(group) for group in (self.states, self.inputs))
+        states, inputs = _columns(self.states), _columns(self.inputs, may_be_rates=False)
         notes: list[str] = []
         names = [self.time, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
         table = _numbers(Path(self.path), names)
@@ -109,14 +109,19 @@ class CsvLog:
         t, x, u, segment = _even(t, x, u, dt, notes)
         free = ~_stuck(x, notes)
         full = _with_rates(x, states, segment, dt, notes)
-        data = _transitions(full, u, segment, free, dt)
+        known = np.isfinite(full).all(1)
+        if not known.all():
+            notes.append(
+                f"{int((~known).sum())} samples in stretches under {SMOOTH} samples have no rate; they were skipped"
+            )
+        data = _transitions(full, u, segment, free & known, dt)
         if len(data) < self.min_samples:
             raise ValueError(
                 f"{self.path} gives {len(data)} transitions; allowed are {self.min_samples} or more: log longer, or "
                 "check the notes on what was left out: " + ("; ".join(notes) or "nothing")
             )
         units = tuple(c.unit for c in states.values())
-        scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(full).max(0))
+        scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(full[known]).max(0, initial=0.0))
         return Recording(data, Signature(tuple(states), units, tuple(inputs), scale), tuple(notes))
 
     def _complete(self, table: Array, names: list[str], notes: list[str]) -> Array:
@@ -140,8 +145,8 @@ class CsvLog:
         if (steps <= 0).any():
             k = int(np.flatnonzero(steps <= 0)[0])
             raise ValueError(
-                f"{self.path}: time does not increase: {t[k + 1]:g} s follows {t[k]:g} s at complete row {k + 2}; allowed "
-                "is increasing time: sort the rows or split the recordings"
+                f"{self.path}: time does not increase: {t[k + 1]:g} s follows {t[k]:g} s at complete row {k + 2}; "
+                "allowed is increasing time: sort the rows or split the recordings"
             )
 
     def _check_inputs(self, u: Array, names: list[str]) -> None:
@@ -153,19 +158,25 @@ class CsvLog:
                 )
 
 
-def _columns(group: Mapping[str, Column | Mapping[str, object] | str]) -> dict[str, Column]:
-    made: dict[str, Column] = {}
-    for name, given in group.items():
-        if isinstance(given, str):
-            made[name] = Column(given)
-        else:
-            made[name] = given if isinstance(given, Column) else Column(**given)  # type: ignore[arg-type]
-        if not made[name].name and made[name].derivative_of not in group:
+def _columns(
+    group: Mapping[str, Column | Mapping[str, object] | str], may_be_rates: bool = True
+) -> dict[str, Column]:
+    made = {name: _column(given) for name, given in group.items()}
+    logged = [name for name, column in made.items() if column.name] if may_be_rates else []
+    for name, column in made.items():
+        if not column.name and column.derivative_of not in logged:
+            states = f", or to be the derivative of a logged state ({', '.join(logged)})" if may_be_rates else ""
             raise ValueError(
-                f"{name} has no column and is the derivative of {made[name].derivative_of or 'nothing'!r}; allowed is a "
-                f"column name, or one of the states {', '.join(group)}: give one of them"
+                f"{name} has no column and is the derivative of {column.derivative_of or 'nothing'!r}; allowed is a "
+                f"column name{states}: correct the column map"
             )
     return made
+
+
+def _column(given: Column | Mapping[str, object] | str) -> Column:
+    if isinstance(given, str):
+        return Column(given)
+    return given if isinstance(given, Column) else Column(**given)  # type: ignore[arg-type]
 
 
 def _numbers(path: Path, names: list[str]) -> Array:
@@ -177,8 +188,8 @@ def _numbers(path: Path, names: list[str]) -> Array:
         absent = [n for n in names if n not in headings]
         if absent:
             raise ValueError(
-                f"{path} has no column {', '.join(map(repr, absent))}; allowed are {', '.join(headings) or 'none'}: correct "
-                "the column map"
+                f"{path} has no column {', '.join(map(repr, absent))}; allowed are {', '.join(headings) or 'none'}: "
+                "correct the column map"
             )
         places = [headings.index(n) for n in names]
         rows = [[_number(row, k) for k in places] for row in csv.reader(file, delimiter=separator) if row]
@@ -216,6 +227,11 @@ def _even(
         states.append(CubicSpline(t[rows], np.stack([v[rows] for v in x.values()], -1))(grid))
         inputs.append(u[rows][np.searchsorted(t[rows], grid + 1e-6 * dt, side="right") - 1])
         labels.append(np.full(len(grid), label))
+    if not grids:
+        raise ValueError(
+            f"no stretch of the recording has 4 samples {dt:g} s apart; allowed are stretches of 4 or more: check the "
+            "sampling time, and what was left out: " + "; ".join(notes)
+        )
     stacked = np.concatenate(states)
     return (
         np.concatenate(grids),
@@ -257,7 +273,7 @@ def _with_rates(
                 rate[rows] = savgol_filter(x[column.derivative_of][rows], SMOOTH, 3, deriv=1, delta=dt)
         full[name] = rate * column.scale
         notes.append(f"{name} was reconstructed from {column.derivative_of}")
-    return np.nan_to_num(np.stack([full[name] for name in states], -1))
+    return np.stack([full[name] for name in states], -1)
 
 
 def _transitions(x: Array, u: Array, segment: NDArray[np.int64], free: NDArray[np.bool_], dt: float) -> Transitions:

@@ -1,0 +1,201 @@
+"""Files are read as they are written, and every kind of bad file costs one line that says what to mend."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy.data.csv import Column, CsvLog
+
+STATES = {"q": Column("angle", "rad"), "v": Column("rate", "rad/s")}
+INPUTS = {"u": "volt"}
+HEADINGS = ("time", "angle", "rate", "volt")
+
+
+def log(n: int = 80, dt: float = 0.01) -> np.ndarray:
+    """A swing q = sin(3 t), its rate, and an input that jumps every five samples."""
+    t = dt * np.arange(n)
+    return np.stack([t, np.sin(3 * t), 3 * np.cos(3 * t), np.arange(n) // 5 % 3 - 1.0], -1)
+
+
+def write(path: Path, table, headings=HEADINGS, separator=",") -> str:
+    rows = [separator.join("" if math.isnan(v) else repr(float(v)) for v in row) for row in table]
+    path.write_text("\n".join([separator.join(headings), *rows]) + "\n")
+    return str(path)
+
+
+def refusal(path: str, states=STATES, inputs=INPUTS, **settings) -> str:
+    with pytest.raises(ValueError, match=r".") as error:
+        CsvLog(path, states, inputs, **settings).read()
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_a_file_is_read_to_the_last_digit(tmp_path, separator):
+    table = log()
+    found = CsvLog(write(tmp_path / "log.csv", table, separator=separator), STATES, INPUTS).read()
+    data = found.transitions
+    assert np.array_equal(data.x.numpy(), table[:-1, 1:3])
+    assert np.array_equal(data.x_next.numpy(), table[1:, 1:3])
+    assert np.array_equal(data.u.numpy(), table[:-1, 3:])
+    assert data.dt == pytest.approx(0.01) and data.segment.unique().tolist() == [0]
+    assert found.signature.state_units == ("rad", "rad/s") and found.signature.input_names == ("u",)
+    assert found.signature.x_scale == pytest.approx(np.abs(table[:, 1:3]).max(0))
+    assert found.notes == ()
+
+
+def test_columns_are_found_by_name_whatever_their_order_and_a_byte_order_mark(tmp_path):
+    table = log()
+    path = tmp_path / "log.csv"
+    write(path, np.concatenate([table[:, ::-1], table[:, :1] * np.nan], -1), (*HEADINGS[::-1], "comment"))
+    path.write_text("\ufeff" + path.read_text(), encoding="utf-8")
+    data = CsvLog(str(path), STATES, INPUTS).read().transitions
+    assert np.array_equal(data.x.numpy(), table[:-1, 1:3])
+
+
+def test_units_are_scaled(tmp_path):
+    table = log()
+    states = {"q": {"name": "angle", "unit": "rad", "scale": math.pi / 180}, "v": "rate"}
+    data = CsvLog(write(tmp_path / "log.csv", table), states, INPUTS).read().transitions
+    assert np.allclose(data.x[:, 0], np.radians(table[:-1, 1]), rtol=1e-15)
+
+
+def test_a_missing_column_is_named_beside_those_there_are(tmp_path):
+    path = write(tmp_path / "log.csv", log(), ("time", "angle", "speed", "volt"))
+    assert "no column 'rate'; allowed are time, angle, speed, volt" in refusal(path)
+    assert "no column 't'" in refusal(path, states={"q": "angle"}, time="t")
+
+
+def test_an_empty_file_and_no_file_are_refused(tmp_path):
+    (tmp_path / "empty.csv").write_text("")
+    assert "allowed are none" in refusal(str(tmp_path / "empty.csv"))
+    assert "gives 0 complete rows" in refusal(write(tmp_path / "headings.csv", []))
+    with pytest.raises(FileNotFoundError):
+        CsvLog(str(tmp_path / "absent.csv"), STATES, INPUTS).read()
+
+
+def test_rows_with_missing_values_are_counted_and_skipped_or_the_file_is_refused(tmp_path):
+    table = log()
+    table[20, 1] = table[50, 3] = np.nan
+    table[51, 3] = np.inf
+    path = write(tmp_path / "log.csv", table)
+    found = CsvLog(path, STATES, INPUTS).read()
+    counted = "3 of 80 rows have values that are missing or not finite (angle: 1, volt: 2)"
+    assert f"{counted}; they were skipped" in found.notes
+    assert len(found.transitions) == 79 - 2 - 3  # a lost row costs the transitions before and after it
+    assert found.transitions.segment.unique().tolist() == [0, 1, 2]
+    assert bool(found.transitions.x.isfinite().all())
+    inside = found.transitions.segment[1:] == found.transitions.segment[:-1]
+    assert torch.equal(found.transitions.x[1:][inside], found.transitions.x_next[:-1][inside])
+    assert "the first in line 22; mend them or set missing=skip" in refusal(path, missing="refuse")
+
+
+def test_text_and_short_rows_are_missing_values(tmp_path):
+    path = tmp_path / "log.csv"
+    write(path, log())
+    lines = path.read_text().splitlines()
+    lines[10], lines[30] = "0.09,off,1,1", "0.29"
+    path.write_text("\n".join(lines))
+    (note, gaps) = CsvLog(str(path), STATES, INPUTS).read().notes
+    assert "2 of 80 rows" in note and "angle: 2, rate: 1, volt: 1" in note and "2 gaps" in gaps
+
+
+def test_time_that_does_not_increase_is_refused_at_its_row(tmp_path):
+    table = log()
+    table[30, 0] = table[29, 0]
+    assert "0.29 s follows 0.29 s at complete row 31" in refusal(write(tmp_path / "equal.csv", table))
+    assert "0 s follows 0.79 s" in refusal(write(tmp_path / "two.csv", np.concatenate([log(), log()])))
+
+
+def test_a_constant_input_is_refused_by_its_name(tmp_path):
+    table = log()
+    table[:, 3] = 0.5
+    assert "input u is constant at 0.5" in refusal(write(tmp_path / "log.csv", table))
+
+
+def test_too_few_samples_are_refused_with_what_was_left_out(tmp_path):
+    table = log(52)
+    table[10, 1] = np.nan
+    said = refusal(write(tmp_path / "log.csv", table))
+    assert "gives 49 transitions; allowed are 50 or more" in said and "1 of 52 rows" in said
+    assert len(CsvLog(write(tmp_path / "enough.csv", log(51)), STATES, INPUTS).read().transitions) == 50
+
+
+def test_uneven_samples_are_resampled_on_the_states_curve_with_inputs_held(tmp_path):
+    t = 0.01 * np.arange(200) + 0.002 * np.random.default_rng(0).uniform(-1, 1, 200)
+    table = np.stack([t, np.sin(3 * t), 3 * np.cos(3 * t), np.where(t < 1.0, -1.0, 1.0)], -1)
+    found = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS, dt=0.01).read()
+    data = found.transitions
+    grid = t[0] + 0.01 * np.arange(len(data))
+    assert len(data) >= 197 and "resampled by splines" in found.notes[0]
+    assert np.allclose(data.x[:, 0], np.sin(3 * grid), atol=1e-6)
+    first = t[t >= 1.0][0]  # the first sample that saw the jump: it is held from there on
+    assert np.array_equal(data.u[:, 0].numpy(), np.where(grid < first, -1.0, 1.0))
+
+
+def test_gaps_split_the_recording(tmp_path):
+    table = np.delete(log(), [40, 41, 42], 0)
+    found = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS).read()
+    assert found.notes == ("1 gaps longer than 1.5 sampling times split the recording",)
+    assert len(found.transitions) == 75 and found.transitions.segment.bincount().tolist() == [39, 36]
+
+
+def test_uneven_samples_all_in_scraps_are_refused(tmp_path):
+    table = log(200)
+    table[::2, 0] += 0.003
+    table = table[np.arange(200) % 4 != 3]
+    assert "no stretch of the recording has 4 samples" in refusal(write(tmp_path / "log.csv", table), dt=0.01)
+
+
+def test_samples_at_a_stop_are_masked_but_not_a_start_at_rest(tmp_path):
+    table = log(200)
+    table[:, 1] = np.minimum(table[:, 1], 0.9)
+    stuck = int((table[:, 1] == 0.9).sum())
+    found = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS).read()
+    assert found.notes == (f"{stuck} samples with q at 0.9, a stop or saturation, were masked",)
+    assert not bool((found.transitions.x[:, 0] == 0.9).any() or (found.transitions.x_next[:, 0] == 0.9).any())
+    resting = np.concatenate([np.zeros((20, 4)), log(100)])
+    resting[:, 0], resting[20:, 1] = 0.01 * np.arange(120), 1.5 - np.cos(3 * log(100)[:, 0])
+    assert CsvLog(write(tmp_path / "rest.csv", resting), {"q": "angle"}, INPUTS).read().notes == ()
+
+
+def test_a_rate_that_was_not_logged_is_the_derivative_of_its_angle(tmp_path):
+    table = log()
+    states = {"q": "angle", "v": {"derivative_of": "q", "unit": "rad/s"}}
+    found = CsvLog(write(tmp_path / "log.csv", table), states, INPUTS).read()
+    assert found.notes == ("v was reconstructed from q",)
+    assert np.allclose(found.transitions.x[3:-3, 1], table[3:-4, 2], atol=1e-4)
+
+
+def test_stretches_too_short_for_a_rate_are_left_out_not_given_rate_zero(tmp_path):
+    table = np.delete(log(), [40, 44], 0)  # rows 41..43 stand alone
+    states = {"q": "angle", "v": {"derivative_of": "q"}}
+    found = CsvLog(write(tmp_path / "log.csv", table), states, INPUTS).read()
+    assert "3 samples in stretches under 7 samples have no rate; they were skipped" in found.notes
+    assert len(found.transitions) == 39 + 34
+    t = 0.01 * np.concatenate([np.arange(39), np.arange(45, 79)])
+    assert np.allclose(found.transitions.x[:, 1], 3 * np.cos(3 * t), atol=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("states", "inputs"),
+    [
+        ({"q": "angle", "v": Column(derivative_of="w")}, INPUTS),
+        ({"q": "angle", "v": Column()}, INPUTS),
+        ({"q": "angle", "v": Column(derivative_of="q"), "a": Column(derivative_of="v")}, INPUTS),
+        ({"q": "angle"}, {"u": "volt", "w": Column(derivative_of="u")}),
+    ],
+)
+def test_a_rate_of_nothing_logged_is_refused(tmp_path, states, inputs):
+    assert "has no column and is the derivative of" in refusal(write(tmp_path / "log.csv", log()), states, inputs)
+
+
+def test_settings_that_are_not_allowed_are_refused():
+    with pytest.raises(ValueError, match="allowed are skip, refuse"):
+        CsvLog("log.csv", STATES, INPUTS, missing="fill")
+    for states, inputs in (({}, INPUTS), (STATES, {})):
+        with pytest.raises(ValueError, match="no states or no inputs"):
+            CsvLog("log.csv", states, inputs)
