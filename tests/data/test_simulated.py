@@ -1,0 +1,68 @@
+"""A recording of a plant is the plant's own motion, without what touched a stop."""
+
+import numpy as np
+import torch
+from scipy.linalg import expm
+
+from dynasindy.data.simulated import record
+from dynasindy.systems.base import Signature, System
+from dynasindy.systems.stops import Stops
+
+
+class Oscillator(System):
+    """q'' = -4 q - 0.4 q' + 3 u."""
+
+    A = np.array([[0.0, 1.0], [-4.0, -0.4]])
+    B = np.array([[0.0], [3.0]])
+
+    def __init__(self, stops=None):
+        super().__init__(Signature(("q", "v"), ("rad", "rad/s"), ("u",), (1.0, 1.0)), stops)
+
+    def forward(self, x, u):
+        return x @ torch.from_numpy(self.A).to(x).mT + u @ torch.from_numpy(self.B).to(x).mT
+
+
+def exact(u: np.ndarray, dt: float, x0: np.ndarray) -> np.ndarray:
+    """The matrix exponential of [A B; 0 0]: the motion under held inputs."""
+    step = expm(dt * np.block([[Oscillator.A, Oscillator.B], [np.zeros((1, 3))]]))
+    states = [x0]
+    for held in u:
+        states.append(step[:2, :2] @ states[-1] + step[:2, 2:] @ held)
+    return np.array(states)
+
+
+def inputs(n: int = 60) -> torch.Tensor:
+    return torch.from_numpy(np.random.default_rng(0).uniform(-1, 1, (n, 1)))
+
+
+def test_a_linear_plant_moves_as_the_matrix_exponential_says():
+    u, start = inputs(), np.array([0.3, -0.2])
+    data = record(Oscillator(), u, 0.05, x0=torch.from_numpy(start))
+    motion = exact(u.numpy(), 0.05, start)
+    assert np.allclose(data.x, motion[:-1], atol=1e-9) and np.allclose(data.x_next, motion[1:], atol=1e-9)
+    assert torch.equal(data.u, u) and data.dt == 0.05 and data.segment.unique().tolist() == [0]
+
+
+def test_fewer_runge_kutta_steps_err_more_by_the_fourth_order():
+    u = inputs()
+    motion = exact(u.numpy(), 0.2, np.zeros(2))[1:]
+    errors = [np.abs(record(Oscillator(), u, 0.2, substeps=n).x_next.numpy() - motion).max() for n in (1, 2)]
+    assert 12 < errors[0] / errors[1] < 20
+
+
+def test_a_recording_starts_at_rest_in_double_precision_without_gradients():
+    data = record(Oscillator(), inputs(3).float().requires_grad_(), 0.05)
+    assert data.x[0].tolist() == [0.0, 0.0]
+    assert data.x.dtype == data.u.dtype == torch.float64 and not data.x_next.requires_grad
+
+
+def test_samples_that_touch_a_stop_are_left_out_and_split_the_recording():
+    plant = Oscillator(Stops((0,), (1,), (-0.5,), (0.5,)))
+    u = torch.cat([torch.full((20, 1), 1.0), torch.zeros(40, 1)]).double()
+    data = record(plant, u, 0.05)
+    free = exact(u.numpy(), 0.05, np.zeros(2))
+    before = int(np.argmax(free[1:, 0] >= 0.5))  # transitions that end below the stop
+    assert 0 < before < len(data) < 60
+    assert bool((data.x_next[:, 0].abs() < 0.5).all())
+    assert np.allclose(data.x_next[:before], free[1 : before + 1], atol=1e-9)
+    assert data.segment.tolist() == [0] * before + [1] * (len(data) - before)
