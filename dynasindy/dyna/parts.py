@@ -61,7 +61,8 @@ class Settings:
     held_out: int = 4
 
     def __post_init__(self) -> None:
-        if self.episodes < 0 or not self.updates_per_step >= 0 or (self.recent_steps or 1) < 1:
+        no_steps = self.recent_steps is not None and self.recent_steps < 1
+        if self.episodes < 0 or not self.updates_per_step >= 0 or no_steps:
             raise ValueError(
                 "train needs episodes >= 0, updates_per_step >= 0 and recent_steps >= 1 or null, "
                 f"got {self}; mend train"

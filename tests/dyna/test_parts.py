@@ -1,0 +1,45 @@
+"""Settings of the loop: what a loop cannot run with is refused when they are made."""
+
+import math
+from dataclasses import FrozenInstanceError, fields
+
+import pytest
+
+from dynasindy.dyna.parts import Parts, Settings
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"episodes": -1}, "episodes >= 0"),
+        ({"updates_per_step": -0.5}, "updates_per_step >= 0"),
+        ({"updates_per_step": math.nan}, "updates_per_step >= 0"),
+        ({"recent_steps": 0}, "recent_steps >= 1 or null"),
+        ({"recent_steps": -3}, "recent_steps >= 1 or null"),
+        ({"held_out": 1}, "held_out is 1; give 0 for no test, or 2 or more"),
+        ({"held_out": -2}, "held_out is -2"),
+    ],
+)
+def test_settings_that_no_loop_can_run_with_are_refused(wrong, said):
+    with pytest.raises(ValueError, match=said) as error:
+        Settings(**({"episodes": 1} | wrong))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("fine", [{"episodes": 0}, {"updates_per_step": 0}, {"recent_steps": 1}, {"held_out": 0}])
+def test_the_smallest_allowed_settings_are_kept(fine):
+    settings = Settings(**({"episodes": 1} | fine))
+    assert {name: getattr(settings, name) for name in fine} == fine
+
+
+def test_settings_cannot_change_under_a_running_loop():
+    with pytest.raises(FrozenInstanceError):
+        Settings(1).episodes = 2
+
+
+def test_the_parts_are_those_that_algorithm_1_works_on():
+    assert {f.name for f in fields(Parts)} == {
+        *("plant", "env", "model_env", "excitation", "world_model", "agent", "replay", "planner", "gate"),
+    }
+    with pytest.raises(TypeError, match="gate"):
+        Parts(**dict.fromkeys([f.name for f in fields(Parts)][:-1]))
