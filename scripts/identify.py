@@ -2,9 +2,8 @@
 
 from pathlib import Path
 
-from command import command  # first: it sets what torchrl reads when it is imported
-
 import torch
+from command import command
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 

@@ -64,15 +64,21 @@ class Simulated:
     def __post_init__(self) -> None:
         if not self.dt > 0 or not self.validation_seconds > 0 or not self.noise >= 0:
             raise ValueError(
-                f"data=simulated got dt {self.dt} s, validation {self.validation_seconds} s, noise {self.noise}; allowed "
-                "are positive times and noise >= 0: correct them"
+                f"data=simulated got dt {self.dt} s, validation {self.validation_seconds} s, noise {self.noise}; "
+                "allowed are positive times and noise >= 0: correct them"
             )
 
     def load(self, system: System, excitation: ExcitationBuilder) -> Source:
         """Excite the plant for training, and by random held inputs of the same range for validation."""
         signal = excitation(n_u=system.signature.n_u, seed=self.seed)
-        levels = {"amplitude": (0.7 * signal.amplitude).tolist(), "offset": signal.offset.tolist()}
-        unseen = HeldRandom(system.signature.n_u, self.validation_seconds, signal.dt, seed=self.seed + 1, **levels)
+        unseen = HeldRandom(
+            system.signature.n_u,
+            self.validation_seconds,
+            signal.dt,
+            amplitude=(0.7 * signal.amplitude).tolist(),
+            offset=signal.offset.tolist(),
+            seed=self.seed + 1,
+        )
         training = record(system, signal.samples(self.dt), self.dt, self.substeps)
         validation = record(system, unseen.samples(self.dt), self.dt, self.substeps)
         left_out = signal.samples(self.dt).shape[0] - len(training)

@@ -38,13 +38,13 @@ def pysindy_library(library: Library) -> Any:
     """Return a `pysindy.CustomLibrary` that holds the same functions in the same order."""
     import pysindy
 
-    def evaluate(feature: Feature, *columns: Any) -> Any:
+    def _evaluate(feature: Feature, *columns: Any) -> Any:
         z = torch.stack([torch.as_tensor(np.asarray(c, dtype=np.float64)) for c in columns], -1)
         n_x = library.signature.n_x
         return Library(library.signature, [feature])(z[..., :n_x], z[..., n_x:])[..., 0].numpy()
 
     n = library.signature.n_x + library.signature.n_u
-    functions = [_with_arguments(functools.partial(evaluate, f), n) for f in library.features]
+    functions = [_with_arguments(functools.partial(_evaluate, f), n) for f in library.features]
     names = [_with_arguments(lambda *_, f=f: f.name(), n) for f in library.features]
     return pysindy.CustomLibrary(library_functions=functions, function_names=names)
 
@@ -54,7 +54,7 @@ def _with_arguments(call: Callable[..., Any], n: int) -> Callable[..., Any]:
     arguments = ", ".join(f"z{i}" for i in range(n))
     scope: dict[str, Any] = {"call": call}
     exec(f"def named({arguments}):\n    return call({arguments})", scope)
-    return scope["named"]  # type: ignore[no-any-return]
+    return scope["named"]
 
 
 def from_pysindy(theirs: Any, signature: Signature) -> SindyModel:
@@ -101,7 +101,7 @@ def to_sympy(model: SindyModel) -> dict[str, Any]:
     known = {"id": lambda z: z, "abs": sympy.Abs, "sign": sympy.sign}
     table = model.coefficients.tolist()
 
-    def expression(feature: Feature) -> Any:
+    def _expression(feature: Feature) -> Any:
         product = sympy.Integer(1)
         for factor in feature.factors:
             scale = sympy.Integer(1) if factor.frequency == 1 else sympy.Float(factor.frequency)
@@ -114,7 +114,8 @@ def to_sympy(model: SindyModel) -> dict[str, Any]:
 
     return {
         state: sum(
-            (table[k][i] * expression(f) for k, f in enumerate(model.library.features) if table[k][i]), sympy.Integer(0)
+            (table[k][i] * _expression(f) for k, f in enumerate(model.library.features) if table[k][i]),
+            sympy.Integer(0),
         )
         for i, state in enumerate(model.signature.state_names)
     }
