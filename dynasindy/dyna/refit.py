@@ -16,6 +16,8 @@ WINDOW_SECONDS = 1.0
 """Length of a held-out window: that of an imagined rollout of 20 control periods."""
 WORSE = 1.1
 """A refit is worse if its held-out error is larger by this factor: equally good models differ by less."""
+NEGLIGIBLE = 1e-5
+"""A held-out error that no plan can feel [ranges of the states]."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,7 @@ def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
     before = window_error(parts.model_env, rollout, starts, length)
     report = fit(parts, settings, held_out)
     after = window_error(parts.model_env, rollout, starts, length)
-    kept = after <= WORSE * before
+    kept = after <= max(WORSE * before, NEGLIGIBLE)
     if not kept:
         parts.world_model.load_state_dict(earlier)
     return Refit(report, before, after, kept)
