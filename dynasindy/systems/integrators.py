@@ -28,7 +28,7 @@ def rk4(f: VectorField, x: Tensor, u: Tensor, dt: float) -> Tensor:
     k2 = f(torch.add(x, k1, alpha=0.5 * dt), u)
     k3 = f(torch.add(x, k2, alpha=0.5 * dt), u)
     k4 = f(torch.add(x, k3, alpha=dt), u)
-    return x + (dt / 6) * (k1 + 2 * (k2 + k3) + k4)
+    return torch.add(x, torch.add(k1 + k4, k2 + k3, alpha=2.0), alpha=dt / 6)
 
 
 def integrate(

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from dynasindy.world_models.features import Factor, Feature, function
+from dynasindy.world_models.features import Factor, function
 from dynasindy.world_models.library import Library
 
 Field = Callable[[Tensor, Tensor], Tensor]
@@ -30,37 +30,52 @@ def generate(library: Library, coefficients: Tensor) -> Field:
         `(x, u) -> dx`, `(*batch, n_x)`.
     """
     writer = _Writer(library, coefficients)
-    scope: dict[str, object] = {"torch": torch, **writer.functions}
+    scope: dict[str, object] = {"torch": torch, "constants": _Constants(writer.constants), **writer.functions}
     exec(compile(writer.source(), "<sparse model>", "exec"), scope)
     field: Field = scope["field"]  # type: ignore[assignment]
     field.__doc__ = writer.source()
     return field
 
 
+class _Constants:
+    """Keep numbers as tensors of the dtype and device in use: an operation then need not make them each time."""
+
+    def __init__(self, values: list[float]) -> None:
+        self.values = values
+        self.kept: dict[tuple[torch.dtype, torch.device], tuple[Tensor, ...]] = {}
+
+    def __call__(self, x: Tensor) -> tuple[Tensor, ...]:
+        """Return the numbers in the dtype and on the device of `x`."""
+        key = (x.dtype, x.device)
+        if key not in self.kept:
+            self.kept[key] = tuple(torch.tensor(v, dtype=x.dtype, device=x.device) for v in self.values)
+        return self.kept[key]
+
+
+Term = tuple[dict[Factor, int], float]  # powers of elementary functions, and the coefficient
+
+
 class _Writer:
     """Collect lines of code; every value is written once."""
 
     def __init__(self, library: Library, coefficients: Tensor) -> None:
-        self.library = library
         self.lines: list[str] = []
         self.written: dict[object, str] = {}
         self.functions: dict[str, object] = {}
-        names = (*library.signature.state_names, *library.signature.input_names)
-        self.variable = {n: f"z[{i}]" for i, n in enumerate(names)}
+        self.constants: list[float] = []
+        signature = library.signature
+        self.variable = {n: f"z[{i}]" for i, n in enumerate((*signature.state_names, *signature.input_names))}
         table = coefficients.tolist()
-        rows = [
-            [(f, table[k][i]) for k, f in enumerate(library.features) if table[k][i]]
-            for i in range(library.signature.n_x)
-        ]
-        self.uses = Counter(p for row in rows for f, _ in row for p in self._pairs(f))
-        self.results = [self._row(row) for row in rows]
+        powers = [{f.base: f.power for f in feature.factors} for feature in library.features]
+        rows = [[(p, table[k][i]) for k, p in enumerate(powers) if table[k][i]] for i in range(signature.n_x)]
+        self.results = [self._sum(row) if row else "torch.zeros_like(z[0])" for row in rows]
 
     def source(self) -> str:
         """Return the text of the function."""
-        body = "\n    ".join(self.lines)
+        body = "".join(f"    {line}\n" for line in self.lines)
         return (
-            "def field(x, u):\n    z = (*x.unbind(-1), *u.to(x.dtype).unbind(-1))\n    "
-            f"{body}\n    return torch.stack(torch.broadcast_tensors({', '.join(self.results)}), 0).movedim(0, -1)\n"
+            "def field(x, u):\n    k, z = constants(x), (*x.unbind(-1), *u.to(x.dtype).unbind(-1))\n"
+            f"{body}    return torch.stack(({', '.join(self.results)},), 0).movedim(0, -1)\n"
         )
 
     def _line(self, key: object, expression: str) -> str:
@@ -69,67 +84,79 @@ class _Writer:
             self.lines.append(f"{self.written[key]} = {expression}")
         return self.written[key]
 
-    def _row(self, row: list[tuple[Feature, float]]) -> str:
-        """Sum the terms of one state; terms with a common factor are summed before they are multiplied by it."""
-        if not row:
-            return self._line("zeros", "torch.zeros_like(z[0])")
-        constant = sum(c for f, c in row if not f.factors)
-        groups: dict[Factor | None, list[tuple[Feature, float]]] = {}
-        shared = Counter(p for f, _ in row for p in f.factors)
-        for feature, c in row:
-            common = [p for p in feature.factors if shared[p] > 1]
-            if feature.factors:
-                groups.setdefault(max(common, key=lambda p: shared[p]) if common else None, []).append((feature, c))
-        total = self._sum([(self._product(f.factors), c) for f, c in groups.pop(None, [])], constant)
-        for factor, members in groups.items():
-            if factor is None:
-                continue
-            rests = [(tuple(p for p in f.factors if p != factor), c) for f, c in members]
-            inner = self._sum([(self._product(f), c) for f, c in rests if f], sum(c for f, c in rests if not f))
-            product = (
-                f"torch.addcmul({total}, {inner}, {self._factor(factor)})"
-                if total
-                else f"{inner} * {self._factor(factor)}"
-            )
-            total = self._line(("sum", len(self.lines)), product)
-        return total
+    def _sum(self, terms: list[Term]) -> str:
+        """Write a sum; terms that share a function are summed before they are multiplied by it."""
+        shared = self._shared(terms)
+        if shared is None:
+            return self._plain_sum(terms)
+        group = [(p, c) for p, c in terms if shared in p]
+        rest = [(p, c) for p, c in terms if shared not in p]
+        power = min(p[shared] for p, _ in group)
+        inner = self._sum([(_divided(p, shared, power), c) for p, c in group])
+        factor = self._power(shared, power)
+        if not rest:
+            return self._line((inner, "*", factor), f"{inner} * {factor}")
+        total = self._sum(rest)
+        return self._line((total, inner, factor), f"torch.addcmul({total}, {inner}, {factor})")
 
-    def _sum(self, terms: list[tuple[str, float]], constant: float) -> str:
-        if not terms:
-            return self._line(("constant", constant), f"torch.full_like(z[0], {constant!r})") if constant else ""
-        value, c = terms[0]
-        total = value if c == 1 else self._line((value, c), f"{value} * {c!r}")
-        if constant:
-            total = self._line((total, "+", constant), f"{total} + {constant!r}")
-        for value, c in terms[1:]:
+    @staticmethod
+    def _shared(terms: list[Term]) -> Factor | None:
+        """Choose the function to take out of the brackets; none where a plain sum of powers is as short."""
+        uses = Counter(f for p, _ in terms for f in p)
+        if len(uses) < 2:
+            return None
+        # The most frequent function of many powers, cos(alpha_p) as a rule, stays inside: all brackets share its powers.
+        powers = {f: len({p.get(f, 0) for p, _ in terms}) for f in uses}
+        first, *others = sorted(uses, key=lambda f: (uses[f], powers[f]), reverse=True)
+        repeated = [f for f in others if uses[f] > 1]
+        return repeated[0] if repeated else None
+
+    def _plain_sum(self, terms: list[Term]) -> str:
+        constant = sum(c for p, c in terms if not p)
+        products = [(self._product(p), c) for p, c in terms if p]
+        if constant or not products:
+            total = self._constant(constant)
+            if not products:
+                return self._line(("constant", constant), f"torch.zeros_like(z[0]) + {total}")
+        else:
+            value, c = products.pop(0)
+            total = value if c == 1 else self._line((value, c), f"{value} * {self._constant(c)}")
+        for value, c in products:
             total = self._line((total, value, c), f"torch.add({total}, {value}, alpha={c!r})")
         return total
 
-    @staticmethod
-    def _pairs(feature: Feature) -> list[frozenset[Factor]]:
-        return [frozenset((a, b)) for i, a in enumerate(feature.factors) for b in feature.factors[:i]]
+    def _constant(self, value: float) -> str:
+        self.constants.append(value)
+        return f"k[{len(self.constants) - 1}]"
 
-    def _product(self, factors: tuple[Factor, ...]) -> str:
-        """Multiply factors, beginning with the pair that most terms share."""
-        if len(factors) == 1:
-            return self._factor(factors[0])
-        pairs = self._pairs(Feature(factors))
-        first = max(pairs, key=lambda p: self.uses[p])
-        ordered = sorted(factors, key=lambda f: f not in first)
-        value, key = self._factor(ordered[0]), frozenset(ordered[:1])
-        for factor in ordered[1:]:
-            key = key | {factor}
-            value = self._line(key, f"{value} * {self._factor(factor)}")
+    def _product(self, powers: dict[Factor, int]) -> str:
+        value, key = "", frozenset[tuple[Factor, int]]()
+        for factor, power in powers.items():
+            key = key | {(factor, power)}
+            one = self._power(factor, power)
+            value = self._line(key, f"{value} * {one}") if value else one
         return value
 
-    def _factor(self, factor: Factor) -> str:
-        if factor.power > 1:
-            half = self._factor(Factor(factor.variables, factor.function, factor.power - 1, factor.frequency))
-            return self._line(factor, f"{half} * {self._factor(factor.base)}")
+    def _power(self, factor: Factor, power: int) -> str:
+        if power < 0:
+            return self._line((factor, power), f"1 / {self._power(factor, -power)}")
+        if power == 1:
+            return self._value(factor)
+        half = power // 2
+        return self._line((factor, power), f"{self._power(factor, power - half)} * {self._power(factor, half)}")
+
+    def _value(self, factor: Factor) -> str:
         args = [self.variable[v] for v in factor.variables]
         if factor.frequency != 1:
-            args = [self._line((a, factor.frequency), f"{a} * {factor.frequency!r}") for a in args]
+            frequency = self._constant(factor.frequency)
+            args = [self._line((a, factor.frequency), f"{a} * {frequency}") for a in args]
         if factor.function == "id":
             return args[0]
         self.functions[f"f_{factor.function}"] = function(factor.function).compute
         return self._line(factor, f"f_{factor.function}({', '.join(args)})")
+
+
+def _divided(powers: dict[Factor, int], factor: Factor, power: int) -> dict[Factor, int]:
+    """Divide a product by a power of one of its functions."""
+    left = {**powers, factor: powers[factor] - power}
+    return {f: n for f, n in left.items() if n}

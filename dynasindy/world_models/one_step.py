@@ -9,7 +9,8 @@ from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.library import Library
-from dynasindy.world_models.regression import least_missed
+from dynasindy.world_models.regression import least_squares
+from dynasindy.world_models.selection import reconsider, walk_down
 from dynasindy.world_models.sensitivity import Parameters, Propagator
 
 LONGEST_STEP = 0.005
@@ -27,8 +28,8 @@ def refine_one_step(
     """Minimise the one-step prediction error over the active coefficients; drop those that do not matter.
 
     Each round makes one Gauss-Newton step with all active coefficients; from the same linear model coefficients
-    are dropped, least missed first, while the Bayesian criterion gains. It ends when neither the support nor the
-    coefficients move.
+    are dropped, least missed first, while the Bayesian criterion gains. When neither the support nor the
+    coefficients move, functions outside the model are reconsidered.
 
     Args:
         library: candidate functions.
@@ -44,13 +45,20 @@ def refine_one_step(
     data = data.to(torch.float64)
     floor = tolerance * (data.x_next - data.x).square().mean(0).sqrt()
     limit = math.log(len(data))
-    support = (xi != 0) & free
+    support, held = (xi != 0) & free, torch.where(free, 0.0, xi)
     for _ in range(6):
         xi, support = _descend(library, xi, support, data, floor, max_rounds)
-        missed = _missed(library, xi, support, free, data, floor, limit)
-        if not bool(missed.any()):
+        active, others = Parameters.where(support), Parameters.where(free & ~support)
+        if not len(active) or not len(others):
             break
-        support = support | missed
+        rows, target, scale = linear_model(library, xi, active + others, data, floor)
+        triangle = torch.linalg.qr(torch.cat([rows, target], -1), mode="r")[1]
+        better = reconsider(triangle, 0, active, others, limit)
+        if better is None:
+            break
+        chosen = (active + others).take(better)
+        xi = chosen.write(held, least_squares(triangle[:, better], triangle[:, -1]) / scale[better])
+        support = chosen.support(support.shape)
     return xi
 
 
@@ -73,21 +81,6 @@ def _descend(
         if len(chosen) == len(parameters) and float(change.max()) < 1e-7:
             break
     return xi, support
-
-
-def _missed(
-    library: Library, xi: Tensor, support: Tensor, free: Tensor, data: Transitions, floor: Tensor, limit: float
-) -> Tensor:
-    """Find functions that are not in the model but would lower its error by more than they cost (a score test)."""
-    others = Parameters.where(free & ~support)
-    if not len(others) or not bool(support.any()):
-        return torch.zeros_like(support)
-    rows, target, _ = linear_model(library, xi, Parameters.where(support) + others, data, floor)
-    n = int(support.sum())
-    basis = torch.linalg.qr(rows[:, :n])[0]
-    error, columns = (t - basis @ (basis.mT @ t) for t in (target, rows[:, n:]))
-    growth = (columns.mT @ error).squeeze(-1).square() / columns.square().sum(0).clamp_min(1e-12)
-    return others.best_of_each_state(growth, 2 * limit).support(support.shape)
 
 
 def linear_model(
@@ -114,28 +107,3 @@ def linear_model(
     scale = rows.norm(dim=0).clamp_min(1e-300)
     target = (error * weight).reshape(-1, 1) + rows @ parameters.read(xi).unsqueeze(-1)
     return rows / scale, target, scale
-
-
-def walk_down(triangle: Tensor, removable: Tensor, limit: float) -> tuple[Tensor, Tensor]:
-    """Drop parameters, least missed first, while each costs less than `limit` of squared weighted error.
-
-    Args:
-        triangle: R of [columns, target], `(n + 1, n + 1)`.
-        removable: parameters that may be dropped, bool `(n,)`.
-        limit: growth of the squared error, in units of its variance, that a parameter must be worth.
-
-    Returns:
-        Positions of the parameters that stay, and their values, both `(n_kept,)`.
-    """
-    active = torch.arange(triangle.shape[1] - 1)
-    while True:
-        n = len(active)
-        j, growth = least_missed(triangle, n, removable[active])
-        if j < 0 or growth >= limit:
-            break
-        keep = [k for k in range(n) if k != j]
-        triangle = torch.linalg.qr(triangle[:, [*keep, n]], mode="r")[1]
-        active = active[keep]
-    n = len(active)
-    values = torch.linalg.solve_triangular(triangle[:n, :n], triangle[:n, n:], upper=True).squeeze(-1)
-    return active, values

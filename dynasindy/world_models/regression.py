@@ -22,6 +22,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.selection import least_missed
 
 Rows = tuple[Tensor, Tensor]
 Theta = Callable[[Tensor, Tensor], Tensor]
@@ -266,29 +267,3 @@ def _best_subset(theta: Tensor, target: Tensor, active: Tensor, count: int, tole
         keep = [k for k in range(n) if k != j]
         triangle = torch.linalg.qr(triangle[:, [*keep, n]], mode="r")[1]
         active = active[keep]
-
-
-def least_missed(triangle: Tensor, n: int, removable: Tensor | None = None) -> tuple[int, float]:
-    """Find the column whose removal lets the squared residual grow least; a dependent column is free to go.
-
-    Args:
-        triangle: R of [columns, target], `(n + 1, n + 1)` or taller.
-        n: number of columns.
-        removable: columns to choose from, bool `(n,)`; all by default.
-
-    Returns:
-        Position of the column and the growth of the squared residual; -1 where there is nothing to choose.
-    """
-    if n == 0 or (removable is not None and not bool(removable.any())):
-        return -1, math.inf
-    square, rotated = triangle[:n, :n], triangle[:n, n]
-    pivots = square.diagonal().abs()
-    if removable is not None:
-        pivots = torch.where(removable, pivots, math.inf)
-    if float(pivots.min()) < 1e-13:
-        return int(pivots.argmin()), 0.0
-    inverse = torch.linalg.solve_triangular(square, torch.eye(n, dtype=square.dtype), upper=True)
-    growth = (inverse @ rotated).square() / inverse.square().sum(-1)
-    if removable is not None:
-        growth = torch.where(removable, growth, math.inf)
-    return int(growth.argmin()), float(growth.min())

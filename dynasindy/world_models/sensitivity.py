@@ -39,18 +39,22 @@ class Parameters:
         """Name these coefficients, then the others."""
         return Parameters(torch.cat([self.features, other.features]), torch.cat([self.states, other.states]))
 
+    def take(self, places: Tensor) -> Parameters:
+        """Return those at the given places."""
+        return Parameters(self.features[places], self.states[places])
+
     def __len__(self) -> int:
         """Count the coefficients."""
         return len(self.features)
 
-    def best_of_each_state(self, gain: Tensor, limit: float) -> Parameters:
-        """Return, for each state, the coefficient of largest gain, if that is above the limit."""
-        best = []
+    def best_of_each_state(self, gain: Tensor, limit: float) -> Tensor:
+        """Return, for each state, the place of the coefficient of largest gain, if that is above the limit."""
+        best: list[int] = []
         for state in self.states.unique().tolist():
             mine = (self.states == state).nonzero().flatten()
             first = mine[gain[mine].argmax()]
             best += [int(first)] if float(gain[first]) > limit else []
-        return Parameters(self.features[best], self.states[best])
+        return torch.tensor(best, dtype=torch.int64)
 
     def read(self, xi: Tensor) -> Tensor:
         """Return their values, `(P,)`."""

@@ -24,7 +24,7 @@ from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.library import Library
-from dynasindy.world_models.one_step import walk_down
+from dynasindy.world_models.selection import reconsider, walk_down
 from dynasindy.world_models.sensitivity import Parameters, Propagator
 
 
@@ -179,10 +179,16 @@ def refine_trajectory(
     support = (xi != 0) & free
     for _ in range(6):
         estimate, support = _descend(library, estimate, support, windows, (limit, max_rounds))
-        missed = _missed(library, estimate, support, free, windows, limit)
-        if not bool(missed.any()):
+        active, others = Parameters.where(support), Parameters.where(free & ~support)
+        if not len(active) or not len(others):
             break
-        support = support | missed
+        model = linearise(library, estimate, active + others, windows, None)
+        n_start = len(model.scale) - len(active) - len(others)
+        better = reconsider(model.triangle, n_start, active, others, limit)
+        if better is None:
+            break
+        estimate = _move(estimate, model, active + others, torch.cat([torch.arange(n_start), n_start + better]))
+        support = (active + others).take(better).support(support.shape)
     return estimate.xi
 
 
@@ -202,20 +208,6 @@ def _descend(
         chosen = kept[kept >= n_start] - n_start
         support = Parameters(parameters.features[chosen], parameters.states[chosen]).support(support.shape)
     return estimate, support
-
-
-def _missed(
-    library: Library, estimate: Estimate, support: Tensor, free: Tensor, windows: Windows, limit: float
-) -> Tensor:
-    """Find functions that are not in the model but would lower its error by more than they cost (a score test)."""
-    others = Parameters.where(free & ~support)
-    if not len(others):
-        return torch.zeros_like(support)
-    model = linearise(library, estimate, Parameters.where(support) + others, windows, None)
-    n = len(model.scale) - len(others)
-    columns, error = model.triangle[n:, n:-1], model.triangle[n:, -1]
-    growth = (columns.mT @ error).square() / columns.square().sum(0).clamp_min(1e-12)
-    return others.best_of_each_state(growth, limit).support(support.shape)
 
 
 def _converge(
