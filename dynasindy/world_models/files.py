@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -49,7 +50,7 @@ def load(path: str | Path) -> tuple[Library, Tensor]:
         The library and Xi, `(n_features, n_x)` float64.
 
     Raises:
-        ValueError: the file is not JSON, or not of this format.
+        ValueError: the file is not JSON, not of this format, or damaged.
         ValueError: the library uses a function that is not registered.
     """
     try:
@@ -58,10 +59,26 @@ def load(path: str | Path) -> tuple[Library, Tensor]:
         raise ValueError(f"{path} is not JSON ({error}); allowed is a file that SindyModel.save wrote") from error
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise ValueError(f"{path} is not of the format {FORMAT!r}; allowed is a file that SindyModel.save wrote")
+    try:
+        return _model(data)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(
+            f"{path} is damaged ({type(error).__name__}: {error}); allowed is a file that "
+            "SindyModel.save wrote: save it anew"
+        ) from error
+
+
+def _model(data: dict[str, Any]) -> tuple[Library, Tensor]:
     signature = Signature(**data["signature"])
-    library = Library(signature, [Feature.from_list(f) for f in data["library"].values()])
+    library = Library(signature, [_feature(f) for f in data["library"].values()])
     coefficients = torch.zeros(len(library), signature.n_x, dtype=torch.float64)
     for i, state in enumerate(signature.state_names):
         for name, value in data["coefficients"][state].items():
             coefficients[library.index(name), i] = value
     return library, coefficients
+
+
+def _feature(factors: list[list[Any]]) -> Feature:
+    if any(len(factor) != 4 for factor in factors):
+        raise TypeError("a function has no variables, name, power and frequency")
+    return Feature.from_list(factors)

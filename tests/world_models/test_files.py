@@ -1,0 +1,126 @@
+"""A model survives its file to the last digit; a file that is damaged says so in one line."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy.systems import Tras, Xi
+from dynasindy.world_models.features import CONSTANT, of, register_function, variable
+from dynasindy.world_models.files import FORMAT, load, save
+from dynasindy.world_models.libraries import build_library
+from dynasindy.world_models.library import Library
+
+
+def coefficients(library: Library) -> torch.Tensor:
+    generator = np.random.default_rng(0)
+    size = 10.0 ** generator.uniform(-12, 12, (len(library), 6))
+    return torch.from_numpy(np.where(generator.random(size.shape) < 0.3, size * generator.normal(size=size.shape), 0))
+
+
+@pytest.fixture
+def written(tmp_path):
+    library = build_library("paper_table", Xi().signature)
+    save(library, coefficients(library), tmp_path / "model.json")
+    return tmp_path / "model.json"
+
+
+@pytest.mark.parametrize("name", ["paper_table", "paper_equation", "rotor", "rotor_reaction", "fourier"])
+def test_what_is_loaded_is_what_was_saved(tmp_path, name):
+    library = build_library(name, Tras().signature)
+    xi = coefficients(library)
+    save(library, xi, tmp_path / "model.json")
+    again, back = load(tmp_path / "model.json")
+    assert again.names == library.names and again.signature == library.signature
+    assert torch.equal(back, xi) and back.dtype == torch.float64
+
+
+def test_powers_and_frequencies_of_any_size_are_kept(tmp_path):
+    features = [CONSTANT, of("sin", "alpha_a", frequency=np.pi, power=2) * variable("u_a", -1), of("exp", "Omega_a")]
+    library = Library(Xi().signature, features)
+    save(library, torch.ones(3, 6, dtype=torch.float64), tmp_path / "model.json")
+    assert load(tmp_path / "model.json")[0].features == tuple(features)
+
+
+def test_a_file_can_be_read_by_a_person(written):
+    data = json.loads(written.read_text())
+    library, xi = load(written)
+    assert data["format"] == FORMAT
+    assert [line.partition("'")[0] for line in data["equations"]] == list(library.signature.state_names)
+    assert data["signature"]["input_names"] == ["u_a", "u_p"]
+    numbers = {(s, n): v for s, row in data["coefficients"].items() for n, v in row.items()}
+    places = [(i, k) for i in range(6) for k in range(27) if xi[k, i]]
+    states = library.signature.state_names
+    assert numbers == {(states[i], library.names[k]): float(xi[k, i]) for i, k in places} and len(places) > 20
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "is not JSON"),
+        ("{", "is not JSON"),
+        ("[1, 2]", "is not of the format"),
+        ('{"format": "another 2"}', "is not of the format"),
+        (json.dumps({"format": FORMAT}), "is damaged"),
+    ],
+)
+def test_other_files_are_refused(tmp_path, text, said):
+    (tmp_path / "model.json").write_text(text)
+    with pytest.raises(ValueError, match=said) as error:
+        load(tmp_path / "model.json")
+    assert "\n" not in str(error.value) and "model.json" in str(error.value)
+
+
+def test_a_file_cut_short_is_refused(written):
+    written.write_text(written.read_text()[:-200])
+    with pytest.raises(ValueError, match="is not JSON"):
+        load(written)
+
+
+def remove_row(data):
+    del data["coefficients"]["omega_p"]
+
+
+def write_word(data):
+    data["coefficients"]["omega_p"]["u_p"] = "many"
+
+
+def forget_unit(data):
+    del data["signature"]["state_units"]
+
+
+def shorten_function(data):
+    data["library"]["u_p"] = [[["u_p"], "id"]]
+
+
+@pytest.mark.parametrize("damage", [remove_row, write_word, forget_unit, shorten_function])
+def test_a_file_damaged_inside_is_refused(written, damage):
+    data = json.loads(written.read_text())
+    damage(data)
+    written.write_text(json.dumps(data))
+    with pytest.raises(ValueError, match="is damaged") as error:
+        load(written)
+    assert "\n" not in str(error.value)
+
+
+def test_a_coefficient_of_no_function_is_refused(written):
+    data = json.loads(written.read_text())
+    data["coefficients"]["omega_p"]["u_p^3"] = 1.0
+    written.write_text(json.dumps(data))
+    with pytest.raises(ValueError, match=r"'u_p\^3' is not in the library"):
+        load(written)
+
+
+def test_a_user_s_function_must_be_registered_before_loading(tmp_path, monkeypatch):
+    from dynasindy.world_models import features
+
+    monkeypatch.setattr(features, "_REGISTRY", dict(features._REGISTRY))
+    register_function("cube_of_file_test", lambda z: z**3)
+    library = Library(Xi().signature, [of("cube_of_file_test", "Omega_a")])
+    save(library, torch.ones(1, 6), tmp_path / "model.json")
+    x, u = torch.full((1, 6), 2.0), torch.zeros(1, 2)
+    assert load(tmp_path / "model.json")[0](x, u).item() == 8.0
+    del features._REGISTRY["cube_of_file_test"]
+    with pytest.raises(ValueError, match=r"'cube_of_file_test' is not known.*register_function"):
+        load(tmp_path / "model.json")
