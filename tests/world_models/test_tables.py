@@ -1,0 +1,93 @@
+"""Tables of Xi say the same numbers as Xi, in every form."""
+
+import csv
+import io
+import re
+
+import pytest
+import torch
+
+from dynasindy.systems import Xi
+from dynasindy.systems.base import Signature
+from dynasindy.world_models.features import CONSTANT, of, variable
+from dynasindy.world_models.library import Library
+from dynasindy.world_models.sindy import SindyModel
+from dynasindy.world_models.tables import equations, to_csv, to_latex, to_text
+
+SIGNATURE = Signature(("alpha_p", "b"), ("rad", "m"), ("u",), (1.0, 1.0))
+LIBRARY = Library(SIGNATURE, [CONSTANT, variable("b"), variable("u", 2) * of("sin", "alpha_p"), of("cos", "alpha_p")])
+COEFFICIENTS = torch.tensor([[-0.5, 0], [1, 0], [0, 0], [-1, 12345.678]], dtype=torch.float64)
+
+
+def published() -> SindyModel:
+    """The table of the paper, found from exact derivatives."""
+    generator = torch.Generator().manual_seed(1)
+    x = (2 * torch.rand(2000, 6, generator=generator, dtype=torch.float64) - 1) * torch.tensor([1, 1, 1, 1, 3e3, 2e3])
+    u = 2 * torch.rand(2000, 2, generator=generator, dtype=torch.float64) - 1
+    model = SindyModel(Xi().signature)
+    model.fit_derivatives(x, u, Xi()(x, u))
+    return model
+
+
+def test_equations_write_signs_ones_and_empty_rows_as_a_reader_would():
+    assert equations(LIBRARY, COEFFICIENTS) == ["alpha_p' = -0.5 + b - cos(alpha_p)", "b' = 1.235e+04 cos(alpha_p)"]
+    assert equations(LIBRARY, COEFFICIENTS, digits=8)[1] == "b' = 12345.678 cos(alpha_p)"
+    assert equations(LIBRARY, torch.zeros(4, 2)) == ["alpha_p' = 0", "b' = 0"]
+    assert equations(LIBRARY, torch.tensor([[0.0, 1.0], [-1.0, 0], [2e-5, 0], [0, 0]])) == [
+        "alpha_p' = -b + 2e-05 u^2 sin(alpha_p)",
+        "b' = 1",
+    ]
+
+
+def test_the_paper_s_equations_are_printed():
+    lines = published().equations(digits=6)
+    assert lines[0] == "alpha_a' = Omega_a"
+    assert lines[2] == (
+        "Omega_a' = -10.0573 Omega_a + 0.00098316 omega_a cos(alpha_p) - 0.7025 u_p cos(alpha_p) + 0.9479 cos(alpha_p)"
+    )
+    assert lines[4] == "omega_a' = 262.7 - 5.2281 omega_a + 37000 u_a"
+
+
+def test_text_is_aligned_and_may_leave_out_empty_functions():
+    lines = to_text(LIBRARY, COEFFICIENTS).splitlines()
+    assert len(lines) == 5 and len({len(line) for line in lines}) == 1
+    assert lines[0].split() == ["function", "alpha_p'", "b'"]
+    assert lines[1].split() == ["1", "-0.5", "0"]
+    active = to_text(LIBRARY, COEFFICIENTS, active_only=True).splitlines()
+    assert len(active) == 4 and not any("u^2" in line for line in active)
+
+
+def test_latex_has_the_paper_s_form():
+    written = to_latex(LIBRARY, COEFFICIENTS, digits=3)
+    assert written.startswith("\\begin{tabular}{|c|c|c|}\n\\hline\n") and written.endswith("\\end{tabular}\n")
+    rows = [line for line in written.splitlines() if line.endswith(r"\\ \hline")]
+    assert len(rows) == 5 and all(row.count("&") == 2 for row in rows)
+    assert rows[0] == r"Library function & $\dot{\alpha_{p}}$ & $\dot{b}$ \\ \hline"
+    assert rows[3] == r"$u^{2} \, \sin \alpha_{p}$ & 0 & 0 \\ \hline"
+    assert rows[4] == r"$\cos \alpha_{p}$ & $-1$ & $1.23\times10^{4}$ \\ \hline"
+    assert written.count("{") == written.count("}")
+    assert len(to_latex(LIBRARY, COEFFICIENTS, active_only=True).splitlines()) == len(written.splitlines()) - 1
+
+
+def test_csv_holds_every_digit_and_the_units():
+    library, xi = LIBRARY, COEFFICIENTS / 3
+    header, *rows = csv.reader(io.StringIO(to_csv(library, xi)))
+    assert header == ["function", "d(alpha_p)/dt [rad/s]", "d(b)/dt [m/s]"]
+    assert [row[0] for row in rows] == list(library.names)
+    assert torch.equal(torch.tensor([[float(v) for v in row[1:]] for row in rows], dtype=torch.float64), xi)
+
+
+def test_all_forms_hold_the_19_published_numbers():
+    model = published()
+    text = to_text(model.library, model.coefficients, digits=7)
+    rows = {line[:24].strip(): line[24:].split() for line in text.splitlines()[1:]}
+    assert len(rows) == 27 and sum(v != "0" for row in rows.values() for v in row) == 19
+    assert rows["Omega_a^2 sin(alpha_p)"][3] == "-16.3547" and rows["1"][2:] == ["0", "0.5961", "262.7", "-8.54"]
+    latex = to_latex(model.library, model.coefficients, digits=6, active_only=True)
+    assert re.search(r"\\Omega_\{a\}\^\{2\} .* \$-16\.3547\$", latex)
+    numbers = [
+        float(v)
+        for row in list(csv.reader(io.StringIO(to_csv(model.library, model.coefficients))))[1:]
+        for v in row[1:]
+    ]
+    assert sorted(n for n in numbers if n)[-2:] == pytest.approx([6.1e3, 3.7e4])
