@@ -105,9 +105,9 @@ class _Writer:
         uses = Counter(f for p, _ in terms for f in p)
         if len(uses) < 2:
             return None
-        # The most frequent function of many powers, cos(alpha_p) as a rule, stays inside: all brackets share its powers.
+        # The most frequent function, cos(alpha_p) as a rule, stays inside: all brackets share its powers.
         powers = {f: len({p.get(f, 0) for p, _ in terms}) for f in uses}
-        first, *others = sorted(uses, key=lambda f: (uses[f], powers[f]), reverse=True)
+        _, *others = sorted(uses, key=lambda f: (uses[f], powers[f]), reverse=True)
         repeated = [f for f in others if uses[f] > 1]
         return repeated[0] if repeated else None
 

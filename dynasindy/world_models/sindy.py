@@ -81,6 +81,10 @@ class SindyModel(WorldModel):
             self._field_of = self.coefficients, self.coefficients._version
         return self._field(x, u)
 
+    def __getstate__(self) -> dict[str, object]:
+        """Leave generated code out of copies and pickles; it is written again when needed."""
+        return {**self.__dict__, "_field": None}
+
     def predict(self, x: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
         """Predict states one sampling time ahead, `(*batch, n_x)`, by `substeps` Runge-Kutta steps."""
         # State-major memory: every row of an elementwise operation is contiguous.

@@ -119,7 +119,12 @@ def linearise(
     scale = rows[:, :-1].norm(dim=0).clamp_min(1e-300)
     target = rows[:, -1:] + rows[:, n_start:-1] @ parameters.read(estimate.xi).unsqueeze(-1)
     triangle = torch.linalg.qr(torch.cat([rows[:, :-1] / scale, target], -1), mode="r")[1]
-    cost = float((error / sigma).square().sum() + (gaps / sigma).square().sum())
+    # A gap shifts all samples that follow, so closing it is worth more than the errors it hid.
+    gap_weight = 10.0 * windows.mask.shape[1]
+    starts_off = start_error[~windows.joined]
+    cost = float(
+        sum((w * (e / sigma).square().sum() for w, e in ((1.0, error), (1.0, starts_off), (gap_weight, gaps))))
+    )
     return Linearised(triangle, scale, cost, moves, sigma)
 
 
