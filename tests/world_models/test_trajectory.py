@@ -1,0 +1,121 @@
+"""The fit to whole trajectories is the maximum likelihood estimate: scipy's minimum, and the Cramer-Rao bound."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import least_squares
+
+from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.features import CONSTANT, variable
+from dynasindy.world_models.library import Library
+from dynasindy.world_models.one_step import refine_one_step
+from dynasindy.world_models.sensitivity import Parameters
+from dynasindy.world_models.trajectory import Estimate, Windows, linearise, refine_trajectory
+
+SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
+LIBRARY = Library(SIGNATURE, [variable("y"), variable("u"), CONSTANT, variable("y", 2)])
+A, B, Y0, DT, NOISE = -2.0, 3.0, 0.3, 0.01, 0.03
+TWO = torch.tensor([[True], [True], [False], [False]])
+INPUTS = np.random.default_rng(7).uniform(-1, 1, 20).repeat(10)
+
+
+def motion(a: float, b: float, y0: float, u: np.ndarray = INPUTS) -> np.ndarray:
+    """Exact states of y' = a y + b u under held inputs."""
+    phi, y = math.exp(a * DT), [y0]
+    for held in u:
+        y.append(phi * y[-1] + b * (phi - 1) / a * held)
+    return np.array(y)
+
+
+def recording(seed: int, noise: float = NOISE) -> Transitions:
+    y = motion(A, B, Y0) + noise * np.random.default_rng(seed).normal(size=201)
+    return Transitions.from_trajectory(torch.from_numpy(y).unsqueeze(-1), torch.from_numpy(INPUTS).unsqueeze(-1), DT)
+
+
+def column(*values: float) -> torch.Tensor:
+    return torch.tensor(values, dtype=torch.float64).unsqueeze(-1)
+
+
+def bound() -> np.ndarray:
+    """Cramer-Rao standard errors of a and b, the start state unknown, from central differences of the motion."""
+    place, slopes = np.array([A, B, Y0]), []
+    for k in range(3):
+        step = 1e-5 * np.eye(3)[k]
+        slopes.append((motion(*(place + step)) - motion(*(place - step))) / 2e-5)
+    information = np.array(slopes) @ np.array(slopes).T / NOISE**2
+    return np.sqrt(np.diag(np.linalg.inv(information)))[:2]
+
+
+@pytest.mark.parametrize("window", [10, 37, 200])
+def test_the_estimate_is_scipy_s_minimum_whatever_the_windows(window):
+    data = recording(0)
+    measured = np.append(data.x[:1, 0].numpy(), data.x_next[:, 0].numpy())
+    theirs = least_squares(lambda p: motion(*p) - measured, [A, B, Y0], xtol=1e-12, ftol=1e-12).x
+    found = refine_trajectory(LIBRARY, column(-1.5, 2.5, 0.0, 0.0), TWO, data, window)
+    error = np.abs(found[:2, 0].numpy() - theirs[:2])
+    assert np.all(error < 0.02 * bound()), error / bound()
+
+
+def test_its_spread_over_recordings_is_the_cramer_rao_bound():
+    estimates = np.array(
+        [refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), TWO, recording(k), 10)[:2, 0].numpy() for k in range(24)]
+    )
+    assert np.all(np.abs(estimates.mean(0) - [A, B]) < 4 * bound() / math.sqrt(24))
+    assert np.all(np.abs(estimates.std(0, ddof=1) / bound() - 1) < 0.35)
+
+
+def test_noise_in_the_states_biases_the_one_step_fit_but_not_this_one():
+    estimates = [
+        [f(LIBRARY, column(A, B, 0.0, 0.0), TWO, recording(k, 0.1), *more)[0, 0].item() for k in range(6)]
+        for f, more in ((refine_one_step, (1e-9,)), (refine_trajectory, (10,)))
+    ]
+    spread = 0.1 / NOISE * bound()[0] / math.sqrt(6)
+    assert abs(np.mean(estimates[0]) - A) > 8 * spread
+    assert abs(np.mean(estimates[1]) - A) < 4 * spread
+
+
+def test_functions_that_noise_suggests_are_dropped_and_those_that_are_missed_come_in():
+    free, data = torch.ones(4, 1, dtype=torch.bool), recording(1)
+    dropped = refine_trajectory(LIBRARY, column(-1.8, 2.8, 0.05, 0.05), free, data, 10)
+    assert (dropped != 0).flatten().tolist() == [True, True, False, False]
+    added = refine_trajectory(LIBRARY, column(0.0, 2.8, 0.0, 0.0), free, data, 10)
+    assert np.allclose(added, dropped, atol=0.05 * bound().max())
+
+
+def test_without_noise_the_plant_is_found():
+    found = refine_trajectory(LIBRARY, column(-1.0, 2.0, 0.0, 0.0), TWO, recording(0, 0.0), 10)
+    assert found[:2, 0].tolist() == pytest.approx([A, B], rel=1e-6)
+
+
+def test_windows_cut_every_segment_and_mask_what_is_filled_up():
+    x = torch.arange(8.0).unsqueeze(-1)
+    one = Transitions.from_trajectory(x, 10 * x[:7], 0.1)
+    windows = Windows.of(Transitions.cat([one, one.last(2)]), 3)
+    assert windows.first.flatten().tolist() == [0, 3, 6, 5]
+    assert windows.joined.tolist() == [False, True, True, False]
+    assert windows.mask.tolist() == [[1, 1, 1], [1, 1, 1], [1, 0, 0], [1, 1, 0]]
+    assert windows.measured[..., 0][windows.mask.bool()].tolist() == [1, 2, 3, 4, 5, 6, 7, 6, 7]
+    assert windows.inputs[..., 0][windows.mask.bool()].tolist() == [0, 10, 20, 30, 40, 50, 60, 50, 60]
+
+
+def test_condensing_leaves_the_slopes_of_one_long_trajectory():
+    # Windows that join exactly are one trajectory: the moves of the nodes are the slopes of its closed form.
+    y = motion(A, B, Y0, INPUTS[:40])
+    data = Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.from_numpy(INPUTS[:40])[:, None], DT)
+    windows = Windows.of(data, 10)
+    estimate = Estimate(column(A, B, 0.0, 0.0), torch.from_numpy(y[:40:10])[:, None])
+    model = linearise(LIBRARY, estimate, Parameters.where(TWO), windows, torch.ones(1).double())
+    place, slopes = np.array([Y0, A, B]), []
+    for step in 1e-5 * np.eye(3):
+        up, down = (motion(p[1], p[2], p[0], INPUTS[:40]) for p in (place + step, place - step))
+        slopes.append((up - down) / 2e-5)
+    slopes = np.array(slopes).T
+    assert np.allclose(model.moves[:, 0, :3], slopes[:40:10], atol=1e-6)
+    assert np.allclose(model.moves[:, 0, 3], 0.0, atol=1e-6)
+    # The triangle holds the start's own error and those of all 40 samples.
+    square = (model.triangle[:, :3] * model.scale).numpy()
+    assert np.allclose(square.T @ square, slopes.T @ slopes, rtol=1e-4, atol=1e-6)
+    assert model.cost < 1e-9
