@@ -60,8 +60,8 @@ def bag(model: SindyModel, data: Transitions, n_members: int = 50, blocks: int =
     """
     if n_members < 1 or blocks < 2 or len(data) < blocks:
         raise ValueError(
-            f"bag got {n_members} members and {blocks} blocks of {len(data)} transitions; allowed are 1 member, 2 blocks "
-            "and as many transitions as blocks, or more: correct them"
+            f"bag got {n_members} members and {blocks} blocks of {len(data)} transitions; allowed are 1 member, 2 "
+            "blocks and as many transitions as blocks, or more: correct them"
         )
     theta, dx = simpson_form(model.library, model, data)
     regression = (

@@ -1,0 +1,70 @@
+"""The identification benchmark at small size: what it counts is right, and its easy cases hold."""
+
+import csv
+
+import pytest
+import torch
+
+from dynasindy.benchmarks import identify
+from dynasindy.systems import Xi
+from dynasindy.world_models.sensitivity import Parameters
+
+
+def test_the_true_table_is_the_published_one():
+    truth = identify.true_table()
+    assert int((truth != 0).sum()) == 19
+    assert float(truth.abs().max()) == pytest.approx(3.7e4)
+
+
+def test_scores_count_true_and_false_terms():
+    truth = torch.tensor([[1.0, 0.0], [2.0, 0.0], [0.0, 4.0]])
+    found = torch.tensor([[1.1, 0.5], [0.0, 0.0], [0.0, 4.0]])
+    assert identify.score(found, truth) == (2, 1, pytest.approx(1.0))
+
+
+def test_ten_seconds_without_noise_give_the_plant():
+    rows = identify.noise_free(10.0, 0.01, 1e-6, 1)
+    assert rows[0]["value"] == "1 of 1"
+    assert float(rows[1]["value"]) < 1e-6
+
+
+def test_control_rate_data_give_the_plant():
+    rows = identify.noise_free(20.0, 0.05, 1e-4, 1)
+    assert rows[0]["value"] == "1 of 1"
+    assert float(rows[1]["value"]) < 1e-4
+
+
+def test_the_bound_falls_with_the_root_of_the_noise_and_grows_with_it():
+    truth = identify.true_table()
+    parameters = Parameters.where(truth != 0)
+    data = identify.xi_recording(5.0, 0.01, 0)
+    sigma = 1e-3 * data.x_next.std(0)
+    one, two = (identify.cramer_rao(truth, parameters, data, s) for s in (sigma, 2 * sigma))
+    assert torch.allclose(two, 2 * one, rtol=1e-6)
+    assert bool((one > 0).all())
+
+
+def test_the_rotor_model_of_tras_predicts_episodes():
+    rows = identify.tras(1)
+    assert float(rows[0]["value"]) < 2.0
+
+
+def test_rows_of_other_cases_stay_in_the_file(tmp_path, monkeypatch):
+    path = tmp_path / "table.csv"
+    quick = {name: lambda seeds, name=name: [identify.row(name, "m", str(seeds))] for name in ("first", "second")}
+    monkeypatch.setattr(identify, "CASES", quick)
+    identify.main(["--seeds", "1", "--out", str(path)])
+    identify.main(["--seeds", "2", "--only", "second", "--out", str(path)])
+    with path.open() as file:
+        assert [(r["case"], r["value"]) for r in csv.DictReader(file)] == [("first", "1"), ("second", "2")]
+
+
+def test_an_unknown_case_is_refused(capsys):
+    with pytest.raises(SystemExit):
+        identify.main(["--only", "venus"])
+    assert "unknown case venus" in capsys.readouterr().err
+
+
+def test_the_plant_of_the_noise_free_cases_is_that_of_the_package():
+    data = identify.xi_recording(0.1, 0.01, 0)
+    assert torch.allclose((data.x_next[0] - data.x[0]) / 0.01, Xi()(data.x[0], data.u[0]), rtol=0.2, atol=1.0)

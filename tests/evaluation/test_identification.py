@@ -1,0 +1,67 @@
+"""From a source of data to a model, its figures and its files."""
+
+import json
+from functools import partial
+
+import pytest
+import torch
+
+from dynasindy.evaluation.identification import Logged, Simulated, identify, to_words, write
+from dynasindy.excitation import Chirp
+from dynasindy.systems import Pendulum
+from dynasindy.world_models import Refinement, Regression, SindyModel
+
+EXCITATION = partial(Chirp, duration=10.0, amplitude=0.6)
+
+
+def _identified(source):
+    model = SindyModel(
+        source.signature, ["theta", "Omega", "u", "sin(theta)"], Regression("bic"), Refinement("one_step")
+    )
+    return identify(model, source)
+
+
+def test_the_pendulum_is_found_and_predicts_unseen_inputs():
+    source = Simulated().load(Pendulum(), EXCITATION)
+    found = _identified(source)
+    assert found.model.equations(3)[1] == "Omega' = -0.5 Omega + 12 u - 9.81 sin(theta)"
+    assert max(found.metrics["open_loop_nrmse"].values()) < 1e-4
+    assert "open loop" in to_words(found, source)
+
+
+def test_noise_has_the_level_asked_for_and_keeps_trajectories_whole():
+    clean, noisy = (Simulated(noise=n, seed=3).load(Pendulum(), EXCITATION).training for n in (0.0, 0.1))
+    error = noisy.x_next - clean.x_next
+    assert torch.allclose(error.std(0), 0.1 * clean.x.std(0), rtol=0.1)
+    assert torch.equal(noisy.x[1:], noisy.x_next[:-1])
+
+
+def test_everything_is_written(tmp_path):
+    source = Simulated(validation_seconds=2.0).load(Pendulum(), EXCITATION)
+    found = _identified(source)
+    write(found, source, tmp_path / "run")
+    names = {p.name for p in (tmp_path / "run").iterdir()}
+    assert names == {"model.json", "metrics.json", "report.txt", "xi.txt", "xi.tex", "xi.csv"}
+    assert json.loads((tmp_path / "run/metrics.json").read_text()) == found.metrics
+    assert torch.equal(SindyModel.load(tmp_path / "run/model.json").coefficients, found.model.coefficients)
+
+
+def test_a_log_of_the_pendulum_gives_the_pendulum(tmp_path):
+    data = Simulated().load(Pendulum(), EXCITATION).training
+    lines = ["t,angle,rate,torque"]
+    for k in range(len(data)):
+        lines.append(f"{k * data.dt},{data.x[k, 0] * 57.29577951308232},{data.x[k, 1]},{data.u[k, 0]}")
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    states = {"theta": {"name": "angle", "unit": "rad", "scale": 0.017453292519943295}, "Omega": "rate"}
+    source = Logged(str(tmp_path / "log.csv"), states, {"u": "torque"}, time="t").load(Pendulum(), EXCITATION)
+    assert _identified(source).model.equations(3)[1] == "Omega' = -0.5 Omega + 12 u - 9.81 sin(theta)"
+    assert len(source.validation) == pytest.approx(250, abs=2)
+
+
+def test_settings_that_make_no_sense_are_refused():
+    with pytest.raises(ValueError, match="noise -1"):
+        Simulated(noise=-1.0)
+    with pytest.raises(ValueError, match=r"data.path=log.csv"):
+        Logged(None, {"a": "a"}, {"u": "u"})
+    with pytest.raises(ValueError, match="validation_share 2"):
+        Logged("x.csv", {"a": "a"}, {"u": "u"}, validation_share=2.0)

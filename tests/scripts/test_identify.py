@@ -1,0 +1,37 @@
+"""The identification command writes what it found, and says in one line what is wrong."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+REPOSITORY = Path(__file__).parents[2]
+
+
+def _run(folder: Path, *words: str) -> subprocess.CompletedProcess:
+    return subprocess.run(
+        [sys.executable, "scripts/identify.py", f"folder={folder}", f"hydra.run.dir={folder}", *words],
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+
+
+def test_the_pendulum_is_identified_and_everything_written(tmp_path):
+    done = _run(tmp_path / "run", "system=pendulum", "excitation.duration=5", "data.validation_seconds=2")
+    assert done.returncode == 0, done.stderr
+    assert "Omega' = -0.5 Omega + 12 u - 9.81 sin(theta)" in done.stdout
+    names = {p.name for p in (tmp_path / "run").iterdir()}
+    assert {"model.json", "metrics.json", "report.txt", "xi.csv", "xi.tex", "xi.txt"} <= names
+    assert {"training_data.png", "prediction.png"} <= names
+    assert max(json.loads((tmp_path / "run/metrics.json").read_text())["open_loop_nrmse"].values()) < 1e-4
+
+
+def test_a_file_without_a_column_costs_one_line(tmp_path):
+    (tmp_path / "log.csv").write_text("time,alpha_a\n0,1\n")
+    done = _run(tmp_path / "run", "data=csv", f"data.path={tmp_path / 'log.csv'}")
+    assert done.returncode == 2
+    assert done.stderr.strip().count("\n") == 0
+    assert "has no column 'alpha_p'" in done.stderr

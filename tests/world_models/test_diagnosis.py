@@ -1,0 +1,39 @@
+"""What is missing from a library is named."""
+
+import torch
+
+from dynasindy.data.simulated import record
+from dynasindy.excitation import Multisine
+from dynasindy.systems.base import Signature, System
+from dynasindy.world_models import Refinement, Regression, SindyModel
+from dynasindy.world_models.diagnosis import diagnose
+
+
+class _Slide(System):
+    """A mass with Coulomb friction: v' = u - 0.2 v - 0.3 sign(v)."""
+
+    def __init__(self):
+        super().__init__(Signature(("s", "v"), ("m", "m/s"), ("u",), (1.0, 1.0)))
+
+    def forward(self, x, u):
+        return torch.stack([x[..., 1], u[..., 0] - 0.2 * x[..., 1] - 0.3 * torch.tanh(20 * x[..., 1])], -1)
+
+
+def _fitted(library):
+    data = record(_Slide(), Multisine(1, 20.0, amplitude=0.9, seed=2).samples(0.01), 0.01)
+    model = SindyModel(_Slide().signature, library, Regression("bic"), Refinement())
+    model.fit(data)
+    return model, data
+
+
+def test_friction_that_no_function_holds_is_named():
+    model, data = _fitted(["s", "v", "u"])
+    (missing,) = diagnose(model, data)
+    assert missing.state == "v"
+    assert missing.function == "tanh(20 v)"
+    assert missing.share > 0.9
+    assert "tanh(20 v)" in str(missing)
+
+
+def test_a_complete_library_has_nothing_missing():
+    assert diagnose(*_fitted(["s", "v", "u", "tanh(20 v)"])) == []

@@ -1,0 +1,73 @@
+"""Selection on a triangular factor equals selection by refitting."""
+
+import itertools
+
+import pytest
+import torch
+
+from dynasindy.world_models.selection import least_missed, reconsider, walk_down
+from dynasindy.world_models.sensitivity import Parameters
+
+
+def _problem(seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+    columns = torch.randn(60, 5, generator=generator, dtype=torch.float64)
+    target = columns[:, :1] - 2 * columns[:, 2:3] + 0.1 * torch.randn(60, 1, generator=generator, dtype=torch.float64)
+    return columns, target
+
+
+def _squared(columns: torch.Tensor, target: torch.Tensor) -> float:
+    return float((target - columns @ torch.linalg.pinv(columns) @ target).square().sum())
+
+
+def _triangle(*parts: torch.Tensor) -> torch.Tensor:
+    return torch.linalg.qr(torch.cat(parts, -1), mode="r")[1]
+
+
+def test_the_least_missed_column_is_the_one_whose_refit_costs_least():
+    columns, target = _problem()
+    costs = [
+        _squared(columns[:, [k for k in range(5) if k != j]], target) - _squared(columns, target) for j in range(5)
+    ]
+    j, growth = least_missed(_triangle(columns, target), 5)
+    assert j == min(range(5), key=costs.__getitem__)
+    assert growth == pytest.approx(min(costs))
+
+
+def test_walking_down_ends_at_the_best_subset_of_its_size():
+    columns, target = _problem()
+    kept, values = walk_down(_triangle(columns, target) / 0.1, torch.ones(5, dtype=torch.bool), 12.0)
+    best = min(itertools.combinations(range(5), 2), key=lambda s: _squared(columns[:, list(s)], target))
+    assert tuple(kept.tolist()) == best == (0, 2)
+    assert torch.allclose(values, (torch.linalg.pinv(columns[:, [0, 2]]) @ target).squeeze(-1))
+
+
+def test_columns_that_are_not_removable_stay():
+    columns, target = _problem()
+    kept, _ = walk_down(_triangle(columns, target) / 0.1, torch.tensor([True, False, True, True, True]), 1e9)
+    assert kept.tolist() == [1]
+
+
+def test_a_missed_function_is_taken_in():
+    columns, target = _problem()
+    active = Parameters(torch.tensor([0, 1]), torch.tensor([0, 0]))
+    others = Parameters(torch.tensor([2, 3]), torch.tensor([0, 0]))
+    better = reconsider(_triangle(columns[:, [0, 1, 2, 3]], target) / 0.1, 0, active, others, 5.0)
+    assert better.tolist() == [0, 1, 2]
+
+
+def test_three_functions_that_imitate_one_are_exchanged_for_it():
+    """alpha, alpha cos(alpha), alpha^2 sin(alpha) imitate sin(alpha) at small angles."""
+    a = torch.linspace(-0.3, 0.3, 200, dtype=torch.float64)
+    columns = torch.stack([a, a * a.cos(), a**2 * a.sin(), a.sin()], -1)
+    active = Parameters(torch.tensor([0, 1, 2]), torch.tensor([0, 0, 0]))
+    others = Parameters(torch.tensor([3]), torch.tensor([0]))
+    better = reconsider(_triangle(columns, columns[:, 3:]) / 1e-6, 0, active, others, 5.0)
+    assert better.tolist() == [3]
+
+
+def test_nothing_better_is_said_so():
+    columns, target = _problem()
+    active = Parameters(torch.tensor([0, 2]), torch.tensor([0, 0]))
+    others = Parameters(torch.tensor([1, 3]), torch.tensor([0, 0]))
+    assert reconsider(_triangle(columns[:, [0, 2, 1, 3]], target) / 0.1, 0, active, others, 20.0) is None
