@@ -84,11 +84,11 @@ class TrasConstants:
             raise ValueError(f"spread must be in [0, 1), got {spread}; 0.1 changes every constant by up to 10 %")
         rng = random.Random(seed)
 
-        def off(value: float) -> float:
+        def _off(value: float) -> float:
             return value * (1 + spread * rng.uniform(-1, 1))
 
         values = {field.name: getattr(self, field.name) for field in fields(self)}
-        changed: dict[str, Any] = {k: tuple(map(off, v)) if isinstance(v, tuple) else off(v) for k, v in values.items()}
+        changed: dict[str, Any] = {k: tuple(map(_off, v)) if isinstance(v, tuple) else _off(v) for k, v in values.items()}
         return replace(self, **changed)
 
 

@@ -28,7 +28,7 @@ class PySindyDefault(WorldModel):
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Compute dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
-        return self.model(x, u)  # type: ignore[no-any-return]
+        return self.model(x, u)
 
     def fit(self, transitions: Transitions) -> None:
         """Fit to the segments of transitions, as PySINDy's list of trajectories; short ones are left out."""
