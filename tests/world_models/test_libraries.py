@@ -1,5 +1,9 @@
-"""Named libraries hold the functions that they are named for."""
+"""Named libraries hold the functions that they are named for, as PySINDy computes them."""
 
+import math
+
+import numpy as np
+import pysindy
 import pytest
 import torch
 
@@ -7,6 +11,8 @@ from dynasindy.systems import Tras, Xi
 from dynasindy.systems.base import Signature
 from dynasindy.world_models.features import of, register_function, variable
 from dynasindy.world_models.libraries import (
+    NAMED,
+    build_library,
     fourier,
     paper_equation,
     paper_table,
@@ -75,3 +81,98 @@ def test_degrees_and_harmonics_below_one_are_refused():
         polynomial(SIGNATURE, degree=0)
     with pytest.raises(ValueError, match="0 harmonics"):
         fourier(SIGNATURE, n_frequencies=0)
+
+
+def _wide_points(n: int = 60) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = np.random.default_rng(0)
+    return torch.from_numpy(generator.uniform(-2, 2, (n, 6))), torch.from_numpy(generator.uniform(-1, 1, (n, 2)))
+
+
+def _values(library, z) -> np.ndarray:
+    return np.asarray(library.fit(z).transform(z))
+
+
+def _same_functions(ours: torch.Tensor, theirs: np.ndarray) -> bool:
+    """Whether columns are equal up to their order."""
+    if ours.shape != theirs.shape:
+        return False
+    one, two = (table[:, np.lexsort(np.round(table, 9))] for table in (ours.numpy(), theirs))
+    return np.allclose(one, two, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_polynomials_are_pysindy_s(degree):
+    x, u = _wide_points()
+    theirs = _values(pysindy.PolynomialLibrary(degree), torch.cat([x, u], -1).numpy())
+    assert theirs.shape[1] == math.comb(8 + degree, degree)
+    assert _same_functions(polynomial(Xi().signature, degree)(x, u), theirs)
+
+
+@pytest.mark.parametrize("harmonics", [1, 3])
+def test_harmonics_are_pysindy_s(harmonics):
+    x, u = _wide_points()
+    theirs = _values(pysindy.FourierLibrary(harmonics), torch.cat([x, u], -1).numpy())
+    assert _same_functions(fourier(Xi().signature, harmonics)(x, u), theirs)
+
+
+def test_the_paper_s_libraries_are_made_of_pysindy_s():
+    x, u = _wide_points()
+    z = torch.cat([x, u], -1).numpy()
+    linear = _values(pysindy.PolynomialLibrary(1, include_bias=False), z)
+    trigonometric = _values(pysindy.FourierLibrary(1), z)
+    sine, cosine = _values(pysindy.FourierLibrary(1), z[:, 1:2]).T[:, :, None]
+    products = [linear, linear * cosine, linear**2 * sine]
+    table = np.concatenate([np.ones((60, 1)), *products, sine, cosine], 1)
+    assert np.allclose(paper_table(Xi().signature)(x, u), table)  # in the order of the table
+    assert _same_functions(paper_equation(Xi().signature)(x, u), np.concatenate([*products, trigonometric], 1))
+
+
+def test_the_angle_of_the_paper_s_library_may_be_another():
+    x, u = _wide_points()
+    theta = paper_table(Xi().signature, angle="alpha_a")(x, u)
+    assert torch.allclose(theta[:, 25], torch.sin(x[:, 0])) and torch.allclose(theta[:, 26], torch.cos(x[:, 0]))
+
+
+@pytest.mark.parametrize("rate", ["Omega_p", "omega_a", "omega_p"])
+def test_the_rotor_library_represents_the_equations_of_tras(rate):
+    # Exact derivatives of the first-principles plant lie in the span of the functions allowed in that equation.
+    library, plant = rotor(Tras().signature), Tras()
+    x, u = _wide_points(400)
+    x = x * torch.tensor([1, 0.3, 1, 1, 2000, 1500])
+    allowed = [library.index(n) for n in library.allowed[rate]]
+    theta, dx = library(x, u)[:, allowed], plant(x, u)[:, [plant.signature.state_index(rate)]]
+    scaled = theta / theta.norm(dim=0)
+    rest = dx - scaled @ torch.linalg.lstsq(scaled, dx, driver="gelsd").solution
+    assert float(rest.norm() / (dx - dx.mean()).norm()) < 1e-3
+
+
+@pytest.mark.parametrize("name", list(NAMED))
+def test_every_named_library_is_finite_and_without_repeats(name):
+    library = build_library(name, Xi().signature)
+    theta = library(*_wide_points())
+    assert theta.shape == (60, len(library)) and bool(theta.isfinite().all())
+    assert len(set(library.names)) == len(library)
+
+
+def test_libraries_are_built_from_words_builders_and_libraries():
+    words = build_library(["1", "alpha_p", "omega_a |omega_a|", "Omega_a^2 sin(2 alpha_p)"], Xi().signature)
+    x, u = _wide_points()
+    expected = [torch.ones(60).double(), x[:, 1], x[:, 4] * x[:, 4].abs(), x[:, 2] ** 2 * torch.sin(2 * x[:, 1])]
+    assert torch.allclose(words(x, u), torch.stack(expected, -1))
+    assert build_library(words, Xi().signature) is words
+    assert len(build_library(lambda s: polynomial(s, 1), Xi().signature)) == 9
+
+
+@pytest.mark.parametrize(
+    ("build", "said"),
+    [
+        (lambda: build_library("papertable", SIGNATURE), "'papertable' does not exist; allowed are paper_table"),
+        (lambda: build_library(["a +"], SIGNATURE), "cannot be read"),
+        (lambda: build_library(["sinus(a)"], SIGNATURE), "'sinus' is not known"),
+        (lambda: paper_table(SIGNATURE), "names alpha_p, which do not exist"),
+    ],
+)
+def test_what_cannot_be_built_is_refused_in_one_line(build, said):
+    with pytest.raises(ValueError, match=r".") as error:
+        build()
+    assert said in str(error.value) and "\n" not in str(error.value)
