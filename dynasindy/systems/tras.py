@@ -88,7 +88,9 @@ class TrasConstants:
             return value * (1 + spread * rng.uniform(-1, 1))
 
         values = {field.name: getattr(self, field.name) for field in fields(self)}
-        changed: dict[str, Any] = {k: tuple(map(_off, v)) if isinstance(v, tuple) else _off(v) for k, v in values.items()}
+        changed: dict[str, Any] = {
+            k: tuple(map(_off, v)) if isinstance(v, tuple) else _off(v) for k, v in values.items()
+        }
         return replace(self, **changed)
 
 
