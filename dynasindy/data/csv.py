@@ -158,9 +158,7 @@ class CsvLog:
                 )
 
 
-def _columns(
-    group: Mapping[str, Column | Mapping[str, object] | str], may_be_rates: bool = True
-) -> dict[str, Column]:
+def _columns(group: Mapping[str, Column | Mapping[str, object] | str], may_be_rates: bool = True) -> dict[str, Column]:
     made = {name: _column(given) for name, given in group.items()}
     logged = [name for name, column in made.items() if column.name] if may_be_rates else []
     for name, column in made.items():
