@@ -29,11 +29,12 @@ def test_specs_hold(system, dtype, batch_size):
     check_env_specs(make(system(), dtype=dtype, batch_size=batch_size))
 
 
-def test_specs_hold_for_one_input():
+@pytest.mark.parametrize(("dtype", "batch_size"), [(torch.float32, ()), (torch.float64, (4,))])
+def test_specs_hold_for_one_input(dtype, batch_size):
     system = Pendulum()
     reward = TrackingReward(error_weights=(1.0,))
     task = Tracking(system.signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), reward)
-    check_env_specs(ControlEnv(system, task))
+    check_env_specs(ControlEnv(system, task, dtype=dtype, batch_size=batch_size))
 
 
 def test_a_period_is_the_integrators_and_its_samples_are_logged():
