@@ -71,7 +71,12 @@ def _words(error: BaseException, config_name: str) -> str:
         return f"{part} got a setting of the wrong type or name ({error}); compare it with conf/"
     text = " ".join(str(error).strip("'\"").split()).partition(" Config search path:")[0]
     misspelt = re.search(r"Could not override '([^']+)'", text)
-    return _allowed_keys(misspelt[1], config_name) if misspelt else text
+    if not misspelt:
+        return text
+    try:
+        return _allowed_keys(misspelt[1], config_name)
+    except MENDABLE:  # another override is wrong too, or the key itself exists and what it holds cannot be extended
+        return f"{text}; replace the whole of a group's keys in a file of its own, as conf/ has them"
 
 
 def _allowed_keys(key: str, config_name: str) -> str:
@@ -88,6 +93,8 @@ def _allowed_keys(key: str, config_name: str) -> str:
         parent.append(step)
     name = ".".join(given[len(parent) :])
     names = sorted(str(k) for k in node if not str(k).startswith("_"))
+    if name in names:
+        raise KeyError(name)
     guess = get_close_matches(name, names, 1)
     hint = f"; did you mean '{guess[0]}'?" if guess else ""
     where = f" in '{'.'.join(parent)}'" if parent else ""

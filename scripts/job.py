@@ -14,6 +14,8 @@ from dynasindy.dyna.run import Evaluating, run
 
 def run_job(cfg: DictConfig, progress: bool = True) -> tuple[Recipe, dict[str, Any]]:
     """Build the experiment of a config, run it, and return it with what its `metrics.json` holds."""
+    if not isinstance(cfg.threads, int) or cfg.threads < 1:
+        raise ValueError(f"threads must be a whole number >= 1, got {cfg.threads}; 1 unless the cores are idle")
     torch.set_num_threads(cfg.threads)
     names = [field.name for field in fields(Recipe) if field.name != "seed"]
     parts = {name: instantiate(cfg[name], _convert_="all") for name in names}

@@ -166,7 +166,7 @@ def _columns(group: Mapping[str, Column | Mapping[str, object] | str], may_be_ra
             states = f", or to be the derivative of a logged state ({', '.join(logged)})" if may_be_rates else ""
             raise ValueError(
                 f"{name} has no column and is the derivative of {column.derivative_of or 'nothing'!r}; allowed is a "
-                f"column name{states}: correct the column map"
+                f"column name{states}: correct the column map (data.time, data.states, data.inputs)"
             )
     return made
 
@@ -187,7 +187,7 @@ def _numbers(path: Path, names: list[str]) -> Array:
         if absent:
             raise ValueError(
                 f"{path} has no column {', '.join(map(repr, absent))}; allowed are {', '.join(headings) or 'none'}: "
-                "correct the column map"
+                "correct the column map (data.time, data.states, data.inputs)"
             )
         places = [headings.index(n) for n in names]
         rows = [[_number(row, k) for k in places] for row in csv.reader(file, delimiter=separator) if row]

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 import torch
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from dynasindy.evaluation.statistics import bootstrap_interval, interquartile_mean
@@ -32,7 +33,7 @@ def learning_curve(
     """
     x, y = array(episode), array(train_return)
     figure, (axis,) = panels(1, 1, (7.0, 3.6), title)
-    axis.plot(x, y, color=BLUE, alpha=0.3, linewidth=0.9, label="real episode, exploring")
+    axis.plot(x, y, color=BLUE, alpha=0.3, linewidth=0.9, marker=".", label="real episode, exploring")
     if len(y) > window:
         axis.plot(x, moving_mean(y, window), color=BLUE, label=f"mean of {window} episodes")
     if eval_episode is not None and eval_return is not None:
@@ -45,6 +46,7 @@ def learning_curve(
             label="evaluated policy",
         )
     axis.set_xlabel("real episode")
+    axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     axis.set_ylabel("return [-]")
     axis.legend(loc="lower right")
     return figure

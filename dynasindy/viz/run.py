@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from pathlib import Path
 
 import numpy as np
@@ -66,9 +67,11 @@ def _figures(folder: Path, signature: Signature) -> dict[str, Figure]:
     if (folder / "progress.csv").is_file():
         progress = read_table(folder / "progress.csv")
         at = np.isfinite(progress["evaluated_return"])
-        figures["learning_curve"] = learning_curve(
-            progress["episode"], progress["return"], progress["episode"][at], progress["evaluated_return"][at]
-        )
+        episodes, returns = progress["episode"][at], progress["evaluated_return"][at]
+        if (folder / "metrics.json").is_file():  # the untrained policy stands at episode 0
+            untrained = json.loads((folder / "metrics.json").read_text())["untrained"]["return"]
+            episodes, returns = np.append(0, episodes), np.append(np.nan if untrained is None else untrained, returns)
+        figures["learning_curve"] = learning_curve(progress["episode"], progress["return"], episodes, returns)
         figures["model_error"] = model_error(progress["episode"], progress["one_step_reward_error"])
     if (folder / "gate.csv").is_file():
         decisions = read_table(folder / "gate.csv")
