@@ -10,6 +10,7 @@ import csv
 import math
 import statistics
 import time
+import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -19,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dynasindy.data.simulated import record
+from dynasindy.data.simulated import disturb, record
 from dynasindy.excitation import Chirp, Excitation, HeldRandom
 from dynasindy.systems import System, Tras, Xi, integrate
 from dynasindy.systems.transitions import Transitions
@@ -124,10 +125,7 @@ def noisy(seeds: int) -> list[Row]:
     for seed in range(seeds):
         clean = xi_recording(100.0, 0.01, seed)
         sigma = 1e-3 * clean.x_next.std(0)
-        generator = torch.Generator().manual_seed(1000 + seed)
-        states = torch.cat([clean.x, clean.x_next[-1:]])
-        states = states + sigma * torch.randn(states.shape, generator=generator, dtype=torch.float64)
-        data = Transitions(states[:-1], clean.u, states[1:], clean.dt, clean.segment)
+        data = disturb(clean, 1e-3, 1000 + seed)
         model = SindyModel(Xi().signature, "paper_table", Regression("bic"), Refinement("auto"))
         model.fit(data)
         scores.append(score(model.coefficients, truth))
@@ -259,7 +257,8 @@ def pysindy_rows(seeds: int) -> list[Row]:
 def _pysindy_score(data: Transitions, truth: Tensor, derivative: Any, optimizer: Any) -> tuple[int, int, float]:
     x = torch.cat([data.x, data.x_next[-1:]]).numpy()
     dx = derivative._differentiate(x, data.dt)[:-1]
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
         optimizer.fit(paper_table(Xi().signature)(data.x, data.u).numpy(), dx)
     return score(torch.from_numpy(np.asarray(optimizer.coef_)).mT, truth)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -32,3 +34,25 @@ def record(plant: System, u: Tensor, dt: float, substeps: int = 10, x0: Tensor |
             states.append(samples[-1])
             free.append(not bool(touched))
     return Transitions.from_trajectory(torch.stack(states), u, dt).select(torch.tensor(free))
+
+
+def disturb(data: Transitions, level: float, seed: int) -> Transitions:
+    """Add white measurement noise to a recording; a state that two rows share gets one error.
+
+    Args:
+        data: recording without noise.
+        level: standard deviation of the noise, relative to that of each state.
+        seed: seed of the noise.
+
+    Returns:
+        The recording as a sensor would have logged it.
+    """
+    if level == 0:
+        return data
+    generator = torch.Generator().manual_seed(seed)
+    scale = level * data.x_next.std(0)
+    after, first = (scale * torch.randn(data.x.shape, generator=generator, dtype=data.x.dtype) for _ in range(2))
+    fresh = torch.ones(len(data), dtype=torch.bool)
+    fresh[1:] = data.segment[1:] != data.segment[:-1]
+    before = torch.where(fresh.unsqueeze(-1), first, after.roll(1, 0))
+    return replace(data, x=data.x + before, x_next=data.x_next + after)

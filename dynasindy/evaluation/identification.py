@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.data.csv import CsvLog
-from dynasindy.data.simulated import record
+from dynasindy.data.simulated import disturb, record
 from dynasindy.excitation import Excitation, HeldRandom
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
@@ -83,20 +83,7 @@ class Simulated:
         validation = record(system, unseen.samples(self.dt), self.dt, self.substeps)
         left_out = signal.samples(self.dt).shape[0] - len(training)
         notes = (f"{left_out} samples that touched a stop were left out",) if left_out else ()
-        return Source(system.signature, self._disturb(training), validation, notes)
-
-    def _disturb(self, data: Transitions) -> Transitions:
-        if not self.noise:
-            return data
-        generator = torch.Generator().manual_seed(self.seed)
-        states = torch.cat([data.x, data.x_next[-1:]])
-        scale = self.noise * states.std(0)
-        starts = torch.ones(len(data), dtype=torch.bool)
-        starts[1:] = data.segment[1:] != data.segment[:-1]
-        error = scale * torch.randn(data.x_next.shape, generator=generator, dtype=torch.float64)
-        first = scale * torch.randn(data.x.shape, generator=generator, dtype=torch.float64)
-        before = torch.where(starts.unsqueeze(-1), first, error.roll(1, 0))
-        return Transitions(data.x + before, data.u, data.x_next + error, data.dt, data.segment)
+        return Source(system.signature, disturb(training, self.noise, self.seed), validation, notes)
 
 
 @dataclass(frozen=True)
