@@ -44,6 +44,7 @@ def test_the_bound_falls_with_the_root_of_the_noise_and_grows_with_it():
     assert bool((one > 0).all())
 
 
+@pytest.mark.slow
 def test_the_rotor_model_of_tras_predicts_episodes():
     rows = identify.tras(1)
     assert float(rows[0]["value"]) < 2.0

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from scipy.linalg import expm
 
-from dynasindy.data.simulated import record
+from dynasindy.data.simulated import disturb, record
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.stops import Stops
 
@@ -66,3 +66,19 @@ def test_samples_that_touch_a_stop_are_left_out_and_split_the_recording():
     assert bool((data.x_next[:, 0].abs() < 0.5).all())
     assert np.allclose(data.x_next[:before], free[1 : before + 1], atol=1e-9)
     assert data.segment.tolist() == [0] * before + [1] * (len(data) - before)
+
+
+def test_noise_has_its_level_and_a_shared_state_has_one_error():
+    clean = record(Oscillator(), inputs(2000), 0.05)
+    noisy = disturb(clean, 0.1, seed=3)
+    error = noisy.x_next - clean.x_next
+    assert torch.allclose(error.std(0), 0.1 * clean.x_next.std(0), rtol=0.1)
+    assert torch.equal(noisy.x[1:], clean.x[1:] + error[:-1])
+
+
+def test_noise_does_not_leak_over_a_gap():
+    clean = record(Oscillator(), inputs(60), 0.05)
+    clean = clean.select(torch.arange(60) != 30)
+    noisy = disturb(clean, 0.1, seed=3)
+    assert not torch.equal(noisy.x[30] - clean.x[30], noisy.x_next[29] - clean.x_next[29])
+    assert disturb(clean, 0.0, seed=3) is clean
