@@ -13,9 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import torch
-
-from dynasindy.evaluation.statistics import bootstrap_interval, interquartile_mean
+from dynasindy.evaluation.table import markdown, over_seeds, overrides
 
 Row = dict[str, str | float | None]
 KEY = ("system", "experiment", "setting")
@@ -140,15 +138,13 @@ def to_markdown(rows: Iterable[Row], level: Level) -> str:
         "Interquartile mean over seeds [95 % bootstrap interval]; excitation counts as real, evaluation does not.",
         "Steady-state error: the worse axis after the last episode. Area: the mean evaluated return.",
         "",
-        "| " + " | ".join((*KEY, "seeds", "reached", *SUMMARY.values())) + " |",
-        "| " + " | ".join(["---"] * (len(KEY) + 2 + len(SUMMARY))) + " |",
     ]
+    cells = []
     for key, group in groups.items():
         reached = sum(row["episodes_to_level"] is not None for row in group)
-        cells = [_cell([row[column] for row in group]) for column in SUMMARY]
-        counts = (str(len(group)), f"{reached}/{len(group)}")
-        lines.append("| " + " | ".join((*key, *counts, *cells)) + " |")
-    return "\n".join(lines) + "\n"
+        figures = [_cell([row[column] for row in group]) for column in SUMMARY]
+        cells.append([*key, str(len(group)), f"{reached}/{len(group)}", *figures])
+    return "\n".join([*lines, markdown((*KEY, "seeds", "reached", *SUMMARY.values()), cells)]) + "\n"
 
 
 def read_rows(path: Path) -> list[Row]:
@@ -174,7 +170,8 @@ def write_rows(path: Path, rows: Sequence[Row]) -> None:
 def _place(folder: Path, root: Path) -> Row:
     system, experiment, *setting, _ = folder.relative_to(root).parts
     seed = json.loads((folder / "metrics.json").read_text())["seed"]
-    return {"system": system, "experiment": experiment, "setting": ",".join(setting), "seed": int(seed)}
+    name = ",".join([*setting[:1], *(word for part in setting[1:] for word in overrides(part))])
+    return {"system": system, "experiment": experiment, "setting": name, "seed": int(seed)}
 
 
 def _curve(folder: Path) -> list[dict[str, float | None]]:
@@ -195,16 +192,8 @@ def _worst(line: Mapping[str, float | None]) -> float:
 
 
 def _cell(values: Sequence[str | float | None]) -> str:
-    """Return interquartile mean and interval; a run that never reached the level counts as infinite."""
-    scores = torch.tensor([math.inf if (n := _number(v)) is None else n for v in values], dtype=torch.float64)
-    middle = interquartile_mean(scores).item()
-    # The bootstrap interpolates between resamples, which infinities do not allow.
-    low, high = bootstrap_interval(scores.nan_to_num(posinf=1e30).unsqueeze(-1))
-    return f"{_short(middle)} [{_short(low.item())}, {_short(high.item())}]"
-
-
-def _short(value: float) -> str:
-    return "never" if value > 1e20 else f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
+    """Return the figure over seeds; a run that never reached the level counts as infinite."""
+    return over_seeds([math.inf if (n := _number(v)) is None else n for v in values], 4, "never")
 
 
 def _number(value: str | float | None) -> float | None:

@@ -1,9 +1,11 @@
-"""A sweep in one table: interquartile means over seeds, from the `metrics.json` of its runs."""
+"""Markdown tables of runs: a row per setting, interquartile means over seeds, and the sweep of `train.py -m` in one."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import math
+import re
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,56 +13,89 @@ import torch
 
 from dynasindy.evaluation.statistics import bootstrap_interval, interquartile_mean
 
+HUGE = 1e30  # stands for infinity in the bootstrap, which interpolates between resamples
+SWEEP = (
+    "setting",
+    "seeds",
+    "real steps (plant time)",
+    "return, untrained",
+    "return, trained",
+    "steady-state error, per axis [rad]",
+    "RMSE, per axis [rad]",
+    "wall time [s]",
+)
+
 
 def sweep_table(folder: Path) -> str:
     """Return a Markdown table of a sweep, a row per setting, over its seeds.
 
     Args:
-        folder: Folder of the sweep, whose runs are named `number_key=value,...` by Hydra.
+        folder: Folder of the sweep, whose runs are named `number_key-value__key-value` by Hydra.
 
     Raises:
         FileNotFoundError: No run of the folder has ended.
     """
     groups: dict[str, list[dict[str, Any]]] = {}
     for file in sorted(folder.glob("*/metrics.json")):
-        _, _, overrides = file.parent.name.partition("_")
-        setting = " ".join(word for word in overrides.split(",") if not word.startswith("seed="))
+        words = overrides(file.parent.name.partition("_")[2])
+        setting = " ".join(word for word in words if not word.startswith("seed="))
         groups.setdefault(setting, []).append(json.loads(file.read_text()))
     if not groups:
         raise FileNotFoundError(f"{folder} holds no finished run; give the folder of a sweep, e.g. runs/DATE_TIME")
-    lines = [
-        "| setting | seeds | real steps (plant time) | return, untrained | return, trained "
-        "| steady-state error, per axis [rad] | RMSE, per axis [rad] | wall time [s] |",
-        "| --- " * 8 + "|",
-    ]
-    return "\n".join(lines + [_row(setting, runs) for setting, runs in sorted(groups.items())])
+    return markdown(SWEEP, [_row(setting, runs) for setting, runs in sorted(groups.items())])
 
 
-def _row(setting: str, runs: Sequence[dict[str, Any]]) -> str:
+def overrides(name: str) -> list[str]:
+    """Return what a folder was named after, `["key=value", ...]`: `key-value__key-value` or `key=value,key=value`."""
+    words = [word for word in re.split(r"__|,", name) if word]
+    # No key holds a dash, but a value may: 1e-3.
+    return [word if "=" in word else word.replace("-", "=", 1) for word in words]
+
+
+def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table in Markdown, without a final line break."""
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in (header, ["---"] * len(header), *rows))
+
+
+def over_seeds(values: Sequence[float], digits: int = 3, infinite: str = "inf") -> str:
+    """Return the interquartile mean over seeds and the 95 % interval of its bootstrap, `middle [low, high]`.
+
+    Args:
+        values: A number per seed; it may be infinite.
+        digits: Significant digits.
+        infinite: Word for infinity.
+    """
+    scores = torch.tensor(list(values), dtype=torch.float64).nan_to_num(posinf=HUGE)
+    numbers = (interquartile_mean(scores), *bootstrap_interval(scores.unsqueeze(-1)))
+    middle, low, high = (infinite if n > 1e-3 * HUGE else _short(n.item(), digits) for n in numbers)
+    return f"{middle} [{low}, {high}]"
+
+
+def _short(value: float, digits: int) -> str:
+    return f"{value:.0f}" if abs(value) >= 10**digits else f"{value:.{digits}g}"
+
+
+def _row(setting: str, runs: Sequence[dict[str, Any]]) -> list[str]:
     cost = runs[0]["cost"]
-    cells = [
+    return [
         f"`{setting or 'default'}`",
         str(len(runs)),
         f"{cost['real_steps']} ({cost['plant_seconds']:.0f} s)",
-        _interval([run["untrained"]["return"] for run in runs]),
-        _interval([run["evaluation"]["return"] for run in runs]),
+        _finite([run["untrained"]["return"] for run in runs]),
+        _finite([run["evaluation"]["return"] for run in runs]),
         _axes(runs, "steady_state_error"),
         _axes(runs, "rmse"),
-        _interval([run["cost"]["wall_seconds"] for run in runs]),
+        _finite([run["cost"]["wall_seconds"] for run in runs]),
     ]
-    return "| " + " | ".join(cells) + " |"
 
 
 def _axes(runs: Sequence[dict[str, Any]], metric: str) -> str:
     names = [key for key in runs[0]["evaluation"] if key.startswith(f"{metric}/")]
-    return " / ".join(_interval([run["evaluation"][name] for run in runs]) for name in names)
+    return " / ".join(_finite([run["evaluation"][name] for run in runs]) for name in names)
 
 
-def _interval(values: Sequence[float | None]) -> str:
-    """Return the interquartile mean and the 95 % interval of its bootstrap, or how many runs have no number."""
-    # Leaving failed runs out would flatter the setting.
-    if missing := values.count(None):
-        return f"not finite in {missing} of {len(values)}"
-    scores = torch.tensor(values, dtype=torch.float64)
-    low, high = bootstrap_interval(scores.unsqueeze(-1))
-    return f"{interquartile_mean(scores).item():.3g} [{low.item():.3g}, {high.item():.3g}]"
+def _finite(values: Sequence[float | None]) -> str:
+    """Return the figure over seeds, or how many runs have no number: leaving them out would flatter the setting."""
+    found = [value for value in values if value is not None and math.isfinite(value)]
+    missing = len(values) - len(found)
+    return f"not finite in {missing} of {len(values)}" if missing else over_seeds(found)

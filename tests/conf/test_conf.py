@@ -82,6 +82,13 @@ def test_every_key_of_the_main_config_is_explained():
     for above, line in zip(lines, lines[1:], strict=False):
         key = line.strip().partition(":")[0]
         if line.startswith("  ") and ":" in line and not key.startswith(("-", "_", "path")) and "hydra" not in line:
-            if key in ("job", "run", "sweep", "dir", "subdir", "chdir", "output_subdir"):
+            if key in ("job", "config", "run", "sweep", "dir", "subdir", "chdir", "output_subdir"):
                 continue
             assert above.strip().startswith("#"), f"{line.strip()} has no sentence above it"
+
+
+@pytest.mark.parametrize("config", ["train", "ablation"])
+def test_the_folders_of_a_sweep_need_no_quotes_on_a_command_line(config):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        cfg = compose(config, ["planning.rollouts=400", "agent.tau=1e-3", "seed=1"], return_hydra_config=True)
+    assert cfg.hydra.job.override_dirname.startswith("agent.tau-1e-3__planning.rollouts-400")

@@ -75,9 +75,9 @@ def test_rows_of_other_settings_stay_and_those_of_the_same_are_replaced(tmp_path
 
 
 def test_settings_changed_on_the_command_line_are_settings_of_their_own(tmp_path):
-    run_folder(tmp_path / "runs", "a/train.episodes=1", 0, [0.04])
+    run_folder(tmp_path / "runs", "a/train.episodes-1__agent.tau-1e-3", 0, [0.04])
     (row,) = gather(tmp_path / "runs", tmp_path, LEVEL)
-    assert row["setting"] == "a,train.episodes=1"
+    assert row["setting"] == "a,train.episodes=1,agent.tau=1e-3"
 
 
 def test_the_table_has_interquartile_means_and_says_never(tmp_path):

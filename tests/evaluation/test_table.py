@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from dynasindy.evaluation.table import sweep_table
+from dynasindy.evaluation.table import markdown, over_seeds, overrides, sweep_table
 
 
 def write(folder, name, trained):
@@ -18,16 +18,16 @@ def write(folder, name, trained):
 def test_seeds_are_joined_and_settings_are_not(tmp_path):
     # The interquartile mean of 1, 2, 3, 100 is that of 2 and 3.
     for seed, trained in enumerate((1.0, 2.0, 3.0, 100.0)):
-        write(tmp_path, f"{seed}_planning=dyna,seed={seed}", trained)
-    write(tmp_path, "4_planning=none,seed=0", -50.0)
+        write(tmp_path, f"{seed}_planning-dyna__seed-{seed}", trained)
+    write(tmp_path, "4_planning-none__seed-0", -50.0)
     dyna, none = sweep_table(tmp_path).splitlines()[2:]
-    assert dyna.startswith("| `planning=dyna` | 4 | 600 (30 s) | -9") and "| 2.5 [" in dyna
+    assert dyna.startswith("| `planning=dyna` | 4 | 600 (30 s) | -9 [-9, -9] |") and "| 2.5 [" in dyna
     assert none.startswith("| `planning=none` | 1 |") and "| -50 [-50, -50] |" in none
 
 
 def test_a_run_without_a_finite_figure_is_counted_and_not_left_out(tmp_path):
-    write(tmp_path, "0_planning=dyna,seed=0", 1.0)
-    write(tmp_path, "1_planning=dyna,seed=1", None)
+    write(tmp_path, "0_planning-dyna__seed-0", 1.0)
+    write(tmp_path, "1_planning-dyna__seed-1", None)
     (row,) = sweep_table(tmp_path).splitlines()[2:]
     assert "| not finite in 1 of 2 |" in row
 
@@ -35,3 +35,20 @@ def test_a_run_without_a_finite_figure_is_counted_and_not_left_out(tmp_path):
 def test_a_folder_without_finished_runs_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match="holds no finished run"):
         sweep_table(tmp_path)
+
+
+def test_a_folder_says_its_settings_in_either_spelling():
+    assert overrides("agent.actor_lr-1e-3__seed-0") == ["agent.actor_lr=1e-3", "seed=0"]
+    assert overrides("planning.real_starts=0.25,seed=0") == ["planning.real_starts=0.25", "seed=0"]
+    assert overrides("") == []
+
+
+def test_figures_over_seeds_are_short_and_infinity_has_a_word():
+    assert over_seeds([-5841.3] * 3) == "-5841 [-5841, -5841]"
+    assert over_seeds([0.00123456] * 3, 4) == "0.001235 [0.001235, 0.001235]"
+    assert over_seeds([4.0, float("inf"), 4.0, 4.0, 4.0], 4, "never").startswith("4 [4, ")
+    assert over_seeds([float("inf")] * 3, infinite="never") == "never [never, never]"
+
+
+def test_a_table_is_markdown():
+    assert markdown(("a", "b"), [["1", "2"]]) == "| a | b |\n| --- | --- |\n| 1 | 2 |"
