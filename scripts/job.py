@@ -1,10 +1,14 @@
 """What the scripts that train share: one run of Algorithm 1 from a composed config."""
 
+import json
+import subprocess
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import torch
+from command import CONF
+from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
@@ -21,9 +25,22 @@ def run_job(cfg: DictConfig, progress: bool = True) -> tuple[Recipe, dict[str, A
     parts = {name: instantiate(cfg[name], _convert_="all") for name in names}
     recipe = Recipe(**parts, seed=cfg.seed)
     evaluating = Evaluating(instantiate(cfg.scenario, _convert_="all"), cfg.evaluation.every)
-    return recipe, run(recipe, evaluating, Path(cfg.folder), settings_of(cfg), progress)
+    origin = origin_of(HydraConfig.get())
+    metrics = run(recipe, evaluating, Path(cfg.folder), settings_of(cfg), progress)
+    (Path(cfg.folder) / "origin.json").write_text(json.dumps(origin, indent=2) + "\n")
+    return recipe, metrics
 
 
 def settings_of(cfg: DictConfig) -> str:
     """Return the resolved config as a run folder keeps it."""
     return OmegaConf.to_yaml(cfg, resolve=True)
+
+
+def origin_of(job: DictConfig) -> dict[str, str]:
+    """Return the command line of a job and the commit of the code, "unknown" outside a git checkout."""
+    git = ["git", "-C", str(CONF.parent), "describe", "--always", "--dirty", "--exclude", "*"]
+    try:
+        commit = subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        commit = "unknown"
+    return {"command": " ".join([f"python scripts/{job.job.name}.py", *job.overrides.task]), "commit": commit}
