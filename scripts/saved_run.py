@@ -1,6 +1,8 @@
 """Finished runs, loaded again: the environment they were made for and the policy they found."""
 
 from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any
 
 import torch
 from command import CONF
@@ -38,11 +40,26 @@ def load_policy(config: DictConfig, folder: Path) -> tuple[ControlEnv, Policy]:
     policy = instantiate(config.agent, _convert_="all")(n_obs=task.n_o, n_u=system.signature.n_u).deployed
     if not (folder / "policy.pt").is_file():
         raise FileNotFoundError(f"{folder} has no policy.pt, its run did not end; give the folder of a finished run")
-    try:
-        policy.load_state_dict(torch.load(folder / "policy.pt", weights_only=True))
-    except RuntimeError as error:
-        raise ValueError(f"policy.pt in {folder} does not fit its config.yaml; restore the pair: {error}") from error
+    policy.load_state_dict(_weights(folder / "policy.pt", policy.state_dict()))
     return env, policy
+
+
+def _weights(file: Path, wanted: dict[str, Any]) -> dict[str, Any]:
+    """Return the saved weights if they have the names and shapes of those wanted."""
+    try:
+        saved = torch.load(file, weights_only=True)
+    except (UnpicklingError, RuntimeError, EOFError):
+        saved = None
+    if not isinstance(saved, dict):
+        raise ValueError(f"{file} holds no weights of a policy; restore it, or train again")
+    shapes = [{name: tuple(tensor.shape) for name, tensor in weights.items()} for weights in (saved, wanted)]
+    if differ := sorted(name for name in {**saved, **wanted} if shapes[0].get(name) != shapes[1].get(name)):
+        found, due = (shape.get(differ[0], "missing") for shape in shapes)
+        raise ValueError(
+            f"{file} does not fit the agent of its config.yaml: {differ[0]} is {found}, the agent's {due}; "
+            "restore the pair, or train again"
+        )
+    return saved
 
 
 def load_scenario(name: str, config: DictConfig) -> Scenario:

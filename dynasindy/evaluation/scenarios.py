@@ -151,7 +151,8 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario) -> Evaluation:
 
     Raises:
         TypeError: The task does not track a reference.
-        ValueError: The policy gives an action of the wrong shape or one that is not finite.
+        ValueError: The policy gives no action, one of the wrong shape or one that is not finite, or the plant leaves
+            all finite states.
     """
     calm, task = _prepare(env, scenario)
     wrapped = policy
@@ -183,14 +184,22 @@ def _run(calm: ControlEnv, policy: Policy, scenario: Scenario, start: TensorDict
         start = env.step_mdp(part[..., -1])
         parts.append(part)
     trajectory: TensorDictBase = torch.cat(parts, -1)
-    finite = trajectory["action"].isfinite().all(-1).all(0)
-    if not finite.all():
-        first = int((~finite).nonzero()[0])
-        raise ValueError(
-            f"the policy gave an action that is not finite in scenario '{scenario.name}' at "
-            f"{first * calm.dt:.2f} s; check its weights and its observation"
-        )
+    _check_finite(trajectory, scenario.name, calm.dt)
     return trajectory
+
+
+def _check_finite(trajectory: TensorDictBase, name: str, dt: float) -> None:
+    what = {
+        "state": "the plant left all finite states in scenario '{}' at {:.2f} s; check the plant and its disturbance",
+        "action": "the policy gave an action that is not finite in scenario '{}' at {:.2f} s; "
+        "check its weights and its observation",
+    }
+    first = {key: (~trajectory[key].isfinite().all(-1).all(0)).nonzero() for key in what}
+    steps = {key: int(rows[0]) for key, rows in first.items() if len(rows)}
+    if steps:
+        # Of one moment the state comes first: the action follows from it.
+        key = min(steps, key=lambda key: steps[key])
+        raise ValueError(what[key].format(name, steps[key] * dt))
 
 
 def _phases(scenario: Scenario, dt: float) -> list[tuple[int, bool]]:
@@ -202,11 +211,15 @@ def _phases(scenario: Scenario, dt: float) -> list[tuple[int, bool]]:
 
 
 def _check_action(policy: Policy, start: TensorDict, n_u: int, name: str) -> None:
-    shape = tuple(policy(start.clone())["action"].shape)
     wanted = (*start.batch_size, n_u)
-    if shape != wanted:
+    try:
+        given = f"an action of shape {tuple(policy(start.clone())['action'].shape)}"
+    except (KeyError, RuntimeError) as error:
+        n_o, first = start["observation"].shape[-1], str(error).splitlines()[0]
+        given = f"no action for an observation of {n_o} numbers ({first})"
+    if given != f"an action of shape {wanted}":
         raise ValueError(
-            f"the policy gave an action of shape {shape} in scenario '{name}', the plant takes {wanted}; "
+            f"the policy gave {given} in scenario '{name}', the plant takes {wanted}; "
             "load the policy that was trained on this plant"
         )
 

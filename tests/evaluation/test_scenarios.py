@@ -7,6 +7,7 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, exploration_type
 
+from dynasindy.agents import TD3
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate, step_references
 from dynasindy.systems import Tras, Xi
@@ -145,3 +146,23 @@ def test_mistakes_get_one_line() -> None:
 
     with pytest.raises(ValueError, match=r"not finite in scenario 'nan' at 0\.20 s"):
         evaluate(make(), fails_later, Scenario("nan", seconds=1.0))
+
+
+def test_a_policy_of_another_network_is_told_from_one_without_an_action() -> None:
+    short, odd = Scenario("short", seconds=0.1), TD3(5, 2, hidden=(8,)).deployed
+    wanted = r"no action for an observation of 8 numbers \(mat1.*trained on this plant"
+    with pytest.raises(ValueError, match=wanted) as error:
+        evaluate(make(), odd, short)
+    assert "\n" not in str(error.value)
+    with pytest.raises(ValueError, match=r"no action .*action.* not found"):
+        evaluate(make(), lambda td: td, short)
+
+
+def test_a_plant_that_runs_away_is_not_laid_on_the_policy() -> None:
+    class Explosion(Tras):
+        def forward(self, x, u):
+            return 1e3 * x**3 + 1.0
+
+    scenario = Scenario("boom", seconds=2.0, plant=lambda _: Explosion(), windows=[(1.0, 2.0)])
+    with pytest.raises(ValueError, match=r"the plant left all finite states in scenario 'boom' at 1\.\d\d s"):
+        evaluate(make(), TD3(8, 2, hidden=(8,)).deployed, scenario)

@@ -11,6 +11,8 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
+from dynasindy.agents import TD3
+
 REPOSITORY = Path(__file__).parents[2]
 SCENARIOS = sorted(path.stem for path in (REPOSITORY / "conf" / "scenario").glob("*.yaml"))
 
@@ -78,5 +80,19 @@ def test_unknown_scenarios_and_unfinished_runs_are_refused(run_folder: Path, tmp
     with pytest.raises(FileNotFoundError, match=r"has no policy\.pt, its run did not end"):
         saved_run.load_policy(config, tmp_path)
     torch.save({"weight": torch.zeros(3)}, tmp_path / "policy.pt")
-    with pytest.raises(ValueError, match=r"does not fit its config\.yaml"):
+    with pytest.raises(ValueError, match=r"does not fit the agent of its config\.yaml: .* is missing, the agent's \("):
         saved_run.load_policy(config, tmp_path)
+
+
+def test_a_policy_of_another_network_is_named_by_the_first_shape_that_differs(tmp_path, run_folder, saved_run) -> None:
+    torch.save(TD3(n_obs=6, n_u=2).deployed.state_dict(), tmp_path / "policy.pt")
+    with pytest.raises(ValueError, match=r"is \(400,( 6)?\), the agent's \(\d+,( 8)?\)") as error:
+        saved_run.load_policy(saved_run.load_config(run_folder), tmp_path)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"no archive", b"PK half of one"])
+def test_a_damaged_policy_gets_one_line(tmp_path, run_folder, saved_run, content: bytes) -> None:
+    (tmp_path / "policy.pt").write_bytes(content)
+    with pytest.raises(ValueError, match=r"policy\.pt holds no weights of a policy"):
+        saved_run.load_policy(saved_run.load_config(run_folder), tmp_path)
