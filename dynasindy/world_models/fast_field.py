@@ -28,7 +28,17 @@ def generate(library: Library, coefficients: Tensor) -> Field:
 
     Returns:
         `(x, u) -> dx`, `(*batch, n_x)`.
+
+    Raises:
+        ValueError: a coefficient is not finite.
     """
+    if len(wrong := (~coefficients.isfinite()).nonzero()):
+        k, i = wrong[0].tolist()
+        raise ValueError(
+            f"{len(wrong)} coefficients are not finite, such as {coefficients[k, i].item()} of {library.names[k]} in "
+            f"{library.signature.state_names[i]}'; allowed are finite ones: fit on data that excite this function, or "
+            "leave it out of the library"
+        )
     writer = _Writer(library, coefficients)
     scope: dict[str, object] = {"torch": torch, "constants": _Constants(writer.constants), **writer.functions}
     exec(compile(writer.source(), "<sparse model>", "exec"), scope)

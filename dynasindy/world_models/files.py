@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.base import Signature
+from dynasindy.world_models.constraints import Constraints
 from dynasindy.world_models.features import Feature
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.tables import equations
@@ -18,17 +19,18 @@ from dynasindy.world_models.tables import equations
 FORMAT = "dynasindy sparse model 1"
 
 
-def save(library: Library, coefficients: Tensor, path: str | Path) -> None:
-    """Write signature, library, coefficients and the equations in words.
+def save(library: Library, coefficients: Tensor, path: str | Path, constraints: Constraints | None = None) -> None:
+    """Write signature, library, coefficients, constraints and the equations in words.
 
     Args:
         library: candidate functions.
         coefficients: Xi, `(n_features, n_x)`.
         path: file to write.
+        constraints: what is known of the equations; nothing by default.
     """
     signature, table = library.signature, coefficients.tolist()
     states = signature.state_names
-    data = {
+    data: dict[str, Any] = {
         "format": FORMAT,
         "equations": equations(library, coefficients),
         "signature": asdict(signature),
@@ -37,17 +39,20 @@ def save(library: Library, coefficients: Tensor, path: str | Path) -> None:
         },
         "library": {f.name(): f.to_list() for f in library.features},
     }
+    if constraints is not None and not bool(constraints.free.all()):
+        data["constraints"] = {s: _constraint(library, constraints, i) for i, s in enumerate(states)}
     Path(path).write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 
-def load(path: str | Path) -> tuple[Library, Tensor]:
-    """Read a library and its coefficients, exact to the last digit.
+def load(path: str | Path) -> tuple[Library, Tensor, Constraints]:
+    """Read a library, its coefficients and its constraints, exact to the last digit.
 
     Args:
         path: file that `save` wrote.
 
     Returns:
-        The library and Xi, `(n_features, n_x)` float64.
+        The library, Xi, `(n_features, n_x)` float64, and what is known of the equations; without a word of it in the
+        file, nothing.
 
     Raises:
         ValueError: the file is not JSON, not of this format, or damaged.
@@ -68,14 +73,35 @@ def load(path: str | Path) -> tuple[Library, Tensor]:
         ) from error
 
 
-def _model(data: dict[str, Any]) -> tuple[Library, Tensor]:
+def _constraint(library: Library, constraints: Constraints, state: int) -> dict[str, Any]:
+    free, offset = constraints.free[:, state].tolist(), constraints.offset[:, state].tolist()
+    return {
+        "free": [name for name, may in zip(library.names, free, strict=True) if may],
+        "given": {name: value for name, value in zip(library.names, offset, strict=True) if value},
+    }
+
+
+def _constraints(library: Library, data: dict[str, Any] | None) -> Constraints:
+    shape = (len(library), library.signature.n_x)
+    if data is None:
+        return Constraints(torch.ones(shape, dtype=torch.bool), torch.zeros(shape, dtype=torch.float64))
+    free, offset = torch.zeros(shape, dtype=torch.bool), torch.zeros(shape, dtype=torch.float64)
+    for i, state in enumerate(library.signature.state_names):
+        for name in data[state]["free"]:
+            free[library.index(name), i] = True
+        for name, value in data[state]["given"].items():
+            offset[library.index(name), i] = value
+    return Constraints(free, offset)
+
+
+def _model(data: dict[str, Any]) -> tuple[Library, Tensor, Constraints]:
     signature = Signature(**data["signature"])
     library = Library(signature, [_feature(f) for f in data["library"].values()])
     coefficients = torch.zeros(len(library), signature.n_x, dtype=torch.float64)
     for i, state in enumerate(signature.state_names):
         for name, value in data["coefficients"][state].items():
             coefficients[library.index(name), i] = value
-    return library, coefficients
+    return library, coefficients, _constraints(library, data.get("constraints"))
 
 
 def _feature(factors: list[list[Any]]) -> Feature:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -21,6 +22,7 @@ class FitReport:
         seconds: wall time [s].
         terms: number of non-zero coefficients of each equation.
         residual: unexplained part of each state's rate of change, 2-norm relative to the rate's.
+        notes: sentences on what a reader would not expect.
     """
 
     samples: int
@@ -28,9 +30,12 @@ class FitReport:
     terms: dict[str, int]
     residual: dict[str, float]
     _source: tuple[Library, Tensor, RunningSums] = field(repr=False)
+    notes: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, library: Library, coefficients: Tensor, sums: RunningSums, seconds: float) -> FitReport:
+    def of(
+        cls, library: Library, coefficients: Tensor, sums: RunningSums, seconds: float, notes: Sequence[str] = ()
+    ) -> FitReport:
         """Summarise the coefficients of a fit against the sums it was made from."""
         relative = sums.residual(coefficients) / sums.norms()[sums.n_features :].clamp_min(1e-300)
         names = library.signature.state_names
@@ -40,6 +45,7 @@ class FitReport:
             terms=dict(zip(names, (coefficients != 0).sum(0).tolist(), strict=True)),
             residual=dict(zip(names, relative.tolist(), strict=True)),
             _source=(library, coefficients.clone(), sums.copy()),
+            notes=tuple(notes),
         )
 
     @cached_property
@@ -51,4 +57,4 @@ class FitReport:
         """Write the report in a few lines."""
         lines = [f"fit of {self.samples} samples in {self.seconds:.3g} s"]
         lines += [f"  {s}': {self.terms[s]} terms, unexplained {100 * r:.3g} %" for s, r in self.residual.items()]
-        return "\n".join([*lines, self.identifiability.to_text()])
+        return "\n".join([*lines, *(f"note: {note}" for note in self.notes), self.identifiability.to_text()])

@@ -140,9 +140,8 @@ class SindyModel(WorldModel):
         self._check(data)
         self.sums.add(integral_form(self.library, data))
         self._solve(self.sums)
-        if self.refinement is not None:
-            self.set_coefficients(self.refinement.run(self.library, self.coefficients, self.constraints, data))
-        return FitReport.of(self.library, self.coefficients, self.sums, time.perf_counter() - start)
+        notes = self._refine(data)
+        return FitReport.of(self.library, self.coefficients, self.sums, time.perf_counter() - start, notes)
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
         """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`."""
@@ -169,18 +168,26 @@ class SindyModel(WorldModel):
         self.coefficients = coefficients.detach().to(torch.float64).clone()
 
     def save(self, path: str | Path) -> None:
-        """Write the model as readable JSON."""
-        save(self.library, self.coefficients, path)
+        """Write the model as readable JSON, with what was known of its equations before the data."""
+        save(self.library, self.coefficients, path, self.constraints)
 
     @classmethod
-    def load(cls, path: str | Path) -> SindyModel:
+    def load(
+        cls, path: str | Path, regression: Regression | None = None, refinement: Refinement | None = None
+    ) -> SindyModel:
         """Read a model that `save` wrote; it predicts as the saved one did, to the last digit.
+
+        Args:
+            path: the file.
+            regression: settings of a later fit, which the file does not hold; the paper's by default.
+            refinement: settings of its refinement; none by default.
 
         Raises:
             ValueError: the file is not such a model, or needs a function that is not registered.
         """
-        library, coefficients = load(path)
-        model = cls(library.signature, library)
+        library, coefficients, constraints = load(path)
+        model = cls(library.signature, library, regression, refinement)
+        model.constraints = constraints
         model.set_coefficients(coefficients)
         return model
 
@@ -196,6 +203,16 @@ class SindyModel(WorldModel):
                 f"fit got {len(data) + self.sums.count} samples; allowed are {len(self.library)} or more, one per "
                 "function: collect more data or choose a smaller library"
             )
+
+    def _refine(self, data: Transitions) -> list[str]:
+        """Refine the coefficients and return what is to be said of it."""
+        if self.refinement is None:
+            return []
+        refined = self.refinement.run(self.library, self.coefficients, self.constraints, data)
+        if self.coefficients[self.constraints.free].any() and not refined[self.constraints.free].any():
+            return ["the refinement dropped every function, so the fit before it stays; collect more or cleaner data"]
+        self.set_coefficients(refined)
+        return []
 
     def _solve(self, sums: RunningSums) -> None:
         self.set_coefficients(self.regression.solve(sums, self.constraints.free, self.constraints.offset))

@@ -91,3 +91,12 @@ def test_functions_without_a_coefficient_are_not_computed():
     assert not calls
     generate(library, torch.tensor([[1.0, 2.0], [3.0, 4.0]]))(x, u)
     assert len(calls) == 1  # one value serves both rows
+
+
+@pytest.mark.parametrize("value", [float("inf"), -float("inf"), float("nan")])
+def test_coefficients_that_are_not_finite_get_one_line(value):
+    xi = torch.zeros(2, 2, dtype=torch.float64)
+    xi[1, 0] = value
+    with pytest.raises(ValueError, match=rf"such as {value} of u in a'; allowed are finite ones") as error:
+        generate(Library(SIGNATURE, [CONSTANT, variable("u")]), xi)
+    assert "\n" not in str(error.value)

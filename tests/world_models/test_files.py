@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from dynasindy.systems import Tras, Xi
+from dynasindy.world_models.constraints import Constraints
 from dynasindy.world_models.features import CONSTANT, of, register_function, variable
 from dynasindy.world_models.files import FORMAT, load, save
 from dynasindy.world_models.libraries import build_library
@@ -31,7 +32,7 @@ def test_what_is_loaded_is_what_was_saved(tmp_path, name):
     library = build_library(name, Tras().signature)
     xi = coefficients(library)
     save(library, xi, tmp_path / "model.json")
-    again, back = load(tmp_path / "model.json")
+    again, back, _ = load(tmp_path / "model.json")
     assert again.names == library.names and again.signature == library.signature
     assert torch.equal(back, xi) and back.dtype == torch.float64
 
@@ -45,7 +46,7 @@ def test_powers_and_frequencies_of_any_size_are_kept(tmp_path):
 
 def test_a_file_can_be_read_by_a_person(written):
     data = json.loads(written.read_text())
-    library, xi = load(written)
+    library, xi, _ = load(written)
     assert data["format"] == FORMAT
     assert [line.partition("'")[0] for line in data["equations"]] == list(library.signature.state_names)
     assert data["signature"]["input_names"] == ["u_a", "u_p"]
@@ -124,3 +125,16 @@ def test_a_user_s_function_must_be_registered_before_loading(tmp_path, monkeypat
     del features._REGISTRY["cube_of_file_test"]
     with pytest.raises(ValueError, match=r"'cube_of_file_test' is not known.*register_function"):
         load(tmp_path / "model.json")
+
+
+def test_what_is_known_of_the_equations_comes_back(tmp_path):
+    library = build_library("rotor", Tras().signature)
+    constraints = Constraints.build(library, {"alpha_a": "Omega_a"}, {"omega_p": ["u_p"]}, {"Omega_p": {"u_a": -0.3}})
+    save(library, coefficients(library), tmp_path / "model.json", constraints)
+    back = load(tmp_path / "model.json")[2]
+    assert torch.equal(back.free, constraints.free) and torch.equal(back.offset, constraints.offset)
+
+
+def test_a_file_without_a_word_of_constraints_has_none(written):
+    back = load(written)[2]
+    assert bool(back.free.all()) and not bool(back.offset.any())

@@ -191,3 +191,28 @@ def test_too_few_samples_wrong_widths_and_unfinished_numbers_are_refused():
         model.fit(Transitions.from_trajectory(bad, torch.zeros(41, 2), 0.01))
     with pytest.raises(ValueError, match="coefficients got shape"):
         model.set_coefficients(torch.zeros(3, 6))
+
+
+def test_a_loaded_model_keeps_what_was_known_and_is_fitted_as_it_is_told(tmp_path):
+    model = SindyModel(Xi().signature, "paper_table", known=KNOWN, fixed={"omega_p": {"u_p": 5e3}})
+    model.fit_derivatives(*(points := _points()), Xi()(*points))
+    model.save(tmp_path / "model.json")
+    again = SindyModel.load(tmp_path / "model.json", Regression("bic"))
+    again.fit_derivatives(*points, Xi()(*points) + 1.0)
+    found = _found(again)
+    assert {key: v for key, v in found.items() if key[0] in KNOWN} == dict.fromkeys(KNOWN.items(), 1.0)
+    assert found["omega_p", "u_p"] == 5e3 and again.regression.method == "bic"
+
+
+class Nothing(Refinement):
+    def run(self, library, coefficients, constraints, data):
+        return constraints.offset
+
+
+def test_a_refinement_that_drops_everything_leaves_the_fit_and_says_so():
+    data = _recording(Xi(), Multisine(2, 5.0, amplitude=(0.4, 0.3), offset=HOVER))
+    plain, refined = (SindyModel(Xi().signature, refinement=r, known=KNOWN) for r in (None, Nothing()))
+    assert "note: " not in plain.fit(data).to_text()
+    report = refined.fit(data)
+    assert torch.equal(refined.coefficients, plain.coefficients) and refined.coefficients.count_nonzero() > 2
+    assert "note: the refinement dropped every function, so the fit before it stays" in report.to_text()
