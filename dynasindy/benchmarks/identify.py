@@ -34,16 +34,20 @@ from dynasindy.world_models.trajectory import Estimate, Windows, linearise
 
 KNOWN = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
 HOVER = (-0.12, 0.21)
+SEEDS, RESULTS = 10, Path("docs/results/identification.csv")
 Row = dict[str, Any]
 
 
 def main(argv: list[str]) -> None:
     """Measure, print a table and write it as CSV."""
     parser = argparse.ArgumentParser(prog="benchmark.py identify", description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=10, help="seeds of each case with seeds")
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="seeds of each case with seeds")
     parser.add_argument("--only", nargs="*", default=None, help="names of cases; all by default")
-    parser.add_argument("--out", type=Path, default=Path("docs/results/identification.csv"), help="CSV file")
+    told = f"CSV file; {RESULTS} by default, nothing if there are fewer than {SEEDS} seeds"
+    parser.add_argument("--out", type=Path, default=None, help=told)
     arguments = parser.parse_args(argv)
+    # A quick look must not replace the published figures.
+    out = RESULTS if arguments.out is None and arguments.seeds >= SEEDS else arguments.out
     unknown = sorted(set(arguments.only or []) - set(CASES))
     if unknown:
         parser.error(f"unknown case {', '.join(unknown)}; choose of {', '.join(CASES)}")
@@ -53,8 +57,11 @@ def main(argv: list[str]) -> None:
         for row in CASES[name](arguments.seeds):
             rows.append({"case": name, **row})
             print(f"{name:<14}{row['method']:<26}{row['measure']:<58}{row['value']:<40}{row['target']}", flush=True)
-    _write(rows, arguments.out, replace=arguments.only is None)
-    print(f"written to {arguments.out}")
+    if out is None:
+        print(f"written to no file: fewer than {SEEDS} seeds; name one by --out")
+        return
+    _write(rows, out, replace=arguments.only is None)
+    print(f"written to {out}")
 
 
 def _write(rows: list[Row], path: Path, replace: bool) -> None:

@@ -32,6 +32,7 @@ from dynasindy.data import DynaReplay
 
 N_OBS, N_U = 8, 2
 REPLAY_ROWS = (80_000, 320_000)  # real and imagined, of the paper's two million
+REPEATS, RESULTS = 15, Path("docs/results/td3.csv")
 OURS = "dynasindy TD3.update"
 
 
@@ -58,18 +59,24 @@ SIZES = (Size("paper", (400, 300), 512, 10), Size("quick", (128, 128), 256, 60))
 def main(argv: list[str]) -> None:
     """Measure, print a table and write it as CSV."""
     parser = argparse.ArgumentParser(prog="benchmark.py td3", description=__doc__.splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=15, help="repeats of which the median is taken")
-    parser.add_argument("--out", type=Path, default=Path("docs/results/td3.csv"), help="CSV file to write")
+    parser.add_argument("--repeats", type=int, default=REPEATS, help="repeats of which the median is taken")
+    told = f"CSV file to write; {RESULTS} by default, nothing if there are fewer than {REPEATS} repeats"
+    parser.add_argument("--out", type=Path, default=None, help=told)
     arguments = parser.parse_args(argv)
+    # A quick look must not replace the published figures.
+    out = RESULTS if arguments.out is None and arguments.repeats >= REPEATS else arguments.out
     torch.set_num_threads(1)
     rows = [row for size in SIZES for row in measure(size, arguments.repeats)]
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    with arguments.out.open("w", newline="") as file:
+    print("\n".join(table(rows)))
+    if out is None:
+        print(f"written to no file: fewer than {REPEATS} repeats; name one by --out")
+        return
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with out.open("w", newline="") as file:
         writer = csv.DictWriter(file, rows[0])
         writer.writeheader()
         writer.writerows(rows)
-    print("\n".join(table(rows)))
-    print(f"written to {arguments.out}")
+    print(f"written to {out}")
 
 
 def measure(size: Size, repeats: int) -> list[dict[str, str | float]]:

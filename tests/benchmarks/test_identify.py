@@ -60,6 +60,14 @@ def test_rows_of_other_cases_stay_in_the_file(tmp_path, monkeypatch):
         assert [(r["case"], r["value"]) for r in csv.DictReader(file)] == [("first", "1"), ("second", "2")]
 
 
+@pytest.mark.parametrize(("seeds", "written"), [("9", False), ("10", True)])
+def test_a_quick_look_leaves_the_published_figures(tmp_path, monkeypatch, seeds, written):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(identify, "CASES", {"first": lambda seeds: [identify.row("m", "what", str(seeds))]})
+    identify.main(["--seeds", seeds])
+    assert identify.RESULTS.is_file() == written
+
+
 def test_an_unknown_case_is_refused(capsys):
     with pytest.raises(SystemExit):
         identify.main(["--only", "venus"])

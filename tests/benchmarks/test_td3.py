@@ -57,3 +57,13 @@ def test_main_writes_a_row_per_contender_and_size(tmp_path, monkeypatch, capsys)
     assert all(float(row["ms_per_update"]) > 0 for row in rows)
     printed = capsys.readouterr().out
     assert all(row["what"] in printed for row in rows)
+
+
+@pytest.mark.parametrize(("repeats", "written"), [("1", False), ("2", True)])
+def test_a_quick_look_leaves_the_published_figures(tmp_path, monkeypatch, capsys, repeats, written):
+    monkeypatch.chdir(tmp_path)
+    for name, value in {"SIZES": (SIZE,), "REPLAY_ROWS": (50, 100), "REPEATS": 2}.items():
+        monkeypatch.setattr(td3, name, value)
+    td3.main(["--repeats", repeats])
+    assert td3.RESULTS.is_file() == written
+    assert ("written to no file" in capsys.readouterr().out) != written
