@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import csv
+import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TextIO
 
 import numpy as np
 import torch
@@ -158,6 +160,36 @@ class CsvLog:
                 )
 
 
+def infer(path: str, time: str = "time") -> tuple[dict[str, Column], dict[str, Column]]:
+    """Read the columns of states and inputs off the headings of a file, `name` or `name [unit]`.
+
+    Inputs are called u, u1, u_..., or input...; references, predictions and columns that do not begin with a number are
+    left out; all other columns but time are states.
+
+    Args:
+        path: the file.
+        time: heading of the time column.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: no heading is that of a state, or none that of an input.
+    """
+    with _opened(Path(path)) as file:
+        rows = csv.reader(file, delimiter=(separator := _separator(file)))
+        headings, first = [h.strip() for h in next(rows, [])], next(rows, [])
+    given = {h: number for h, number in zip(headings, first, strict=False) if _is_number(number)}
+    columns = {_bare(h): Column(h, h.partition(" [")[2].rstrip("]") or "-") for h in given}
+    others = {n: c for n, c in columns.items() if n != _bare(time) and not n.startswith(("reference_", "predicted_"))}
+    inputs = {n: c for n, c in others.items() if re.fullmatch(r"(u|U|input)([_\d].*)?", n)}
+    states = {n: c for n, c in others.items() if n not in inputs}
+    if not states or not inputs:
+        raise ValueError(
+            f"{path} has the columns {', '.join(headings) or 'none'} (separator {separator!r}); allowed are time, one "
+            "state or more, and one input or more, u, u_... or input_...: name them by data.states and data.inputs"
+        )
+    return states, inputs
+
+
 def _columns(group: Mapping[str, Column | Mapping[str, object] | str], may_be_rates: bool = True) -> dict[str, Column]:
     made = {name: _column(given) for name, given in group.items()}
     logged = [name for name, column in made.items() if column.name] if may_be_rates else []
@@ -179,10 +211,11 @@ def _column(given: Column | Mapping[str, object] | str) -> Column:
 
 def _numbers(path: Path, names: list[str]) -> Array:
     """Read the named columns; what is no number becomes NaN."""
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        first = file.readline()
-        separator = max(",;\t", key=first.count)
-        headings = [h.strip() for h in next(csv.reader([first], delimiter=separator), [])]
+    with _opened(path) as file:
+        rows_of_file = csv.reader(file, delimiter=_separator(file))
+        headings = [h.strip() for h in next(rows_of_file, [])]
+        # A heading may carry its unit, `alpha_a [rad]`, without being named by it.
+        names = [n if n in headings else next((h for h in headings if _bare(h) == n), n) for n in names]
         absent = [n for n in names if n not in headings]
         if absent:
             raise ValueError(
@@ -190,8 +223,31 @@ def _numbers(path: Path, names: list[str]) -> Array:
                 "correct the column map (data.time, data.states, data.inputs)"
             )
         places = [headings.index(n) for n in names]
-        rows = [[_number(row, k) for k in places] for row in csv.reader(file, delimiter=separator) if row]
+        rows = [[_number(row, k) for k in places] for row in rows_of_file if row]
     return np.array(rows, dtype=np.float64).reshape(len(rows), len(names))
+
+
+def _opened(path: Path) -> TextIO:
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path} does not exist or is no file; allowed is a CSV file with a line of headings: correct data.path"
+        )
+    return path.open(newline="", encoding="utf-8-sig")
+
+
+def _separator(file: TextIO) -> str:
+    """Guess the separator from the line of headings, and go back to it."""
+    first = file.readline()
+    file.seek(0)
+    return max(",;\t", key=first.count)
+
+
+def _bare(heading: str) -> str:
+    return heading.partition(" [")[0]
+
+
+def _is_number(text: str) -> bool:
+    return not math.isnan(_number([text], 0))
 
 
 def _number(row: list[str], k: int) -> float:

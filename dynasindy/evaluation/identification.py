@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from dynasindy.data.csv import CsvLog
+from dynasindy.data.csv import Column, CsvLog, infer
 from dynasindy.data.simulated import disturb, record
 from dynasindy.excitation import Excitation, HeldRandom
 from dynasindy.systems.base import Signature, System
@@ -68,8 +68,14 @@ class Simulated:
                 "allowed are positive times and noise >= 0: correct them"
             )
 
-    def load(self, system: System, excitation: ExcitationBuilder) -> Source:
-        """Excite the plant for training, and by random held inputs of the same range for validation."""
+    def load(self, system: System | None, excitation: ExcitationBuilder) -> Source:
+        """Excite the plant for training, and by random held inputs of the same range for validation.
+
+        Raises:
+            ValueError: there is no plant.
+        """
+        if system is None:
+            raise ValueError("data=simulated got no plant; it needs one of conf/system: give system=NAME, or data=csv")
         signal = excitation(n_u=system.signature.n_u, seed=self.seed)
         unseen = HeldRandom(
             system.signature.n_u,
@@ -92,8 +98,9 @@ class Logged:
 
     Attributes:
         path: the file.
-        states: column map of the states, see `CsvLog`; the heading, or heading, unit, scale, derivative_of.
-        inputs: column map of the inputs.
+        states: column map of the states, see `CsvLog`; the heading, or heading, unit, scale, derivative_of. Without a
+            map the names are those of the plant, or what the headings say where no plant is named.
+        inputs: column map of the inputs, likewise.
         time: heading of the time column [s].
         dt: sampling time [s]; the file's own by default.
         missing: `skip` rows with missing values, or `refuse` the file.
@@ -104,8 +111,8 @@ class Logged:
     """
 
     path: str | None
-    states: dict[str, Any]
-    inputs: dict[str, Any]
+    states: dict[str, Any] | None = None
+    inputs: dict[str, Any] | None = None
     time: str = "time"
     dt: float | None = None
     missing: str = "skip"
@@ -117,13 +124,26 @@ class Logged:
         if not 0 < self.validation_share < 1:
             raise ValueError(f"data=csv got validation_share {self.validation_share}; allowed is between 0 and 1")
 
-    def load(self, system: System, excitation: ExcitationBuilder) -> Source:
-        """Read the file; plant and excitation of the configuration are not used."""
-        log = CsvLog(str(self.path), self.states, self.inputs, self.time, self.dt, self.missing)  # type: ignore[arg-type]
+    def load(self, system: System | None, excitation: ExcitationBuilder) -> Source:
+        """Read the file; of the plant the names are used at most, and nothing of the excitation."""
+        states, inputs = self._columns(system)
+        log = CsvLog(str(self.path), states, inputs, self.time, self.dt, self.missing)  # type: ignore[arg-type]
         recording = log.read()
         data, place = recording.transitions, torch.arange(len(recording.transitions))
         cut = int(len(data) * (1 - self.validation_share))
         return Source(recording.signature, data.select(place < cut), data.select(place >= cut), recording.notes)
+
+    def _columns(self, system: System | None) -> tuple[dict[str, Any], dict[str, Any]]:
+        if self.states and self.inputs:
+            return self.states, self.inputs
+        if system is None:
+            states, inputs = infer(str(self.path), self.time)
+            states = {n: c for n, c in states.items() if n not in (self.inputs or {})}
+        else:
+            plant = system.signature
+            states = {n: Column(n, unit) for n, unit in zip(plant.state_names, plant.state_units, strict=True)}
+            inputs = {n: Column(n) for n in plant.input_names}
+        return self.states or dict(states), self.inputs or dict(inputs)
 
 
 @dataclass(frozen=True)

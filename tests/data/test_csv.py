@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.data.csv import Column, CsvLog
+from dynasindy.data.csv import Column, CsvLog, infer
 
 STATES = {"q": Column("angle", "rad"), "v": Column("rate", "rad/s")}
 INPUTS = {"u": "volt"}
@@ -199,3 +199,32 @@ def test_settings_that_are_not_allowed_are_refused():
     for states, inputs in (({}, INPUTS), (STATES, {})):
         with pytest.raises(ValueError, match="no states or no inputs"):
             CsvLog("log.csv", states, inputs)
+
+
+def test_without_a_map_the_headings_say_what_is_a_state_and_what_an_input(tmp_path):
+    table = np.concatenate([log(), log()[:, 1:2], log()[:, 1:2] * math.nan], -1)
+    headings = ("time [s]", "angle [rad]", "rate", "u_1 [V]", "reference_angle", "comment")
+    path = write(tmp_path / "log.csv", table, headings)
+    states, inputs = infer(path)
+    assert states == {"angle": Column("angle [rad]", "rad"), "rate": Column("rate")}
+    assert inputs == {"u_1": Column("u_1 [V]", "V")}
+    data = CsvLog(path, states, inputs).read()
+    assert np.array_equal(data.transitions.x.numpy(), table[:-1, 1:3]) and data.signature.state_units == ("rad", "-")
+
+
+def test_headings_without_an_input_are_refused(tmp_path):
+    path = write(tmp_path / "log.csv", log())
+    with pytest.raises(ValueError, match=r"has the columns time, angle, rate, volt .*data\.inputs") as error:
+        infer(path)
+    assert "\n" not in str(error.value)
+
+
+def test_a_column_may_be_named_without_its_unit(tmp_path):
+    path = write(tmp_path / "log.csv", log(), ("time [s]", "angle [rad]", "rate [rad/s]", "volt [V]"))
+    assert np.array_equal(CsvLog(path, STATES, INPUTS).read().transitions.x.numpy(), log()[:-1, 1:3])
+
+
+def test_a_missing_file_gets_one_line(tmp_path):
+    for read in (CsvLog(str(tmp_path / "none.csv"), STATES, INPUTS).read, lambda: infer(str(tmp_path))):
+        with pytest.raises(FileNotFoundError, match=r"is no file; allowed is a CSV .* correct data\.path"):
+            read()

@@ -65,3 +65,21 @@ def test_settings_that_make_no_sense_are_refused():
         Logged(None, {"a": "a"}, {"u": "u"})
     with pytest.raises(ValueError, match="validation_share 2"):
         Logged("x.csv", {"a": "a"}, {"u": "u"}, validation_share=2.0)
+
+
+def test_a_log_without_a_map_has_the_names_of_the_plant_or_those_of_its_headings(tmp_path):
+    data = Simulated(validation_seconds=0.5).load(Pendulum(), EXCITATION).training
+    rows = torch.cat([torch.arange(len(data)).unsqueeze(-1) * data.dt, data.x, data.x[:, :1], data.u], -1).tolist()
+    lines = ["time,theta,Omega,spare [m],u", *(",".join(map(repr, row)) for row in rows)]
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    named = Logged(str(tmp_path / "log.csv")).load(Pendulum(), EXCITATION).signature
+    assert named.state_names == ("theta", "Omega") and named.state_units == Pendulum().signature.state_units
+    read = Logged(str(tmp_path / "log.csv")).load(None, EXCITATION).signature
+    assert read.state_names == ("theta", "Omega", "spare") and read.state_units == ("-", "-", "m")
+    mine = Logged(str(tmp_path / "log.csv"), inputs={"torque": "u"}).load(None, EXCITATION).signature
+    assert mine.input_names == ("torque",)
+
+
+def test_nothing_is_simulated_without_a_plant():
+    with pytest.raises(ValueError, match=r"give system=NAME, or data=csv"):
+        Simulated().load(None, EXCITATION)

@@ -1,9 +1,12 @@
 """The identification command writes what it found, and says in one line what is wrong."""
 
 import json
+import random
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -31,7 +34,24 @@ def test_the_pendulum_is_identified_and_everything_written(tmp_path):
 
 def test_a_file_without_a_column_costs_one_line(tmp_path):
     (tmp_path / "log.csv").write_text("time,alpha_a\n0,1\n")
-    done = _run(tmp_path / "run", "data=csv", f"data.path={tmp_path / 'log.csv'}")
+    done = _run(tmp_path / "run", "data=csv", "system=tras", f"data.path={tmp_path / 'log.csv'}")
     assert done.returncode == 2
     assert done.stderr.strip().count("\n") == 0
     assert "has no column 'alpha_p'" in done.stderr
+
+
+def test_a_log_of_an_unknown_plant_needs_no_file_of_its_own(tmp_path):
+    generator, dt = random.Random(0), 0.01
+    position, rate, u, lines = 0.5, 0.0, 0.0, ["time [s],position [m],rate [m/s],u"]
+    for k in range(400):
+        u = generator.uniform(-1, 1) if k % 20 == 0 else u
+        lines.append(f"{k * dt},{position!r},{rate!r},{u!r}")
+        for _ in range(100):  # position' = rate, rate' = -4 position - rate + 3 u
+            position, rate = position + dt / 100 * rate, rate + dt / 100 * (-4 * position - rate + 3 * u)
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    done = _run(tmp_path / "run", "data=csv", f"data.path={tmp_path / 'log.csv'}")
+    assert done.returncode == 0, done.stderr
+    signature = json.loads((tmp_path / "run/model.json").read_text())["signature"]
+    assert signature["state_names"] == ["position", "rate"] and signature["state_units"] == ["m", "m/s"]
+    found = json.loads((tmp_path / "run/model.json").read_text())["coefficients"]["rate"]
+    assert [found[name] for name in ("position", "rate", "u")] == pytest.approx([-4, -1, 3], rel=0.02)
