@@ -64,6 +64,7 @@ def test_a_bad_setting_costs_one_line_and_leaves_nothing(tmp_path, override, wor
 def test_a_sweep_runs_a_job_for_each_setting(tmp_path):
     done = run(
         "-m", "experiment=smoke", "planning.rollouts=0,10", "seed=0,1", "train.updates_per_step=0.01",
+        "excitation.duration=2", "task.max_steps=50", "system=xi",
         f"hydra.sweep.dir={tmp_path / 'sweep'}", cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
