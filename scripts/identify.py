@@ -30,9 +30,15 @@ def draw(found: Identified, source: Source, folder: Path, formats: list[str]) ->
     names = {"names": source.signature.state_names, "units": source.signature.state_units}
     training, validation = source.training, source.validation
     figures = {
-        "training_data": viz.training_data(torch.arange(len(training)) * training.dt, training.x, **names),
+        "training_data": viz.training_data(
+            torch.arange(len(training)) * training.dt, training.x, segment=training.segment, **names
+        ),
         "prediction": viz.prediction(
-            torch.arange(len(validation)) * validation.dt, validation.x_next, found.predicted, **names
+            torch.arange(len(validation)) * validation.dt,
+            validation.x_next,
+            found.predicted,
+            segment=validation.segment,
+            **names,
         ),
     }
     for name, figure in figures.items():

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.response import INPUTS
-from dynasindy.viz.style import BLACK, BLUE, GREY, RED, Array, array, label, panels, styled, symbol
+from dynasindy.viz.style import BLACK, BLUE, GREY, RED, Array, array, label, name_single, panels, styled, symbol
 
 STATES = SIGNATURE.state_names
 UNITS = SIGNATURE.state_units
@@ -35,13 +36,23 @@ def training_data(
     names: Sequence[str] = STATES,
     units: Sequence[str] = UNITS,
     title: str = "Training data",
+    segment: ArrayLike | None = None,
 ) -> Figure:
-    """Draw the states `(T, n_x)` that the model was fitted to over `time` `(T,)` [s]."""
+    """Draw the states `(T, n_x)` that the model was fitted to over `time` `(T,)` [s].
+
+    Args:
+        time: `(T,)` [s].
+        x: `(T, n_x)` states.
+        names: states.
+        units: their units.
+        title: of the figure.
+        segment: `(T,)` number of the unbroken stretch of each sample; lines break between them.
+    """
     seconds, values = array(time), array(x)
     figure, axes, columns = _states(names, units, title)
     for i in range(len(names)):
-        axes[i].plot(seconds, values[:, i], color=BLUE)
-    _finish(axes, columns, seconds)
+        axes[i].plot(_broken(seconds, segment), _broken(values[:, i], segment), color=BLUE)
+    _finish(axes, columns, seconds, segment)
     return figure
 
 
@@ -53,6 +64,7 @@ def prediction(
     names: Sequence[str] = STATES,
     units: Sequence[str] = UNITS,
     title: str = "Model prediction against the real plant",
+    segment: ArrayLike | None = None,
 ) -> Figure:
     """Draw free-running prediction against the real plant, each panel with its error in percent of the range.
 
@@ -63,19 +75,21 @@ def prediction(
         names: states.
         units: their units.
         title: of the figure.
+        segment: `(T,)` number of the unbroken stretch of each sample; lines break between them.
     """
     seconds, truth, model = array(time), array(real), array(predicted)
     figure, axes, columns = _states(names, units, title)
     for i in range(len(names)):
         span = truth[:, i].max() - truth[:, i].min()
-        axes[i].plot(seconds, truth[:, i], color=BLACK, linewidth=1.2, label="real")
-        axes[i].plot(seconds, model[:, i], color=RED, linestyle=":", linewidth=1.8, label="predicted")
+        x, real, free = (_broken(v, segment) for v in (seconds, truth[:, i], model[:, i]))
+        axes[i].plot(x, real, color=BLACK, linewidth=1.2, label="real")
+        axes[i].plot(x, free, color=RED, linestyle=":", linewidth=1.8, label="predicted")
         axes[i].set_title(_fit(truth[:, i], model[:, i], span), fontsize=8.5, loc="right")
         if span > 0:
             # A model that runs away must not flatten the plant's own curve.
             axes[i].set_ylim(truth[:, i].min() - 0.6 * span, truth[:, i].max() + 0.6 * span)
     axes[0].legend(loc="best", ncols=2)
-    _finish(axes, columns, seconds)
+    _finish(axes, columns, seconds, segment)
     return figure
 
 
@@ -101,6 +115,9 @@ def model_error(
     y = np.maximum(y.reshape(len(y), -1), 1e-12)
     figure, (axis,) = panels(1, 1, (7.0, 3.2), title)
     axis.plot(x, np.median(y, axis=1), color=RED, marker="o", markersize=2.5, linewidth=1.0)
+    name_single(axis, x, np.median(y, axis=1), RED)
+    axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axis.set_xlim(x.min(initial=1.0) - 0.5, x.max(initial=1.0) + 0.5)
     if y.shape[1] > 1:
         axis.fill_between(x, y.min(1), y.max(1), color=RED, alpha=0.2, linewidth=0)
     for k, at in enumerate([] if refits is None else array(refits)):
@@ -152,9 +169,17 @@ def _states(names: Sequence[str], units: Sequence[str], title: str) -> tuple[Fig
     return figure, axes, columns
 
 
-def _finish(axes: Sequence[Axes], columns: int, seconds: Array) -> None:
+def _broken(values: Array, segment: ArrayLike | None) -> Array:
+    """Put a NaN between segments, at which a line breaks."""
+    if segment is None:
+        return values
+    return np.insert(values, np.flatnonzero(np.diff(array(segment))) + 1, np.nan)
+
+
+def _finish(axes: Sequence[Axes], columns: int, seconds: Array, segment: ArrayLike | None = None) -> None:
+    gaps = segment is not None and bool(np.diff(array(segment)).any())
     for axis in axes[-columns:]:
-        axis.set_xlabel("time [s]")
+        axis.set_xlabel("time without the gaps [s]" if gaps else "time [s]")
     axes[0].set_xlim(seconds[0], seconds[-1])
 
 
@@ -162,4 +187,7 @@ def _fit(real: Array, predicted: Array, span: float) -> str:
     if not np.isfinite(predicted).all():
         return "runs away"
     rmse = float(np.sqrt(np.mean((real - predicted) ** 2)))
-    return f"RMSE {100 * rmse / span:.1f} % of range" if span > 0 else f"RMSE {rmse:.2g}"
+    if not span > 0:
+        return f"RMSE {rmse:.2g}"
+    percent = 100 * rmse / span
+    return f"RMSE {percent:.0f} % of range" if percent >= 99.5 else f"RMSE {percent:.2g} % of range"

@@ -9,7 +9,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from dynasindy.evaluation.statistics import bootstrap_interval, interquartile_mean
-from dynasindy.viz.style import BLUE, CYCLE, RED, Array, array, panels, styled
+from dynasindy.viz.style import BLUE, CYCLE, RED, Array, array, name_single, panels, styled
 
 
 @styled
@@ -34,6 +34,7 @@ def learning_curve(
     x, y = array(episode), array(train_return)
     figure, (axis,) = panels(1, 1, (7.0, 3.6), title)
     axis.plot(x, y, color=BLUE, alpha=0.3, linewidth=0.9, marker=".", label="real episode, exploring")
+    name_single(axis, x, y, BLUE)
     if len(y) > window:
         axis.plot(x, moving_mean(y, window), color=BLUE, label=f"mean of {window} episodes")
     if eval_episode is not None and eval_return is not None:
@@ -45,6 +46,7 @@ def learning_curve(
             markersize=3.5,
             label="evaluated policy",
         )
+    axis.set_xlim(min(0.0, x.min(initial=0.0)) - 0.5, x.max(initial=1.0) + 0.5)
     axis.set_xlabel("real episode")
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     axis.set_ylabel("return [-]")

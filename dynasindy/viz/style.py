@@ -107,6 +107,16 @@ def array(values: ArrayLike) -> Array:
     return np.asarray(values, dtype=np.float64)
 
 
+def name_single(axis: Axes, x: Array, y: Array, color: str) -> None:
+    """Write its value beside a curve that has only one point, which is easily overlooked."""
+    seen = np.isfinite(y)
+    if seen.sum() == 1:
+        axis.plot(x[seen], y[seen], color=color, marker="o", markersize=5, linestyle="none")
+        axis.annotate(
+            f"{y[seen][0]:.3g}", (x[seen][0], y[seen][0]), (7, 0), textcoords="offset points", va="center", color=color
+        )
+
+
 def save(figure: Figure, path: str | Path, formats: Sequence[str] = ("png",)) -> list[Path]:
     """Write a figure once per format as `path` with the format's suffix and return the files."""
     target = Path(path)

@@ -11,8 +11,12 @@ STATES = np.linspace(0, 1, 100)[:, None] * np.array([1.0, 2.0, 3.0, 4.0, 1000.0,
 def test_prediction_titles_say_the_error_in_percent_of_the_range() -> None:
     figure = prediction(TIME, STATES, STATES + np.array([0.1, 0, 0, 0, 0, 0]))
     titles = [axis.get_title(loc="right") for axis in figure.axes]
-    assert titles[0] == "RMSE 10.0 % of range"
-    assert set(titles[1:]) == {"RMSE 0.0 % of range"}
+    assert titles[0] == "RMSE 10 % of range"
+    assert set(titles[1:]) == {"RMSE 0 % of range"}
+    figure = prediction(TIME, STATES, STATES + np.array([3.2e-5, 1.5, 0, 0, 0, 40.0]))
+    titles = [figure.axes[k].get_title(loc="right") for k in (0, 1, 5)]
+    assert titles == ["RMSE 0.0032 % of range", "RMSE 75 % of range", "RMSE 2 % of range"]
+    assert prediction(TIME, STATES, 3 * STATES).axes[0].get_title(loc="right") == "RMSE 116 % of range"
     assert figure.axes[4].get_ylabel().endswith("[rpm]")
 
 
@@ -64,3 +68,21 @@ def test_the_table_holds_the_used_features_only() -> None:
 
 def test_an_empty_model_still_has_a_table() -> None:
     assert coefficient_table(np.zeros((3, 2)), ["1", "a", "b"], ["a", "b"]).axes[0].tables
+
+
+def test_lines_break_between_stretches_of_a_log() -> None:
+    segment = np.repeat([0, 1, 4], [30, 50, 20])
+    drawn = training_data(TIME, STATES, segment=segment).axes[0].lines[0].get_ydata()
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(drawn)), [30, 81])
+    np.testing.assert_array_equal(drawn[~np.isnan(drawn)], STATES[:, 0])
+    figure = prediction(TIME, STATES, STATES, segment=segment)
+    assert [int(np.isnan(line.get_ydata()).sum()) for line in figure.axes[3].lines] == [2, 2]
+    assert figure.axes[0].get_title(loc="right") == "RMSE 0 % of range"
+    assert figure.axes[-1].get_xlabel() == "time without the gaps [s]"
+
+
+def test_the_error_of_a_single_episode_is_written_out() -> None:
+    axis = model_error([1], [0.00321]).axes[0]
+    assert [text.get_text() for text in axis.texts] == ["0.00321"]
+    assert axis.get_xlim() == (0.5, 1.5)
+    assert not model_error([1, 2], [1.0, 2.0]).axes[0].texts
