@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-ERROR_SHAPES = ("quadratic", "linear")
+ERROR_SHAPES: dict[str, Callable[[Tensor, float], Tensor]] = {
+    "quadratic": lambda error, width: error * error,
+    "linear": lambda error, width: error * error / (width + error.abs()),
+    "logarithmic": lambda error, width: width * torch.log1p((error / width).square()),
+}
+"""Costs of an error and a width; the last two equal e^2 / width near zero."""
 
 
 @dataclass(frozen=True)
@@ -20,9 +26,10 @@ class TrackingReward:
         bonus: d: paid per output while its error is below `tolerance`.
         tolerance: Half width of the bonus band [rad] (paper: 0.01).
         stop_penalty: Cost of each control period in which a mechanical stop is touched.
-        error_shape: "quadratic" as in the paper, or "linear": e^2 / (width + |e|), quadratic within `width`
-            and linear beyond it, so that small errors still matter.
-        width: Error at which the linear shape turns over [rad].
+        error_shape: "quadratic" as in the paper, or a shape that is quadratic within `width` and flatter beyond it,
+            so that small errors still matter: "linear", e^2 / (width + |e|), or "logarithmic",
+            width ln(1 + (e / width)^2).
+        width: Error at which the shape turns over [rad].
 
     Raises:
         ValueError: A weight, penalty, tolerance or width is negative, or the shape is unknown.
@@ -58,8 +65,7 @@ class TrackingReward:
         Returns:
             Rewards, `(*batch,)`.
         """
-        square = error * error
-        cost = square if self.error_shape == "quadratic" else square / (self.width + error.abs())
+        cost = ERROR_SHAPES[self.error_shape](error, self.width)
         weights = torch.tensor(self.error_weights, dtype=error.dtype, device=error.device)
         reward = -(cost * weights).sum(-1) - self.rate_weight * (rate_change * rate_change).sum(-1)
         reward = reward + self.bonus * (error.abs() < self.tolerance).to(error.dtype).sum(-1)

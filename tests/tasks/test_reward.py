@@ -32,6 +32,13 @@ def test_the_linear_shape_is_quadratic_within_its_width_and_linear_beyond():
     assert slope == pytest.approx(1.0, abs=1e-3)
 
 
+def test_the_logarithmic_shape_is_quadratic_near_zero_and_grows_by_a_constant_per_octave_far_away():
+    settings = {"error_weights": (1.0, 0.0), "error_shape": "logarithmic", "width": 0.05, "bonus": 0.0}
+    assert pay((0.001, 0.0), **settings) == pytest.approx(-(0.001**2) / 0.05, rel=1e-3)
+    octave = pay((20.0, 0.0), **settings) - pay((40.0, 0.0), **settings)
+    assert octave == pytest.approx(0.1 * 0.6931472, rel=1e-3)
+
+
 @pytest.mark.parametrize("settings", [{"bonus": -1.0}, {"width": 0.0}, {"error_shape": "cubic"}])
 def test_impossible_rewards_are_refused(settings):
     with pytest.raises(ValueError, match=str(next(iter(settings.values())))):
