@@ -59,7 +59,7 @@ def train(parts: Parts, settings: Settings, callback: Callback) -> TensorDictMod
         error, refitted = replay_error(parts.model_env, rollout), None
         if planner.due(number):
             refitted = refit(parts, settings, rollout)
-            cost.add(planner.plan()) if parts.gate.judge(error) else planner.distrust()
+            cost.add(planner.plan()) if parts.gate.judge(refitted.error) else planner.distrust()
         callback.episode(Episode(number, rollout, error, parts.gate.is_open, refitted), cost)
     # Deployment.
     return agent.deployed

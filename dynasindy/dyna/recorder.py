@@ -24,6 +24,8 @@ GATE_COLUMNS = (
     "episode",
     "reward_error",
     "state_error",
+    "judged_reward_error",
+    "judged_state_error",
     "open_below",
     "close_above",
     "open",
@@ -135,13 +137,16 @@ class Recorder(Callback):
 
     def _log_decision(self, episode: Episode) -> None:
         """Append to `gate.csv`: what the gate saw and decided, and what became of the refit."""
-        gate, refit, error = self.parts.gate, episode.refit, episode.error
+        gate, error = self.parts.gate, episode.error
+        judged: list[float | None] = [None] * 2
         tested: list[float | None] = [None] * 3
-        if refit is not None:
+        if (refit := episode.refit) is not None:
+            judged = [refit.error.reward_error, refit.error.state_error]
             tested = [refit.error_before, refit.error_after, float(refit.kept)]
-        decision = [episode.number, error.reward_error, error.state_error, gate.open_below, gate.close_above]
+        before = [float(episode.number), error.reward_error, error.state_error]
+        decided = [gate.open_below, gate.close_above, float(episode.trusted)]
         stored = float(len(self.parts.replay.model))
-        self.decisions.append([*map(float, decision), float(episode.trusted), *tested, stored])
+        self.decisions.append([*before, *judged, *decided, *tested, stored])
         write_csv(self.folder / "gate.csv", GATE_COLUMNS, self.decisions)
 
     def _write_rollout(self, name: str, rollout: TensorDict) -> None:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from dynasindy.data.recording import transitions
 from dynasindy.dyna.parts import Parts, Settings
-from dynasindy.planning import window_error
+from dynasindy.planning import ModelError, replay_error
 
 WINDOW_SECONDS = 1.0
 """Length of a held-out window: that of an imagined rollout of 20 control periods."""
@@ -26,15 +26,17 @@ class Refit:
 
     Args:
         report: What the model's fit returned.
-        error_before: Error of the earlier model on the held-out windows, in ranges of the states; NaN if none.
+        error_before: State error of the earlier model on the held-out windows, in ranges of the states; NaN if none.
         error_after: That of the refitted model.
         kept: Whether the refitted model stays.
+        error: Held-out errors of the model that stays; of the earlier model on the whole episode if none is held out.
     """
 
     report: object
     error_before: float
     error_after: float
     kept: bool
+    error: ModelError
 
 
 def fit(parts: Parts, settings: Settings, held_out: Tensor | None = None) -> object:
@@ -69,17 +71,18 @@ def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
     length = round(WINDOW_SECONDS / parts.model_env.dt)
     starts = held_out_windows(rollout.numel(), length, settings.held_out)
     if not len(starts):
-        return Refit(fit(parts, settings), torch.nan, torch.nan, True)
+        unseen = replay_error(parts.model_env, rollout)
+        return Refit(fit(parts, settings), torch.nan, torch.nan, True, unseen)
     held_out = torch.zeros(rollout.numel(), dtype=torch.bool)
     held_out[(starts.unsqueeze(-1) + torch.arange(length)).flatten()] = True
     earlier = {name: tensor.clone() for name, tensor in parts.world_model.state_dict().items()}
-    before = window_error(parts.model_env, rollout, starts, length)
+    before = replay_error(parts.model_env, rollout, starts, length)
     report = fit(parts, settings, held_out)
-    after = window_error(parts.model_env, rollout, starts, length)
-    kept = after <= max(WORSE * before, NEGLIGIBLE)
+    after = replay_error(parts.model_env, rollout, starts, length)
+    kept = after.state_error <= max(WORSE * before.state_error, NEGLIGIBLE)
     if not kept:
         parts.world_model.load_state_dict(earlier)
-    return Refit(report, before, after, kept)
+    return Refit(report, before.state_error, after.state_error, kept, after if kept else before)
 
 
 def held_out_windows(steps: int, length: int, every: int) -> Tensor:

@@ -5,7 +5,7 @@ from dynasindy.planning.gradient import GradientPlanning, GradientThenReplay
 from dynasindy.planning.imagine import Imagination
 from dynasindy.planning.prediction import ModelPrediction
 from dynasindy.planning.replayed import ImaginedReplay, NoPlanning
-from dynasindy.planning.trust import Gate, ModelError, replay_error, window_error
+from dynasindy.planning.trust import Gate, ModelError, replay_error
 from dynasindy.planning.variation import Variation, Varied
 
 __all__ = [
@@ -22,5 +22,4 @@ __all__ = [
     "Variation",
     "Varied",
     "replay_error",
-    "window_error",
 ]

@@ -15,14 +15,21 @@ def gate(decisions: Mapping[str, ArrayLike], title: str = "Trust in the model") 
 
     Args:
         decisions: The columns of `gate.csv`, `(n_episodes,)` each: `episode`; `reward_error` per control period of the
-            episode, replayed through the model; the thresholds `open_below` and `close_above`; `open`, 1 or 0; and of
-            the refit `held_out_error_before`, `held_out_error_after` and `refit_kept`, NaN without a test.
+            whole episode, replayed through the model before its refit; `judged_reward_error` of the model that stays,
+            on held-out windows, NaN where no planning was due; the thresholds `open_below` and `close_above`; `open`,
+            1 or 0; and of the refit `held_out_error_before`, `held_out_error_after` and `refit_kept`, NaN without a
+            test.
         title: of the figure.
     """
     columns = {name: array(values) for name, values in decisions.items()}
     x, before, after = (columns[name] for name in ("episode", "held_out_error_before", "held_out_error_after"))
     figure, (upper, lower) = panels(2, 1, (7.0, 5.0), title)
-    upper.plot(x, columns["reward_error"], color=BLUE, marker="o", markersize=3, label="replayed real episode")
+    upper.plot(
+        x, columns["reward_error"], color=GREY, marker="o", markersize=3, label="whole episode, before the refit"
+    )
+    upper.plot(
+        x, columns["judged_reward_error"], color=BLUE, marker="o", markersize=3, label="held-out windows, judged"
+    )
     upper.plot(x, columns["open_below"], color=BLACK, linestyle=":", linewidth=0.9, label="opens below")
     upper.plot(x, columns["close_above"], color=BLACK, linestyle="--", linewidth=0.9, label="closes above")
     for closed in x[columns["open"] == 0]:
@@ -30,8 +37,8 @@ def gate(decisions: Mapping[str, ArrayLike], title: str = "Trust in the model") 
     upper.set_yscale("log")
     upper.set_ylabel("reward error [per period]")
     upper.legend()
-    lower.plot(x, before, color=ORANGE, marker="o", markersize=3, label="before the refit")
-    lower.plot(x, after, color=BLUE, marker="o", markersize=3, label="after the refit")
+    lower.plot(x, before, color=ORANGE, label="before the refit", **dots)
+    lower.plot(x, after, color=BLUE, label="after the refit", **dots)
     back = columns["refit_kept"] == 0
     lower.plot(x[back], after[back], color=RED, marker="x", linestyle="none", label="rolled back")
     if np.isfinite(before).any():

@@ -70,8 +70,10 @@ def test_the_gate_has_a_row_per_episode(recorded):
     decisions = rows(folder / "gate.csv")
     assert [float(row["episode"]) for row in decisions] == [1, 2, 3]
     for row in decisions:
-        assert float(row["open"]) == 1 and float(row["close_above"]) == pytest.approx(0.3)
-        assert row["refit_kept"] == "" and float(row["stored_imagined_transitions"]) == 0  # nothing is planned here
+        assert float(row["open"]) == 1 and float(row["close_above"]) == pytest.approx(0.1)
+        assert (
+            row["refit_kept"] == row["judged_reward_error"] == "" and float(row["stored_imagined_transitions"]) == 0
+        )  # nothing is planned here
 
 
 def test_evaluation_neither_counts_nor_changes_the_run(recorded):

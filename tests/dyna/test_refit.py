@@ -14,7 +14,7 @@ from dynasindy.dyna.parts import Settings
 from dynasindy.dyna.refit import fit, held_out_windows, refit
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Chirp
-from dynasindy.planning import Gate, NoPlanning
+from dynasindy.planning import Gate, NoPlanning, replay_error
 from dynasindy.systems import Xi
 from dynasindy.tasks import RandomStep, Tracking
 from dynasindy.world_models import Oracle
@@ -60,12 +60,14 @@ def test_a_worse_refit_is_rolled_back_and_a_better_one_stays():
     fit(parts, Settings(1))
     better, best = refit(parts, Settings(1), rollout), refit(parts, Settings(1), rollout)
     assert better.kept and best.kept
+    assert best.error.state_error == best.error_after and best.error.reward_error < better.error.reward_error
     assert best.error_after < 1e-4 < best.error_before == better.error_after < better.error_before
 
     parts, rollout = setting(1.0, 1.5)
     fit(parts, Settings(1))
     worse = refit(parts, Settings(1), rollout)
     assert not worse.kept and worse.error_after > worse.error_before
+    assert worse.error.state_error == worse.error_before  # the gate judges the model that stays
     assert parts.world_model.factor == 1.0
 
 
@@ -91,7 +93,9 @@ def test_the_held_out_windows_are_in_no_fit_before_the_next():
 def test_without_a_test_every_refit_stays():
     parts, rollout = setting(1.0, 9.0)
     fit(parts, Settings(1))
+    unseen = replay_error(parts.model_env, rollout)
     result = refit(parts, Settings(1, held_out=0), rollout)
+    assert result.error.reward_error == unseen.reward_error  # the whole episode, before the fit has read it
     assert result.kept and math.isnan(result.error_before)
     assert parts.world_model.factor == 9.0 and len(parts.world_model.seen[1]) == 80 * 5
 

@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning import Gate, ModelError, replay_error, window_error
+from dynasindy.planning import Gate, ModelError, replay_error
 from dynasindy.systems import System, Tras, Xi
 from dynasindy.tasks import Step, Tracking
 
@@ -43,13 +43,17 @@ def test_windows_are_replayed_from_their_real_first_states():
     env = ControlEnv(plant, Tracking(plant.signature, Step([[0.1, 0.1]])), dtype=torch.float64)
     episode = env.rollout(60)
     starts = torch.tensor([0, 40])
-    assert window_error(env, episode, starts, 20) == 0
+    assert replay_error(env, episode, starts, 20).state_error == 0
     model_env = env.with_system(Xi())
-    one_step = window_error(model_env, episode, torch.arange(60), 1)
-    assert 0 < one_step < window_error(model_env, episode, starts, 20)
-    # One window over all of the episode is the replay of the whole.
-    whole = window_error(model_env, episode, starts[:1], 60)
-    assert whole == pytest.approx(replay_error(model_env, episode).state_error)
+    one_step = replay_error(model_env, episode, torch.arange(60), 1)
+    assert 0 < one_step.state_error < replay_error(model_env, episode, starts, 20).state_error
+    # Windows side by side are what they are one by one, each at its own time and reference.
+    apart = [replay_error(model_env, episode, starts[i : i + 1], 20) for i in range(2)]
+    both = replay_error(model_env, episode, starts, 20)
+    assert both.reward_error == pytest.approx(sum(one.reward_error for one in apart) / 2)
+    assert torch.allclose(both.states, torch.cat([one.states for one in apart]))
+    # A window over all of the episode is the replay of the whole.
+    assert replay_error(model_env, episode, starts[:1], 60).state_error == replay_error(model_env, episode).state_error
 
 
 def test_the_true_model_has_no_error_and_another_has():
@@ -71,4 +75,4 @@ def test_a_model_that_overflows_has_an_infinite_error():
     env = ControlEnv(plant, Tracking(plant.signature, Step([[0.1, 0.1]])))
     episode, wild = env.rollout(10), env.with_system(Runaway(plant.signature))
     assert replay_error(wild, episode).state_error == float("inf")
-    assert window_error(wild, episode, torch.tensor([0]), 5) == float("inf")
+    assert replay_error(wild, episode, torch.tensor([0]), 5).state_error == float("inf")

@@ -8,6 +8,7 @@ def test_closed_episodes_are_shaded_and_rolled_back_refits_are_marked():
         {
             "episode": [1, 2, 3],
             "reward_error": [0.1, 0.9, 0.2],
+            "judged_reward_error": [0.01, 0.6, 0.02],
             "open_below": [0.3] * 3,
             "close_above": [0.5] * 3,
             "open": [1, 0, 1],
