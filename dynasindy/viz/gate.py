@@ -24,12 +24,9 @@ def gate(decisions: Mapping[str, ArrayLike], title: str = "Trust in the model") 
     columns = {name: array(values) for name, values in decisions.items()}
     x, before, after = (columns[name] for name in ("episode", "held_out_error_before", "held_out_error_after"))
     figure, (upper, lower) = panels(2, 1, (7.0, 5.0), title)
-    upper.plot(
-        x, columns["reward_error"], color=GREY, marker="o", markersize=3, label="whole episode, before the refit"
-    )
-    upper.plot(
-        x, columns["judged_reward_error"], color=BLUE, marker="o", markersize=3, label="held-out windows, judged"
-    )
+    dots = {"marker": "o", "markersize": 3}
+    upper.plot(x, columns["reward_error"], color=GREY, label="whole episode, before the refit", **dots)
+    upper.plot(x, columns["judged_reward_error"], color=BLUE, label="held-out windows, judged", **dots)
     upper.plot(x, columns["open_below"], color=BLACK, linestyle=":", linewidth=0.9, label="opens below")
     upper.plot(x, columns["close_above"], color=BLACK, linestyle="--", linewidth=0.9, label="closes above")
     for closed in x[columns["open"] == 0]:
