@@ -9,7 +9,7 @@ from saved_run import load_config, load_policy, load_scenario
 
 from dynasindy.evaluation.files import save_evaluation
 from dynasindy.evaluation.scenarios import evaluate
-from dynasindy.evaluation.summary import summarise, to_text
+from dynasindy.evaluation.summary import heading, summarise, to_text
 from dynasindy.viz.animation import animate
 from dynasindy.viz.evaluation import draw_evaluation
 
@@ -30,10 +30,7 @@ def main(cfg: DictConfig) -> None:
         draw_evaluation(result, folder / "evaluation", formats=cfg.formats)
         if cfg.animate:
             animate(result, folder / "evaluation" / f"{scenario.name}.{cfg.animation}")
-        print(
-            to_text(summarise(result), f"Scenario '{scenario.name}' ({scenario.episodes} references)"),
-            end="\n\n",
-        )
+        print(to_text(summarise(result), heading(result)), end="\n\n")
     print(f"Figures, tables and trajectories: {folder / 'evaluation'}")
 
 

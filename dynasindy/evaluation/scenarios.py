@@ -76,6 +76,7 @@ class Evaluation:
         time: `(T,)` times of the root entries of the trajectory [s].
         trajectory: `[episodes, T]` as `ControlEnv.rollout` writes it.
         metrics: Per row, see `dynasindy.evaluation.metrics`.
+        windows: Times `(start, end)` at which the plant was disturbed [s], where that was not all the time.
     """
 
     scenario: str
@@ -84,6 +85,12 @@ class Evaluation:
     time: Tensor
     trajectory: TensorDictBase
     metrics: dict[str, Tensor]
+    windows: tuple[Window, ...] = ()
+
+    @property
+    def seconds(self) -> float:
+        """Length of the run [s]."""
+        return float(self.time[-1] + self.time[1] - self.time[0])
 
     @property
     def outputs(self) -> Tensor:
@@ -163,7 +170,7 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario) -> Evaluation:
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.random.fork_rng():
         _check_action(policy, start, env.system.signature.n_u, scenario.name)
         trajectory = _run(calm, wrapped, scenario, start)
-    return _measure(calm, task, scenario.name, trajectory)
+    return _measure(calm, task, scenario, trajectory)
 
 
 def _prepare(env: ControlEnv, scenario: Scenario) -> tuple[ControlEnv, Tracking]:
@@ -224,9 +231,10 @@ def _check_action(policy: Policy, start: TensorDict, n_u: int, name: str) -> Non
         )
 
 
-def _measure(env: ControlEnv, task: Tracking, name: str, trajectory: TensorDictBase) -> Evaluation:
+def _measure(env: ControlEnv, task: Tracking, scenario: Scenario, trajectory: TensorDictBase) -> Evaluation:
     # Root entries: state and reference at the moment an action is chosen, so that a step begins at time zero.
     time = torch.arange(trajectory.shape[-1]) * env.dt
     y, r, u = trajectory["state"][..., task.outputs], trajectory["reference"], trajectory["action"]
     metrics = tracking_metrics(time, y, r, u)
-    return Evaluation(name, env.system.signature, tuple(task.outputs), time, trajectory, metrics)
+    windows = tuple((start, end) for start, end in scenario.windows or ()) if scenario.plant else ()
+    return Evaluation(scenario.name, env.system.signature, tuple(task.outputs), time, trajectory, metrics, windows)

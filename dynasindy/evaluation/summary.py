@@ -48,6 +48,13 @@ def summarise(evaluation: Evaluation) -> Summary:
     return summary
 
 
+def heading(evaluation: Evaluation) -> str:
+    """Return what a table of an evaluation was measured on; errors and returns compare at equal lengths only."""
+    facts = [f"{len(evaluation.outputs)} reference{'s' * (len(evaluation.outputs) > 1)}", f"{evaluation.seconds:g} s"]
+    facts += [f"disturbed from {start:g} to {end:g} s" for start, end in evaluation.windows]
+    return f"Scenario '{evaluation.scenario}' ({', '.join(facts)})"
+
+
 def to_text(summary: Mapping[str, float | None], title: str = "") -> str:
     """Return a table of a summary, metrics down and axes across, aligned for a terminal.
 

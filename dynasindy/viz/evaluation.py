@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.viz.response import error_fan, step_response, tracking
-from dynasindy.viz.style import save
+from dynasindy.viz.style import ORANGE, save
 
 
 def draw_evaluation(
@@ -46,9 +46,21 @@ def figures(evaluation: Evaluation, label: str = "policy", row: int = 0) -> dict
             title=f"Scenario '{name}'",
         )
     }
+    _shade(drawn[name], evaluation)
     if len(evaluation.outputs) > 1:
         title = f"Scenario '{name}': error over all references"
         drawn[f"{name}_errors"] = error_fan(
             evaluation.time, evaluation.outputs, evaluation.references, evaluation.output_names, title
         )
+        _shade(drawn[f"{name}_errors"], evaluation)
     return drawn
+
+
+def _shade(figure: Figure, evaluation: Evaluation) -> None:
+    """Shade when the plant was disturbed."""
+    for start, end in evaluation.windows:
+        for axis in figure.axes:
+            axis.axvspan(start, end, color=ORANGE, alpha=0.2, lw=0)
+        first = figure.axes[0]
+        place = (0.5 * (start + end), 0.98)
+        first.text(*place, "disturbed", transform=first.get_xaxis_transform(), ha="center", va="top", fontsize=8)

@@ -116,7 +116,7 @@ def model_error(
     figure, (axis,) = panels(1, 1, (7.0, 3.2), title)
     axis.plot(x, np.median(y, axis=1), color=RED, marker="o", markersize=2.5, linewidth=1.0)
     name_single(axis, x, np.median(y, axis=1), RED)
-    axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axis.set_xlim(x.min(initial=1.0) - 0.5, x.max(initial=1.0) + 0.5)
     if y.shape[1] > 1:
         axis.fill_between(x, y.min(1), y.max(1), color=RED, alpha=0.2, linewidth=0)

@@ -48,7 +48,7 @@ def learning_curve(
         )
     axis.set_xlim(min(0.0, x.min(initial=0.0)) - 0.5, x.max(initial=1.0) + 0.5)
     axis.set_xlabel("real episode")
-    axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axis.set_ylabel("return [-]")
     axis.legend(loc="lower right")
     return figure

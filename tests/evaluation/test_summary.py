@@ -2,15 +2,19 @@
 
 import json
 import math
+from functools import partial
 
 import pytest
 import torch
 from tensordict import TensorDict
 
+from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.disturbances import Pushed
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING
-from dynasindy.evaluation.scenarios import Evaluation
-from dynasindy.evaluation.summary import summarise, to_text
-from dynasindy.systems import Signature
+from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
+from dynasindy.evaluation.summary import heading, summarise, to_text
+from dynasindy.systems import Pendulum, Signature
+from dynasindy.tasks import Step, Tracking, TrackingReward
 
 
 def evaluation(**changes: torch.Tensor) -> Evaluation:
@@ -79,3 +83,18 @@ def test_the_table_of_a_wave_leaves_the_metrics_of_steps_out() -> None:
     assert "settl" not in text
     assert "overshoot" not in text
     assert row(text, "RMSE")[-2:] == ["0.3", "0.5"]
+
+
+def test_the_heading_says_how_long_and_when_the_plant_was_disturbed() -> None:
+    system = Pendulum()
+    task = Tracking(system.signature, Step([[0.5]]), ["theta"], ["Omega"], TrackingReward(error_weights=(4.0,)))
+
+    def still(td):
+        return td.set("action", torch.zeros(*td.batch_size, 1))
+
+    gust = {"plant": partial(Pushed, push={"Omega": 1.0}), "windows": [(0.5, 1.5)]}
+    scenario = Scenario("wind", Step([[0.5], [0.2]]), episodes=2, seconds=3.0, **gust)
+    result = evaluate(ControlEnv(system, task, substeps=1), still, scenario)
+    assert heading(result) == "Scenario 'wind' (2 references, 3 s, disturbed from 0.5 to 1.5 s)"
+    calm = evaluate(ControlEnv(system, task, substeps=1), still, Scenario("step", seconds=1.5))
+    assert heading(calm) == "Scenario 'step' (1 reference, 1.5 s)"

@@ -1,15 +1,19 @@
 """Figures of an evaluation: which kind is drawn for which scenario."""
 
+from functools import partial
 from pathlib import Path
 
 import pytest
 import torch
+from matplotlib.colors import to_rgb
 
 from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.disturbances import Pushed
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.systems import Pendulum, Tras
 from dynasindy.tasks import Reference, Step, Tracking, TrackingReward, Wave
 from dynasindy.viz.evaluation import draw_evaluation, figures
+from dynasindy.viz.style import ORANGE
 
 
 def run(reference: Reference, episodes: int) -> Evaluation:
@@ -30,6 +34,18 @@ def test_many_references_add_the_spread_of_the_error(episodes: int, tmp_path: Pa
 def test_steps_show_their_settling_band_and_waves_do_not() -> None:
     assert figures(run(Step([[0.1, 0.1]]), 1))["short"].axes[0].patches
     assert not figures(run(Wave([0.3, 0.2], [0.5, 0.5]), 1))["short"].axes[0].patches
+
+
+def test_the_gust_is_shaded_in_every_panel() -> None:
+    system = Tras()
+    env = ControlEnv(system, Tracking(system.signature, Step([[0.1, 0.1]])), substeps=1)
+    gust = Scenario("wind", None, 2, 3.0, partial(Pushed, push={"Omega_p": 0.5}), [(1.0, 2.0)])
+    drawn = figures(evaluate(env, lambda td: td.set("action", torch.zeros(*td.batch_size, 2)), gust))
+    for figure in drawn.values():
+        for axis in figure.axes:
+            shades = [patch for patch in axis.patches if patch.get_facecolor()[:3] == to_rgb(ORANGE)]
+            assert [(shade.get_x(), shade.get_width()) for shade in shades] == [(1, 1)]
+        assert figure.axes[0].texts[-1].get_text() == "disturbed"
 
 
 def test_other_plants_get_their_own_labels() -> None:

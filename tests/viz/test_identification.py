@@ -84,5 +84,5 @@ def test_lines_break_between_stretches_of_a_log() -> None:
 def test_the_error_of_a_single_episode_is_written_out() -> None:
     axis = model_error([1], [0.00321]).axes[0]
     assert [text.get_text() for text in axis.texts] == ["0.00321"]
-    assert axis.get_xlim() == (0.5, 1.5)
+    assert axis.get_xlim() == (0.5, 1.5) and axis.get_xticks().tolist() == [0, 1, 2]
     assert not model_error([1, 2], [1.0, 2.0]).axes[0].texts
