@@ -1,6 +1,7 @@
 """What the gate saw and decided, and what became of each refit."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -24,7 +25,7 @@ def gate(decisions: Mapping[str, ArrayLike], title: str = "Trust in the model") 
     columns = {name: array(values) for name, values in decisions.items()}
     x, before, after = (columns[name] for name in ("episode", "held_out_error_before", "held_out_error_after"))
     figure, (upper, lower) = panels(2, 1, (7.0, 5.0), title)
-    dots = {"marker": "o", "markersize": 3}
+    dots: dict[str, Any] = {"marker": "o", "markersize": 3}
     upper.plot(x, columns["reward_error"], color=GREY, label="whole episode, before the refit", **dots)
     upper.plot(x, columns["judged_reward_error"], color=BLUE, label="held-out windows, judged", **dots)
     upper.plot(x, columns["open_below"], color=BLACK, linestyle=":", linewidth=0.9, label="opens below")
