@@ -10,6 +10,7 @@ from saved_run import load_config, load_policy, load_scenario
 from dynasindy.evaluation.files import save_evaluation
 from dynasindy.evaluation.scenarios import evaluate
 from dynasindy.evaluation.summary import heading, summarise, to_text
+from dynasindy.planning.integral import IntegralAction
 from dynasindy.viz.animation import animate
 from dynasindy.viz.evaluation import draw_evaluation
 
@@ -23,15 +24,18 @@ def main(cfg: DictConfig) -> None:
     folder = Path(cfg.run)
     config = load_config(folder)
     env, policy = load_policy(config, folder)
+    if cfg.integral:
+        policy = IntegralAction(policy, env)
+    out = folder / ("evaluation_integral" if cfg.integral else "evaluation")
     scenarios = [load_scenario(name, config) for name in cfg.scenarios]
     for scenario in scenarios:
         result = evaluate(env, policy, scenario)
-        save_evaluation(result, folder / "evaluation")
-        draw_evaluation(result, folder / "evaluation", formats=cfg.formats)
+        save_evaluation(result, out)
+        draw_evaluation(result, out, formats=cfg.formats)
         if cfg.animate:
-            animate(result, folder / "evaluation" / f"{scenario.name}.{cfg.animation}")
+            animate(result, out / f"{scenario.name}.{cfg.animation}")
         print(to_text(summarise(result), heading(result)), end="\n\n")
-    print(f"Figures, tables and trajectories: {folder / 'evaluation'}")
+    print(f"Figures, tables and trajectories: {out}")
 
 
 if __name__ == "__main__":

@@ -16,7 +16,8 @@ class IntegralAction:
     """A policy that is shown its error plus the error's integral.
 
     The policy holds any target, so that shifting what it sees by `integral` moves the output until the error is
-    zero; no training is needed. Errors beyond `band` are not integrated: a step does not wind the integral up.
+    zero; no training is needed. What is no steady error is not integrated, so that nothing winds up: no error beyond
+    `band`, as after a step or in a gust, and of an output that moves at `rate` half of it.
 
     Args:
         policy: Reads `observation`, writes `action`.
@@ -24,6 +25,7 @@ class IntegralAction:
         gain: Integral gain [1/s].
         band: Largest error that is integrated [of the outputs].
         limit: Largest integral [of the outputs].
+        rate: Rate of an output at which half of its error is integrated [of the outputs per second].
 
     Raises:
         TypeError: The task tracks no reference.
@@ -35,15 +37,19 @@ class IntegralAction:
         policy: Callable[[TensorDictBase], TensorDictBase],
         env: ControlEnv,
         gain: float = 0.7,
-        band: float = 0.1,
+        band: float = 0.06,
         limit: float = 0.3,
+        rate: float = 0.1,
     ) -> None:
         if not isinstance(env.task, Tracking):
             raise TypeError(f"task {type(env.task).__name__} has no error to integrate; use a tracking task")
-        if not min(gain, band, limit) > 0:
-            raise ValueError(f"integral action needs positive numbers, got gain={gain}, band={band}, limit={limit}")
+        if not min(gain, band, limit, rate) > 0:
+            raise ValueError(
+                f"integral action needs positive numbers, got gain={gain}, band={band}, limit={limit}, rate={rate}; "
+                "mend them, or leave integral action out"
+            )
         self.policy, self.task, self.dt = policy, env.task, env.dt
-        self.gain, self.band, self.limit = gain, band, limit
+        self.gain, self.band, self.limit, self.rate = gain, band, limit, rate
         self.integral: Tensor | None = None
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -59,6 +65,6 @@ class IntegralAction:
         shift = (self.integral / task.error_scale).to(observation)
         observation[..., first : first + task.n_r] += shift
         seen["observation"] = observation
-        inside = (error.abs() < self.band).to(error)
-        self.integral = (self.integral + self.gain * self.dt * inside * error).clamp(-self.limit, self.limit)
+        steady = (error.abs() < self.band) / (1 + (x[..., task.rates] / self.rate).square())
+        self.integral = (self.integral + self.gain * self.dt * steady * error).clamp(-self.limit, self.limit)
         return tensordict.set("action", self.policy(seen)["action"])

@@ -42,6 +42,15 @@ def test_errors_beyond_the_band_are_not_integrated():
     assert float(action.integral.abs().max()) == 0.0
 
 
+def test_half_the_error_of_an_output_that_moves_at_the_given_rate_is_integrated():
+    env, proportional = setting()
+    action = IntegralAction(proportional, env, gain=2.0, band=1.0, rate=0.4)
+    for rate, integrated in ((0.0, 0.02), (0.4, 0.01)):  # gain 2/s * 0.05 s * error 0.2 rad, and half of it
+        start = env.start_from(torch.tensor([0.0, rate]))
+        action(start)
+        torch.testing.assert_close(action.integral, torch.tensor([integrated]))
+
+
 def test_the_first_step_forgets_the_last_episode():
     env, proportional = setting()
     action = IntegralAction(proportional, env, band=1.0)

@@ -1,6 +1,7 @@
 """The evaluation script on a run folder that holds an untrained policy, as a user runs it."""
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -48,6 +49,15 @@ def test_it_writes_tables_figures_and_an_animation(run_folder: Path, tmp_path: P
     names = {path.name for path in (run_folder / "evaluation").iterdir()}
     assert names == {"delay.json", "delay.csv", "delay.svg", "delay_errors.svg", "delay.gif"}
     assert json.loads((run_folder / "evaluation" / "delay.json").read_text())["rows"] == 64
+
+
+def test_integral_action_has_results_of_its_own(run_folder: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(run_folder, tmp_path / "run")
+    for option in ("integral=false", "integral=true"):
+        done = evaluate(f"run={folder}", "scenarios=[detuned]", option, "formats=[svg]", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    files = [folder / name / "detuned.json" for name in ("evaluation", "evaluation_integral")]
+    assert files[0].read_text() != files[1].read_text()
 
 
 @pytest.mark.parametrize(
