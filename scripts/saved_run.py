@@ -5,8 +5,8 @@ from pickle import UnpicklingError
 from typing import Any
 
 import torch
-from command import CONF
 from hydra.utils import instantiate
+from mistakes import CONF
 from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.envs import ControlEnv
