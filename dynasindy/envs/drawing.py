@@ -1,5 +1,7 @@
 """Pictures of a controlled plant: a dial per tracked output and, of the twin rotor, the beam in space.
 
+The beam's shadow on the floor shows its azimuth; orange is the reference.
+
 Drawn with Pillow at twice the size and scaled down, which smooths the edges.
 """
 
@@ -21,9 +23,10 @@ HEIGHT = 360
 _ZOOM = 2
 _INK, _GHOST = (30, 30, 30, 255), (213, 94, 0, 255)
 _BEAM, _MAIN, _TAIL, _FAINT = (70, 80, 95, 255), (0, 114, 178), (0, 158, 115), (215, 215, 215, 255)
+_FLOOR, _SHADOW = (244, 244, 244, 255), (190, 190, 190, 255)
 _VIEW = (
     math.radians(-90.0),
-    math.radians(22.0),
+    math.radians(28.0),
 )  # the camera's azimuth and elevation: a level beam looks level
 _ZERO = {"theta": -0.5 * math.pi}  # a pendulum at rest hangs down
 
@@ -47,17 +50,51 @@ def draw(
     Returns:
         Colours, uint8 `(height, width, 3)`.
     """
-    beam = signature.state_names[:2] == ("alpha_a", "alpha_p")
-    width = (HEIGHT if beam else 0) + HEIGHT // 2 * max(1, 1 if beam else len(outputs))
-    image = Image.new("RGB", (_ZOOM * width, _ZOOM * HEIGHT), "white")
+    beam = is_beam(signature)
+    image = _canvas((HEIGHT if beam else 0) + HEIGHT // 2 * max(1, 1 if beam else len(outputs)))
     if beam:
-        _draw_twin_rotor(image, np.asarray(x, dtype=np.float64), np.asarray(reference, dtype=np.float64))
+        _draw_twin_rotor(image, np.asarray(x, dtype=np.float64), np.asarray(reference, dtype=np.float64), (0.0, 0.0))
     for k, index in enumerate(outputs):
         corner = (HEIGHT, k * HEIGHT // 2) if beam else (k * HEIGHT // 2, HEIGHT // 4)
         _draw_dial(image, corner, signature.state_names[index], float(x[index]), float(reference[k]))
     if time is not None:
         _write(image, (10, 8), f"t = {time:.2f} s")
-    return np.asarray(image.resize((width, HEIGHT), Image.Resampling.LANCZOS))
+    return _finished(image)
+
+
+def draw_beam(x: Sequence[float], reference: Sequence[float], turned: Sequence[float], words: str) -> Frame:
+    """Draw the twin rotor alone, with a key to its colours.
+
+    Args:
+        x: `(6,)` state.
+        reference: `(2,)` azimuth and pitch that are wanted [rad].
+        turned: Angles of the blades of tail and main rotor [rad].
+        words: Written into the corner.
+
+    Returns:
+        Colours, uint8 `(height, height, 3)`.
+    """
+    image = _canvas(HEIGHT)
+    _draw_twin_rotor(image, np.asarray(x, dtype=np.float64), np.asarray(reference, dtype=np.float64), turned)
+    _write(image, (10, 8), words)
+    _write(image, (10, 338), "reference", _GHOST)
+    _write(image, (90, 338), "main rotor", (*_MAIN, 255))
+    _write(image, (170, 338), "tail rotor", (*_TAIL, 255))
+    return _finished(image)
+
+
+def is_beam(signature: Signature) -> bool:
+    """Return whether a plant is a twin rotor, whose beam can be drawn."""
+    return signature.state_names[:2] == ("alpha_a", "alpha_p")
+
+
+def _canvas(width: int) -> Image.Image:
+    return Image.new("RGB", (_ZOOM * width, _ZOOM * HEIGHT), "white")
+
+
+def _finished(image: Image.Image) -> Frame:
+    size = (image.width // _ZOOM, image.height // _ZOOM)
+    return np.asarray(image.resize(size, Image.Resampling.LANCZOS))
 
 
 def _draw_dial(image: Image.Image, corner: tuple[int, int], name: str, value: float, reference: float) -> None:
@@ -75,21 +112,41 @@ def _draw_dial(image: Image.Image, corner: tuple[int, int], name: str, value: fl
     _write(image, (corner[0] + 94, corner[1] + 152), f"{reference:+.3f}", _GHOST)
 
 
-def _draw_twin_rotor(image: Image.Image, x: Vector, reference: Vector) -> None:
+def _draw_twin_rotor(image: Image.Image, x: Vector, reference: Vector, turned: Sequence[float]) -> None:
     pen = ImageDraw.Draw(image, "RGBA")
+    _draw_floor(pen, x[0], reference[0])
     pen.line(_points([(0, 0, -1.0), (0, 0, 0)]), fill=_FAINT, width=10 * _ZOOM)
-    pen.polygon(_points(_circle(np.array([0, 0, -1.0]), 0.45, (1, 0, 0), (0, 1, 0))), fill=_FAINT)
     ghost, _, _ = _frame(reference[0], reference[1])
     pen.line(_points([-ghost, ghost]), fill=_GHOST, width=2 * _ZOOM)
     along, side, up = _frame(x[0], x[1])
+    main, tail = (*_MAIN, _opacity(x[5], 3800.0)), (*_TAIL, _opacity(x[4], 7500.0))
     parts = [
-        (along, lambda: _draw_rotor(pen, along, 0.42, (along, side), (*_MAIN, _opacity(x[5], 3800.0)))),
-        (-along, lambda: _draw_rotor(pen, -along, 0.3, (along, up), (*_TAIL, _opacity(x[4], 7500.0)))),
+        (along, lambda: _draw_rotor(pen, along, 0.42, _turned(along, side, turned[1]), main)),
+        (-along, lambda: _draw_rotor(pen, -along, 0.3, _turned(along, up, turned[0]), tail)),
         (np.zeros(3), lambda: _draw_beam(pen, along, up)),
     ]
     # The farthest part first, so that nearer ones cover it.
     for _, part in sorted(parts, key=lambda item: _depth(item[0])):
         part()
+    # The reference reaches beyond the beam, so that it is seen when they coincide.
+    for end in (-1.0, 1.0):
+        pen.line(_points([0.98 * end * ghost, 1.25 * end * ghost]), fill=_GHOST, width=3 * _ZOOM)
+
+
+def _draw_floor(pen: ImageDraw.ImageDraw, azimuth: float, reference: float) -> None:
+    """Draw the floor with the beam's shadow and, at its edge, where the reference wants it."""
+    floor = np.array([0.0, 0.0, -1.0])
+    edge = _points(_circle(floor, 1.05, (1, 0, 0), (0, 1, 0)))
+    pen.polygon(edge, fill=_FLOOR)
+    pen.line([*edge, edge[0]], fill=_FAINT, width=_ZOOM)
+    for angle, inner, outer, colour, thick in ((azimuth, -1.0, 1.0, _SHADOW, 5), (reference, 1.0, 1.15, _GHOST, 3)):
+        way = np.array([math.cos(angle), math.sin(angle), 0.0])
+        pen.line(_points([floor + inner * way, floor + outer * way]), fill=colour, width=thick * _ZOOM)
+    pen.polygon(_points(_circle(floor, 0.3, (1, 0, 0), (0, 1, 0))), fill=_FAINT)
+
+
+def _turned(e1: Vector, e2: Vector, angle: float) -> tuple[Vector, Vector]:
+    return math.cos(angle) * e1 + math.sin(angle) * e2, math.cos(angle) * e2 - math.sin(angle) * e1
 
 
 def _draw_beam(pen: ImageDraw.ImageDraw, along: Vector, up: Vector) -> None:
@@ -105,6 +162,8 @@ def _draw_rotor(
     outline = _points(_circle(centre, radius, *plane))
     pen.polygon(outline, fill=colour)
     pen.line([*outline, outline[0]], fill=(*colour[:3], 255), width=2 * _ZOOM)
+    blades = radius * plane[0]
+    pen.line(_points([centre - blades, centre + blades]), fill=(*colour[:3], 255), width=3 * _ZOOM)
 
 
 def _frame(azimuth: float, pitch: float) -> tuple[Vector, Vector, Vector]:

@@ -1,57 +1,134 @@
-"""Seeing a controller move: the drawn plant over time, as GIF, or as MP4 where ffmpeg is installed."""
+"""Seeing a controller move: the plant beside its outputs over time, as GIF, or as MP4 where ffmpeg is installed."""
 
+import math
 import shutil
 import subprocess
 from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
 
+import matplotlib
 import numpy as np
-from PIL import Image
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image, ImageDraw, ImageFont
 
-from dynasindy.envs.drawing import Frame, draw
+from dynasindy.envs.drawing import HEIGHT, Frame, draw, draw_beam, is_beam
 from dynasindy.evaluation.scenarios import Evaluation
+from dynasindy.viz.style import BLACK, BLUE, CYCLE, STYLE, WORDS, Array, label
 
 SUFFIXES = (".gif", ".mp4")
+RATE = 10
+"""Pictures per second."""
+FULL = (7500.0, 3800.0)
+"""Speeds of tail and main rotor at which the drawn blades turn a radian per picture [rpm]; real ones would blur."""
+
+
+class Chart:
+    """The tracked outputs of one row over the whole run, drawn as far as a moment.
+
+    Args:
+        evaluation: What to show.
+        row: Which of its references.
+    """
+
+    ZOOM = 2
+
+    def __init__(self, evaluation: Evaluation, row: int) -> None:
+        self.names, self.time = evaluation.output_names, evaluation.time.numpy()
+        self.y, self.r = evaluation.outputs[row].numpy(), evaluation.references[row].numpy()
+        inch = HEIGHT / 100
+        with matplotlib.rc_context(STYLE):
+            figure = Figure(figsize=(inch, inch), dpi=100 * self.ZOOM)
+            canvas = FigureCanvasAgg(figure)
+            axes = figure.subplots(len(self.names), 1, sharex=True, squeeze=False)[:, 0]
+            figure.subplots_adjust(left=0.2, right=0.96, bottom=0.13, top=0.92, hspace=0.32)
+            for k, axis in enumerate(axes):
+                self._frame(axis, k)
+            axes[-1].set_xlabel("time [s]")
+            canvas.draw()
+        self.ground = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+        self.lines = [self._pixels(axis, self.y[:, k]) for k, axis in enumerate(axes)]
+        self.tops = [(1 - axis.get_position().y1) * self.ground.height for axis in axes]
+
+    def until(self, moment: int) -> Frame:
+        """Return the chart up to and with sample number `moment`, and the errors then in words."""
+        image = self.ground.copy()
+        pen, font = ImageDraw.Draw(image), ImageFont.load_default(size=13 * self.ZOOM)
+        for k, (line, top) in enumerate(zip(self.lines, self.tops, strict=True)):
+            past = line[: moment + 1]
+            pen.line(past, fill=BLUE, width=2 * self.ZOOM, joint="curve")
+            (u, v), size = past[-1], 4 * self.ZOOM
+            pen.ellipse([u - size, v - size, u + size, v + size], fill=BLUE)
+            error = self.r[moment, k] - self.y[moment, k]
+            words = f"{WORDS.get(self.names[k], self.names[k])} error {error:+.3f} rad"
+            pen.text((0.96 * image.width, top - 5 * self.ZOOM), words, fill=BLACK, font=font, anchor="rs")
+        return np.asarray(image.resize((HEIGHT, HEIGHT), Image.Resampling.LANCZOS))
+
+    def _frame(self, axis: Axes, k: int) -> None:
+        """Draw what does not move: the reference, and axes that hold the whole run."""
+        step = bool((np.diff(self.r[:, k]) == 0).mean() > 0.5)
+        axis.plot(self.time, self.r[:, k], color=CYCLE[1], linewidth=1.4, drawstyle="steps-post" if step else "default")
+        values = np.concatenate([self.y[:, k], self.r[:, k]])
+        margin = 0.08 * max(float(np.ptp(values)), 0.02)
+        axis.set_ylim(values.min() - margin, values.max() + margin)
+        axis.set_xlim(self.time[0], self.time[-1])
+        axis.set_ylabel(label(self.names[k], "rad"))
+
+    def _pixels(self, axis: Axes, values: Array) -> list[tuple[float, float]]:
+        points = axis.transData.transform(np.stack([self.time, values], -1))
+        return [(float(u), self.ground.height - float(v)) for u, v in points]
 
 
 def frames(evaluation: Evaluation, row: int = 0, every: int = 2) -> Iterator[Frame]:
-    """Yield a picture of each `every`-th sample of one row of an evaluation.
+    """Yield a picture of each `every`-th sample of one row of an evaluation: the plant, and its outputs so far.
 
     Args:
         evaluation: What to show.
         row: Which of its references.
         every: Control periods per picture.
     """
-    x = evaluation.trajectory["state"][row, ::every].tolist()
-    reference = evaluation.references[row, ::every].tolist()
-    for k, time in enumerate(evaluation.time[::every].tolist()):
-        yield draw(evaluation.signature, x[k], reference[k], evaluation.columns, time)
+    chart = Chart(evaluation, row)
+    x, reference = evaluation.trajectory["state"][row].tolist(), evaluation.references[row].tolist()
+    speed = every * RATE * float(evaluation.time[1] - evaluation.time[0])
+    fast = f", {speed:.3g} times as fast" if speed > 1.01 else ""
+    turned = [0.0, 0.0]
+    for k in range(0, len(x), every):
+        words = f"t = {evaluation.time[k]:.1f} s{fast}"
+        if is_beam(evaluation.signature):
+            turned = [angle + w / full for angle, w, full in zip(turned, x[k][4:], FULL, strict=True)]
+            scene = draw_beam(x[k], reference[k], turned, words)
+        else:
+            scene = draw(evaluation.signature, x[k], reference[k], evaluation.columns, float(evaluation.time[k]))
+        yield np.hstack([scene, chart.until(k)])
 
 
-def animate(evaluation: Evaluation, path: Path, row: int = 0, every: int = 2) -> Path:
-    """Write one row of an evaluation as an animation in real time.
+def animate(evaluation: Evaluation, path: Path, row: int = 0, seconds: float = 10.0) -> Path:
+    """Write one row of an evaluation as an animation, in real time unless that takes too long.
 
     Args:
         evaluation: What to show.
         path: File to write; its suffix, .gif or .mp4, says how.
         row: Which of its references.
-        every: Control periods per picture.
+        seconds: Longest time it may take [s]; a longer run is shown a whole number of times as fast, and says so.
 
     Returns:
         The file.
 
     Raises:
-        ValueError: The suffix is unknown, `every` is not positive, or ffmpeg is missing.
+        ValueError: The suffix is unknown, `seconds` is not positive, or ffmpeg is missing.
     """
     if path.suffix not in SUFFIXES:
         raise ValueError(f"an animation cannot be written as '{path.name}'; use a name in {' or '.join(SUFFIXES)}")
-    if every < 1:
-        raise ValueError(f"every must be at least 1 control period per picture, got {every}; 2 is smooth enough")
+    if not seconds > 0:
+        raise ValueError(f"seconds of an animation must be positive, got {seconds}; 10 is easy to watch")
     path.parent.mkdir(parents=True, exist_ok=True)
-    seconds = every * float(evaluation.time[1] - evaluation.time[0])
+    dt = float(evaluation.time[1] - evaluation.time[0])
+    speed = max(1, math.ceil(len(evaluation.time) * dt / seconds - 1e-6))
+    every = max(1, round(speed / (RATE * dt)))
     write = _write_gif if path.suffix == ".gif" else _write_mp4
-    write(frames(evaluation, row, every), path, seconds)
+    write(frames(evaluation, row, every), path, every * dt / speed)
     return path
 
 

@@ -46,7 +46,7 @@ def tracking(
         axes[i].set_ylabel(label(name, "rad"))
     for i, name in enumerate(input_names[:n_u]):
         _inputs(axes[len(names) + i], seconds, inputs, i, name)
-    axes[0].legend(loc="best", ncols=min(4, 1 + len(outputs)))
+    _legend(axes[0])
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(seconds[0], seconds[-1])
     return figure
@@ -71,7 +71,7 @@ def step_response(
         band = f"{100 * SETTLING_BAND:g} % band"
         axis.axhspan(target[-1, i] - half, target[-1, i] + half, color=GREY, alpha=0.2, lw=0, label=band)
         axis.axvspan(seconds[-1] - STEADY_SECONDS, seconds[-1], color=GREY, alpha=0.08, lw=0, label="steady state")
-    figure.axes[0].legend(loc="lower right", ncols=2)
+    _legend(figure.axes[0])
     return figure
 
 
@@ -108,6 +108,12 @@ def error_fan(
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(seconds[0], seconds[-1])
     return figure
+
+
+def _legend(axis: Axes) -> None:
+    """Put the legend above an axis: what moves leaves no corner free."""
+    entries = len(axis.get_legend_handles_labels()[0])
+    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=entries, columnspacing=1.2, handlelength=1.6)
 
 
 def _lines(axis: Axes, seconds: ArrayLike, outputs: Mapping[str, ArrayLike], column: int) -> None:

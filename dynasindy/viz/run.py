@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -55,15 +56,15 @@ def _figures(folder: Path, signature: Signature) -> dict[str, Figure]:
     names, units = signature.state_names, signature.state_units
     figures = {}
     excited = read_table(folder / "data" / "excitation.csv")
-    figures["excitation"] = excitation(excited["time"], _stack(excited, signature.input_names), signature.input_names)
-    figures["training_data"] = training_data(excited["time"], _stack(excited, names), names, units)
+    figures["excitation"] = excitation(excited["time"], stacked(excited, signature.input_names), signature.input_names)
+    figures["training_data"] = training_data(excited["time"], stacked(excited, names), names, units)
     for when, title in (("first", "before reinforcement learning"), ("last", "after reinforcement learning")):
         path = folder / "data" / f"prediction_{when}_episode.csv"
         if path.is_file():
             table = read_table(path)
-            predicted = _stack(table, [f"predicted_{name}" for name in names])
+            predicted = stacked(table, [f"predicted_{name}" for name in names])
             title = f"Open-loop model prediction of a real episode, {title}"
-            figures[path.stem] = prediction(table["time"], _stack(table, names), predicted, names, units, title)
+            figures[path.stem] = prediction(table["time"], stacked(table, names), predicted, names, units, title)
     if (folder / "progress.csv").is_file():
         progress = read_table(folder / "progress.csv")
         at = np.isfinite(progress["evaluated_return"])
@@ -84,13 +85,14 @@ def _response(table: Table, signature: Signature) -> Figure:
     outputs = [name.removeprefix("reference_") for name in table if name.startswith("reference_")]
     return step_response(
         table["time"],
-        _stack(table, [f"reference_{name}" for name in outputs]),
-        {"policy": _stack(table, outputs)},
-        {"policy": _stack(table, signature.input_names)},
+        stacked(table, [f"reference_{name}" for name in outputs]),
+        {"policy": stacked(table, outputs)},
+        {"policy": stacked(table, signature.input_names)},
         outputs,
         signature.input_names,
     )
 
 
-def _stack(table: Table, columns: list[str] | tuple[str, ...]) -> NDArray[np.float64]:
+def stacked(table: Table, columns: Sequence[str]) -> NDArray[np.float64]:
+    """Return columns of a table side by side, `(n_rows, n_columns)`."""
     return np.stack([table[column] for column in columns], -1)

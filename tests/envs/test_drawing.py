@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from dynasindy.envs.drawing import HEIGHT, draw
+from dynasindy.envs.drawing import HEIGHT, draw, draw_beam
 from dynasindy.systems import Pendulum, Tras
 
 LEVEL = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -33,7 +33,7 @@ def test_a_level_beam_looks_level_and_positive_pitch_lifts_the_main_rotor() -> N
     left, right = beam_ends(0.4)
     # The main rotor is at the right end, one beam's half length (0.32 of the frame) from the pivot.
     slope = math.atan2(right - left, 0.32 * HEIGHT * math.cos(0.4) * 2 * 0.8)
-    assert slope == pytest.approx(0.4 * math.cos(math.radians(22)), abs=0.12)
+    assert slope == pytest.approx(0.4 * math.cos(math.radians(28)), abs=0.12)
 
 
 def test_time_reference_and_speeds_change_the_picture() -> None:
@@ -42,6 +42,20 @@ def test_time_reference_and_speeds_change_the_picture() -> None:
     assert (draw(signature, LEVEL, [0.4, 0.0], [0, 1]) != plain).any()
     assert (draw(signature, [*LEVEL[:5], 3000.0], [0.0, 0.0], [0, 1]) != plain).any()
     assert (draw(signature, LEVEL, [0.0, 0.0], [0, 1], time=1.0) != plain).any()
+
+
+def test_blades_turn_and_the_shadow_and_the_reference_follow_the_azimuth() -> None:
+    level = draw_beam(LEVEL, [0.0, 0.0], [0.0, 0.0], "")
+    assert level.shape == (HEIGHT, HEIGHT, 3)
+    assert (draw_beam(LEVEL, [0.0, 0.0], [0.0, 1.0], "") != level).any()
+    shadows = []
+    for azimuth in (0.0, 0.4):
+        frame = draw_beam([azimuth, *LEVEL[1:]], [azimuth, 0.0], [0.0, 0.0], "").astype(int)
+        rows, columns = np.nonzero(np.abs(frame - 190).max(-1) < 6)
+        right = (columns > 0.7 * HEIGHT) & (rows > 0.6 * HEIGHT)
+        shadows.append(rows[right].mean())
+    # The camera looks along +y, so a beam that turns to the left points away from it: upwards on the floor.
+    assert shadows[1] < shadows[0] - 5
 
 
 def test_a_pendulum_at_rest_hangs() -> None:

@@ -9,11 +9,11 @@ import torch
 from PIL import Image
 
 from dynasindy.envs import ControlEnv
-from dynasindy.envs.drawing import draw
+from dynasindy.envs.drawing import draw_beam
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
-from dynasindy.systems import Tras
-from dynasindy.tasks import Step, Tracking
-from dynasindy.viz.animation import animate, frames
+from dynasindy.systems import Pendulum, Tras
+from dynasindy.tasks import Step, Tracking, TrackingReward
+from dynasindy.viz.animation import FULL, Chart, animate, frames
 
 
 @pytest.fixture(scope="module")
@@ -28,16 +28,41 @@ def test_pictures_are_of_the_shown_row_and_sample(evaluation: Evaluation) -> Non
     pictures = list(frames(evaluation, row=1, every=2))
     assert len(pictures) == 5
     state = evaluation.trajectory["state"][1, 4]
-    expected = draw(evaluation.signature, state.tolist(), [0.1, 0.1], [0, 1], 0.2)
-    np.testing.assert_array_equal(pictures[2], expected)
+    turned = (evaluation.trajectory["state"][1, :5:2, 4:] / torch.tensor(FULL)).sum(0)
+    scene = draw_beam(state.tolist(), [0.1, 0.1], turned.tolist(), "t = 0.2 s")
+    np.testing.assert_array_equal(pictures[2][:, :360], scene)
+
+
+def test_the_chart_grows_and_its_last_point_is_where_the_output_stands(evaluation: Evaluation) -> None:
+    chart = Chart(evaluation, row=0)
+    blue = np.array([0, 114, 178])
+    early, late = ((np.abs(chart.until(k).astype(int) - blue).max(-1) < 20) for k in (2, 9))
+    assert early.sum() < late.sum()
+    u, v = chart.lines[1][9]
+    assert late[round(v / 2), round(u / 2)] and not early[round(v / 2), round(u / 2)]
+
+
+def test_other_plants_are_drawn_with_their_dial() -> None:
+    system = Pendulum()
+    task = Tracking(system.signature, Step([[0.3]]), outputs=["theta"], rates=["Omega"], reward=TrackingReward((4.0,)))
+    env = ControlEnv(system, task, substeps=1)
+    swing = Scenario("swing", Step([[0.3]]), seconds=0.2)
+    shown = evaluate(env, lambda td: td.set("action", torch.zeros(*td.batch_size, 1)), swing)
+    (first, _) = frames(shown)
+    assert first.shape == (360, 180 + 360, 3)
 
 
 def test_a_gif_runs_in_real_time(evaluation: Evaluation, tmp_path: Path) -> None:
-    path = animate(evaluation, tmp_path / "new" / "half.gif", every=2)
+    path = animate(evaluation, tmp_path / "new" / "half.gif")
     with Image.open(path) as gif:
         assert gif.n_frames == 5
-        assert gif.size == (540, 360)
+        assert gif.size == (720, 360)
         assert gif.info["duration"] == 100
+
+
+def test_a_run_that_takes_too_long_is_shown_faster(evaluation: Evaluation, tmp_path: Path) -> None:
+    with Image.open(animate(evaluation, tmp_path / "half.gif", seconds=0.25)) as gif:
+        assert gif.n_frames * gif.info["duration"] == pytest.approx(250, abs=50)
 
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="ffmpeg is not installed")
@@ -48,8 +73,8 @@ def test_an_mp4_is_written_where_ffmpeg_is(evaluation: Evaluation, tmp_path: Pat
 def test_mistakes_get_one_line(evaluation: Evaluation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match=r"'a\.avi'; use a name in \.gif or \.mp4"):
         animate(evaluation, tmp_path / "a.avi")
-    with pytest.raises(ValueError, match="every must be at least 1"):
-        animate(evaluation, tmp_path / "a.gif", every=0)
+    with pytest.raises(ValueError, match="seconds of an animation must be positive"):
+        animate(evaluation, tmp_path / "a.gif", seconds=0)
     monkeypatch.setattr(shutil, "which", lambda _: None)
     with pytest.raises(ValueError, match=r"needs ffmpeg, which is not installed"):
         animate(evaluation, tmp_path / "a.mp4")
