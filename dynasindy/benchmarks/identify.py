@@ -103,7 +103,7 @@ def score(found: Tensor, truth: Tensor) -> tuple[int, int, float]:
 
 def xi_recording(seconds: float, dt: float, seed: int) -> Transitions:
     """Record the plant `xi` under random steps held for 0.5 s, around hover."""
-    excitation = HeldRandom(2, seconds, 0.05, (0.6, 0.45), HOVER, seed, 0.5)
+    excitation = HeldRandom(2, seconds, amplitude=(0.6, 0.45), offset=HOVER, seed=seed)
     return record(Xi(), excitation.samples(dt), dt, round(dt / 0.001))
 
 
@@ -230,12 +230,12 @@ def rig(plant: System, library: str, excitation: Excitation, goal: str) -> tuple
 
 def tras(seeds: int) -> list[Row]:
     """Identify `tras` from 20 s."""
-    return rig(Tras(), "rotor", Chirp(2, 20.0, 0.05, (0.4, 0.2), (-0.11, 0.25)), "<= 2")[0]
+    return rig(Tras(), "rotor", Chirp(2, 20.0, amplitude=(0.4, 0.2), offset=(-0.11, 0.25)), "<= 2")[0]
 
 
 def trms33(seeds: int) -> list[Row]:
     """Identify `trms33` from 20 s; its Coulomb friction and the products of its inertias are in no library."""
-    excitation = HeldRandom(2, 20.0, 0.05, (0.3, 0.15), (0.22, 0.56), 0)
+    excitation = HeldRandom(2, 20.0, amplitude=(0.3, 0.15), offset=(0.22, 0.56))
     rows, missing = rig(Trms33(), "rotor_reaction", excitation, "best honest figure")
     plain, _ = rig(Trms33(), "rotor", excitation, "")
     return [*rows, *(row("report", "what is missing", str(m)) for m in missing), plain[0]]
@@ -342,7 +342,7 @@ def _fitted(plant: System, library: str, amplitude: tuple[float, float]) -> Sind
         Refinement("one_step" if library == "paper_table" else "integral"),
         KNOWN,
     )
-    model.fit(record(plant, Chirp(2, 10.0, 0.05, amplitude, (-0.11, 0.25)).samples(0.01), 0.01, 2))
+    model.fit(record(plant, Chirp(2, 10.0, amplitude=amplitude, offset=(-0.11, 0.25)).samples(0.01), 0.01, 2))
     return model
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from typing import TypedDict
 
 import torch
 from tensordict import TensorDictBase
@@ -11,6 +12,14 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 Levels = float | Sequence[float]
+
+
+class Common(TypedDict, total=False):
+    """Settings that subclasses pass on, by name; see `Excitation`."""
+
+    amplitude: Levels
+    offset: Levels
+    seed: int
 
 
 class Excitation(TensorDictModuleBase, ABC):

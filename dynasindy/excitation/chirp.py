@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Unpack
 
 import torch
 from torch import Tensor
 
-from dynasindy.excitation.base import Excitation, Levels
+from dynasindy.excitation.base import Common, Excitation
 
 
 class Chirp(Excitation):
@@ -25,10 +26,8 @@ class Chirp(Excitation):
         n_u: number of inputs.
         duration: length of the experiment [s].
         dt: control period [s].
-        amplitude: half range of each input.
-        offset: mean of each input.
-        seed: not used; nothing is random.
         band: frequency at the beginning and at the end [Hz].
+        **common: amplitude, offset and seed, see `Excitation`.
 
     Raises:
         ValueError: a frequency is negative, or what `Excitation` raises.
@@ -39,12 +38,11 @@ class Chirp(Excitation):
         n_u: int,
         duration: float = 10.0,
         dt: float = 0.05,
-        amplitude: Levels = 0.3,
-        offset: Levels = 0.0,
-        seed: int = 0,
+        *,
         band: Sequence[float] = (0.0, 1.0),
+        **common: Unpack[Common],
     ) -> None:
-        super().__init__(n_u, duration, dt, amplitude, offset, seed)
+        super().__init__(n_u, duration, dt, **common)
         if len(band) != 2 or min(band) < 0:
             raise ValueError(f"chirp got the band {list(band)} Hz; allowed are two frequencies of 0 or more: from, to")
         self.start = float(band[0])

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Unpack
 
 import torch
 from torch import Tensor
 
-from dynasindy.excitation.base import Excitation, Levels
+from dynasindy.excitation.base import Common, Excitation
 
 
 class Sphs(Excitation):
@@ -21,10 +22,8 @@ class Sphs(Excitation):
         n_u: number of inputs.
         duration: length of the experiment [s].
         dt: control period [s].
-        amplitude: half range of each input.
-        offset: mean of each input.
-        seed: not used; nothing is random.
         harmonics: number K of harmonics of each input.
+        **common: amplitude, offset and seed, see `Excitation`.
 
     Raises:
         ValueError: there is no harmonic, or what `Excitation` raises.
@@ -35,12 +34,11 @@ class Sphs(Excitation):
         n_u: int,
         duration: float = 10.0,
         dt: float = 0.05,
-        amplitude: Levels = 0.3,
-        offset: Levels = 0.0,
-        seed: int = 0,
+        *,
         harmonics: int = 8,
+        **common: Unpack[Common],
     ) -> None:
-        super().__init__(n_u, duration, dt, amplitude, offset, seed)
+        super().__init__(n_u, duration, dt, **common)
         if harmonics < 1:
             raise ValueError(f"the signal got {harmonics} harmonics; allowed are 1 or more: 8 suits 10 s")
         i = torch.arange(1, harmonics + 1, dtype=torch.float64)
@@ -59,20 +57,7 @@ class Sphs(Excitation):
 
 
 class Multisine(Sphs):
-    """Give the same harmonics with random phases, another signal for every seed.
-
-    Args:
-        n_u: number of inputs.
-        duration: length of the experiment [s].
-        dt: control period [s].
-        amplitude: half range of each input.
-        offset: mean of each input.
-        seed: seed of the phases.
-        harmonics: number of harmonics of each input.
-
-    Raises:
-        ValueError: what `Sphs` raises.
-    """
+    """Give the same harmonics with random phases, another signal for every seed."""
 
     def _phases(self, i: Tensor) -> Tensor:
         generator = torch.Generator().manual_seed(self.seed)

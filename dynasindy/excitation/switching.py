@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import Unpack
 
 import torch
 from torch import Tensor
 
-from dynasindy.excitation.base import Excitation, Levels
+from dynasindy.excitation.base import Common, Excitation
 
 
 class Switching(Excitation):
@@ -17,10 +18,8 @@ class Switching(Excitation):
         n_u: number of inputs.
         duration: length of the experiment [s].
         dt: control period [s].
-        amplitude: half range of each input.
-        offset: mean of each input.
-        seed: seed of the levels.
         hold: time for which a level is held [s].
+        **common: amplitude, offset and seed, see `Excitation`.
 
     Raises:
         ValueError: the hold is not positive, or what `Excitation` raises.
@@ -31,16 +30,15 @@ class Switching(Excitation):
         n_u: int,
         duration: float = 10.0,
         dt: float = 0.05,
-        amplitude: Levels = 0.3,
-        offset: Levels = 0.0,
-        seed: int = 0,
+        *,
         hold: float = 0.5,
+        **common: Unpack[Common],
     ) -> None:
-        super().__init__(n_u, duration, dt, amplitude, offset, seed)
+        super().__init__(n_u, duration, dt, **common)
         if not hold > 0:
             raise ValueError(f"excitation got hold {hold} s; allowed is a positive time: 0.5 s suits the twin rotor")
         self.hold = float(hold)
-        generator = torch.Generator().manual_seed(seed)
+        generator = torch.Generator().manual_seed(self.seed)
         self.levels = self._levels(int(self.duration / self.hold) + 3, generator)
 
     @abstractmethod
