@@ -25,8 +25,8 @@ from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import train
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.disturbances import Pushed, SensorNoise
-from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate, step_references
+from dynasindy.evaluation.disturbances import DelayedActuator, Pushed, SensorNoise
+from dynasindy.evaluation.scenarios import Evaluation, Policy, PolicyWrapper, Scenario, evaluate, step_references
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Gate, GradientPlanning, Planned, Planner, Variation
 from dynasindy.planning.integral import IntegralAction
@@ -62,7 +62,7 @@ class Plant:
 PLANTS = {
     "xi": Plant(Xi, "paper_table"),
     "tras": Plant(Tras, "rotor"),
-    "trms33": Plant(Trms33, "rotor", high=(0.5, 0.3), amplitude=(0.4, 0.25), offset=(0.2, 0.5)),
+    "trms33": Plant(Trms33, "rotor_reaction", high=(0.5, 0.3), amplitude=(0.4, 0.25), offset=(0.2, 0.5)),
 }
 NOISE = (5e-4, 5e-4, 5e-3, 5e-3, 20.0, 20.0)  # rad, rad, rad/s, rad/s, rpm, rpm
 GUST = {"Omega_a": 0.5, "Omega_p": 0.5}  # rad/s^2
@@ -95,7 +95,9 @@ class Case:
         oracle: Plan with the true plant as the model.
         moving: Train on moving references and evaluate on the paper's sine and square.
         noise: Standard deviations of the measurement noise, in the data and in flight.
-        detuned: Evaluate on a plant with other parameters, in a gust, with integral action.
+        detuned: Evaluate on a plant with other parameters, in a gust.
+        late: Control periods that inputs need to reach the plant in flight.
+        integral: Evaluate with integral action, too.
         variation: How imagined plants stray.
         updates: Gradient updates of the first planning phase.
         plants: Plants that it is measured on.
@@ -106,6 +108,8 @@ class Case:
     moving: bool = False
     noise: tuple[float, ...] = ()
     detuned: bool = False
+    late: int = 0
+    integral: bool = False
     variation: Variation = field(default_factory=Variation)
     updates: int = 200
     plants: tuple[str, ...] = ("xi", "tras")
@@ -117,9 +121,12 @@ CASES = {
     "moving": Case(moving=True, updates=400),
     "noise": Case(episodes=3, noise=NOISE),
     "noise_robust": Case(episodes=3, noise=NOISE, variation=Variation(noise=NOISE)),
-    "detuned": Case(detuned=True, plants=("tras",)),
-    "detuned_robust": Case(detuned=True, variation=Variation(parameters=0.1), plants=("tras",)),
-    "friction": Case(episodes=5, plants=("trms33",)),
+    "noise_members": Case(episodes=3, noise=NOISE, variation=Variation(members=4)),
+    "late": Case(late=1),
+    "late_robust": Case(late=1, variation=Variation(late=True)),
+    "detuned": Case(detuned=True, integral=True, plants=("tras",)),
+    "detuned_robust": Case(detuned=True, integral=True, variation=Variation(parameters=0.1), plants=("tras",)),
+    "friction": Case(episodes=1, integral=True, plants=("trms33",)),
 }
 
 
@@ -208,24 +215,26 @@ def sparse_model(library: str, signature: Any) -> SindyModel:
 
 def judge(case: Case, plant: str, parts: Parts, seed: int) -> Iterable[tuple[str, str, Row]]:
     """Yield scenario, metric and numbers of the policy on the real plant."""
-    policy = parts.agent.deployed
     facts = PLANTS[plant]
     steps = step_references(facts.low, facts.high, 64)
     if case.moving:
         for wave, seconds in zip(_waves(), (100.0, 200.0)):
             name = "square" if float(wave.params[0, 4]) else "sine"
-            result = evaluate(parts.plant, policy, Scenario(name, wave, 1, seconds))
+            result = evaluate(parts.plant, parts.agent.deployed, Scenario(name, wave, 1, seconds))
             yield name, "rmse", _numbers(result, result.metrics["rmse"])
-    elif case.detuned:
-        gust = Scenario("detuned_gust", steps, 64, 30.0, partial(Pushed, push=GUST), [(12.0, 15.0)])
-        env = parts.plant.with_system(detuned(seed))
-        for name, wrap in (("detuned_gust", None), ("detuned_gust_integral", IntegralAction)):
-            result = evaluate(env, wrap(policy, env) if wrap else policy, gust)
-            yield name, "max_abs_error_5s_after_gust", _numbers(result, _after(result, 20.0))
-    else:
-        wrappers = [partial(SensorNoise, std=case.noise, seed=seed)] if case.noise else []
-        result = evaluate(parts.plant, policy, Scenario("step", steps, 64, wrappers=wrappers))
-        yield "step", "mean_abs_error_last_5s", _numbers(result, result.metrics["steady_state_error"])
+        return
+    env = parts.plant.with_system(detuned(seed)) if case.detuned else parts.plant
+    policies: dict[str, Policy] = {"": parts.agent.deployed}
+    if case.integral:
+        policies["_integral"] = IntegralAction(parts.agent.deployed, env)
+    for suffix, policy in policies.items():
+        if case.detuned:
+            gust = Scenario("detuned_gust", steps, 64, 30.0, partial(Pushed, push=GUST), [(12.0, 15.0)])
+            result = evaluate(env, policy, gust)
+            yield f"detuned_gust{suffix}", "max_abs_error_5s_after_gust", _numbers(result, _after(result, 20.0))
+        else:
+            result = evaluate(env, policy, Scenario("step", steps, 64, wrappers=_in_flight(case, seed)))
+            yield f"step{suffix}", "mean_abs_error_last_5s", _numbers(result, result.metrics["steady_state_error"])
 
 
 def detuned(seed: int) -> Tras:
@@ -351,6 +360,12 @@ def _waves(random: bool = False) -> list[Wave]:
         wide = (0.55, 0.55)
         return [Wave(wide, (0.05, 0.05), shape, random=True) for shape in ("sine", "square")]
     return [Wave((0.35, 0.25), (0.015, 0.015)), Wave((0.4, -0.5), (0.01, 0.01), "square")]
+
+
+def _in_flight(case: Case, seed: int) -> list[PolicyWrapper]:
+    """Return what lies between policy and plant."""
+    wrappers: list[PolicyWrapper] = [partial(SensorNoise, std=case.noise, seed=seed)] if case.noise else []
+    return [*wrappers, partial(DelayedActuator, periods=case.late)] if case.late else wrappers
 
 
 def _after(result: Evaluation, second: float) -> torch.Tensor:

@@ -18,9 +18,10 @@ from torch import Tensor, nn
 
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
+from dynasindy.data.recording import transitions
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.base import Planned, Planner
-from dynasindy.planning.variation import Variation, Varied
+from dynasindy.planning.variation import Members, Variation, Varied
 from dynasindy.planning.window import Rows, backward, imagine
 from dynasindy.systems import System
 from dynasindy.tasks import Tracking
@@ -105,7 +106,7 @@ class GradientPlanning(Planner):
         self.env = ControlEnv(env.system, _imagined_task(env.task, width), env.dt, substeps)
         self.env.stops = env.stops
         self.held_out = _references(self.env, 64, torch.Generator().manual_seed(seed + 1))
-        self.phase = 0
+        self.log_dt, self.phase = env.log_dt, 0
 
     def plan(self) -> Planned:
         """Improve the actor with the model as it is now."""
@@ -207,8 +208,11 @@ class Episodes:
         self.rows = _references(planner.env, planner.rollouts, planner.rng)
         self.rows.noise = planner.variation.deviations(planner.env.system.signature.n_x)
         self.system: System = planner.env.system
+        if planner.variation.members:
+            data = transitions(planner.replay.real_in_order(), planner.log_dt)
+            self.system = Members.of(self.system, data, planner.variation.members)
         if planner.variation.plants:
-            self.system = Varied(planner.env.system, planner.variation, planner.rollouts)
+            self.system = Varied(self.system, planner.variation, planner.rollouts)
             self.system.draw(torch.ones(planner.rollouts, dtype=torch.bool), planner.rng)
         self.length = planner.env.task.max_steps * planner.env.dt
         self.end = torch.rand(planner.rollouts, 1, generator=planner.rng) * self.length

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,6 +10,9 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems import System
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import SindyModel
+from dynasindy.world_models.ensemble import bag
 
 
 @dataclass(frozen=True)
@@ -20,6 +24,7 @@ class Variation:
         disturbance: Half range of a constant added to each rate of change, in ranges of the state per second.
         noise: Standard deviation of the measurement noise of each state [its unit]; none if empty.
         late: Whether inputs reach the plant one control period late.
+        members: Fits to resampled blocks of the data, of which each imagined plant is one; the model itself if 0.
 
     Raises:
         ValueError: A number is negative, or `parameters` is not below 1.
@@ -29,11 +34,13 @@ class Variation:
     disturbance: float = 0.0
     noise: Sequence[float] = ()
     late: bool = False
+    members: int = 0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.parameters < 1 or self.disturbance < 0 or any(deviation < 0 for deviation in self.noise):
+        least = min(self.parameters, self.disturbance, self.members, *self.noise)
+        if least < 0 or self.parameters >= 1:
             raise ValueError(
-                f"a variation needs 0 <= parameters < 1, disturbance >= 0 and noise >= 0, got {self}; "
+                f"a variation needs 0 <= parameters < 1, disturbance, noise and members >= 0, got {self}; "
                 "mend planning.variation"
             )
 
@@ -53,6 +60,37 @@ class Variation:
         if len(self.noise) != n_x:
             raise ValueError(f"noise has {len(self.noise)} deviations for {n_x} states; give one per state or none")
         return torch.tensor(list(self.noise), dtype=torch.float32)
+
+
+class Members(System):
+    """Several models of one plant, each for an equal share of the rows: no policy can exploit the errors of one.
+
+    Args:
+        models: Models with one signature; states and inputs are `(*batch, rows, n)`, each at least a row.
+    """
+
+    def __init__(self, models: Sequence[System]) -> None:
+        super().__init__(models[0].signature, models[0].stops)
+        self.models = list(models)
+
+    @classmethod
+    def of(cls, model: System, data: Transitions, number: int) -> Members:
+        """Fit the model's library to blocks of its data, drawn with replacement.
+
+        Raises:
+            TypeError: The model is no sparse model.
+        """
+        if not isinstance(model, SindyModel):
+            raise TypeError(f"{type(model).__name__} has no fits to resampled data; set planning.variation.members=0")
+        models = [copy.deepcopy(model) for _ in range(number)]
+        for member, coefficients in zip(models, bag(model, data, number).members):
+            member.set_coefficients(coefficients)
+        return cls(models)
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Return dx/dt, `(*batch, rows, n_x)`, of states `(*batch, rows, n_x)` under inputs `(*batch, rows, n_u)`."""
+        shares = zip(x.tensor_split(len(self.models), -2), u.tensor_split(len(self.models), -2))
+        return torch.cat([model(*share) for model, share in zip(self.models, shares)], -2)
 
 
 class Varied(System):

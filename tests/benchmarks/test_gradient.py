@@ -48,3 +48,12 @@ def test_rows_already_in_the_file_are_not_measured_again(tmp_path, monkeypatch, 
     assert calls == [0, 1]
     assert len(gradient.read(tmp_path / "gradient.csv")) == 2
     assert "step" in capsys.readouterr().out.splitlines()[-1]
+
+
+def test_inputs_are_late_in_flight_and_not_in_the_data():
+    env = gradient.build_recipe(gradient.CASES["late"], "xi", 0, TINY).build().plant
+    (late,) = gradient._in_flight(gradient.CASES["late"], 0)
+    policy = late(lambda tensordict: tensordict.set("action", torch.ones(2)), env)
+    actions = env.rollout(3, policy)["action"]
+    assert actions[:, 0].tolist() == [0.0, 1.0, 1.0]
+    assert gradient._in_flight(gradient.CASES["step"], 0) == []

@@ -3,8 +3,13 @@
 import pytest
 import torch
 
+from dynasindy.data.simulated import record
+from dynasindy.excitation import HeldRandom
 from dynasindy.planning import Variation, Varied
-from dynasindy.systems.xi import Xi
+from dynasindy.planning.variation import Members
+from dynasindy.systems import Tras, Xi
+from dynasindy.world_models import Oracle, Regression, SindyModel
+from dynasindy.world_models.ensemble import bag
 
 ALL = torch.ones(5, dtype=torch.bool)
 
@@ -50,7 +55,28 @@ def test_disturbances_are_measured_in_ranges_of_the_state():
     torch.testing.assert_close(reach, 0.2 * torch.tensor([0, 0, 1.0, 1.0, 4000.0, 2500.0]), rtol=0.05, atol=0)
 
 
-@pytest.mark.parametrize("wrong", [{"parameters": 1.0}, {"disturbance": -0.1}, {"noise": [-1.0]}])
+def test_each_member_moves_its_share_of_the_rows():
+    x, u = states(5)
+    moved = Members([Xi(), Tras()])(x, u)
+    torch.testing.assert_close(moved, torch.cat([Xi()(x[:3], u[:3]), Tras()(x[3:], u[3:])]))
+
+
+def test_members_are_fits_to_resampled_data():
+    inputs = HeldRandom(2, duration=5.0, amplitude=(0.6, 0.45), offset=(-0.12, 0.21), seed=0).samples(0.01)
+    data = record(Xi(), inputs, dt=0.01)
+    model = SindyModel(Xi().signature, "paper_table", Regression("bic"))
+    members = Members.of(model, data, 2)
+    fits = bag(model, data, 2).members
+    assert not torch.equal(fits[0], fits[1])
+    assert all(torch.equal(member.coefficients, fit) for member, fit in zip(members.models, fits))
+
+
+def test_a_plant_that_was_not_fitted_has_no_members():
+    with pytest.raises(TypeError, match=r"planning\.variation\.members=0"):
+        Members.of(Oracle(Xi().signature, Xi()), record(Xi(), torch.zeros(10, 2), dt=0.01), 2)
+
+
+@pytest.mark.parametrize("wrong", [{"parameters": 1.0}, {"disturbance": -0.1}, {"noise": [-1.0]}, {"members": -1}])
 def test_impossible_variations_are_refused(wrong):
     with pytest.raises(ValueError, match=r"mend planning\.variation"):
         Variation(**wrong)
