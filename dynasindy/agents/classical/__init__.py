@@ -1,17 +1,25 @@
-"""Classical controllers to compare with: LQI and PID, as policies that read `state` and `reference`."""
+"""Classical controllers to compare with: PID, LQI and MPC, as policies that read `state` and `reference`."""
 
-from dynasindy.agents.classical.base import TrackingController
+from dynasindy.agents.classical.base import Controller, TrackingController
 from dynasindy.agents.classical.linearise import Equilibria, jacobians, zero_order_hold
 from dynasindy.agents.classical.lqi import LQI
-from dynasindy.agents.classical.pid import PID, Gains, Tuning
+from dynasindy.agents.classical.mpc import MPC, Cost, Horizon
+from dynasindy.agents.classical.pid import PID, Gains
+from dynasindy.agents.classical.tuning import Tuning, tuned_lqi, tuned_pid
 
 __all__ = [
     "LQI",
+    "MPC",
     "PID",
+    "Controller",
+    "Cost",
     "Equilibria",
     "Gains",
+    "Horizon",
     "TrackingController",
     "Tuning",
     "jacobians",
+    "tuned_lqi",
+    "tuned_pid",
     "zero_order_hold",
 ]

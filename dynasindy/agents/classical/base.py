@@ -1,4 +1,7 @@
-"""What tracking controllers share: the integral of the error, kept from step to step and kept from winding up."""
+"""What controllers share: what they see, and the integral of the error, kept from winding up.
+
+All see the same: the states, the reference and its rate now (zero for steps and squares), nothing of its future.
+"""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -10,13 +13,14 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from dynasindy.systems import Signature
+from dynasindy.tasks import references
 
 
-class TrackingController(TensorDictModuleBase):
-    """Policy that reads `state` and `reference` and integrates the error of some states.
+class Controller(TensorDictModuleBase):
+    """Policy that reads `state`, `reference`, `step_count` and, for the reference's rate, `task_params`.
 
-    The integral belongs to the row of the batch and starts anew where `step_count` is 0. It holds still while
-    the input it feeds is at its limit (conditional integration), so it does not wind up.
+    Without `task_params` the reference is taken to be at rest. What a controller keeps from step to step belongs to
+    the row of the batch and starts anew where `step_count` is 0.
 
     Args:
         signature: names of the states.
@@ -36,15 +40,51 @@ class TrackingController(TensorDictModuleBase):
             raise ValueError(f"control period dt={dt}; give a time > 0 s, such as 0.05")
         self.outputs = [signature.state_index(name) for name in outputs]
         self.dt = dt
+
+    @abstractmethod
+    def act(self, x: Tensor, reference: Tensor, rate: Tensor, first: Tensor) -> Tensor:
+        """Return the input in [-1, 1], `(*batch, n_u)`.
+
+        Args:
+            x: states `(*batch, n_x)`, float64.
+            reference: wanted outputs `(*batch, n_r)`, float64.
+            rate: their rates `(*batch, n_r)` [unit of the output per second], float64.
+            first: whether a row begins an episode, `(*batch, 1)`.
+        """
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write `action` (float32)."""
+        x, reference, steps = (tensordict.get(key) for key in self.in_keys)
+        params = tensordict.get("task_params", None)
+        rate = torch.zeros_like(reference) if params is None else references.rate(params, steps * self.dt)
+        action = self.act(x.double(), reference.double(), rate.double(), steps == 0)
+        return tensordict.set("action", action.to(torch.float32))
+
+
+class TrackingController(Controller):
+    """Controller with integral action.
+
+    The integral holds still while the input it feeds is at its limit (conditional integration), so it does not wind
+    up.
+
+    Args:
+        signature: names of the states.
+        outputs: names of the tracked states.
+        dt: control period [s].
+    """
+
+    def __init__(self, signature: Signature, outputs: Sequence[str], dt: float) -> None:
+        super().__init__(signature, outputs, dt)
         self.integral = torch.zeros(0)
 
     @abstractmethod
-    def unlimited(self, x: Tensor, reference: Tensor, integral: Tensor) -> Tensor:
+    def unlimited(self, x: Tensor, reference: Tensor, rate: Tensor, integral: Tensor) -> Tensor:
         """Return the input `(*batch, n_u)` before its limits.
 
         Args:
             x: states `(*batch, n_x)`.
             reference: wanted outputs `(*batch, n_r)`.
+            rate: their rates `(*batch, n_r)` [unit of the output per second].
             integral: integral of the error up to now `(*batch, n_r)` [unit of the output times s].
         """
 
@@ -52,25 +92,12 @@ class TrackingController(TensorDictModuleBase):
     def held(self, saturated: Tensor) -> Tensor:
         """Return which integrals hold still `(*batch, n_r)`, from which inputs are at a limit `(*batch, n_u)`."""
 
-    def act(self, x: Tensor, reference: Tensor, first: Tensor) -> Tensor:
-        """Return the input in [-1, 1], `(*batch, n_u)`, and carry the integral on.
-
-        Args:
-            x: states `(*batch, n_x)`, float64.
-            reference: wanted outputs `(*batch, n_r)`, float64.
-            first: whether a row begins an episode, `(*batch, 1)`.
-        """
-        if self.integral.shape != reference.shape:
-            self.integral = torch.zeros_like(reference)
-        integral = torch.where(first, 0.0, self.integral)
-        unlimited = self.unlimited(x, reference, integral)
+    def act(self, x: Tensor, reference: Tensor, rate: Tensor, first: Tensor) -> Tensor:
+        """Return the input in [-1, 1], `(*batch, n_u)`, and carry the integral on."""
         error = reference - x[..., self.outputs]
+        if self.integral.shape != error.shape:
+            self.integral = torch.zeros_like(error)
+        integral = torch.where(first, 0.0, self.integral)
+        unlimited = self.unlimited(x, reference, rate, integral)
         self.integral = integral + self.dt * error.masked_fill(self.held(unlimited.abs() > 1.0), 0.0)
         return unlimited.clamp(-1.0, 1.0)
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write `action` (float32) from `state`, `reference` and `step_count`."""
-        x, reference, steps = (tensordict.get(key) for key in self.in_keys)
-        action = self.act(x.double(), reference.double(), steps == 0)
-        tensordict.set("action", action.to(torch.float32))
-        return tensordict

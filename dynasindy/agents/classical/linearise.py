@@ -63,12 +63,13 @@ class Equilibria:
         self.scale = torch.cat((scale[self.free], torch.ones(signature.n_u, dtype=torch.float64)))
         self.home = self._search(torch.zeros(len(outputs), dtype=torch.float64))
 
-    def __call__(self, reference: Tensor, guess: Tensor | None = None) -> Tensor:
+    def __call__(self, reference: Tensor, guess: Tensor | None = None, drift: Tensor | None = None) -> Tensor:
         """Return the unknowns `(*batch, n_free + n_u)`, scaled, that hold the outputs at `reference` `(*batch, n_r)`.
 
         Args:
             reference: values of the outputs.
             guess: unknowns to start from, by default those at the origin.
+            drift: rates of change to be met, f(x, u) = drift, `(*batch, n_x)`; all zero by default. See `moving`.
 
         Raises:
             ValueError: Newton's method finds no equilibrium for a reference.
@@ -77,13 +78,20 @@ class Equilibria:
         flat = reference.reshape(-1, reference.shape[-1])
         unknowns = (self.home if guess is None else guess).expand(*reference.shape[:-1], -1)
         unknowns = unknowns.reshape(len(flat), -1).clone()
+        shift = 0.0 if drift is None else drift.reshape(len(flat), -1) / self._ranges()
         for _ in range(_ITERATIONS):
-            residual = self._residual(unknowns, flat)
+            residual = self._residual(unknowns, flat) - shift
             if residual.abs().max() < _TOLERANCE:
                 return unknowns.reshape(*reference.shape[:-1], -1)
             unknowns = unknowns - torch.linalg.solve(self._slope(unknowns, flat), residual)
         worst = flat[residual.abs().amax(-1).argmax()].tolist()
         raise ValueError(f"the system does not rest with its outputs at {worst}; keep references within its reach")
+
+    def moving(self, rate: Tensor) -> Tensor:
+        """Return the drift `(*batch, n_x)` under which the outputs move at `rate` `(*batch, n_r)`, all else at rest."""
+        drift = torch.zeros(*rate.shape[:-1], self.system.signature.n_x, dtype=torch.float64)
+        drift[..., self.outputs] = rate.double()
+        return drift
 
     def state_and_input(self, reference: Tensor, unknowns: Tensor) -> tuple[Tensor, Tensor]:
         """Return the state `(*batch, n_x)` and the input `(*batch, n_u)` of an equilibrium."""
@@ -96,8 +104,10 @@ class Equilibria:
 
     def _residual(self, unknowns: Tensor, reference: Tensor) -> Tensor:
         x, u = self.state_and_input(reference, unknowns)
-        scale = torch.tensor(self.system.signature.x_scale, dtype=torch.float64)
-        return self.system(x, u) / scale
+        return self.system(x, u) / self._ranges()
+
+    def _ranges(self) -> Tensor:
+        return torch.tensor(self.system.signature.x_scale, dtype=torch.float64)
 
     def _slope(self, unknowns: Tensor, reference: Tensor) -> Tensor:
         """Return the residual's Jacobian `(batch, n, n)`, by central differences in one call of the system."""

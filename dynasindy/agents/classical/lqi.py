@@ -4,7 +4,8 @@
 | ------------------ | ------ | ----------------------- | ----------------------------------------------- |
 | state, input       | x, u   | the system's            | x[k+1] = Ad x[k] + Bd u[k] about the equilibrium |
 | integral           | z      | unit of the output, s   | z[k+1] = z[k] + dt (r[k] - y[k])                |
-| gain               | K      | -                       | u = u_e(r) - K [x - x_e(r); z]                  |
+| equilibrium        | x_e, u_e | the system's          | f(x_e, u_e) = dr/dt at the outputs, 0 elsewhere |
+| gain               | K      | -                       | u = u_e - K [x - x_e; z]                        |
 | weights            | Q, R   | -                       | sum of x' Q x + u' R u, least (discrete Riccati) |
 
 Source: Astrom, Wittenmark, Computer-Controlled Systems, chapter 11 (LQ) and section 9.3 (integral action).
@@ -26,7 +27,7 @@ class LQI(TrackingController):
     """Full-state feedback with exact feed-forward and integral action.
 
     The gain is that of the linearisation with all outputs at zero; the state and the input that are aimed at
-    are the exact equilibrium of each reference.
+    are the exact equilibrium of each reference, moving with it at its rate.
 
     Args:
         system: the plant, or a model of it.
@@ -58,32 +59,43 @@ class LQI(TrackingController):
         if min(input_weights) <= 0:
             raise ValueError(f"input_weights are {list(input_weights)}; give positive numbers")
         self.equilibria = Equilibria(system, outputs)
-        state = np.asarray(state_weights) / np.square(signature.x_scale)
-        cost = np.diag([*state, *integral_weights]), np.diag(np.asarray(input_weights, dtype=float))
-        self.gain = self._riccati(system, *cost)
-        self.reference = torch.zeros(0)
+        home = torch.zeros(len(self.outputs), dtype=torch.float64)
+        self.model = zero_order_hold(
+            *jacobians(system, *self.equilibria.state_and_input(home, self.equilibria.home)), self.dt
+        )
+        self.gain = self.riccati(
+            [*(w / s**2 for w, s in zip(state_weights, signature.x_scale)), *integral_weights], input_weights
+        )
+        self.reference = self.rate = torch.zeros(0)
         self.unknowns = self.equilibria.home
 
-    def unlimited(self, x: Tensor, reference: Tensor, integral: Tensor) -> Tensor:
-        """Return u = u_e(r) - K [x - x_e(r); z]."""
-        x_e, u_e = self._equilibrium(reference)
-        return u_e - torch.cat((x - x_e, integral), -1) @ self.gain.T
+    def unlimited(self, x: Tensor, reference: Tensor, rate: Tensor, integral: Tensor) -> Tensor:
+        """Return u = u_e - K [x - x_e; z]."""
+        x_e, u_e = self._equilibrium(reference, rate)
+        return u_e - (self.gain @ torch.cat((x - x_e, integral), -1).unsqueeze(-1)).squeeze(-1)
 
     def held(self, saturated: Tensor) -> Tensor:
         """Hold all integrals of a row while any of its inputs is at a limit, as each input uses all of them."""
         return saturated.any(-1, keepdim=True)
 
-    def _riccati(self, system: System, q: np.ndarray, r: np.ndarray) -> Tensor:
-        home = torch.zeros(len(self.outputs), dtype=torch.float64)
-        a, b = zero_order_hold(
-            *jacobians(system, *self.equilibria.state_and_input(home, self.equilibria.home)), self.dt
-        )
+    def riccati(self, weights: Sequence[float], input_weights: Sequence[float]) -> Tensor:
+        """Return the gain `(n_u, n_x + n_r)`.
+
+        Args:
+            weights: weight of the square of each state, then of each integral [1 per square of its unit].
+            input_weights: weight of the square of each input.
+
+        Raises:
+            ValueError: there is no stabilising gain.
+        """
+        a, b = self.model
         n_x, n_r = len(a), len(self.outputs)
         output = torch.eye(n_x, dtype=torch.float64)[self.outputs]
         upper = torch.cat((a, torch.zeros(n_x, n_r, dtype=torch.float64)), -1)
         lower = torch.cat((-self.dt * output, torch.eye(n_r, dtype=torch.float64)), -1)
         f = torch.cat((upper, lower)).numpy()
         g = torch.cat((b, torch.zeros(n_r, b.shape[1], dtype=torch.float64))).numpy()
+        q, r = np.diag(np.asarray(weights, dtype=float)), np.diag(np.asarray(input_weights, dtype=float))
         try:
             p = solve_discrete_are(f, g, q, r)
         except np.linalg.LinAlgError:
@@ -97,12 +109,12 @@ class LQI(TrackingController):
             )
         return torch.as_tensor(gain)
 
-    def _equilibrium(self, reference: Tensor) -> tuple[Tensor, Tensor]:
+    def _equilibrium(self, reference: Tensor, rate: Tensor) -> tuple[Tensor, Tensor]:
         """Return x_e, u_e; solved anew when the reference moves, from where it was."""
-        if not torch.equal(reference, self.reference):
+        if not (torch.equal(reference, self.reference) and torch.equal(rate, self.rate)):
             guess = self.unknowns if self.reference.shape == reference.shape else None
-            self.unknowns = self.equilibria(reference, guess)
-            self.reference = reference.clone()
+            self.unknowns = self.equilibria(reference, guess, self.equilibria.moving(rate))
+            self.reference, self.rate = reference.clone(), rate.clone()
         return self.equilibria.state_and_input(reference, self.unknowns)
 
 

@@ -49,6 +49,16 @@ def test_a_system_stays_at_its_equilibrium(system):
     assert (system(x, u) / scale).abs().max() < 1e-8
 
 
+def test_a_moving_equilibrium_moves_at_its_rate_and_in_nothing_else():
+    system, reference, rate = Tras(), torch.tensor([[0.1, -0.3], [0.0, 0.2]]), torch.tensor([[0.05, 0.02], [-0.1, 0.0]])
+    equilibria = Equilibria(system, OUTPUTS)
+    x, u = equilibria.state_and_input(reference, equilibria(reference, drift=equilibria.moving(rate)))
+    dx = system(x, u) / torch.tensor(system.signature.x_scale)
+    torch.testing.assert_close(dx[:, :2], rate.double(), atol=1e-8, rtol=0)
+    assert dx[:, 2:].abs().max() < 1e-8
+    torch.testing.assert_close(x[:, 2:4], rate.double(), atol=1e-8, rtol=0)
+
+
 def test_pendulum_is_held_against_gravity():
     system = Pendulum()
     equilibria = Equilibria(system, ("theta",))

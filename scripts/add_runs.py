@@ -1,0 +1,46 @@
+"""Add the policies of finished runs to the table of controllers: `python scripts/add_runs.py RUN... [--out FILE]`."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+import torch
+from command import MENDABLE
+from omegaconf import DictConfig
+from saved_run import load_config, load_policy
+
+from dynasindy.benchmarks import baselines
+
+
+def controller(config: DictConfig) -> tuple[str, str]:
+    """Return the name of a run's controller and where its model is from."""
+    planning = config.planning._target_.rpartition(".")[2]
+    model = "true" if config.world_model._target_.endswith("Oracle") else "identified"
+    if planning == "NoPlanning" or config.planning.get("rollouts") == 0:
+        return "TD3", "none"
+    return ("Dyna-TD3" if planning == "ImaginedReplay" else f"Dyna, {planning}"), model
+
+
+def main(argv: list[str]) -> None:
+    """Evaluate each run's policy in scenarios A, B and C and put its rows in place of earlier ones."""
+    parser = argparse.ArgumentParser(prog="add_runs.py", description=__doc__)
+    parser.add_argument("runs", type=Path, nargs="+", help="folders of finished runs")
+    parser.add_argument("--out", type=Path, default=baselines.OUT, help="CSV file of the benchmark")
+    arguments = parser.parse_args(argv)
+    torch.set_num_threads(1)
+    for folder in arguments.runs:
+        config = load_config(folder)
+        env, policy = load_policy(config, folder)
+        plant = config.system._target_.rpartition(".")[2].lower()
+        seconds = json.loads((folder / "metrics.json").read_text())["cost"]["plant_seconds"]
+        head = (plant, *controller(config), config.seed, seconds)
+        baselines.append(arguments.out, baselines.judge(env, policy, head, baselines.scenarios(plant)))
+    baselines.write_tables(arguments.out)
+
+
+if __name__ == "__main__":
+    try:
+        main(sys.argv[1:])
+    except MENDABLE as error:
+        sys.exit(f"error: {error}")

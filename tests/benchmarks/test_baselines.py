@@ -1,0 +1,104 @@
+"""The table of controllers: what is measured, how it is carried on, and what it says."""
+
+import pytest
+import torch
+
+from dynasindy.agents.classical import LQI, Tuning
+from dynasindy.benchmarks import baselines, gradient
+from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.metrics import tracking_metrics
+from dynasindy.systems import Xi
+from dynasindy.tasks import Step, Tracking
+
+QUICK = Tuning(population=6, elites=2, draws=1, seconds=1.0)
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    for name in ("tuned_lqi", "tuned_pid"):
+        tuned = getattr(baselines, name)
+        monkeypatch.setattr(baselines, name, lambda *a, tuned=tuned, **k: tuned(*a, tuning=QUICK, **k))
+    monkeypatch.setattr(baselines, "TUNING_REFERENCES", 2)
+    build, tiny = gradient.build_recipe, {"updates": 1, "rollouts": 4, "window": 5}
+    monkeypatch.setattr(gradient, "build_recipe", lambda c, p, s, planning: build(c, p, s, {**tiny, **planning}))
+
+
+def options(tmp_path, *more):
+    return ["--plants", "xi", "--seeds", "0", "--seconds", "1", "--out", str(tmp_path / "baselines.csv"), *more]
+
+
+def test_every_controller_and_model_has_its_rows_and_its_line(quick, tmp_path):
+    pytest.importorskip("casadi")
+    baselines.main(options(tmp_path))
+    rows = baselines.read(tmp_path / "baselines.csv")
+    assert tuple(rows[0]) == baselines.COLUMNS
+    assert len(rows) == 4 * 2 * 3 * 4
+    real = {(row["controller"], row["model"]): float(row["real_seconds"]) for row in rows}
+    assert {seconds for (_, model), seconds in real.items() if model == "identified"} == {10.0}
+    assert real["MPC", "true"] == 0.0
+    assert all(float(row["ms_per_action"]) > 0 and 0 <= float(row["azimuth"]) < 20 for row in rows)
+    page = (tmp_path / "baselines.md").read_text()
+    assert page.count("| MPC | identified | 10 | 1 |") == 3
+    assert "| xi | RMSE, sine | pitch |" in page
+
+
+def test_rows_in_the_file_are_not_measured_again_and_text_above_the_tables_stays(tmp_path, monkeypatch):
+    calls = []
+
+    def judged(env, policy, head, among):
+        calls.append(head[:4])
+        values = (*head, "step", "rmse", 0.1, 0.2, 1.0)
+        return [dict(zip(baselines.COLUMNS, values, strict=True))]
+
+    monkeypatch.setattr(baselines, "prepare", lambda *key: (None, None, 10.0))
+    monkeypatch.setattr(baselines, "judge", judged)
+    (tmp_path / "baselines.md").write_text("# Mine\n\n## Tables\n\nold\n")
+    only = ("--controllers", "PID", "--models", "identified", "true")
+    baselines.main(options(tmp_path, *only))
+    baselines.main([*options(tmp_path, *only), "--seeds", "0", "1"])
+    assert calls == [("xi", "PID", "identified", 0), ("xi", "PID", "true", 0), ("xi", "PID", "identified", 1)]
+    page = (tmp_path / "baselines.md").read_text()
+    assert page.startswith("# Mine\n\n## Tables\n\n###")
+    assert "old" not in page
+
+
+def test_figures_are_those_of_the_flight():
+    system = Xi()
+    env = ControlEnv(system, Tracking(system.signature, Step([[0.0, 0.0]])), dtype=torch.float64)
+    among = baselines.scenarios("xi", 5.0)[1:]
+    rows = baselines.judge(env, LQI(system), ("xi", "LQI", "true", 0, 0.0), among)
+    task = Tracking(system.signature, among[1].reference, max_steps=100)
+    flown = ControlEnv(system, task, dtype=torch.float64).rollout(100, LQI(system))
+    time = torch.arange(100) * 0.05
+    metrics = tracking_metrics(time, flown["state"][:, :2], flown["reference"], flown["action"])
+    for row in rows[4:]:
+        assert row["scenario"] == "square"
+        assert [row["azimuth"], row["pitch"]] == pytest.approx(metrics[row["metric"]].tolist(), rel=1e-3, abs=1e-6)
+
+
+def row(controller, scenario, metric, azimuth, seed=0):
+    values = ("xi", controller, "identified", str(seed), "10", scenario, metric, str(azimuth), "0.5", "1")
+    return dict(zip(baselines.COLUMNS, values, strict=True))
+
+
+def test_the_learned_controller_is_held_against_the_better_rival():
+    rows = [
+        row("Dyna-gradient", "sine", "rmse", 0.004),
+        row("LQI", "sine", "rmse", 0.003),
+        row("MPC", "sine", "rmse", 0.006),
+    ]
+    lines = baselines.goals(rows).splitlines()[2:]
+    assert [line.rpartition(" | ")[2] for line in lines] == ["behind by 0.001 |", "level by 0 |"]
+
+
+def test_rows_of_a_run_replace_earlier_ones_of_the_same_seed_only(tmp_path):
+    path = tmp_path / "baselines.csv"
+    for value, seed in ((0.1, 0), (0.2, 1), (0.3, 0)):
+        baselines.append(path, [row("TD3", "step", "rmse", value, seed)])
+    assert [(r["seed"], r["azimuth"]) for r in baselines.read(path)] == [("1", "0.2"), ("0", "0.3")]
+
+
+def test_an_unknown_controller_is_refused(capsys):
+    with pytest.raises(SystemExit):
+        baselines.main(["--controllers", "H-infinity"])
+    assert "invalid choice: 'H-infinity'" in capsys.readouterr().err
