@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, exploration_type
 
@@ -54,16 +54,23 @@ class DecayingGaussian(TensorDictModuleBase):
         noise = torch.randn(action.shape, generator=self.generator, device=action.device, dtype=action.dtype)
         return (action + self.sigma * noise).clamp(-1.0, 1.0)
 
+    def perturb(self, action: Tensor) -> Tensor:
+        """Return `sample(action)`, or `action` itself inside a deterministic exploration type."""
+        return action if exploration_type() in _QUIET else self.sample(action)
+
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Perturb `action` in place and decay the noise."""
+        tensordict.set("action", self.perturb(tensordict.get("action")))
         if exploration_type() not in _QUIET:
-            tensordict.set("action", self.sample(tensordict.get("action")))
             self.sigma = max(self.minimum, self.sigma * (1.0 - self.decay))
         return tensordict
 
-    def frozen(self) -> "FrozenGaussian":
-        """Return the same noise without its decay, for imagined steps."""
-        return FrozenGaussian(self)
+    def frozen(self) -> TensorDictModule:
+        """Return the same noise without its decay, which counts steps of the real plant, for imagined steps.
+
+        Sigma and generator stay with this module, which is no child of the one returned.
+        """
+        return TensorDictModule(self.perturb, in_keys=["action"], out_keys=["action"])
 
     def get_extra_state(self) -> dict[str, object]:
         """Return what `state_dict` keeps: the present sigma and the generator."""
@@ -75,26 +82,3 @@ class DecayingGaussian(TensorDictModuleBase):
         assert isinstance(state["generator"], Tensor)
         self.sigma = state["sigma"]
         self.generator.set_state(state["generator"])
-
-
-class FrozenGaussian(TensorDictModuleBase):
-    """Add the present noise of another module to `action`, and leave its sigma as it is.
-
-    The decay counts steps of the real plant, so imagined rollouts must not advance it.
-
-    Args:
-        noise: the module whose sigma and generator are used.
-    """
-
-    in_keys: ClassVar[list[str]] = ["action"]
-    out_keys: ClassVar[list[str]] = ["action"]
-
-    def __init__(self, noise: DecayingGaussian) -> None:
-        super().__init__()
-        self.__dict__["noise"] = noise  # not a child: its state belongs to the module that decays it
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Perturb `action` in place."""
-        if exploration_type() not in _QUIET:
-            tensordict.set("action", self.noise.sample(tensordict.get("action")))
-        return tensordict

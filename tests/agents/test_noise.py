@@ -36,6 +36,10 @@ def test_imagined_steps_use_the_noise_without_advancing_its_decay():
     assert frozen(zeros())["action"].std().item() == pytest.approx(0.15, rel=0.02)
     assert noise.sigma == 0.15
     assert not frozen.state_dict()
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        assert frozen(zeros(8))["action"].abs().max() == 0
+    noise.sigma = 0.05
+    assert frozen(zeros())["action"].std().item() == pytest.approx(0.05, rel=0.02)
 
 
 def test_nothing_is_added_or_decayed_when_told_to_be_deterministic():
