@@ -15,7 +15,7 @@ from torchrl.record import CSVLogger
 
 from dynasindy.dyna.callback import Callback, Cost, Episode
 from dynasindy.dyna.parts import Parts
-from dynasindy.evaluation.files import write_csv
+from dynasindy.evaluation.files import with_units, write_csv
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, summarise
 from dynasindy.world_models import FitReport
@@ -165,7 +165,8 @@ class Recorder(Callback):
     def _write_series(self, name: str, columns: Sequence[str], values: Tensor, first: int = 0) -> None:
         time_column = (first + torch.arange(len(values))).unsqueeze(-1) * self.plant.dt
         rows = torch.cat([time_column, values], -1).tolist()
-        write_csv(self.folder / "data" / f"{name}.csv", ["time", *columns], rows)
+        headings = with_units(["time", *columns], self.plant.system.signature)
+        write_csv(self.folder / "data" / f"{name}.csv", headings, rows)
 
 
 def _headline(summary: Summary) -> Summary:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import torch
 
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.evaluation.summary import summarise
+from dynasindy.systems import Signature
 
 
 def save_evaluation(evaluation: Evaluation, folder: Path, row: int = 0) -> list[Path]:
@@ -31,8 +33,14 @@ def save_evaluation(evaluation: Evaluation, folder: Path, row: int = 0) -> list[
     header += [f"reference_{name}" for name in evaluation.output_names]
     parts = (evaluation.trajectory["state"], evaluation.inputs, evaluation.references)
     values = torch.cat([evaluation.time.unsqueeze(-1), *(part[row] for part in parts)], -1)
-    write_csv(table, ["time", *header], values.tolist())
+    write_csv(table, with_units(["time", *header], signature), values.tolist())
     return [figures, table]
+
+
+def with_units(names: Sequence[str], signature: Signature) -> list[str]:
+    """Return headings of a table over time: `time [s]`, `alpha_a [rad]`, `reference_alpha_a [rad]`, `u_a [-]`."""
+    units = {**dict(zip(signature.state_names, signature.state_units, strict=True)), "time": "s"}
+    return [f"{name} [{units.get(re.sub('^(reference|predicted)_', '', name), '-')}]" for name in names]
 
 
 def write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[float | None]]) -> None:

@@ -22,7 +22,7 @@ Table = dict[str, NDArray[np.float64]]
 
 
 def read_table(path: Path) -> Table:
-    """Read a CSV file with a header into columns; empty cells become NaN.
+    """Read a CSV file with a header into columns, named without their units; empty cells become NaN.
 
     Raises:
         FileNotFoundError: The file does not exist.
@@ -32,7 +32,7 @@ def read_table(path: Path) -> Table:
     with path.open(newline="") as file:
         header, *rows = list(csv.reader(file))
     cells = np.array([[float(cell) if cell else np.nan for cell in row] for row in rows]).reshape(-1, len(header))
-    return dict(zip(header, cells.T, strict=True))
+    return dict(zip((name.partition(" [")[0] for name in header), cells.T, strict=True))
 
 
 def draw_run(folder: Path, signature: Signature, formats: tuple[str, ...] = ("png",)) -> list[Path]:

@@ -28,9 +28,9 @@ def test_json_holds_the_summary_and_csv_one_row(tmp_path: Path) -> None:
 
     rows = list(csv.DictReader(table.open()))
     assert len(rows) == 10
-    assert float(rows[3]["time"]) == pytest.approx(0.15)
-    assert float(rows[3]["omega_p"]) == pytest.approx(result.trajectory["state"][1, 3, 5].item(), rel=1e-8)
-    assert (rows[3]["u_a"], float(rows[3]["reference_alpha_p"])) == ("0.25", pytest.approx(-0.1))
+    assert float(rows[3]["time [s]"]) == pytest.approx(0.15)
+    assert float(rows[3]["omega_p [rpm]"]) == pytest.approx(result.trajectory["state"][1, 3, 5].item(), rel=1e-8)
+    assert (rows[3]["u_a [-]"], float(rows[3]["reference_alpha_p [rad]"])) == ("0.25", pytest.approx(-0.1))
 
 
 def test_a_table_replaces_the_old_one_whole(tmp_path: Path) -> None:

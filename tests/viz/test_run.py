@@ -18,7 +18,8 @@ def write(path: Path, header: str, *columns: str) -> None:
 
 
 def test_every_figure_whose_data_are_there_is_drawn(tmp_path: Path) -> None:
-    write(tmp_path / "data" / "excitation.csv", "time,theta,Omega,u,reference_theta", "0.1", "0.2", "0.3", "0.0")
+    heading = "time [s],theta [rad],Omega [rad/s],u [-],reference_theta [rad]"
+    write(tmp_path / "data" / "excitation.csv", heading, "0.1", "0.2", "0.3", "0.0")
     write(
         tmp_path / "data" / "step_response.csv",
         "time,theta,Omega,u,reference_theta",
