@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
-from dynasindy.viz.style import BLACK, BLUE, GREY, ORANGE, RED, array, panels, styled
+from dynasindy.viz.style import BLACK, BLUE, GREY, ORANGE, RED, array, name_single, panels, styled
 
 
 @styled
@@ -28,11 +29,15 @@ def gate(decisions: Mapping[str, ArrayLike], title: str = "Trust in the model") 
     dots: dict[str, Any] = {"marker": "o", "markersize": 3}
     upper.plot(x, columns["reward_error"], color=GREY, label="whole episode, before the refit", **dots)
     upper.plot(x, columns["judged_reward_error"], color=BLUE, label="held-out windows, judged", **dots)
-    upper.plot(x, columns["open_below"], color=BLACK, linestyle=":", linewidth=0.9, label="opens below")
-    upper.plot(x, columns["close_above"], color=BLACK, linestyle="--", linewidth=0.9, label="closes above")
+    # Half an episode to each side, so that a single one has thresholds too.
+    wide = np.concatenate([x[:1] - 0.5, x, x[-1:] + 0.5])
+    for name, line, words in (("open_below", ":", "opens below"), ("close_above", "--", "closes above")):
+        bound = np.pad(columns[name], 1, mode="edge")
+        upper.plot(wide, bound, color=BLACK, linestyle=line, linewidth=0.9, label=words)
     for closed in x[columns["open"] == 0]:
         upper.axvspan(closed - 0.5, closed + 0.5, color=GREY, alpha=0.25, linewidth=0)
     upper.set_yscale("log")
+    name_single(upper, x, columns["judged_reward_error"], BLUE)
     upper.set_ylabel("reward error [per period]")
     upper.legend()
     lower.plot(x, before, color=ORANGE, label="before the refit", **dots)
@@ -41,6 +46,9 @@ def gate(decisions: Mapping[str, ArrayLike], title: str = "Trust in the model") 
     lower.plot(x[back], after[back], color=RED, marker="x", linestyle="none", label="rolled back")
     if np.isfinite(before).any():
         lower.set_yscale("log")
+    name_single(lower, x, after, BLUE)
+    lower.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    lower.set_xlim(wide[0], wide[-1])
     lower.set_xlabel("real episode")
     lower.set_ylabel("held-out state error [ranges]")
     lower.legend()

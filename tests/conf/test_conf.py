@@ -9,6 +9,7 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
 from dynasindy.dyna.experiment import Recipe
+from dynasindy.planning import Gate
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
 GROUPS = ("system", "task", "excitation", "world_model", "planning", "agent", "scenario", "experiment")
@@ -92,3 +93,9 @@ def test_the_folders_of_a_sweep_need_no_quotes_on_a_command_line(config):
     with initialize_config_dir(str(CONF), version_base="1.3"):
         cfg = compose(config, ["planning.rollouts=400", "agent.tau=1e-3", "seed=1"], return_hydra_config=True)
     assert cfg.hydra.job.override_dirname.startswith("agent.tau-1e-3__planning.rollouts-400")
+
+
+def test_the_gate_of_the_library_is_that_of_the_default():
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        gate = instantiate(compose("train").gate)
+    assert vars(gate) == vars(Gate())
