@@ -9,7 +9,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from dynasindy.envs import ControlEnv
-from dynasindy.tasks import Tracking
+from dynasindy.tasks import Tracking, references
 
 
 class IntegralAction:
@@ -17,7 +17,7 @@ class IntegralAction:
 
     The policy holds any target, so that shifting what it sees by `integral` moves the output until the error is
     zero; no training is needed. What is no steady error is not integrated, so that nothing winds up: no error beyond
-    `band`, as after a step or in a gust, and of an output that moves at `rate` half of it.
+    `band`, as after a step or in a gust, and of an error that changes at `rate` half of it.
 
     Args:
         policy: Reads `observation`, writes `action`.
@@ -25,7 +25,7 @@ class IntegralAction:
         gain: Integral gain [1/s].
         band: Largest error that is integrated [of the outputs].
         limit: Largest integral [of the outputs].
-        rate: Rate of an output at which half of its error is integrated [of the outputs per second].
+        rate: Rate of change of an error at which half of it is integrated [of the outputs per second].
 
     Raises:
         TypeError: The task tracks no reference.
@@ -54,8 +54,10 @@ class IntegralAction:
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the action for the shifted error and advance the integral; step 0 begins at zero."""
-        task, x, steps = self.task, tensordict["state"], tensordict["step_count"]
-        error = task.error(x, tensordict["task_params"], steps.to(x.dtype) * self.dt)
+        task, x, params = self.task, tensordict["state"], tensordict["task_params"]
+        steps = tensordict["step_count"]
+        t = steps.to(x.dtype) * self.dt
+        error = task.error(x, params, t)
         if self.integral is None or self.integral.shape != error.shape:
             self.integral = torch.zeros_like(error)
         self.integral = self.integral.masked_fill(steps == 0, 0.0)
@@ -65,6 +67,7 @@ class IntegralAction:
         shift = (self.integral / task.error_scale).to(observation)
         observation[..., first : first + task.n_r] += shift
         seen["observation"] = observation
-        steady = (error.abs() < self.band) / (1 + (x[..., task.rates] / self.rate).square())
+        moving = (references.rate(params, t) - x[..., task.rates]) / self.rate
+        steady = (error.abs() < self.band) / (1 + moving.square())
         self.integral = (self.integral + self.gain * self.dt * steady * error).clamp(-self.limit, self.limit)
         return tensordict.set("action", self.policy(seen)["action"])

@@ -42,7 +42,7 @@ def test_errors_beyond_the_band_are_not_integrated():
     assert float(action.integral.abs().max()) == 0.0
 
 
-def test_half_the_error_of_an_output_that_moves_at_the_given_rate_is_integrated():
+def test_half_of_an_error_that_changes_at_the_given_rate_is_integrated():
     env, proportional = setting()
     action = IntegralAction(proportional, env, gain=2.0, band=1.0, rate=0.4)
     for rate, integrated in ((0.0, 0.02), (0.4, 0.01)):  # gain 2/s * 0.05 s * error 0.2 rad, and half of it
