@@ -1,0 +1,131 @@
+"""Sections beyond the paper: the gate, planning by gradient, other controllers, identification, speed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+
+from dynasindy.evaluation.statistics import interquartile_mean
+from dynasindy.systems.twin_rotor import SIGNATURE
+from dynasindy.viz.gate import gate
+from dynasindy.viz.report.document import Part, Picture, Section, Table, Text
+from dynasindy.viz.report.sources import PLANTS, Results, each
+from dynasindy.viz.response import step_response, tracking
+from dynasindy.viz.run import stacked
+
+AXES = SIGNATURE.state_names[:2]
+CASES = tuple((plant, experiment) for plant in PLANTS for experiment in ("dyna", "paper"))
+
+
+def trust(results: Results) -> Section:
+    """Return what the gate saw and decided in the runs with 800 rollouts."""
+
+    def _of(plant: str, experiment: str) -> list[Part]:
+        run = results.compared(plant, experiment, "rollouts_800")
+        figure = gate(run.table("gate.csv"), f"Trust in the model: plant {plant}, experiment {experiment}")
+        return [
+            Picture(
+                f"gate_{plant}_{experiment}",
+                figure,
+                f"Model of `{plant}`, `{experiment}`; grey: not trusted. {run.source}",
+            )
+        ]
+
+    words = "A model is used for planning only while it predicts the reward of real episodes that it has not seen."
+    return Section("Beyond the paper: when the model is trusted", [Text(words), *each(_of, *CASES)])
+
+
+def gradient(results: Results) -> Section:
+    """Return planning by gradient: its table, and a step, sine and square of the main job."""
+
+    def _table() -> list[Part]:
+        make = "python scripts/benchmark.py gradient"
+        rows = results.rows("gradient.csv", make)
+        key = ("plant", "case", "scenario", "plant_seconds")
+        numbers = ("azimuth", "pitch", "azimuth_worst", "pitch_worst", "return", "wall_seconds")
+        header = [
+            *("plant", "case", "scenario", "plant time [s]", "seeds", "azimuth [rad]", "pitch [rad]"),
+            *("worst azimuth [rad]", "worst pitch [rad]", "return", "wall time [s]"),
+        ]
+        words = (
+            "Interquartile means over seeds of the errors over 64 references: mean error of the last 5 s (steps), RMSE "
+            "(waves) or largest error from 5 s after the gust (detuned plant); worst: of the worst reference. "
+        )
+        return [Text(words + results.source("gradient.csv")), Table(header, _grouped(rows, key, numbers))]
+
+    def _of(plant: str, scenario: str) -> list[Part]:
+        run = results.trained(plant)
+        step = scenario == "step"
+        columns = run.table("data/step_response.csv" if step else f"evaluation/{scenario}.csv")
+        target = stacked(columns, [f"reference_{name}" for name in AXES])
+        y = {"policy": stacked(columns, AXES)}
+        u = {"policy": stacked(columns, SIGNATURE.input_names)} if step else None
+        title = f"{scenario.capitalize()}, planning by gradient: plant {plant}"
+        figure = (step_response if step else tracking)(columns["time"], target, y, u, title=title)
+        cost = run.record("metrics.json")["cost"]
+        caption = f"The {scenario} on `{plant}` after {cost['plant_seconds']:.0f} s of plant time. {run.source}"
+        return [Picture(f"gradient_{scenario}_{plant}", figure, caption)]
+
+    words = (
+        "The main job follows the gradient of the reward through the identified model instead of sampling imagined "
+        "transitions: the policy is trained on the model, and judged on the plant."
+    )
+    cases = [(plant, scenario) for plant in PLANTS for scenario in ("step", "sine", "square")]
+    return Section("Beyond the paper: planning by gradient", [Text(words), *each(_table, ()), *each(_of, *cases)])
+
+
+def baselines(results: Results) -> Section:
+    """Return other controllers on the same plants."""
+
+    def _table() -> list[Part]:
+        rows = results.rows("baselines.csv", "python scripts/benchmark.py baselines")
+        key = ("plant", "scenario", "metric", "controller", "model", "real_seconds")
+        header = ["plant", "scenario", "metric", "controller", "model", "plant time [s]", "seeds"]
+        header += ["azimuth", "pitch", "ms per action"]
+        words = f"Interquartile means over seeds. {results.source('baselines.csv')}"
+        return [Text(words), Table(header, _grouped(rows, key, ("azimuth", "pitch", "ms_per_action")))]
+
+    return Section("Beyond the paper: other controllers", each(_table, ()))
+
+
+def identification(results: Results) -> Section:
+    """Return what identification reaches, beside PySINDy."""
+
+    def _table() -> list[Part]:
+        rows = results.rows("identification.csv", "python scripts/benchmark.py identify")
+        header = list(rows[0]) if rows else []
+        return [Text(results.source("identification.csv")), Table(header, [list(row.values()) for row in rows])]
+
+    return Section("Beyond the paper: identification", each(_table, ()))
+
+
+def speed(results: Results) -> Section:
+    """Return the time of a TD3 update beside other libraries."""
+
+    def _table() -> list[Part]:
+        rows = results.rows("td3.csv", "python scripts/benchmark.py td3")
+        header = [name.replace("_", " ") for name in rows[0]] if rows else []
+        return [Text(results.source("td3.csv")), Table(header, [list(row.values()) for row in rows])]
+
+    return Section("Beyond the paper: speed of a TD3 update", each(_table, ()))
+
+
+def _grouped(rows: Sequence[Mapping[str, str]], key: Sequence[str], numbers: Sequence[str]) -> list[list[str]]:
+    """Return a row per group: its key, its number of seeds, and interquartile means over them."""
+    groups: dict[tuple[str, ...], list[Mapping[str, str]]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[name] for name in key), []).append(row)
+    return [
+        [*names, str(len({row["seed"] for row in group})), *(_mean([row[name] for row in group]) for name in numbers)]
+        for names, group in groups.items()
+    ]
+
+
+def _mean(cells: Sequence[str]) -> str:
+    """Return the interquartile mean of numbers, or how many cells have none."""
+    if missing := sum(not cell for cell in cells):
+        return "-" if missing == len(cells) else f"none in {missing} of {len(cells)}"
+    values = torch.as_tensor(np.array([float(cell) for cell in cells]))
+    return f"{interquartile_mean(values).item():.3g}"

@@ -1,0 +1,308 @@
+"""Sections on the data and the model: the paper's figures 5 to 10 and its two tables."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+
+from dynasindy.systems.transitions import Transitions
+from dynasindy.systems.twin_rotor import SIGNATURE
+from dynasindy.viz.identification import excitation, model_error, prediction, training_data
+from dynasindy.viz.report.document import Finding, Listing, Part, Picture, Section, Table, Text
+from dynasindy.viz.report.published import HYPERPARAMETERS, XI
+from dynasindy.viz.report.sources import PLANTS, Results, Run, each
+from dynasindy.viz.run import stacked
+from dynasindy.viz.style import Array
+from dynasindy.world_models import SindyModel
+from dynasindy.world_models.prediction import open_loop
+
+STATES, INPUTS = SIGNATURE.state_names, SIGNATURE.input_names
+CASES = tuple((plant, experiment) for plant in PLANTS for experiment in ("dyna", "paper"))
+CLOSE = 5.0
+"""A predicted state agrees with the plant when its RMSE is under this part of the state's range [%]."""
+
+
+def chirp_input(results: Results) -> Section:
+    """Return figure 5, the excitation."""
+
+    def _of(plant: str) -> list[Part]:
+        run = results.compared(plant, "dyna", "rollouts_800")
+        table = run.table("data/excitation.csv")
+        u = stacked(table, INPUTS)
+        duration = table["time"][-1] + table["time"][1] - table["time"][0]
+        ranges = ", ".join(f"`{name}` {u[:, k].min():.2f} to {u[:, k].max():.2f}" for k, name in enumerate(INPUTS))
+        reversals = ", ".join(str(int(np.sum(np.diff(np.sign(np.diff(u[:, k]))) != 0))) for k in range(len(INPUTS)))
+        return [
+            Finding(
+                f"{plant}: a chirp excites both inputs for 10 s",
+                f"{duration:.4g} s, {ranges}; turning points: {reversals}",
+                abs(duration - 10.0) < 0.1,
+            ),
+            Picture(
+                f"excitation_{plant}",
+                excitation(table["time"], u, INPUTS, f"Excitation of {plant}"),
+                f"Inputs that excite `{plant}`, held for a control period of 0.05 s. {run.source}",
+            ),
+        ]
+
+    words = (
+        "The paper drives both inputs with one chirp over 10 s. Its printed formula stays within [0.707, 1] and does "
+        "not sweep, so the sweep that is meant is used here, with inputs of different phase, around the hover point."
+    )
+    return Section("Figure 5: chirp input", [Text(words), *each(_of, *((plant,) for plant in PLANTS))])
+
+
+def training(results: Results) -> Section:
+    """Return figures 6 and 7, the training data."""
+
+    def _of(plant: str) -> list[Part]:
+        run = results.compared(plant, "dyna", "rollouts_800")
+        table = run.table("data/excitation.csv")
+        x = stacked(table, STATES)
+        samples = len(x) * int(run.setting("env.substeps") or 1)
+        step = (table["time"][1] - table["time"][0]) / int(run.setting("env.substeps") or 1)
+        return [
+            Finding(
+                f"{plant}: 10 s sampled every 0.01 s, 1000 samples",
+                f"{samples} samples, {step:.3g} s apart; azimuth up to {np.abs(x[:, 0]).max():.2f} rad, pitch up to "
+                f"{np.abs(x[:, 1]).max():.2f} rad",
+                samples == 1000,
+            ),
+            Picture(
+                f"training_data_{plant}",
+                training_data(table["time"], x, STATES, SIGNATURE.state_units, f"Training data of {plant}"),
+                f"What the first model of `{plant}` was fitted to, drawn every 0.05 s. {run.source}",
+            ),
+        ]
+
+    words = (
+        "The paper plots rotor speeds (figure 6) and angles with their rates (figure 7) during the chirp. All six "
+        "states are drawn here in one figure."
+    )
+    return Section("Figures 6 and 7: training data", [Text(words), *each(_of, *((plant,) for plant in PLANTS))])
+
+
+def hyperparameters(results: Results) -> Section:
+    """Return table 1, beside the settings of the runs."""
+    found: dict[str, Run] = {}
+
+    def _look(name: str) -> list[Part]:
+        found[name] = _any(results, name)
+        return []
+
+    notes = each(_look, ("paper",), ("dyna",))
+    rows = [
+        [words, symbol, f"{value:g}", f"`{key}`", *(f"{run.setting(key):g}" for run in found.values())]
+        for words, symbol, value, key in HYPERPARAMETERS
+    ]
+    parts: list[Part] = [
+        Text(
+            "The settings of the saved runs: `experiment=paper` takes the paper's numbers, `experiment=dyna` is ours."
+        ),
+        Table(["parameter", "symbol", "the paper", "key", *(f"`experiment={name}`" for name in found)], rows),
+    ]
+    if "paper" in found:
+        wrong = [key for _, _, value, key in HYPERPARAMETERS if found["paper"].setting(key) != value]
+        ours = f"{len(HYPERPARAMETERS) - len(wrong)} of them in `experiment=paper`"
+        ours += "".join(f", not `{key}`" for key in wrong)
+        parts.append(Finding(f"{len(HYPERPARAMETERS)} hyperparameters", ours, not wrong))
+    parts += [Text(run.source) for run in found.values()]
+    return Section("Table 1: agent training hyperparameters", parts + notes)
+
+
+def learning_progress(results: Results) -> Section:
+    """Return figure 8, the model's error over real episodes."""
+
+    def _of(plant: str, experiment: str) -> list[Part]:
+        run = results.compared(plant, experiment, "rollouts_800")
+        table = run.table("gate.csv")
+        episode, error = table["episode"], table["reward_error"]
+        opened = episode[table["open"] == 1]
+        trusted = f"trusted from episode {opened[0]:.0f}" if len(opened) else "never trusted"
+        return [
+            Finding(
+                f"{plant}, `{experiment}`: the reward error of the model is high at first and falls to almost none",
+                f"{error[0]:.2g} per period in episode 1, {error[-1]:.2g} in episode {episode[-1]:.0f}; {trusted}",
+                bool(error[-1] < 0.1 * error[0] and error[-1] < run.setting("gate.open_below")),
+            ),
+            Picture(
+                f"model_learning_{plant}_{experiment}",
+                model_error(
+                    episode,
+                    error,
+                    what="reward error per period",
+                    title=f"SINDy model learning progress: plant {plant}, experiment {experiment}",
+                ),
+                "Mean difference of the reward per control period between a real episode and its replay through the "
+                f"model that had not seen it. {run.source}",
+            ),
+        ]
+
+    words = (
+        "The paper plots the difference between the rewards of model and plant over training episodes: high while the "
+        "model is untrained, then falling as it is refitted to real episodes. Agreement here means a fall to less than "
+        "a tenth and below the level at which the model is trusted."
+    )
+    return Section("Figure 8: SINDy model learning progress", [Text(words), *each(_of, *CASES)])
+
+
+def states(results: Results, when: str) -> Section:
+    """Return figure 9 (`when` is "first") or 10 ("last"): predicted against real states."""
+    before = when == "first"
+    word = "before" if before else "after"
+
+    def _of(plant: str, experiment: str) -> list[Part]:
+        run = results.compared(plant, experiment, "rollouts_800")
+        table = run.table(f"data/prediction_{when}_episode.csv")
+        real, model = stacked(table, STATES), stacked(table, [f"predicted_{name}" for name in STATES])
+        parts: list[Part] = [
+            *(_before if before else _after)(f"{plant}, `{experiment}`", _errors(real, model)),
+            _picture(f"states_{word}_{plant}_{experiment}", table["time"], real, model, run),
+        ]
+        if not before:
+            parts += _chirp_again(run, plant, experiment)
+        return parts
+
+    words = (
+        "The paper's model, fitted to 10 s of chirp alone, predicts the rotor speeds with small errors and has "
+        "difficulty with angles and their rates."
+        if before
+        else "After training the paper applies the chirp again: the model's states lie almost on those of the plant."
+    )
+    words += (
+        f" Here the {when} real episode is predicted open loop, from its start and its inputs alone, before the model "
+        f"is fitted to it. A state agrees when its RMSE is under {CLOSE:g} % of its range."
+    )
+    number = 9 if before else 10
+    title = f"Figure {number}: predicted and real states {word} reinforcement learning"
+    return Section(title, [Text(words), *each(_of, *CASES)])
+
+
+def coefficients(results: Results) -> Section:
+    """Return table 2, the identified coefficients."""
+
+    def _published(experiment: str) -> list[Part]:
+        run = results.compared("xi", experiment, "rollouts_800")
+        model: dict[str, dict[str, float]] = run.record("model.json")["coefficients"]
+        true = {(state, name): value for state, row in XI.items() for name, value in row.items()}
+        ours = {(state, name): value for state, row in model.items() for name, value in row.items()}
+        hit, false = [key for key in true if key in ours], [key for key in ours if key not in true]
+        worst = max((abs(ours[key] / true[key] - 1) for key in hit), default=float("inf"))
+        small = _share(model, false)
+        return [
+            Text(f"**Plant `xi`, `experiment={experiment}`**: identified, with the published coefficient in brackets."),
+            Finding(
+                f"xi, `{experiment}`: {len(true)} coefficients are not zero",
+                f"{len(hit)} of them found, the worst {100 * worst:.2g} % off; {len(false)} functions besides"
+                + (f", the largest {small:.1g} of the largest in its equation" if false else ""),
+                len(hit) == len(true) and not false and worst < 0.01,
+            ),
+            _xi_table(model, XI),
+            Text(run.source),
+        ]
+
+    def _written(plant: str, experiment: str) -> list[Part]:
+        run = results.compared(plant, experiment, "rollouts_800")
+        model: dict[str, Any] = run.record("model.json")
+        terms = sum(map(len, model["coefficients"].values()))
+        return [
+            Text(
+                f"**Plant `{plant}`, `experiment={experiment}`**: another plant, of which the published numbers say "
+                f"nothing; {terms} terms."
+            ),
+            Listing(
+                [
+                    line
+                    for equation in model["equations"]
+                    for line in textwrap.wrap(equation, 100, subsequent_indent="    ")
+                ]
+            ),
+            Text(run.source),
+        ]
+
+    parts: list[Part] = [
+        Text(
+            "The paper prints the coefficients of its model. As the plant `xi` they are the truth, and identification "
+            "has to find them; agreement means all of them within 1 % and no others."
+        )
+    ]
+    parts += each(_published, ("dyna",), ("paper",)) + each(_written, ("tras", "dyna"), ("tras", "paper"))
+    return Section("Table 2: SINDy model Xi matrix", parts)
+
+
+def _any(results: Results, experiment: str) -> Run:
+    """Return a saved run of an experiment on either plant."""
+    name = next((plant for plant in PLANTS if f"{plant}_{experiment}_rollouts_800" in results.settings), PLANTS[0])
+    return results.compared(name, experiment, "rollouts_800")
+
+
+def _errors(real: Array, model: Array) -> dict[str, float]:
+    """Return the RMSE of each state in percent of its range, infinite where the model ran away."""
+    span = np.ptp(real, axis=0)
+    error = 100 * np.sqrt(np.mean((model - real) ** 2, axis=0)) / np.where(span > 0, span, 1.0)
+    return dict(zip(STATES, np.nan_to_num(error, nan=np.inf).tolist(), strict=True))
+
+
+def _before(case: str, errors: Mapping[str, float]) -> list[Part]:
+    rotors, beam = ({k: v for k, v in errors.items() if k.startswith("omega_") == turning} for turning in (True, False))
+    return [
+        Finding(f"{case}: the rotor speeds are predicted well", _percent(rotors), max(rotors.values()) < CLOSE),
+        Finding(f"{case}: angles and rates are not", _percent(beam), max(beam.values()) >= CLOSE),
+    ]
+
+
+def _after(case: str, errors: Mapping[str, float]) -> list[Part]:
+    return [Finding(f"{case}: all six states are predicted closely", _percent(errors), max(errors.values()) < CLOSE)]
+
+
+def _percent(errors: Mapping[str, float]) -> str:
+    return "RMSE in % of range: " + ", ".join(f"`{name}` {error:.2g}" for name, error in errors.items())
+
+
+def _picture(name: str, time: Array, real: Array, model: Array, run: Run) -> Picture:
+    _, word, plant, experiment = name.split("_")
+    title = f"Predicted and real states {word} learning: plant {plant}, experiment {experiment}"
+    figure = prediction(time, real, model, STATES, SIGNATURE.state_units, title)
+    return Picture(name, figure, f"Open-loop prediction of an episode on `{plant}`, `{experiment}`. {run.source}")
+
+
+def _chirp_again(run: Run, plant: str, experiment: str) -> list[Part]:
+    """Apply the excitation to the final model, as the paper does."""
+    table = run.table("data/excitation.csv")
+    run.record("model.json")
+    x = torch.as_tensor(stacked(table, STATES))
+    u = torch.as_tensor(stacked(table, INPUTS))
+    dt = float(table["time"][1] - table["time"][0])
+    one = torch.zeros(len(x) - 1, dtype=torch.int64)
+    model = SindyModel.load(run.folder / "model.json")
+    predicted = open_loop(model, Transitions(x[:-1], u[:-1], x[1:], dt, one), int(run.setting("env.substeps") or 1))
+    errors = _errors(x[1:].numpy(), predicted.numpy())
+    return [
+        Finding(
+            f"{plant}, `{experiment}`: so they are when the chirp is applied again",
+            _percent(errors),
+            max(errors.values()) < CLOSE,
+        )
+    ]
+
+
+def _share(model: Mapping[str, Mapping[str, float]], false: list[tuple[str, str]]) -> float:
+    """Return the largest false coefficient, relative to the largest coefficient of its equation."""
+    return max((abs(model[s][name]) / max(map(abs, model[s].values())) for s, name in false), default=0.0)
+
+
+def _xi_table(model: Mapping[str, Mapping[str, float]], truth: Mapping[str, Mapping[str, float]]) -> Table:
+    names = list(dict.fromkeys(name for row in (*truth.values(), *model.values()) for name in row))
+
+    def _cell(state: str, name: str) -> str:
+        ours, true = model.get(state, {}).get(name), truth.get(state, {}).get(name)
+        if ours is None and true is None:
+            return ""
+        return ("0" if ours is None else f"{ours:.5g}") + ("" if true is None else f" ({true:.5g})")
+
+    rows = [[f"`{name}`", *(_cell(state, name) for state in STATES)] for name in names]
+    return Table(["function", *(f"d `{state}`/dt" for state in STATES)], rows)

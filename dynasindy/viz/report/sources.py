@@ -1,0 +1,161 @@
+"""What a report is made of: saved runs and tables of results, each with the command that makes it."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from dynasindy.viz.report.document import Finding, Part, Text
+from dynasindy.viz.run import Table, read_table
+
+REPORT = "python scripts/report.py"
+PLANTS = ("xi", "tras")
+SETTINGS = {"rollouts_0": "no planning", "rollouts_400": "400 rollouts", "rollouts_800": "800 rollouts"}
+
+
+class MissingResult(FileNotFoundError):
+    """A result that a section needs is not there; the message says which command makes it."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A saved run.
+
+    Args:
+        folder: Where it lies.
+        settings: Its resolved configuration.
+        make: Command that makes what it lacks.
+    """
+
+    folder: Path
+    settings: Mapping[str, Any]
+    make: str
+
+    def table(self, name: str) -> Table:
+        """Read one of its CSV files.
+
+        Raises:
+            MissingResult: The run does not have it.
+        """
+        return read_table(self._file(name))
+
+    def record(self, name: str) -> dict[str, Any]:
+        """Read one of its JSON files.
+
+        Raises:
+            MissingResult: The run does not have it.
+        """
+        return json.loads(self._file(name).read_text())
+
+    def setting(self, key: str) -> Any:
+        """Return a setting by its dotted key, None where the run has none."""
+        value: Any = self.settings
+        for step in key.split("."):
+            value = value.get(step) if isinstance(value, Mapping) else None
+        return value
+
+    @property
+    def source(self) -> str:
+        """Folder, command and commit in words."""
+        origin = self.record("origin.json")
+        return f"Run `{_shown(self.folder)}`, made by `{origin['command']}` at commit {origin['commit']}."
+
+    def _file(self, name: str) -> Path:
+        file = self.folder / name
+        if not file.is_file():
+            raise MissingResult(f"Not measured: `{_shown(self.folder)}` has no `{name}`; {self.make} makes it.")
+        return file
+
+
+@dataclass(frozen=True)
+class Results:
+    """The folder of results.
+
+    Args:
+        folder: Tables as CSV files, and `runs/` with saved runs.
+        settings: Resolved configuration of each saved run, by name.
+    """
+
+    folder: Path
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def compared(self, system: str, experiment: str, setting: str) -> Run:
+        """Return the saved run of an ablation's setting.
+
+        Raises:
+            MissingResult: It is not saved.
+        """
+        train = f"python scripts/ablation.py system={system} experiment={experiment} setting={setting} seed=0"
+        return self.run(f"{system}_{experiment}_{setting}", f"`{train}`, then `{REPORT} save=runs/ablation`")
+
+    def trained(self, system: str) -> Run:
+        """Return the saved run of the main job on a plant.
+
+        Raises:
+            MissingResult: It is not saved.
+        """
+        folder = f"runs/{system}_gradient"
+        train = f"python scripts/train.py system={system} folder={folder}"
+        return self.run(f"{system}_gradient", f"`{train}`, then `{REPORT} save={folder}`")
+
+    def run(self, name: str, make: str) -> Run:
+        """Return a saved run by name.
+
+        Raises:
+            MissingResult: It is not saved; `make` is what makes it.
+        """
+        folder = self.folder / "runs" / name
+        if name not in self.settings or not folder.is_dir():
+            raise MissingResult(f"Not measured: no saved run `{name}`; {make} makes it.")
+        return Run(folder, self.settings[name], make)
+
+    def rows(self, name: str, make: str) -> list[dict[str, str]]:
+        """Read a table of words and numbers, cell by cell as it stands.
+
+        Raises:
+            MissingResult: It is not there; `make` is the command that makes it.
+        """
+        file = self.folder / name
+        if not file.is_file():
+            raise MissingResult(f"Not measured: no `{_shown(file)}`; `{make}` makes it.")
+        with file.open(newline="") as lines:
+            return list(csv.DictReader(lines))
+
+    def source(self, name: str) -> str:
+        """Return where a table lies, and its command and commit as the README of the results lists them."""
+        listed = self.folder / "README.md"
+        pattern = rf"^\| [^|\n]*\[{re.escape(name)}\][^|\n]*\| `([^`]+)`[^|\n]*\| ([^|\n]+) \|"
+        found = re.search(pattern, listed.read_text(), re.M) if listed.is_file() else None
+        made = f", made by `{found[1]}` at commit {found[2].strip()}" if found else ""
+        return f"Table `{_shown(self.folder / name)}`{made}."
+
+
+def each(build: Callable[..., list[Part]], *cases: tuple[str, ...]) -> list[Part]:
+    """Return the parts of every case, findings first.
+
+    Args:
+        build: Makes the parts of a case; where a result, or a column of it, is missing, a line stands for them that
+            says what makes it.
+        cases: Arguments of `build`.
+    """
+    parts: list[Part] = []
+    for case in cases:
+        try:
+            parts += build(*case)
+        except MissingResult as missing:
+            parts.append(Text(str(missing)))
+        except KeyError as column:
+            words = f"saved results of {' '.join(case)} have no {column}; they are older than this report"
+            parts.append(Text(f"Not measured: {words}. Run their commands again, then `{REPORT} save=runs/ablation`."))
+    return sorted(parts, key=lambda part: not isinstance(part, Finding))
+
+
+def _shown(path: Path) -> str:
+    """Return a path as a reader of the repository knows it."""
+    parts = path.parts
+    return "/".join(parts[parts.index("docs") :] if "docs" in parts else parts[-2:])

@@ -1,0 +1,173 @@
+"""What the paper's control figures show, against ours: each statement with our numbers and whether it holds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+
+from dynasindy.evaluation.statistics import interquartile_mean
+from dynasindy.viz.report.document import Finding
+from dynasindy.viz.style import Array
+
+NONE, SOME, MANY = "no planning", "400 rollouts", "800 rollouts"
+AXES = ("azimuth", "pitch")
+NEAR = 0.05
+"""Final returns are nearly the same within this part of the whole rise of the returns."""
+FOLLOWS = 0.1
+"""A wave is followed at an RMSE under this part of its amplitude, the first seconds left out."""
+TRANSIENT, SETTLED = 10.0, 5.0
+"""Seconds left out at the start of a sine, and seconds before a jump of a square that count as steady."""
+Score = Mapping[str, float | None]
+
+
+def rewards_agree(case: str, curves: Mapping[str, Array], to_level: Mapping[str, Sequence[float]]) -> list[Finding]:
+    """Judge the average rewards.
+
+    Args:
+        case: What they are of, in words.
+        curves: Evaluated return per setting, `(n_seeds, n_evaluations)`.
+        to_level: Real episodes to the required level per setting and seed, infinite where never reached.
+    """
+    mean = {name: _middle(returns.T) for name, returns in curves.items()}
+    early = {name: float(values[: max(1, len(values) // 4)].mean()) for name, values in mean.items()}
+    ends = {name: (float(values[0]), float(values[-1])) for name, values in mean.items()}
+    level = {name: float(_middle(np.array(values))) for name, values in to_level.items()}
+    rise = max(last for _, last in ends.values()) - min(first for first, _ in ends.values())
+    last = {name: pair[1] for name, pair in ends.items()}
+    planned = [name for name in (SOME, MANY) if name in mean]
+    both = planned == [SOME, MANY]
+    compared = NONE in mean and bool(planned)
+    sooner = compared and all(level[name] < level[NONE] for name in planned)
+    return [
+        Finding(
+            f"{case}: rewards are low at first and rise",
+            "; ".join(f"{name} {first:.4g} to {final:.4g}" for name, (first, final) in ends.items()),
+            all(final > first for first, final in ends.values()),
+        ),
+        Finding(
+            f"{case}: planning has the greater rewards early",
+            f"mean of the first quarter: {_listed(early)}",
+            all(early[name] > early[NONE] for name in planned) if compared else None,
+        ),
+        Finding(
+            f"{case}: planning reaches the required level sooner",
+            f"real episodes to the level: {_listed(level)}",
+            sooner if compared else None,
+        ),
+        Finding(
+            f"{case}: 800 rollouts converge sooner than 400",
+            f"real episodes to the level: {_listed(level, planned)}",
+            level[MANY] < level[SOME] if both else None,
+        ),
+        Finding(
+            f"{case}: all settings end nearly the same (within {100 * NEAR:g} % of the rise)",
+            f"final return: {_listed(last)}; the rise is {rise:.4g}",
+            max(last.values()) - min(last.values()) <= NEAR * rise if compared else None,
+        ),
+    ]
+
+
+def steps_agree(case: str, scores: Mapping[str, Score]) -> list[Finding]:
+    """Judge step tracking of the three settings by `steady_state_error/<axis>` [rad] and `overshoot/<axis>` [%]."""
+    findings = []
+    for axis, name in zip(AXES, ("alpha_a", "alpha_p"), strict=True):
+        error = {setting: _number(score[f"steady_state_error/{name}"]) for setting, score in scores.items()}
+        above = {setting: _number(score[f"overshoot/{name}"]) for setting, score in scores.items()}
+        offset = "about 0.08 rad" if axis == "azimuth" else "a noticeable distance"
+        findings += [
+            Finding(
+                f"{case}, {axis}: without planning it settles {offset} from the reference, further than with it",
+                f"steady-state error [rad]: {_listed(error)}",
+                error[NONE] > max(error[SOME], error[MANY]),
+            ),
+            Finding(
+                f"{case}, {axis}: 400 rollouts overshoot more than no planning",
+                f"overshoot [%]: {_listed(above, (NONE, SOME))}",
+                above[SOME] > above[NONE],
+            ),
+            Finding(
+                f"{case}, {axis}: 800 rollouts have the smallest steady-state error",
+                f"{error[MANY]:.3g} rad against {min(error[NONE], error[SOME]):.3g}",
+                error[MANY] < min(error[NONE], error[SOME]),
+            ),
+        ]
+    return findings
+
+
+def sine_agrees(case: str, time: Array, target: Array, model: Array, direct: Array) -> list[Finding]:
+    """Judge a sine, `(T, 2)` each: the reference, and the outputs with and without the model [rad]."""
+    late = time >= TRANSIENT
+    size = np.abs(target).max(0)
+    ours, other = (np.sqrt(np.mean((y - target)[late] ** 2, axis=0)) for y in (model, direct))
+    sway, other_sway = (_sway(time, y, target)[late[1:]].mean(0) for y in (model, direct))
+    findings = []
+    for k, axis in enumerate(AXES):
+        findings += [
+            Finding(
+                f"{case}, {axis}: with the model the sine is followed (RMSE under {100 * FOLLOWS:g} % of it)",
+                f"RMSE after {TRANSIENT:g} s: {ours[k]:.3g} rad of {size[k]:.3g} rad",
+                bool(ours[k] < FOLLOWS * size[k]),
+            ),
+            Finding(
+                f"{case}, {axis}: without it too, with more oscillation",
+                f"RMSE {other[k]:.3g} rad; motion beyond the reference's {other_sway[k]:.3g} against "
+                f"{sway[k]:.3g} rad/s",
+                bool(other[k] < FOLLOWS * size[k] and other_sway[k] > sway[k]),
+            ),
+        ]
+    return findings
+
+
+def square_agrees(case: str, time: Array, target: Array, model: Array, direct: Array) -> list[Finding]:
+    """Judge a square wave, `(T, 2)` each: the reference, and the outputs with and without the model [rad]."""
+    findings = []
+    size = np.abs(target).max(0)
+    for k, axis in enumerate(AXES):
+        (error, spike), (other, other_spike) = (_levels(time, target[:, k], y[:, k]) for y in (model, direct))
+        findings += [
+            Finding(
+                f"{case}, {axis}: with the model each level is held with little steady-state error",
+                f"{error:.3g} rad over the last {SETTLED:g} s of each level of {size[k]:.3g} rad",
+                error < FOLLOWS * size[k],
+            ),
+            Finding(
+                f"{case}, {axis}: without it the steady-state error is larger, and the spikes are smaller",
+                f"error {other:.3g} against {error:.3g} rad; beyond the level after a jump {other_spike:.3g} against "
+                f"{spike:.3g} rad",
+                other > error and other_spike < spike,
+            ),
+        ]
+    return findings
+
+
+def _levels(time: Array, target: Array, y: Array) -> tuple[float, float]:
+    """Return mean error at the end of each level, and the largest excursion beyond a level, in its jump's sense."""
+    starts = [0, *(np.flatnonzero(np.diff(target)) + 1).tolist(), len(target)]
+    errors, spikes = [], []
+    for first, end in zip(starts, starts[1:], strict=False):
+        late = np.arange(first, end)[time[first:end] > time[end - 1] - SETTLED]
+        errors.append(np.abs(y[late] - target[first]).mean())
+        spikes.append(np.max(np.sign(target[first] - y[first]) * (y[first:end] - target[first])))
+    return float(np.mean(errors)), float(max(0.0, *spikes))
+
+
+def _sway(time: Array, y: Array, target: Array) -> Array:
+    """Return the speed of an output beyond that of its reference, `(T - 1, 2)` [rad/s]."""
+    speed, wanted = (np.abs(np.diff(x, axis=0)) / np.diff(time)[:, None] for x in (y, target))
+    return speed - wanted
+
+
+def _middle(values: Array) -> Array:
+    """Return the interquartile mean of the last dimension."""
+    return interquartile_mean(torch.as_tensor(np.asarray(values, dtype=np.float64))).numpy()
+
+
+def _listed(values: Mapping[str, float], names: Sequence[str] | None = None) -> str:
+    chosen = {name: values[name] for name in names or values if name in values}
+    return ", ".join(f"{name} {'never' if np.isinf(value) else f'{value:.4g}'}" for name, value in chosen.items())
+
+
+def _number(value: float | None) -> float:
+    return np.inf if value is None else float(value)

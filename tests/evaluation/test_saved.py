@@ -1,0 +1,107 @@
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from dynasindy.evaluation.saved import keep_run, origin_of, without_machine
+
+ORIGIN = {"command": "python scripts/ablation.py seed=0", "commit": "abc"}
+
+
+def write(path: Path, header: str, rows) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join([header, *(",".join(map(str, row)) for row in rows)]) + "\n")
+
+
+def read(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    folder = tmp_path / "run"
+    times = [round(0.05 * k, 2) for k in range(400)]
+    header = "time,y,v,u,reference_y"
+    for name in ("data/step_response", "evaluation/step", "evaluation/sine"):
+        write(folder / f"{name}.csv", header, [[t, 0.123456789, 2, 3, 0.5] for t in times])
+    write(folder / "data/excitation.csv", header, [[t, 1, 2, 3, 0] for t in times[:200]])
+    write(
+        folder / "data/prediction_last_episode.csv",
+        "time,y,v,predicted_y,predicted_v",
+        [[t, 1, 2, 1, 2] for t in times],
+    )
+    write(folder / "progress.csv", "episode,return,evaluated_return", [[k, -1e6 / k, ""] for k in range(1, 1201)])
+    (folder / "metrics.json").write_text('{"seed": 0}')
+    (folder / "config.yaml").write_text(
+        "seed: 0\nfolder: /tmp/x/run\nresults: docs/results\ntrain:\n  path: /etc/x\n  n: 1\n"
+    )
+    (folder / "policy.pt").write_bytes(b"weights")
+    (folder / "evaluation/step.json").write_text('{"rmse": 0.1}')
+    return folder
+
+
+def test_the_copy_is_small_and_holds_no_weights_and_no_place(run, tmp_path):
+    target = tmp_path / "docs" / "kept"
+    files = {file.relative_to(target).as_posix() for file in keep_run(run, target, ORIGIN)}
+    assert files == {
+        "config.yaml", "origin.json", "metrics.json", "progress.csv", "data/step_response.csv", "data/excitation.csv",
+        "data/prediction_last_episode.csv", "evaluation/sine.csv", "evaluation/step.json",
+    }  # fmt: skip
+    assert (target / "config.yaml").read_text() == "seed: 0\ntrain:\n  n: 1\n"
+    assert json.loads((target / "origin.json").read_text()) == ORIGIN
+
+
+def test_tables_over_time_are_thinned_evenly_and_lose_what_no_figure_shows(run, tmp_path):
+    keep_run(run, tmp_path / "kept", ORIGIN)
+    sine = read(tmp_path / "kept/evaluation/sine.csv")
+    assert list(sine[0]) == ["time", "y", "reference_y"] and sine[0]["y"] == "0.12346"
+    assert [row["time"] for row in sine[:3]] == ["0.0", "0.2", "0.4"] and sine[-1]["time"] == "19.8"
+    step = read(tmp_path / "kept/data/step_response.csv")
+    assert list(step[0]) == ["time", "y", "u", "reference_y"] and step[1]["time"] == "0.1"
+    assert len(read(tmp_path / "kept/data/excitation.csv")) == 200
+    assert len(read(tmp_path / "kept/data/prediction_last_episode.csv")) == 200
+
+
+def test_a_log_of_episodes_keeps_its_ends_and_whole_numbers(run, tmp_path):
+    keep_run(run, tmp_path / "kept", ORIGIN)
+    rows = read(tmp_path / "kept/progress.csv")
+    assert (rows[0]["episode"], rows[-1]["episode"]) == ("1", "1200") and 240 <= len(rows) <= 260
+    assert {int(b["episode"]) - int(a["episode"]) for a, b in zip(rows[1:], rows[2:])} == {5}
+    assert rows[0]["return"] == "-1000000.0" and rows[0]["evaluated_return"] == ""
+
+
+def test_what_the_model_saw_is_left_out_on_demand_and_an_old_copy_is_replaced(run, tmp_path):
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / "old.csv").write_text("x")
+    files = {file.name for file in keep_run(run, tmp_path / "kept", ORIGIN, model=False)}
+    assert "excitation.csv" not in files and "old.csv" not in files and "step_response.csv" in files
+
+
+def test_a_run_that_knows_its_command_is_believed_without_its_paths(run, tmp_path):
+    command = "python scripts/train.py system=xi folder=runs/x hydra.run.dir=/tmp/x data.path=/data/log.csv seed=1"
+    (run / "origin.json").write_text(json.dumps({"command": command, "commit": "def"}))
+    assert origin_of(run) == {"command": "python scripts/train.py system=xi seed=1", "commit": "def"}
+    keep_run(run, tmp_path / "kept", ORIGIN)
+    assert json.loads((tmp_path / "kept" / "origin.json").read_text())["commit"] == "def"
+
+
+def test_a_run_that_did_not_end_has_its_line(run, tmp_path):
+    (run / "metrics.json").unlink()
+    with pytest.raises(FileNotFoundError, match=r"is no finished run, it lacks config\.yaml or metrics\.json"):
+        keep_run(run, tmp_path / "kept", ORIGIN)
+
+
+def test_lines_with_paths_of_a_machine_go():
+    text = "a: 1\nb:\n  c: '/x/y'\n  d: ~/z\n  e: runs/q\nfolder: runs/a\n"
+    assert without_machine(text) == "a: 1\nb:\n  e: runs/q\n"
+
+
+def test_the_saved_runs_of_the_repository_name_no_machine():
+    files = list((Path(__file__).parents[2] / "docs" / "results" / "runs").rglob("*"))
+    texts = {file: file.read_text() for file in files if file.is_file()}
+    assert not [
+        str(file) for file, text in texts.items() if any(word in text for word in ("/tmp", "/root", "/home", "/work"))
+    ]
+    assert not [str(file) for file in files if file.suffix in (".pt", ".png")]

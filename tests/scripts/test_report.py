@@ -1,0 +1,48 @@
+"""The report script as a user runs it: saving runs, building, and its one line for mistakes."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[2]
+
+
+def report(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(REPOSITORY / "scripts" / "report.py"), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd, timeout=300)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("ablation") / "xi" / "dyna" / "rollouts_800" / "seed_0"
+    command = [sys.executable, str(REPOSITORY / "scripts" / "train.py"), "system=xi", "experiment=smoke"]
+    subprocess.run([*command, f"folder={folder}", f"hydra.run.dir={folder}"], cwd=folder.parents[3], check=True)
+    return folder
+
+
+def test_a_run_is_evaluated_saved_and_shown(trained: Path, tmp_path: Path) -> None:
+    done = report(f"save={trained.parents[3]}", "scenarios=[sine]", "formats=[svg]", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    kept = tmp_path / "docs" / "results" / "runs" / "xi_dyna_rollouts_800"
+    assert (kept / "evaluation" / "sine.csv").is_file() and not list(kept.rglob("*.pt"))
+    origin = json.loads((kept / "origin.json").read_text())
+    assert origin["command"] == "python scripts/train.py system=xi experiment=smoke"
+    assert str(tmp_path) not in (kept / "config.yaml").read_text()
+    text = (tmp_path / "docs" / "report" / "report.md").read_text()
+    assert "made by `python scripts/train.py system=xi experiment=smoke` at commit" in text
+    assert "![" in text and "docs/report/report.html" in done.stdout
+
+
+def test_one_run_is_saved_under_a_name(trained: Path, tmp_path: Path) -> None:
+    done = report(f"save={trained}", "name=mine", "scenarios=[]", "formats=[svg]", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "docs" / "results" / "runs" / "mine" / "metrics.json").is_file()
+
+
+def test_a_folder_without_runs_has_its_line(tmp_path: Path) -> None:
+    done = report(f"save={tmp_path}", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ") and "holds no finished run of seed 0" in done.stderr

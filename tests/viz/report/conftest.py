@@ -1,0 +1,89 @@
+"""A folder of results written by hand: three settings of one experiment on xi, and what was measured over seeds."""
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from dynasindy.systems.twin_rotor import SIGNATURE
+from dynasindy.viz.report.published import XI
+from dynasindy.viz.report.sources import Results
+from dynasindy.world_models import SindyModel
+
+STATES, INPUTS = SIGNATURE.state_names, SIGNATURE.input_names
+ERRORS = {"rollouts_0": 0.2, "rollouts_400": 0.05, "rollouts_800": 0.01}
+EPISODES = {"rollouts_0": "", "rollouts_400": "6", "rollouts_800": "4"}
+REFERENCES = ("reference_alpha_a", "reference_alpha_p")
+SETTINGS = {"env": {"substeps": 5, "dt": 0.05}, "gate": {"open_below": 0.2}, "train": {"episodes": 6}}
+
+
+def table(path: Path, header, rows) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([header, *rows])
+
+
+def wave(time: float) -> list[float]:
+    return [0.35 * math.sin(0.3 * time), 0.25 * math.sin(0.3 * time)]
+
+
+def write_run(folder: Path, error: float) -> None:
+    times = [round(0.05 * k, 2) for k in range(200)]
+    x = [[0.1 * math.sin(t + k) for k in range(6)] for t in times]
+    table(
+        folder / "data/excitation.csv", ["time", *STATES, *INPUTS], [[t, *row, 0.1, t / 10] for t, row in zip(times, x)]
+    )
+    predicted = [f"predicted_{name}" for name in STATES]
+    for when, off in (("first", 0.1), ("last", 0.0)):
+        rows = [[t, *row, *(v + off * (k < 4) for k, v in enumerate(row))] for t, row in zip(times, x)]
+        table(folder / f"data/prediction_{when}_episode.csv", ["time", *STATES, *predicted], rows)
+    rows = [[t, 0.4 - error, 0.3 - error, 0.1, 0.2, 0.4, 0.3] for t in times]
+    header = ["time", "alpha_a", "alpha_p", *INPUTS, *REFERENCES]
+    table(folder / "data/step_response.csv", header, rows)
+    for shape, y in (("sine", wave), ("square", lambda t: [0.4, -0.5] if t % 10 < 5 else [-0.4, 0.5])):
+        rows = [[t, y(t)[0] + error, y(t)[1] + error, *y(t)] for t in (0.1 * k for k in range(300))]
+        table(folder / f"evaluation/{shape}.csv", ["time", "alpha_a", "alpha_p", *REFERENCES], rows)
+    columns = ["episode", "reward_error", "judged_reward_error", "open_below", "close_above", "open"]
+    columns += ["held_out_error_before", "held_out_error_after", "refit_kept"]
+    table(
+        folder / "gate.csv",
+        columns,
+        [[k, 5.0 * 0.1**k, 0.1**k, 0.2, 0.5, int(k > 1), 0.1, 0.01, 1] for k in range(1, 7)],
+    )
+    scores = {f"steady_state_error/{name}": error for name in STATES[:2]} | {
+        "overshoot/alpha_a": 5.0,
+        "overshoot/alpha_p": None,
+    }
+    (folder / "metrics.json").write_text(json.dumps({"evaluation": scores, "cost": {"plant_seconds": 30.0}}))
+    model = SindyModel(SIGNATURE, "paper_table")
+    for state, row in XI.items():
+        for name, value in row.items():
+            model.coefficients[model.library.names.index(name), STATES.index(state)] = value
+    model.save(folder / "model.json")
+    (folder / "origin.json").write_text(json.dumps({"command": "python scripts/x.py", "commit": "abc1234"}))
+
+
+@pytest.fixture(scope="session")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
+    folder = tmp_path_factory.mktemp("docs") / "results"
+    for name, error in ERRORS.items():
+        write_run(folder / "runs" / f"xi_dyna_{name}", error)
+    key = ["system", "experiment", "setting", "seed"]
+    rows = [["xi", "dyna", name, seed, steps] for name, steps in EPISODES.items() for seed in (0, 1)]
+    table(folder / "ablation.csv", [*key, "episodes_to_level"], rows)
+    rows = [
+        ["xi", "dyna", name, seed, k, -1000 * error / k + seed]
+        for name, error in ERRORS.items()
+        for seed in (0, 1)
+        for k in range(1, 7)
+    ]
+    table(folder / "ablation_curves.csv", [*key, "episode", "evaluated_return"], rows)
+    (folder / "README.md").write_text("| [ablation.csv](ablation.csv) | `python scripts/y.py` | 1a2b3c4 | words |\n")
+    return Results(folder, {f"xi_dyna_{name}": SETTINGS for name in ERRORS})
+
+
+@pytest.fixture
+def empty(tmp_path: Path) -> Results:
+    return Results(tmp_path)

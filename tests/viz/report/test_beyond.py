@@ -1,0 +1,79 @@
+import csv
+
+import numpy as np
+import pytest
+
+from dynasindy.viz.report import beyond
+from dynasindy.viz.report.document import Picture, Table, Text
+from dynasindy.viz.report.sources import Results
+
+
+def one(section, kind):
+    (part,) = [part for part in section.parts if isinstance(part, kind)]
+    return part
+
+
+@pytest.mark.parametrize(
+    ("build", "command"),
+    [
+        (beyond.baselines, "python scripts/benchmark.py baselines"),
+        (beyond.identification, "python scripts/benchmark.py identify"),
+        (beyond.speed, "python scripts/benchmark.py td3"),
+    ],
+)
+def test_a_table_that_is_missing_leaves_the_command_that_makes_it(empty, build, command):
+    assert f"`{command}` makes it." in one(build(empty), Text).words
+
+
+def test_baselines_are_means_over_seeds(empty):
+    header = [
+        "plant",
+        "controller",
+        "model",
+        "seed",
+        "real_seconds",
+        "scenario",
+        "metric",
+        "azimuth",
+        "pitch",
+        "ms_per_action",
+    ]
+    rows = [["xi", "mpc", "sindy", seed, 10, "step", "rmse", 0.01 * seed, 0.02, ""] for seed in (1, 2, 3)]
+    with (empty.folder / "baselines.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([header, *rows])
+    table = one(beyond.baselines(empty), Table)
+    assert table.rows == [["xi", "step", "rmse", "mpc", "sindy", "10", "3", "0.02", "0.02", "-"]]
+
+
+def test_the_gradient_table_groups_seeds_and_shows_the_worst(empty):
+    columns = (
+        "case,plant,seed,plant_seconds,scenario,metric,azimuth,pitch,azimuth_worst,pitch_worst,return,wall_seconds"
+    )
+    lines = [f"step,xi,{seed},10.0,step,m,{0.1 * seed},0.2,0.3,0.4,{seed},7" for seed in range(4)]
+    (empty.folder / "gradient.csv").write_text("\n".join([columns, *lines]) + "\n")
+    section = beyond.gradient(empty)
+    # Of 0, 1, 2, 3 the interquartile mean keeps 1 and 2.
+    (row,) = one(section, Table).rows
+    assert row == ["xi", "step", "step", "10.0", "4", "0.15", "0.2", "0.3", "0.4", "1.5", "7"]
+    missing = [part.words for part in section.parts if isinstance(part, Text) and "no saved run" in part.words]
+    assert len(missing) == 6 and "python scripts/train.py system=xi folder=runs/xi_gradient" in missing[0]
+
+
+def test_a_trained_run_is_drawn_in_three_scenarios(results, tmp_path):
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs" / "xi_gradient").symlink_to(results.folder / "runs" / "xi_dyna_rollouts_800")
+    section = beyond.gradient(Results(tmp_path, {"xi_gradient": {}}))
+    figures = {part.name: part.figure for part in section.parts if isinstance(part, Picture)}
+    assert list(figures) == ["gradient_step_xi", "gradient_sine_xi", "gradient_square_xi"]
+    reference, policy = figures["gradient_step_xi"].axes[1].lines[:2]
+    np.testing.assert_allclose(reference.get_ydata() - policy.get_ydata(), 0.01)
+
+
+def test_the_gates_decisions_are_drawn(results):
+    picture = one(beyond.trust(results), Picture)
+    assert picture.name == "gate_xi_dyna" and "made by `python scripts/x.py`" in picture.caption
+
+
+def test_cells_without_numbers_are_counted():
+    rows = [{"k": "a", "seed": s, "v": v} for s, v in (("0", ""), ("1", "2"))]
+    assert beyond._grouped(rows, ["k"], ["v"]) == [["a", "2", "none in 1 of 2"]]

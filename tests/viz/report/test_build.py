@@ -1,0 +1,112 @@
+"""The report of the results in the repository: every figure and table of the paper, whatever is saved."""
+
+import csv
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from dynasindy.viz.report.build import build, sections, summary
+from dynasindy.viz.report.document import Finding, Section, Table
+from dynasindy.viz.report.sources import Results
+
+RESULTS = Path(__file__).parents[3] / "docs" / "results"
+PAPER = [
+    "Figures 1 to 4",
+    "Figure 5: chirp input",
+    "Figures 6 and 7: training data",
+    "Table 1: agent training hyperparameters",
+    "Figure 8: SINDy model learning progress",
+    "Figure 9: predicted and real states before",
+    "Figure 10: predicted and real states after",
+    "Table 2: SINDy model Xi matrix",
+    "Figure 11: Dyna-Style vs. Direct TD3 average rewards",
+    "Figures 12 and 13: azimuth and pitch step",
+    "Figure 14: sine wave",
+    "Figure 15: square wave",
+]
+
+
+@pytest.fixture(scope="module")
+def saved() -> Results:
+    files = RESULTS.glob("runs/*/config.yaml")
+    return Results(RESULTS, {file.parent.name: OmegaConf.to_container(OmegaConf.load(file)) for file in files})
+
+
+@pytest.fixture(scope="module")
+def report(saved, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("report")
+    files = build(saved, folder, formats=("svg",))
+    assert files[:2] == [folder / "report.html", folder / "report.md"]
+    return folder
+
+
+def titles(text: str) -> list[str]:
+    return re.findall(r"^## (.+)$", text, re.M)
+
+
+def test_every_figure_and_table_of_the_paper_has_its_section_in_both_pages(report):
+    markdown, page = (report / "report.md").read_text(), (report / "report.html").read_text()
+    found = [title for title in titles(markdown) if not title.startswith(("What agrees", "Beyond"))]
+    assert len(found) == len(PAPER) and all(title.startswith(name) for title, name in zip(found, PAPER, strict=True))
+    assert re.findall(r"<h2>(.+?)</h2>", page) == titles(markdown)
+
+
+class References(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.found, self.tags = [], set()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.add(tag)
+        self.found += [value for key, value in attrs if key in ("href", "src", "xlink:href", "srcset", "data")]
+
+
+def test_the_html_needs_no_other_file(report):
+    page = (report / "report.html").read_text()
+    references = References()
+    references.feed(page)
+    assert all(target.startswith("#") for target in references.found)
+    assert not references.tags & {"script", "link", "img", "iframe"} and "@import" not in page
+    assert all(target.startswith("#") for target in re.findall(r"url\(([^)]+)\)", page))
+    assert "/root/" not in page and "/tmp/" not in page and "/home/" not in page
+
+
+def test_the_figures_of_the_markdown_lie_beside_it(report):
+    linked = re.findall(r"\]\((figures/[^)]+)\)", (report / "report.md").read_text())
+    assert linked and all((report / target).is_file() for target in linked)
+    assert len(linked) == (report / "report.html").read_text().count("<svg")
+
+
+def test_the_identification_table_is_the_csv_cell_by_cell(saved):
+    section = next(s for s in sections(saved) if s.title.endswith("identification"))
+    (table,) = [part for part in section.parts if isinstance(part, Table)]
+    with (RESULTS / "identification.csv").open(newline="") as file:
+        header, *rows = list(csv.reader(file))
+    assert list(table.header) == header and [list(row) for row in table.rows] == rows
+
+
+def test_without_any_result_every_section_stands_and_says_what_makes_it(empty, tmp_path):
+    html, markdown, *figures = build(empty, tmp_path / "report")
+    text = markdown.read_text()
+    assert len(titles(text)) == 1 + len(PAPER) + 5 and not figures and html.is_file()
+    blocks = dict(zip(titles(text), re.split(r"^## .+$", text, flags=re.M)[1:], strict=True))
+    for title, block in blocks.items():
+        if not title.startswith(("What agrees", "Figures 1 to 4")):
+            assert re.search(r"Not measured: .* `python scripts/\w+\.py[^`]*`.* makes (it|them)\.", block), title
+
+
+@pytest.mark.parametrize("formats", [[], ["pdf", "svg"]])
+def test_formats_that_no_page_shows_are_refused(empty, tmp_path, formats):
+    with pytest.raises(ValueError, match="a page shows svg or png, name one of them first"):
+        build(empty, tmp_path / "report", formats)
+    assert not (tmp_path / "report").exists()
+
+
+def test_the_summary_counts_verdicts():
+    findings = [Finding("a", "b", True), Finding("a", "b", False), Finding("a", "b", True), Finding("a", "b")]
+    found = [Section("Figure 1", [*findings]), Section("Figure 2"), Section("Beyond the paper: x")]
+    (table,) = [part for part in summary(found).parts if isinstance(part, Table)]
+    assert table.rows == [["Figure 1", "2", "1", "1"], ["Figure 2", "-", "-", "-"]]

@@ -1,0 +1,51 @@
+import numpy as np
+
+from dynasindy.viz.report import control
+from dynasindy.viz.report.document import Picture, Table, Text
+
+
+def lines(section):
+    return [part.words for part in section.parts if isinstance(part, Text) and part.words.startswith("Not measured")]
+
+
+def pictures(section):
+    return {part.name: part.figure for part in section.parts if isinstance(part, Picture)}
+
+
+def test_average_rewards_are_the_numbers_of_the_table(results):
+    section = control.rewards(results)
+    (axis,) = pictures(section)["average_rewards_xi_dyna"].axes
+    curves = {line.get_label(): line.get_ydata() for line in axis.lines}
+    np.testing.assert_allclose(curves["800 rollouts (2 seeds)"], [-10.0 / k + 0.5 for k in range(1, 7)])
+    np.testing.assert_allclose(curves["no planning (2 seeds)"], [-200.0 / k + 0.5 for k in range(1, 7)])
+    said = {finding.paper.partition(": ")[2]: finding for finding in section.findings}
+    level = said["planning reaches the required level sooner"]
+    assert level.agrees and level.ours.endswith("no planning never, 400 rollouts 6, 800 rollouts 4")
+    assert "`python scripts/ablation.py system=xi experiment=paper` makes them" in lines(section)[0]
+    assert len(lines(section)) == 3
+
+
+def test_steps_of_the_three_settings_share_axes_and_their_errors_are_those_of_the_runs(results):
+    section = control.steps(results)
+    figure = pictures(section)["step_xi_dyna"]
+    labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    assert labels[:4] == ["reference", "no planning", "400 rollouts", "800 rollouts"]
+    (table,) = [part for part in section.parts if isinstance(part, Table)]
+    assert [row[:4] for row in table.rows] == [
+        ["no planning", "0.2", "0.2", "5"],
+        ["400 rollouts", "0.05", "0.05", "5"],
+        ["800 rollouts", "0.01", "0.01", "5"],
+    ]
+    assert table.rows[0][4] == "-"  # no number
+    assert [finding.agrees for finding in section.findings[:3]] == [True, False, True]
+
+
+def test_waves_compare_the_model_with_none(results):
+    for shape in ("sine", "square"):
+        section = control.wave(results, shape)
+        figure = pictures(section)[f"{shape}_xi_dyna"]
+        lines_of = {line.get_label(): line.get_ydata() for line in figure.axes[0].lines}
+        np.testing.assert_allclose(lines_of["SINDy-TD3"] - lines_of["reference"], 0.01, atol=1e-12)
+        np.testing.assert_allclose(lines_of["TD3"] - lines_of["reference"], 0.2, atol=1e-12)
+        assert section.findings[0].agrees
+        assert len(lines(section)) == 3

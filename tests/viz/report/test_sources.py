@@ -1,0 +1,44 @@
+import pytest
+
+from dynasindy.viz.report.document import Finding, Text
+from dynasindy.viz.report.sources import MissingResult, each
+
+
+def test_a_saved_run_says_where_it_comes_from(results):
+    run = results.compared("xi", "dyna", "rollouts_800")
+    assert run.source == ("Run `runs/xi_dyna_rollouts_800`, made by `python scripts/x.py` at commit abc1234.")
+    assert run.setting("env.substeps") == 5 and run.setting("env.none.deeper") is None
+    assert run.table("gate.csv")["episode"].tolist() == [1, 2, 3, 4, 5, 6]
+
+
+def test_what_is_missing_has_a_line_with_its_command(results, empty):
+    with pytest.raises(
+        MissingResult, match=r"`xi_dyna_rollouts_0`; `python scripts/ablation\.py system=xi experiment=dyna"
+    ):
+        empty.compared("xi", "dyna", "rollouts_0")
+    with pytest.raises(MissingResult, match=r"python scripts/train\.py system=tras folder=runs/tras_gradient`, then"):
+        empty.trained("tras")
+    with pytest.raises(MissingResult, match=r"baselines\.csv`; `python scripts/benchmark\.py baselines` makes it"):
+        empty.rows("baselines.csv", "python scripts/benchmark.py baselines")
+    with pytest.raises(MissingResult, match=r"has no `other\.csv`; `python scripts/ablation"):
+        results.compared("xi", "dyna", "rollouts_0").table("other.csv")
+
+
+def test_the_command_and_commit_of_a_table_are_those_of_the_list(results):
+    assert results.source("ablation.csv").endswith("`, made by `python scripts/y.py` at commit 1a2b3c4.")
+    assert "made by" not in results.source("other.csv")
+
+
+def test_a_missing_result_or_column_becomes_a_line_and_findings_come_first(results):
+    def build(name):
+        if name == "gone":
+            raise MissingResult("Not measured: x; `make` makes it.")
+        if name == "old":
+            results.compared("xi", "dyna", "rollouts_0").table("gate.csv")["new_column"]
+        return [Text("words"), Finding("a", "b")]
+
+    finding, *lines = each(build, ("gone",), ("old",), ("good",))
+    assert isinstance(finding, Finding)
+    assert lines[0].words == "Not measured: x; `make` makes it."
+    assert "saved results of old have no 'new_column'" in lines[1].words
+    assert lines[2].words == "words"

@@ -1,0 +1,73 @@
+import numpy as np
+import pytest
+
+from dynasindy.viz.report.verdicts import rewards_agree, sine_agrees, square_agrees, steps_agree
+
+NONE, SOME, MANY = "no planning", "400 rollouts", "800 rollouts"
+
+
+def answers(findings):
+    return [finding.agrees for finding in findings]
+
+
+def test_rewards_that_go_as_in_the_paper_agree_in_every_statement():
+    curves = {
+        NONE: np.array([[-100.0, -80, -60, -40, -20, -2, -1, 0]] * 2),
+        SOME: np.array([[-90.0, -50, -20, -5, -1, 0, 0, 0]] * 2),
+        MANY: np.array([[-80.0, -20, -5, -1, 0, 0, 0, 0]] * 2),
+    }
+    found = rewards_agree("xi", curves, {NONE: [8, 8], SOME: [6, 5], MANY: [3, 4]})
+    assert answers(found) == [True] * 5
+    assert "no planning 8, 400 rollouts 5.5, 800 rollouts 3.5" in found[2].ours
+    assert "no planning -90, 400 rollouts -70, 800 rollouts -50" in found[1].ours
+
+
+def test_rewards_that_go_the_other_way_agree_in_none():
+    curves = {
+        NONE: np.array([[0.0, -50.0]]),
+        SOME: np.array([[-100.0, -120.0]]),
+        MANY: np.array([[-200.0, -300.0]]),
+    }
+    found = rewards_agree("xi", curves, {NONE: [1], SOME: [2], MANY: [np.inf]})
+    assert answers(found) == [False] * 5
+    assert "800 rollouts never" in found[2].ours
+
+
+def test_without_a_setting_what_compares_it_is_not_measured():
+    found = rewards_agree("xi", {MANY: np.array([[-2.0, -1.0]])}, {MANY: [2]})
+    assert answers(found) == [True, None, None, None, None]
+
+
+@pytest.mark.parametrize(("errors", "right"), [((0.08, 0.04, 0.01), True), ((0.01, 0.04, 0.08), False)])
+def test_steps_are_judged_by_error_and_overshoot(errors, right):
+    scores = {
+        name: {f"{metric}/{axis}": value for axis in ("alpha_a", "alpha_p") for metric, value in both.items()}
+        for name, both in (
+            (setting, {"steady_state_error": error, "overshoot": 20 * error if right else error})
+            for setting, error in zip((NONE, SOME, MANY), errors)
+        )
+    }
+    for name, more in ((SOME, 10.0 if right else 0.0),):
+        scores[name] |= {"overshoot/alpha_a": more, "overshoot/alpha_p": more}
+    assert answers(steps_agree("xi", scores)) == [right] * 6
+
+
+def test_a_sine_is_followed_within_a_tenth_and_oscillation_is_motion_beyond_the_reference():
+    time = np.arange(0, 60, 0.1)
+    target = 0.4 * np.sin(0.1 * time)[:, None].repeat(2, 1)
+    shaken = target + 0.03 * np.sin(5 * time)[:, None]
+    assert answers(sine_agrees("xi", time, target, target, shaken)) == [True] * 4
+    assert answers(sine_agrees("xi", time, target, target + 0.1, target)) == [False] * 4
+
+
+def test_a_square_is_judged_at_the_end_of_its_levels_and_after_its_jumps():
+    time = np.arange(0, 40, 0.1)
+    target = np.where(time % 20 < 10, 0.4, -0.4)[:, None].repeat(2, 1)
+    spiked = target.copy()
+    spiked[100] += -0.2  # beyond the lower level, after the jump down from 0.4
+    spiked[100 - 1] = 0.4
+    found = square_agrees("xi", time, target, spiked, target + 0.03)
+    assert found[0].agrees and found[0].ours.startswith("0 rad over the last 5 s")
+    offset = square_agrees("xi", time, target, target + 0.1, target)
+    assert answers(offset) == [False] * 4
+    assert offset[0].ours.startswith("0.1 rad")
