@@ -4,7 +4,9 @@ from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
 
+import hydra
 import torch
+from hydra.core.global_hydra import GlobalHydra
 from hydra.utils import instantiate
 from mistakes import CONF
 from omegaconf import DictConfig, OmegaConf
@@ -71,6 +73,8 @@ def load_scenario(name: str, config: DictConfig) -> Scenario:
     names = sorted(path.stem for path in (CONF / "scenario").glob("*.yaml"))
     if name not in names:
         raise ValueError(f"scenario '{name}' is unknown; use some of {', '.join(names)}")
-    merged = OmegaConf.create({"plant": config.plant, "scenario": OmegaConf.load(CONF / "scenario" / f"{name}.yaml")})
+    GlobalHydra.instance().clear()
+    with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
+        merged = OmegaConf.merge({"plant": config.plant}, hydra.compose(overrides=[f"+scenario={name}"]))
     scenario: Scenario = instantiate(merged.scenario, _convert_="all")
     return scenario
