@@ -79,12 +79,14 @@ def without_machine(settings: str) -> str:
 
 def _spare(response: Path) -> list[str]:
     """Return the columns of a tracking table that no figure of a wave shows: inputs, and states without a reference."""
-    header = next(csv.reader(response.read_text().splitlines()))
-    return [name for name in header if not name.startswith("time") and not _tracked(name, header)]
+    names = [_name(heading) for heading in _read(response)[0]]
+    kept = {name for name in names if name.startswith("reference_") or f"reference_{name}" in names}
+    return [name for name in names if name not in kept | {"time"}]
 
 
-def _tracked(name: str, header: Sequence[str]) -> bool:
-    return name.startswith("reference_") or f"reference_{name}" in header
+def _name(heading: str) -> str:
+    """Return the name in a heading such as `alpha_a [rad]`."""
+    return heading.partition(" [")[0]
 
 
 def _thin_log(source: Path, target: Path) -> None:
@@ -100,7 +102,7 @@ def _thin_series(source: Path, target: Path, drop: Sequence[str] = ()) -> None:
     times = [float(row[0]) for row in rows[:2]]
     spacing = 0.0 if source.stem == "excitation" else SPACING[target.parent.name]
     every = max(1, round(spacing / (times[-1] - times[0]))) if len(rows) > 1 else 1
-    columns = [k for k, name in enumerate(header) if name not in drop]
+    columns = [k for k, heading in enumerate(header) if _name(heading) not in drop]
     _write(target, [header[k] for k in columns], [[row[k] for k in columns] for row in rows[::every]])
 
 

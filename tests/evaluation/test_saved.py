@@ -23,7 +23,7 @@ def read(path: Path) -> list[dict[str, str]]:
 def run(tmp_path: Path) -> Path:
     folder = tmp_path / "run"
     times = [round(0.05 * k, 2) for k in range(400)]
-    header = "time,y,v,u,reference_y"
+    header = "time [s],y [rad],v [rad/s],u [-],reference_y [rad]"
     for name in ("data/step_response", "evaluation/step", "evaluation/sine"):
         write(folder / f"{name}.csv", header, [[t, 0.123456789, 2, 3, 0.5] for t in times])
     write(folder / "data/excitation.csv", header, [[t, 1, 2, 3, 0] for t in times[:200]])
@@ -56,10 +56,10 @@ def test_the_copy_is_small_and_holds_no_weights_and_no_place(run, tmp_path):
 def test_tables_over_time_are_thinned_evenly_and_lose_what_no_figure_shows(run, tmp_path):
     keep_run(run, tmp_path / "kept", ORIGIN)
     sine = read(tmp_path / "kept/evaluation/sine.csv")
-    assert list(sine[0]) == ["time", "y", "reference_y"] and sine[0]["y"] == "0.12346"
-    assert [row["time"] for row in sine[:3]] == ["0.0", "0.2", "0.4"] and sine[-1]["time"] == "19.8"
+    assert list(sine[0]) == ["time [s]", "y [rad]", "reference_y [rad]"] and sine[0]["y [rad]"] == "0.12346"
+    assert [row["time [s]"] for row in sine[:3]] == ["0.0", "0.2", "0.4"] and sine[-1]["time [s]"] == "19.8"
     step = read(tmp_path / "kept/data/step_response.csv")
-    assert list(step[0]) == ["time", "y", "u", "reference_y"] and step[1]["time"] == "0.1"
+    assert list(step[0]) == ["time [s]", "y [rad]", "u [-]", "reference_y [rad]"] and step[1]["time [s]"] == "0.1"
     assert len(read(tmp_path / "kept/data/excitation.csv")) == 200
     assert len(read(tmp_path / "kept/data/prediction_last_episode.csv")) == 200
 
