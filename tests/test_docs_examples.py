@@ -24,7 +24,7 @@ def extended(tmp_path_factory):
     shutil.copy(REPOSITORY / "pyproject.toml", root)
     for name, text in BLOCKS.items():
         path = root / name
-        assert not path.exists(), f"{name} exists already; the page would overwrite it"
+        assert not path.exists() or path.read_text() == text, f"{name} exists already; the page would overwrite it"
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
     return root
