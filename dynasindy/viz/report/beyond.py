@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import torch
 
+from dynasindy.evaluation.metrics import UNITS
 from dynasindy.evaluation.statistics import interquartile_mean
+from dynasindy.evaluation.summary import WORDS
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.gate import gate
 from dynasindy.viz.report.document import Part, Picture, Section, Table, Text
@@ -81,11 +83,12 @@ def baselines(results: Results) -> Section:
 
     def _table() -> list[Part]:
         rows = results.rows("baselines.csv", "python scripts/benchmark.py baselines")
-        key = ("plant", "scenario", "metric", "controller", "model", "real_seconds")
-        header = ["plant", "scenario", "metric", "controller", "model", "plant time [s]", "seeds"]
-        header += ["azimuth", "pitch", "ms per action"]
-        words = f"Interquartile means over seeds. {results.source('baselines.csv')}"
-        return [Text(words), Table(header, _grouped(rows, key, ("azimuth", "pitch", "ms_per_action")))]
+        words = f"Interquartile means over seeds, azimuth / pitch. {results.source('baselines.csv')}"
+        parts: list[Part] = [Text(words)]
+        for plant, scenario in dict.fromkeys((row["plant"], row["scenario"]) for row in rows):
+            here = [row for row in rows if (row["plant"], row["scenario"]) == (plant, scenario)]
+            parts += [Text(f"**Plant `{plant}`, {scenario}**"), _controllers(here)]
+        return parts
 
     return Section("Beyond the paper: other controllers", each(_table, ()))
 
@@ -110,6 +113,26 @@ def speed(results: Results) -> Section:
         return [Text(results.source("td3.csv")), Table(header, [list(row.values()) for row in rows])]
 
     return Section("Beyond the paper: speed of a TD3 update", each(_table, ()))
+
+
+def _controllers(rows: Sequence[Mapping[str, str]]) -> Table:
+    """Return a row per controller and a column per metric."""
+    key, numbers = ("controller", "model", "real_seconds"), ("azimuth", "pitch", "ms_per_action")
+    found: dict[str, dict[tuple[str, ...], list[str]]] = {}
+    for metric in dict.fromkeys(row["metric"] for row in rows):
+        groups = _grouped([row for row in rows if row["metric"] == metric], key, numbers)
+        found[metric] = {tuple(group[:3]): group for group in groups}
+    cells = []
+    for name in dict.fromkeys(name for groups in found.values() for name in groups):
+        known = next(groups[name] for groups in found.values() if name in groups)
+        pairs = [" / ".join(groups[name][4:6]) if name in groups else "-" for groups in found.values()]
+        cells.append([*known[:4], *pairs, known[6]])
+    header = ("controller", "model", "plant time [s]", "seeds", *(_heading(name) for name in found), "ms per action")
+    return Table(header, cells)
+
+
+def _heading(metric: str) -> str:
+    return f"{WORDS.get(metric, metric)} [{UNITS.get(metric, '-')}]"
 
 
 def _grouped(rows: Sequence[Mapping[str, str]], key: Sequence[str], numbers: Sequence[str]) -> list[list[str]]:

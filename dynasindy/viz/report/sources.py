@@ -129,9 +129,10 @@ class Results:
     def source(self, name: str) -> str:
         """Return where a table lies, and its command and commit as the README of the results lists them."""
         listed = self.folder / "README.md"
-        pattern = rf"^\| [^|\n]*\[{re.escape(name)}\][^|\n]*\| `([^`]+)`[^|\n]*\| ([^|\n]+) \|"
+        pattern = rf"^\| [^|\n]*(?<![\w/]){re.escape(name)}\b[^|\n]*\| `([^`]+)`[^|\n]*\|([^|\n]*)\|"
         found = re.search(pattern, listed.read_text(), re.M) if listed.is_file() else None
-        made = f", made by `{found[1]}` at commit {found[2].strip()}" if found else ""
+        commit = f" at commit {found[2].strip()}" if found and found[2].strip() else ""
+        made = f", made by `{found[1]}`{commit}" if found else ""
         return f"Table `{_shown(self.folder / name)}`{made}."
 
 

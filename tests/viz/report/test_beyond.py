@@ -38,11 +38,20 @@ def test_baselines_are_means_over_seeds(empty):
         "pitch",
         "ms_per_action",
     ]
-    rows = [["xi", "mpc", "sindy", seed, 10, "step", "rmse", 0.01 * seed, 0.02, ""] for seed in (1, 2, 3)]
+    rows = [
+        ["xi", name, "sindy", seed, 10, "step", metric, factor * seed, 0.02, 1.5]
+        for name, factor in (("mpc", 0.01), ("pid", 0.04))
+        for seed in (1, 2, 3)
+        for metric in ("rmse", "control_variation")
+    ]
     with (empty.folder / "baselines.csv").open("w", newline="") as file:
         csv.writer(file).writerows([header, *rows])
     table = one(beyond.baselines(empty), Table)
-    assert table.rows == [["xi", "step", "rmse", "mpc", "sindy", "10", "3", "0.02", "0.02", "-"]]
+    assert list(table.header[4:]) == ["RMSE [rad]", "control variation [1/s]", "ms per action"]
+    assert table.rows == [
+        ["mpc", "sindy", "10", "3", "0.02 / 0.02", "0.02 / 0.02", "1.5"],
+        ["pid", "sindy", "10", "3", "0.08 / 0.02", "0.08 / 0.02", "1.5"],
+    ]
 
 
 def test_the_gradient_table_groups_seeds_and_shows_the_worst(empty):

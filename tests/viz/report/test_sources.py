@@ -27,6 +27,7 @@ def test_what_is_missing_has_a_line_with_its_command(results, empty):
 def test_the_command_and_commit_of_a_table_are_those_of_the_list(results):
     assert results.source("ablation.csv").endswith("`, made by `python scripts/y.py` at commit 1a2b3c4.")
     assert "made by" not in results.source("other.csv")
+    assert "made by" not in results.source("first_ablation.csv")
 
 
 def test_a_missing_result_or_column_becomes_a_line_and_findings_come_first(results):
