@@ -19,8 +19,13 @@ from dynasindy.tasks import RandomStep, Step, Tracking
 from dynasindy.world_models import Oracle
 
 
-@pytest.fixture
-def recorded(tmp_path):
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    return record(tmp_path_factory.mktemp("run"))
+
+
+def record(folder):
+    """Run three episodes of the true model without planning, evaluated every second time."""
     recipe = Recipe(
         system=Tras(),
         task=partial(Tracking, reference=RandomStep([-0.5, -0.5], [0.5, 0.4]), max_steps=20),
@@ -35,9 +40,9 @@ def recorded(tmp_path):
     )
     parts = recipe.build()
     scenario = Scenario("step", Step([[0.1, 0.1], [0.2, -0.1]]), episodes=2, seconds=6.0)
-    recorder = Recorder(tmp_path, parts, scenario, every=2, episodes=3)
+    recorder = Recorder(folder, parts, scenario, every=2, episodes=3)
     train(parts, recipe.train, recorder)
-    return tmp_path, parts, recorder
+    return folder, parts, recorder
 
 
 def rows(path):
@@ -94,8 +99,8 @@ def test_the_end_leaves_policy_model_and_metrics(recorded):
     assert len(rows(folder / "data" / "step_response.csv")) == 120
 
 
-def test_steps_of_evaluation_are_counted_apart(recorded):
-    _, _, recorder = recorded
+def test_steps_of_evaluation_are_counted_apart(tmp_path):
+    _, _, recorder = record(tmp_path)
     cost = recorder.finish({})["cost"]
     assert cost["real_steps"] == 80
     # The untrained policy, after episodes 2 and 3, and at the end: two references of 120 periods each.
