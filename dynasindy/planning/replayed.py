@@ -11,10 +11,8 @@ from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.base import Planned, Planner
-from dynasindy.planning.imagine import Imagination, Near
-
-NEAR = 2000
-"""Real transitions that the distance to the data is measured to."""
+from dynasindy.planning.bounds import Bounds
+from dynasindy.planning.imagine import Imagination
 
 
 class NoPlanning(Planner):
@@ -51,9 +49,7 @@ class ImaginedReplay(Planner):
             first planning phase to the last of so many.
         every: Episodes between two planning phases (paper: N).
         generations: Planning phases whose transitions are kept; all, within the storage, if None.
-        reach: Cut a rollout where a state exceeds this multiple of the largest value seen on the plant.
-        distance: Cut a rollout where state and action, in their ranges, are farther than this from every real
-            transition (of at most 2000 drawn); no cut if None.
+        bounds: Where the model is believed; the defaults of `Bounds` if omitted.
         recent_steps: Newest real steps from whose states rollouts branch; all if None.
         seed: Seed of the choice of start states.
 
@@ -73,20 +69,19 @@ class ImaginedReplay(Planner):
         horizon: int | Sequence[int] = 20,
         every: int = 1,
         generations: int | None = 1,
-        reach: float = 1.5,
-        distance: float | None = None,
+        bounds: Bounds | None = None,
         recent_steps: int | None = None,
         seed: int = 0,
     ) -> None:
         super().__init__(every)
-        if rollouts < 0 or not reach > 0 or min(1 if n is None else n for n in (generations, recent_steps)) < 1:
+        if rollouts < 0 or min(1 if n is None else n for n in (generations, recent_steps)) < 1:
             raise ValueError(
-                "planning needs rollouts >= 0, reach > 0, and generations and recent_steps >= 1 or null, "
-                f"got {rollouts}, {reach}, {generations} and {recent_steps}; mend planning"
+                "planning needs rollouts >= 0, and generations and recent_steps >= 1 or null, "
+                f"got {rollouts}, {generations} and {recent_steps}; mend planning"
             )
-        self.replay, self.rollouts, self.generations, self.reach = replay, rollouts, generations, reach
+        self.env, self.replay, self.rollouts, self.generations = env, replay, rollouts, generations
         self.horizons = _schedule(horizon)
-        self.distance, self.recent_steps = distance, recent_steps
+        self.bounds, self.recent_steps = bounds or Bounds(), recent_steps
         self.made: list[int] = []
         self.generator = torch.Generator().manual_seed(seed)
         self.imagination = Imagination(env, agent.explore_imagined, self.horizons(0))
@@ -102,10 +97,7 @@ class ImaginedReplay(Planner):
         recent = min(self.recent_steps or len(real), len(real))
         rows = len(real) - 1 - torch.randint(recent, (self.rollouts,), generator=self.generator)
         self.imagination.horizon = self.horizons(len(self.made))
-        self.imagination.limit = self.reach * real["next", "state"].abs().amax(0)
-        if self.distance is not None:
-            near = torch.randint(len(real), (NEAR,), generator=self.generator)
-            self.imagination.near = Near(real["state"][near], real["action"][near], self.distance)
+        self.imagination.masks = self.bounds.masks(self.env, real, self.generator)
         starts = TensorDict({"state": real["state"][rows]}, [self.rollouts])
         self.made.append(len(self.replay.model.extend(starts)))
         return Planned(imagined=self.made[-1])

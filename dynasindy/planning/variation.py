@@ -81,7 +81,7 @@ class Members(System):
             TypeError: The model is no sparse model.
         """
         if not isinstance(model, SindyModel):
-            raise TypeError(f"{type(model).__name__} has no fits to resampled data; set planning.variation.members=0")
+            raise TypeError(f"{type(model).__name__} has no resampled fits; leave members at 0, disagreement null")
         models = [copy.deepcopy(model) for _ in range(number)]
         for member, coefficients in zip(models, bag(model, data, number).members):
             member.set_coefficients(coefficients)

@@ -1,4 +1,3 @@
-import pytest
 import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
@@ -7,7 +6,7 @@ from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from dynasindy.data import LEARN_KEYS
 from dynasindy.envs import ControlEnv
 from dynasindy.planning import Imagination
-from dynasindy.planning.imagine import Near
+from dynasindy.planning.bounds import Within
 from dynasindy.systems import System, Tras
 from dynasindy.tasks import Step, Tracking
 
@@ -59,7 +58,7 @@ def test_a_rollout_is_cut_before_it_leaves_the_limit():
     # 0.01 doubles to 0.02, 0.04, 0.08, 0.16: three transitions stay within 0.1; 0.04 -> 0.08 stays, once.
     starts = torch.zeros(2, 6)
     starts[:, 1] = torch.tensor([0.01, 0.04])
-    imagination = Imagination(make_env(Explosion()), POLICY, horizon=10, limit=torch.full((6,), 0.1))
+    imagination = Imagination(make_env(Explosion()), POLICY, horizon=10, masks=[Within(torch.full((6,), 0.1))])
     imagined = imagination.imagine(starts)
     assert len(imagined) == 3 + 1
     assert imagined["next", "truncated"].flatten().tolist() == [False, False, True, True]
@@ -71,16 +70,3 @@ def test_what_is_not_finite_is_never_stored():
     imagined = Imagination(make_env(Explosion()), POLICY, horizon=50).imagine(starts)
     assert 0 < len(imagined) < 150
     assert all(imagined[key].isfinite().all() for key in LEARN_KEYS)
-
-
-def test_near_is_within_the_distance_of_some_real_pair_in_units_of_the_largest_value():
-    states, actions = torch.tensor([[10.0], [0.0]]), torch.tensor([[0.0], [0.5]])
-    near = Near(states, actions, distance=0.11)
-    asked_states = torch.tensor([[11.0], [12.0], [0.0], [0.0]])
-    asked_actions = torch.tensor([[0.0], [0.0], [0.55], [0.6]])
-    assert near(asked_states, asked_actions).tolist() == [True, False, True, False]
-
-
-def test_a_distance_that_is_not_positive_is_refused():
-    with pytest.raises(ValueError, match=r"planning\.distance"):
-        Near(torch.zeros(1, 1), torch.zeros(1, 1), 0.0)

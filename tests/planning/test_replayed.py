@@ -4,7 +4,7 @@ import torch
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.envs import ControlEnv
-from dynasindy.planning import ImaginedReplay, NoPlanning
+from dynasindy.planning import Bounds, ImaginedReplay, NoPlanning
 from dynasindy.systems import Tras
 from dynasindy.tasks import RandomStep, Tracking
 
@@ -64,10 +64,10 @@ def test_branches_may_be_limited_to_recent_states():
 
 
 def test_what_lies_far_from_the_data_is_not_stored():
-    _, planner, _ = make(rollouts=12, horizon=5, distance=1e-9)
+    _, planner, _ = make(rollouts=12, horizon=5, bounds=Bounds(distance=1e-9))
     # Exploring actions differ from the real ones, so even the first steps are far.
     assert planner.plan().imagined == 0
-    _, planner, _ = make(rollouts=12, horizon=5, distance=100.0)
+    _, planner, _ = make(rollouts=12, horizon=5, bounds=Bounds(distance=100.0))
     assert planner.plan().imagined == 60
 
 
@@ -104,7 +104,7 @@ def test_no_planning_is_never_due():
     assert not any(planner.due(episode) for episode in range(1, 10))
 
 
-IMPOSSIBLE = [{"rollouts": -1}, {"every": 0}, {"horizon": 0}, {"horizon": [1, 0, 3]}, {"reach": 0.0}]
+IMPOSSIBLE = [{"rollouts": -1}, {"every": 0}, {"horizon": 0}, {"horizon": [1, 0, 3]}]
 IMPOSSIBLE += [{"generations": 0}, {"recent_steps": 0}]
 
 
