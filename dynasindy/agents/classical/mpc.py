@@ -9,16 +9,18 @@
 | weights             | Q, R, S  | per square       | sum of Q (r - y)^2 + R (u - u_e)^2 + S (change of u)^2      |
 | cost to go          | P        | -                | discrete Riccati equation of the linearisation at the origin |
 
-Every control period one Gauss-Newton step is made from the last plan, moved on by a period (real-time iteration,
-Diehl, Bock, Schloeder 2005): simulate, linearise along the simulation, eliminate the states, solve the quadratic
-program in the inputs. The reference is not known in advance: it is expected to go on at its present rate. The
-estimated model error makes the loop free of offset (Pannocchia, Rawlings 2003), as the whole state is measured.
+Every control period begins with the last plan, moved on by a period (Diehl, Bock, Schloeder 2005), and makes
+Gauss-Newton steps until the plan changes no more: simulate, linearise along the simulation, eliminate the states,
+solve the quadratic program in the inputs, go as far as the simulated cost falls most. Where nothing new happens one
+step will do; where the reference jumps, inputs hit their limits one after the other and one step would go astray. The
+reference is not known in advance: it is expected to go on at its present rate. The estimated model error makes the
+loop free of offset (Pannocchia, Rawlings 2003), as the whole state is measured.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -32,6 +34,11 @@ from dynasindy.agents.classical.symbolic import casadi, vector_field
 from dynasindy.systems import System
 
 Array = np.ndarray
+
+LENGTHS = (1.0, 0.5, 0.25, 0.1)
+"""Shares of a Gauss-Newton step that are tried."""
+SETTLED = 1e-3
+"""Largest change of an input at which a plan is left as it is."""
 
 
 @dataclass(frozen=True)
@@ -55,13 +62,29 @@ class Horizon:
 
     Attributes:
         blocks: control periods in which each planned input is held; their sum is the horizon.
-        iterations: Gauss-Newton steps per control period.
+        iterations: Gauss-Newton steps per control period, at most.
         substeps: Runge-Kutta steps per control period.
     """
 
     blocks: Sequence[int] = (1, 1, 1, 1, 2, 2, 2, 2, 4, 4, 4, 4, 4, 4)
-    iterations: int = 1
+    iterations: int = 8
     substeps: int = 1
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """What a plan is made for: states, the input that holds, the reference ahead, the target, the model error."""
+
+    x: Array
+    last: Array
+    future: Array
+    x_e: Array
+    u_e: Array
+    drift: Array
+
+    def of(self, rows: Array) -> _Problem:
+        """Return the problem of some rows."""
+        return _Problem(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 class MPC(Controller):
@@ -103,6 +126,7 @@ class MPC(Controller):
         self.equilibria = Equilibria(system, outputs)
         self.cost_to_go = self._cost_to_go(system)
         self.block_of = np.repeat(np.arange(len(blocks)), blocks)
+        self.lengths = np.array(blocks, dtype=float)[:, None]
         self.starts = np.cumsum([0, *blocks[:-1]])
         self.predictor = _Predictor(system, dt, len(self.block_of), self.horizon.substeps)
         self.program = _Program(len(blocks) * n_u)
@@ -119,10 +143,33 @@ class MPC(Controller):
         x_e, u_e = self._target(future[:, -1], rates, begins)
         last = np.where(begins, 0.0, self.plan[:, 0])  # the input that holds now; at the start none
         plan = np.where(begins[..., None], u_e[:, None], self._moved_on())
+        self.plan, self.last_x = self._improved(plan, _Problem(states, last, future, x_e, u_e, self.drift)), states
+        return torch.as_tensor(self.plan[:, 0].copy()).reshape(*x.shape[:-1], -1)
+
+    def _improved(self, plan: Array, problem: _Problem) -> Array:
+        """Return the plan, `(rows, n_blocks, n_u)`, after Gauss-Newton steps; a row that has settled is left alone."""
+        plan, open_rows = plan.copy(), np.arange(len(plan))
         for _ in range(self.horizon.iterations):
-            plan = np.clip(plan + self._step(states, plan, last, future, (x_e, u_e)), -1.0, 1.0)
-        self.plan, self.last_x = plan, states
-        return torch.as_tensor(plan[:, 0].copy()).reshape(*x.shape[:-1], -1)
+            mine = problem.of(open_rows)
+            plan[open_rows], change = self._stepped(plan[open_rows], mine)
+            open_rows = open_rows[change > SETTLED]
+            if not len(open_rows):
+                break
+        return plan
+
+    def _stepped(self, plan: Array, problem: _Problem) -> tuple[Array, Array]:
+        """Return the plan after the longest share of a Gauss-Newton step that lowers the cost, and its change."""
+        states, step = self._step(plan, problem)
+        cost, start, taken = self._cost(states, plan, problem), plan, np.abs(step).max((1, 2)) < SETTLED
+        plan = np.where(taken[:, None, None], plan + step, plan)
+        for length in LENGTHS:
+            if taken.all():
+                break
+            trial = np.clip(start + length * step, -1.0, 1.0)
+            states = self.predictor.states(problem.x, trial[:, self.block_of], problem.drift)
+            better = ~taken & (self._cost(states, trial, problem) < cost)
+            plan, taken = np.where(better[:, None, None], trial, plan), taken | better
+        return np.clip(plan, -1.0, 1.0), np.abs(plan - start).max((1, 2))
 
     def _observe(self, x: Array, first: Array) -> None:
         """Carry the estimate of the model error on, `(rows, n_x)`."""
@@ -147,13 +194,21 @@ class MPC(Controller):
         periods = self.plan[:, self.block_of]
         return periods[:, np.minimum(self.starts + 1, len(self.block_of) - 1)]
 
-    def _step(self, x: Array, plan: Array, last: Array, future: Array, target: tuple[Array, Array]) -> Array:
-        """Return the change of the plan of one Gauss-Newton step, `(rows, n_blocks, n_u)`."""
+    def _cost(self, states: Array, plan: Array, problem: _Problem) -> Array:
+        """Return the cost of a plan and the states it leads to, `(rows,)`."""
+        error = states[:, :-1, self.outputs] - problem.future[:, :-1]
+        deviation, change = self._moves(plan, problem)
+        end = np.concatenate((states[:, -1] - problem.x_e, plan[:, -1] - problem.u_e), 1)
+        inputs: Array = (self.lengths * self.r * deviation**2 + self.s * change**2).sum((1, 2))
+        return inputs + (self.q * error**2).sum((1, 2)) + np.einsum("bi,ij,bj->b", end, self.cost_to_go, end)
+
+    def _step(self, plan: Array, problem: _Problem) -> tuple[Array, Array]:
+        """Return the states of a plan, `(rows, n_periods, n_x)`, and the Gauss-Newton step, shaped as the plan."""
         n_rows, n_blocks, n_u = plan.shape
-        n_periods, n_x = len(self.block_of), x.shape[1]
-        states, a, b = self.predictor.along(x, plan[:, self.block_of], self.drift)
+        n_periods, n_x = len(self.block_of), problem.x.shape[1]
+        states, a, b = self.predictor.along(problem.x, plan[:, self.block_of], problem.drift)
         slope = np.zeros((n_rows, n_x, n_blocks * n_u))
-        hessian, gradient = self._input_cost(plan, last, target[1])
+        hessian, gradient = self._input_cost(plan, problem)
         for k in range(n_periods):
             slope = a[:, k] @ slope
             column = self.block_of[k] * n_u
@@ -162,26 +217,29 @@ class MPC(Controller):
                 outputs = slope[:, self.outputs]
                 weighted = outputs.transpose(0, 2, 1) * self.q
                 hessian += weighted @ outputs
-                error = states[:, k][:, self.outputs] - future[:, k]
+                error = states[:, k][:, self.outputs] - problem.future[:, k]
                 gradient += (weighted @ error[..., None])[..., 0]
         chooses = np.zeros((n_rows, n_u, n_blocks * n_u))
         chooses[:, :, -n_u:] = np.eye(n_u)
         ends = np.concatenate((slope, chooses), 1)
         weighted = ends.transpose(0, 2, 1) @ self.cost_to_go
-        deviation = np.concatenate((states[:, -1] - target[0], plan[:, -1] - target[1]), 1)
+        deviation = np.concatenate((states[:, -1] - problem.x_e, plan[:, -1] - problem.u_e), 1)
         hessian += weighted @ ends
         gradient += (weighted @ deviation[..., None])[..., 0]
-        return self.program.solve(hessian, gradient, plan.reshape(n_rows, -1)).reshape(plan.shape)
+        return states, self.program.solve(hessian, gradient, plan.reshape(n_rows, -1)).reshape(plan.shape)
 
-    def _input_cost(self, plan: Array, last: Array, u_e: Array) -> tuple[Array, Array]:
-        """Return Hessian and gradient of the cost of the inputs and their changes."""
+    def _moves(self, plan: Array, problem: _Problem) -> tuple[Array, Array]:
+        """Return the inputs' deviations from their target and their changes, each shaped as the plan."""
+        return plan - problem.u_e[:, None], np.diff(np.concatenate((problem.last[:, None], plan), 1), axis=1)
+
+    def _input_cost(self, plan: Array, problem: _Problem) -> tuple[Array, Array]:
+        """Return Hessian and gradient of the cost of the inputs and their changes, halved."""
         n_rows, n_blocks, _ = plan.shape
-        lengths = np.bincount(self.block_of)
         differences = np.eye(n_blocks) - np.eye(n_blocks, k=-1)
-        deviation = lengths[:, None] * self.r * (plan - u_e[:, None])
-        change = np.diff(np.concatenate((last[:, None], plan), 1), axis=1)
-        gradient = deviation + np.einsum("ji,bjm->bim", differences, self.s * change)
-        hessian = np.kron(np.diag(lengths), np.diag(self.r)) + np.kron(differences.T @ differences, np.diag(self.s))
+        deviation, change = self._moves(plan, problem)
+        gradient = self.lengths * self.r * deviation + np.einsum("ji,bjm->bim", differences, self.s * change)
+        hessian = np.kron(np.diag(self.lengths[:, 0]), np.diag(self.r))
+        hessian = hessian + np.kron(differences.T @ differences, np.diag(self.s))
         return np.repeat(hessian[None], n_rows, 0), gradient.reshape(n_rows, -1)
 
     def _cost_to_go(self, system: System) -> Array:
@@ -236,6 +294,12 @@ class _Predictor:
         one, _, _ = self._side_by_side(len(x))
         return one(x.T, u.T).full().T
 
+    def states(self, x: Array, u: Array, d: Array) -> Array:
+        """Return the states from the next one on, `(rows, n_periods, n_x)`; arguments as for `along`."""
+        _, simulate, _ = self._side_by_side(len(x))
+        after = simulate(x.T, u.reshape(-1, self.n_u).T, np.repeat(d, self.n_periods, 0).T).full()
+        return after.T.reshape(len(x), self.n_periods, self.n_x)
+
     def along(self, x: Array, u: Array, d: Array) -> tuple[Array, Array, Array]:
         """Simulate and linearise.
 
@@ -249,9 +313,8 @@ class _Predictor:
             `(rows, n_periods, n_x, n_x or n_u)`.
         """
         rows = len(x)
-        _, simulate, slope = self._side_by_side(rows)
-        inputs, errors = u.reshape(-1, self.n_u).T, np.repeat(d, self.n_periods, 0).T
-        after = simulate(x.T, inputs, errors).full().T.reshape(rows, self.n_periods, self.n_x)
+        _, _, slope = self._side_by_side(rows)
+        after, inputs = self.states(x, u, d), u.reshape(-1, self.n_u).T
         before = np.concatenate((x[:, None], after[:, :-1]), 1).reshape(-1, self.n_x)
         slopes = slope(before.T, inputs).full().reshape(self.n_x, -1, self.n_x + self.n_u).transpose(1, 0, 2)
         slopes = slopes.reshape(rows, self.n_periods, self.n_x, -1)
