@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from dynasindy.viz.framework import framework
 from dynasindy.viz.report import beyond, control, model
-from dynasindy.viz.report.document import Section, Table, Text, write_html, write_markdown
+from dynasindy.viz.report.document import Picture, Section, Table, Text, write_html, write_markdown
 from dynasindy.viz.report.sources import REPORT, Results
 
 TITLE = "The paper's figures and tables, beside ours"
@@ -79,7 +80,12 @@ def summary(found: Sequence[Section]) -> Section:
 
 def _drawings() -> Section:
     words = (
-        "Drawings without data: the framework, the control loop, the rig and its schematic. Algorithm 1 stands line by "
-        "line beside the code in `docs/algorithm.md`; the rig moves in `docs/figures/tras_sine.gif`."
+        "Drawings without data: the framework, the control loop, the rig and its schematic. The framework and the loop "
+        "as they are here are drawn below; Algorithm 1 stands line by line beside the code in `docs/algorithm.md`, and "
+        "the rig moves in `docs/figures/tras_sine.gif`."
     )
-    return Section("Figures 1 to 4: framework, control loop, rig, schematic", [Text(words)])
+    caption = (
+        "What acts on the plant, what is learnt from it, and where experience goes. Drawn by `dynasindy.viz.framework`."
+    )
+    title = "Figures 1 to 4: framework, control loop, rig, schematic"
+    return Section(title, [Text(words), Picture("framework", framework(), caption)])
