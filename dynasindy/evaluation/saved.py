@@ -10,7 +10,7 @@ import csv
 import json
 import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 ROWS, DIGITS = 250, 5
@@ -20,13 +20,35 @@ PROGRESS = ("progress.csv", "gate.csv")
 RECORDS = ("metrics.json", "model.json")
 
 
-def keep_run(source: Path, target: Path, origin: Mapping[str, str], model: bool = True) -> list[Path]:
+def to_save(folder: Path, name: str | None, seed: int, settings: Sequence[str]) -> dict[Path, str]:
+    """Return run folders and the names of their copies.
+
+    Args:
+        folder: One run, or the folder of an ablation.
+        name: Of the copy of one run; that of its folder by default.
+        seed: Which runs of an ablation are meant; their copies are named by plant, experiment and setting.
+        settings: Which settings of an ablation are meant.
+
+    Raises:
+        FileNotFoundError: There is no such run that ended.
+    """
+    if (folder / "config.yaml").is_file():
+        return {folder: name or folder.name}
+    ended = sorted(file.parent for file in folder.rglob(f"seed_{seed}/metrics.json"))
+    found = {run: "_".join(run.relative_to(folder).parts[:-1]) for run in ended if run.parent.name in settings}
+    if not found:
+        raise FileNotFoundError(
+            f"{folder} holds no finished run of seed {seed} in {list(settings)}; give a run folder, or runs/ablation"
+        )
+    return found
+
+
+def keep_run(source: Path, target: Path, model: bool = True) -> list[Path]:
     """Copy what a report needs of a finished run.
 
     Args:
         source: Run folder, with `evaluation/` where `evaluate.py` was run.
         target: Folder of the copy; replaced as a whole.
-        origin: `command` and `commit` that made the run, used where the run itself does not say.
         model: Keep what the model was fitted to and what it predicted, too.
 
     Returns:
@@ -40,7 +62,7 @@ def keep_run(source: Path, target: Path, origin: Mapping[str, str], model: bool 
     shutil.rmtree(target, ignore_errors=True)
     target.mkdir(parents=True)
     (target / "config.yaml").write_text(without_machine((source / "config.yaml").read_text()))
-    _write_json(target / "origin.json", origin_of(source) or dict(origin))
+    _write_json(target / "origin.json", origin_of(source))
     for name in RECORDS:
         if (source / name).is_file():
             _write_json(target / name, json.loads((source / name).read_text()))
@@ -61,11 +83,11 @@ def keep_run(source: Path, target: Path, origin: Mapping[str, str], model: bool 
     return sorted(file for file in target.rglob("*") if file.is_file())
 
 
-def origin_of(folder: Path) -> dict[str, str] | None:
-    """Return which command and commit made a run, without paths of the machine, or None where it does not say."""
+def origin_of(folder: Path) -> dict[str, str]:
+    """Return which command and commit made a run, without paths of the machine; "unknown" where it does not say."""
     file = folder / "origin.json"
     if not file.is_file():
-        return None
+        return {"command": "unknown", "commit": "unknown"}
     origin = json.loads(file.read_text())
     words = [word for word in origin["command"].split() if not re.search(r"=/|^(hydra\.run\.dir|folder)=", word)]
     return {**origin, "command": " ".join(words)}

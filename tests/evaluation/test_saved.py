@@ -4,9 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from dynasindy.evaluation.saved import keep_run, origin_of, without_machine
-
-ORIGIN = {"command": "python scripts/ablation.py seed=0", "commit": "abc"}
+from dynasindy.evaluation.saved import keep_run, origin_of, to_save, without_machine
 
 
 def write(path: Path, header: str, rows) -> None:
@@ -44,17 +42,17 @@ def run(tmp_path: Path) -> Path:
 
 def test_the_copy_is_small_and_holds_no_weights_and_no_place(run, tmp_path):
     target = tmp_path / "docs" / "kept"
-    files = {file.relative_to(target).as_posix() for file in keep_run(run, target, ORIGIN)}
+    files = {file.relative_to(target).as_posix() for file in keep_run(run, target)}
     assert files == {
         "config.yaml", "origin.json", "metrics.json", "progress.csv", "data/step_response.csv", "data/excitation.csv",
         "data/prediction_last_episode.csv", "evaluation/sine.csv", "evaluation/step.json",
     }  # fmt: skip
     assert (target / "config.yaml").read_text() == "seed: 0\ntrain:\n  n: 1\n"
-    assert json.loads((target / "origin.json").read_text()) == ORIGIN
+    assert json.loads((target / "origin.json").read_text()) == {"command": "unknown", "commit": "unknown"}
 
 
 def test_tables_over_time_are_thinned_evenly_and_lose_what_no_figure_shows(run, tmp_path):
-    keep_run(run, tmp_path / "kept", ORIGIN)
+    keep_run(run, tmp_path / "kept")
     sine = read(tmp_path / "kept/evaluation/sine.csv")
     assert list(sine[0]) == ["time [s]", "y [rad]", "reference_y [rad]"] and sine[0]["y [rad]"] == "0.12346"
     assert [row["time [s]"] for row in sine[:3]] == ["0.0", "0.2", "0.4"] and sine[-1]["time [s]"] == "19.8"
@@ -65,7 +63,7 @@ def test_tables_over_time_are_thinned_evenly_and_lose_what_no_figure_shows(run, 
 
 
 def test_a_log_of_episodes_keeps_its_ends_and_whole_numbers(run, tmp_path):
-    keep_run(run, tmp_path / "kept", ORIGIN)
+    keep_run(run, tmp_path / "kept")
     rows = read(tmp_path / "kept/progress.csv")
     assert (rows[0]["episode"], rows[-1]["episode"]) == ("1", "1200") and 240 <= len(rows) <= 260
     assert {int(b["episode"]) - int(a["episode"]) for a, b in zip(rows[1:], rows[2:])} == {5}
@@ -75,7 +73,7 @@ def test_a_log_of_episodes_keeps_its_ends_and_whole_numbers(run, tmp_path):
 def test_what_the_model_saw_is_left_out_on_demand_and_an_old_copy_is_replaced(run, tmp_path):
     (tmp_path / "kept").mkdir()
     (tmp_path / "kept" / "old.csv").write_text("x")
-    files = {file.name for file in keep_run(run, tmp_path / "kept", ORIGIN, model=False)}
+    files = {file.name for file in keep_run(run, tmp_path / "kept", model=False)}
     assert "excitation.csv" not in files and "old.csv" not in files and "step_response.csv" in files
 
 
@@ -83,14 +81,38 @@ def test_a_run_that_knows_its_command_is_believed_without_its_paths(run, tmp_pat
     command = "python scripts/train.py system=xi folder=runs/x hydra.run.dir=/tmp/x data.path=/data/log.csv seed=1"
     (run / "origin.json").write_text(json.dumps({"command": command, "commit": "def"}))
     assert origin_of(run) == {"command": "python scripts/train.py system=xi seed=1", "commit": "def"}
-    keep_run(run, tmp_path / "kept", ORIGIN)
+    keep_run(run, tmp_path / "kept")
     assert json.loads((tmp_path / "kept" / "origin.json").read_text())["commit"] == "def"
 
 
 def test_a_run_that_did_not_end_has_its_line(run, tmp_path):
     (run / "metrics.json").unlink()
     with pytest.raises(FileNotFoundError, match=r"is no finished run, it lacks config\.yaml or metrics\.json"):
-        keep_run(run, tmp_path / "kept", ORIGIN)
+        keep_run(run, tmp_path / "kept")
+
+
+def test_the_first_seed_of_the_settings_that_are_meant_is_saved_under_its_place(tmp_path):
+    for place in (
+        "xi/dyna/a/seed_0",
+        "xi/dyna/a/seed_1",
+        "xi/dyna/b/seed_0",
+        "tras/paper/a/seed_0",
+        "xi/dyna/c/seed_0",
+    ):
+        (tmp_path / place).mkdir(parents=True)
+        if "/c/" not in place:  # c did not end
+            (tmp_path / place / "metrics.json").touch()
+    found = to_save(tmp_path, None, 0, ["a", "c"])
+    assert {run.relative_to(tmp_path).as_posix(): name for run, name in found.items()} == {
+        "xi/dyna/a/seed_0": "xi_dyna_a",
+        "tras/paper/a/seed_0": "tras_paper_a",
+    }
+    with pytest.raises(FileNotFoundError, match=r"holds no finished run of seed 0 in \['c'\]"):
+        to_save(tmp_path, None, 0, ["c"])
+
+
+def test_one_run_keeps_its_name_or_gets_another(run):
+    assert to_save(run, None, 0, []) == {run: "run"} and to_save(run, "mine", 0, []) == {run: "mine"}
 
 
 def test_lines_with_paths_of_a_machine_go():

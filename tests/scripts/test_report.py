@@ -24,10 +24,10 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_run_is_evaluated_saved_and_shown(trained: Path, tmp_path: Path) -> None:
-    done = report(f"save={trained.parents[3]}", "scenarios=[sine]", "formats=[svg]", cwd=tmp_path)
+    done = report(f"save={trained.parents[3]}", "scenarios=[step]", "formats=[svg]", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     kept = tmp_path / "docs" / "results" / "runs" / "xi_dyna_rollouts_800"
-    assert (kept / "evaluation" / "sine.csv").is_file() and not list(kept.rglob("*.pt"))
+    assert (kept / "evaluation" / "step.json").is_file() and not list(kept.rglob("*.pt"))
     origin = json.loads((kept / "origin.json").read_text())
     assert origin["command"] == "python scripts/train.py system=xi experiment=smoke"
     assert str(tmp_path) not in (kept / "config.yaml").read_text()

@@ -79,12 +79,12 @@ def steps_agree(case: str, scores: Mapping[str, Score]) -> list[Finding]:
         findings += [
             Finding(
                 f"{case}, {axis}: without planning it settles further from the reference than with it{offset}",
-                f"steady-state error [rad]: {_listed(error)}",
+                f"steady-state error [rad]: {_listed(error, none='not finite')}",
                 error[NONE] > max(error[SOME], error[MANY]),
             ),
             Finding(
                 f"{case}, {axis}: 400 rollouts overshoot more than no planning",
-                f"overshoot [%]: {_listed(above, (NONE, SOME))}",
+                f"overshoot [%]: {_listed(above, (NONE, SOME), 'not finite')}",
                 above[SOME] > above[NONE],
             ),
             Finding(
@@ -164,9 +164,9 @@ def _middle(values: Array) -> Array:
     return interquartile_mean(torch.as_tensor(np.asarray(values, dtype=np.float64))).numpy()
 
 
-def _listed(values: Mapping[str, float], names: Sequence[str] | None = None) -> str:
+def _listed(values: Mapping[str, float], names: Sequence[str] | None = None, none: str = "never") -> str:
     chosen = {name: values[name] for name in names or values if name in values}
-    return ", ".join(f"{name} {'never' if np.isinf(value) else f'{value:.4g}'}" for name, value in chosen.items())
+    return ", ".join(f"{name} {none if np.isinf(value) else f'{value:.4g}'}" for name, value in chosen.items())
 
 
 def _number(value: float | None) -> float:
