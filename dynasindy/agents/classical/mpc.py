@@ -67,7 +67,7 @@ class Horizon:
     """
 
     blocks: Sequence[int] = (1, 1, 1, 1, 2, 2, 2, 2, 4, 4, 4, 4, 4, 4)
-    iterations: int = 8
+    iterations: int = 5
     substeps: int = 1
 
 
@@ -336,9 +336,7 @@ class _Program:
     def __init__(self, n: int) -> None:
         ca = casadi()
         shape = {"h": ca.Sparsity.dense(n, n), "a": ca.Sparsity(0, n)}
-        self.solver = ca.conic(
-            "program", "qrqp", shape, {"print_iter": False, "print_header": False, "print_info": False}
-        )
+        self.solver = ca.conic("program", "daqp", shape)
 
     def solve(self, hessian: Array, gradient: Array, plan: Array) -> Array:
         """Return the change `(rows, n)` of a plan `(rows, n)`."""
@@ -346,7 +344,7 @@ class _Program:
         free = -np.linalg.solve(hessian, gradient[..., None])[..., 0]
         change = np.clip(free, low, high)
         for row in np.nonzero((free != change).any(-1))[0]:  # only where a limit binds
-            found = self.solver(h=hessian[row], g=gradient[row], lbx=low[row], ubx=high[row], x0=change[row])
+            found = self.solver(h=hessian[row], g=gradient[row], lbx=low[row], ubx=high[row])
             change[row] = found["x"].full()[:, 0]
         return change
 
