@@ -162,8 +162,7 @@ class TD3:
         s = self.settings
         self.updates += 1
 
-        critic_loss, parts = self.loss.value_loss(batch)
-        self._descend(critic_loss, self.critic_optimizer)
+        critic_loss, value = self.update_critics(batch)
 
         if self.updates % s.policy_delay == 0:
             actor_loss, _ = self.loss.actor_loss(batch)
@@ -177,8 +176,17 @@ class TD3:
 
         if s.lr_decay:
             self._decay_learning_rates()
-        value = parts["pred_value"].mean()
-        return {"critic_loss": critic_loss.detach(), "q_value": value, "actor_loss": self.actor_loss}
+        return {"critic_loss": critic_loss, "q_value": value, "actor_loss": self.actor_loss}
+
+    def update_critics(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """Take one step of the critics alone, and return their loss and mean value.
+
+        Args:
+            batch: as for `update`.
+        """
+        loss, parts = self.loss.value_loss(batch)
+        self._descend(loss, self.critic_optimizer)
+        return loss.detach(), parts["pred_value"].mean()
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that a resumed run needs to equal an uninterrupted one."""

@@ -100,6 +100,7 @@ class Case:
         integral: Evaluate with integral action, too.
         variation: How imagined plants stray.
         updates: Gradient updates of the first planning phase.
+        terminal_updates: Critic updates per window, for a value of what follows it.
         plants: Plants that it is measured on.
     """
 
@@ -112,12 +113,14 @@ class Case:
     integral: bool = False
     variation: Variation = field(default_factory=Variation)
     updates: int = 200
+    terminal_updates: int = 0
     plants: tuple[str, ...] = ("xi", "tras")
 
 
 CASES = {
     "step": Case(episodes=1),
     "oracle": Case(oracle=True),
+    "terminal": Case(terminal_updates=4),
     "moving": Case(moving=True, updates=400),
     "noise": Case(episodes=3, noise=NOISE, integral=True),
     "noise_robust": Case(episodes=1, noise=NOISE, integral=True, variation=Variation(noise=NOISE)),
@@ -195,11 +198,15 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
         world_model=model,
         agent=partial(TD3, hidden=(128, 128)),
         replay=partial(DynaReplay, capacity=100_000, batch_size=256),
-        planning=partial(GradientPlanning, **{"variation": case.variation, "updates": case.updates, **planning}),
+        planning=partial(GradientPlanning, **{**_planning(case), **planning}),
         gate=Gate(open_below=torch.inf, close_above=torch.inf),
         train=Settings(episodes=case.episodes, updates_per_step=0),
         seed=seed,
     )
+
+
+def _planning(case: Case) -> dict[str, Any]:
+    return {name: getattr(case, name) for name in ("variation", "updates", "terminal_updates")}
 
 
 def sparse_model(library: str, signature: Any) -> SindyModel:

@@ -21,6 +21,7 @@ from dynasindy.data import DynaReplay
 from dynasindy.data.recording import transitions
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.base import Planned, Planner
+from dynasindy.planning.terminal import TerminalValue
 from dynasindy.planning.variation import Members, Variation, Varied
 from dynasindy.planning.window import Rows, backward, imagine
 from dynasindy.systems import System
@@ -48,6 +49,7 @@ class GradientPlanning(Planner):
         substeps: Runge-Kutta steps per imagined control period.
         check_every: Updates between two tests on held-out imagined references; the best policy is kept.
         patience: Tests in a row without improvement after which a phase ends early.
+        terminal_updates: Critic updates per window; the critics then value what follows a window. 0 for no such value.
         variation: How imagined plants stray from the model; none by default.
         every: Episodes between two planning phases.
         seed: Seed of references, starts and variations.
@@ -79,6 +81,7 @@ class GradientPlanning(Planner):
         substeps: int = 1,
         check_every: int = 50,
         patience: int = 3,
+        terminal_updates: int = 0,
         variation: Variation | None = None,
         every: int = 1,
         seed: int = 0,
@@ -88,11 +91,12 @@ class GradientPlanning(Planner):
         sizes = {"lr": lr, "more_lr": more_lr, "max_grad_norm": max_grad_norm}
         if bad := [f"{name}={value}" for name, value in {**counts, **sizes}.items() if not value > 0]:
             raise ValueError(f"gradient planning got {', '.join(bad)}; these must be positive: mend planning")
-        if min(rollouts, updates, more_updates) < 0 or min(real_starts, jumps) < 0 or real_starts + jumps > 1:
+        least = min(rollouts, updates, more_updates, terminal_updates, real_starts, jumps)
+        if least < 0 or real_starts + jumps > 1:
             raise ValueError(
                 f"gradient planning got rollouts={rollouts}, updates={updates}, more_updates={more_updates}, "
-                f"real_starts={real_starts}, jumps={jumps}; rollouts and updates must be >= 0 and the shares at most "
-                "1 together: mend planning"
+                f"terminal_updates={terminal_updates}, real_starts={real_starts}, jumps={jumps}; rollouts and updates "
+                "must be >= 0 and the shares at most 1 together: mend planning"
             )
         self.agent, self.replay, self.network = agent, replay, _network(agent)
         self.phases = ((updates, lr), (more_updates, more_lr))
@@ -105,6 +109,7 @@ class GradientPlanning(Planner):
         self.rng = torch.Generator().manual_seed(seed)
         self.env = ControlEnv(env.system, _imagined_task(env.task, width), env.dt, substeps)
         self.env.stops = env.stops
+        self.terminal = TerminalValue(self.env, agent, terminal_updates, self.rng) if terminal_updates else None
         self.held_out = _references(self.env, 64, torch.Generator().manual_seed(seed + 1))
         self.log_dt, self.phase = env.log_dt, 0
 
@@ -149,7 +154,11 @@ class GradientPlanning(Planner):
         rows, system = episodes.rows, episodes.system
         window = imagine(self.env, system, self.network, rows, self.window, late, self.rng)
         optimizer.zero_grad()
-        backward(self.env, system, self.network, rows, window, late)
+        terminal = None
+        if self.terminal is not None:
+            self.terminal.learn(rows, window)
+            terminal = self.terminal.slope(rows, window)
+        backward(self.env, system, self.network, rows, window, late, terminal)
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), self.max_grad_norm)
         if norm.isfinite():
             optimizer.step()

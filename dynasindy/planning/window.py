@@ -104,7 +104,15 @@ def imagine(
     return Window(torch.stack(states), torch.stack(applied), torch.stack(actions), torch.stack(seen), times)
 
 
-def backward(env: ControlEnv, system: System, network: Network, rows: Rows, window: Window, late: bool) -> Tensor:
+def backward(
+    env: ControlEnv,
+    system: System,
+    network: Network,
+    rows: Rows,
+    window: Window,
+    late: bool,
+    terminal: Tensor | None = None,
+) -> Tensor:
     """Add the gradient of the window's mean cost, the negative reward, to the policy's parameters.
 
     Args:
@@ -114,6 +122,7 @@ def backward(env: ControlEnv, system: System, network: Network, rows: Rows, wind
         rows: Where the window began.
         window: What `imagine` returned.
         late: Whether inputs reach the plant one period late.
+        terminal: Derivative of what follows the window by its last states, `(rows, n_x)`; nothing follows if omitted.
 
     Returns:
         The mean reward of the window's periods, a scalar.
@@ -121,6 +130,8 @@ def backward(env: ControlEnv, system: System, network: Network, rows: Rows, wind
     with torch.enable_grad():
         a, b = sensitivities(env, system, window.states[:-1], window.applied)
         reward, cost = _cost(env, rows, window)
+        if terminal is not None:
+            cost[-1] += terminal
         actions, k = _policy(env, network, rows, window)
         if late:
             a, b, k, cost = _behind_delay(a, b, k, cost)

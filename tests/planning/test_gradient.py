@@ -8,7 +8,7 @@ import torch
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.envs import ControlEnv
-from dynasindy.planning import GradientPlanning, GradientThenReplay, ImaginedReplay, Planned, Variation
+from dynasindy.planning import Bounds, GradientPlanning, GradientThenReplay, ImaginedReplay, Planned, Variation
 from dynasindy.planning.gradient import Episodes
 from dynasindy.systems.xi import Xi
 from dynasindy.tasks import RandomStep, Tracking
@@ -49,6 +49,18 @@ def test_the_actor_of_the_agent_itself_learns_and_td3_goes_on_from_it():
     learnt = torch.cat([p.reshape(-1) for p in agent.loss.actor_network_params.values(True, True)])
     assert not torch.equal(weights(agent.policy), before)
     assert sorted(learnt.tolist()) == sorted(weights(agent.policy).tolist())
+
+
+def test_a_terminal_value_changes_the_plan_and_trains_the_critics():
+    def planned(terminal_updates):
+        env, agent, replay = setting()
+        before = agent.critic_optimizer.param_groups[0]["params"][0].clone()
+        GradientPlanning(env, agent, replay, updates=4, terminal_updates=terminal_updates, **SMALL).plan()
+        moved = not torch.equal(before, agent.critic_optimizer.param_groups[0]["params"][0])
+        return weights(agent.policy), moved
+
+    (plain, left), (valued, trained) = planned(0), planned(2)
+    assert trained and not left and not torch.equal(plain, valued)
 
 
 def test_a_deployed_average_becomes_the_planned_actor():
@@ -108,7 +120,7 @@ def test_both_ways_of_planning_share_one_phase():
     replay.extend_real(env.rollout(20, agent.policy))
     gradient = partial(GradientPlanning, updates=2, **SMALL)
     planner = GradientThenReplay(
-        env, agent, replay, gradient, partial(ImaginedReplay, rollouts=3, horizon=2, reach=1e6)
+        env, agent, replay, gradient, partial(ImaginedReplay, rollouts=3, horizon=2, bounds=Bounds(reach=1e6))
     )
     assert planner.plan().imagined == 2 * 16 * 20 + 6
     assert len(replay.model) == 6
