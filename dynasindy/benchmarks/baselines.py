@@ -11,6 +11,8 @@ import csv
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import lru_cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Policy, Scenario, evaluate, step_references
 from dynasindy.evaluation.statistics import interquartile_mean
 from dynasindy.evaluation.table import markdown, over_seeds
+from dynasindy.planning.integral import IntegralAction
 from dynasindy.tasks import Wave
 
 Row = dict[str, Any]
@@ -37,7 +40,8 @@ COLUMNS = (*KEY, "real_seconds", "scenario", "metric", "azimuth", "pitch", "ms_p
 METRICS = ("rmse", "mean_abs_error", "steady_state_error", "control_variation")
 HEADINGS = ("RMSE [rad]", "mean abs error [rad]", "steady-state error [rad]", "control variation [1/s]")
 MODELS = ("identified", "true")
-LEARNED = "Dyna-gradient"
+LEARNED = ("Dyna-gradient", "Dyna-gradient, integral")
+RIVALS = ("LQI", "MPC")
 GOALS = (("step", "steady_state_error"), ("sine", "rmse"), ("square", "rmse"))
 TUNING_REFERENCES = 16
 MARK = "## Tables"
@@ -67,9 +71,9 @@ def cases(arguments: argparse.Namespace) -> list[tuple[str, str, str, int]]:
     found = []
     for plant in arguments.plants:
         for seed in arguments.seeds:
-            for controller in arguments.controllers:
-                for model in arguments.models:
-                    if seed == arguments.seeds[0] or model == "identified" or controller == LEARNED:
+            for model in arguments.models:
+                for controller in arguments.controllers:
+                    if seed == arguments.seeds[0] or model == "identified" or controller in LEARNED:
                         found.append((plant, controller, model, seed))
     return found
 
@@ -83,13 +87,19 @@ def prepare(plant: str, controller: str, oracle: bool, seed: int) -> tuple[Contr
         oracle: Whether the controller knows the plant; otherwise it knows the model of 10 s of excitation.
         seed: Seed of the excitation and of learning.
     """
+    parts = _parts(plant, oracle, seed, controller in LEARNED)
+    return parts.plant, CONTROLLERS[controller](parts, seed), parts.plant.dt * len(parts.replay.real)
+
+
+@lru_cache(maxsize=1)
+def _parts(plant: str, oracle: bool, seed: int, learned: bool) -> Parts:
+    """Return a plant with its model identified, unless it is the plant, and with its policy planned if asked for."""
     case = replace(gradient.CASES["moving"], oracle=oracle)
-    recipe = gradient.build_recipe(case, plant, seed, {} if controller == LEARNED else {"updates": 0})
+    recipe = gradient.build_recipe(case, plant, seed, {} if learned else {"updates": 0})
     parts = recipe.build()
-    if not oracle or controller == LEARNED:
+    if learned or not oracle:
         train(parts, recipe.train, Callback())
-    policy = CONTROLLERS[controller](parts, seed)
-    return parts.plant, policy, parts.plant.dt * len(parts.replay.real)
+    return parts
 
 
 def _lqi(parts: Parts, seed: int) -> Policy:
@@ -108,8 +118,13 @@ def _learned(parts: Parts, seed: int) -> Policy:
     return parts.agent.deployed
 
 
+def _learned_integral(parts: Parts, seed: int) -> Policy:
+    return IntegralAction(parts.agent.deployed, parts.plant)
+
+
 CONTROLLERS: dict[str, Callable[[Parts, int], Policy]] = {
-    LEARNED: _learned,
+    LEARNED[0]: _learned,
+    LEARNED[1]: _learned_integral,
     "LQI": _lqi,
     "MPC": _mpc,
     "PID": _pid,
@@ -179,17 +194,21 @@ def read(path: Path) -> list[Row]:
 
 def append(path: Path, rows: list[Row]) -> None:
     """Put rows into a file, in place of those of the same controller and seed, and print them."""
-    key = tuple(rows[0][name] for name in KEY)
-    kept = [row for row in read(path) if not same(row, key)]
+    key, old = tuple(rows[0][name] for name in KEY), read(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(".tmp")
-    with temporary.open("w", newline="") as file:
+    if any(same(row, key) for row in old):
+        path.unlink()
+        rows, new = [row for row in old if not same(row, key)] + rows, rows
+    else:  # only appended to, so that two processes may share the file
+        new = rows
+    header = not path.exists()
+    with path.open("a", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(kept + rows)
-    temporary.replace(path)
-    figures = [f"{row['scenario']} {row['azimuth']} / {row['pitch']}" for row in rows if row["metric"] == METRICS[0]]
-    print(f"{', '.join(map(str, key))}: RMSE {', '.join(figures)}, {rows[0]['ms_per_action']} ms", flush=True)
+        if header:
+            writer.writeheader()
+        writer.writerows(rows)
+    figures = [f"{row['scenario']} {row['azimuth']} / {row['pitch']}" for row in new if row["metric"] == METRICS[0]]
+    print(f"{', '.join(map(str, key))}: RMSE {', '.join(figures)}, {new[0]['ms_per_action']} ms", flush=True)
 
 
 def same(row: Row, key: Sequence[Any]) -> bool:
@@ -215,20 +234,21 @@ def tables(rows: Sequence[Row]) -> list[str]:
 
 
 def goals(rows: Sequence[Row]) -> str:
-    """Return a table of the figures by which the learned controller is to be at or ahead of LQI and MPC."""
-    header = ["plant", "figure [rad]", "axis", LEARNED, "LQI", "MPC", "against the better of the two"]
+    """Return a table of the figures by which a learned controller is to be at or ahead of LQI and MPC."""
+    words = {"rmse": "RMSE", "steady_state_error": "steady-state error"}
     lines = []
     for plant in sorted({row["plant"] for row in rows}):
         for scenario, metric in GOALS:
-            for axis in ("azimuth", "pitch"):
-                at = {"plant": plant, "model": "identified", "scenario": scenario, "metric": metric}
-                found = [_values(rows, {**at, "controller": name}, axis) for name in (LEARNED, "LQI", "MPC")]
+            at = {"plant": plant, "model": "identified", "scenario": scenario, "metric": metric}
+            for name, axis in product(LEARNED, ("azimuth", "pitch")):
+                found = [_values(rows, {**at, "controller": other}, axis) for other in (name, *RIVALS)]
                 if all(found):
                     mine, *theirs = (_middle(values) for values in found)
-                    verdict = _verdict(mine, min(theirs))
-                    name = dict(zip(METRICS, ("RMSE", "", "steady-state error")))[metric]
-                    lines.append([plant, f"{name}, {scenario}", axis, *map(_over_seeds, found), verdict])
-    return markdown(header, lines)
+                    figures = [*map(_over_seeds, found), _verdict(mine, min(theirs))]
+                    lines.append([plant, f"{words[metric]}, {scenario}", axis, name, *figures])
+    return markdown(
+        ("plant", "figure [rad]", "axis", "learned", "its", *RIVALS, "against the better of the two"), lines
+    )
 
 
 def _verdict(mine: float, best: float) -> str:

@@ -20,6 +20,7 @@ def quick(monkeypatch):
         monkeypatch.setattr(baselines, name, lambda *a, tuned=tuned, **k: tuned(*a, tuning=QUICK, **k))
     monkeypatch.setattr(baselines, "TUNING_REFERENCES", 2)
     build, tiny = gradient.build_recipe, {"updates": 1, "rollouts": 4, "window": 5}
+    baselines._parts.cache_clear()
     monkeypatch.setattr(gradient, "build_recipe", lambda c, p, s, planning: build(c, p, s, {**tiny, **planning}))
 
 
@@ -32,14 +33,14 @@ def test_every_controller_and_model_has_its_rows_and_its_line(quick, tmp_path):
     baselines.main(options(tmp_path))
     rows = baselines.read(tmp_path / "baselines.csv")
     assert tuple(rows[0]) == baselines.COLUMNS
-    assert len(rows) == 4 * 2 * 3 * 4
+    assert len(rows) == 5 * 2 * 3 * 4
     real = {(row["controller"], row["model"]): float(row["real_seconds"]) for row in rows}
     assert {seconds for (_, model), seconds in real.items() if model == "identified"} == {10.0}
     assert real["MPC", "true"] == 0.0
     assert all(float(row["ms_per_action"]) > 0 and 0 <= float(row["azimuth"]) < 20 for row in rows)
     page = (tmp_path / "baselines.md").read_text()
     assert page.count("| MPC | identified | 10 | 1 |") == 3
-    assert "| xi | RMSE, sine | pitch |" in page
+    assert "| xi | RMSE, sine | pitch | Dyna-gradient, integral |" in page
 
 
 def test_rows_in_the_file_are_not_measured_again_and_text_above_the_tables_stays(tmp_path, monkeypatch):
