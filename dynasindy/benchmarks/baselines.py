@@ -7,7 +7,6 @@ A file that exists is carried on: rows it holds are not measured again. The poli
 from __future__ import annotations
 
 import argparse
-import csv
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -26,13 +25,12 @@ from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.loop import train
 from dynasindy.dyna.parts import Parts
 from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.rows import Row, append_rows, read_rows, write_rows
 from dynasindy.evaluation.scenarios import Policy, Scenario, evaluate, step_references
 from dynasindy.evaluation.statistics import interquartile_mean
 from dynasindy.evaluation.table import markdown, over_seeds
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.tasks import Wave
-
-Row = dict[str, Any]
 
 OUT = Path("docs/results/baselines.csv")
 KEY = ("plant", "controller", "model", "seed")
@@ -59,7 +57,7 @@ def main(argv: list[str]) -> None:
     arguments = parser.parse_args(argv)
     torch.set_num_threads(1)
     for key in cases(arguments):
-        if not any(same(row, key) for row in read(arguments.out)):
+        if not any(same(row, key) for row in read_rows(arguments.out)):
             plant, controller, model, seed = key
             env, policy, seconds = prepare(plant, controller, model == "true", seed)
             append(arguments.out, judge(env, policy, (*key, seconds), scenarios(plant, arguments.seconds)))
@@ -184,31 +182,16 @@ def judge(env: ControlEnv, policy: Policy, head: Sequence[Any], among: Iterable[
     return [dict(zip(COLUMNS, (*row, milliseconds), strict=True)) for row in rows]
 
 
-def read(path: Path) -> list[Row]:
-    """Return the rows of a file, none if there is no file."""
-    if not path.exists():
-        return []
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def append(path: Path, rows: list[Row]) -> None:
     """Put rows into a file, in place of those of the same controller and seed, and print them."""
-    key, old = tuple(rows[0][name] for name in KEY), read(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if any(same(row, key) for row in old):
-        path.unlink()
-        rows, new = [row for row in old if not same(row, key)] + rows, rows
+    key, old = tuple(rows[0][name] for name in KEY), read_rows(path)
+    kept = [row for row in old if not same(row, key)]
+    if len(kept) < len(old):
+        write_rows(path, COLUMNS, [*kept, *rows])
     else:  # only appended to, so that two processes may share the file
-        new = rows
-    header = not path.exists()
-    with path.open("a", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        if header:
-            writer.writeheader()
-        writer.writerows(rows)
-    figures = [f"{row['scenario']} {row['azimuth']} / {row['pitch']}" for row in new if row["metric"] == METRICS[0]]
-    print(f"{', '.join(map(str, key))}: RMSE {', '.join(figures)}, {new[0]['ms_per_action']} ms", flush=True)
+        append_rows(path, COLUMNS, rows)
+    figures = [f"{row['scenario']} {row['azimuth']} / {row['pitch']}" for row in rows if row["metric"] == METRICS[0]]
+    print(f"{', '.join(map(str, key))}: RMSE {', '.join(figures)}, {rows[0]['ms_per_action']} ms", flush=True)
 
 
 def same(row: Row, key: Sequence[Any]) -> bool:
@@ -220,7 +203,7 @@ def write_tables(path: Path) -> None:
     """Write the tables of a CSV file into the page of the same name, after what stands above them there."""
     page = path.with_suffix(".md")
     above = page.read_text().partition(MARK)[0] if page.exists() else "# Controllers compared\n\n"
-    page.write_text(f"{above}{MARK}\n\n" + "\n\n".join(tables(read(path))) + "\n")
+    page.write_text(f"{above}{MARK}\n\n" + "\n\n".join(tables(read_rows(path))) + "\n")
 
 
 def tables(rows: Sequence[Row]) -> list[str]:

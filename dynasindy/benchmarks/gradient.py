@@ -7,7 +7,6 @@ Wall and CPU seconds are those from nothing to the policy (excitation, fits, pla
 from __future__ import annotations
 
 import argparse
-import csv
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -26,6 +25,7 @@ from dynasindy.dyna.loop import train
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.disturbances import DelayedActuator, Pushed, SensorNoise
+from dynasindy.evaluation.rows import Row, append_rows, read_rows
 from dynasindy.evaluation.scenarios import Evaluation, Policy, PolicyWrapper, Scenario, evaluate, step_references
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Gate, GradientPlanning, Planned, Planner, Variation
@@ -82,8 +82,6 @@ COLUMNS = (
     "wall_seconds",
     "cpu_seconds",
 )
-
-Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -145,9 +143,9 @@ def main(argv: list[str]) -> None:
     for case in arguments.cases:
         for seed in arguments.seeds:
             for plant in [name for name in CASES[case].plants if name in arguments.plants]:
-                if not any(_same(row, case, plant, seed) for row in read(arguments.out)):
+                if not any(_same(row, case, plant, seed) for row in read_rows(arguments.out)):
                     append(arguments.out, measure(case, plant, seed))
-    print("\n".join(table(read(arguments.out))))
+    print("\n".join(table(read_rows(arguments.out))))
 
 
 def measure(name: str, plant: str, seed: int, **planning: Any) -> list[Row]:
@@ -320,23 +318,9 @@ class Watch:
         return {"updates": self.updates, "wall_seconds": round(self.wall, 1), "cpu_seconds": round(self.cpu, 1)}
 
 
-def read(path: Path) -> list[Row]:
-    """Return the rows of a file, none if there is no file."""
-    if not path.exists():
-        return []
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def append(path: Path, rows: list[Row]) -> None:
     """Append rows to a file and print them."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    new = not path.exists()
-    with path.open("a", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        if new:
-            writer.writeheader()
-        writer.writerows(rows)
+    append_rows(path, COLUMNS, rows)
     for row in rows:
         print(", ".join(f"{key} {row[key]}" for key in COLUMNS), flush=True)
 

@@ -6,7 +6,6 @@ Plants move by Runge-Kutta steps of 1 ms between the samples. Times are CPU time
 from __future__ import annotations
 
 import argparse
-import csv
 import math
 import statistics
 import time
@@ -21,6 +20,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.data.simulated import disturb, record
+from dynasindy.evaluation.rows import Row, read_rows, write_rows
 from dynasindy.excitation import Chirp, Excitation, HeldRandom
 from dynasindy.systems import System, Tras, Xi, integrate
 from dynasindy.systems.transitions import Transitions
@@ -35,7 +35,6 @@ from dynasindy.world_models.trajectory import Estimate, Windows, linearise
 KNOWN = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
 HOVER = (-0.12, 0.21)
 SEEDS, RESULTS = 10, Path("docs/results/identification.csv")
-Row = dict[str, Any]
 
 
 def main(argv: list[str]) -> None:
@@ -66,16 +65,11 @@ def main(argv: list[str]) -> None:
 
 def _write(rows: list[Row], path: Path, replace: bool) -> None:
     """Write the rows; those of other cases that stand in the file stay unless all cases were measured."""
-    kept: list[Row] = []
-    if path.exists() and not replace:
-        with path.open(newline="") as file:
-            kept = [row for row in csv.DictReader(file) if row["case"] not in {r["case"] for r in rows}]
+    fresh = {row["case"] for row in rows}
+    kept = [] if replace else [row for row in read_rows(path) if row["case"] not in fresh]
     order = {name: k for k, name in enumerate(CASES)}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, ["case", "method", "measure", "value", "target"])
-        writer.writeheader()
-        writer.writerows(sorted([*kept, *rows], key=lambda row: order.get(row["case"], len(order))))
+    ordered = sorted([*kept, *rows], key=lambda row: order.get(row["case"], len(order)))
+    write_rows(path, ["case", "method", "measure", "value", "target"], ordered)
 
 
 def row(method: str, measure: str, value: str, target: str = "") -> Row:

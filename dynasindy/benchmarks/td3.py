@@ -6,7 +6,6 @@ The time is CPU time of the process, one thread, which other processes disturb l
 """
 
 import argparse
-import csv
 import statistics
 import time
 from collections.abc import Callable
@@ -29,6 +28,7 @@ from torchrl.objectives import SoftUpdate, TD3Loss, ValueEstimators
 
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
+from dynasindy.evaluation.rows import write_rows
 
 N_OBS, N_U = 8, 2
 REPLAY_ROWS = (80_000, 320_000)  # real and imagined, of the paper's two million
@@ -71,11 +71,7 @@ def main(argv: list[str]) -> None:
     if out is None:
         print(f"written to no file: fewer than {REPEATS} repeats; name one by --out")
         return
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with out.open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0])
-        writer.writeheader()
-        writer.writerows(rows)
+    write_rows(out, list(rows[0]), rows)
     print(f"written to {out}")
 
 

@@ -7,6 +7,7 @@ from dynasindy.agents.classical import LQI, Tuning
 from dynasindy.benchmarks import baselines, gradient
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.metrics import tracking_metrics
+from dynasindy.evaluation.rows import read_rows
 from dynasindy.systems import Xi
 from dynasindy.tasks import Step, Tracking
 
@@ -31,7 +32,7 @@ def options(tmp_path, *more):
 def test_every_controller_and_model_has_its_rows_and_its_line(quick, tmp_path):
     pytest.importorskip("casadi")
     baselines.main(options(tmp_path))
-    rows = baselines.read(tmp_path / "baselines.csv")
+    rows = read_rows(tmp_path / "baselines.csv")
     assert tuple(rows[0]) == baselines.COLUMNS
     assert len(rows) == 5 * 2 * 3 * 4
     real = {(row["controller"], row["model"]): float(row["real_seconds"]) for row in rows}
@@ -96,7 +97,7 @@ def test_rows_of_a_run_replace_earlier_ones_of_the_same_seed_only(tmp_path):
     path = tmp_path / "baselines.csv"
     for value, seed in ((0.1, 0), (0.2, 1), (0.3, 0)):
         baselines.append(path, [row("TD3", "step", "rmse", value, seed)])
-    assert [(r["seed"], r["azimuth"]) for r in baselines.read(path)] == [("1", "0.2"), ("0", "0.3")]
+    assert [(r["seed"], r["azimuth"]) for r in read_rows(path)] == [("1", "0.2"), ("0", "0.3")]
 
 
 def test_an_unknown_controller_is_refused(capsys):

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from dynasindy.benchmarks import gradient
+from dynasindy.evaluation.rows import read_rows
 
 TINY = {"updates": 2, "more_updates": 1, "rollouts": 4, "window": 5}
 
@@ -46,7 +47,7 @@ def test_rows_already_in_the_file_are_not_measured_again(tmp_path, monkeypatch, 
     gradient.main([*options, "--seeds", "0"])
     gradient.main([*options, "--seeds", "0", "1"])
     assert calls == [0, 1]
-    assert len(gradient.read(tmp_path / "gradient.csv")) == 2
+    assert len(read_rows(tmp_path / "gradient.csv")) == 2
     assert "step" in capsys.readouterr().out.splitlines()[-1]
 
 
