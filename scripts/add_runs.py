@@ -22,6 +22,22 @@ def controller(config: DictConfig) -> tuple[str, str]:
     return ("Dyna-TD3" if planning == "ImaginedReplay" else f"Dyna, {planning}"), model
 
 
+def keys(folders: list[Path]) -> dict[tuple[str, ...], Path]:
+    """Return the runs by plant, controller, model and seed.
+
+    Raises:
+        ValueError: Two runs have all of these in common.
+    """
+    found: dict[tuple[str, ...], Path] = {}
+    for folder in folders:
+        config = load_config(folder)
+        key = (config.system._target_.rpartition(".")[2].lower(), *controller(config), str(config.seed))
+        if key in found:
+            raise ValueError(f"{found[key]} and {folder} are both {', '.join(key)}; give one of them")
+        found[key] = folder
+    return found
+
+
 def main(argv: list[str]) -> None:
     """Evaluate each run's policy in scenarios A, B and C and put its rows in place of earlier ones."""
     parser = argparse.ArgumentParser(prog="add_runs.py", description=__doc__)
@@ -29,13 +45,10 @@ def main(argv: list[str]) -> None:
     parser.add_argument("--out", type=Path, default=baselines.OUT, help="CSV file of the benchmark")
     arguments = parser.parse_args(argv)
     torch.set_num_threads(1)
-    for folder in arguments.runs:
-        config = load_config(folder)
-        env, policy = load_policy(config, folder)
-        plant = config.system._target_.rpartition(".")[2].lower()
+    for key, folder in keys(arguments.runs).items():
+        env, policy = load_policy(load_config(folder), folder)
         seconds = json.loads((folder / "metrics.json").read_text())["cost"]["plant_seconds"]
-        head = (plant, *controller(config), config.seed, seconds)
-        baselines.append(arguments.out, baselines.judge(env, policy, head, baselines.scenarios(plant)))
+        baselines.append(arguments.out, baselines.judge(env, policy, (*key, seconds), baselines.scenarios(key[0])))
     baselines.write_tables(arguments.out)
 
 
@@ -43,4 +56,5 @@ if __name__ == "__main__":
     try:
         main(sys.argv[1:])
     except MENDABLE as error:
-        sys.exit(f"error: {error}")
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)

@@ -136,7 +136,13 @@ def _like_training(parts: Parts, seed: int) -> torch.Tensor:
 
 
 def scenarios(plant: str, seconds: float = 0.0) -> list[Scenario]:
-    """Return scenarios A, B and C of the paper, each of its own length or of `seconds`."""
+    """Return scenarios A, B and C of the paper, each of its own length or of `seconds`.
+
+    Raises:
+        ValueError: The plant has none of them.
+    """
+    if plant not in PLANTS:
+        raise ValueError(f"plant {plant} is not compared here; choose of {', '.join(PLANTS)}")
     facts = PLANTS[plant]
     return [
         Scenario("step", step_references(facts.low, facts.high), 64, seconds or 20.0),

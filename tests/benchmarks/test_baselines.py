@@ -104,3 +104,8 @@ def test_an_unknown_controller_is_refused(capsys):
     with pytest.raises(SystemExit):
         baselines.main(["--controllers", "H-infinity"])
     assert "invalid choice: 'H-infinity'" in capsys.readouterr().err
+
+
+def test_a_plant_without_the_scenarios_is_refused():
+    with pytest.raises(ValueError, match="plant pendulum is not compared here; choose of xi, tras, trms33"):
+        baselines.scenarios("pendulum")
