@@ -13,12 +13,11 @@ from dynasindy.evaluation.summary import WORDS
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.gate import gate
 from dynasindy.viz.report.document import Part, Picture, Section, Table, Text
-from dynasindy.viz.report.sources import PLANTS, Results, each
+from dynasindy.viz.report.sources import CASES, PLANTS, Results, each
 from dynasindy.viz.response import step_response, tracking
 from dynasindy.viz.run import stacked
 
 AXES = SIGNATURE.state_names[:2]
-CASES = tuple((plant, experiment) for plant in PLANTS for experiment in ("dyna", "paper"))
 
 
 def trust(results: Results) -> Section:

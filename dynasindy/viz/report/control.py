@@ -9,7 +9,7 @@ import numpy as np
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.learning import average_rewards
 from dynasindy.viz.report.document import Part, Picture, Section, Table, Text
-from dynasindy.viz.report.sources import PLANTS, SETTINGS, MissingResult, Results, Run, each
+from dynasindy.viz.report.sources import CASES, SETTINGS, MissingResult, Results, Run, each
 from dynasindy.viz.report.verdicts import rewards_agree, sine_agrees, square_agrees, steps_agree
 from dynasindy.viz.response import step_response, tracking
 from dynasindy.viz.run import stacked
@@ -17,7 +17,6 @@ from dynasindy.viz.style import Array
 
 ABLATION = "python scripts/ablation.py system={} experiment={}"
 AXES = {"alpha_a": "azimuth", "alpha_p": "pitch"}
-CASES = tuple((plant, experiment) for plant in PLANTS for experiment in ("dyna", "paper"))
 
 Rows = list[dict[str, str]]
 

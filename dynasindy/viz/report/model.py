@@ -14,14 +14,13 @@ from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.identification import excitation, model_error, prediction, training_data
 from dynasindy.viz.report.document import Finding, Listing, Part, Picture, Section, Table, Text
 from dynasindy.viz.report.published import HYPERPARAMETERS, XI
-from dynasindy.viz.report.sources import PLANTS, Results, Run, each
+from dynasindy.viz.report.sources import CASES, PLANTS, Results, Run, each
 from dynasindy.viz.run import stacked
 from dynasindy.viz.style import Array
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.prediction import open_loop
 
 STATES, INPUTS = SIGNATURE.state_names, SIGNATURE.input_names
-CASES = tuple((plant, experiment) for plant in PLANTS for experiment in ("dyna", "paper"))
 CLOSE = 5.0
 """A predicted state agrees with the plant when its RMSE is under this part of the state's range [%]."""
 
@@ -273,13 +272,13 @@ def _picture(name: str, time: Array, real: Array, model: Array, run: Run) -> Pic
 def _chirp_again(run: Run, plant: str, experiment: str) -> list[Part]:
     """Apply the excitation to the final model, as the paper does."""
     table = run.table("data/excitation.csv")
-    run.record("model.json")
+    run.record("model.json")  # the model reads its file itself; this says what makes it where it is missing
     x = torch.as_tensor(stacked(table, STATES))
     u = torch.as_tensor(stacked(table, INPUTS))
     dt = float(table["time"][1] - table["time"][0])
-    one = torch.zeros(len(x) - 1, dtype=torch.int64)
+    segment = torch.zeros(len(x) - 1, dtype=torch.int64)
     model = SindyModel.load(run.folder / "model.json")
-    predicted = open_loop(model, Transitions(x[:-1], u[:-1], x[1:], dt, one), int(run.setting("env.substeps") or 1))
+    predicted = open_loop(model, Transitions(x[:-1], u[:-1], x[1:], dt, segment), int(run.setting("env.substeps") or 1))
     errors = _errors(x[1:].numpy(), predicted.numpy())
     return [
         Finding(

@@ -15,6 +15,8 @@ from dynasindy.viz.run import Table, read_table
 
 REPORT = "python scripts/report.py"
 PLANTS = ("xi", "tras")
+CASES = tuple((plant, experiment) for plant in PLANTS for experiment in ("dyna", "paper"))
+"""What the ablation compares its settings in."""
 SETTINGS = {"rollouts_0": "no planning", "rollouts_400": "400 rollouts", "rollouts_800": "800 rollouts"}
 
 

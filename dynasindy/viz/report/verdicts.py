@@ -9,9 +9,10 @@ import torch
 
 from dynasindy.evaluation.statistics import interquartile_mean
 from dynasindy.viz.report.document import Finding
+from dynasindy.viz.report.sources import SETTINGS
 from dynasindy.viz.style import Array
 
-NONE, SOME, MANY = "no planning", "400 rollouts", "800 rollouts"
+NONE, SOME, MANY = SETTINGS.values()
 AXES = ("azimuth", "pitch")
 NEAR = 0.05
 """Final returns are nearly the same within this part of the whole rise of the returns."""

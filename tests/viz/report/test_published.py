@@ -1,3 +1,5 @@
+"""What the paper prints, against the plant `xi` and the settings of its experiment."""
+
 from pathlib import Path
 
 import torch
