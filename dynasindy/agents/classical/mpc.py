@@ -100,8 +100,8 @@ class MPC(Controller):
 
     Raises:
         ModuleNotFoundError: CasADi is not installed.
-        ValueError: a weight is negative or does not fit, a block is shorter than a period, `correction` is not in
-            [0, 1], or there is no equilibrium at the origin.
+        ValueError: a number of weights does not fit, a weight is negative, or zero but for that of the change, a
+            block is shorter than a period, `correction` is not in [0, 1], or there is no equilibrium at the origin.
     """
 
     def __init__(

@@ -115,7 +115,20 @@ def tuned_pid(
     dt: float = 0.05,
     seed: int = 0,
 ) -> PID:
-    """Return PID loops whose gains track `wanted` `(n_references, n_r, 5)` best on a system."""
+    """Return PID loops whose gains track `wanted` best on a system.
+
+    Args:
+        system: The model they are tried on.
+        wanted: Parameters of the references to track, `(n_references, n_r, 5)`.
+        tuning: Settings of the search.
+        outputs: Names of the tracked states, one per input.
+        rates: Names of the outputs' rates.
+        dt: Control period [s].
+        seed: Seed of the search.
+
+    Raises:
+        ValueError: There is no equilibrium at the origin, or numbers of outputs, rates and inputs differ.
+    """
     equilibria = Equilibria(system, outputs)
     n = system.signature.n_u
     bias = equilibria.state_and_input(torch.zeros(n), equilibria.home)[1]
@@ -138,9 +151,21 @@ def tuned_lqi(
     dt: float = 0.05,
     seed: int = 0,
 ) -> LQI:
-    """Return an LQI whose weights track `wanted` `(n_references, n_r, 5)` best on a system.
+    """Return an LQI whose weights track `wanted` best on a system.
 
     Searched are the weights of the outputs, their rates and their integrals; those of the inputs are 1.
+
+    Args:
+        system: The model they are tried on.
+        wanted: Parameters of the references to track, `(n_references, n_r, 5)`.
+        tuning: Settings of the search.
+        outputs: Names of the tracked states, one per input.
+        rates: Names of the outputs' rates.
+        dt: Control period [s].
+        seed: Seed of the search.
+
+    Raises:
+        ValueError: There is no equilibrium at the origin, or the linearised system cannot be stabilised.
     """
     n_x, n = system.signature.n_x, system.signature.n_u
     places = [system.signature.state_index(name) for name in (*outputs, *rates)] + [n_x + i for i in range(n)]
