@@ -1,16 +1,14 @@
 """Finished runs, loaded again: the environment they were made for and the policy they found."""
 
 from pathlib import Path
-from pickle import UnpicklingError
-from typing import Any
 
 import hydra
-import torch
 from hydra.core.global_hydra import GlobalHydra
 from hydra.utils import instantiate
 from mistakes import CONF
 from omegaconf import DictConfig, OmegaConf
 
+from dynasindy.dyna.weights import read_weights
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Policy, Scenario
 
@@ -42,26 +40,8 @@ def load_policy(config: DictConfig, folder: Path) -> tuple[ControlEnv, Policy]:
     policy = instantiate(config.agent, _convert_="all")(n_obs=task.n_o, n_u=system.signature.n_u).deployed
     if not (folder / "policy.pt").is_file():
         raise FileNotFoundError(f"{folder} has no policy.pt, its run did not end; give the folder of a finished run")
-    policy.load_state_dict(_weights(folder / "policy.pt", policy.state_dict()))
+    policy.load_state_dict(read_weights(folder / "policy.pt", policy.state_dict()))
     return env, policy
-
-
-def _weights(file: Path, wanted: dict[str, Any]) -> dict[str, Any]:
-    """Return the saved weights if they have the names and shapes of those wanted."""
-    try:
-        saved = torch.load(file, weights_only=True)
-    except (UnpicklingError, RuntimeError, EOFError):
-        saved = None
-    if not isinstance(saved, dict):
-        raise ValueError(f"{file} holds no weights of a policy; restore it, or train again")
-    shapes = [{name: tuple(tensor.shape) for name, tensor in weights.items()} for weights in (saved, wanted)]
-    if differ := sorted(name for name in {**saved, **wanted} if shapes[0].get(name) != shapes[1].get(name)):
-        found, due = (shape.get(differ[0], "missing") for shape in shapes)
-        raise ValueError(
-            f"{file} does not fit the agent of its config.yaml: {differ[0]} is {found}, the agent's {due}; "
-            "restore the pair, or train again"
-        )
-    return saved
 
 
 def load_scenario(name: str, config: DictConfig) -> Scenario:

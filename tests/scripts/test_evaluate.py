@@ -99,10 +99,3 @@ def test_a_policy_of_another_network_is_named_by_the_first_shape_that_differs(tm
     with pytest.raises(ValueError, match=r"is \(400,( 6)?\), the agent's \(\d+,( 8)?\)") as error:
         saved_run.load_policy(saved_run.load_config(run_folder), tmp_path)
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize("content", [b"", b"no archive", b"PK half of one"])
-def test_a_damaged_policy_gets_one_line(tmp_path, run_folder, saved_run, content: bytes) -> None:
-    (tmp_path / "policy.pt").write_bytes(content)
-    with pytest.raises(ValueError, match=r"policy\.pt holds no weights of a policy"):
-        saved_run.load_policy(saved_run.load_config(run_folder), tmp_path)

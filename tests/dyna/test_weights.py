@@ -1,0 +1,29 @@
+"""Weights of a policy that were saved, against those of the network that is to have them."""
+
+import pytest
+import torch
+from torch import nn
+
+from dynasindy.dyna.weights import read_weights
+
+
+def test_the_network_acts_as_the_one_that_was_saved(tmp_path):
+    saved, network = nn.Linear(3, 2), nn.Linear(3, 2)
+    torch.save(saved.state_dict(), tmp_path / "policy.pt")
+    network.load_state_dict(read_weights(tmp_path / "policy.pt", network.state_dict()))
+    torch.testing.assert_close(network(torch.ones(3)), saved(torch.ones(3)), rtol=0, atol=0)
+
+
+def test_another_network_is_named_by_the_first_shape_that_differs(tmp_path):
+    torch.save(nn.Linear(4, 2).state_dict(), tmp_path / "policy.pt")
+    with pytest.raises(ValueError, match=r"config\.yaml: weight is \(2, 4\), the agent's \(2, 3\); restore"):
+        read_weights(tmp_path / "policy.pt", nn.Linear(3, 2).state_dict())
+    with pytest.raises(ValueError, match=r"config\.yaml: bias is \(2,\), the agent's missing"):
+        read_weights(tmp_path / "policy.pt", nn.Linear(4, 2, bias=False).state_dict())
+
+
+@pytest.mark.parametrize("content", [b"", b"no archive", b"PK half of one"])
+def test_a_damaged_file_gets_one_line(tmp_path, content):
+    (tmp_path / "policy.pt").write_bytes(content)
+    with pytest.raises(ValueError, match=r"policy\.pt holds no weights of a policy; restore it"):
+        read_weights(tmp_path / "policy.pt", {})
