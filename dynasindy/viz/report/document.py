@@ -17,6 +17,7 @@ import matplotlib
 from matplotlib.figure import Figure
 from PIL import Image
 
+from dynasindy.evaluation.table import markdown
 from dynasindy.viz.style import STYLE, save
 
 
@@ -181,8 +182,8 @@ def _joined(parts: Iterable[Part]) -> list[Part]:
 
 def _markdown(part: Part, formats: Sequence[str]) -> str:
     if isinstance(part, Table):
-        rows = [part.header, ["---"] * len(part.header), *part.rows]
-        return "\n".join("| " + " | ".join(cell.replace("|", r"\|") for cell in row) + " |" for row in rows)
+        header, *rows = ([cell.replace("|", r"\|") for cell in row] for row in (part.header, *part.rows))
+        return markdown(header, rows)
     if isinstance(part, Listing):
         return "\n".join(f"    {line}" for line in part.lines)
     if isinstance(part, Picture):
