@@ -47,14 +47,15 @@ class Near:
     """
 
     def __init__(self, states: Tensor, actions: Tensor, distance: float) -> None:
-        self.real = torch.cat([states.float(), actions.float()], -1)
-        self.scale = self.real.abs().amax(0).clamp_min(1e-9)
+        real = torch.cat([states.float(), actions.float()], -1)
+        self.scale = real.abs().amax(0).clamp_min(1e-9)
+        self.real = real / self.scale
         self.distance = distance
 
     def __call__(self, rollout: TensorDictBase) -> Tensor:
         """Return which transitions are believed, bool `(batch, horizon)`."""
         points = torch.cat([rollout["state"].float(), rollout["action"].float()], -1) / self.scale
-        apart = torch.cdist(points.flatten(0, -2), self.real / self.scale).amin(-1)
+        apart = torch.cdist(points.flatten(0, -2), self.real).amin(-1)
         return (apart <= self.distance).reshape(points.shape[:-1])
 
 

@@ -63,9 +63,8 @@ class IntegralAction:
         self.integral = self.integral.masked_fill(steps == 0, 0.0)
         seen = tensordict.copy()
         observation = tensordict["observation"].clone()
-        first = task.signature.n_x
         shift = (self.integral / task.error_scale).to(observation)
-        observation[..., first : first + task.n_r] += shift
+        observation[..., task.error_columns] += shift
         seen["observation"] = observation
         moving = (references.rate(params, t) - x[..., task.rates]) / self.rate
         steady = (error.abs() < self.band) / (1 + moving.square())

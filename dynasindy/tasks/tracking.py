@@ -74,6 +74,11 @@ class Tracking(Task):
         """Shape of one episode's reference parameters, `(n_r, 5)`."""
         return torch.Size((self.n_r, N_PARAMS))
 
+    @property
+    def error_columns(self) -> slice:
+        """Columns of the observation that hold the scaled errors."""
+        return slice(self.signature.n_x, self.signature.n_x + self.n_r)
+
     def with_reference(self, reference: Reference) -> Tracking:
         """Return the same task with another distribution of references.
 

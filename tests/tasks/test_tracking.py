@@ -12,6 +12,7 @@ def test_observation_is_scaled_states_and_errors():
     x = torch.tensor([[0.1, 0.2, 0.3, 0.4, 2000.0, -1250.0]])
     seen = task.observation(x, task.sample(torch.Size((1,)), torch.Generator()), torch.zeros(1, 1))
     assert seen[0].tolist() == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5, -0.5, 0.8, -0.9])
+    assert seen[0, task.error_columns].tolist() == pytest.approx([0.8, -0.9])
 
 
 def test_rates_are_seen_when_asked():
