@@ -58,12 +58,12 @@ def _figures(folder: Path, signature: Signature) -> dict[str, Figure]:
     excited = read_table(folder / "data" / "excitation.csv")
     figures["excitation"] = excitation(excited["time"], stacked(excited, signature.input_names), signature.input_names)
     figures["training_data"] = training_data(excited["time"], stacked(excited, names), names, units)
-    for when, title in (("first", "before reinforcement learning"), ("last", "after reinforcement learning")):
+    for when, data in (("first", "the excitation alone"), ("last", "the data before it")):
         path = folder / "data" / f"prediction_{when}_episode.csv"
         if path.is_file():
             table = read_table(path)
             predicted = stacked(table, [f"predicted_{name}" for name in names])
-            title = f"Open-loop model prediction of a real episode, {title}"
+            title = f"Open-loop prediction of the {when} real episode, model of {data}"
             figures[path.stem] = prediction(table["time"], stacked(table, names), predicted, names, units, title)
     if (folder / "progress.csv").is_file():
         progress = read_table(folder / "progress.csv")

@@ -39,6 +39,8 @@ def test_every_figure_whose_data_are_there_is_drawn(tmp_path: Path) -> None:
     files = draw_run(tmp_path, Pendulum().signature, formats=("svg",))
     assert {"prediction_first_episode.svg", "learning_curve.svg", "model_error.svg"} <= {f.name for f in files}
     assert all(file.parent == tmp_path / "figures" for file in files)
+    drawn_text = (tmp_path / "figures" / "prediction_first_episode.svg").read_text()
+    assert "Open-loop prediction of the first real episode, model of the excitation alone" in drawn_text
 
 
 def test_empty_cells_are_nan(tmp_path: Path) -> None:
