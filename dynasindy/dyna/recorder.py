@@ -70,7 +70,8 @@ class Recorder(Callback):
         """Write the excitation data, and what the fit says of itself and of them."""
         self.cost = cost
         if isinstance(report, FitReport):
-            (self.folder / "identification.txt").write_text(report.to_text() + "\n")
+            head = "The first fit, of the excitation alone; the equations in model.json are those of the last one.\n"
+            (self.folder / "identification.txt").write_text(f"{head}{report.to_text()}\n")
         self._write_rollout("excitation", excited)
 
     def episode(self, episode: Episode, cost: Cost) -> None:

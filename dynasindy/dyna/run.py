@@ -73,7 +73,7 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
     cost = metrics["cost"]
     lines = ["", "Identified equations", *(f"  {line}" for line in metrics["equations"]), ""]
     if (folder / "identification.txt").is_file():
-        lines[-1:] = [f"What the data could and could not tell of them: {folder / 'identification.txt'}", ""]
+        lines[-1:] = [f"What the excitation alone could tell, the first fit: {folder / 'identification.txt'}", ""]
     untrained = metrics["untrained"]["return"]
     title = f"Policy on the real plant, scenario '{metrics['scenario']}' (untrained return {untrained:.1f})"
     lines.append(to_text(metrics["evaluation"], title))
