@@ -33,8 +33,10 @@ def sweep_table(folder: Path) -> str:
         folder: Folder of the sweep, whose runs are named `number_key-value__key-value` by Hydra.
 
     Raises:
-        FileNotFoundError: No run of the folder has ended.
+        FileNotFoundError: No run of the folder has ended, or it is one run.
     """
+    if (folder / "metrics.json").is_file():
+        raise FileNotFoundError(f"{folder} is one run, not a sweep of runs; give the folder above it")
     groups: dict[str, list[dict[str, Any]]] = {}
     for file in sorted(folder.glob("*/metrics.json")):
         words = overrides(file.parent.name.partition("_")[2])

@@ -37,6 +37,12 @@ def test_a_folder_without_finished_runs_is_named(tmp_path):
         sweep_table(tmp_path)
 
 
+def test_a_single_run_is_told_from_a_sweep(tmp_path):
+    write(tmp_path, "0_seed-0", 1.0)
+    with pytest.raises(FileNotFoundError, match="is one run, not a sweep of runs; give the folder above it"):
+        sweep_table(tmp_path / "0_seed-0")
+
+
 def test_a_folder_says_its_settings_in_either_spelling():
     assert overrides("agent.actor_lr-1e-3__seed-0") == ["agent.actor_lr=1e-3", "seed=0"]
     assert overrides("planning.real_starts=0.25,seed=0") == ["planning.real_starts=0.25", "seed=0"]
