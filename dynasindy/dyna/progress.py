@@ -9,7 +9,7 @@ from dynasindy.dyna.callback import Callback, Cost, Episode
 
 
 class ProgressBar(Callback):
-    """Show episode, return, model error, real steps and the time left.
+    """Show episode, return, open-loop reward error of the model, real steps and the time left.
 
     Args:
         episodes: Episodes of the run.
@@ -31,7 +31,7 @@ class ProgressBar(Callback):
         total = episode.rollout["next", "reward"].sum().item()
         self.bar.set_description("learning")
         self.bar.set_postfix_str(
-            f"return {total:.1f}, model error {episode.error.reward_error:.3g}, real steps {cost.real_steps}"
+            f"return {total:.1f}, open-loop reward error {episode.error.reward_error:.3g}, real steps {cost.real_steps}"
         )
         self.bar.update()
 

@@ -73,7 +73,8 @@ def _figures(folder: Path, signature: Signature) -> dict[str, Figure]:
             untrained = json.loads((folder / "metrics.json").read_text())["untrained"]["return"]
             episodes, returns = np.append(0, episodes), np.append(np.nan if untrained is None else untrained, returns)
         figures["learning_curve"] = learning_curve(progress["episode"], progress["return"], episodes, returns)
-        figures["model_error"] = model_error(progress["episode"], progress["one_step_reward_error"])
+        error = progress["one_step_reward_error"]
+        figures["model_error"] = model_error(progress["episode"], error, what="one-step reward error, |real - model|")
     if (folder / "gate.csv").is_file():
         decisions = read_table(folder / "gate.csv")
         figures["gate"] = gate(decisions)

@@ -15,5 +15,5 @@ def test_the_bar_shows_return_model_error_steps_and_time_left(capsys):
     bar.bar.refresh()
     bar.close()
     shown = capsys.readouterr().err
-    for words in ("1/2", "return -6.0", "model error 0.0123", "real steps 600", "episode"):
+    for words in ("1/2", "return -6.0", "open-loop reward error 0.0123", "real steps 600", "episode"):
         assert words in shown
