@@ -63,8 +63,9 @@ class Identifiability:
     def to_text(self) -> str:
         """Write rank, condition, weakest direction and advice in a few lines."""
         direction = ", ".join(f"{w:+.2f} {n}" for n, w in self.weakest)
+        alike = "; below it, some functions are sums of others on these data" if self.rank < self.n_features else ""
         lines = [
-            f"rank {self.rank} of {self.n_features} functions, condition number {self.condition:.2g}",
+            f"rank {self.rank} of {self.n_features} functions, condition number {self.condition:.2g}{alike}",
             f"least excited direction: {direction}",
         ]
         return "\n".join([*lines, *self.advice])

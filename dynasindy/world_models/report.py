@@ -23,6 +23,7 @@ class FitReport:
         terms: number of non-zero coefficients of each equation.
         residual: unexplained part of each state's rate of change, 2-norm relative to the rate's.
         notes: sentences on what a reader would not expect.
+        dt: time that a transition takes [s].
     """
 
     samples: int
@@ -31,10 +32,17 @@ class FitReport:
     residual: dict[str, float]
     _source: tuple[Library, Tensor, RunningSums] = field(repr=False)
     notes: tuple[str, ...] = ()
+    dt: float | None = None
 
     @classmethod
     def of(
-        cls, library: Library, coefficients: Tensor, sums: RunningSums, seconds: float, notes: Sequence[str] = ()
+        cls,
+        library: Library,
+        coefficients: Tensor,
+        sums: RunningSums,
+        seconds: float,
+        notes: Sequence[str] = (),
+        dt: float | None = None,
     ) -> FitReport:
         """Summarise the coefficients of a fit against the sums it was made from."""
         relative = sums.residual(coefficients) / sums.norms()[sums.n_features :].clamp_min(1e-300)
@@ -46,6 +54,7 @@ class FitReport:
             residual=dict(zip(names, relative.tolist(), strict=True)),
             _source=(library, coefficients.clone(), sums.copy()),
             notes=tuple(notes),
+            dt=dt,
         )
 
     @cached_property
@@ -55,6 +64,7 @@ class FitReport:
 
     def to_text(self) -> str:
         """Write the report in a few lines."""
-        lines = [f"fit of {self.samples} samples in {self.seconds:.3g} s"]
+        each = f" of {self.dt:g} s" if self.dt else ""
+        lines = [f"fit of {self.samples} transitions{each} in {self.seconds:.3g} s"]
         lines += [f"  {s}': {self.terms[s]} terms, unexplained {100 * r:.3g} %" for s, r in self.residual.items()]
         return "\n".join([*lines, *(f"note: {note}" for note in self.notes), self.identifiability.to_text()])

@@ -141,7 +141,8 @@ class SindyModel(WorldModel):
         self.sums.add(integral_form(self.library, data))
         self._solve(self.sums)
         notes = self._refine(data)
-        return FitReport.of(self.library, self.coefficients, self.sums, time.perf_counter() - start, notes)
+        seconds = time.perf_counter() - start
+        return FitReport.of(self.library, self.coefficients, self.sums, seconds, notes, data.dt)
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
         """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`."""

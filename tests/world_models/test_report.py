@@ -24,7 +24,7 @@ def report(*data) -> tuple[FitReport, RunningSums]:
     sums = RunningSums(3, 2)
     for part in data:
         sums.add(part)
-    return FitReport.of(LIBRARY, XI, sums, 0.25), sums
+    return FitReport.of(LIBRARY, XI, sums, 0.25, dt=0.01), sums
 
 
 def test_unexplained_parts_are_those_of_the_samples():
@@ -55,7 +55,7 @@ def test_later_samples_and_coefficients_do_not_change_a_report():
 def test_the_text_says_the_figures():
     found, _ = report(rows(), rows(1))
     first, a, b, *rest = found.to_text().splitlines()
-    assert first == "fit of 180 samples in 0.25 s"
+    assert first == "fit of 180 transitions of 0.01 s in 0.25 s"
     assert a == f"  a': 1 terms, unexplained {100 * found.residual['a']:.3g} %"
     assert b.startswith("  b': 2 terms, unexplained")
     assert "\n".join(rest) == found.identifiability.to_text() and "rank 3 of 3" in rest[0]
