@@ -43,7 +43,8 @@ def gate(decisions: Mapping[str, ArrayLike], title: str = "Trust in the model") 
     lower.plot(x, before, color=ORANGE, label="before the refit", **dots)
     lower.plot(x, after, color=BLUE, label="after the refit", **dots)
     back = columns["refit_kept"] == 0
-    lower.plot(x[back], after[back], color=RED, marker="x", linestyle="none", label="rolled back")
+    if back.any():
+        lower.plot(x[back], after[back], color=RED, marker="x", linestyle="none", label="rolled back")
     if np.isfinite(before).any():
         lower.set_yscale("log")
     name_single(lower, x, after, BLUE)

@@ -32,3 +32,4 @@ def test_a_single_episode_has_its_thresholds_and_its_figure_in_words():
     opens = next(line for line in upper.lines if line.get_label() == "opens below")
     assert opens.get_xydata().tolist() == [[0.5, 0.05], [1, 0.05], [1.5, 0.05]]
     assert [text.get_text() for axis in (upper, lower) for text in axis.texts] == ["0.03", "0.0123"]
+    assert "rolled back" not in [line.get_label() for line in lower.lines]
