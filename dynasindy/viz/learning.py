@@ -34,23 +34,20 @@ def learning_curve(
     x, y = array(episode), array(train_return)
     figure, (axis,) = panels(1, 1, (7.0, 3.6), title)
     axis.plot(x, y, color=BLUE, alpha=0.3, linewidth=0.9, marker=".", label="real episode, exploring")
-    name_single(axis, x, y, BLUE)
     if len(y) > window:
         axis.plot(x, moving_mean(y, window), color=BLUE, label=f"mean of {window} episodes")
-    if eval_episode is not None and eval_return is not None:
-        axis.plot(
-            array(eval_episode),
-            array(eval_return),
-            color=RED,
-            marker="o",
-            markersize=3.5,
-            label="evaluated policy",
-        )
+    if eval_episode is None or eval_return is None:
+        name_single(axis, x, y, BLUE)
+    else:
+        at, mean = array(eval_episode), array(eval_return)
+        axis.plot(at, mean, color=RED, marker="o", markersize=3.5, label="evaluated policy")
+        if len(y) == 1 and len(mean):
+            name_single(axis, at[-1:], mean[-1:], RED)
     axis.set_xlim(min(0.0, x.min(initial=0.0)) - 0.5, x.max(initial=1.0) + 0.5)
     axis.set_xlabel("real episode")
     axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axis.set_ylabel("return [-]")
-    axis.legend(loc="lower right")
+    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
     return figure
 
 

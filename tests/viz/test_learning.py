@@ -35,7 +35,7 @@ def test_one_seed_draws_a_line_without_a_band() -> None:
     assert set(vertices[:, 1]) == set(np.arange(5.0))
 
 
-def test_the_return_of_a_single_episode_is_written_out() -> None:
+def test_the_evaluated_return_of_a_single_episode_is_written_out() -> None:
     axis = learning_curve([1], [-12.5], [0, 1], [-300.0, 57.6]).axes[0]
-    assert [text.get_text() for text in axis.texts] == ["-12.5"]
+    assert [text.get_text() for text in axis.texts] == ["57.6"]
     assert axis.get_xlim() == (-0.5, 1.5)
