@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,8 @@ from dynasindy.world_models.prediction import nrmse, one_step_error, open_loop
 from dynasindy.world_models.tables import to_csv, to_latex, to_text
 
 ExcitationBuilder = Callable[..., Excitation]
+UNEXPLAINED = 0.05
+"""Part of a rate of change, and of a state predicted open loop, that may be missed by a model that predicts."""
 
 
 @dataclass(frozen=True)
@@ -181,17 +184,33 @@ def to_words(found: Identified, source: Source) -> str:
     lines = [*found.model.equations(), "", found.report.to_text(), "", "validation, relative to each state's deviation"]
     for state in source.signature.state_names:
         one, free = (found.metrics[k][state] for k in ("one_step_error", "open_loop_nrmse"))
-        lines.append(f"  {state:<10} one step {100 * one:.3g} %, open loop {100 * free:.3g} %")
-    return "\n".join([*lines, *(f"note: {n}" for n in source.notes)])
+        lines.append(f"  {state:<10} one step {_percent(one)}, open loop {_percent(free)}")
+    return "\n".join([*lines, *(f"note: {n}" for n in source.notes), *_verdict(found)])
+
+
+def _percent(error: float) -> str:
+    return f"{100 * error:.3g} %" if math.isfinite(error) else "runs away"
+
+
+def _verdict(found: Identified) -> list[str]:
+    """Say in a line that a model does not predict, nothing of one that does."""
+    free, rates = found.metrics["open_loop_nrmse"], found.report.residual
+    # Noise of the samples stays unexplained too: a state that is predicted open loop counts for its rate.
+    poor = [s for s, r in rates.items() if r > UNEXPLAINED and not free[s] < UNEXPLAINED]
+    reasons = [f"{s}' is {_percent(rates[s])} unexplained" for s in poor]
+    if not all(math.isfinite(error) for error in free.values()):
+        reasons.insert(0, "open loop it runs away")
+    advice = "name the plant by system=NAME, choose another library, or excite longer"
+    return [f"this model does not predict: {', '.join(reasons)}; {advice}"] if reasons else []
 
 
 def write(found: Identified, source: Source, folder: Path) -> None:
-    """Write model.json, metrics.json, report.txt and the Xi table as text, LaTeX and CSV."""
+    """Write model.json, metrics.json, report.txt and the coefficients as text, LaTeX and CSV."""
     folder.mkdir(parents=True, exist_ok=True)
     library, coefficients = found.model.library, found.model.coefficients
     found.model.save(folder / "model.json")
     (folder / "metrics.json").write_text(json.dumps(found.metrics, indent=1) + "\n")
     (folder / "report.txt").write_text(to_words(found, source) + "\n")
-    (folder / "xi.txt").write_text(to_text(library, coefficients) + "\n")
-    (folder / "xi.tex").write_text(to_latex(library, coefficients))
-    (folder / "xi.csv").write_text(to_csv(library, coefficients))
+    (folder / "coefficients.txt").write_text(to_text(library, coefficients) + "\n")
+    (folder / "coefficients.tex").write_text(to_latex(library, coefficients))
+    (folder / "coefficients.csv").write_text(to_csv(library, coefficients))

@@ -1,6 +1,7 @@
 """From a source of data to a model, its figures and its files."""
 
 import json
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -26,7 +27,18 @@ def test_the_pendulum_is_found_and_predicts_unseen_inputs():
     found = _identified(source)
     assert found.model.equations(3)[1] == "Omega' = -0.5 Omega + 12 u - 9.81 sin(theta)"
     assert max(found.metrics["open_loop_nrmse"].values()) < 1e-4
-    assert "open loop" in to_words(found, source)
+    assert "open loop" in to_words(found, source) and "does not predict" not in to_words(found, source)
+
+
+def test_a_model_that_does_not_predict_is_said_to_in_the_last_line():
+    source = Simulated(validation_seconds=1.0).load(Pendulum(), EXCITATION)
+    found = _identified(source)
+    residual = found.report.residual | {"Omega": 0.2}
+    metrics = found.metrics | {"open_loop_nrmse": {"theta": float("inf"), "Omega": 0.1}}
+    poor = replace(found, report=replace(found.report, residual=residual), metrics=metrics)
+    *_, last = to_words(poor, source).splitlines()
+    assert "open loop runs away" in to_words(poor, source) and "inf %" not in to_words(poor, source)
+    assert last.startswith("this model does not predict: open loop it runs away, Omega' is 20 % unexplained; name")
 
 
 def test_noise_has_the_level_asked_for_and_keeps_trajectories_whole():
@@ -41,7 +53,8 @@ def test_everything_is_written(tmp_path):
     found = _identified(source)
     write(found, source, tmp_path / "run")
     names = {p.name for p in (tmp_path / "run").iterdir()}
-    assert names == {"model.json", "metrics.json", "report.txt", "xi.txt", "xi.tex", "xi.csv"}
+    tables = {f"coefficients.{suffix}" for suffix in ("txt", "tex", "csv")}
+    assert names == {"model.json", "metrics.json", "report.txt", *tables}
     assert json.loads((tmp_path / "run/metrics.json").read_text()) == found.metrics
     assert torch.equal(SindyModel.load(tmp_path / "run/model.json").coefficients, found.model.coefficients)
 

@@ -27,7 +27,14 @@ def test_the_pendulum_is_identified_and_everything_written(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "Omega' = -0.5 Omega + 12 u - 9.81 sin(theta)" in done.stdout
     names = {p.name for p in (tmp_path / "run").iterdir()}
-    assert {"model.json", "metrics.json", "report.txt", "xi.csv", "xi.tex", "xi.txt"} <= names
+    assert {
+        "model.json",
+        "metrics.json",
+        "report.txt",
+        "coefficients.csv",
+        "coefficients.tex",
+        "coefficients.txt",
+    } <= names
     assert {"training_data.png", "prediction.png"} <= names
     assert max(json.loads((tmp_path / "run/metrics.json").read_text())["open_loop_nrmse"].values()) < 1e-4
 
