@@ -18,27 +18,33 @@ ValueOf = Callable[[Row], float]
 
 
 @styled
-def steady_state_errors(curves: Mapping[str, ArrayLike], level: float, title: str = "Steady-state error") -> Figure:
+def steady_state_errors(
+    curves: Mapping[str, ArrayLike],
+    level: float,
+    episode: ArrayLike | None = None,
+    title: str = "Steady-state error",
+) -> Figure:
     """Draw the error of the worse axis over episodes: interquartile mean and 95 % bootstrap band over seeds.
 
     Args:
         curves: `(n_seeds, n_episodes)` error after each episode, per setting [rad].
         level: The required level [rad].
+        episode: `(n_episodes,)` numbers of the evaluated episodes, by default 1, 2, ...
         title: of the figure.
     """
     figure, (axis,) = panels(1, 1, (7.0, 3.8), title)
     for k, (name, values) in enumerate(curves.items()):
         errors = np.atleast_2d(array(values))
-        episode = np.arange(1, errors.shape[1] + 1)
+        x = np.arange(1, errors.shape[1] + 1) if episode is None else array(episode)[: errors.shape[1]]
         middle, low, high = band(errors, seed=0)
         color = CYCLE[k % len(CYCLE)]
-        axis.plot(episode, middle, color=color, label=f"{name} ({len(errors)} seeds)")
-        axis.fill_between(episode, low, high, color=color, alpha=0.2, linewidth=0)
+        axis.plot(x, middle, color=color, label=f"{name} ({len(errors)} seeds)")
+        axis.fill_between(x, low, high, color=color, alpha=0.2, linewidth=0)
     axis.axhline(level, color=BLACK, linestyle="--", linewidth=0.9, label=f"required: {level:g} rad")
     axis.set_yscale("log")
     axis.set_xlabel("real episode")
     axis.set_ylabel("mean abs error of the last 5 s, worse axis [rad]")
-    axis.legend(loc="upper right")
+    axis.legend(loc="best")
     return figure
 
 
@@ -60,9 +66,10 @@ def draw_ablation(results: Path, level: float, formats: tuple[str, ...] = ("png"
         title = f"plant {system}, experiment {experiment}"
         average = f"Dyna-style vs. direct TD3: average rewards, {title}"
         returns = _curves(lines, lambda row: float(row["evaluated_return"] or 0.0))
-        figure = average_rewards(returns, window=1, title=average, log=True)
+        episodes = sorted({float(row["episode"] or 0.0) for row in lines})
+        figure = average_rewards(returns, episodes, window=1, title=average, log=True)
         files += save(figure, results / f"average_rewards_{system}_{experiment}", formats)
-        figure = steady_state_errors(_curves(lines, _worst), level, f"Steady-state error, {title}")
+        figure = steady_state_errors(_curves(lines, _worst), level, episodes, f"Steady-state error, {title}")
         files += save(figure, results / f"steady_state_error_{system}_{experiment}", formats)
     return files
 

@@ -83,7 +83,7 @@ def average_rewards(
         axis.fill_between(x, low, high, color=color, alpha=0.2, linewidth=0)
     axis.set_xlabel("real episode")
     axis.set_ylabel(f"return, mean of {window} episodes [-]" if window > 1 else "return [-]")
-    axis.legend(loc="lower right")
+    axis.legend(loc="best")
     return figure
 
 

@@ -14,6 +14,12 @@ def test_the_error_figure_has_a_line_per_setting_and_the_level():
     assert axis.get_yscale() == "log"
 
 
+def test_runs_that_are_evaluated_now_and_then_stand_at_the_episodes_of_their_evaluations():
+    figure = steady_state_errors({"a": np.full((2, 3), 0.1)}, level=0.05, episode=[2, 4, 6, 8])
+    line = next(line for line in figure.axes[0].lines if line.get_label() == "a (2 seeds)")
+    assert list(line.get_xdata()) == [2, 4, 6]
+
+
 def test_a_pair_of_figures_for_every_plant_and_experiment(tmp_path):
     rows = [
         {
