@@ -99,6 +99,7 @@ class Case:
         variation: How imagined plants stray.
         updates: Gradient updates of the first planning phase.
         terminal_updates: Critic updates per window, for a value of what follows it.
+        width: Error at which the imagined cost turns linear [rad].
         plants: Plants that it is measured on.
     """
 
@@ -112,6 +113,7 @@ class Case:
     variation: Variation = field(default_factory=Variation)
     updates: int = 200
     terminal_updates: int = 0
+    width: float = 0.02
     plants: tuple[str, ...] = ("xi", "tras")
 
 
@@ -120,6 +122,8 @@ CASES = {
     "oracle": Case(oracle=True),
     "terminal": Case(terminal_updates=4),
     "moving": Case(moving=True, updates=400),
+    "moving_long": Case(moving=True, updates=1000),
+    "moving_long_wide": Case(moving=True, updates=1000, width=0.1),
     "noise": Case(episodes=3, noise=NOISE, integral=True),
     "noise_robust": Case(episodes=1, noise=NOISE, integral=True, variation=Variation(noise=NOISE)),
     "noise_members": Case(episodes=1, noise=NOISE, integral=True, variation=Variation(members=4)),
@@ -204,7 +208,7 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
 
 
 def _planning(case: Case) -> dict[str, Any]:
-    return {name: getattr(case, name) for name in ("variation", "updates", "terminal_updates")}
+    return {name: getattr(case, name) for name in ("variation", "updates", "terminal_updates", "width")}
 
 
 def sparse_model(library: str, signature: Any) -> SindyModel:
