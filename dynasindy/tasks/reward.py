@@ -13,7 +13,7 @@ ERROR_SHAPES: dict[str, Callable[[Tensor, float], Tensor]] = {
     "linear": lambda error, width: error * error / (width + error.abs()),
     "logarithmic": lambda error, width: width * torch.log1p((error / width).square()),
 }
-"""Costs of an error and a width; the last two equal e^2 / width near zero."""
+"""Cost of errors `(*batch, n_r)` and a width [rad], of the same shape; the last two equal e^2 / width near zero."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,7 @@ class TrackingReward:
         ValueError: A weight, penalty, tolerance or width is negative, or the shape is unknown.
     """
 
+    # Departure: the paper's cost is quadratic; the linear and the logarithmic one are ours.
     # Departure: the paper pays d when "the error" is small; here each output earns its own d.
     # Departure: "the penalty of exceeding the bounds" is a cost per period at a mechanical stop; ending the
     # episode there instead would pay the agent for leaving.
