@@ -179,7 +179,11 @@ class GradientThenReplay(Planner):
         replay: Both storages.
         gradient: Builder of the planning by gradient, called with `env`, `agent`, `replay` and `seed`.
         replayed: Builder of the planning by imagined replay, called alike.
+        critic_updates: Updates of the critics alone at the end of a phase, which value the planned actor.
         seed: Seed of both.
+
+    Raises:
+        ValueError: `critic_updates` is negative.
     """
 
     def __init__(
@@ -189,15 +193,23 @@ class GradientThenReplay(Planner):
         replay: DynaReplay,
         gradient: Callable[..., Planner],
         replayed: Callable[..., Planner],
+        critic_updates: int = 1000,
         seed: int = 0,
     ) -> None:
+        if critic_updates < 0:
+            raise ValueError(f"planning.critic_updates is {critic_updates}; give a whole number >= 0")
+        self.agent, self.replay, self.critic_updates = agent, replay, critic_updates
         self.planners = [build(env=env, agent=agent, replay=replay, seed=seed) for build in (gradient, replayed)]
         super().__init__(min(planner.every for planner in self.planners))
 
     def plan(self) -> Planned:
         """Plan both ways, the gradient first, so that the transitions are those of its policy."""
         parts = [planner.plan() for planner in self.planners]
-        return Planned(sum(part.imagined for part in parts), sum(part.updates for part in parts))
+        # Critics that do not know the planned actor would pull it away.
+        for _ in range(self.critic_updates):
+            self.agent.update_critics(self.replay.sample())
+            self.agent.target_updater.step()
+        return Planned(sum(p.imagined for p in parts), sum(p.updates for p in parts) + self.critic_updates)
 
     def distrust(self) -> None:
         """Drop what was imagined."""

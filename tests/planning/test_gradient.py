@@ -28,6 +28,11 @@ def total(env, agent):
     return float(env.with_task(env.task).rollout(60, agent.policy)["next", "reward"].sum())
 
 
+@torch.no_grad()
+def flown(env, agent, steps=20):
+    return env.rollout(steps, agent.policy)
+
+
 def weights(policy):
     return torch.cat([p.detach().reshape(-1).clone() for p in policy.parameters()])
 
@@ -117,7 +122,7 @@ def test_every_variation_can_be_planned_with():
 
 def test_both_ways_of_planning_share_one_phase():
     env, agent, replay = setting()
-    replay.extend_real(env.rollout(20, agent.policy))
+    replay.extend_real(flown(env, agent))
     gradient = partial(GradientPlanning, updates=2, **SMALL)
     planner = GradientThenReplay(
         env, agent, replay, gradient, partial(ImaginedReplay, rollouts=3, horizon=2, bounds=Bounds(reach=1e6))
@@ -126,6 +131,32 @@ def test_both_ways_of_planning_share_one_phase():
     assert len(replay.model) == 6
     planner.distrust()
     assert not len(replay.model)
+
+
+def test_critics_learn_the_planned_actor_and_leave_it_alone():
+    planned = {}
+    for critic_updates in (0, 300):
+        env, agent, replay = setting()
+        replay.extend_real(flown(env, agent))
+        gradient = partial(GradientPlanning, updates=2, **SMALL)
+        imagined = partial(ImaginedReplay, rollouts=3, horizon=2, bounds=Bounds(reach=1e6))
+        planner = GradientThenReplay(env, agent, replay, gradient, imagined, critic_updates=critic_updates)
+        assert planner.plan().updates == 2 + critic_updates
+        batch = replay.sample()
+        error = agent.loss.value_loss(batch)[0].item()
+        target = agent.loss.target_actor_network_params.flatten_keys().values()
+        actor = agent.loss.actor_network_params.flatten_keys().values()
+        apart = max(float((a - b).detach().abs().max()) for a, b in zip(actor, target))
+        planned[critic_updates] = weights(agent.policy), error, apart
+    torch.testing.assert_close(planned[0][0], planned[300][0], rtol=0, atol=0)
+    assert planned[300][1] < 0.5 * planned[0][1]  # the temporal-difference error, with the planned actor's next actions
+    assert planned[300][2] < 0.5 * planned[0][2]
+
+
+def test_a_negative_number_of_critic_updates_is_refused():
+    env, agent, replay = setting()
+    with pytest.raises(ValueError, match="critic_updates"):
+        GradientThenReplay(env, agent, replay, GradientPlanning, ImaginedReplay, critic_updates=-1)
 
 
 @pytest.mark.parametrize("wrong", [{"rollouts": -1}, {"lr": 0.0}, {"updates": -1}, {"real_starts": 0.8, "jumps": 0.8}])
