@@ -42,7 +42,8 @@ class GradientPlanning(Planner):
         lr: Learning rate of the first phase at its start; it falls along a half cosine to 1 % of that.
         more_lr: Learning rate of each later phase at its start.
         max_grad_norm: Bound of each gradient's norm.
-        width: Error at which the imagined cost turns from quadratic to linear [of the outputs].
+        width: Error at which the imagined cost turns from quadratic to linear [of the outputs]; None plans on the
+            task's own reward.
         real_starts: Share of imagined episodes that begin at real states.
         jumps: Share that begin where the last episode ended, so that the reference jumps; the rest begin as the
             task does.
@@ -75,7 +76,7 @@ class GradientPlanning(Planner):
         lr: float = 1e-2,
         more_lr: float = 3e-3,
         max_grad_norm: float = 0.3,
-        width: float = 0.02,
+        width: float | None = 0.02,
         real_starts: float = 0.25,
         jumps: float = 0.25,
         substeps: int = 1,
@@ -88,7 +89,7 @@ class GradientPlanning(Planner):
     ) -> None:
         super().__init__(every)
         counts = {"window": window, "check_every": check_every, "patience": patience}
-        sizes = {"lr": lr, "more_lr": more_lr, "max_grad_norm": max_grad_norm}
+        sizes = {"lr": lr, "more_lr": more_lr, "max_grad_norm": max_grad_norm, "width": 1.0 if width is None else width}
         if bad := [f"{name}={value}" for name, value in {**counts, **sizes}.items() if not value > 0]:
             raise ValueError(f"gradient planning got {', '.join(bad)}; these must be positive: mend planning")
         least = min(rollouts, updates, more_updates, terminal_updates, real_starts, jumps)
@@ -274,10 +275,12 @@ def _network(agent: TD3) -> nn.Module:
     return network
 
 
-def _imagined_task(task: object, width: float) -> Tracking:
-    """Return the task with a cost whose slope does not vanish near zero."""
+def _imagined_task(task: object, width: float | None) -> Tracking:
+    """Return the task with a cost whose slope does not vanish near zero, or the task itself without a width."""
     if not isinstance(task, Tracking):
         raise TypeError(f"task {type(task).__name__} tracks no reference; use planning=dyna, which any task allows")
+    if width is None:
+        return task
     smooth = copy.copy(task)
     smooth.reward_function = dataclasses.replace(task.reward_function, error_shape="linear", width=width, bonus=0.0)
     return smooth

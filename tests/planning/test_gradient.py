@@ -1,5 +1,6 @@
 """Planning through the model's gradient, with the true plant as the model."""
 
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -72,6 +73,16 @@ def test_a_deployed_average_becomes_the_planned_actor():
     env, agent, replay = setting(policy_average=0.01)
     GradientPlanning(env, agent, replay, updates=4, **SMALL).plan()
     torch.testing.assert_close(weights(agent.deployed), weights(agent.policy))
+
+
+def test_without_a_width_the_plan_is_for_the_reward_of_the_task():
+    policies = []
+    for shape, width in (("quadratic", 0.07), ("linear", None)):
+        env, agent, replay = setting()
+        env.task.reward_function = replace(env.task.reward_function, error_shape=shape, width=0.07, bonus=0.0)
+        GradientPlanning(env, agent, replay, updates=4, width=width, **SMALL).plan()
+        policies.append(weights(agent.policy))
+    assert torch.equal(*policies)
 
 
 def test_equal_seeds_plan_equally():
