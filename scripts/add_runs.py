@@ -8,6 +8,7 @@ from pathlib import Path
 import torch
 from command import MENDABLE
 from omegaconf import DictConfig
+from reader import while_read
 from saved_run import load_config, load_policy
 
 from dynasindy.benchmarks import baselines
@@ -53,8 +54,9 @@ def main(argv: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main(sys.argv[1:])
-    except MENDABLE as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+    with while_read():
+        try:
+            main(sys.argv[1:])
+        except MENDABLE as error:
+            print(f"error: {error}", file=sys.stderr)
+            sys.exit(2)

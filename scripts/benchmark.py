@@ -8,6 +8,8 @@ import sys
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported: one thread is what is compared
 os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
 
+from reader import while_read
+
 from dynasindy import benchmarks
 
 
@@ -23,4 +25,5 @@ def main(argv: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    with while_read():
+        sys.exit(main(sys.argv[1:]))

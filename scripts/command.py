@@ -11,6 +11,7 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from mistakes import CONF, MENDABLE, in_words
 from omegaconf import DictConfig
+from reader import while_read
 
 # The jobs of a sweep run in processes of their own, which have to find the modules beside this one.
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(Path(__file__).parent), os.environ.get("PYTHONPATH")]))
@@ -31,26 +32,23 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
 
         main = hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)(guarded)
 
-        def run() -> None:
-            with _one_line(config_name):
-                main()
-
-        return run
+        return _one_line(config_name)(main)
 
     return decorate
 
 
 @contextmanager
 def _one_line(config_name: str) -> Iterator[None]:
-    try:
-        yield
-    except MENDABLE as error:
-        if os.environ.get("DYNASINDY_TRACEBACK"):
-            raise
-        line = f"error: {in_words(error, config_name)}"
-        _leave_word(line)
-        print(line, file=sys.stderr)
-        sys.exit(2)
+    with while_read():
+        try:
+            yield
+        except MENDABLE as error:
+            if os.environ.get("DYNASINDY_TRACEBACK"):
+                raise
+            line = f"error: {in_words(error, config_name)}"
+            _leave_word(line)
+            print(line, file=sys.stderr)
+            sys.exit(2)
 
 
 def _leave_word(line: str) -> None:

@@ -1,0 +1,51 @@
+"""Scripts behind a pipe whose reader leaves, as `head` does."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SCRIPTS = Path(__file__).parents[2] / "scripts"
+
+COMMAND = """
+from command import command
+from omegaconf import DictConfig
+
+@command("evaluate")
+def main(cfg: DictConfig) -> None:
+    for line in range({lines}):
+        print("a line of a table")
+
+main()
+"""
+
+
+def unread(*arguments, cwd):
+    """Run Python with an output that has lost its reader before the first line; return exit code and stderr."""
+    ours = [sys.executable, *arguments]
+    environment = {**os.environ, "PYTHONPATH": str(SCRIPTS)}
+    with subprocess.Popen(
+        ours, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd, env=environment
+    ) as process:
+        process.stdout.close()
+        error = process.stderr.read()
+    return process.returncode, error
+
+
+@pytest.mark.parametrize("lines", [1, 100_000], ids=["at its end", "on its way"])
+def test_a_command_ends_without_a_word(lines, tmp_path):
+    assert unread("-c", COMMAND.format(lines=lines), cwd=tmp_path) == (141, "")
+
+
+def test_so_does_a_script_that_exits(tmp_path):
+    code = "import sys\nfrom reader import while_read\nwith while_read():\n    print('read me')\n    sys.exit(0)"
+    assert unread("-c", code, cwd=tmp_path) == (141, "")
+
+
+@pytest.mark.parametrize("script", ["benchmark.py td3", "add_runs.py", "evaluate.py"])
+def test_the_help_of_a_script_ends_without_a_word(script, tmp_path):
+    name, *rest = script.split()
+    code, error = unread(str(SCRIPTS / name), *rest, "--help", cwd=tmp_path)
+    assert error == "" and code in (0, 141)  # argparse sees the closed pipe itself, and exits with 0
