@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from itertools import groupby
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from dynasindy.evaluation.ablation import Row, read_rows
-from dynasindy.viz.learning import average_rewards, band
-from dynasindy.viz.style import BLACK, CYCLE, Array, array, panels, save, styled
+from dynasindy.viz.learning import average_rewards, draw_bands
+from dynasindy.viz.style import BLACK, Array, legend_beside, panels, save, styled
 
 ValueOf = Callable[[Row], float]
+MAIN = "rollouts"
+OTHERS = "model, gate, plain TD3"
 
 
 @styled
@@ -32,24 +36,39 @@ def steady_state_errors(
         episode: `(n_episodes,)` numbers of the evaluated episodes, by default 1, 2, ...
         title: of the figure.
     """
-    figure, (axis,) = panels(1, 1, (7.0, 3.8), title)
-    for k, (name, values) in enumerate(curves.items()):
-        errors = np.atleast_2d(array(values))
-        x = np.arange(1, errors.shape[1] + 1) if episode is None else array(episode)[: errors.shape[1]]
-        middle, low, high = band(errors, seed=0)
-        color = CYCLE[k % len(CYCLE)]
-        axis.plot(x, middle, color=color, label=f"{name} ({len(errors)} seeds)")
-        axis.fill_between(x, low, high, color=color, alpha=0.2, linewidth=0)
-    axis.axhline(level, color=BLACK, linestyle="--", linewidth=0.9, label=f"required: {level:g} rad")
-    axis.set_yscale("log")
-    axis.set_xlabel("real episode")
-    axis.set_ylabel("mean abs error of the last 5 s, worse axis [rad]")
-    axis.legend(loc="best")
+    figure, (axis,) = panels(1, 1, (8.5, 3.8), title)
+    _draw_errors(axis, curves, level, episode)
+    return figure
+
+
+@styled
+def controls(
+    families: Mapping[str, Mapping[str, ArrayLike]], level: float, episode: ArrayLike | None = None, title: str = ""
+) -> Figure:
+    """Draw the error of the worse axis over episodes, a panel per family of settings, with the same vertical axis.
+
+    Args:
+        families: Curves as for `steady_state_errors`, per family.
+        level: The required level [rad].
+        episode: `(n_episodes,)` numbers of the evaluated episodes, by default 1, 2, ...
+        title: of the figure.
+    """
+    figure, axes = panels(len(families), 1, (8.5, 0.6 + 2.6 * len(families)), title)
+    for axis in axes[1:]:
+        axis.sharey(axes[0])
+    for axis, (family, curves) in zip(axes, families.items()):
+        _draw_errors(axis, curves, level, episode)
+        axis.set_title(family)
+        axis.set_ylabel("error [rad]")
+        axis.label_outer(remove_inner_ticks=False)
     return figure
 
 
 def draw_ablation(results: Path, level: float, formats: tuple[str, ...] = ("png",)) -> list[Path]:
-    """Draw both figures for every plant and experiment in `ablation_curves.csv`.
+    """Draw returns and errors for every plant and experiment in `ablation_curves.csv`.
+
+    The numbers of rollouts, as in the paper, stand in two figures of their own; all other settings, the controls,
+    in a third, a panel per family.
 
     Args:
         results: Folder of the tables; the figures go there too.
@@ -66,12 +85,42 @@ def draw_ablation(results: Path, level: float, formats: tuple[str, ...] = ("png"
         title = f"plant {system}, experiment {experiment}"
         average = f"Dyna-style vs. direct TD3: average rewards, {title}"
         returns = _curves(lines, lambda row: float(row["evaluated_return"] or 0.0))
+        errors = _curves(lines, _worst)
         episodes = sorted({float(row["episode"] or 0.0) for row in lines})
-        figure = average_rewards(returns, episodes, window=1, title=average, log=True)
+        chosen = [name for name in errors if _family(name) == MAIN] or list(errors)
+        figure = average_rewards({name: returns[name] for name in chosen}, episodes, window=1, title=average, log=True)
         files += save(figure, results / f"average_rewards_{system}_{experiment}", formats)
-        figure = steady_state_errors(_curves(lines, _worst), level, episodes, f"Steady-state error, {title}")
+        main = {name: errors.pop(name) for name in chosen}
+        figure = steady_state_errors(main, level, episodes, f"Steady-state error, {title}")
         files += save(figure, results / f"steady_state_error_{system}_{experiment}", formats)
+        if errors:
+            default = dict([list(main.items())[-1]])
+            figure = controls(_families(errors, default), level, episodes, f"Controls: steady-state error, {title}")
+            files += save(figure, results / f"controls_{system}_{experiment}", formats)
     return files
+
+
+def _draw_errors(axis: Axes, curves: Mapping[str, ArrayLike], level: float, episode: ArrayLike | None) -> None:
+    draw_bands(axis, curves, episode)
+    axis.axhline(level, color=BLACK, linestyle="--", linewidth=0.9, label=f"required: {level:g} rad")
+    axis.set_yscale("log")
+    axis.set_ylabel("mean abs error of the last 5 s, worse axis [rad]")
+    legend_beside(axis)
+
+
+def _family(setting: str) -> str:
+    """Return what a setting varies: `real_share` for `real_share_05`; others stand together."""
+    stem = re.fullmatch(r"(.+)_\d+", setting)
+    return stem[1] if stem else OTHERS
+
+
+def _families(controls: Mapping[str, Array], default: Mapping[str, Array]) -> dict[str, dict[str, Array]]:
+    """Return the controls by family, each beside the default."""
+    names = sorted({_family(name) for name in controls})
+    return {
+        name.replace("_", " "): {**default, **{k: v for k, v in controls.items() if _family(k) == name}}
+        for name in names
+    }
 
 
 def _curves(rows: list[Row], value: ValueOf) -> dict[str, Array]:

@@ -1,15 +1,17 @@
 """How learning went: the return over episodes of one run, and of several settings over seeds."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import cycle
 
 import numpy as np
 import torch
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from dynasindy.evaluation.statistics import bootstrap_interval, interquartile_mean
-from dynasindy.viz.style import BLUE, CYCLE, RED, Array, array, name_single, panels, styled
+from dynasindy.viz.style import BLUE, CYCLE, RED, Array, array, legend_beside, name_single, panels, styled
 
 
 @styled
@@ -70,21 +72,42 @@ def average_rewards(
         title: of the figure.
         log: logarithmic returns, linear within 10 of zero.
     """
-    figure, (axis,) = panels(1, 1, (7.0, 3.8), title)
+    figure, (axis,) = panels(1, 1, (8.5, 3.8), title)
     if log:
         axis.set_yscale("symlog", linthresh=10.0)
-    for k, (name, values) in enumerate(curves.items()):
-        returns = np.atleast_2d(array(values))
-        smooth = np.stack([moving_mean(row, window) for row in returns])
-        x = array(episode)[: smooth.shape[1]] if episode is not None else np.arange(1, smooth.shape[1] + 1)
-        middle, low, high = band(smooth, seed)
-        color = CYCLE[k % len(CYCLE)]
-        axis.plot(x, middle, color=color, label=f"{name} ({len(returns)} seeds)")
+    smooth = {
+        name: np.stack([moving_mean(row, window) for row in np.atleast_2d(array(values))])
+        for name, values in curves.items()
+    }
+    draw_bands(axis, smooth, episode, seed)
+    axis.set_ylabel(f"return, mean of {window} episodes [-]" if window > 1 else "return [-]")
+    return figure
+
+
+def draw_bands(
+    axis: Axes,
+    curves: Mapping[str, ArrayLike],
+    episode: ArrayLike | None = None,
+    seed: int = 0,
+    colors: Sequence[str] = CYCLE,
+) -> None:
+    """Draw interquartile mean and 95 % bootstrap band over seeds into an axis, one line per setting.
+
+    Args:
+        axis: Where to draw.
+        curves: `(n_seeds, n_episodes)` values after each episode, per setting.
+        episode: `(n_episodes,)` numbers of the episodes, by default 1, 2, ...
+        seed: Seed of the bootstrap.
+        colors: One per setting; they repeat.
+    """
+    for (name, values), color in zip(curves.items(), cycle(colors)):
+        rows = np.atleast_2d(array(values))
+        x = np.arange(1, rows.shape[1] + 1) if episode is None else array(episode)[: rows.shape[1]]
+        middle, low, high = band(rows, seed)
+        axis.plot(x, middle, color=color, label=f"{name} ({len(rows)} seed{'s' * (len(rows) > 1)})")
         axis.fill_between(x, low, high, color=color, alpha=0.2, linewidth=0)
     axis.set_xlabel("real episode")
-    axis.set_ylabel(f"return, mean of {window} episodes [-]" if window > 1 else "return [-]")
-    axis.legend(loc="best")
-    return figure
+    legend_beside(axis)
 
 
 def moving_mean(values: Array, window: int) -> Array:

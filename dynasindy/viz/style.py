@@ -117,6 +117,11 @@ def name_single(axis: Axes, x: Array, y: Array, color: str) -> None:
         )
 
 
+def legend_beside(axis: Axes) -> None:
+    """Put the legend to the right of an axis, where no line can run through it."""
+    axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+
+
 def save(figure: Figure, path: str | Path, formats: Sequence[str] = ("png",)) -> list[Path]:
     """Write a figure once per format as `path` with the format's suffix and return the files."""
     target = Path(path)

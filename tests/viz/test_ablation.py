@@ -1,7 +1,7 @@
 import numpy as np
 
 from dynasindy.evaluation.ablation import write_rows
-from dynasindy.viz.ablation import draw_ablation, steady_state_errors
+from dynasindy.viz.ablation import controls, draw_ablation, steady_state_errors
 
 
 def test_the_error_figure_has_a_line_per_setting_and_the_level():
@@ -35,3 +35,25 @@ def test_a_pair_of_figures_for_every_plant_and_experiment(tmp_path):
     names = {file.name for file in draw_ablation(tmp_path, 0.05)}
     kinds = ("average_rewards", "steady_state_error")
     assert names == {f"{kind}_{system}_dyna.png" for kind in kinds for system in ("tras", "xi")}
+
+
+def test_controls_stand_apart_by_family_each_beside_the_default(tmp_path):
+    settings = ("direct", "horizon_1", "horizon_20", "oracle", "rollouts_0", "rollouts_800")
+    rows = [
+        {
+            "system": "xi", "experiment": "dyna", "setting": setting, "seed": 0, "episode": episode,
+            "evaluated_return": -10.0, "evaluated_steady_state_error/y": 0.1,
+        }
+        for setting in settings
+        for episode in (1, 2)
+    ]  # fmt: skip
+    write_rows(tmp_path / "ablation_curves.csv", rows)
+    assert "controls_xi_dyna.png" in {file.name for file in draw_ablation(tmp_path, 0.05)}
+
+
+def test_the_figure_of_controls_has_a_panel_per_family_on_one_scale():
+    families = {"horizon": {"horizon_1": np.full((2, 3), 0.1)}, "others": {"direct": np.full((1, 3), 2.0)}}
+    figure = controls(families, level=0.05)
+    assert [axis.get_title() for axis in figure.axes] == ["horizon", "others"]
+    assert figure.axes[0].get_ylim() == figure.axes[1].get_ylim()
+    assert figure.axes[1].get_legend().get_texts()[0].get_text() == "direct (1 seed)"
