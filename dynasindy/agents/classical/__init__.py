@@ -3,7 +3,8 @@
 from dynasindy.agents.classical.base import Controller, TrackingController
 from dynasindy.agents.classical.linearise import Equilibria, jacobians, zero_order_hold
 from dynasindy.agents.classical.lqi import LQI
-from dynasindy.agents.classical.mpc import MPC, Cost, Horizon
+from dynasindy.agents.classical.mpc import MPC, Cost
+from dynasindy.agents.classical.mpc_program import Horizon
 from dynasindy.agents.classical.pid import PID, Gains
 from dynasindy.agents.classical.tuning import Tuning, tuned_lqi, tuned_pid
 

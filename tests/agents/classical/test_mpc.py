@@ -1,10 +1,9 @@
-"""MPC against the Riccati equation, a general solver, its limits, and what it is for: tracking without offset."""
+"""MPC against the Riccati equation, its limits, and what it is for: tracking without offset."""
 
 import numpy as np
 import pytest
 import torch
 from scipy.linalg import solve_discrete_are
-from scipy.optimize import minimize
 from scipy.signal import cont2discrete
 from tensordict import TensorDict
 
@@ -55,26 +54,6 @@ def test_without_limits_the_gain_is_that_of_the_riccati_equation(periods, change
     assert first == pytest.approx(-(gain @ [0.02, -0.05, 0.0]).item(), rel=1e-4)
     second = controller.act(x, REST, REST, LATER).item()
     assert second == pytest.approx(-(gain @ [0.02, -0.05, first]).item(), rel=1e-4)
-
-
-def test_within_limits_the_plan_is_that_of_a_general_solver():
-    blocks = (1, 2, 3)
-    controller = linear_mpc(cost=Cost(1.0, 0.01, 0.02), horizon=Horizon(blocks, iterations=3), correction=0.0)
-    controller.act(row(-0.8, -1.0), row(0.3), REST, FIRST)
-    a, b = (m for m in cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), 0.05)[:2])
-    x_e, u_e = np.array([0.3, 0.0]), 0.15
-
-    def cost(v):
-        x, total, last = np.array([-0.8, -1.0]), 0.0, 0.0
-        for k, u in enumerate(np.repeat(v, blocks)):
-            total += (x[0] - 0.3) ** 2 * (k > 0) + 0.01 * (u - u_e) ** 2 + 0.02 * (u - last) ** 2
-            x, last = a @ x + b[:, 0] * u, u
-        end = np.append(x - x_e, last - u_e)
-        return total + end @ controller.cost_to_go @ end
-
-    found = minimize(cost, np.zeros(3), bounds=[(-1, 1)] * 3, tol=1e-12)
-    assert found.x[0] == pytest.approx(1.0)  # the limit binds
-    np.testing.assert_allclose(controller.plan[0, :, 0], found.x, atol=2e-3)
 
 
 def flown(system, model, targets, steps=300, **settings):
