@@ -47,6 +47,8 @@ def gate(decisions: Mapping[str, ArrayLike], title: str = "Trust in the model") 
         lower.plot(x[back], after[back], color=RED, marker="x", linestyle="none", label="rolled back")
     if np.isfinite(before).any():
         lower.set_yscale("log")
+        low, high = np.log10(lower.get_ylim())
+        lower.set_ylim(10 ** np.floor(low), 10 ** np.ceil(high))  # whole decades, which have ticks
     name_single(lower, x, after, BLUE)
     lower.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     lower.set_xlim(wide[0], wide[-1])

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from dynasindy.evaluation.metrics import SETTLING_BAND, STEADY_SECONDS
 from dynasindy.systems.twin_rotor import SIGNATURE
-from dynasindy.viz.style import BLACK, BLUE, CYCLE, GREY, array, label, panels, styled
+from dynasindy.viz.style import BLACK, BLUE, CYCLE, GREY, Array, array, label, panels, styled
 
 AXES = SIGNATURE.state_names[:2]
 INPUTS = SIGNATURE.input_names
@@ -48,7 +48,7 @@ def tracking(
         _inputs(axes[len(names) + i], seconds, inputs, i, name)
     _legend(axes[0])
     axes[-1].set_xlabel("time [s]")
-    axes[-1].set_xlim(seconds[0], seconds[-1])
+    axes[-1].set_xlim(*_span(seconds))
     return figure
 
 
@@ -106,7 +106,7 @@ def error_fan(
         axis.set_ylabel(f"|error| of {label(name, 'rad')}")
     axes[0].legend(loc="upper right", ncols=2)
     axes[-1].set_xlabel("time [s]")
-    axes[-1].set_xlim(seconds[0], seconds[-1])
+    axes[-1].set_xlim(*_span(seconds))
     return figure
 
 
@@ -127,3 +127,9 @@ def _inputs(axis: Axes, seconds: ArrayLike, inputs: Mapping[str, ArrayLike], col
         axis.step(seconds, array(values)[:, column], where="post", color=CYCLE[k % len(CYCLE)], linewidth=1.0)
     axis.set_ylim(-1.08, 1.08)
     axis.set_ylabel(label(name, "-"))
+
+
+def _span(seconds: Array) -> tuple[float, float]:
+    """Return start and end of a run: its last sample is held for a period, too."""
+    period = seconds[-1] - seconds[-2] if len(seconds) > 1 else 0.0
+    return float(seconds[0]), round(float(seconds[-1] + period), 9)

@@ -38,3 +38,8 @@ def test_error_fan_draws_the_median_of_the_absolute_error() -> None:
     figure = error_fan(TIME, outputs, REFERENCE.expand(3, 400, 2))
     np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata(), 0.2, rtol=1e-5)
     assert figure.axes[0].get_yscale() == "log"
+
+
+def test_the_time_axis_ends_with_the_last_period_of_the_run():
+    time, zeros = np.arange(0.0, 20.0, 0.05), np.zeros((400, 2))
+    assert tracking(time, zeros, {"policy": zeros}).axes[-1].get_xlim() == (0.0, 20.0)
