@@ -18,7 +18,7 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 
-from dynasindy.agents.classical import MPC, tuned_lqi, tuned_pid
+from dynasindy.agents.classical import MPC, Trial, tuned_lqi, tuned_pid
 from dynasindy.benchmarks import gradient
 from dynasindy.benchmarks.gradient import PLANTS
 from dynasindy.dyna.callback import Callback
@@ -101,11 +101,11 @@ def _parts(plant: str, oracle: bool, seed: int, learned: bool) -> Parts:
 
 
 def _lqi(parts: Parts, seed: int) -> Policy:
-    return tuned_lqi(parts.world_model, _like_training(parts, seed), dt=parts.plant.dt, seed=seed)
+    return tuned_lqi(_trial(parts, seed), seed=seed)
 
 
 def _pid(parts: Parts, seed: int) -> Policy:
-    return tuned_pid(parts.world_model, _like_training(parts, seed), dt=parts.plant.dt, seed=seed)
+    return tuned_pid(_trial(parts, seed), seed=seed)
 
 
 def _mpc(parts: Parts, seed: int) -> Policy:
@@ -129,10 +129,11 @@ CONTROLLERS: dict[str, Callable[[Parts, int], Policy]] = {
 }
 
 
-def _like_training(parts: Parts, seed: int) -> torch.Tensor:
-    """Return references for tuning, drawn as the learned policy's are, `(n, n_r, 5)`."""
+def _trial(parts: Parts, seed: int) -> Trial:
+    """Return what classical controllers are tuned on: the model, and references drawn as the learned policy's are."""
     generator = torch.Generator().manual_seed(1000 + seed)
-    return parts.plant.task.sample(torch.Size((TUNING_REFERENCES,)), generator)
+    wanted = parts.plant.task.sample(torch.Size((TUNING_REFERENCES,)), generator)
+    return Trial(parts.world_model, wanted, dt=parts.plant.dt)
 
 
 def scenarios(plant: str, seconds: float = 0.0) -> list[Scenario]:

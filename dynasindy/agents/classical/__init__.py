@@ -6,7 +6,7 @@ from dynasindy.agents.classical.lqi import LQI
 from dynasindy.agents.classical.mpc import MPC, Cost
 from dynasindy.agents.classical.mpc_program import Horizon
 from dynasindy.agents.classical.pid import PID, Gains
-from dynasindy.agents.classical.tuning import Tuning, tuned_lqi, tuned_pid
+from dynasindy.agents.classical.tuning import Trial, Tuning, tuned_lqi, tuned_pid
 
 __all__ = [
     "LQI",
@@ -18,6 +18,7 @@ __all__ = [
     "Gains",
     "Horizon",
     "TrackingController",
+    "Trial",
     "Tuning",
     "jacobians",
     "tuned_lqi",

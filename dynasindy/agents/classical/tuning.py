@@ -24,7 +24,25 @@ Candidates = Callable[[Tensor], TrackingController]
 
 STEADY_SECONDS = 5.0
 """Length of the final part of a run that counts as steady state [s]."""
-OUTPUTS, RATES = ("alpha_a", "alpha_p"), ("Omega_a", "Omega_p")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What candidates are tried on.
+
+    Attributes:
+        system: the model that they control.
+        wanted: parameters of the references to track, `(n_references, n_r, 5)`.
+        outputs: names of the tracked states, one per input.
+        rates: names of the outputs' rates.
+        dt: control period [s].
+    """
+
+    system: System
+    wanted: Tensor
+    outputs: Sequence[str] = ("alpha_a", "alpha_p")
+    rates: Sequence[str] = ("Omega_a", "Omega_p")
+    dt: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -52,22 +70,14 @@ class Tuning:
     substeps: int = 2
 
     def search(
-        self,
-        system: System,
-        build: Candidates,
-        ends: tuple[Sequence[float], Sequence[float]],
-        wanted: Tensor,
-        dt: float = 0.05,
-        seed: int = 0,
+        self, trial: Trial, build: Candidates, ends: tuple[Sequence[float], Sequence[float]], seed: int = 0
     ) -> Tensor:
         """Return the best numbers `(n,)`.
 
         Args:
-            system: what the candidates are tried on.
+            trial: what the candidates are tried on.
             build: makes a controller of a population's numbers.
             ends: smallest and largest of each number in the first draw; later draws may leave that range.
-            wanted: parameters of the references to track, `(n_references, n_r, 5)`.
-            dt: control period [s].
             seed: seed of the draws.
         """
         generator = torch.Generator().manual_seed(seed)
@@ -76,15 +86,16 @@ class Tuning:
         for _ in range(self.draws):
             noise = torch.randn(self.population, len(centre), generator=generator, dtype=torch.float64)
             drawn = centre + spread * noise
-            cost = self.cost(system, build(drawn.exp().unsqueeze(1)), wanted, dt)
+            cost = self.cost(trial, build(drawn.exp().unsqueeze(1)))
             best = drawn[cost.argsort()[: self.elites]]
             centre, spread = best.mean(0), best.std(0) + 0.02
         return centre.exp()
 
     @torch.no_grad()
-    def cost(self, system: System, controller: TrackingController, wanted: Tensor, dt: float = 0.05) -> Tensor:
+    def cost(self, trial: Trial, controller: TrackingController) -> Tensor:
         """Return the cost of each of the controller's gains `(population,)`, infinite where a run diverges."""
-        wanted, steps = wanted.double(), round(self.seconds / dt)
+        system, wanted, dt = trial.system, trial.wanted.double(), trial.dt
+        steps = round(self.seconds / dt)
         final = round(STEADY_SECONDS / dt)
         times = dt * torch.arange(steps, dtype=torch.float64).reshape(-1, 1, 1)
         values, slopes = references.value(wanted, times), references.rate(wanted, times)
@@ -106,71 +117,49 @@ class Tuning:
         return cost.nan_to_num(torch.inf)
 
 
-def tuned_pid(
-    system: System,
-    wanted: Tensor,
-    tuning: Tuning | None = None,
-    outputs: Sequence[str] = OUTPUTS,
-    rates: Sequence[str] = RATES,
-    dt: float = 0.05,
-    seed: int = 0,
-) -> PID:
-    """Return PID loops whose gains track `wanted` best on a system.
+def tuned_pid(trial: Trial, tuning: Tuning | None = None, seed: int = 0) -> PID:
+    """Return PID loops whose gains track best in a trial.
 
     Args:
-        system: The model they are tried on.
-        wanted: Parameters of the references to track, `(n_references, n_r, 5)`.
+        trial: What they are tried on.
         tuning: Settings of the search.
-        outputs: Names of the tracked states, one per input.
-        rates: Names of the outputs' rates.
-        dt: Control period [s].
         seed: Seed of the search.
 
     Raises:
         ValueError: There is no equilibrium at the origin, or numbers of outputs, rates and inputs differ.
     """
-    equilibria = Equilibria(system, outputs)
-    n = system.signature.n_u
+    signature = trial.system.signature
+    equilibria = Equilibria(trial.system, trial.outputs)
+    n = signature.n_u
     bias = equilibria.state_and_input(torch.zeros(n), equilibria.home)[1]
 
     def _build(numbers: Tensor) -> PID:
         k_p, k_i, k_d = numbers.unflatten(-1, (3, n)).unbind(-2)
-        return PID(system.signature, Gains(k_p, k_i, k_d, bias), outputs, rates, dt)
+        return PID(signature, Gains(k_p, k_i, k_d, bias), trial.outputs, trial.rates, trial.dt)
 
     ends = [0.1] * n + [0.01] * n + [0.1] * n, [10.0] * n + [3.0] * n + [10.0] * n
-    best = (tuning or Tuning()).search(system, _build, ends, wanted, dt, seed)
+    best = (tuning or Tuning()).search(trial, _build, ends, seed)
     return _build(best)
 
 
-def tuned_lqi(
-    system: System,
-    wanted: Tensor,
-    tuning: Tuning | None = None,
-    outputs: Sequence[str] = OUTPUTS,
-    rates: Sequence[str] = RATES,
-    dt: float = 0.05,
-    seed: int = 0,
-) -> LQI:
-    """Return an LQI whose weights track `wanted` best on a system.
+def tuned_lqi(trial: Trial, tuning: Tuning | None = None, seed: int = 0) -> LQI:
+    """Return an LQI whose weights track best in a trial.
 
     Searched are the weights of the outputs, their rates and their integrals; those of the inputs are 1.
 
     Args:
-        system: The model they are tried on.
-        wanted: Parameters of the references to track, `(n_references, n_r, 5)`.
+        trial: What they are tried on.
         tuning: Settings of the search.
-        outputs: Names of the tracked states, one per input.
-        rates: Names of the outputs' rates.
-        dt: Control period [s].
         seed: Seed of the search.
 
     Raises:
         ValueError: There is no equilibrium at the origin, or the linearised system cannot be stabilised.
     """
-    n_x, n = system.signature.n_x, system.signature.n_u
-    places = [system.signature.state_index(name) for name in (*outputs, *rates)] + [n_x + i for i in range(n)]
+    signature = trial.system.signature
+    n_x, n = signature.n_x, signature.n_u
+    places = [signature.state_index(name) for name in (*trial.outputs, *trial.rates)] + [n_x + i for i in range(n)]
     start = [1.0 if i in places else 0.0 for i in range(n_x)]
-    controller = LQI(system, outputs, dt, start, [1.0] * n, [1.0] * n)
+    controller = LQI(trial.system, trial.outputs, trial.dt, start, [1.0] * n, [1.0] * n)
 
     def _gain(row: Sequence[float]) -> Tensor:
         weights = [0.0] * (n_x + n)
@@ -186,6 +175,6 @@ def tuned_lqi(
         return controller
 
     ends = [1.0] * n + [0.01] * n + [1.0] * n, [3000.0] * n + [100.0] * n + [3000.0] * n
-    best = (tuning or Tuning()).search(system, _build, ends, wanted, dt, seed)
+    best = (tuning or Tuning()).search(trial, _build, ends, seed)
     controller.gain = _gain(best.tolist())
     return controller

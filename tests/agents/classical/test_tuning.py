@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from dynasindy.agents.classical import LQI, PID, Gains, Tuning, tuned_lqi, tuned_pid
+from dynasindy.agents.classical import LQI, PID, Gains, Trial, Tuning, tuned_lqi, tuned_pid
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.metrics import tracking_metrics
 from dynasindy.systems import Xi
@@ -14,10 +14,8 @@ WANTED = Step([[0.4, 0.25], [-0.3, -0.3]]).sample(torch.Size((2,)), torch.Genera
 
 
 def test_the_least_cost_is_found(monkeypatch):
-    monkeypatch.setattr(
-        Tuning, "cost", lambda self, system, numbers, wanted, dt: (numbers.log() - 1).square().sum((1, 2))
-    )
-    best = Tuning(population=40, draws=12).search(Xi(), lambda numbers: numbers, ([0.1] * 3, [10.0] * 3), WANTED)
+    monkeypatch.setattr(Tuning, "cost", lambda self, trial, numbers: (numbers.log() - 1).square().sum((1, 2)))
+    best = Tuning(population=40, draws=12).search(Trial(Xi(), WANTED), lambda numbers: numbers, ([0.1] * 3, [10.0] * 3))
     torch.testing.assert_close(best, torch.full((3,), torch.e, dtype=torch.float64), rtol=0.1, atol=0)
 
 
@@ -25,7 +23,7 @@ def test_the_least_cost_is_found(monkeypatch):
 def test_tuned_controllers_settle_on_a_step_they_were_not_tuned_on(tuned):
     system = Xi()
     env = ControlEnv(system, Tracking(system.signature, Step([[-0.2, 0.3]])))
-    rollout = env.rollout(400, tuned(system, WANTED, QUICK))
+    rollout = env.rollout(400, tuned(Trial(system, WANTED), QUICK))
     last = (rollout["state"][-100:, :2] - rollout["reference"][-100:]).abs().mean(0)
     assert (last < 0.02).all()
 
@@ -38,7 +36,7 @@ def test_the_cost_is_that_of_the_flight():
     time = torch.arange(200) * 0.05
     metrics = tracking_metrics(time, flown["state"][:, :2], flown["reference"], flown["action"])
     many = Gains(*(row.expand(1, 1, 2) for row in gains))
-    cost = tuning.cost(system, PID(system.signature, many), WANTED[:1])
+    cost = tuning.cost(Trial(system, WANTED[:1]), PID(system.signature, many))
     torch.testing.assert_close(cost[0], sum(metrics[name].sum() for name in NAMES), rtol=1e-3, atol=0)
 
 
@@ -54,16 +52,16 @@ def test_a_candidate_that_runs_away_costs_infinitely_much():
 
     system = Runaway()
     system.stops = None
-    assert torch.isinf(QUICK.cost(system, PID(system.signature, Gains(zero, zero, zero, zero)), WANTED))
+    assert torch.isinf(QUICK.cost(Trial(system, WANTED), PID(system.signature, Gains(zero, zero, zero, zero))))
 
 
 def test_tuning_is_repeatable_and_depends_on_its_seed():
     quick = Tuning(population=6, elites=2, draws=1, seconds=1.0)
-    gains = [tuned_pid(Xi(), WANTED, quick, seed=seed).gains[0].tolist() for seed in (1, 1, 2)]
+    gains = [tuned_pid(Trial(Xi(), WANTED), quick, seed).gains[0].tolist() for seed in (1, 1, 2)]
     assert gains[0] == gains[1]
     assert gains[0] != gains[2]
 
 
 def test_tuned_weights_give_a_stabilising_gain():
-    controller = tuned_lqi(Xi(), WANTED, Tuning(population=6, elites=2, draws=1, seconds=1.0))
+    controller = tuned_lqi(Trial(Xi(), WANTED), Tuning(population=6, elites=2, draws=1, seconds=1.0))
     assert isinstance(controller, LQI) and controller.gain.shape == (2, 8)
