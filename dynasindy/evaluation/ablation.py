@@ -143,8 +143,8 @@ def to_markdown(rows: Iterable[Row], level: Level) -> str:
     for key, group in groups.items():
         reached = sum(row["episodes_to_level"] is not None for row in group)
         figures = [_cell([row[column] for row in group]) for column in SUMMARY]
-        cells.append([*key, str(len(group)), f"{reached}/{len(group)}", *figures])
-    return "\n".join([*lines, markdown((*KEY, "seeds", "reached", *SUMMARY.values()), cells)]) + "\n"
+        cells.append([*key, str(len(group)), _lengths(group), f"{reached}/{len(group)}", *figures])
+    return "\n".join([*lines, markdown((*KEY, "seeds", "episodes", "reached", *SUMMARY.values()), cells)]) + "\n"
 
 
 def read_rows(path: Path) -> list[Row]:
@@ -189,6 +189,12 @@ def _merged(old: Sequence[Row], new: Sequence[Row]) -> list[Row]:
 def _worst(line: Mapping[str, float | None]) -> float:
     errors = [value for key, value in line.items() if key.startswith(f"evaluated_{ERROR}/") and value is not None]
     return max(errors, default=math.inf)
+
+
+def _lengths(group: Iterable[Row]) -> str:
+    """Return how many episodes the runs had: areas and final figures of different lengths are not comparable."""
+    lengths = sorted({int(_number(row["episodes"]) or 0) for row in group})
+    return " or ".join(map(str, lengths))
 
 
 def _cell(values: Sequence[str | float | None]) -> str:

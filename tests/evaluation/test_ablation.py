@@ -87,8 +87,8 @@ def test_the_table_has_interquartile_means_and_says_never(tmp_path):
         run_folder(tmp_path / "runs", "bad", seed, [0.04, 0.04] if seed else [0.04] * 3)
     text = to_markdown(gather(tmp_path / "runs", tmp_path, LEVEL), LEVEL)
     bad, good = text.splitlines()[-2:]
-    assert good.startswith("| xi | dyna | good | 5 | 5/5 | 4.333 [3")
-    assert bad.startswith("| xi | dyna | bad | 5 | 1/5 | never [")
+    assert good.startswith("| xi | dyna | good | 5 | 3 or 4 or 5 or 30 | 5/5 | 4.333 [3")
+    assert bad.startswith("| xi | dyna | bad | 5 | 2 or 3 | 1/5 | never [")
     assert (tmp_path / "ablation.md").read_text() == text
 
 
