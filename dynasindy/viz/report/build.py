@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from dynasindy.viz.framework import framework
-from dynasindy.viz.report import beyond, control, model
+from dynasindy.viz.report import beyond, control, data, model
 from dynasindy.viz.report.document import Picture, Section, Table, Text, write_html, write_markdown
 from dynasindy.viz.report.sources import REPORT, Results
 
@@ -23,8 +23,8 @@ def sections(results: Results) -> list[Section]:
     """Return the sections of the paper, in its order, and those beyond it."""
     return [
         _drawings(),
-        model.chirp_input(results),
-        model.training(results),
+        data.chirp_input(results),
+        data.training(results),
         model.hyperparameters(results),
         model.learning_progress(results),
         model.states(results, "first"),

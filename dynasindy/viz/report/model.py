@@ -1,4 +1,4 @@
-"""Sections on the data and the model: the paper's figures 5 to 10 and its two tables."""
+"""Sections on the model: the paper's figures 8 to 10 and its two tables."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import torch
 
 from dynasindy.systems.transitions import Transitions
 from dynasindy.systems.twin_rotor import SIGNATURE
-from dynasindy.viz.identification import excitation, model_error, prediction, training_data
+from dynasindy.viz.identification import model_error, prediction
 from dynasindy.viz.report.document import Finding, Listing, Part, Picture, Section, Table, Text
 from dynasindy.viz.report.published import HYPERPARAMETERS, XI
 from dynasindy.viz.report.sources import CASES, PLANTS, Results, Run, each
@@ -23,66 +23,6 @@ from dynasindy.world_models.prediction import open_loop
 STATES, INPUTS = SIGNATURE.state_names, SIGNATURE.input_names
 CLOSE = 5.0
 """A predicted state agrees with the plant when its RMSE is under this part of the state's range [%]."""
-
-
-def chirp_input(results: Results) -> Section:
-    """Return figure 5, the excitation."""
-
-    def _of(plant: str) -> list[Part]:
-        run = results.compared(plant, "dyna", "rollouts_800")
-        table = run.table("data/excitation.csv")
-        u = stacked(table, INPUTS)
-        duration = table["time"][-1] + table["time"][1] - table["time"][0]
-        ranges = ", ".join(f"`{name}` {u[:, k].min():.2f} to {u[:, k].max():.2f}" for k, name in enumerate(INPUTS))
-        reversals = ", ".join(str(int(np.sum(np.diff(np.sign(np.diff(u[:, k]))) != 0))) for k in range(len(INPUTS)))
-        return [
-            Finding(
-                f"{plant}: a chirp excites both inputs for 10 s",
-                f"{duration:.4g} s, {ranges}; turning points: {reversals}",
-                abs(duration - 10.0) < 0.1,
-            ),
-            Picture(
-                f"excitation_{plant}",
-                excitation(table["time"], u, INPUTS, f"Excitation of {plant}"),
-                f"Inputs that excite `{plant}`, held for a control period of 0.05 s. {run.source}",
-            ),
-        ]
-
-    words = (
-        "The paper drives both inputs with one chirp over 10 s. Its printed formula stays within [0.707, 1] and does "
-        "not sweep, so the sweep that is meant is used here, with inputs of different phase, around the hover point."
-    )
-    return Section("Figure 5: chirp input", [Text(words), *each(_of, *((plant,) for plant in PLANTS))])
-
-
-def training(results: Results) -> Section:
-    """Return figures 6 and 7, the training data."""
-
-    def _of(plant: str) -> list[Part]:
-        run = results.compared(plant, "dyna", "rollouts_800")
-        table = run.table("data/excitation.csv")
-        x = stacked(table, STATES)
-        samples = len(x) * int(run.setting("env.substeps") or 1)
-        step = (table["time"][1] - table["time"][0]) / int(run.setting("env.substeps") or 1)
-        return [
-            Finding(
-                f"{plant}: 10 s sampled every 0.01 s, 1000 samples",
-                f"{samples} samples, {step:.3g} s apart; azimuth up to {np.abs(x[:, 0]).max():.2f} rad, pitch up to "
-                f"{np.abs(x[:, 1]).max():.2f} rad",
-                samples == 1000,
-            ),
-            Picture(
-                f"training_data_{plant}",
-                training_data(table["time"], x, STATES, SIGNATURE.state_units, f"Training data of {plant}"),
-                f"What the first model of `{plant}` was fitted to, drawn every 0.05 s. {run.source}",
-            ),
-        ]
-
-    words = (
-        "The paper plots rotor speeds (figure 6) and angles with their rates (figure 7) during the chirp. All six "
-        "states are drawn here in one figure."
-    )
-    return Section("Figures 6 and 7: training data", [Text(words), *each(_of, *((plant,) for plant in PLANTS))])
 
 
 def hyperparameters(results: Results) -> Section:

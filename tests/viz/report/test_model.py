@@ -15,14 +15,6 @@ def pictures(section):
     return [part.name for part in section.parts if isinstance(part, Picture)]
 
 
-def test_the_excitation_and_the_training_data_are_drawn_and_counted(results):
-    chirp, training = model.chirp_input(results), model.training(results)
-    assert pictures(chirp) == ["excitation_xi"] and pictures(training) == ["training_data_xi"]
-    assert len(missing(chirp)) == len(missing(training)) == 1
-    assert "`u_p` 0.00 to 0.99" in chirp.findings[0].ours and chirp.findings[0].agrees
-    assert training.findings[0].agrees and training.findings[0].ours.startswith("1000 samples, 0.01 s apart")
-
-
 def test_the_models_error_falls_and_its_trust_is_told(results):
     section = model.learning_progress(results)
     (finding,) = section.findings
