@@ -26,7 +26,7 @@ def run_job(cfg: DictConfig, progress: bool = True) -> tuple[Recipe, dict[str, A
     parts = {name: instantiate(cfg[name], _convert_="all") for name in names}
     recipe = Recipe(**parts, seed=cfg.seed)
     evaluating = Evaluating(instantiate(cfg.scenario, _convert_="all"), cfg.evaluation.every)
-    origin = origin_of(HydraConfig.get())
+    origin = command_and_commit(HydraConfig.get())
     metrics = run(recipe, evaluating, Path(cfg.folder), settings, progress)
     (Path(cfg.folder) / "origin.json").write_text(json.dumps(origin, indent=2) + "\n")
     return recipe, metrics
@@ -48,7 +48,7 @@ def settings_of(cfg: DictConfig) -> str:
     return OmegaConf.to_yaml(cfg, resolve=True)
 
 
-def origin_of(job: DictConfig) -> dict[str, str]:
+def command_and_commit(job: DictConfig) -> dict[str, str]:
     """Return the command line of a job and the commit of the code, "unknown" outside a git checkout."""
     git = ["git", "-C", str(CONF.parent), "describe", "--always", "--dirty", "--exclude", "*"]
     try:

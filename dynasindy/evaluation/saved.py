@@ -62,7 +62,7 @@ def keep_run(source: Path, target: Path, model: bool = True) -> list[Path]:
     shutil.rmtree(target, ignore_errors=True)
     target.mkdir(parents=True)
     (target / "config.yaml").write_text(without_machine((source / "config.yaml").read_text()))
-    _write_json(target / "origin.json", origin_of(source))
+    _write_json(target / "origin.json", origin_without_machine(source))
     for name in RECORDS:
         if (source / name).is_file():
             _write_json(target / name, json.loads((source / name).read_text()))
@@ -83,7 +83,7 @@ def keep_run(source: Path, target: Path, model: bool = True) -> list[Path]:
     return sorted(file for file in target.rglob("*") if file.is_file())
 
 
-def origin_of(folder: Path) -> dict[str, str]:
+def origin_without_machine(folder: Path) -> dict[str, str]:
     """Return which command and commit made a run, without paths of the machine; "unknown" where it does not say."""
     file = folder / "origin.json"
     if not file.is_file():

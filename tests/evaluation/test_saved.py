@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from dynasindy.evaluation.saved import keep_run, origin_of, to_save, without_machine
+from dynasindy.evaluation.saved import keep_run, origin_without_machine, to_save, without_machine
 
 
 def write(path: Path, header: str, rows) -> None:
@@ -80,7 +80,7 @@ def test_what_the_model_saw_is_left_out_on_demand_and_an_old_copy_is_replaced(ru
 def test_a_run_that_knows_its_command_is_believed_without_its_paths(run, tmp_path):
     command = "python scripts/train.py system=xi folder=runs/x hydra.run.dir=/tmp/x data.path=/data/log.csv seed=1"
     (run / "origin.json").write_text(json.dumps({"command": command, "commit": "def"}))
-    assert origin_of(run) == {"command": "python scripts/train.py system=xi seed=1", "commit": "def"}
+    assert origin_without_machine(run) == {"command": "python scripts/train.py system=xi seed=1", "commit": "def"}
     keep_run(run, tmp_path / "kept")
     assert json.loads((tmp_path / "kept" / "origin.json").read_text())["commit"] == "def"
 
