@@ -15,7 +15,7 @@ from dynasindy import benchmarks
 
 def main(argv: list[str]) -> int:
     """Import the benchmark that `argv` names first and hand it the rest."""
-    names = sorted(module.name for module in pkgutil.iter_modules(benchmarks.__path__))
+    names = sorted(module.name for module in pkgutil.iter_modules(benchmarks.__path__) if not module.ispkg)
     if not argv or argv[0] not in names:
         given = f"unknown benchmark '{argv[0]}'" if argv else "no benchmark given"
         print(f"benchmark.py: {given}; choose one of: {', '.join(names)}", file=sys.stderr)

@@ -7,7 +7,6 @@ A file that exists is carried on: rows it holds are not measured again. The poli
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -16,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
 
 from dynasindy.agents.classical import MPC, Trial, tuned_lqi, tuned_pid
 from dynasindy.benchmarks import gradient
 from dynasindy.benchmarks.gradient import PLANTS
+from dynasindy.benchmarks.instruments.watch import Timed
 from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.loop import train
 from dynasindy.dyna.parts import Parts
@@ -150,24 +149,6 @@ def scenarios(plant: str, seconds: float = 0.0) -> list[Scenario]:
         Scenario("sine", Wave([0.35, 0.25], [0.015, 0.015]), 1, seconds or 100.0),
         Scenario("square", Wave([0.4, -0.5], [0.01, 0.01], "square"), 1, seconds or 200.0),
     ]
-
-
-class Timed:
-    """A policy whose computing time is counted, in CPU time of one thread.
-
-    Args:
-        policy: The policy.
-    """
-
-    def __init__(self, policy: Policy) -> None:
-        self.policy, self.seconds, self.calls = policy, 0.0, 0
-
-    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Act."""
-        start = time.process_time()
-        acted = self.policy(tensordict)
-        self.seconds, self.calls = self.seconds + time.process_time() - start, self.calls + 1
-        return acted
 
 
 def judge(env: ControlEnv, policy: Policy, head: Sequence[Any], among: Iterable[Scenario]) -> list[Row]:

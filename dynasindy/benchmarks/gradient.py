@@ -7,7 +7,6 @@ Wall and CPU seconds are those from nothing to the policy (excitation, fits, pla
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import partial
@@ -15,9 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from tensordict import TensorDict
 
 from dynasindy.agents import TD3
+from dynasindy.benchmarks.instruments.sensors import MeasuredReplay
+from dynasindy.benchmarks.instruments.watch import Watch, Watched
 from dynasindy.data import DynaReplay
 from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.experiment import Recipe
@@ -28,7 +28,7 @@ from dynasindy.evaluation.disturbances import DelayedActuator, Pushed, SensorNoi
 from dynasindy.evaluation.rows import Row, append_rows, read_rows
 from dynasindy.evaluation.scenarios import Evaluation, Policy, PolicyWrapper, Scenario, evaluate, step_references
 from dynasindy.excitation import Multisine
-from dynasindy.planning import Gate, GradientPlanning, Planned, Planner, Variation
+from dynasindy.planning import Gate, GradientPlanning, Variation
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.systems import System, Tras, Trms33, Xi
 from dynasindy.systems.tras import TrasConstants
@@ -168,17 +168,17 @@ def measure(name: str, plant: str, seed: int, **planning: Any) -> list[Row]:
     def planned(updates: int) -> None:
         """Judge the policy of a finished planning phase."""
         watch.stop(updates)
+        seconds = parts.plant.dt * len(parts.replay.real)
         for scenario, metric, values in judge(case, plant, parts, seed):
-            head = {"case": name, "plant": plant, "seed": seed, "plant_seconds": watch.plant_seconds}
+            head = {"case": name, "plant": plant, "seed": seed, "plant_seconds": seconds}
             rows.append({**head, "scenario": scenario, "metric": metric, **values, **watch.costs()})
         watch.start()
 
     recipe = build_recipe(case, plant, seed, planning)
     parts = recipe.build()
     if case.noise:
-        measured(parts, case.noise, seed)
+        parts.agent.explore = SensorNoise(parts.agent.explore, parts.plant, case.noise, seed)
     parts.planner = Watched(parts.planner, planned)
-    watch.real = parts.replay
     train(parts, recipe.train, Callback())
     return rows
 
@@ -192,6 +192,7 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
     if case.moving:
         references = Mixture([RandomStep((-0.55, -0.55), (0.55, 0.55)), *_waves(random=True)])
     reward = TrackingReward(error_shape="linear")
+    replay = partial(MeasuredReplay, std=case.noise, noise_seed=seed + 7) if case.noise else DynaReplay
     return Recipe(
         system=system,
         task=partial(Tracking, reference=references, reward=reward, observe_rate=case.moving),
@@ -199,7 +200,7 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
         excitation=partial(Multisine, amplitude=facts.amplitude, offset=facts.offset, seed=seed),
         world_model=model,
         agent=partial(TD3, hidden=(128, 128)),
-        replay=partial(DynaReplay, capacity=100_000, batch_size=256),
+        replay=partial(replay, capacity=100_000, batch_size=256),
         planning=partial(GradientPlanning, **{**_planning(case), **planning}),
         gate=Gate(open_below=torch.inf, close_above=torch.inf),
         train=Settings(episodes=case.episodes, updates_per_step=0),
@@ -249,77 +250,6 @@ def judge(case: Case, plant: str, parts: Parts, seed: int) -> Iterable[tuple[str
 def detuned(seed: int) -> Tras:
     """Return `tras` with every constant of its own off by up to 10 %."""
     return Tras(constants=TrasConstants().detuned(0.1, 1000 + seed))
-
-
-def measured(parts: Parts, std: tuple[float, ...], seed: int) -> None:
-    """Let the agent see, and the storage keep, noisy measurements of the plant."""
-    deviation, rng = torch.tensor(std, dtype=torch.float64), torch.Generator().manual_seed(seed + 7)
-    store, explore = parts.replay.extend_real, parts.agent.explore
-
-    def noisy(rollout: TensorDict) -> None:
-        """Store a rollout as measured."""
-        rows = rollout.clone()
-        samples = rows["next", "samples"]
-        rows["next", "samples"] = samples + deviation * torch.randn(samples.shape, generator=rng).to(samples)
-        rows["next", "state"] = rows["next", "samples"][..., -1, :]
-        first = rows["state"][:1] + deviation * torch.randn(1, len(std), generator=rng)
-        rows["state"] = torch.cat([first, rows["next", "state"][:-1]])
-        store(rows)
-
-    parts.replay.extend_real = noisy  # type: ignore[method-assign]
-    parts.agent.explore = SensorNoise(explore, parts.plant, std, seed)
-
-
-class Watched(Planner):
-    """A planner that tells of each finished phase.
-
-    Args:
-        planner: The planner.
-        told: Called with the number of updates of the phase.
-    """
-
-    def __init__(self, planner: Planner, told: Callable[[int], None]) -> None:
-        super().__init__(planner.every)
-        self.planner, self.told = planner, told
-
-    def plan(self) -> Planned:
-        """Plan once."""
-        planned = self.planner.plan()
-        self.told(planned.updates)
-        return planned
-
-    def distrust(self) -> None:
-        """Pass it on."""
-        self.planner.distrust()
-
-
-class Watch:
-    """Wall and CPU time, updates and plant time of a run, evaluation left out."""
-
-    def __init__(self) -> None:
-        self.wall = self.cpu = 0.0
-        self.updates = 0
-        self.real: DynaReplay | None = None
-        self.start()
-
-    def start(self) -> None:
-        """Go on."""
-        self.since = time.perf_counter(), time.process_time()
-
-    def stop(self, updates: int) -> None:
-        """Pause after a phase of so many updates."""
-        self.wall += time.perf_counter() - self.since[0]
-        self.cpu += time.process_time() - self.since[1]
-        self.updates += updates
-
-    @property
-    def plant_seconds(self) -> float:
-        """Seconds on the real plant so far."""
-        return 0.05 * len(self.real.real) if self.real is not None else 0.0
-
-    def costs(self) -> Row:
-        """Return the last columns of a row."""
-        return {"updates": self.updates, "wall_seconds": round(self.wall, 1), "cpu_seconds": round(self.cpu, 1)}
 
 
 def append(path: Path, rows: list[Row]) -> None:

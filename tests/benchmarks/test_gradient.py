@@ -22,16 +22,13 @@ def test_every_phase_has_a_row_that_counts_all_seconds_of_plant_time(unjudged):
     assert all(set(row) == set(gradient.COLUMNS) for row in rows)
 
 
-def test_noise_is_in_the_data_and_samples_still_follow_each_other(unjudged):
-    case = gradient.CASES["noise"]
-    parts = gradient.build_recipe(case, "xi", 0, TINY).build()
-    gradient.measured(parts, case.noise, 0)
-    calm = parts.plant.rollout(50, parts.excitation)
-    parts.replay.extend_real(calm)
-    stored = parts.replay.real[:]
-    spread = (stored["next", "samples"] - calm["next", "samples"]).std((0, 1))
-    torch.testing.assert_close(spread, torch.tensor(case.noise, dtype=spread.dtype), rtol=0.3, atol=0)
-    torch.testing.assert_close(stored["state"][1:], stored["next", "samples"][:-1, -1])
+def test_noise_is_in_the_data_of_the_cases_with_noise_only():
+    for name, std in (("noise", gradient.NOISE), ("step", (0.0,) * 6)):
+        parts = gradient.build_recipe(gradient.CASES[name], "xi", 0, TINY).build()
+        calm = parts.plant.rollout(50, parts.excitation)
+        parts.replay.extend_real(calm)
+        spread = (parts.replay.real[:]["next", "samples"] - calm["next", "samples"]).std((0, 1))
+        torch.testing.assert_close(spread, torch.tensor(std, dtype=spread.dtype), rtol=0.3, atol=0)
 
 
 def test_rows_already_in_the_file_are_not_measured_again(tmp_path, monkeypatch, capsys):

@@ -1,0 +1,1 @@
+"""What benchmarks measure with: stopwatches, and sensors that are not exact."""

@@ -1,0 +1,59 @@
+"""Stopwatches: what they count, and what they leave out."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from dynasindy.benchmarks.instruments import watch
+from dynasindy.planning import Planned, Planner
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Time that goes on when told."""
+    now = {"wall": 0.0, "cpu": 0.0}
+    monkeypatch.setattr(watch.time, "perf_counter", lambda: now["wall"])
+    monkeypatch.setattr(watch.time, "process_time", lambda: now["cpu"])
+    return now
+
+
+def test_a_pause_is_left_out(clock):
+    run = watch.Watch()
+    clock.update(wall=2.0, cpu=1.0)
+    run.stop(30)
+    clock.update(wall=50.0, cpu=40.0)
+    run.start()
+    clock.update(wall=53.0, cpu=42.0)
+    run.stop(10)
+    assert run.costs() == {"updates": 40, "wall_seconds": 5.0, "cpu_seconds": 3.0}
+
+
+class Recording(Planner):
+    distrusted = 0
+
+    def plan(self):
+        return Planned(updates=7)
+
+    def distrust(self):
+        self.distrusted += 1
+
+
+def test_a_watched_planner_tells_of_its_phases_and_passes_all_on():
+    told, planner = [], Recording(3)
+    watched = watch.Watched(planner, told.append)
+    assert watched.plan().updates == 7 and told == [7]
+    watched.distrust()
+    assert planner.distrusted == 1
+    assert [watched.due(number) for number in (1, 2, 3)] == [False, False, True]
+
+
+def test_the_time_of_a_policy_is_that_of_its_calls(clock):
+    def slow(tensordict):
+        clock["cpu"] += 0.25
+        return tensordict.set("action", torch.ones(1))
+
+    timed = watch.Timed(slow)
+    for _ in range(2):
+        clock["cpu"] += 10.0
+        assert timed(TensorDict({}))["action"] == 1
+    assert (timed.seconds, timed.calls) == (0.5, 2)
