@@ -42,7 +42,7 @@ Pair = tuple[float, float]
 class Plant:
     """A plant and what has to be known to excite it and to ask something of it.
 
-    Args:
+    Attributes:
         build: Makes the system.
         library: Candidate functions of its model.
         low: Lower ends of the targets that it can hold [rad].
@@ -88,7 +88,7 @@ COLUMNS = (
 class Case:
     """What is measured.
 
-    Args:
+    Attributes:
         episodes: Real episodes after the excitation.
         oracle: Plan with the true plant as the model.
         moving: Train on moving references and evaluate on the paper's sine and square.

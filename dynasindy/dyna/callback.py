@@ -15,7 +15,7 @@ from dynasindy.planning import ModelError, Planned
 class Cost:
     """What a run has cost so far; evaluation is not part of it.
 
-    Args:
+    Attributes:
         real_steps: Control periods on the real system, excitation included.
         imagined: Imagined transitions.
         updates: Gradient updates.
@@ -35,7 +35,7 @@ class Cost:
 class Episode:
     """A finished real episode.
 
-    Args:
+    Attributes:
         number: Counted from 1.
         rollout: What happened, `(T,)`.
         error: Open-loop error of the model on it, before the model was fitted to it.

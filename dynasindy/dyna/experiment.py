@@ -23,7 +23,7 @@ from dynasindy.world_models import WorldModel
 class Recipe:
     """What an experiment is made of; builders that need something of the others get it when it is built.
 
-    Args:
+    Attributes:
         system: The real plant.
         task: Builder of the task, called with `signature`.
         env: Builder of the real environment, called with `system`, `task` and `seed`.

@@ -18,7 +18,7 @@ from dynasindy.world_models import WorldModel
 class Parts:
     """What Algorithm 1 works on.
 
-    Args:
+    Attributes:
         plant: Real environment.
         env: The same, with the model's one-step prediction beside every step.
         model_env: The same environment around the world model.
@@ -45,7 +45,7 @@ class Parts:
 class Settings:
     """Lengths of the loop.
 
-    Args:
+    Attributes:
         episodes: Real episodes after the excitation.
         updates_per_step: Gradient updates per real step (update-to-data ratio).
         recent_steps: Newest real steps that a refit reads; all if None.

@@ -24,7 +24,7 @@ NEGLIGIBLE = 1e-5
 class Refit:
     """What came of a refit.
 
-    Args:
+    Attributes:
         report: What the model's fit returned.
         error_before: State error of the earlier model on the held-out windows, in ranges of the states; NaN if none.
         error_after: That of the refitted model.

@@ -20,7 +20,7 @@ from dynasindy.evaluation.summary import to_text
 class Evaluating:
     """When and where the policy is evaluated during a run.
 
-    Args:
+    Attributes:
         scenario: Situation, without disturbances.
         every: Episodes between two evaluations; the last one is always evaluated.
 

@@ -29,7 +29,7 @@ Window = tuple[float, float]
 class Scenario:
     """One fixed situation.
 
-    Args:
+    Attributes:
         name: Short name, also of its files and rows in tables.
         reference: What to track; None draws from the environment's own task, always the same for a seed.
         episodes: Rows of the batch, one reference each.
@@ -69,7 +69,7 @@ class Scenario:
 class Evaluation:
     """What came of a policy in a scenario.
 
-    Args:
+    Attributes:
         scenario: Name of the scenario.
         signature: Names and units of the plant.
         columns: Indices of the tracked states.

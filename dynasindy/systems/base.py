@@ -16,7 +16,7 @@ class Signature:
 
     A plant and the models fitted to it share one signature; tasks, libraries and figures find states by it.
 
-    Args:
+    Attributes:
         state_names: One name per state, in the order of `x`.
         state_units: One unit per state, e.g. "rad".
         input_names: One name per input, in the order of `u`.

@@ -12,7 +12,7 @@ from torch import Tensor
 class Stops:
     """Ends of travel of some positions of a system.
 
-    Args:
+    Attributes:
         positions: Indices of the stopped positions in `x`.
         rates: Indices of their rates in `x`.
         low: Lower end of each position [unit of the position].

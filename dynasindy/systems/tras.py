@@ -30,7 +30,7 @@ from dynasindy.systems.twin_rotor import SIGNATURE, beam_stops, two_branches
 class TrasConstants:
     """Constants of the bench; tuples hold the values for a rotor speed w >= 0 and w < 0.
 
-    Args:
+    Attributes:
         inertia_a: c^2-part and constant part of J_h [kg m^2].
         inertia_p: Moment of inertia of the pitch axis [kg m^2].
         arm_a: Lever of the tail thrust [m].

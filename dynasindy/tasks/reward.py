@@ -20,7 +20,7 @@ ERROR_SHAPES: dict[str, Callable[[Tensor, float], Tensor]] = {
 class TrackingReward:
     """reward = -(a e_a^2 + b e_p^2) - c (dOmega_a^2 + dOmega_p^2) + d   (paper, reward function).
 
-    Args:
+    Attributes:
         error_weights: a, b: weight of the squared error of each output [1/rad^2].
         rate_weight: c: weight of the squared change of each rate over a control period [s^2/rad^2].
         bonus: d: paid per output while its error is below `tolerance`.

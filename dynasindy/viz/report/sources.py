@@ -28,7 +28,7 @@ class MissingResult(FileNotFoundError):
 class Run:
     """A saved run.
 
-    Args:
+    Attributes:
         folder: Where it lies.
         settings: Its resolved configuration.
         make: Command that makes what it lacks.
@@ -78,7 +78,7 @@ class Run:
 class Results:
     """The folder of results.
 
-    Args:
+    Attributes:
         folder: Tables as CSV files, and `runs/` with saved runs.
         settings: Resolved configuration of each saved run, by name.
     """
