@@ -7,6 +7,10 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
+
+from dynasindy.data.simulated import record
+from dynasindy.systems import Tras
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -62,3 +66,19 @@ def test_a_log_of_an_unknown_plant_needs_no_file_of_its_own(tmp_path):
     assert signature["state_names"] == ["position", "rate"] and signature["state_units"] == ["m", "m/s"]
     found = json.loads((tmp_path / "run/model.json").read_text())["coefficients"]["rate"]
     assert [found[name] for name in ("position", "rate", "u")] == pytest.approx([-4, -1, 3], rel=0.02)
+
+
+def test_the_excitation_that_a_run_wrote_is_a_log(tmp_path):
+    signature, generator = Tras().signature, torch.Generator().manual_seed(0)
+    u = 0.3 * torch.randn(40, 2, generator=generator).repeat_interleave(5, 0)
+    data = record(Tras(), u, dt=0.05, substeps=20)
+    units = {"time": "s", **dict(zip(signature.state_names, signature.state_units)), "u_a": "-", "u_p": "-"}
+    rows = torch.cat((0.05 * torch.arange(len(data)).unsqueeze(1), data.x, data.u), 1).tolist()
+    lines = [",".join(f"{number:.9g}" for number in (*row, 0.4)) for row in rows]
+    heading = ",".join([*(f"{name} [{unit}]" for name, unit in units.items()), "reference_alpha_a [rad]"])
+    (tmp_path / "excitation.csv").write_text("\n".join([heading, *lines]))
+    done = _run(tmp_path / "run", "system=tras", "data=csv", f"data.path={tmp_path / 'excitation.csv'}")
+    assert done.returncode == 0, done.stderr
+    model = json.loads((tmp_path / "run/model.json").read_text())
+    assert tuple(model["signature"]["state_names"]) == signature.state_names
+    assert "alpha_a' = Omega_a" in done.stdout and "does not predict" not in done.stdout
