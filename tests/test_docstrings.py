@@ -93,7 +93,21 @@ def undocumented_raises(tree: ast.AST) -> list[str]:
     return missing
 
 
-RULES = [bare_names, untyped_functions, long_functions, crowded_functions, undocumented_raises]
+def arguments_of_dataclasses(tree: ast.AST) -> list[str]:
+    """Dataclasses that document `Args:`: their fields are read, too, and stand under `Attributes:`."""
+    classes = (node for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
+    marked = (node for node in classes if any("dataclass" in ast.unparse(mark) for mark in node.decorator_list))
+    return [f"{node.name}:{node.lineno}" for node in marked if "Args:" in (ast.get_docstring(node) or "")]
+
+
+RULES = [
+    bare_names,
+    untyped_functions,
+    long_functions,
+    crowded_functions,
+    undocumented_raises,
+    arguments_of_dataclasses,
+]
 
 
 @pytest.mark.parametrize("rule", RULES)
@@ -123,6 +137,7 @@ BROKEN = {
     long_functions: "def f():\n" + "    pass\n" * MAX_FUNCTION_LINES,
     crowded_functions: "def f(a, b, c, d, *, e, g, h, i): ...",
     undocumented_raises: 'class A:\n  """A."""\n  def __init__(self):\n    raise ValueError("no")',
+    arguments_of_dataclasses: '@dataclass\nclass A:\n  """A.\n\n  Args:\n    x: X.\n  """\n  x: int',
 }
 
 

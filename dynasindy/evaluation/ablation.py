@@ -36,7 +36,7 @@ SUMMARY = {
 class Level:
     """The level that a setting has to reach, fixed before the runs.
 
-    Args:
+    Attributes:
         error: Mean absolute steady-state error over the references of the scenario, on every axis [rad].
         consecutive: Evaluations in a row that hold it; the last of them is when it counts as reached.
 

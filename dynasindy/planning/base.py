@@ -10,7 +10,7 @@ from dataclasses import dataclass
 class Planned:
     """What a planning phase cost.
 
-    Args:
+    Attributes:
         imagined: Imagined transitions.
         updates: Gradient updates made inside the phase.
     """

@@ -84,7 +84,7 @@ class Agreeing:
 class Bounds:
     """Where the model is believed.
 
-    Args:
+    Attributes:
         reach: Multiple of the largest value of each state on the plant, beyond which nothing is believed.
         distance: Largest distance of state and action, in their ranges, to the nearest real transition (of at most
             2000 drawn); any if None.

@@ -16,7 +16,7 @@ from dynasindy.envs import ControlEnv
 class ModelError:
     """How far the model strays from real steps that it was not fitted to.
 
-    Args:
+    Attributes:
         reward_error: Mean absolute difference of the rewards per control period.
         state_error: Root mean square difference of the states, each divided by its range.
         states: The model's states at the ends of the replayed steps, window by window, `(n, n_x)`.

@@ -19,7 +19,7 @@ from dynasindy.world_models.ensemble import bag
 class Variation:
     """How far imagined plants stray from the model; every number is zero by default.
 
-    Args:
+    Attributes:
         parameters: Half range of a factor on each rate of change and on each input, e.g. 0.1 for +-10 %.
         disturbance: Half range of a constant added to each rate of change, in ranges of the state per second.
         noise: Standard deviation of the measurement noise of each state [its unit]; none if empty.

@@ -38,7 +38,7 @@ CHUNK = 20
 class Rows:
     """Where the parallel imagined episodes stand.
 
-    Args:
+    Attributes:
         x: States, `(rows, n_x)`.
         held: Inputs that still wait for the actuator under a delay, `(rows, n_u)`.
         params: Task parameters, `(rows, *params_shape)`.
@@ -57,7 +57,7 @@ class Rows:
 class Window:
     """An imagined window.
 
-    Args:
+    Attributes:
         states: `(T + 1, rows, n_x)`.
         applied: Inputs that reached the plant, `(T, rows, n_u)`.
         actions: Actions of the policy, `(T, rows, n_u)`; those applied unless the actuator is late.
