@@ -134,11 +134,14 @@ CASES = {
     "friction": Case(episodes=1, integral=True, plants=("trms33",)),
 }
 
+REPORTED = ["step", "oracle", "moving", "noise", "detuned", "friction"]
+"""Cases measured if none is named; the others are trials that were not kept, or of a single setting."""
+
 
 def main(argv: list[str]) -> None:
     """Measure cases, plants and seeds, and append a row per policy and scenario."""
     parser = argparse.ArgumentParser(prog="benchmark.py gradient", description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
+    parser.add_argument("--cases", nargs="+", choices=CASES, default=REPORTED)
     parser.add_argument("--plants", nargs="+", choices=PLANTS, default=list(PLANTS))
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(10)), help="seeds to measure")
     parser.add_argument("--out", type=Path, default=Path("docs/results/gradient.csv"), help="CSV file to append to")
