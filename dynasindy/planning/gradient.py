@@ -27,6 +27,9 @@ from dynasindy.planning.window import Rows, backward, imagine
 from dynasindy.systems import System
 from dynasindy.tasks import Tracking
 
+DIVERGED = 100.0
+"""Multiple of the largest value of each state on the plant beyond which an imagined episode has diverged."""
+
 
 class GradientPlanning(Planner):
     """Improve the agent's actor by its analytic gradient in the model.
@@ -121,6 +124,7 @@ class GradientPlanning(Planner):
         if not updates or not self.rollouts:
             return Planned()
         episodes = Episodes(self)
+        self.held_out.reach = episodes.rows.reach
         optimizer = torch.optim.Adam(self.network.parameters(), lr=lr, betas=(0.9, 0.99), fused=True)
         best, best_weights, failures, done = -math.inf, None, 0, 0
         for done in range(1, updates + 1):
@@ -148,7 +152,9 @@ class GradientPlanning(Planner):
         free = torch.zeros(whole.applied.shape[:-1], dtype=torch.bool)
         params = rows.params.expand(len(free), *rows.params.shape)
         reward = self.env.task.reward(whole.states[:-1], whole.states[1:], params, whole.times[1:], free)
-        return reward.mean().nan_to_num(nan=-math.inf).item()
+        alive = whole.alive[1:]
+        # What comes after divergence earns as little as the worst before it.
+        return reward.where(alive, reward[alive].amin()).mean().item() if bool(alive.any()) else -math.inf
 
     def _update(self, episodes: Episodes, optimizer: torch.optim.Adam) -> None:
         late = self.variation.late
@@ -163,7 +169,7 @@ class GradientPlanning(Planner):
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), self.max_grad_norm)
         if norm.isfinite():
             optimizer.step()
-        episodes.carry_on(window.states[-1], window.actions[-1])
+        episodes.carry_on(window.states[-1], window.actions[-1], window.alive[-1])
 
     def _deploy(self) -> None:
         """Let an agent that deploys a running average of its actor deploy the planned actor."""
@@ -240,12 +246,16 @@ class Episodes:
         self.end = torch.rand(planner.rollouts, 1, generator=planner.rng) * self.length
         real = planner.replay.real
         self.real_states = real[:]["state"].to(self.rows.x) if len(real) else self.rows.x
+        largest = self.real_states.abs().amax(0)
+        self.rows.reach = torch.where(
+            largest > 0, DIVERGED * largest, torch.inf
+        )  # a state that never moved says nothing
 
-    def carry_on(self, x: Tensor, held: Tensor) -> None:
-        """Go on from the end of a window; episodes that are over, or whose states are not finite, begin anew."""
+    def carry_on(self, x: Tensor, held: Tensor, alive: Tensor) -> None:
+        """Go on from the end of a window; episodes that are over, or that diverged, begin anew."""
         planner, rows = self.planner, self.rows
         rows.t = rows.t + planner.window * planner.env.dt
-        lost = ~x.isfinite().all(-1)
+        lost = ~alive
         new = (rows.t >= self.end - 1e-6).squeeze(-1) | lost
         rows.x = torch.where(new.unsqueeze(-1), self._starts(x, lost), x)
         rows.held = torch.where(lost.unsqueeze(-1), torch.zeros_like(held), held)

@@ -29,10 +29,9 @@ class TerminalValue:
 
     def learn(self, rows: Rows, window: Window) -> None:
         """Update the critics on transitions of a window that began at `rows`."""
-        steps, width = window.applied.shape[:2]
-        for _ in range(self.updates):
-            k = torch.randint(steps, (BATCH,), generator=self.rng)
-            i = torch.randint(width, (BATCH,), generator=self.rng)
+        places = window.alive[1:].nonzero()
+        for _ in range(self.updates if len(places) else 0):
+            k, i = places[torch.randint(len(places), (BATCH,), generator=self.rng)].unbind(-1)
             self.agent.update_critics(self._transitions(rows, window, k, i))
             self.agent.target_updater.step()
 

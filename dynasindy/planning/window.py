@@ -44,6 +44,7 @@ class Rows:
         params: Task parameters, `(rows, *params_shape)`.
         t: Time since the start of each episode [s], `(rows, 1)`.
         noise: Standard deviation of the measurement noise of each state, `(n_x,)`; None measures exactly.
+        reach: Magnitude of each state beyond which the model has diverged, `(n_x,)`; None for any finite one.
     """
 
     x: Tensor
@@ -51,11 +52,12 @@ class Rows:
     params: Tensor
     t: Tensor
     noise: Tensor | None = None
+    reach: Tensor | None = None
 
 
 @dataclass(frozen=True)
 class Window:
-    """An imagined window.
+    """An imagined window; from where a row has diverged it holds the row's first state and inputs of zero.
 
     Attributes:
         states: `(T + 1, rows, n_x)`.
@@ -63,6 +65,7 @@ class Window:
         actions: Actions of the policy, `(T, rows, n_u)`; those applied unless the actuator is late.
         seen: States as measured, `(T, rows, n_x)`.
         times: `(T + 1, rows, 1)` [s].
+        alive: Where the row has not diverged so far, bool `(T + 1, rows)`.
     """
 
     states: Tensor
@@ -70,6 +73,7 @@ class Window:
     actions: Tensor
     seen: Tensor
     times: Tensor
+    alive: Tensor
 
 
 @torch.no_grad()
@@ -101,7 +105,17 @@ def imagine(
         applied.append(entering)
         actions.append(u)
         seen.append(measured)
-    return Window(torch.stack(states), torch.stack(applied), torch.stack(actions), torch.stack(seen), times)
+    alive = _alive(torch.stack(states), rows.reach)
+    kept = alive.unsqueeze(-1)
+    x, nothing = rows.x, torch.zeros_like(rows.held)
+    return Window(
+        states=torch.where(kept, torch.stack(states), x),
+        applied=torch.where(kept[1:], torch.stack(applied), nothing),
+        actions=torch.where(kept[1:], torch.stack(actions), nothing),
+        seen=torch.where(kept[:-1], torch.stack(seen), x),
+        times=times,
+        alive=alive,
+    )
 
 
 def backward(
@@ -114,6 +128,8 @@ def backward(
     terminal: Tensor | None = None,
 ) -> Tensor:
     """Add the gradient of the window's mean cost, the negative reward, to the policy's parameters.
+
+    Rows count as far as they are alive: one that diverges has no useful gradient, and must not cost the others theirs.
 
     Args:
         env: Imagined environment.
@@ -129,9 +145,11 @@ def backward(
     """
     with torch.enable_grad():
         a, b = sensitivities(env, system, window.states[:-1], window.applied)
+        # A period that ends in divergence has derivatives without bounds, and nothing after it counts.
+        a, b = (slope.where(window.alive[1:, :, None, None], torch.zeros(())) for slope in (a, b))
         reward, cost = _cost(env, rows, window)
         if terminal is not None:
-            cost[-1] += terminal
+            cost[-1] += terminal * window.alive[-1].unsqueeze(-1)
         actions, k = _policy(env, network, rows, window)
         if late:
             a, b, k, cost = _behind_delay(a, b, k, cost)
@@ -152,6 +170,12 @@ def sensitivities(env: ControlEnv, system: System, x: Tensor, u: Tensor) -> tupl
     return torch.stack([row[0] for row in rows], -2), torch.stack([row[1] for row in rows], -2)
 
 
+def _alive(states: Tensor, reach: Tensor | None) -> Tensor:
+    """Return where states `(T + 1, rows, n_x)` are finite and within reach, and were so all along."""
+    believed = states.isfinite() if reach is None else states.abs() <= reach  # false for NaN, too
+    return believed.all(-1).int().cummin(0).values.bool()
+
+
 def _policy(env: ControlEnv, network: Network, rows: Rows, window: Window) -> tuple[list[Tensor], Tensor]:
     """Return the actions with their graph, in chunks of periods, and K, `(T, rows, n_u, n_x)`."""
     actions, gains = [], []
@@ -169,7 +193,8 @@ def _cost(env: ControlEnv, rows: Rows, window: Window) -> tuple[Tensor, Tensor]:
     states = window.states.detach().requires_grad_()
     free = torch.zeros(states[1:].shape[:-1], dtype=torch.bool)
     params = rows.params.expand(len(free), *rows.params.shape)
-    reward = env.task.reward(states[:-1], states[1:], params, window.times[1:], free).mean()
+    rewards = env.task.reward(states[:-1], states[1:], params, window.times[1:], free)
+    reward = (rewards * window.alive[1:]).mean()
     (slope,) = torch.autograd.grad(-reward, states)
     return reward.detach(), slope
 

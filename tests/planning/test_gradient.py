@@ -11,6 +11,7 @@ from dynasindy.data import DynaReplay
 from dynasindy.envs import ControlEnv
 from dynasindy.planning import Bounds, GradientPlanning, GradientThenReplay, ImaginedReplay, Planned, Variation
 from dynasindy.planning.gradient import Episodes
+from dynasindy.planning.window import imagine
 from dynasindy.systems.xi import Xi
 from dynasindy.tasks import RandomStep, Tracking
 
@@ -117,9 +118,28 @@ def test_episodes_begin_at_real_states_when_asked():
     replay.extend_real(real)
     planner = GradientPlanning(env, agent, replay, updates=1, real_starts=1.0, jumps=0.0, **SMALL)
     episodes = Episodes(planner)
-    lost = torch.full((16, 6), torch.nan)
-    episodes.carry_on(lost, torch.zeros(16, 2))
+    episodes.carry_on(torch.zeros(16, 6), torch.zeros(16, 2), alive=torch.zeros(16, dtype=torch.bool))
     torch.testing.assert_close(episodes.rows.x, torch.full((16, 6), 0.123))
+
+
+class Runaway(Xi):
+    """A model that is right where the plant was excited, and explodes when the main rotor runs backwards."""
+
+    def forward(self, x, u):
+        dx = super().forward(x, u)
+        backwards = (-x[..., 5:] - 150).clamp_min(0)
+        return torch.cat([dx[..., :5], dx[..., 5:] - backwards**3], -1)
+
+
+def test_a_model_that_explodes_elsewhere_is_still_planned_with():
+    env, agent, replay = setting()
+    replay.extend_real(flown(env, agent))
+    before = total(env, agent)
+    planner = GradientPlanning(env.with_system(Runaway()), agent, replay, updates=40, lr=1e-2, **SMALL)
+    whole = imagine(planner.env, planner.env.system, planner.network, Episodes(planner).rows, 60, False, planner.rng)
+    assert not whole.alive[-1].all()  # the untrained policy does run it backwards
+    planner.plan()
+    assert total(env, agent) > 0.5 * before
 
 
 def test_every_variation_can_be_planned_with():

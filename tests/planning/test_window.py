@@ -100,3 +100,43 @@ def test_gradient_at_a_stop_leads_away_from_it():
     x[:, 1] = torch.pi / 2
     a, _ = sensitivities(env, env.system, x, torch.ones(8, 2))
     assert bool((a[:, 1, 3] > 0).all())
+
+
+class Explosion(Xi):
+    """Rows whose main rotor starts above 900 rpm explode within a few periods; the others are those of the plant."""
+
+    def forward(self, x, u):
+        dx = super().forward(x, u)
+        return torch.cat([dx[..., :5], dx[..., 5:] + 1e-3 * (x[..., 5:] - 900).clamp_min(0) ** 3], -1)
+
+
+def test_rows_that_diverge_neither_count_nor_cost_the_others_their_gradient():
+    env, network, rows, rng = setting()
+    sick = Explosion()
+    rows.x[:3, 5], rows.x[3:, 5] = 1500.0, -500.0
+    reach = torch.tensor([6.0, 6.0, 50.0, 50.0, 1e5, 1e5])
+    for first, last in ((0, 8), (3, 8)):
+        some = Rows(*(getattr(rows, name)[first:last] for name in ("x", "held", "params", "t")), reach=reach)
+        network.zero_grad()
+        window = imagine(env, sick, network, some, STEPS, False, rng)
+        backward(env, sick, network, some, window, False)
+        gradient = torch.cat([p.grad.flatten() for p in network.parameters()])
+        if first == 0:
+            whole = gradient
+            assert not window.alive[-1, :3].any() and window.alive[:, 3:].all()
+            assert window.states.isfinite().all() and window.actions.isfinite().all()
+    assert whole.isfinite().all()
+    # The five sound rows are all of the gradient but for the first moments of the others.
+    assert torch.nn.functional.cosine_similarity(whole, gradient, dim=0) > 0.9
+
+
+def test_a_row_out_of_reach_is_out_from_there_on():
+    env, network, rows, rng = setting()
+    rows.reach = torch.full((6,), torch.inf)
+    free = imagine(env, env.system, network, rows, STEPS, False, rng)
+    assert free.alive.all()
+    rows.reach[0] = free.states[:, :, 0].abs().amax().item() / 2
+    bound = imagine(env, env.system, network, rows, STEPS, False, rng)
+    out = (free.states[..., 0].abs() > rows.reach[0]).int().cummax(0).values.bool()
+    assert out.any() and torch.equal(bound.alive, ~out)
+    torch.testing.assert_close(bound.states[bound.alive], free.states[bound.alive])
