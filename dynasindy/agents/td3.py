@@ -162,7 +162,7 @@ class TD3:
         s = self.settings
         self.updates += 1
 
-        critic_loss, value = self.update_critics(batch)
+        critic_loss, value = self._critics(batch)
 
         if self.updates % s.policy_delay == 0:
             actor_loss, _ = self.loss.actor_loss(batch)
@@ -171,19 +171,24 @@ class TD3:
             if s.policy_average:
                 self._average()
 
-        if self.updates % s.target_update_interval == 0:
-            self.target_updater.step()
+        self._targets()
 
         if s.lr_decay:
             self._decay_learning_rates()
         return {"critic_loss": critic_loss, "q_value": value, "actor_loss": self.actor_loss}
 
-    def update_critics(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
-        """Take one step of the critics alone, and return their loss and mean value.
+    def update_critics(self, batch: TensorDictBase) -> None:
+        """Take one step of the critics alone, which then value the actor as it is, and renew the targets when due.
 
         Args:
             batch: as for `update`.
         """
+        self.updates += 1
+        self._critics(batch)
+        self._targets()
+
+    def _critics(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """Take one step of the critics and return their loss and mean value."""
         loss, parts = self.loss.value_loss(batch)
         self._descend(loss, self.critic_optimizer)
         return loss.detach(), parts["pred_value"].mean()
@@ -217,6 +222,10 @@ class TD3:
         if self.settings.max_grad_norm:
             nn.utils.clip_grad_norm_(optimizer.param_groups[0]["params"], self.settings.max_grad_norm)
         optimizer.step()
+
+    def _targets(self) -> None:
+        if self.updates % self.settings.target_update_interval == 0:
+            self.target_updater.step()
 
     def _decay_learning_rates(self) -> None:
         for optimizer in (self.actor_optimizer, self.critic_optimizer):

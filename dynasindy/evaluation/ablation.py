@@ -17,6 +17,7 @@ from dynasindy.evaluation.table import markdown, over_seeds, overrides
 
 Row = dict[str, str | float | None]
 KEY = ("system", "experiment", "setting")
+TEXT = (*KEY, "commit")
 ERROR = "steady_state_error"
 SUMMARY = {
     "episodes_to_level": "real episodes to the level",
@@ -92,7 +93,8 @@ def gather(root: Path, results: Path, level: Level) -> list[Row]:
     results.mkdir(parents=True, exist_ok=True)
     curves = [{**place, **line} for place, curve in read for line in curve]
     write_rows(results / "ablation_curves.csv", _merged(read_rows(results / "ablation_curves.csv"), curves))
-    runs = [{**place, **summarise_run(curve, level)} for place, curve in read]
+    commits = [{"commit": _commit(folder)} for folder in folders]
+    runs = [{**place, **summarise_run(curve, level), **commit} for (place, curve), commit in zip(read, commits)]
     rows = _merged(read_rows(results / "ablation.csv"), runs)
     write_rows(results / "ablation.csv", rows)
     (results / "ablation.md").write_text(to_markdown(rows, level))
@@ -143,8 +145,10 @@ def to_markdown(rows: Iterable[Row], level: Level) -> str:
     for key, group in groups.items():
         reached = sum(row["episodes_to_level"] is not None for row in group)
         figures = [_cell([row[column] for row in group]) for column in SUMMARY]
-        cells.append([*key, str(len(group)), _lengths(group), f"{reached}/{len(group)}", *figures])
-    return "\n".join([*lines, markdown((*KEY, "seeds", "episodes", "reached", *SUMMARY.values()), cells)]) + "\n"
+        commits = " or ".join(sorted({str(row.get("commit") or "unknown") for row in group}))
+        cells.append([*key, str(len(group)), _lengths(group), f"{reached}/{len(group)}", *figures, commits])
+    head = (*KEY, "seeds", "episodes", "reached", *SUMMARY.values(), "commit")
+    return "\n".join([*lines, markdown(head, cells)]) + "\n"
 
 
 def read_rows(path: Path) -> list[Row]:
@@ -172,6 +176,11 @@ def _place(folder: Path, root: Path) -> Row:
     seed = json.loads((folder / "metrics.json").read_text())["seed"]
     name = ",".join([*setting[:1], *(word for part in setting[1:] for word in overrides(part))])
     return {"system": system, "experiment": experiment, "setting": name, "seed": int(seed)}
+
+
+def _commit(folder: Path) -> str:
+    origin = folder / "origin.json"
+    return json.loads(origin.read_text())["commit"] if origin.is_file() else "unknown"
 
 
 def _curve(folder: Path) -> list[dict[str, float | None]]:
@@ -207,7 +216,7 @@ def _number(value: str | float | None) -> float | None:
 
 
 def _value(key: str, cell: str) -> str | float | None:
-    if key in KEY:
+    if key in TEXT:
         return cell
     return float(cell) if cell else None
 

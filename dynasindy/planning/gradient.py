@@ -64,7 +64,8 @@ class GradientPlanning(Planner):
     """
 
     # Departure: the paper's reward is quadratic with a bonus; its slope vanishes near zero and the bonus has none.
-    # The imagined cost has the task's weights, is linear beyond `width`, and has no bonus.
+    # The imagined cost has the task's weights, is linear beyond `width`, and has no bonus; without a width it is the
+    # task's own.
 
     def __init__(
         self,
@@ -92,7 +93,9 @@ class GradientPlanning(Planner):
     ) -> None:
         super().__init__(every)
         counts = {"window": window, "check_every": check_every, "patience": patience}
-        sizes = {"lr": lr, "more_lr": more_lr, "max_grad_norm": max_grad_norm, "width": 1.0 if width is None else width}
+        sizes = {"lr": lr, "more_lr": more_lr, "max_grad_norm": max_grad_norm}
+        if width is not None:
+            sizes["width"] = width
         if bad := [f"{name}={value}" for name, value in {**counts, **sizes}.items() if not value > 0]:
             raise ValueError(f"gradient planning got {', '.join(bad)}; these must be positive: mend planning")
         least = min(rollouts, updates, more_updates, terminal_updates, real_starts, jumps)
@@ -190,7 +193,7 @@ class GradientThenReplay(Planner):
         seed: Seed of both.
 
     Raises:
-        ValueError: `critic_updates` is negative.
+        ValueError: `critic_updates` is negative or no whole number.
     """
 
     def __init__(
@@ -203,9 +206,9 @@ class GradientThenReplay(Planner):
         critic_updates: int = 1000,
         seed: int = 0,
     ) -> None:
-        if critic_updates < 0:
+        if critic_updates < 0 or not float(critic_updates).is_integer():
             raise ValueError(f"planning.critic_updates is {critic_updates}; give a whole number >= 0")
-        self.agent, self.replay, self.critic_updates = agent, replay, critic_updates
+        self.agent, self.replay, self.critic_updates = agent, replay, int(critic_updates)
         self.planners = [build(env=env, agent=agent, replay=replay, seed=seed) for build in (gradient, replayed)]
         super().__init__(min(planner.every for planner in self.planners))
 
@@ -213,10 +216,10 @@ class GradientThenReplay(Planner):
         """Plan both ways, the gradient first, so that the transitions are those of its policy."""
         parts = [planner.plan() for planner in self.planners]
         # Critics that do not know the planned actor would pull it away.
-        for _ in range(self.critic_updates):
+        warming = self.critic_updates if parts[0].updates else 0
+        for _ in range(warming):
             self.agent.update_critics(self.replay.sample())
-            self.agent.target_updater.step()
-        return Planned(sum(p.imagined for p in parts), sum(p.updates for p in parts) + self.critic_updates)
+        return Planned(sum(p.imagined for p in parts), sum(p.updates for p in parts) + warming)
 
     def distrust(self) -> None:
         """Drop what was imagined."""

@@ -33,7 +33,6 @@ class TerminalValue:
         for _ in range(self.updates if len(places) else 0):
             k, i = places[torch.randint(len(places), (BATCH,), generator=self.rng)].unbind(-1)
             self.agent.update_critics(self._transitions(rows, window, k, i))
-            self.agent.target_updater.step()
 
     def slope(self, rows: Rows, window: Window) -> Tensor:
         """Return the derivative of the window's mean cost by its last states, `(rows, n_x)`.

@@ -129,7 +129,8 @@ def backward(
 ) -> Tensor:
     """Add the gradient of the window's mean cost, the negative reward, to the policy's parameters.
 
-    Rows count as far as they are alive: one that diverges has no useful gradient, and must not cost the others theirs.
+    A row that diverges does not count: its slopes point wherever the model explodes, and would drown the others'. Up to
+    where it diverges is no better: a policy that leaves early would pay less.
 
     Args:
         env: Imagined environment.
@@ -145,7 +146,7 @@ def backward(
     """
     with torch.enable_grad():
         a, b = sensitivities(env, system, window.states[:-1], window.applied)
-        # A period that ends in divergence has derivatives without bounds, and nothing after it counts.
+        # A period that ends in divergence has derivatives without bounds; times zero they would not be zero.
         a, b = (slope.where(window.alive[1:, :, None, None], torch.zeros(())) for slope in (a, b))
         reward, cost = _cost(env, rows, window)
         if terminal is not None:
@@ -194,7 +195,7 @@ def _cost(env: ControlEnv, rows: Rows, window: Window) -> tuple[Tensor, Tensor]:
     free = torch.zeros(states[1:].shape[:-1], dtype=torch.bool)
     params = rows.params.expand(len(free), *rows.params.shape)
     rewards = env.task.reward(states[:-1], states[1:], params, window.times[1:], free)
-    reward = (rewards * window.alive[1:]).mean()
+    reward = (rewards * window.alive[-1]).mean()
     (slope,) = torch.autograd.grad(-reward, states)
     return reward.detach(), slope
 

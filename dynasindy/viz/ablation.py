@@ -18,7 +18,11 @@ from dynasindy.viz.style import BLACK, Array, legend_beside, panels, save, style
 
 ValueOf = Callable[[Row], float]
 MAIN = "rollouts"
+REFERENCE = "rollouts_800"
+EQUAL = "horizon"
+"""Family that is compared at equal numbers of imagined transitions, which are not those of the reference."""
 OTHERS = "model, gate, plain TD3"
+CHANGED = "changed on the command line"
 
 
 @styled
@@ -67,8 +71,8 @@ def controls(
 def draw_ablation(results: Path, level: float, formats: tuple[str, ...] = ("png",)) -> list[Path]:
     """Draw returns and errors for every plant and experiment in `ablation_curves.csv`.
 
-    The numbers of rollouts, as in the paper, stand in two figures of their own; all other settings, the controls,
-    in a third, a panel per family.
+    The numbers of rollouts, as in the paper, stand in two figures of their own; the errors of all other settings, the
+    controls, in a third, a panel per family.
 
     Args:
         results: Folder of the tables; the figures go there too.
@@ -83,7 +87,7 @@ def draw_ablation(results: Path, level: float, formats: tuple[str, ...] = ("png"
     for (system, experiment), group in groupby(rows, key=lambda row: (row["system"], row["experiment"])):
         lines = list(group)
         title = f"plant {system}, experiment {experiment}"
-        average = f"Dyna-style vs. direct TD3: average rewards, {title}"
+        average = f"Imagined rollouts: average rewards, {title}"
         returns = _curves(lines, lambda row: float(row["evaluated_return"] or 0.0))
         errors = _curves(lines, _worst)
         episodes = sorted({float(row["episode"] or 0.0) for row in lines})
@@ -94,8 +98,9 @@ def draw_ablation(results: Path, level: float, formats: tuple[str, ...] = ("png"
         figure = steady_state_errors(main, level, episodes, f"Steady-state error, {title}")
         files += save(figure, results / f"steady_state_error_{system}_{experiment}", formats)
         if errors:
-            default = dict([list(main.items())[-1]])
-            figure = controls(_families(errors, default), level, episodes, f"Controls: steady-state error, {title}")
+            figure = controls(
+                families(errors, main.get(REFERENCE)), level, episodes, f"Controls: steady-state error, {title}"
+            )
             files += save(figure, results / f"controls_{system}_{experiment}", formats)
     return files
 
@@ -105,22 +110,30 @@ def _draw_errors(axis: Axes, curves: Mapping[str, ArrayLike], level: float, epis
     axis.axhline(level, color=BLACK, linestyle="--", linewidth=0.9, label=f"required: {level:g} rad")
     axis.set_yscale("log")
     axis.set_ylabel("mean abs error of the last 5 s, worse axis [rad]")
-    legend_beside(axis)
+    legend_beside(axis)  # again, with the level
+
+
+def families(controls: Mapping[str, Array], reference: Array | None) -> dict[str, dict[str, Array]]:
+    """Return the controls by what they vary, each beside the reference but where the amount of data would differ.
+
+    Args:
+        controls: Curves per setting.
+        reference: Curves of `rollouts_800`; none if omitted.
+    """
+    found: dict[str, dict[str, Array]] = {}
+    for name, curves in controls.items():
+        family = _family(name)
+        first = {} if family == EQUAL or reference is None else {REFERENCE: reference}
+        found.setdefault(family.replace("_", " "), first)[name] = curves
+    return dict(sorted(found.items()))
 
 
 def _family(setting: str) -> str:
-    """Return what a setting varies: `real_share` for `real_share_05`; others stand together."""
+    """Return what a setting varies: `real_share` for `real_share_05`; those of a kind of their own stand together."""
+    if "," in setting:
+        return CHANGED
     stem = re.fullmatch(r"(.+)_\d+", setting)
     return stem[1] if stem else OTHERS
-
-
-def _families(controls: Mapping[str, Array], default: Mapping[str, Array]) -> dict[str, dict[str, Array]]:
-    """Return the controls by family, each beside the default."""
-    names = sorted({_family(name) for name in controls})
-    return {
-        name.replace("_", " "): {**default, **{k: v for k, v in controls.items() if _family(k) == name}}
-        for name in names
-    }
 
 
 def _curves(rows: list[Row], value: ValueOf) -> dict[str, Array]:

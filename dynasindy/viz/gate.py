@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
-from dynasindy.viz.style import BLACK, BLUE, GREY, ORANGE, RED, array, name_single, panels, styled
+from dynasindy.viz.style import BLACK, BLUE, GREY, ORANGE, RED, Array, array, name_single, panels, styled
 
 
 @styled
@@ -47,8 +47,7 @@ def gate(decisions: Mapping[str, ArrayLike], title: str = "Trust in the model") 
         lower.plot(x[back], after[back], color=RED, marker="x", linestyle="none", label="rolled back")
     if np.isfinite(before).any():
         lower.set_yscale("log")
-        low, high = np.log10(lower.get_ylim())
-        lower.set_ylim(10 ** np.floor(low), 10 ** np.ceil(high))  # whole decades, which have ticks
+        lower.set_ylim(*_decades(np.concatenate([before, after])))
     name_single(lower, x, after, BLUE)
     lower.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     lower.set_xlim(wide[0], wide[-1])
@@ -56,3 +55,10 @@ def gate(decisions: Mapping[str, ArrayLike], title: str = "Trust in the model") 
     lower.set_ylabel("held-out state error [ranges]")
     lower.legend()
     return figure
+
+
+def _decades(values: Array) -> tuple[float, float]:
+    """Return the whole decades around positive values, which have ticks; at least one."""
+    logs = np.log10(values[np.isfinite(values) & (values > 0)])
+    low, high = (np.floor(logs.min()), np.ceil(logs.max())) if len(logs) else (0.0, 0.0)
+    return float(10**low), float(10 ** max(high, low + 1))

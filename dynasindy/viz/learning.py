@@ -1,6 +1,6 @@
 """How learning went: the return over episodes of one run, and of several settings over seeds."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import cycle
 
 import numpy as np
@@ -84,13 +84,7 @@ def average_rewards(
     return figure
 
 
-def draw_bands(
-    axis: Axes,
-    curves: Mapping[str, ArrayLike],
-    episode: ArrayLike | None = None,
-    seed: int = 0,
-    colors: Sequence[str] = CYCLE,
-) -> None:
+def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike | None = None, seed: int = 0) -> None:
     """Draw interquartile mean and 95 % bootstrap band over seeds into an axis, one line per setting.
 
     Args:
@@ -98,9 +92,8 @@ def draw_bands(
         curves: `(n_seeds, n_episodes)` values after each episode, per setting.
         episode: `(n_episodes,)` numbers of the episodes, by default 1, 2, ...
         seed: Seed of the bootstrap.
-        colors: One per setting; they repeat.
     """
-    for (name, values), color in zip(curves.items(), cycle(colors)):
+    for (name, values), color in zip(curves.items(), cycle(CYCLE)):
         rows = np.atleast_2d(array(values))
         x = np.arange(1, rows.shape[1] + 1) if episode is None else array(episode)[: rows.shape[1]]
         middle, low, high = band(rows, seed)

@@ -167,14 +167,13 @@ def test_both_ways_of_planning_share_one_phase():
 def test_critics_learn_the_planned_actor_and_leave_it_alone():
     planned = {}
     for critic_updates in (0, 300):
-        env, agent, replay = setting()
+        env, agent, replay = setting(target_update_interval=1)
         replay.extend_real(flown(env, agent))
         gradient = partial(GradientPlanning, updates=2, **SMALL)
         imagined = partial(ImaginedReplay, rollouts=3, horizon=2, bounds=Bounds(reach=1e6))
         planner = GradientThenReplay(env, agent, replay, gradient, imagined, critic_updates=critic_updates)
         assert planner.plan().updates == 2 + critic_updates
-        batch = replay.sample()
-        error = agent.loss.value_loss(batch)[0].item()
+        error = agent.loss.value_loss(replay.real[:])[0].item()
         target = agent.loss.target_actor_network_params.flatten_keys().values()
         actor = agent.loss.actor_network_params.flatten_keys().values()
         apart = max(float((a - b).detach().abs().max()) for a, b in zip(actor, target))
@@ -190,7 +189,9 @@ def test_a_negative_number_of_critic_updates_is_refused():
         GradientThenReplay(env, agent, replay, GradientPlanning, ImaginedReplay, critic_updates=-1)
 
 
-@pytest.mark.parametrize("wrong", [{"rollouts": -1}, {"lr": 0.0}, {"updates": -1}, {"real_starts": 0.8, "jumps": 0.8}])
+@pytest.mark.parametrize(
+    "wrong", [{"rollouts": -1}, {"lr": 0.0}, {"updates": -1}, {"width": 0.0}, {"real_starts": 0.8, "jumps": 0.8}]
+)
 def test_impossible_settings_are_refused(wrong):
     env, agent, replay = setting()
     with pytest.raises(ValueError, match="mend planning"):

@@ -38,7 +38,9 @@ def test_the_slope_is_that_of_the_first_critic_along_the_policy():
 
 
 def test_the_critics_come_to_value_a_constant_reward_at_its_discounted_sum():
-    env, td3, rows, window, rng = setting(gamma=0.5, critic_lr=1e-2, policy_noise=0.0, tau=0.2)
+    env, td3, rows, window, rng = setting(
+        gamma=0.5, critic_lr=1e-2, policy_noise=0.0, tau=0.2, target_update_interval=1
+    )
     env.task.reward = lambda x, x_next, params, t_next, free: torch.ones(len(x))
     before = [p.clone() for p in td3.policy.parameters()]
     TerminalValue(env, td3, 300, rng).learn(rows, window)

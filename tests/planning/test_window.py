@@ -126,8 +126,7 @@ def test_rows_that_diverge_neither_count_nor_cost_the_others_their_gradient():
             assert not window.alive[-1, :3].any() and window.alive[:, 3:].all()
             assert window.states.isfinite().all() and window.actions.isfinite().all()
     assert whole.isfinite().all()
-    # The five sound rows are all of the gradient but for the first moments of the others.
-    assert torch.nn.functional.cosine_similarity(whole, gradient, dim=0) > 0.9
+    torch.testing.assert_close(whole, 5 / 8 * gradient)  # a mean over all rows, of which three are zero
 
 
 def test_a_row_out_of_reach_is_out_from_there_on():

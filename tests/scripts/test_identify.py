@@ -68,7 +68,7 @@ def test_a_log_of_an_unknown_plant_needs_no_file_of_its_own(tmp_path):
     assert [found[name] for name in ("position", "rate", "u")] == pytest.approx([-4, -1, 3], rel=0.02)
 
 
-def test_the_excitation_that_a_run_wrote_is_a_log(tmp_path):
+def test_a_table_with_the_headings_of_a_run_is_a_log(tmp_path):
     signature, generator = Tras().signature, torch.Generator().manual_seed(0)
     u = 0.3 * torch.randn(40, 2, generator=generator).repeat_interleave(5, 0)
     data = record(Tras(), u, dt=0.05, substeps=20)

@@ -44,6 +44,25 @@ def test_so_does_a_script_that_exits(tmp_path):
     assert unread("-c", code, cwd=tmp_path) == (141, "")
 
 
+def test_an_error_is_told_though_nobody_reads_the_output(tmp_path):
+    code = "from reader import while_read\nwith while_read():\n    raise RuntimeError('the plant')"
+    status, error = unread("-c", code, cwd=tmp_path)
+    assert status == 1 and "RuntimeError: the plant" in error
+
+
+def test_a_pipe_that_is_not_the_output_breaks_loudly(tmp_path):
+    code = "from reader import while_read\nwith while_read():\n    raise BrokenPipeError('a worker died')"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(SCRIPTS)}
+    )
+    assert done.returncode == 1 and "a worker died" in done.stderr
+
+
+def test_the_exit_code_of_a_mistake_stays(tmp_path):
+    code = "import sys\nfrom reader import while_read\nwith while_read():\n    sys.exit(2)"
+    assert unread("-c", code, cwd=tmp_path)[0] == 2
+
+
 @pytest.mark.parametrize("script", ["benchmark.py td3", "add_runs.py", "evaluate.py"])
 def test_the_help_of_a_script_ends_without_a_word(script, tmp_path):
     name, *rest = script.split()

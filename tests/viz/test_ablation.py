@@ -1,7 +1,7 @@
 import numpy as np
 
 from dynasindy.evaluation.ablation import write_rows
-from dynasindy.viz.ablation import controls, draw_ablation, steady_state_errors
+from dynasindy.viz.ablation import controls, draw_ablation, families, steady_state_errors
 
 
 def test_the_error_figure_has_a_line_per_setting_and_the_level():
@@ -37,18 +37,31 @@ def test_a_pair_of_figures_for_every_plant_and_experiment(tmp_path):
     assert names == {f"{kind}_{system}_dyna.png" for kind in kinds for system in ("tras", "xi")}
 
 
-def test_controls_stand_apart_by_family_each_beside_the_default(tmp_path):
-    settings = ("direct", "horizon_1", "horizon_20", "oracle", "rollouts_0", "rollouts_800")
+def test_controls_stand_by_what_they_vary_beside_the_reference_where_it_compares():
+    names = ("direct", "horizon_1", "horizon_20", "oracle", "real_share_05", "horizon_20,agent.tau=0.1")
+    curves = {name: np.full((1, 2), float(k)) for k, name in enumerate(names)}
+    found = families(curves, np.full((5, 2), 9.0))
+    assert {family: list(members) for family, members in found.items()} == {
+        "changed on the command line": ["rollouts_800", "horizon_20,agent.tau=0.1"],
+        "horizon": ["horizon_1", "horizon_20"],  # at equal numbers of transitions, of which the reference has more
+        "model, gate, plain TD3": ["rollouts_800", "direct", "oracle"],
+        "real share": ["rollouts_800", "real_share_05"],
+    }
+    assert list(families({"direct": curves["direct"]}, None)["model, gate, plain TD3"]) == ["direct"]
+
+
+def test_the_settings_of_the_paper_stand_alone_and_the_controls_in_a_figure_of_their_own(tmp_path):
     rows = [
         {
             "system": "xi", "experiment": "dyna", "setting": setting, "seed": 0, "episode": episode,
             "evaluated_return": -10.0, "evaluated_steady_state_error/y": 0.1,
         }
-        for setting in settings
+        for setting in ("direct", "rollouts_0", "rollouts_800")
         for episode in (1, 2)
     ]  # fmt: skip
     write_rows(tmp_path / "ablation_curves.csv", rows)
-    assert "controls_xi_dyna.png" in {file.name for file in draw_ablation(tmp_path, 0.05)}
+    drawn = {file.stem for file in draw_ablation(tmp_path, 0.05, ("svg",))}
+    assert drawn == {"average_rewards_xi_dyna", "steady_state_error_xi_dyna", "controls_xi_dyna"}
 
 
 def test_the_figure_of_controls_has_a_panel_per_family_on_one_scale():

@@ -22,7 +22,7 @@ def test_closed_episodes_are_shaded_and_rolled_back_refits_are_marked():
     assert shade.get_x() == 1.5 and shade.get_width() == 1.0
     crosses = next(line for line in lower.lines if line.get_label() == "rolled back")
     assert crosses.get_xydata().tolist() == [[3.0, 0.4]]
-    assert lower.get_ylim() == (0.01, 1.0)
+    assert lower.get_ylim() == (0.1, 1.0)
 
 
 def test_a_single_episode_has_its_thresholds_and_its_figure_in_words():
