@@ -131,7 +131,7 @@ CASES = {
     "late_robust": Case(late=1, variation=Variation(late=True)),
     "detuned": Case(detuned=True, integral=True, plants=("tras",)),
     "detuned_robust": Case(detuned=True, integral=True, variation=Variation(parameters=0.1), plants=("tras",)),
-    "friction": Case(episodes=1, integral=True, plants=("trms33",)),
+    "friction": Case(episodes=5, integral=True, plants=("trms33",)),
 }
 
 REPORTED = ["step", "oracle", "moving", "noise", "detuned", "friction"]
