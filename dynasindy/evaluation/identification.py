@@ -200,6 +200,9 @@ def _verdict(found: Identified) -> list[str]:
     reasons = [f"{s}' is {_percent(rates[s])} unexplained" for s in poor]
     if not all(math.isfinite(error) for error in free.values()):
         reasons.insert(0, "open loop it runs away")
+    elif lost := [s for s, error in free.items() if error > 1]:
+        # Either the model is wrong or the state hardly moves there; both want other data to be told apart.
+        reasons.insert(0, f"open loop {', '.join(lost)} is off by more than its own spread in the validation part")
     advice = "name the plant by system=NAME, choose another library, or excite longer"
     return [f"this model does not predict: {', '.join(reasons)}; {advice}"] if reasons else []
 

@@ -89,7 +89,7 @@ def _advice(library: Library, weak: list[str], norms: Tensor, rank: int, conditi
     """Say what to excite more; nothing where the functions are well apart."""
     signature = library.signature
     if rank == len(library) and condition < 1e6:
-        return ["the functions are well apart: nothing more needs to be excited"]
+        return ["the functions are well apart: the data can tell them from each other"]
     features = {f.name(): f for f in library.features}
     silent = [n for n in signature.input_names if n in library.names and float(norms[library.index(n)]) == 0]
     sentences = [f"{name} was zero all the time: excite it" for name in silent]

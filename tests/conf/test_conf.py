@@ -14,7 +14,7 @@ from dynasindy.planning import Gate
 CONF = Path(__file__).resolve().parents[2] / "conf"
 GROUPS = ("system", "task", "excitation", "world_model", "planning", "agent", "scenario", "experiment")
 OPTIONS = [f"{group}={file.stem}" for group in GROUPS for file in sorted((CONF / group).glob("*.yaml"))]
-ABSTRACT = {"task=tracking", "system=logged"}
+ABSTRACT = {"task=_tracking", "system=logged"}
 
 
 def build(*overrides):

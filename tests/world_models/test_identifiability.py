@@ -36,7 +36,7 @@ def test_rank_and_condition_are_numpy_s_of_unit_columns():
     theta = LIBRARY(x, u).numpy()
     assert found.condition == pytest.approx(np.linalg.cond(theta / np.linalg.norm(theta, axis=0)), rel=1e-6)
     assert (found.rank, found.n_features) == (5, 5)
-    assert found.advice == ("the functions are well apart: nothing more needs to be excited",)
+    assert found.advice == ("the functions are well apart: the data can tell them from each other",)
 
 
 def test_one_signal_on_both_inputs_is_named():
