@@ -121,11 +121,16 @@ def families(controls: Mapping[str, Array], reference: Array | None) -> dict[str
         reference: Curves of `rollouts_800`; none if omitted.
     """
     found: dict[str, dict[str, Array]] = {}
-    for name, curves in controls.items():
+    for name in sorted(controls, key=_by_number):
         family = _family(name)
         first = {} if family == EQUAL or reference is None else {REFERENCE: reference}
-        found.setdefault(family.replace("_", " "), first)[name] = curves
+        found.setdefault(family.replace("_", " "), first)[name] = controls[name]
     return dict(sorted(found.items()))
+
+
+def _by_number(setting: str) -> list[tuple[str, int]]:
+    """Return a key that sorts `horizon_20` before `horizon_100`."""
+    return [(word, 0) if k % 2 == 0 else ("", int(word)) for k, word in enumerate(re.split(r"(\d+)", setting))]
 
 
 def _family(setting: str) -> str:
