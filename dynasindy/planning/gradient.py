@@ -250,9 +250,8 @@ class Episodes:
         real = planner.replay.real
         self.real_states = real[:]["state"].to(self.rows.x) if len(real) else self.rows.x
         largest = self.real_states.abs().amax(0)
-        self.rows.reach = torch.where(
-            largest > 0, DIVERGED * largest, torch.inf
-        )  # a state that never moved says nothing
+        # A state that never moved says nothing of its range.
+        self.rows.reach = torch.where(largest > 0, DIVERGED * largest, torch.inf)
 
     def carry_on(self, x: Tensor, held: Tensor, alive: Tensor) -> None:
         """Go on from the end of a window; episodes that are over, or that diverged, begin anew."""

@@ -105,11 +105,12 @@ def imagine(
         applied.append(entering)
         actions.append(u)
         seen.append(measured)
-    alive = _alive(torch.stack(states), rows.reach)
+    whole = torch.stack(states)
+    alive = _alive(whole, rows.reach)
     kept = alive.unsqueeze(-1)
     x, nothing = rows.x, torch.zeros_like(rows.held)
     return Window(
-        states=torch.where(kept, torch.stack(states), x),
+        states=torch.where(kept, whole, x),
         applied=torch.where(kept[1:], torch.stack(applied), nothing),
         actions=torch.where(kept[1:], torch.stack(actions), nothing),
         seen=torch.where(kept[:-1], torch.stack(seen), x),
@@ -142,7 +143,7 @@ def backward(
         terminal: Derivative of what follows the window by its last states, `(rows, n_x)`; nothing follows if omitted.
 
     Returns:
-        The mean reward of the window's periods, a scalar.
+        The mean reward of the window's periods, a scalar; a row that diverged earns zero.
     """
     with torch.enable_grad():
         a, b = sensitivities(env, system, window.states[:-1], window.applied)
@@ -173,7 +174,9 @@ def sensitivities(env: ControlEnv, system: System, x: Tensor, u: Tensor) -> tupl
 
 def _alive(states: Tensor, reach: Tensor | None) -> Tensor:
     """Return where states `(T + 1, rows, n_x)` are finite and within reach, and were so all along."""
-    believed = states.isfinite() if reach is None else states.abs() <= reach  # false for NaN, too
+    believed = states.isfinite()
+    if reach is not None:
+        believed &= states.abs() <= reach
     return believed.all(-1).int().cummin(0).values.bool()
 
 
@@ -190,7 +193,7 @@ def _policy(env: ControlEnv, network: Network, rows: Rows, window: Window) -> tu
 
 
 def _cost(env: ControlEnv, rows: Rows, window: Window) -> tuple[Tensor, Tensor]:
-    """Return the mean reward and the derivative of the mean cost by the states, `(T + 1, rows, n_x)`."""
+    """Return mean reward, rows that diverged at zero, and its negative's derivative by states `(T + 1, rows, n_x)`."""
     states = window.states.detach().requires_grad_()
     free = torch.zeros(states[1:].shape[:-1], dtype=torch.bool)
     params = rows.params.expand(len(free), *rows.params.shape)
