@@ -93,8 +93,10 @@ def gather(root: Path, results: Path, level: Level) -> list[Row]:
     results.mkdir(parents=True, exist_ok=True)
     curves = [{**place, **line} for place, curve in read for line in curve]
     write_rows(results / "ablation_curves.csv", _merged(read_rows(results / "ablation_curves.csv"), curves))
-    commits = [{"commit": _commit(folder)} for folder in folders]
-    runs = [{**place, **summarise_run(curve, level), **commit} for (place, curve), commit in zip(read, commits)]
+    runs = [
+        {**place, **summarise_run(curve, level), "commit": _commit(folder)}
+        for folder, (place, curve) in zip(folders, read)
+    ]
     rows = _merged(read_rows(results / "ablation.csv"), runs)
     write_rows(results / "ablation.csv", rows)
     (results / "ablation.md").write_text(to_markdown(rows, level))
@@ -179,6 +181,7 @@ def _place(folder: Path, root: Path) -> Row:
 
 
 def _commit(folder: Path) -> str:
+    """Return the commit that made a run."""
     origin = folder / "origin.json"
     return json.loads(origin.read_text())["commit"] if origin.is_file() else "unknown"
 

@@ -110,21 +110,21 @@ def _draw_errors(axis: Axes, curves: Mapping[str, ArrayLike], level: float, epis
     axis.axhline(level, color=BLACK, linestyle="--", linewidth=0.9, label=f"required: {level:g} rad")
     axis.set_yscale("log")
     axis.set_ylabel("mean abs error of the last 5 s, worse axis [rad]")
-    legend_beside(axis)  # again, with the level
+    legend_beside(axis)
 
 
-def families(controls: Mapping[str, Array], reference: Array | None) -> dict[str, dict[str, Array]]:
+def families(curves: Mapping[str, Array], reference: Array | None) -> dict[str, dict[str, Array]]:
     """Return the controls by what they vary, each beside the reference but where the amount of data would differ.
 
     Args:
-        controls: Curves per setting.
-        reference: Curves of `rollouts_800`; none if omitted.
+        curves: `(n_seeds, n_episodes)` per control.
+        reference: The same of `rollouts_800`; none if there are no runs of it.
     """
     found: dict[str, dict[str, Array]] = {}
-    for name in sorted(controls, key=_by_number):
+    for name in sorted(curves, key=_by_number):
         family = _family(name)
         first = {} if family == EQUAL or reference is None else {REFERENCE: reference}
-        found.setdefault(family.replace("_", " "), first)[name] = controls[name]
+        found.setdefault(family.replace("_", " "), first)[name] = curves[name]
     return dict(sorted(found.items()))
 
 

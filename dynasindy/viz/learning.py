@@ -80,6 +80,7 @@ def average_rewards(
         for name, values in curves.items()
     }
     draw_bands(axis, smooth, episode, seed)
+    legend_beside(axis)
     axis.set_ylabel(f"return, mean of {window} episodes [-]" if window > 1 else "return [-]")
     return figure
 
@@ -100,7 +101,6 @@ def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike |
         axis.plot(x, middle, color=color, label=f"{name} ({len(rows)} seed{'s' * (len(rows) > 1)})")
         axis.fill_between(x, low, high, color=color, alpha=0.2, linewidth=0)
     axis.set_xlabel("real episode")
-    legend_beside(axis)
 
 
 def moving_mean(values: Array, window: int) -> Array:
