@@ -41,6 +41,14 @@ def test_a_model_that_does_not_predict_is_said_to_in_the_last_line():
     assert last.startswith("this model does not predict: open loop it runs away, Omega' is 20 % unexplained; name")
 
 
+def test_an_open_loop_error_beyond_the_spread_of_the_data_is_no_prediction():
+    source = Simulated(validation_seconds=1.0).load(Pendulum(), EXCITATION)
+    found = _identified(source)
+    wrong = replace(found, metrics=found.metrics | {"open_loop_nrmse": {"theta": 1.2, "Omega": 0.9}})
+    last = to_words(wrong, source).splitlines()[-1]
+    assert last.startswith("this model does not predict: open loop theta is off by more than its own spread")
+
+
 def test_noise_has_the_level_asked_for_and_keeps_trajectories_whole():
     clean, noisy = (Simulated(noise=n, seed=3).load(Pendulum(), EXCITATION).training for n in (0.0, 0.1))
     error = noisy.x_next - clean.x_next
