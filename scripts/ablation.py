@@ -5,10 +5,10 @@ from pathlib import Path
 from command import command
 from hydra.experimental.callback import Callback
 from hydra.utils import instantiate
-from job import run_job, settings_of
+from job import run_job
 from omegaconf import DictConfig
 
-from dynasindy.evaluation.ablation import gather, is_finished
+from dynasindy.evaluation.ablation import gather
 from dynasindy.viz.ablation import draw_ablation
 
 
@@ -27,10 +27,10 @@ class Gathering(Callback):
 def main(cfg: DictConfig) -> None:
     """Run one job, unless it is finished."""
     folder = Path(cfg.folder)
-    if is_finished(folder, settings_of(cfg)):
+    _, metrics, known = run_job(cfg, progress=False)
+    if known:
         print(f"finished before: {folder}")
         return
-    _, metrics = run_job(cfg, progress=False)
     errors = [f"{v:.3g}" for k, v in metrics["evaluation"].items() if k.startswith("steady_state_error/")]
     print(f"finished: {folder}, steady-state error {' / '.join(errors)} rad, {metrics['cost']['wall_seconds']:.0f} s")
 

@@ -1,16 +1,23 @@
-"""What the scripts share: a Hydra command whose user's errors are one line each."""
+"""What the scripts share: a Hydra command whose user's errors, and whose end by a signal, are one line each."""
 
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from functools import wraps
 from pathlib import Path
+from typing import ClassVar
+
+# First, since the other imports take seconds.
+from stopping import end_with_parent, leave, listen, say, stop  # isort: split
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.experimental.callback import Callback
+from hydra.types import RunMode
 from mistakes import CONF, MENDABLE, in_words
 from omegaconf import DictConfig
+from places import complete
 from reader import while_read
 
 # The jobs of a sweep run in processes of their own, which have to find the modules beside this one.
@@ -20,45 +27,94 @@ os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(Path(__file__).pare
 def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
     """Make a function of a config a command: a bad setting or file costs one line and exit code 2.
 
-    A run folder without files is removed; one with files keeps them, and the line, as `error.txt`. Set
-    DYNASINDY_TRACEBACK=1 to see where an error comes from.
+    A run folder without files is removed; one with files keeps them, and the line, as `error.txt`. A job of a sweep
+    that fails does not end the others. Set DYNASINDY_TRACEBACK=1 to see where an error comes from.
     """
 
     def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
         @wraps(task)
         def guarded(cfg: DictConfig) -> None:
-            with _one_line(config_name):
+            if not Sweep.here:  # a worker of a launcher, in which no command was started
+                end_with_parent()
+                listen(stop)
+            swept = HydraConfig.get().mode == RunMode.MULTIRUN
+            with suppress(SystemExit) if swept else nullcontext(), _mistakes_in_words(config_name):
                 task(cfg)
 
         main = hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)(guarded)
 
-        return _one_line(config_name)(main)
+        @wraps(task)
+        def start() -> None:
+            Sweep.here = True
+            listen(stop)
+            with while_read(), _stopped_in_words(), _mistakes_in_words(config_name):
+                complete(sys.argv)
+                main()
+            listen(leave)
+            if Sweep.failed:
+                folders = ", ".join(Sweep.failed)
+                print(f"error: {len(Sweep.failed)} jobs failed; error.txt says why in {folders}", file=sys.stderr)
+                sys.exit(2)
+
+        return start
 
     return decorate
 
 
+class Sweep(Callback):
+    """When every job of a sweep is done, say where they are, and remember which failed."""
+
+    here = False
+    """Whether the command was started in this process."""
+    running: ClassVar[str | None] = None
+    """Folder of the sweep that is under way."""
+    failed: ClassVar[list[str]] = []
+
+    def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:
+        """Remember the folder."""
+        Sweep.running = str(config.hydra.sweep.dir)
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
+        """Look for the lines that failed jobs left."""
+        folder = Path(config.hydra.sweep.dir)
+        print(f"Sweep: {folder}")
+        Sweep.failed.extend(str(file.parent) for file in sorted(folder.rglob("error.txt")))
+
+
 @contextmanager
-def _one_line(config_name: str) -> Iterator[None]:
-    with while_read():
-        try:
-            yield
-        except MENDABLE as error:
-            if os.environ.get("DYNASINDY_TRACEBACK"):
-                raise
-            line = f"error: {in_words(error, config_name)}"
+def _mistakes_in_words(config_name: str) -> Iterator[None]:
+    try:
+        yield
+    except MENDABLE as error:
+        if os.environ.get("DYNASINDY_TRACEBACK"):
+            raise
+        line = f"error: {in_words(error, config_name)}"
+        with suppress(OSError):  # the disk may be what is wrong
             _leave_word(line)
-            print(line, file=sys.stderr)
-            sys.exit(2)
+        print(line, file=sys.stderr)
+        sys.exit(2)
+
+
+@contextmanager
+def _stopped_in_words() -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt as stopped:
+        listen(leave)
+        line = str(stopped) or "stopped"
+        if Sweep.running:
+            line = f"stopped; the finished jobs are kept in {Sweep.running}, the same command goes on with the others"
+        say(line, getattr(stopped, "signal", 2))
 
 
 def _leave_word(line: str) -> None:
-    """Remove the run folder if it is empty; else write the line into it."""
+    """Remove the run folder if it is empty; else write the line into it. A job of a sweep always leaves its line."""
     if not HydraConfig.initialized():
         return
     folder = Path(HydraConfig.get().runtime.output_dir)
     if not folder.is_dir() or folder.resolve() == Path.cwd():
         return
-    if any(folder.iterdir()):
+    if any(folder.iterdir()) or HydraConfig.get().mode == RunMode.MULTIRUN:
         (folder / "error.txt").write_text(line + "\n")
     else:
         folder.rmdir()

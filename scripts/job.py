@@ -1,6 +1,5 @@
 """What the scripts that train share: one run of Algorithm 1 from a composed config."""
 
-import json
 import subprocess
 from dataclasses import fields
 from pathlib import Path
@@ -11,25 +10,45 @@ from command import CONF
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
+from saved_run import load_config
 
 from dynasindy.dyna.experiment import Recipe
-from dynasindy.dyna.run import Evaluating, run
+from dynasindy.dyna.folder import result
+from dynasindy.dyna.run import Evaluating, Provenance, Saving, run
 
 
-def run_job(cfg: DictConfig, progress: bool = True) -> tuple[Recipe, dict[str, Any]]:
-    """Build the experiment of a config, run it, and return it with what its `metrics.json` holds."""
+def run_job(cfg: DictConfig, progress: bool = True) -> tuple[Recipe, dict[str, Any], bool]:
+    """Build the experiment of a config and run it, unless it has ended before.
+
+    Returns:
+        The experiment, what its `metrics.json` holds, and whether it had ended before.
+    """
     if not isinstance(cfg.threads, int) or cfg.threads < 1:
         raise ValueError(f"threads must be a whole number >= 1, got {cfg.threads}; 1 unless the cores are idle")
-    settings = settings_of(cfg)
+    if cfg.resume is not None:
+        cfg = _resumed(cfg)
+    provenance = Provenance(settings_of(cfg), command_and_commit(HydraConfig.get()))
     torch.set_num_threads(cfg.threads)
     names = [field.name for field in fields(Recipe) if field.name != "seed"]
     parts = {name: instantiate(cfg[name], _convert_="all") for name in names}
     recipe = Recipe(**parts, seed=cfg.seed)
     evaluating = Evaluating(instantiate(cfg.scenario, _convert_="all"), cfg.evaluation.every)
-    origin = command_and_commit(HydraConfig.get())
-    metrics = run(recipe, evaluating, Path(cfg.folder), settings, progress)
-    (Path(cfg.folder) / "origin.json").write_text(json.dumps(origin, indent=2) + "\n")
-    return recipe, metrics
+    known = result(Path(cfg.folder), recipe.train.episodes) is not None
+    metrics = run(recipe, evaluating, Path(cfg.folder), provenance, Saving(**cfg.checkpoint), progress, cfg.finish)
+    return recipe, metrics, known
+
+
+def _resumed(cfg: DictConfig) -> DictConfig:
+    """Return the config of the run to resume, in the folder where it is now.
+
+    Raises:
+        ValueError: Other settings were given, which the run does not have.
+    """
+    own = ("resume=", "finish=", "threads=")
+    if others := [word for word in HydraConfig.get().overrides.task if not word.startswith(own)]:
+        raise ValueError(f"resume={cfg.resume} goes on with the run's own settings; leave out {' '.join(others)}")
+    here = {name: cfg[name] for name in ("resume", "finish", "threads")}
+    return DictConfig({**load_config(Path(cfg.resume)), **here, "folder": cfg.resume})
 
 
 def settings_of(cfg: DictConfig) -> str:

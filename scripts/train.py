@@ -3,6 +3,8 @@
 from pathlib import Path
 
 from command import command
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from job import run_job
 from omegaconf import DictConfig
 
@@ -14,7 +16,10 @@ from dynasindy.viz.run import draw_run
 def main(cfg: DictConfig) -> None:
     """Build the experiment, run it, draw its figures and print what came of it."""
     folder = Path(cfg.folder)
-    recipe, metrics = run_job(cfg)
+    recipe, metrics, known = run_job(cfg)
+    if known and HydraConfig.get().mode == RunMode.MULTIRUN:
+        print(f"finished before: {folder}")
+        return
     draw_run(folder, recipe.system.signature)
     print(report(metrics, folder))
 

@@ -1,9 +1,10 @@
-"""What the loop tells the outside: costs, episodes, and the one hook that logging hangs on."""
+"""What the loop tells the outside: its place, costs, episodes, and the one hook that logging hangs on."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 from tensordict import TensorDict
 
@@ -29,6 +30,58 @@ class Cost:
         """Add the cost of a planning phase."""
         self.imagined += planned.imagined
         self.updates += planned.updates
+
+
+@dataclass
+class Place:
+    """Where a run stands; a resumed run goes on from there.
+
+    Attributes:
+        excited: Whether the real system was excited and the first model fitted.
+        planned: Whether the planning phase before the first episode is done.
+        episodes: Finished real episodes.
+        cost: What the run has cost so far.
+    """
+
+    excited: bool = False
+    planned: bool = False
+    episodes: int = 0
+    cost: Cost = field(default_factory=Cost)
+
+    @property
+    def number(self) -> int:
+        """Return how many places come before this one."""
+        return self.excited + self.planned + self.episodes
+
+    def words(self) -> str:
+        """Return the latest thing that is done, in words."""
+        if self.episodes:
+            return f"episode {self.episodes}"
+        return "the first planning phase" if self.planned else "the excitation" if self.excited else "nothing"
+
+    def past_excitation(self) -> Place:
+        """Move past the excitation and the first fit."""
+        self.excited = True
+        return self
+
+    def past_planning(self) -> Place:
+        """Move past the planning phase before the first episode."""
+        self.planned = True
+        return self
+
+    def past_episode(self, number: int) -> Place:
+        """Move past an episode and what follows it."""
+        self.episodes = number
+        return self
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return it as plain numbers."""
+        return asdict(self)
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned."""
+        self.excited, self.planned, self.episodes = state["excited"], state["planned"], state["episodes"]
+        self.cost = Cost(**state["cost"])
 
 
 @dataclass(frozen=True)
@@ -59,6 +112,9 @@ class Callback:
     def episode(self, episode: Episode, cost: Cost) -> None:
         """Hear of a finished episode and the cost so far."""
 
+    def reached(self, place: Place) -> None:
+        """Hear that a place is reached at which a run can be left and resumed."""
+
 
 class Callbacks(Callback):
     """Several callbacks, called in order.
@@ -79,3 +135,8 @@ class Callbacks(Callback):
         """Pass a finished episode on."""
         for callback in self.callbacks:
             callback.episode(episode, cost)
+
+    def reached(self, place: Place) -> None:
+        """Pass on that a place is reached."""
+        for callback in self.callbacks:
+            callback.reached(place)

@@ -18,35 +18,41 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from dynasindy.dyna.callback import Callback, Cost, Episode
+from dynasindy.dyna.callback import Callback, Episode, Place
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.dyna.refit import fit, refit
 from dynasindy.planning import replay_error
 
 
-def train(parts: Parts, settings: Settings, callback: Callback) -> TensorDictModuleBase:
+def train(parts: Parts, settings: Settings, callback: Callback, place: Place | None = None) -> TensorDictModuleBase:
     """Run Algorithm 1.
 
     Args:
         parts: What it works on; trained in place.
         settings: Its lengths.
-        callback: Told of every fit and episode; logging, evaluation and progress hang on it.
+        callback: Told of every fit and episode; logging, evaluation, progress and checkpoints hang on it.
+        place: Where to go on, with the parts as they were there; the start if omitted. It moves with the run.
 
     Returns:
         The trained policy.
     """
     env, agent, replay, planner = parts.env, parts.agent, parts.replay, parts.planner
-    cost = Cost()
-    # Data collection: excite the real system.
-    excited = interact(env, parts.excitation, parts.excitation.n_steps)
-    # Initialization: B <- D_real; the actor and the critics were drawn with the agent.
-    replay.extend_real(excited)
-    cost.real_steps += excited.numel()
-    # Model learning: f_SINDy from D_real.
-    callback.fitted(fit(parts, settings), excited, cost)
-    # Departure: the first planning phase comes before the first episode, with the model of the excitation.
-    cost.add(planner.plan())
-    for number in range(1, settings.episodes + 1):
+    place = place or Place()
+    cost = place.cost
+    if not place.excited:
+        # Data collection: excite the real system.
+        excited = interact(env, parts.excitation, parts.excitation.n_steps)
+        # Initialization: B <- D_real; the actor and the critics were drawn with the agent.
+        replay.extend_real(excited)
+        cost.real_steps += excited.numel()
+        # Model learning: f_SINDy from D_real.
+        callback.fitted(fit(parts, settings), excited, cost)
+        callback.reached(place.past_excitation())
+    if not place.planned:
+        # Departure: the first planning phase comes before the first episode, with the model of the excitation.
+        cost.add(planner.plan())
+        callback.reached(place.past_planning())
+    for number in range(place.episodes + 1, settings.episodes + 1):
         # Real interaction.
         rollout = interact(env, agent.explore, parts.model_env.task.max_steps)
         replay.extend_real(rollout)
@@ -61,6 +67,7 @@ def train(parts: Parts, settings: Settings, callback: Callback) -> TensorDictMod
             refitted = refit(parts, settings, rollout)
             cost.add(planner.plan()) if parts.gate.judge(refitted.error) else planner.distrust()
         callback.episode(Episode(number, rollout, error, parts.gate.is_open, refitted), cost)
+        callback.reached(place.past_episode(number))
     # Deployment.
     return agent.deployed
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
+from torchrl.checkpoint import GlobalRNGState
 from torchrl.envs import EnvBase
 
 from dynasindy.agents import TD3
@@ -39,6 +41,30 @@ class Parts:
     replay: DynaReplay
     planner: Planner
     gate: Gate
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return everything that a resumed run needs to equal an uninterrupted one, between two phases."""
+        kept = {name: getattr(self, name).state_dict() for name in self._kept}
+        generators = {name: getattr(self, name).rng.get_state() for name in self._drawing}
+        # Parts draw from generators of their own; a stranger's plant or task may use the global ones.
+        return {**kept, "generators": generators, "global": GlobalRNGState().state_dict(), "gate": self.gate.is_open}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned.
+
+        Raises:
+            KeyError: The state lacks a part.
+            RuntimeError: The state is of parts of other shapes.
+        """
+        for name in self._kept:
+            getattr(self, name).load_state_dict(state[name])
+        for name in self._drawing:
+            getattr(self, name).rng.set_state(state["generators"][name])
+        GlobalRNGState().load_state_dict(state["global"])
+        self.gate.is_open = state["gate"]
+
+    _kept: ClassVar = ("world_model", "agent", "replay", "planner")
+    _drawing: ClassVar = ("plant", "model_env")
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from tensordict import TensorDict
 from tqdm import tqdm
 
-from dynasindy.dyna.callback import Callback, Cost, Episode
+from dynasindy.dyna.callback import Callback, Cost, Episode, Place
 
 
 class ProgressBar(Callback):
@@ -14,12 +14,15 @@ class ProgressBar(Callback):
     Args:
         episodes: Episodes of the run.
         shown: Show the bar at all.
+        place: Where a resumed run goes on.
     """
 
-    def __init__(self, episodes: int, shown: bool = True) -> None:
+    def __init__(self, episodes: int, shown: bool = True, place: Place | None = None) -> None:
+        place = place or Place()
         self.bar = tqdm(
-            total=episodes, unit="episode", desc="exciting the plant", dynamic_ncols=True, disable=not shown
-        )
+            total=episodes, initial=place.episodes, unit="episode", dynamic_ncols=True, disable=not shown,
+            desc="learning" if place.planned else "planning" if place.excited else "exciting the plant",
+        )  # fmt: skip
 
     def fitted(self, report: object, excited: TensorDict, cost: Cost) -> None:
         """Say that the model is identified."""

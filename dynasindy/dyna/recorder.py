@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import json
+import shutil
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from torchrl.record import CSVLogger
 
 from dynasindy.dyna.callback import Callback, Cost, Episode
 from dynasindy.dyna.parts import Parts
-from dynasindy.evaluation.files import with_units, write_csv
+from dynasindy.evaluation.files import whole, with_units, write_csv, write_json, write_text
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, summarise
 from dynasindy.world_models import FitReport
@@ -53,11 +54,16 @@ class Recorder(Callback):
     def __init__(self, folder: Path, parts: Parts, scenario: Scenario, every: int, episodes: int) -> None:
         self.folder, self.parts, self.plant, self.scenario = folder, parts, parts.plant, scenario
         self.every, self.episodes = every, episodes
-        self.logger = CSVLogger(exp_name="scalars", log_dir=str(folder))
         self.rows: list[dict[str, float | None]] = []
         self.decisions: list[list[float | None]] = []
-        self.start = time.perf_counter()
+        self.start, self.seconds_before = time.perf_counter(), 0.0
         self.cost, self.evaluation_steps = Cost(), 0
+        self.untrained: Summary = {}
+        self.latest: Summary = {}
+
+    def begin(self) -> None:
+        """Open the logs and evaluate the untrained policy."""
+        self.logger = CSVLogger(exp_name="scalars", log_dir=str(self.folder))
         self.untrained = self.latest = summarise(self.evaluate())
 
     def evaluate(self) -> Evaluation:
@@ -71,11 +77,12 @@ class Recorder(Callback):
         self.cost = cost
         if isinstance(report, FitReport):
             head = "The first fit, of the excitation alone; the equations in model.json are those of the last one.\n"
-            (self.folder / "identification.txt").write_text(f"{head}{report.to_text()}\n")
+            write_text(self.folder / "identification.txt", f"{head}{report.to_text()}\n")
         self._write_rollout("excitation", excited)
 
     def episode(self, episode: Episode, cost: Cost) -> None:
         """Write a row, and the model's prediction of the first and of the last episode."""
+        self.cost = cost
         due = episode.number % self.every == 0 or episode.number == self.episodes
         if due:
             self.latest = summarise(self.evaluate())
@@ -92,6 +99,7 @@ class Recorder(Callback):
         row |= {f"evaluated_{key}": value if due else None for key, value in _headline(self.latest).items()}
         self._log(row)
         self._log_decision(episode)
+        self._write_tables()
         if episode.number in (1, self.episodes):
             when = "first" if episode.number == 1 else "last"
             self._write_prediction(f"prediction_{when}_episode", episode)
@@ -103,11 +111,12 @@ class Recorder(Callback):
             settings: Facts to record beside the figures, such as the seed.
 
         Returns:
-            What `metrics.json` holds.
+            What `metrics.json` holds; it is written last, so that a run that has it has ended.
         """
         final = self.evaluate()
         metrics = {
             **settings,
+            "episodes": len(self.rows),
             "cost": self._spent(self.cost) | {"evaluation_steps": self.evaluation_steps},
             "scenario": final.scenario,
             "evaluation": summarise(final),
@@ -115,10 +124,34 @@ class Recorder(Callback):
             "equations": self.parts.world_model.equations(),
         }
         self._write_rollout("step_response", final.trajectory[0])
-        self.parts.world_model.save(self.folder / "model.json")
-        torch.save(self.parts.agent.deployed.state_dict(), self.folder / "policy.pt")
-        (self.folder / "metrics.json").write_text(json.dumps(metrics, indent=2) + "\n")
+        with whole(self.folder / "model.json") as path:
+            self.parts.world_model.save(path)
+        with whole(self.folder / "policy.pt") as path:
+            torch.save(self.parts.agent.deployed.state_dict(), path)
+        write_json(self.folder / "metrics.json", metrics)
         return metrics
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what was logged so far."""
+        logged = {name: getattr(self, name) for name in self._logged}
+        return {**logged, "cost": asdict(self.cost), "seconds": self._seconds()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned, and bring the logs in the folder back to that state."""
+        for name in self._logged:
+            setattr(self, name, state[name])
+        self.cost, self.seconds_before = Cost(**state["cost"]), state["seconds"]
+        self.start = time.perf_counter()
+        shutil.rmtree(self.folder / "scalars", ignore_errors=True)
+        self.logger = CSVLogger(exp_name="scalars", log_dir=str(self.folder))
+        for row in self.rows:
+            self._log_scalars(row)
+        self._write_tables()
+
+    _logged = ("rows", "decisions", "evaluation_steps", "untrained", "latest")
+
+    def _seconds(self) -> float:
+        return self.seconds_before + time.perf_counter() - self.start
 
     def _spent(self, cost: Cost) -> dict[str, float]:
         return {
@@ -126,12 +159,14 @@ class Recorder(Callback):
             "plant_seconds": cost.real_steps * self.plant.dt,
             "imagined_transitions": cost.imagined,
             "updates": cost.updates,
-            "wall_seconds": time.perf_counter() - self.start,
+            "wall_seconds": self._seconds(),
         }
 
     def _log(self, row: dict[str, float | None]) -> None:
         self.rows.append(row)
-        write_csv(self.folder / "progress.csv", list(row), [list(r.values()) for r in self.rows])
+        self._log_scalars(row)
+
+    def _log_scalars(self, row: dict[str, float | None]) -> None:
         for key, value in row.items():
             if value is not None and key != "episode":
                 self.logger.log_scalar(key, value, step=int(row["episode"] or 0))
@@ -148,7 +183,11 @@ class Recorder(Callback):
         decided = [gate.open_below, gate.close_above, float(episode.trusted)]
         stored = float(len(self.parts.replay.model))
         self.decisions.append([*before, *judged, *decided, *tested, stored])
-        write_csv(self.folder / "gate.csv", GATE_COLUMNS, self.decisions)
+
+    def _write_tables(self) -> None:
+        if self.rows:
+            write_csv(self.folder / "progress.csv", list(self.rows[0]), [list(row.values()) for row in self.rows])
+            write_csv(self.folder / "gate.csv", GATE_COLUMNS, self.decisions)
 
     def _write_rollout(self, name: str, rollout: TensorDict) -> None:
         signature = self.plant.system.signature

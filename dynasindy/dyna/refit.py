@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import torch
@@ -75,7 +76,7 @@ def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
         return Refit(fit(parts, settings), torch.nan, torch.nan, True, unseen)
     held_out = torch.zeros(rollout.numel(), dtype=torch.bool)
     held_out[(starts.unsqueeze(-1) + torch.arange(length)).flatten()] = True
-    earlier = {name: tensor.clone() for name, tensor in parts.world_model.state_dict().items()}
+    earlier = copy.deepcopy(parts.world_model.state_dict())
     before = replay_error(parts.model_env, rollout, starts, length)
     report = fit(parts, settings, held_out)
     after = replay_error(parts.model_env, rollout, starts, length)

@@ -2,18 +2,34 @@
 
 from __future__ import annotations
 
-import shutil
-from dataclasses import dataclass
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-from dynasindy.dyna.callback import Callbacks
+from dynasindy.dyna.callback import Callbacks, Place
+from dynasindy.dyna.checkpoint import Checkpoints, Saver
 from dynasindy.dyna.experiment import Recipe
+from dynasindy.dyna.folder import check_settings, claimed, clear, result
 from dynasindy.dyna.loop import train
 from dynasindy.dyna.progress import ProgressBar
 from dynasindy.dyna.recorder import Recorder
+from dynasindy.dyna.stopped import Stopped
+from dynasindy.evaluation.files import write_json, write_text
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.summary import to_text
+
+
+class Kept(Protocol):
+    """What a checkpoint holds a state of."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state."""
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned."""
 
 
 @dataclass(frozen=True)
@@ -36,36 +52,117 @@ class Evaluating:
             raise ValueError(f"evaluation.every must be at least 1 episode, got {self.every}; give 1 or more")
 
 
-def run(recipe: Recipe, evaluating: Evaluating, folder: Path, settings: str, progress: bool = True) -> dict[str, Any]:
-    """Run an experiment and write its folder.
+@dataclass(frozen=True)
+class Provenance:
+    """Where a run is from, written beside its results.
+
+    Attributes:
+        settings: The resolved configuration, as YAML.
+        origin: The command, and the commit of the code.
+    """
+
+    settings: str
+    origin: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Saving:
+    """How a run is kept so that it can go on after it was stopped.
+
+    Attributes:
+        every: Episodes between two checkpoints; 0 keeps none.
+
+    Raises:
+        ValueError: `every` is negative.
+    """
+
+    every: int = 1
+
+    def __post_init__(self) -> None:
+        if self.every < 0:
+            raise ValueError(f"checkpoint.every must be 0 episodes (none) or more, got {self.every}; give 1 for all")
+
+
+def run(
+    recipe: Recipe,
+    evaluating: Evaluating,
+    folder: Path,
+    provenance: Provenance,
+    saving: Saving | None = None,
+    progress: bool = True,
+    finish: bool = False,
+) -> dict[str, Any]:
+    """Run an experiment and write its folder; go on where an earlier run of the same settings stopped.
 
     Args:
         recipe: What to run; it is built, and so checked, before the folder is touched.
         evaluating: When and where to evaluate.
         folder: Run folder.
-        settings: The resolved configuration, written beside the results.
+        provenance: Where the run is from.
+        saving: How it is kept.
         progress: Show a progress bar.
+        finish: End the run with what it has learnt so far.
 
     Returns:
         What `metrics.json` holds.
 
     Raises:
-        ValueError: A part refuses its settings.
+        ValueError: A part refuses its settings, or the folder holds something else or is in use.
+        Stopped: The run was asked to stop.
+        OSError: The folder cannot be written.
     """
-    parts = recipe.build()
-    folder.mkdir(parents=True, exist_ok=True)
-    # An interrupted run begins anew, and `metrics.json` always belongs to the config beside it.
-    (folder / "metrics.json").unlink(missing_ok=True)
-    shutil.rmtree(folder / "scalars", ignore_errors=True)
-    (folder / "config.yaml").write_text(settings)
-    episodes = recipe.train.episodes
-    recorder = Recorder(folder, parts, evaluating.scenario, evaluating.every, episodes)
-    bar = ProgressBar(episodes, progress)
+    parts, place, checkpoints = recipe.build(), Place(), Checkpoints(folder / "checkpoints")
+    recorder = Recorder(folder, parts, evaluating.scenario, evaluating.every, recipe.train.episodes)
+    kept: dict[str, Kept] = {"place": place, "parts": parts, "recorder": recorder}
+    with claimed(folder):
+        check_settings(folder, provenance.settings)
+        if (metrics := result(folder, recipe.train.episodes)) is not None:
+            return metrics
+        saver = Saver(
+            checkpoints, (saving or Saving()).every, lambda: {name: p.state_dict() for name, p in kept.items()}
+        )
+        with _left_in_order(saver, folder), closing(ProgressBar(recipe.train.episodes, progress, place)) as bar:
+            state = checkpoints.newest()
+            if state is None and finish:
+                raise ValueError(f"{folder} keeps no checkpoint, there is nothing to finish; leave out finish=true")
+            if state is None:
+                _begin(folder, provenance, recorder)
+            else:
+                _resume(folder, provenance)
+                for name, part in kept.items():
+                    part.load_state_dict(state[name])
+            if not finish:
+                train(parts, recipe.train, Callbacks([recorder, bar, saver]), place)
+            facts = {"seed": recipe.seed, "system": type(recipe.system).__name__.lower()}
+            metrics = recorder.finish({**facts, "checkpoint": {"bytes": saver.bytes, "seconds": saver.seconds}})
+        if place.episodes == recipe.train.episodes:
+            checkpoints.remove()
+    return metrics
+
+
+def _begin(folder: Path, provenance: Provenance, recorder: Recorder) -> None:
+    clear(folder)
+    write_text(folder / "config.yaml", provenance.settings)
+    write_json(folder / "origin.json", dict(provenance.origin))
+    recorder.begin()
+
+
+def _resume(folder: Path, provenance: Provenance) -> None:
+    """Note in `origin.json` if other code goes on with a run than began it."""
+    (folder / "error.txt").unlink(missing_ok=True)
+    file = folder / "origin.json"
+    begun = json.loads(file.read_text()) if file.is_file() else {}
+    if (commit := provenance.origin.get("commit")) != begun.get("commit"):
+        write_json(file, {**begun, "resumed_at_commit": commit})
+
+
+@contextmanager
+def _left_in_order(saver: Saver, folder: Path) -> Iterator[None]:
+    """Say what was kept when the run is asked to stop; what is under way is given up."""
     try:
-        train(parts, recipe.train, Callbacks([recorder, bar]))
-    finally:
-        bar.close()
-    return recorder.finish({"seed": recipe.seed, "system": type(recipe.system).__name__.lower()})
+        yield
+    except KeyboardInterrupt as stop:
+        raise Stopped(saver.words(folder), getattr(stop, "signal", 2)) from stop
 
 
 def report(metrics: dict[str, Any], folder: Path) -> str:
@@ -82,6 +179,14 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
         f"Cost: {cost['real_steps']} real steps = {cost['plant_seconds']:.0f} s of plant time, "
         f"{cost['imagined_transitions']} imagined transitions, {cost['updates']} gradient updates, "
         f"{cost['wall_seconds']:.0f} s wall time; apart from these {cost['evaluation_steps']} real steps of evaluation",
+        *_kept(metrics.get("checkpoint", {"bytes": 0})),
         f"Run folder: {folder}",
     ]
     return "\n".join(lines)
+
+
+def _kept(checkpoint: dict[str, float]) -> list[str]:
+    if not checkpoint["bytes"]:
+        return []
+    size, seconds = checkpoint["bytes"] / 1e6, checkpoint["seconds"]
+    return [f"Checkpoints: the last of {size:.1f} MB, all of them {seconds:.1f} s of the wall time"]

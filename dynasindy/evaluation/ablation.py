@@ -64,17 +64,6 @@ class Level:
         return None
 
 
-def is_finished(folder: Path, settings: str) -> bool:
-    """Return whether a run folder holds the result of these settings.
-
-    Args:
-        folder: Run folder.
-        settings: The resolved configuration as `config.yaml` holds it; what does not change a result is ignored.
-    """
-    config = folder / "config.yaml"
-    return (folder / "metrics.json").is_file() and config.is_file() and _same(config.read_text(), settings)
-
-
 def gather(root: Path, results: Path, level: Level) -> list[Row]:
     """Write `ablation.csv`, `ablation_curves.csv` and `ablation.md` from all finished runs.
 
@@ -222,12 +211,3 @@ def _value(key: str, cell: str) -> str | float | None:
     if key in TEXT:
         return cell
     return float(cell) if cell else None
-
-
-def _same(first: str, second: str) -> bool:
-    one, other = ([line for line in text.splitlines() if not _free(line)] for text in (first, second))
-    return one == other
-
-
-def _free(line: str) -> bool:
-    return line.startswith(("folder:", "threads:", "results:"))

@@ -2,9 +2,12 @@
 
 import csv
 import json
+import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -27,7 +30,7 @@ def save_evaluation(evaluation: Evaluation, folder: Path, row: int = 0) -> list[
     folder.mkdir(parents=True, exist_ok=True)
     figures, table = (folder / f"{evaluation.scenario}.{suffix}" for suffix in ("json", "csv"))
     record = {"scenario": evaluation.scenario, "rows": len(evaluation.outputs), **summarise(evaluation)}
-    figures.write_text(json.dumps(record, indent=2, allow_nan=False) + "\n")
+    write_json(figures, record)
     signature = evaluation.signature
     header = [*signature.state_names, *signature.input_names]
     header += [f"reference_{name}" for name in evaluation.output_names]
@@ -44,11 +47,56 @@ def with_units(names: Sequence[str], signature: Signature) -> list[str]:
 
 
 def write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[float | None]]) -> None:
-    """Write a table whole, through a temporary file, so that a reader never meets half of it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(".tmp")
-    with temporary.open("w", newline="") as file:
+    """Write a table whole; empty cells stand for None."""
+    with whole(path) as temporary, temporary.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(header)
         writer.writerows([["" if v is None else f"{v:.9g}" for v in row] for row in rows])
-    temporary.replace(path)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file whole."""
+    with whole(path) as temporary:
+        temporary.write_text(text)
+
+
+def write_json(path: Path, record: Mapping[str, Any]) -> None:
+    """Write a record whole, as JSON.
+
+    Raises:
+        ValueError: A number is not finite.
+    """
+    write_text(path, json.dumps(record, indent=2, allow_nan=False) + "\n")
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """Give a temporary path to write to, and at the end put what was written in the place of `path`, all at once.
+
+    A reader never meets half of a file. A full disk, a kill or a power cut leaves the earlier file as it was.
+
+    Args:
+        path: The file; its folder is made if missing.
+
+    Raises:
+        OSError: The file cannot be written; the earlier one stays.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.tmp")
+    try:
+        yield temporary
+        # What is not on the disk when it is renamed may be an empty file after a power cut.
+        _flush(temporary)
+        temporary.replace(path)
+        _flush(path.parent)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _flush(path: Path) -> None:
+    """Have a file or folder written to the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

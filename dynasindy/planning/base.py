@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -48,3 +49,13 @@ class Planner(ABC):
     @abstractmethod
     def distrust(self) -> None:
         """Drop what came from a model that is no longer trusted."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what a resumed run needs between two planning phases, apart from agent, model and storages.
+
+        A planner that keeps something from phase to phase, as a generator, overrides this and `load_state_dict`.
+        """
+        return {}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:  # noqa: B027 - most planners keep nothing
+        """Restore what `state_dict` returned."""

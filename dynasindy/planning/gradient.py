@@ -11,6 +11,7 @@ import copy
 import dataclasses
 import math
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from tensordict.nn import TensorDictModule
@@ -148,6 +149,15 @@ class GradientPlanning(Planner):
     def distrust(self) -> None:
         """Do nothing: no imagined data are kept."""
 
+    def state_dict(self) -> dict[str, Any]:
+        """Return the number of phases so far and the generator; episodes and optimiser begin anew in each phase."""
+        return {"phase": self.phase, "generator": self.rng.get_state()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned."""
+        self.phase = state["phase"]
+        self.rng.set_state(state["generator"])
+
     def test(self) -> float:
         """Return the policy's mean reward per control period over held-out imagined references."""
         rows = self.held_out
@@ -225,6 +235,15 @@ class GradientThenReplay(Planner):
         """Drop what was imagined."""
         for planner in self.planners:
             planner.distrust()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what both planners keep."""
+        return {"planners": [planner.state_dict() for planner in self.planners]}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned."""
+        for planner, kept in zip(self.planners, state["planners"], strict=True):
+            planner.load_state_dict(kept)
 
 
 class Episodes:

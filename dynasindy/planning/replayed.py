@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from tensordict import TensorDict
@@ -106,6 +107,15 @@ class ImaginedReplay(Planner):
         """Empty the model storage."""
         self.replay.keep_imagined(0)
         self.made = [0] * len(self.made)  # the phases themselves still count for the horizon
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return how much each phase imagined, and the generator; horizon and bounds are set anew by each phase."""
+        return {"made": list(self.made), "generator": self.generator.get_state()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned."""
+        self.made = list(state["made"])
+        self.generator.set_state(state["generator"])
 
 
 def _schedule(horizon: int | Sequence[int]) -> Callable[[int], int]:

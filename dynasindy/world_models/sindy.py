@@ -15,6 +15,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -84,6 +85,15 @@ class SindyModel(WorldModel):
     def __getstate__(self) -> dict[str, object]:
         """Leave generated code out of copies and pickles; it is written again when needed."""
         return {**self.__dict__, "_field": None}
+
+    def get_extra_state(self) -> dict[str, object]:
+        """Return what `state_dict` keeps besides the coefficients: the running sums."""
+        return {"r": self.sums.r, "count": self.sums.count}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Restore what `get_extra_state` returned."""
+        self.sums = RunningSums(len(self.library), self.signature.n_x)
+        self.sums.r, self.sums.count = state["r"].clone(), state["count"]
 
     def predict(self, x: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
         """Predict states one sampling time ahead, `(*batch, n_x)`, by `substeps` Runge-Kutta steps."""

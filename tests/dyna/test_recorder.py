@@ -41,6 +41,7 @@ def record(folder):
     parts = recipe.build()
     scenario = Scenario("step", Step([[0.1, 0.1], [0.2, -0.1]]), episodes=2, seconds=6.0)
     recorder = Recorder(folder, parts, scenario, every=2, episodes=3)
+    recorder.begin()
     train(parts, recipe.train, recorder)
     return folder, parts, recorder
 

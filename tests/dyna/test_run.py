@@ -1,7 +1,154 @@
-import pytest
+import csv
+import json
+import re
+from functools import partial
 
-from dynasindy.dyna.run import Evaluating, report
+import pytest
+import torch
+
+from dynasindy.agents import TD3
+from dynasindy.data import DynaReplay
+from dynasindy.dyna.experiment import Recipe
+from dynasindy.dyna.parts import Settings
+from dynasindy.dyna.run import Evaluating, Provenance, Saving, report, run
+from dynasindy.dyna.stopped import Stopped
+from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
+from dynasindy.excitation import Multisine
+from dynasindy.planning import Bounds, Gate, GradientPlanning, GradientThenReplay, ImaginedReplay, NoPlanning, Variation
+from dynasindy.systems import Xi
+from dynasindy.tasks import RandomStep, Step, Tracking
+from dynasindy.world_models import Refinement, Regression, SindyModel
+
+REPLAYED = partial(ImaginedReplay, rollouts=6, horizon=[2, 4, 2], generations=2, bounds=Bounds(distance=2.0))
+GRADIENT = partial(
+    GradientPlanning, updates=2, more_updates=2, rollouts=4, window=3, check_every=1, terminal_updates=1,
+    variation=Variation(parameters=0.1, noise=[1e-3] * 6),
+)  # fmt: skip
+PLANNERS = {
+    "none": NoPlanning,
+    "replay": REPLAYED,
+    "gradient": GRADIENT,
+    "both": partial(GradientThenReplay, gradient=GRADIENT, replayed=REPLAYED, critic_updates=3),
+}
+PROVENANCE = Provenance("a: 1\n", {"command": "train", "commit": "abc"})
+
+
+class Plug(Xi):
+    """A plant that is unplugged at a certain call."""
+
+    calls, last = 0, None
+
+    def forward(self, x, u):
+        Plug.calls += 1
+        if Plug.calls == Plug.last:
+            raise KeyboardInterrupt
+        return super().forward(x, u)
+
+
+def recipe(planning, episodes=4):
+    known = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
+    model = partial(SindyModel, known=known, regression=Regression("bic"), refinement=Refinement("integral"))
+    return Recipe(
+        system=Plug(),
+        task=partial(Tracking, reference=RandomStep([-0.5, -0.5], [0.5, 0.4]), max_steps=40),
+        env=partial(ControlEnv, dtype=torch.float64),
+        excitation=partial(Multisine, duration=2.0),
+        world_model=model,
+        agent=partial(TD3, hidden=(8, 8), policy_average=0.01, lr_decay=1e-3),
+        replay=partial(DynaReplay, 120, 16, 0.5, model_capacity=30),  # both rings turn over
+        planning=planning,
+        gate=Gate(),
+        train=Settings(episodes, 0.2, held_out=2),
+        seed=3,
+    )
+
+
+def go(folder, name, last=None, episodes=4, **options):
+    Plug.calls, Plug.last = 0, last
+    evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=6.0), every=2)
+    return run(recipe(PLANNERS[name], episodes), evaluating, folder, PROVENANCE, progress=False, **options)
+
+
+def kept(folder):
+    """Return all that a run left, but for the times it took."""
+    files = {}
+    for file in sorted(file for file in folder.rglob("*") if file.is_file()):
+        name = str(file.relative_to(folder))
+        if file.suffix == ".csv":
+            if "wall_seconds" in name:
+                continue
+            rows = list(csv.reader(file.open()))
+            drop = [i for i, cell in enumerate(rows[0]) if cell == "wall_seconds"]
+            files[name] = [[cell for i, cell in enumerate(row) if i not in drop] for row in rows]
+        elif file.suffix == ".pt":
+            files[name] = {key: value.tolist() for key, value in torch.load(file).items()}
+        else:
+            files[name] = re.sub(r"[0-9.e-]+ s\b", "", file.read_text())
+    metrics = json.loads(files.pop("metrics.json"))
+    del metrics["cost"]["wall_seconds"], metrics["checkpoint"]
+    return files | {"metrics.json": metrics}
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+def test_a_run_stopped_again_and_again_ends_as_the_one_that_was_not(tmp_path, name):
+    go(tmp_path / "whole", name)
+    calls = Plug.calls
+    stops = 0
+    for share in (0.03, 0.3, 0.25, 0.2, 0.1):
+        with pytest.raises(Stopped, match="stopped; "):
+            go(tmp_path / "parts", name, last=round(share * calls))
+        stops += 1
+    go(tmp_path / "parts", name)
+    assert Plug.calls < calls  # what was done is not repeated
+    assert stops == 5 and kept(tmp_path / "parts") == kept(tmp_path / "whole")
+    assert not (tmp_path / "parts" / "checkpoints").exists()
+
+
+def test_other_seeds_differ_so_that_equality_says_something(tmp_path):
+    go(tmp_path / "one", "replay", episodes=3)
+    go(tmp_path / "other", "none", episodes=3)
+    assert kept(tmp_path / "one") != kept(tmp_path / "other")
+
+
+def test_a_finished_run_is_not_repeated(tmp_path):
+    metrics = go(tmp_path, "none", episodes=1)
+    assert go(tmp_path, "none", last=1, episodes=1) == metrics  # the plant is not touched
+
+
+def test_a_stopped_run_can_be_ended_and_then_gone_on_with(tmp_path):
+    go(tmp_path / "whole", "none")
+    with pytest.raises(Stopped, match="up to the end of episode 1"):
+        go(tmp_path / "parts", "none", last=2000)
+    ended = go(tmp_path / "parts", "none", finish=True)
+    assert ended["episodes"] == 1 and ended["cost"]["real_steps"] == 80
+    assert go(tmp_path / "parts", "none")["episodes"] == 4
+    ours, theirs = (kept(tmp_path / name) for name in ("parts", "whole"))
+    for files in (ours, theirs):  # it was evaluated once more
+        del files["metrics.json"]["cost"]
+    assert ours == theirs
+
+
+def test_nothing_can_be_ended_of_which_nothing_is_kept(tmp_path):
+    with pytest.raises(ValueError, match="nothing to finish"):
+        go(tmp_path, "none", finish=True)
+    assert not any(tmp_path.iterdir())
+
+
+def test_without_checkpoints_a_stopped_run_begins_anew(tmp_path):
+    with pytest.raises(Stopped, match="nothing is kept"):
+        go(tmp_path, "none", last=2000, saving=Saving(0))
+    assert go(tmp_path, "none", saving=Saving(0))["episodes"] == 4
+
+
+def test_other_code_that_goes_on_with_a_run_is_noted(tmp_path):
+    with pytest.raises(Stopped):
+        go(tmp_path, "none", last=2000)
+    assert json.loads((tmp_path / "origin.json").read_text()) == dict(PROVENANCE.origin)
+    evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=6.0), every=2)
+    Plug.last = None
+    run(recipe(NoPlanning), evaluating, tmp_path, Provenance("a: 1\n", {"commit": "def"}), progress=False)
+    assert json.loads((tmp_path / "origin.json").read_text())["resumed_at_commit"] == "def"
 
 
 def test_an_evaluation_happens_at_least_sometimes():

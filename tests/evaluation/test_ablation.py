@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from dynasindy.evaluation.ablation import Level, gather, is_finished, read_rows, summarise_run, to_markdown
+from dynasindy.evaluation.ablation import Level, gather, read_rows, summarise_run, to_markdown
 
 LEVEL = Level(0.05, 3)
 HEADER = (
@@ -95,15 +95,6 @@ def test_the_table_has_interquartile_means_and_says_never(tmp_path):
 def test_a_run_without_any_axis_never_reaches_the_level():
     line = dict.fromkeys(HEADER.split(",")[:8], 1.0)
     assert summarise_run([line] * 3, LEVEL)["episodes_to_level"] is None
-
-
-def test_a_job_is_finished_if_its_results_come_from_the_same_settings(tmp_path):
-    assert not is_finished(tmp_path, "a: 1\n")
-    (tmp_path / "config.yaml").write_text("a: 1\nfolder: here\nthreads: 1\n")
-    assert not is_finished(tmp_path, "a: 1\n")
-    (tmp_path / "metrics.json").write_text("{}")
-    assert is_finished(tmp_path, "a: 1\nfolder: there\nthreads: 2\n")
-    assert not is_finished(tmp_path, "a: 2\nfolder: here\nthreads: 1\n")
 
 
 @pytest.mark.parametrize("settings", [{"error": 0.0}, {"consecutive": 0}])

@@ -1,0 +1,127 @@
+"""States of a run on disk, from which it goes on bit for bit as if it had not been stopped.
+
+A checkpoint is one file: a line that names its length and digest, then the state as torch saves it. TorchRL's
+`Checkpoint` writes several files without a digest and without waiting for the disk, so a power cut can leave one
+that looks complete and is not.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any
+
+import torch
+
+from dynasindy.dyna.callback import Callback, Place
+from dynasindy.evaluation.files import whole
+
+MARK = b"dynasindy checkpoint 1"
+KEPT = 2
+"""How many checkpoints stay: the newest, and one before it in case it is damaged."""
+State = dict[str, Any]
+
+
+class Checkpoints:
+    """The newest states of a run, in a folder.
+
+    Args:
+        folder: Folder of the files; made when the first is written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def save(self, number: int, state: Mapping[str, Any]) -> Path:
+        """Write a state as `NUMBER.pt`, whole or not at all, and then remove all but the newest.
+
+        Args:
+            number: Its place in the order of states.
+            state: Tensors, numbers, text, and lists and dictionaries of them.
+
+        Raises:
+            OSError: The file cannot be written; the earlier ones stay.
+        """
+        buffer = io.BytesIO()
+        torch.save(dict(state), buffer)
+        payload = buffer.getbuffer()
+        path = self.folder / f"{number:06d}.pt"
+        with whole(path) as temporary, temporary.open("wb") as file:
+            file.write(b"%s %d %s\n" % (MARK, len(payload), _digest(payload)))
+            file.write(payload)
+        for old in self._files()[:-KEPT]:
+            old.unlink(missing_ok=True)
+        return path
+
+    def newest(self) -> State | None:
+        """Return the newest state whose file is sound, or None."""
+        for path in reversed(self._files()):
+            if (state := _read(path)) is not None:
+                return state
+        return None
+
+    def remove(self) -> None:
+        """Remove all checkpoints, as of a run that has ended."""
+        for path in [*self._files(), *self.folder.glob(".*.tmp")]:
+            path.unlink(missing_ok=True)
+        if self.folder.is_dir() and not any(self.folder.iterdir()):
+            self.folder.rmdir()
+
+    def _files(self) -> list[Path]:
+        return sorted(self.folder.glob("[0-9]*.pt"))
+
+
+class Saver(Callback):
+    """Save the state of a run at the ends of its phases.
+
+    Args:
+        checkpoints: Where to.
+        every: Episodes between two checkpoints; 0 saves nothing. What comes before the first episode is saved too.
+        state: Returns the state of the run as it is.
+    """
+
+    def __init__(self, checkpoints: Checkpoints, every: int, state: Callable[[], State]) -> None:
+        self.checkpoints, self.every, self.state = checkpoints, every, state
+        self.seconds, self.bytes = 0.0, 0
+
+    def words(self, folder: Path) -> str:
+        """Return what is kept of a run that is stopped, and how it goes on."""
+        if (state := self.checkpoints.newest()) is None:
+            return f"stopped; nothing is kept in {folder} yet, the same command begins anew"
+        done = Place()
+        done.load_state_dict(state["place"])
+        return (
+            f"stopped; {folder} is kept up to the end of {done.words()}: go on with resume={folder}, "
+            f"or evaluate and draw what is learnt with resume={folder} finish=true"
+        )
+
+    def reached(self, place: Place) -> None:
+        """Save the state, if it is due."""
+        if not self.every or place.episodes % self.every:
+            return
+        start = time.perf_counter()
+        path = self.checkpoints.save(place.number, self.state())
+        self.bytes = path.stat().st_size
+        self.seconds += time.perf_counter() - start
+
+
+def _read(path: Path) -> State | None:
+    """Return the state in a file, or None if it is damaged."""
+    try:
+        with path.open("rb") as file:
+            *mark, length, digest = file.readline(200).split()
+            payload = file.read()
+        if b" ".join(mark) != MARK or len(payload) != int(length) or _digest(payload) != digest:
+            return None
+        state = torch.load(io.BytesIO(payload), weights_only=True)
+    except (OSError, ValueError, RuntimeError, EOFError, UnpicklingError):
+        return None
+    return state if isinstance(state, dict) else None
+
+
+def _digest(payload: bytes | memoryview) -> bytes:
+    return hashlib.blake2b(payload, digest_size=20).hexdigest().encode()

@@ -1,0 +1,96 @@
+"""The folder of a run: who works in it, whose settings it holds, and whether its run has ended."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any
+
+import torch
+
+FREE = ("folder:", "threads:", "results:", "resume:", "finish:")
+"""Keys of a configuration, as its lines begin, that do not change a result."""
+MADE = ("metrics.json", "policy.pt", "model.json", "progress.csv", "gate.csv", "identification.txt", "error.txt")
+"""Files that a run makes besides its `config.yaml`."""
+
+
+@contextmanager
+def claimed(folder: Path) -> Iterator[None]:
+    """Keep a run folder to oneself; the claim ends with the process, however that ends.
+
+    Args:
+        folder: Run folder; made if missing.
+
+    Raises:
+        ValueError: Another process works in it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        import fcntl
+    except ImportError:  # no POSIX system: two runs in one folder are then the user's affair
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"another process works in {folder}; wait for its end, or give another folder") from None
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def check_settings(folder: Path, settings: str) -> None:
+    """Make sure that a run folder is empty or holds a run of the same settings.
+
+    Args:
+        folder: Run folder.
+        settings: The resolved configuration as `config.yaml` holds it; what does not change a result is ignored.
+
+    Raises:
+        ValueError: The folder holds a run of other settings, or other files.
+    """
+    config = folder / "config.yaml"
+    if not config.is_file():
+        others = [file.name for file in folder.iterdir() if not file.name.startswith(".") and file.name not in MADE]
+        if others:
+            raise ValueError(f"{folder} holds other files, such as {min(others)}; give a new folder")
+        return
+    ours, theirs = (
+        [line for line in text.splitlines() if not line.startswith(FREE)] for text in (settings, config.read_text())
+    )
+    if ours != theirs:
+        differ = next((a or b for a, b in zip([*ours, ""], [*theirs, ""]) if a != b), "its length")
+        raise ValueError(
+            f"{folder} holds a run of other settings, such as '{differ.strip()}'; give another folder, or remove it"
+        )
+
+
+def result(folder: Path, episodes: int) -> dict[str, Any] | None:
+    """Return what `metrics.json` holds if the run has ended and its files are sound, else None.
+
+    Args:
+        folder: Run folder.
+        episodes: Real episodes that the settings ask for; a run that was ended earlier has not ended.
+    """
+    try:
+        metrics = json.loads((folder / "metrics.json").read_text())
+        json.loads((folder / "model.json").read_text())
+        torch.load(folder / "policy.pt", weights_only=True)
+        complete = metrics["episodes"] == episodes and {"cost", "evaluation", "untrained"} <= metrics.keys()
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError, EOFError, UnpicklingError):
+        return None
+    return metrics if complete else None
+
+
+def clear(folder: Path) -> None:
+    """Remove what an earlier run of the same settings left, so that no result outlives its run."""
+    for name in MADE:
+        (folder / name).unlink(missing_ok=True)
+    shutil.rmtree(folder / "scalars", ignore_errors=True)

@@ -1,0 +1,14 @@
+"""What is raised in a run that was asked to stop; a module of its own, as signals come before torch is imported."""
+
+
+class Stopped(KeyboardInterrupt):
+    """A run was asked to stop, by Ctrl-C or by a signal.
+
+    Args:
+        message: What was kept of it, in one line.
+        signal: Number of the signal, 2 for Ctrl-C.
+    """
+
+    def __init__(self, message: str, signal: int = 2) -> None:
+        super().__init__(message)
+        self.signal = signal

@@ -1,0 +1,41 @@
+"""Where a command works: a sweep in a folder named after its words, a resumed run in its own."""
+
+import hashlib
+import re
+from pathlib import Path
+
+SWEEPING = ("-m", "--multirun")
+
+
+def complete(words: list[str]) -> None:
+    """Append to a command line, in place, the folder that Hydra is to use.
+
+    The same sweep has the same folder, so that the same command goes on with it; a resumed run keeps its own.
+
+    Raises:
+        FileNotFoundError: The folder to resume is no run folder.
+    """
+    given = dict(word.split("=", 1) for word in words[1:] if "=" in word)
+    folder = given.get("resume", "null").strip("'\"")
+    if folder not in ("null", ""):
+        if not (Path(folder) / "config.yaml").is_file():
+            raise FileNotFoundError(
+                f"resume={folder} is no run folder, it has no config.yaml; give the folder that train.py printed"
+            )
+        words.append(f"hydra.run.dir={_quoted(folder)}")
+    elif any(word in SWEEPING for word in words) and "hydra.sweep.dir" not in given:
+        words.append(f"hydra.sweep.dir={_quoted('runs/' + name(words[1:]))}")
+
+
+def name(words: list[str]) -> str:
+    """Return a name for a sweep: its settings in words, as far as they fit, and a digest of them all."""
+    settings = [word for word in words if "=" in word and not word.startswith("hydra")]
+    digest = hashlib.blake2b(" ".join(settings).encode(), digest_size=3).hexdigest()
+    readable = re.sub(r"[^A-Za-z0-9.]+", "-", "_".join(settings).replace("=", "-")).strip("-.")
+    return f"{readable[:80]}_{digest}"
+
+
+def _quoted(folder: str) -> str:
+    """Return a path as Hydra's grammar takes any text."""
+    escaped = folder.replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{escaped}'"

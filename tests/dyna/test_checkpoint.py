@@ -1,0 +1,92 @@
+import os
+
+import pytest
+import torch
+
+from dynasindy.dyna.callback import Place
+from dynasindy.dyna.checkpoint import Checkpoints, Saver
+
+
+def test_the_newest_two_are_kept_and_the_newest_is_read(tmp_path):
+    checkpoints = Checkpoints(tmp_path / "checkpoints")
+    assert checkpoints.newest() is None
+    for number in (1, 2, 10):
+        checkpoints.save(number, {"number": number, "weights": torch.full((3,), float(number))})
+    assert sorted(file.name for file in checkpoints.folder.iterdir()) == ["000002.pt", "000010.pt"]
+    state = checkpoints.newest()
+    assert state["number"] == 10 and torch.equal(state["weights"], torch.full((3,), 10.0))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda raw: raw[:-1],  # the end is missing, as after a power cut
+        lambda raw: raw[:100],
+        lambda raw: b"",
+        lambda raw: raw[:-200] + bytes([raw[-200] ^ 1]) + raw[-199:],  # one bit of the payload
+        lambda raw: b"something else\n" + raw,
+        lambda raw: raw + b"0",
+    ],
+)
+def test_a_damaged_file_is_passed_over_for_the_one_before(tmp_path, damage):
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(1, {"number": 1})
+    newest = checkpoints.save(2, {"number": 2, "weights": torch.zeros(100)})
+    newest.write_bytes(damage(newest.read_bytes()))
+    assert checkpoints.newest() == {"number": 1}
+
+
+class Payload:
+    def __reduce__(self):
+        return os.system, ("touch canary",)
+
+
+def test_a_checkpoint_is_data_and_runs_no_code(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    checkpoints = Checkpoints(tmp_path / "checkpoints")
+    checkpoints.save(1, {"attack": Payload()})
+    assert checkpoints.newest() is None
+    assert not (tmp_path / "canary").exists()
+
+
+def test_a_file_that_cannot_be_written_costs_no_earlier_one(tmp_path, monkeypatch):
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(1, {"number": 1})
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        checkpoints.save(2, {"number": 2})
+    monkeypatch.undo()
+    assert [file.name for file in tmp_path.iterdir()] == ["000001.pt"]
+    assert checkpoints.newest() == {"number": 1}
+
+
+def test_what_is_removed_is_what_was_made(tmp_path):
+    checkpoints = Checkpoints(tmp_path / "checkpoints")
+    checkpoints.save(1, {})
+    (checkpoints.folder / "mine.txt").write_text("keep")
+    checkpoints.remove()
+    assert [file.name for file in checkpoints.folder.iterdir()] == ["mine.txt"]
+
+
+@pytest.mark.parametrize(("every", "saved"), [(1, [1, 2, 3, 4, 5]), (2, [1, 2, 4]), (0, [])])
+def test_checkpoints_come_every_so_many_episodes_and_before_the_first(tmp_path, every, saved):
+    written = []
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save = lambda number, state: written.append(number) or tmp_path
+    saver = Saver(checkpoints, every, dict)
+    place = Place()
+    for move in (place.past_excitation, place.past_planning, *(lambda n=n: place.past_episode(n) for n in (1, 2, 3))):
+        saver.reached(move())
+    assert written == saved
+
+
+def test_the_line_of_a_stopped_run_says_how_it_goes_on(tmp_path):
+    saver = Saver(Checkpoints(tmp_path / "checkpoints"), 1, lambda: {"place": Place(True, True, 3).state_dict()})
+    assert "nothing is kept" in saver.words(tmp_path)
+    saver.reached(Place(True, True, 3))
+    assert "up to the end of episode 3" in saver.words(tmp_path)
+    assert f"resume={tmp_path}" in saver.words(tmp_path) and "\n" not in saver.words(tmp_path)

@@ -1,0 +1,76 @@
+import json
+import subprocess
+import sys
+
+import pytest
+import torch
+
+from dynasindy.dyna.folder import check_settings, claimed, clear, result
+
+
+def finished(folder, episodes=3):
+    record = {"episodes": episodes, "cost": {}, "evaluation": {}, "untrained": {}}
+    (folder / "metrics.json").write_text(json.dumps(record))
+    (folder / "model.json").write_text("{}")
+    torch.save({"weight": torch.zeros(2)}, folder / "policy.pt")
+    return record
+
+
+def test_a_run_has_ended_if_its_files_are_sound(tmp_path):
+    assert result(tmp_path, 3) is None
+    record = finished(tmp_path)
+    assert result(tmp_path, 3) == record
+    assert result(tmp_path, 4) is None  # it was ended after three of four episodes
+
+
+@pytest.mark.parametrize("name", ["metrics.json", "model.json", "policy.pt"])
+@pytest.mark.parametrize("size", [0, 10])
+def test_a_cut_file_is_no_result(tmp_path, name, size):
+    finished(tmp_path)
+    (tmp_path / "model.json").write_text(json.dumps({"library": list(range(20))}))
+    (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:size])
+    assert result(tmp_path, 3) is None
+
+
+def test_settings_are_the_same_whatever_does_not_change_a_result(tmp_path):
+    (tmp_path / "config.yaml").write_text("a: 1\nfolder: here\nthreads: 1\nresume: null\n")
+    check_settings(tmp_path, "a: 1\nfolder: there\nthreads: 2\nresume: there\n")
+    with pytest.raises(ValueError, match=r"run of other settings, such as 'a: 2'"):
+        check_settings(tmp_path, "a: 2\nfolder: here\nthreads: 1\n")
+    with pytest.raises(ValueError, match=r"run of other settings, such as 'b: 1'"):
+        check_settings(tmp_path, "a: 1\nb: 1\n")
+    with pytest.raises(ValueError, match=r"run of other settings, such as 'a: 1'"):
+        check_settings(tmp_path, "")
+
+
+def test_a_folder_of_other_files_is_no_run_folder(tmp_path):
+    (tmp_path / ".config.yaml.tmp").write_text("")  # left by a kill
+    check_settings(tmp_path, "a: 1\n")
+    (tmp_path / "thesis.tex").write_text("")
+    with pytest.raises(ValueError, match=r"holds other files, such as thesis\.tex; give a new folder"):
+        check_settings(tmp_path, "a: 1\n")
+
+
+def test_only_what_a_run_makes_is_cleared(tmp_path):
+    finished(tmp_path)
+    (tmp_path / "scalars").mkdir()
+    (tmp_path / "notes.txt").write_text("mine")
+    clear(tmp_path)
+    assert [file.name for file in tmp_path.iterdir()] == ["notes.txt"]
+
+
+HOLD = (
+    "import sys; from pathlib import Path; from dynasindy.dyna.folder import claimed\n"
+    "with claimed(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
+)
+
+
+def test_two_processes_cannot_work_in_one_folder(tmp_path):
+    other = subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert other.stdout.readline() == b"held\n"
+    with pytest.raises(ValueError, match="another process works in"), claimed(tmp_path):
+        pass
+    other.kill()  # a claim does not outlive its process, however that ends
+    other.wait()
+    with claimed(tmp_path):
+        pass
