@@ -39,13 +39,16 @@ def stop(number: int, frame: FrameType | None) -> None:
 
 @cache
 def end_with_parent() -> None:
-    """Stop this process, a worker of a sweep, when its parent is gone, so that it races no later sweep."""
+    """End this process, a worker of a sweep, when its parent is gone, so that it races no later sweep.
+
+    At once, since its launcher would catch an exception and go on with the next job; what is kept survives that.
+    """
     parent = os.getppid()
 
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(1.0)
-        os.kill(os.getpid(), signal.SIGTERM)
+        os._exit(128 + signal.SIGTERM)
 
     threading.Thread(target=watch, daemon=True).start()
 

@@ -34,6 +34,10 @@ PLANNERS = {
 PROVENANCE = Provenance("a: 1\n", {"command": "train", "commit": "abc"})
 
 
+CALLS = 50 * 8 + 20 * 8 * 2 + 50 * 8 + 4
+"""Calls of the plant up to the second episode: an evaluation, the excitation, an episode, as RK4 makes them."""
+
+
 class Plug(Xi):
     """A plant that is unplugged at a certain call."""
 
@@ -46,17 +50,17 @@ class Plug(Xi):
         return super().forward(x, u)
 
 
-def recipe(planning, episodes=4):
+def recipe(planning, episodes=3):
     known = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
     model = partial(SindyModel, known=known, regression=Regression("bic"), refinement=Refinement("integral"))
     return Recipe(
         system=Plug(),
-        task=partial(Tracking, reference=RandomStep([-0.5, -0.5], [0.5, 0.4]), max_steps=40),
-        env=partial(ControlEnv, dtype=torch.float64),
+        task=partial(Tracking, reference=RandomStep([-0.5, -0.5], [0.5, 0.4]), max_steps=20),
+        env=partial(ControlEnv, dt=0.1, substeps=2, dtype=torch.float64),
         excitation=partial(Multisine, duration=2.0),
         world_model=model,
         agent=partial(TD3, hidden=(8, 8), policy_average=0.01, lr_decay=1e-3),
-        replay=partial(DynaReplay, 120, 16, 0.5, model_capacity=30),  # both rings turn over
+        replay=partial(DynaReplay, 60, 16, 0.5, model_capacity=30),  # both rings turn over
         planning=planning,
         gate=Gate(),
         train=Settings(episodes, 0.2, held_out=2),
@@ -64,9 +68,9 @@ def recipe(planning, episodes=4):
     )
 
 
-def go(folder, name, last=None, episodes=4, **options):
+def go(folder, name, last=None, episodes=3, **options):
     Plug.calls, Plug.last = 0, last
-    evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=6.0), every=2)
+    evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=5.0), every=2)
     return run(recipe(PLANNERS[name], episodes), evaluating, folder, PROVENANCE, progress=False, **options)
 
 
@@ -106,8 +110,8 @@ def test_a_run_stopped_again_and_again_ends_as_the_one_that_was_not(tmp_path, na
 
 
 def test_other_seeds_differ_so_that_equality_says_something(tmp_path):
-    go(tmp_path / "one", "replay", episodes=3)
-    go(tmp_path / "other", "none", episodes=3)
+    go(tmp_path / "one", "replay", episodes=1)
+    go(tmp_path / "other", "none", episodes=1)
     assert kept(tmp_path / "one") != kept(tmp_path / "other")
 
 
@@ -119,10 +123,10 @@ def test_a_finished_run_is_not_repeated(tmp_path):
 def test_a_stopped_run_can_be_ended_and_then_gone_on_with(tmp_path):
     go(tmp_path / "whole", "none")
     with pytest.raises(Stopped, match="up to the end of episode 1"):
-        go(tmp_path / "parts", "none", last=2000)
+        go(tmp_path / "parts", "none", last=CALLS)
     ended = go(tmp_path / "parts", "none", finish=True)
-    assert ended["episodes"] == 1 and ended["cost"]["real_steps"] == 80
-    assert go(tmp_path / "parts", "none")["episodes"] == 4
+    assert ended["episodes"] == 1 and ended["cost"]["real_steps"] == 40
+    assert go(tmp_path / "parts", "none")["episodes"] == 3
     ours, theirs = (kept(tmp_path / name) for name in ("parts", "whole"))
     for files in (ours, theirs):  # it was evaluated once more
         del files["metrics.json"]["cost"]
@@ -137,15 +141,15 @@ def test_nothing_can_be_ended_of_which_nothing_is_kept(tmp_path):
 
 def test_without_checkpoints_a_stopped_run_begins_anew(tmp_path):
     with pytest.raises(Stopped, match="nothing is kept"):
-        go(tmp_path, "none", last=2000, saving=Saving(0))
-    assert go(tmp_path, "none", saving=Saving(0))["episodes"] == 4
+        go(tmp_path, "none", last=CALLS, saving=Saving(0))
+    assert go(tmp_path, "none", saving=Saving(0))["episodes"] == 3
 
 
 def test_other_code_that_goes_on_with_a_run_is_noted(tmp_path):
     with pytest.raises(Stopped):
-        go(tmp_path, "none", last=2000)
+        go(tmp_path, "none", last=CALLS)
     assert json.loads((tmp_path / "origin.json").read_text()) == dict(PROVENANCE.origin)
-    evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=6.0), every=2)
+    evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=5.0), every=2)
     Plug.last = None
     run(recipe(NoPlanning), evaluating, tmp_path, Provenance("a: 1\n", {"commit": "def"}), progress=False)
     assert json.loads((tmp_path / "origin.json").read_text())["resumed_at_commit"] == "def"

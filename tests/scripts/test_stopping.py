@@ -1,0 +1,223 @@
+"""Runs that are killed, terminated or interrupted at random moments, and go on.
+
+DYNASINDY_MOMENTS=50 tries as many moments of each experiment; DYNASINDY_MOMENTS_CSV names a file for the rows.
+The children are forked, so that the seconds of imports are paid once; one test starts a process of its own.
+"""
+
+import csv
+import hashlib
+import json
+import os
+import random
+import re
+import runpy
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+
+ROOT = Path(__file__).resolve().parents[2]
+MOMENTS = int(os.environ.get("DYNASINDY_MOMENTS", 1))
+SMALL = (
+    "system=xi", "env.dt=0.1", "env.substeps=3", "task.max_steps=25", "excitation.duration=2.5",
+    "scenario.episodes=2", "scenario.seconds=5", "evaluation.every=2",
+)  # fmt: skip
+EXPERIMENTS = {
+    "dyna": (
+        "experiment=dyna", "train.episodes=3", "train.updates_per_step=2", "planning.rollouts=20",
+        "planning.horizon=20", "agent.hidden=[32,32]", "replay.capacity=10000", "replay.model_capacity=1500",
+    ),
+    "default": ("planning.updates=10", "planning.more_updates=10", "planning.rollouts=8", "planning.window=20"),
+}  # fmt: skip
+CODES = {"SIGKILL": -9, "SIGINT": 130, "SIGTERM": 143}
+
+
+def fork(words, cwd, script="train"):
+    """Start a script in a forked child that writes its output to `cwd/output`; return its process id."""
+    import hydra  # noqa: F401 - before the fork
+
+    import dynasindy.dyna.run
+    import dynasindy.viz.run
+
+    cwd.mkdir(parents=True, exist_ok=True)
+    if pid := os.fork():
+        return pid
+    code = 1
+    try:
+        os.chdir(cwd)
+        # Figures are drawn from the tables that are compared, and take as long as the run.
+        dynasindy.viz.run.save = lambda figure, path, formats: []
+        with open("output", "w") as file:
+            for descriptor in (1, 2):
+                os.dup2(file.fileno(), descriptor)
+        sys.stdout, sys.stderr = (os.fdopen(d, "w", buffering=1, closefd=False) for d in (1, 2))
+        sys.argv = [f"{script}.py", *words]
+        sys.path.insert(0, str(ROOT / "scripts"))
+        runpy.run_path(str(ROOT / "scripts" / f"{script}.py"), run_name="__main__")
+        code = 0
+    except SystemExit as end:
+        code = end.code or 0
+    except BaseException:
+        import traceback
+
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        os._exit(code)
+
+
+def wait(pid):
+    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+
+
+def kept(folder):
+    """Return a digest of each file that a run left, without the times it took."""
+    found = {}
+    for file in sorted(file for file in folder.rglob("*") if file.is_file()):
+        name, raw = str(file.relative_to(folder)), file.read_bytes()
+        if "wall_seconds" in name or name == "origin.json":
+            continue
+        if file.suffix == ".csv":
+            rows = list(csv.reader(raw.decode().splitlines()))
+            drop = [i for i, cell in enumerate(rows[0]) if cell == "wall_seconds"]
+            raw = repr([[cell for i, cell in enumerate(row) if i not in drop] for row in rows]).encode()
+        elif file.suffix == ".pt":
+            raw = repr({key: value.tolist() for key, value in torch.load(file).items()}).encode()
+        elif name == "metrics.json":
+            record = json.loads(raw)
+            del record["cost"]["wall_seconds"], record["checkpoint"]
+            raw = json.dumps(record).encode()
+        elif name == "config.yaml":
+            raw = re.sub(rb"folder: .*", b"", raw)
+        elif file.suffix == ".txt":
+            raw = re.sub(rb"[0-9.e-]+ s\b", b"", raw)
+        found[name] = hashlib.sha256(raw).hexdigest()
+    return found
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Return, once for each experiment, what the run that nobody stops leaves, and how long it takes [s]."""
+    found = {}
+
+    def make(name):
+        if name not in found:
+            home, start = tmp_path_factory.mktemp(name), time.perf_counter()
+            assert wait(fork([*EXPERIMENTS[name], *SMALL, "hydra.run.dir=run"], home)) == 0, (
+                home / "output"
+            ).read_text()
+            found[name] = kept(home / "run"), time.perf_counter() - start
+        return found[name]
+
+    return make
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(MOMENTS))
+@pytest.mark.parametrize("name", EXPERIMENTS)
+@pytest.mark.parametrize("how", CODES)
+def test_a_run_stopped_at_a_random_moment_ends_as_the_one_that_was_not(tmp_path, whole, how, name, number):
+    expected, seconds = whole(name)
+    moment = random.Random(f"{how} {name} {number}").uniform(0.0, 1.0)
+    command = [*EXPERIMENTS[name], *SMALL, "hydra.run.dir=run"]
+    pid = fork(command, tmp_path)
+    time.sleep(moment * seconds)
+    os.kill(pid, getattr(signal, how))
+    code, output = wait(pid), (tmp_path / "output").read_text()
+    stopped = code != 0  # it may have ended before
+    if stopped:
+        assert code == CODES[how], output
+    if stopped and how != "SIGKILL":
+        assert "Traceback" not in output and "Exception ignored" not in output, output
+        assert len(re.findall(r"(?:^|[\r\n])stopped", output)) == 1, output
+    begun = (tmp_path / "run" / "config.yaml").is_file()
+    line = re.findall(r"up to the end of ([^:]*):", output)
+    assert wait(fork(["resume=run"] if begun else command, tmp_path)) == 0, (tmp_path / "output").read_text()
+    found = kept(tmp_path / "run")
+    if file := os.environ.get("DYNASINDY_MOMENTS_CSV"):
+        place = line[0] if line else ""
+        row = [how, name, number, f"{moment:.3f}", int(stopped), code, place, int(found == expected)]
+        with Path(file).open("a") as table:
+            csv.writer(table, lineterminator="\n").writerow(row)
+    assert found == expected
+
+
+SWEEP = ("-m", *EXPERIMENTS["default"][:2], *SMALL, "planning.window=20", "train.episodes=1", "planning.rollouts=-5,4")
+
+
+def test_a_job_that_fails_ends_no_sweep_and_what_is_finished_is_not_repeated(tmp_path):
+    assert wait(fork(SWEEP, tmp_path)) == 2
+    output = (tmp_path / "output").read_text()
+    assert "error: 1 jobs failed" in output and "Traceback" not in output
+    (done,) = (tmp_path / "runs").glob("*/*/metrics.json")
+    (failed,) = (tmp_path / "runs").glob("*/*/error.txt")
+    assert "rollouts=-5" in failed.read_text() and "rollouts-4" in done.parent.name
+    before = done.stat().st_mtime_ns
+    assert wait(fork(SWEEP, tmp_path)) == 2
+    assert done.stat().st_mtime_ns == before
+    assert f"finished before: {done.parent}" in (tmp_path / "output").read_text()
+
+
+def workers(folder):
+    """Return the processes that work below a folder."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            if str(folder) in str((process / "cwd").resolve()) and b"python" in (process / "cmdline").read_bytes():
+                found.append(int(process.name))
+        except OSError:
+            continue
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", CODES)
+def test_an_ablation_that_is_stopped_leaves_no_workers_and_goes_on(tmp_path, how):
+    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
+    words = (
+        "experiment=smoke", *SMALL, "train.episodes=1", "setting=direct,rollouts_400", "planning.rollouts=10",
+        "seed=1,2", "results=results", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2",
+    )  # fmt: skip
+    command = [sys.executable, str(ROOT / "scripts" / "ablation.py"), *words]
+    child = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    while not (done := sorted(tmp_path.rglob("metrics.json"))) and child.poll() is None:
+        time.sleep(0.1)
+    child.send_signal(getattr(signal, how))
+    _, error = child.communicate(timeout=60)
+    assert child.returncode == CODES[how], error
+    if how != "SIGKILL":
+        assert error.startswith("stopped; the finished jobs are kept in ") and error.count("\n") == 1
+    deadline = time.monotonic() + 30
+    while workers(tmp_path) and time.monotonic() < deadline:
+        time.sleep(0.2)
+    assert not workers(tmp_path)
+    before = done[0].stat().st_mtime_ns
+    again = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    assert again.returncode == 0, again.stderr
+    assert done[0].stat().st_mtime_ns == before
+    assert len(sorted((tmp_path / "runs").rglob("metrics.json"))) == 4
+    assert (tmp_path / "results" / "ablation.md").is_file()
+
+
+def test_a_signal_during_the_imports_costs_one_line(tmp_path):
+    command = [sys.executable, str(ROOT / "scripts" / "train.py"), "experiment=smoke"]
+    child = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    time.sleep(0.5)
+    child.send_signal(signal.SIGINT)
+    _, error = child.communicate(timeout=60)
+    assert (child.returncode, error) == (130, "stopped\n")
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_run_goes_on_with_its_own_settings_only(tmp_path):
+    assert wait(fork(["resume=nowhere"], tmp_path)) == 2
+    assert "resume=nowhere is no run folder" in (tmp_path / "output").read_text()
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "config.yaml").write_text("seed: 1\n")
+    assert wait(fork(["resume=run", "system=xi"], tmp_path)) == 2
+    assert "goes on with the run's own settings; leave out system=xi" in (tmp_path / "output").read_text()
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["output", "run"]
