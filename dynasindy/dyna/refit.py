@@ -12,6 +12,7 @@ from torch import Tensor
 from dynasindy.data.recording import transitions
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.planning import ModelError, replay_error
+from dynasindy.systems import Diverged
 
 WINDOW_SECONDS = 1.0
 """Length of a held-out window: that of an imagined rollout of 20 control periods."""
@@ -47,6 +48,9 @@ def fit(parts: Parts, settings: Settings, held_out: Tensor | None = None) -> obj
         parts: The model and the data.
         settings: How many steps count as recent.
         held_out: Which of the newest steps stay out, `(n,)` bool.
+
+    Raises:
+        Diverged: What the model has learnt is not finite.
     """
     rows = parts.replay.real_in_order()
     if settings.recent_steps is not None:
@@ -55,7 +59,14 @@ def fit(parts: Parts, settings: Settings, held_out: Tensor | None = None) -> obj
         used = torch.ones(len(rows), dtype=torch.bool)
         used[-len(held_out) :] &= ~held_out[-len(rows) :]
         rows = rows[used]
-    return parts.world_model.fit(transitions(rows, parts.model_env.log_dt))
+    report = parts.world_model.fit(transitions(rows, parts.model_env.log_dt))
+    for name, learnt in parts.world_model.state_dict().items():
+        if not bool(learnt.isfinite().all()):
+            raise Diverged(
+                f"model learning: the fit to {len(rows)} real steps left {name} that are not finite in "
+                f"{type(parts.world_model).__name__}; choose a smaller library, or check what the plant logged"
+            )
+    return report
 
 
 def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
