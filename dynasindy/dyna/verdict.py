@@ -42,8 +42,8 @@ def judge(metrics: Mapping[str, Any]) -> Verdict:
     how = "worse than" if trained < untrained else "no better than"
     return Verdict(
         False,
-        f"There is no usable result: the trained policy is {how} the untrained one: {returns}; train for more episodes, "
-        "or look in gate.csv whether the model was trusted.",
+        f"There is no usable result: the trained policy is {how} the untrained one: {returns}; train for more "
+        "episodes, or look in gate.csv whether the model was trusted.",
     )
 
 

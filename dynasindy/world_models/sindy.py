@@ -222,9 +222,8 @@ class SindyModel(WorldModel):
         """Refine the coefficients and return what is to be said of it."""
         if self.refinement is None:
             return []
-        refined = self._finite(
-            self.refinement.run(self.library, self.coefficients, self.constraints, data), "refinement"
-        )
+        found = self.refinement.run(self.library, self.coefficients, self.constraints, data)
+        refined = self._finite(found, "refinement")
         if self.coefficients[self.constraints.free].any() and not refined[self.constraints.free].any():
             return ["the refinement dropped every function, so the fit before it stays; collect more or cleaner data"]
         self.set_coefficients(refined)
@@ -243,8 +242,8 @@ class SindyModel(WorldModel):
         if len(wrong := (~coefficients.isfinite()).nonzero()):
             k, i = wrong[0].tolist()
             raise Diverged(
-                f"model learning: the {source} on {self.sums.count} samples left {len(wrong)} coefficients that are not "
-                f"finite, such as {coefficients[k, i].item()} of {self.library.names[k]} in "
+                f"model learning: the {source} on {self.sums.count} samples left {len(wrong)} coefficients that are "
+                f"not finite, such as {coefficients[k, i].item()} of {self.library.names[k]} in "
                 f"{self.signature.state_names[i]}'; leave that function out of the library, or check the data's units"
             )
         return coefficients
