@@ -223,8 +223,8 @@ def test_a_real_rollout_that_is_not_finite_leaves_no_row():
 
 
 def test_capacities_beyond_the_physical_memory_are_refused_at_the_first_row(monkeypatch):
-    # A real row of `rows`: five vectors of 3 floats, samples of 30, a reward, a count and an index of 8 bytes each, four
-    # flags: 4 * (5 * 3 + 30 + 1) + 8 + 8 + 4 bytes; a model row: three vectors, 4 * (3 * 3 + 1) + 8 + 3.
+    # A real row of `rows`: five vectors of 3 floats, samples of 30, a reward, a count and an index of 8 bytes each,
+    # four flags: 4 * (5 * 3 + 30 + 1) + 8 + 8 + 4 bytes; a model row: three vectors, 4 * (3 * 3 + 1) + 8 + 3.
     real, model = 204, 51
     for spare, fits in ((0, True), (-1, False)):
         replay = DynaReplay(1000, 2, model_capacity=500)

@@ -118,3 +118,10 @@ def test_a_fit_that_is_not_finite_is_told_with_the_model(factor):
     assert fit(parts, Settings(1)) == "report"
     with pytest.raises(Diverged, match=r"model learning: the fit to 80 real steps left factor .* in Scaled"):
         fit(parts, Settings(1))
+
+
+def test_without_a_test_a_refit_that_is_not_finite_ends_the_phase():
+    parts, rollout = setting(1.0, math.nan)
+    fit(parts, Settings(1))
+    with pytest.raises(Diverged, match="model learning"):
+        refit(parts, Settings(1, held_out=0), rollout)
