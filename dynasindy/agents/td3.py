@@ -15,6 +15,7 @@ Source: Fujimoto, van Hoof, Meger, "Addressing Function Approximation Error in A
 """
 
 import copy
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -28,6 +29,10 @@ from torch.optim import Adam
 from dynasindy.agents.loss import SoftUpdate, TD3Loss
 from dynasindy.agents.networks import actor, critic
 from dynasindy.agents.noise import DecayingGaussian
+from dynasindy.systems import Diverged
+
+CHECK_EVERY = 100
+"""Updates between two looks at the losses on a device that works apart from the CPU, which each look would halt."""
 
 
 @dataclass(frozen=True)
@@ -158,6 +163,9 @@ class TD3:
 
         Returns:
             Scalars on the agent's device: `critic_loss`, `q_value`, and the latest `actor_loss`.
+
+        Raises:
+            Diverged: a loss is not finite; no weight of the network that it is of has moved by it on the CPU.
         """
         s = self.settings
         self.updates += 1
@@ -166,7 +174,7 @@ class TD3:
 
         if self.updates % s.policy_delay == 0:
             actor_loss, _ = self.loss.actor_loss(batch)
-            self._descend(actor_loss, self.actor_optimizer)
+            self._descend(actor_loss, self.actor_optimizer, "the actor's loss")
             self.actor_loss = actor_loss.detach()
             if s.policy_average:
                 self._average()
@@ -182,6 +190,9 @@ class TD3:
 
         Args:
             batch: as for `update`.
+
+        Raises:
+            Diverged: their loss is not finite.
         """
         self.updates += 1
         self._critics(batch)
@@ -190,8 +201,18 @@ class TD3:
     def _critics(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
         """Take one step of the critics and return their loss and mean value."""
         loss, parts = self.loss.value_loss(batch)
-        self._descend(loss, self.critic_optimizer)
+        self._descend(loss, self.critic_optimizer, "the critics' loss")
         return loss.detach(), parts["pred_value"].mean()
+
+    def check(self) -> None:
+        """Check all weights, as at the end of a phase or before the agent is saved.
+
+        Raises:
+            Diverged: a weight of the actor, the critics, a target or the deployed policy is not finite.
+        """
+        for name, weight in (*self.loss.state_dict().items(), *self.deployed.state_dict().items()):
+            if not bool(weight.isfinite().all()):
+                raise self._diverged(f"weights of {name} are not finite")
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that a resumed run needs to equal an uninterrupted one."""
@@ -216,12 +237,23 @@ class TD3:
     def _optimizer(self, parameters: nn.Module, lr: float) -> Adam:
         return Adam(list(parameters.parameters()), lr=lr, fused=True)
 
-    def _descend(self, loss: Tensor, optimizer: Adam) -> None:
+    def _descend(self, loss: Tensor, optimizer: Adam, what: str) -> None:
+        # A loss that is not finite stays so: weights that it has moved are NaN, and so is what they give.
+        if (loss.is_cpu or self.updates % CHECK_EVERY == 0) and not math.isfinite(loss.item()):
+            raise self._diverged(f"{what} is {loss.item()}")
         optimizer.zero_grad()
         loss.backward()
         if self.settings.max_grad_norm:
             nn.utils.clip_grad_norm_(optimizer.param_groups[0]["params"], self.settings.max_grad_norm)
         optimizer.step()
+
+    def _diverged(self, what: str) -> Diverged:
+        s = self.settings
+        return Diverged(
+            f"policy learning: {what} at update {self.updates} (critic_lr={s.critic_lr}, actor_lr={s.actor_lr}, "
+            f"gamma={s.gamma}, max_grad_norm={s.max_grad_norm}); lower agent.critic_lr and agent.actor_lr, bound "
+            "agent.max_grad_norm, or make the rewards of the task smaller"
+        )
 
     def _targets(self) -> None:
         if self.updates % self.settings.target_update_interval == 0:

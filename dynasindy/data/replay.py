@@ -4,6 +4,7 @@ TorchRL's `ReplayBufferEnsemble` mixes in expectation only and cannot sample whi
 agent needs every batch to hold the share it was told, from the first batch before any planning.
 """
 
+import os
 from collections.abc import Collection, Sequence
 from typing import Any
 
@@ -12,6 +13,8 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer, TensorDictRoundRobinWriter
+
+from dynasindy.data.sound import require_finite
 
 LEARN_KEYS: tuple[NestedKey, ...] = (
     "observation",
@@ -33,6 +36,9 @@ REAL_KEYS: tuple[NestedKey, ...] = (
     ("next", "at_stop"),
 )
 """What is kept of the real plant: also what identification and planning read."""
+
+INDEX_BYTES = 8
+"""What TorchRL keeps of each row beside its keys: its place in the storage."""
 
 
 class CheckedWriter(TensorDictRoundRobinWriter):
@@ -137,6 +143,7 @@ class DynaReplay:
         if missing := set(LEARN_KEYS) - set(keys):
             raise ValueError(f"Replay keys lack {_words(missing)}; give the keys to learn from and any others.")
         self.batch_size, self.real_ratio = batch_size, real_ratio
+        self.capacities = capacity, model_capacity
         self.device = torch.device(device)
         self.generator = torch.Generator(device).manual_seed(seed)
         self.real = self._buffer("real", capacity, keys)
@@ -144,10 +151,19 @@ class DynaReplay:
         self._views: dict[str, tuple[int, list[Tensor]]] = {}
 
     def extend_real(self, rollout: TensorDictBase) -> None:
-        """Store the rows of a real rollout `(*batch, steps)`, of which only the storage's keys are kept."""
+        """Store the rows of a real rollout `(*batch, steps)`, of which only the storage's keys are kept.
+
+        Raises:
+            Diverged: a number is not finite.
+            ValueError: the storages, which take their memory now, would not fit into it.
+        """
         writer = self.real.writer
         assert isinstance(writer, CheckedWriter)
-        self.real.extend(rollout.select(*writer.keys, strict=False).reshape(-1))
+        rows = rollout.select(*writer.keys, strict=False).reshape(-1)
+        require_finite(rows)
+        if not self.real.storage.initialized:
+            self._require_memory(rows)
+        self.real.extend(rows)
 
     def real_in_order(self) -> TensorDict:
         """Return the real rows, `(n,)`, the oldest first."""
@@ -226,6 +242,18 @@ class DynaReplay:
             generator=self.generator,
         )
 
+    def _require_memory(self, rows: TensorDictBase) -> None:
+        """Refuse capacities that need more than the memory of the device, given what real rows hold."""
+        widths = (_bytes(rows), _bytes(rows.select(*LEARN_KEYS, strict=False)))
+        needed = sum(capacity * width for capacity, width in zip(self.capacities, widths))
+        if needed > (memory := _memory(self.device)):
+            real, model = self.capacities
+            raise ValueError(
+                f"Replay has capacity={real} and model_capacity={model}, rows of {widths[0]} and {widths[1]} bytes, "
+                f"{needed / 2**30:.4g} GiB in all; {self.device} has {memory / 2**30:.4g} GiB: lower replay.capacity "
+                "and replay.model_capacity."
+            )
+
     def _columns(self, buffer: TensorDictReplayBuffer) -> list[Tensor]:
         """Return views of the columns to learn from, taken anew after each write."""
         writer = buffer.writer
@@ -245,6 +273,19 @@ def _in_order(buffer: TensorDictReplayBuffer) -> TensorDict:
     rows = torch.arange(len(buffer)).roll(-writer._cursor if len(buffer) == writer._storage.max_size else 0)
     ordered: TensorDict = buffer.storage.get(rows).clone()
     return ordered
+
+
+def _bytes(rows: TensorDictBase) -> int:
+    """Return the bytes of a stored row, its `index` included."""
+    columns = rows.values(include_nested=True, leaves_only=True)
+    return INDEX_BYTES + sum(column[0].numel() * column.element_size() for column in columns)
+
+
+def _memory(device: torch.device) -> int:
+    """Return the physical memory of a device [bytes]."""
+    if device.type == "cuda":
+        return torch.cuda.get_device_properties(device).total_memory
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
 def _words(keys: Collection[NestedKey]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from tensordict import TensorDictBase
@@ -12,6 +12,7 @@ from torch import Tensor
 from dynasindy.data.recording import transitions
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.planning import ModelError, replay_error
+from dynasindy.systems import Diverged
 
 WINDOW_SECONDS = 1.0
 """Length of a held-out window: that of an imagined rollout of 20 control periods."""
@@ -26,7 +27,7 @@ class Refit:
     """What came of a refit.
 
     Attributes:
-        report: What the model's fit returned.
+        report: What the model's fit returned, or the `Diverged` that it ended in.
         error_before: State error of the earlier model on the held-out windows, in ranges of the states; NaN if none.
         error_after: That of the refitted model.
         kept: Whether the refitted model stays.
@@ -47,6 +48,9 @@ def fit(parts: Parts, settings: Settings, held_out: Tensor | None = None) -> obj
         parts: The model and the data.
         settings: How many steps count as recent.
         held_out: Which of the newest steps stay out, `(n,)` bool.
+
+    Raises:
+        Diverged: What the model has learnt is not finite.
     """
     rows = parts.replay.real_in_order()
     if settings.recent_steps is not None:
@@ -55,7 +59,14 @@ def fit(parts: Parts, settings: Settings, held_out: Tensor | None = None) -> obj
         used = torch.ones(len(rows), dtype=torch.bool)
         used[-len(held_out) :] &= ~held_out[-len(rows) :]
         rows = rows[used]
-    return parts.world_model.fit(transitions(rows, parts.model_env.log_dt))
+    report = parts.world_model.fit(transitions(rows, parts.model_env.log_dt))
+    for name, learnt in parts.world_model.state_dict().items():
+        if isinstance(learnt, Tensor) and not bool(learnt.isfinite().all()):
+            raise Diverged(
+                f"model learning: the fit to {len(rows)} real steps left {name} that are not finite in "
+                f"{type(parts.world_model).__name__}; choose a smaller library, or check what the plant logged"
+            )
+    return report
 
 
 def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
@@ -68,6 +79,9 @@ def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
         parts: The model and the data, the episode among them.
         settings: Lengths of the loop.
         rollout: The newest real episode, `(T,)`.
+
+    Raises:
+        Diverged: The refit is not finite, and no window is held out that would tell the earlier model's error.
     """
     length = round(WINDOW_SECONDS / parts.model_env.dt)
     starts = held_out_windows(rollout.numel(), length, settings.held_out)
@@ -78,9 +92,13 @@ def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
     held_out[(starts.unsqueeze(-1) + torch.arange(length)).flatten()] = True
     earlier = copy.deepcopy(parts.world_model.state_dict())
     before = replay_error(parts.model_env, rollout, starts, length)
-    report = fit(parts, settings, held_out)
-    after = replay_error(parts.model_env, rollout, starts, length)
-    kept = after.state_error <= max(WORSE * before.state_error, NEGLIGIBLE)
+    report: object
+    try:
+        report = fit(parts, settings, held_out)
+        after = replay_error(parts.model_env, rollout, starts, length)
+        kept = after.state_error <= max(WORSE * before.state_error, NEGLIGIBLE)
+    except Diverged as lost:  # the worst of refits, and taken back like any other
+        report, after, kept = lost, replace(before, reward_error=torch.inf, state_error=torch.inf), False
     if not kept:
         parts.world_model.load_state_dict(earlier)
     return Refit(report, before.state_error, after.state_error, kept, after if kept else before)

@@ -14,6 +14,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from dynasindy.data.sound import require_finite
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.metrics import tracking_metrics
 from dynasindy.systems import Signature, System
@@ -158,8 +159,9 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario) -> Evaluation:
 
     Raises:
         TypeError: The task does not track a reference.
-        ValueError: The policy gives no action, one of the wrong shape or one that is not finite, or the plant leaves
-            all finite states.
+        ValueError: The policy gives no action, or one of the wrong shape.
+        Diverged: The policy gives an action that is not finite, the plant leaves all finite states, or the task gives
+            a reward that is not finite.
     """
     calm, task = _prepare(env, scenario)
     wrapped = policy
@@ -191,22 +193,9 @@ def _run(calm: ControlEnv, policy: Policy, scenario: Scenario, start: TensorDict
         start = env.step_mdp(part[..., -1])
         parts.append(part)
     trajectory: TensorDictBase = torch.cat(parts, -1)
-    _check_finite(trajectory, scenario.name, calm.dt)
+    in_time = trajectory.transpose(0, 1).reshape(-1)
+    require_finite(in_time, f"evaluation in scenario '{scenario.name}'")
     return trajectory
-
-
-def _check_finite(trajectory: TensorDictBase, name: str, dt: float) -> None:
-    what = {
-        "state": "the plant left all finite states in scenario '{}' at {:.2f} s; check the plant and its disturbance",
-        "action": "the policy gave an action that is not finite in scenario '{}' at {:.2f} s; "
-        "check its weights and its observation",
-    }
-    first = {key: (~trajectory[key].isfinite().all(-1).all(0)).nonzero() for key in what}
-    steps = {key: int(rows[0]) for key, rows in first.items() if len(rows)}
-    if steps:
-        # Of one moment the state comes first: the action follows from it.
-        key = min(steps, key=lambda key: steps[key])
-        raise ValueError(what[key].format(name, steps[key] * dt))
 
 
 def _phases(scenario: Scenario, dt: float) -> list[tuple[int, bool]]:

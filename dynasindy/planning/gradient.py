@@ -25,7 +25,7 @@ from dynasindy.planning.base import Planned, Planner
 from dynasindy.planning.terminal import TerminalValue
 from dynasindy.planning.variation import Members, Variation, Varied
 from dynasindy.planning.window import Rows, backward, imagine
-from dynasindy.systems import System
+from dynasindy.systems import Diverged, System
 from dynasindy.tasks import Tracking
 
 DIVERGED = 100.0
@@ -61,7 +61,7 @@ class GradientPlanning(Planner):
 
     Raises:
         TypeError: The task tracks no reference.
-        ValueError: A number is out of range.
+        ValueError: A number is out of range, or the noise has not one deviation per state.
     """
 
     # Departure: the paper's reward is quadratic with a bonus; its slope vanishes near zero and the bonus has none.
@@ -114,6 +114,7 @@ class GradientPlanning(Planner):
         self.real_starts, self.jumps = real_starts, jumps
         self.check_every, self.patience = check_every, patience
         self.variation = variation or Variation()
+        self.variation.deviations(env.system.signature.n_x)  # refuses a wrong number of them
         self.rng = torch.Generator().manual_seed(seed)
         self.env = ControlEnv(env.system, _imagined_task(env.task, width), env.dt, substeps)
         self.env.stops = env.stops
@@ -122,7 +123,11 @@ class GradientPlanning(Planner):
         self.log_dt, self.phase = env.log_dt, 0
 
     def plan(self) -> Planned:
-        """Improve the actor with the model as it is now."""
+        """Improve the actor with the model as it is now.
+
+        Raises:
+            Diverged: The phase trained nothing, or no policy of it has a finite return; the actor is as it was.
+        """
         updates, lr = self.phases[min(self.phase, 1)]
         self.phase += 1
         if not updates or not self.rollouts:
@@ -130,21 +135,24 @@ class GradientPlanning(Planner):
         episodes = Episodes(self)
         self.held_out.reach = episodes.rows.reach
         optimizer = torch.optim.Adam(self.network.parameters(), lr=lr, betas=(0.9, 0.99), fused=True)
-        best, best_weights, failures, done = -math.inf, None, 0, 0
+        best, best_weights, failures, done, made = -math.inf, self._weights(), 0, 0, 0
         for done in range(1, updates + 1):
             optimizer.param_groups[0]["lr"] = lr * _schedule(done - 1, updates)
-            self._update(episodes, optimizer)
+            made += self._update(episodes, optimizer)
             if done % self.check_every == 0 or done == updates:
-                score = self.test()
+                # Without a step so far the rest of the phase would bring none either.
+                score = self.test() if made else -math.inf
                 failures = 0 if score > best else failures + 1
                 if score > best:
-                    best, best_weights = score, copy.deepcopy(self.network.state_dict())
-                if failures >= self.patience:
+                    best, best_weights = score, self._weights()
+                if failures >= self.patience or not made:
                     break
-        if best_weights is not None:
-            self.network.load_state_dict(best_weights)
+        finite = self._finite()
+        self.network.load_state_dict(best_weights)
+        if best == -math.inf:
+            raise self._diverged(done, made, episodes.diverged, finite, lr)
         self._deploy()
-        return Planned(imagined=done * self.rollouts * self.window, updates=done)
+        return Planned(imagined=done * self.rollouts * self.window, updates=made)
 
     def distrust(self) -> None:
         """Do nothing: no imagined data are kept."""
@@ -169,7 +177,8 @@ class GradientPlanning(Planner):
         # What comes after divergence earns as little as the worst before it.
         return reward.where(alive, reward[alive].amin()).mean().item() if bool(alive.any()) else -math.inf
 
-    def _update(self, episodes: Episodes, optimizer: torch.optim.Adam) -> None:
+    def _update(self, episodes: Episodes, optimizer: torch.optim.Adam) -> bool:
+        """Take a gradient step, and return whether it was one: an explosion in the model is no direction."""
         late = self.variation.late
         rows, system = episodes.rows, episodes.system
         window = imagine(self.env, system, self.network, rows, self.window, late, self.rng)
@@ -180,9 +189,32 @@ class GradientPlanning(Planner):
             terminal = self.terminal.slope(rows, window)
         backward(self.env, system, self.network, rows, window, late, terminal)
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), self.max_grad_norm)
-        if norm.isfinite():
+        alive = window.alive[-1]
+        episodes.diverged += len(alive) - int(alive.sum())
+        finite = bool(norm.isfinite())
+        if finite:
             optimizer.step()
-        episodes.carry_on(window.states[-1], window.actions[-1], window.alive[-1])
+        episodes.carry_on(window.states[-1], window.actions[-1], alive)
+        return finite and bool(alive.any())
+
+    def _weights(self) -> dict[str, Tensor]:
+        return copy.deepcopy(self.network.state_dict())
+
+    def _finite(self) -> bool:
+        return all(bool(weight.isfinite().all()) for weight in self.network.parameters())
+
+    def _diverged(self, done: int, made: int, lost: int, finite: bool, lr: float) -> Diverged:
+        windows = done * self.rollouts
+        if not finite:
+            mend = f"the actor's weights left all bounds: lower planning.lr and planning.more_lr, now {lr}"
+        elif lost == windows:
+            mend = "the model explodes: excite longer or with less noise, shorten planning.window, or close the gate"
+        else:
+            mend = "gradient or reward is not finite: check the task's reward and shorten planning.window"
+        return Diverged(
+            f"planning by gradient: {made} of {done} updates had a finite gradient, {lost} of {windows} imagined "
+            f"windows diverged, and no policy has a finite imagined return, so the actor is left as it was; {mend}"
+        )
 
     def _deploy(self) -> None:
         """Let an agent that deploys a running average of its actor deploy the planned actor."""
@@ -249,6 +281,9 @@ class GradientThenReplay(Planner):
 class Episodes:
     """Imagined episodes side by side, begun at staggered times and begun anew when they end.
 
+    Attributes:
+        diverged: Windows that have diverged so far.
+
     Args:
         planner: Whose episodes they are.
     """
@@ -264,6 +299,7 @@ class Episodes:
         if planner.variation.plants:
             self.system = Varied(self.system, planner.variation, planner.rollouts)
             self.system.draw(torch.ones(planner.rollouts, dtype=torch.bool), planner.rng)
+        self.diverged = 0
         self.length = planner.env.task.max_steps * planner.env.dt
         self.end = torch.rand(planner.rollouts, 1, generator=planner.rng) * self.length
         real = planner.replay.real

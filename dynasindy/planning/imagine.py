@@ -23,6 +23,9 @@ class Imagination(Transform):
     gets a fresh reference. The end of an imagined rollout is truncated, never terminated, and a rollout is
     cut before the first transition that is not finite or that a mask does not believe.
 
+    Attributes:
+        diverged: How many of the newest rollouts had no finite transition at all.
+
     Args:
         env: Imagined environment.
         policy: Policy that acts in it, reading `observation` and writing `action`.
@@ -47,6 +50,7 @@ class Imagination(Transform):
         self.__dict__.update(env=env, policy=policy)
         self.horizon = horizon
         self.masks = list(masks)
+        self.diverged = 0
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         return self.imagine(tensordict["state"])
@@ -65,15 +69,21 @@ class Imagination(Transform):
         rollout = self.env.rollout(
             self.horizon, self.policy, auto_reset=False, tensordict=starts, break_when_any_done=False
         )
-        kept, last = _kept(rollout, self.masks)
+        finite = _finite(rollout)
+        self.diverged = len(finite) - int(finite[:, 0].sum())
+        kept, last = _kept(finite, rollout, self.masks)
         rollout["next", "truncated"] = rollout["next", "done"] = last.unsqueeze(-1)
         return rollout.select(*LEARN_KEYS)[kept]
 
 
-def _kept(rollout: TensorDictBase, masks: Sequence[Mask]) -> tuple[Tensor, Tensor]:
-    """Return which steps precede the cut and which of them is the last of its rollout, `(batch, horizon)` bool."""
+def _finite(rollout: TensorDictBase) -> Tensor:
+    """Return which transitions are finite, `(batch, horizon)` bool."""
     following = rollout["next"]
-    sound = torch.cat([following["state"], following["observation"], following["reward"]], -1).isfinite().all(-1)
+    return torch.cat([following["state"], following["observation"], following["reward"]], -1).isfinite().all(-1)
+
+
+def _kept(sound: Tensor, rollout: TensorDictBase, masks: Sequence[Mask]) -> tuple[Tensor, Tensor]:
+    """Return which steps precede the cut and which of them is the last of its rollout, `(batch, horizon)` bool."""
     for mask in masks:
         sound = sound & mask(rollout)
     kept = sound.long().cumprod(-1).bool()

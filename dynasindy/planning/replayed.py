@@ -14,6 +14,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.planning.base import Planned, Planner
 from dynasindy.planning.bounds import Bounds
 from dynasindy.planning.imagine import Imagination
+from dynasindy.systems import Diverged
 
 
 class NoPlanning(Planner):
@@ -80,7 +81,7 @@ class ImaginedReplay(Planner):
                 "planning needs rollouts >= 0, and generations and recent_steps >= 1 or null, "
                 f"got {rollouts}, {generations} and {recent_steps}; mend planning"
             )
-        self.env, self.replay, self.rollouts, self.generations = env, replay, rollouts, generations
+        self.agent, self.env, self.replay, self.rollouts, self.generations = agent, env, replay, rollouts, generations
         self.horizons = _schedule(horizon)
         self.bounds, self.recent_steps = bounds or Bounds(), recent_steps
         self.made: list[int] = []
@@ -89,7 +90,11 @@ class ImaginedReplay(Planner):
         replay.model.append_transform(self.imagination)
 
     def plan(self) -> Planned:
-        """Imagine `rollouts` rollouts with the model and policy as they are now."""
+        """Imagine `rollouts` rollouts with the model and policy as they are now.
+
+        Raises:
+            Diverged: No rollout has a single finite transition.
+        """
         if not self.rollouts:
             return Planned()
         if self.generations is not None:
@@ -101,6 +106,13 @@ class ImaginedReplay(Planner):
         self.imagination.masks = self.bounds.masks(self.env, real, self.generator)
         starts = TensorDict({"state": real["state"][rows]}, [self.rollouts])
         self.made.append(len(self.replay.model.extend(starts)))
+        if self.imagination.diverged == self.rollouts:
+            self.agent.check()  # its weights may be the reason
+            raise Diverged(
+                f"planning by imagined replay: all {self.rollouts} rollouts, from real states, diverged in their first "
+                "control period, so nothing is learned from the model; excite longer or with less noise, check the "
+                "reward, or close the gate (gate.close_above)"
+            )
         return Planned(imagined=self.made[-1])
 
     def distrust(self) -> None:

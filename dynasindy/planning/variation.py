@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -27,7 +28,7 @@ class Variation:
         members: Fits to resampled blocks of the data, of which each imagined plant is one; the model itself if 0.
 
     Raises:
-        ValueError: A number is negative, or `parameters` is not below 1.
+        ValueError: A number is negative or not finite, or `parameters` is not below 1.
     """
 
     parameters: float = 0.0
@@ -37,11 +38,12 @@ class Variation:
     members: int = 0
 
     def __post_init__(self) -> None:
-        least = min(self.parameters, self.disturbance, self.members, *self.noise)
-        if least < 0 or self.parameters >= 1:
+        numbers = (self.parameters, self.disturbance, self.members, *self.noise)
+        # Asked so that NaN, which compares false with everything, fails.
+        if not all(0 <= number < math.inf for number in numbers) or self.parameters >= 1:
             raise ValueError(
-                f"a variation needs 0 <= parameters < 1, disturbance, noise and members >= 0, got {self}; "
-                "mend planning.variation"
+                "a variation needs finite numbers, 0 <= parameters < 1, disturbance, noise and members >= 0, got "
+                f"{self}; mend planning.variation"
             )
 
     @property
@@ -58,7 +60,10 @@ class Variation:
         if not len(self.noise):
             return None
         if len(self.noise) != n_x:
-            raise ValueError(f"noise has {len(self.noise)} deviations for {n_x} states; give one per state or none")
+            raise ValueError(
+                f"planning.variation.noise has {len(self.noise)} deviations for {n_x} states; give one per state, or "
+                "none"
+            )
         return torch.tensor(list(self.noise), dtype=torch.float32)
 
 

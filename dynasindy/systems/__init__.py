@@ -1,6 +1,7 @@
 """What moves, in SI units."""
 
 from dynasindy.systems.base import Signature, System
+from dynasindy.systems.diverged import Diverged
 from dynasindy.systems.integrators import integrate, rk4
 from dynasindy.systems.pendulum import Pendulum
 from dynasindy.systems.stops import Stops
@@ -8,4 +9,4 @@ from dynasindy.systems.tras import Tras
 from dynasindy.systems.trms33 import Trms33
 from dynasindy.systems.xi import Xi
 
-__all__ = ["Pendulum", "Signature", "Stops", "System", "Tras", "Trms33", "Xi", "integrate", "rk4"]
+__all__ = ["Diverged", "Pendulum", "Signature", "Stops", "System", "Tras", "Trms33", "Xi", "integrate", "rk4"]

@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.base import Signature
+from dynasindy.systems.diverged import Diverged
 from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.base import WorldModel
@@ -132,6 +133,7 @@ class SindyModel(WorldModel):
         Raises:
             ValueError: there are fewer samples than functions.
             ValueError: a sample is not finite.
+            Diverged: a coefficient is not finite; the model stays as it was.
         """
         self.sums = RunningSums(len(self.library), self.signature.n_x)
         return self.update(transitions)
@@ -144,6 +146,7 @@ class SindyModel(WorldModel):
         Raises:
             ValueError: there are fewer samples than functions.
             ValueError: a sample is not finite.
+            Diverged: a coefficient is not finite; the model stays as it was.
         """
         start = time.perf_counter()
         data = transitions.to(torch.float64)
@@ -219,11 +222,28 @@ class SindyModel(WorldModel):
         """Refine the coefficients and return what is to be said of it."""
         if self.refinement is None:
             return []
-        refined = self.refinement.run(self.library, self.coefficients, self.constraints, data)
+        found = self.refinement.run(self.library, self.coefficients, self.constraints, data)
+        refined = self._finite(found, "refinement")
         if self.coefficients[self.constraints.free].any() and not refined[self.constraints.free].any():
             return ["the refinement dropped every function, so the fit before it stays; collect more or cleaner data"]
         self.set_coefficients(refined)
         return []
 
     def _solve(self, sums: RunningSums) -> None:
-        self.set_coefficients(self.regression.solve(sums, self.constraints.free, self.constraints.offset))
+        found = self.regression.solve(sums, self.constraints.free, self.constraints.offset)
+        self.set_coefficients(self._finite(found, "regression"))
+
+    def _finite(self, coefficients: Tensor, source: str) -> Tensor:
+        """Return coefficients as they are.
+
+        Raises:
+            Diverged: one of them is not finite.
+        """
+        if len(wrong := (~coefficients.isfinite()).nonzero()):
+            k, i = wrong[0].tolist()
+            raise Diverged(
+                f"model learning: the {source} on {self.sums.count} samples left {len(wrong)} coefficients that are "
+                f"not finite, such as {coefficients[k, i].item()} of {self.library.names[k]} in "
+                f"{self.signature.state_names[i]}'; leave that function out of the library, or check the data's units"
+            )
+        return coefficients

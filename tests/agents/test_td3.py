@@ -1,5 +1,7 @@
 """The agent: update frequencies, seeds, resume, settings."""
 
+import math
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -7,6 +9,7 @@ from torchrl.objectives import SoftUpdate
 from torchrl.objectives import TD3Loss as TorchRLTD3Loss
 
 from dynasindy.agents.td3 import TD3, Hyperparameters
+from dynasindy.systems import Diverged
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -199,3 +202,45 @@ def test_setting_outside_its_range_is_refused(name, value):
 def test_a_single_critic_is_refused():
     with pytest.raises(ValueError, match="critics=1; give a whole number > 1"):
         TD3(3, 2, critics=1)
+
+
+@pytest.mark.parametrize("reward", [math.nan, math.inf])
+def test_a_reward_that_is_not_finite_stops_the_update_before_any_weight_moves(reward):
+    agent = small()
+    first, second = batches(2)
+    agent.update(first)
+    before = tensors(agent)
+    second["next", "reward"][3] = reward
+    with pytest.raises(
+        Diverged, match=r"policy learning: the critics' loss is (nan|inf) at update 2 .*critic_lr=0.0001"
+    ):
+        agent.update(second)
+    assert torch.equal(tensors(agent), before)
+    with pytest.raises(Diverged, match="update 3"):
+        agent.update_critics(second)
+
+
+def test_an_exploding_critic_is_told_at_the_update_whose_loss_overflows():
+    # An immense learning rate: the first step is finite, the values that follow from it are not.
+    agent = small(critic_lr=1e19)
+    first, second = batches(2)
+    agent.update(first)
+    with pytest.raises(Diverged, match=r"critics' loss is (inf|nan) at update 2 \(critic_lr=1e\+19"):
+        agent.update(second)
+
+
+def test_an_actor_without_finite_weights_is_told_and_its_critics_are_checked_too():
+    agent = small()
+    agent.check()
+    for weights, name in ((agent.loss.actor_layers, "actor_network"), (agent.loss.critic_layers, "qvalue_network")):
+        spoilt = small()
+        layers = spoilt.loss.actor_layers if weights is agent.loss.actor_layers else spoilt.loss.critic_layers
+        with torch.no_grad():
+            layers[1].weight.view(-1)[0] = math.nan
+        with pytest.raises(Diverged, match=rf"weights of {name}\S* are not finite"):
+            spoilt.check()
+    lost = small(policy_delay=1)
+    with torch.no_grad():
+        lost.loss.actor_layers[1].weight.fill_(math.nan)
+    with pytest.raises(Diverged, match="the actor's loss is nan at update 1"):
+        lost.update(next(batches(1)))

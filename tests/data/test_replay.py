@@ -6,7 +6,9 @@ from tensordict import TensorDict
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs.transforms import Transform
 
+from dynasindy.data import replay as module
 from dynasindy.data.replay import LEARN_KEYS, REAL_KEYS, DynaReplay
+from dynasindy.systems import Diverged
 
 
 def rows(n, value=0.0, keys=LEARN_KEYS):
@@ -209,3 +211,34 @@ def test_the_newest_imagined_rows_stay():
     assert len(replay.model) == 0
     with pytest.raises(ValueError, match="0 or more"):
         replay.keep_imagined(-1)
+
+
+def test_a_real_rollout_that_is_not_finite_leaves_no_row():
+    replay = DynaReplay(100, 2)
+    bad = rows(5, keys=REAL_KEYS)
+    bad["next", "reward"][3] = float("inf")
+    with pytest.raises(Diverged, match="control period 4 the reward is"):
+        replay.extend_real(bad)
+    assert not len(replay.real)
+
+
+def test_capacities_beyond_the_physical_memory_are_refused_at_the_first_row(monkeypatch):
+    # A real row of `rows`: five vectors of 3 floats, samples of 30, a reward, a count and an index of 8 bytes each,
+    # four flags: 4 * (5 * 3 + 30 + 1) + 8 + 8 + 4 bytes; a model row: three vectors, 4 * (3 * 3 + 1) + 8 + 3.
+    real, model = 204, 51
+    for spare, fits in ((0, True), (-1, False)):
+        replay = DynaReplay(1000, 2, model_capacity=500)
+        monkeypatch.setattr(module, "_memory", lambda device, spare=spare: 1000 * real + 500 * model + spare)
+        if fits:
+            replay.extend_real(rows(3, keys=REAL_KEYS))
+            assert len(replay.real) == 3
+            continue
+        with pytest.raises(ValueError, match=r"capacity=1000 and model_capacity=500.*lower replay\.capacity"):
+            replay.extend_real(rows(3, keys=REAL_KEYS))
+        assert not replay.real.storage.initialized
+
+
+def test_no_machine_holds_ten_to_the_thirteen_rows():
+    replay = DynaReplay(10**13, 2)
+    with pytest.raises(ValueError, match=r"GiB in all; cpu has \d+\.?\d* GiB"):
+        replay.extend_real(rows(3, keys=REAL_KEYS))

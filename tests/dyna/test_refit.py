@@ -15,7 +15,7 @@ from dynasindy.dyna.refit import fit, held_out_windows, refit
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, NoPlanning, replay_error
-from dynasindy.systems import Xi
+from dynasindy.systems import Diverged, Xi
 from dynasindy.tasks import RandomStep, Tracking
 from dynasindy.world_models import Oracle
 
@@ -110,3 +110,18 @@ def test_every_fourth_window_is_held_out():
     assert held_out_windows(400, 20, 4).tolist() == [60, 140, 220, 300, 380]
     assert held_out_windows(79, 20, 4).tolist() == []
     assert held_out_windows(400, 20, 0).tolist() == []
+
+
+@pytest.mark.parametrize("factor", [math.nan, math.inf])
+def test_a_fit_that_is_not_finite_is_told_with_the_model(factor):
+    parts, _ = setting(1.0, factor)
+    assert fit(parts, Settings(1)) == "report"
+    with pytest.raises(Diverged, match=r"model learning: the fit to 80 real steps left factor .* in Scaled"):
+        fit(parts, Settings(1))
+
+
+def test_without_a_test_a_refit_that_is_not_finite_ends_the_phase():
+    parts, rollout = setting(1.0, math.nan)
+    fit(parts, Settings(1))
+    with pytest.raises(Diverged, match="model learning"):
+        refit(parts, Settings(1, held_out=0), rollout)

@@ -1,5 +1,6 @@
 """Planning through the model's gradient, with the true plant as the model."""
 
+import math
 from dataclasses import replace
 from functools import partial
 
@@ -12,6 +13,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.planning import Bounds, GradientPlanning, GradientThenReplay, ImaginedReplay, Planned, Variation
 from dynasindy.planning.gradient import Episodes
 from dynasindy.planning.window import imagine
+from dynasindy.systems import Diverged
 from dynasindy.systems.xi import Xi
 from dynasindy.tasks import RandomStep, Tracking
 
@@ -203,3 +205,62 @@ def test_no_rollouts_plan_nothing_and_leave_the_actor_to_td3():
     idle = GradientPlanning(env, agent, replay, rollouts=0)
     assert idle.plan() == Planned() and idle.learns_by_td3
     assert not GradientPlanning(env, agent, replay, **SMALL).learns_by_td3
+
+
+@pytest.mark.parametrize("noise", [[0.1], [0.1] * 5, [0.1] * 7])
+def test_noise_of_a_wrong_length_is_refused_before_anything_runs(noise):
+    env, agent, replay = setting()
+    with pytest.raises(ValueError, match=rf"planning.variation.noise has {len(noise)} deviations for 6 states"):
+        GradientPlanning(env, agent, replay, variation=Variation(noise=noise))
+
+
+class Nowhere(Xi):
+    """A model that is nowhere after its first period."""
+
+    def forward(self, x, u):
+        return super().forward(x, u) + math.inf
+
+
+def test_a_model_in_which_every_episode_diverges_stops_the_phase_at_its_first_test():
+    env, agent, replay = setting(policy_average=0.01)
+    before = weights(agent.policy), weights(agent.deployed)
+    planner = GradientPlanning(env.with_system(Nowhere()), agent, replay, updates=40, **SMALL)
+    # Four updates up to the first test, with sixteen windows each.
+    told = r"planning by gradient: 0 of 4 updates .* 64 of 64 imagined windows diverged.*the model explodes"
+    with pytest.raises(Diverged, match=told):
+        planner.plan()
+    assert torch.equal(weights(agent.policy), before[0]) and torch.equal(weights(agent.deployed), before[1])
+
+
+def test_a_reward_that_is_not_finite_is_told_from_a_model_that_explodes():
+    env, agent, replay = setting()
+    before = weights(agent.policy)
+    planner = GradientPlanning(env, agent, replay, updates=40, **SMALL)
+    reward = planner.env.task.reward_function
+    planner.env.task.reward_function = lambda *of: reward(*of) * math.nan
+    with pytest.raises(Diverged, match=r"0 of 4 updates .* 0 of 64 imagined windows diverged.*check the task's reward"):
+        planner.plan()
+    assert torch.equal(weights(agent.policy), before)
+
+
+def test_an_actor_that_leaves_all_bounds_is_taken_back_and_told():
+    env, agent, replay = setting()
+    before = weights(agent.policy)
+    planner = GradientPlanning(env, agent, replay, updates=4, lr=math.inf, **SMALL)
+    with pytest.raises(Diverged, match=r"1 of 4 updates .*the actor's weights left all bounds: lower planning\.lr"):
+        planner.plan()
+    assert torch.equal(weights(agent.policy), before)
+
+
+def test_a_step_that_was_skipped_is_no_update():
+    env, agent, replay = setting()
+    planner = GradientPlanning(env, agent, replay, updates=4, **SMALL)
+    reward, calls = planner.env.task.reward_function, iter(range(100))
+
+    def sometimes(*of):  # the second and the third window have no finite gradient
+        return reward(*of) * (math.nan if next(calls) in (1, 2) else 1.0)
+
+    planner.env.task.reward_function = sometimes
+    planned = planner.plan()
+    assert planned.updates == 2 and planned.imagined == 4 * 16 * 20
+    assert bool(weights(agent.policy).isfinite().all())

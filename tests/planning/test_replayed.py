@@ -1,3 +1,5 @@
+import math
+
 import pytest
 import torch
 
@@ -5,7 +7,7 @@ from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.envs import ControlEnv
 from dynasindy.planning import Bounds, ImaginedReplay, NoPlanning
-from dynasindy.systems import Tras
+from dynasindy.systems import Diverged, Tras
 from dynasindy.tasks import RandomStep, Tracking
 
 
@@ -112,3 +114,35 @@ IMPOSSIBLE += [{"generations": 0}, {"recent_steps": 0}]
 def test_impossible_plans_are_refused(settings):
     with pytest.raises(ValueError, match=next(iter(settings))):
         make(**settings)
+
+
+class Nowhere(Tras):
+    """A model that is nowhere from where the pitch is above a limit."""
+
+    def __init__(self, limit):
+        super().__init__()
+        self.limit = limit
+
+    def forward(self, x, u):
+        return torch.where(x[..., 1:2] > self.limit, math.nan, super().forward(x, u))
+
+
+def test_a_phase_in_which_every_rollout_diverges_at_once_is_told():
+    replay, planner, _ = make(rollouts=12, horizon=5)
+    pitches = replay.real_in_order()["state"][:, 1]
+    planner.imagination.env = planner.env.with_system(Nowhere(-math.inf))
+    with pytest.raises(Diverged, match=r"planning by imagined replay: all 12 rollouts.*first control period"):
+        planner.plan()
+    assert not len(replay.model)
+    # Where the model is sound at some real states, their rollouts are stored.
+    planner.imagination.env = planner.env.with_system(Nowhere(pitches.median().item()))
+    assert 0 < planner.plan().imagined < 60
+    assert 0 < planner.imagination.diverged < 12
+
+
+def test_an_actor_without_finite_weights_is_not_laid_on_the_model():
+    _, planner, agent = make(rollouts=12, horizon=5)
+    with torch.no_grad():
+        next(agent.policy.parameters()).fill_(math.nan)
+    with pytest.raises(Diverged, match=r"weights of actor_network\S* are not finite"):
+        planner.plan()

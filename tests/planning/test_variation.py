@@ -1,5 +1,7 @@
 """Imagined plants that stray from the model."""
 
+import math
+
 import pytest
 import torch
 
@@ -76,7 +78,12 @@ def test_a_plant_that_was_not_fitted_has_no_members():
         Members.of(Oracle(Xi().signature, Xi()), record(Xi(), torch.zeros(10, 2), dt=0.01), 2)
 
 
-@pytest.mark.parametrize("wrong", [{"parameters": 1.0}, {"disturbance": -0.1}, {"noise": [-1.0]}, {"members": -1}])
+IMPOSSIBLE = [{"parameters": 1.0}, {"disturbance": -0.1}, {"noise": [-1.0]}, {"members": -1}]
+IMPOSSIBLE += [{name: math.nan} for name in ("parameters", "disturbance")] + [{"disturbance": math.inf}]
+IMPOSSIBLE += [{"noise": [0.1, number]} for number in (math.nan, math.inf)] + [{"noise": [math.nan] * 6}]
+
+
+@pytest.mark.parametrize("wrong", IMPOSSIBLE)
 def test_impossible_variations_are_refused(wrong):
     with pytest.raises(ValueError, match=r"mend planning\.variation"):
         Variation(**wrong)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.excitation import Chirp, Excitation, HeldRandom, Multisine
-from dynasindy.systems import Tras, Xi, integrate, rk4
+from dynasindy.systems import Diverged, Tras, Xi, integrate, rk4
 from dynasindy.systems.base import System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import Refinement, Regression, SindyModel
@@ -216,3 +216,27 @@ def test_a_refinement_that_drops_everything_leaves_the_fit_and_says_so():
     report = refined.fit(data)
     assert torch.equal(refined.coefficients, plain.coefficients) and refined.coefficients.count_nonzero() > 2
     assert "note: the refinement dropped every function, so the fit before it stays" in report.to_text()
+
+
+@pytest.mark.parametrize("stage", ["regression", "refinement"])
+def test_coefficients_that_are_not_finite_are_told_and_the_model_stays(stage):
+    data = _recording(Xi(), HeldRandom(2, duration=5.0, amplitude=(0.6, 0.45), offset=HOVER, seed=0))
+    model = SindyModel(Xi().signature, "paper_table")
+    model.fit(data)
+    before = model.coefficients.clone()
+
+    class Spoilt:
+        def solve(self, *of):
+            return before.clone().index_fill_(0, torch.tensor(3), torch.nan)
+
+        def run(self, *of):
+            return before.clone().index_fill_(0, torch.tensor(3), torch.inf)
+
+    if stage == "regression":
+        model.regression = Spoilt()
+    else:
+        model.refinement = Spoilt()
+    told = rf"model learning: the {stage} on \d+ samples left 6 coefficients .* such as (nan|inf) of "
+    with pytest.raises(Diverged, match=told):
+        model.fit(data)
+    assert torch.equal(model.coefficients, before)
