@@ -89,14 +89,15 @@ class Sweep(Callback):
 def _mistakes_in_words(config_name: str) -> Iterator[None]:
     try:
         yield
-    except MENDABLE as error:
-        if os.environ.get("DYNASINDY_TRACEBACK"):
+    except (*MENDABLE, ArithmeticError) as error:
+        diverged = type(error).__name__ == "Diverged"  # its class would cost every command the import of torch
+        if os.environ.get("DYNASINDY_TRACEBACK") or (isinstance(error, ArithmeticError) and not diverged):
             raise
         line = f"error: {in_words(error, config_name)}"
         with suppress(OSError):  # the disk may be what is wrong
             _leave_word(line)
         print(line, file=sys.stderr)
-        sys.exit(2)
+        sys.exit(1 if diverged else 2)
 
 
 @contextmanager

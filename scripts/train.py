@@ -1,5 +1,6 @@
 """Train a controller: `python scripts/train.py [system=xi] [planning.rollouts=800] [-m seed=0,1]`."""
 
+import sys
 from pathlib import Path
 
 from command import command
@@ -22,6 +23,8 @@ def main(cfg: DictConfig) -> None:
         return
     draw_run(folder, recipe.system.signature)
     print(report(metrics, folder))
+    if cfg.evaluation.must_improve and not metrics["verdict"]["usable"] and HydraConfig.get().mode == RunMode.RUN:
+        sys.exit(1)
 
 
 if __name__ == "__main__":

@@ -59,6 +59,14 @@ class Place:
             return f"episode {self.episodes}"
         return "the first planning phase" if self.planned else "the excitation" if self.excited else "nothing"
 
+    def present(self, episodes: int) -> str:
+        """Return what is under way in a run of so many episodes, in words."""
+        if not self.excited:
+            return "the excitation"
+        if self.episodes == episodes:
+            return "the last evaluation"
+        return f"episode {self.episodes + 1}" if self.planned else "the first planning phase"
+
     def past_excitation(self) -> Place:
         """Move past the excitation and the first fit."""
         self.excited = True

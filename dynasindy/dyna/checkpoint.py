@@ -91,11 +91,11 @@ class Saver(Callback):
     def words(self, folder: Path) -> str:
         """Return what is kept of a run that is stopped, and how it goes on."""
         if (state := self.checkpoints.newest()) is None:
-            return f"stopped; nothing is kept in {folder} yet, the same command begins anew"
+            return f"nothing is kept in {folder} yet, the same command begins anew"
         done = Place()
         done.load_state_dict(state["place"])
         return (
-            f"stopped; {folder} is kept up to the end of {done.words()}: go on with resume={folder}, "
+            f"{folder} is kept up to the end of {done.words()}: go on with resume={folder}, "
             f"or evaluate and draw what is learnt with resume={folder} finish=true"
         )
 

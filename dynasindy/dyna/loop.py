@@ -61,6 +61,7 @@ def train(parts: Parts, settings: Settings, callback: Callback, place: Place | N
         for _ in range(round(settings.updates_per_step * rollout.numel()) if planner.learns_by_td3 else 0):
             agent.update(replay.sample())
             cost.updates += 1
+        agent.check()
         # Planning: after every N episodes, on the updated model if it is trusted.
         error, refitted = replay_error(parts.model_env, rollout), None
         if planner.due(number):

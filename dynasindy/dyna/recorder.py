@@ -16,6 +16,7 @@ from torchrl.record import CSVLogger
 
 from dynasindy.dyna.callback import Callback, Cost, Episode
 from dynasindy.dyna.parts import Parts
+from dynasindy.dyna.verdict import judge
 from dynasindy.evaluation.files import whole, with_units, write_csv, write_json, write_text
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, summarise
@@ -123,6 +124,7 @@ class Recorder(Callback):
             "untrained": self.untrained,
             "equations": self.parts.world_model.equations(),
         }
+        metrics["verdict"] = asdict(judge(metrics))
         self._write_rollout("step_response", final.trajectory[0])
         with whole(self.folder / "model.json") as path:
             self.parts.world_model.save(path)

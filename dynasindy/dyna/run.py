@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +20,7 @@ from dynasindy.dyna.stopped import Stopped
 from dynasindy.evaluation.files import write_json, write_text
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.summary import to_text
+from dynasindy.systems import Diverged
 
 
 class Kept(Protocol):
@@ -109,6 +110,7 @@ def run(
     Raises:
         ValueError: A part refuses its settings, or the folder holds something else or is in use.
         Stopped: The run was asked to stop.
+        Diverged: Its numbers went wrong; what was kept is sound.
         OSError: The folder cannot be written.
     """
     parts, place, checkpoints = recipe.build(), Place(), Checkpoints(folder / "checkpoints")
@@ -121,7 +123,10 @@ def run(
         saver = Saver(
             checkpoints, (saving or Saving()).every, lambda: {name: p.state_dict() for name, p in kept.items()}
         )
-        with _left_in_order(saver, folder), closing(ProgressBar(recipe.train.episodes, progress, place)) as bar:
+        with (
+            _left_in_order(saver, folder, lambda: place.present(recipe.train.episodes)),
+            closing(ProgressBar(recipe.train.episodes, progress, place)) as bar,
+        ):
             state = checkpoints.newest()
             if state is None and finish:
                 raise ValueError(f"{folder} keeps no checkpoint, there is nothing to finish; leave out finish=true")
@@ -157,12 +162,14 @@ def _resume(folder: Path, provenance: Provenance) -> None:
 
 
 @contextmanager
-def _left_in_order(saver: Saver, folder: Path) -> Iterator[None]:
-    """Say what was kept when the run is asked to stop; what is under way is given up."""
+def _left_in_order(saver: Saver, folder: Path, present: Callable[[], str]) -> Iterator[None]:
+    """Say what was kept when the run is asked to stop, and where it was when its numbers went wrong."""
     try:
         yield
     except KeyboardInterrupt as stop:
-        raise Stopped(saver.words(folder), getattr(stop, "signal", 2)) from stop
+        raise Stopped(f"stopped; {saver.words(folder)}", getattr(stop, "signal", 2)) from stop
+    except Diverged as error:
+        raise Diverged(f"in {present()}: {error}; {saver.words(folder)}") from error
 
 
 def report(metrics: dict[str, Any], folder: Path) -> str:
@@ -179,7 +186,8 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
         f"Cost: {cost['real_steps']} real steps = {cost['plant_seconds']:.0f} s of plant time, "
         f"{cost['imagined_transitions']} imagined transitions, {cost['updates']} gradient updates, "
         f"{cost['wall_seconds']:.0f} s wall time; apart from these {cost['evaluation_steps']} real steps of evaluation",
-        *_kept(metrics.get("checkpoint", {"bytes": 0})),
+        *_kept(metrics["checkpoint"]),
+        metrics["verdict"]["sentence"],
         f"Run folder: {folder}",
     ]
     return "\n".join(lines)

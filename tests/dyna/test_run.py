@@ -1,4 +1,5 @@
 import csv
+import dataclasses
 import json
 import re
 from functools import partial
@@ -16,7 +17,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Bounds, Gate, GradientPlanning, GradientThenReplay, ImaginedReplay, NoPlanning, Variation
-from dynasindy.systems import Xi
+from dynasindy.systems import Diverged, Xi
 from dynasindy.tasks import RandomStep, Step, Tracking
 from dynasindy.world_models import Refinement, Regression, SindyModel
 
@@ -145,6 +146,20 @@ def test_without_checkpoints_a_stopped_run_begins_anew(tmp_path):
     assert go(tmp_path, "none", saving=Saving(0))["episodes"] == 3
 
 
+def test_numbers_that_go_wrong_are_said_with_the_episode_and_lose_nothing(tmp_path):
+    class Loose(Plug):
+        def forward(self, x, u):
+            return super().forward(x, u) * (torch.nan if Plug.calls > CALLS else 1.0)
+
+    Plug.calls, Plug.last = 0, None
+    evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=5.0), every=2)
+    loose = dataclasses.replace(recipe(NoPlanning), system=Loose())
+    with pytest.raises(Diverged, match=r"in episode 2: .*up to the end of episode 1"):
+        run(loose, evaluating, tmp_path, PROVENANCE, progress=False)
+    assert not (tmp_path / "policy.pt").exists()
+    assert go(tmp_path, "none")["episodes"] == 3  # on the plant as it should be
+
+
 def test_other_code_that_goes_on_with_a_run_is_noted(tmp_path):
     with pytest.raises(Stopped):
         go(tmp_path, "none", last=CALLS)
@@ -175,6 +190,8 @@ def test_the_report_says_equations_metrics_costs_and_folder(tmp_path):
             "scenario": "step",
             "evaluation": evaluation,
             "untrained": {"return": -99.0},
+            "checkpoint": {"bytes": 2_300_000, "seconds": 0.4},
+            "verdict": {"usable": True, "sentence": "It is better."},
         },
         tmp_path,
     )
@@ -185,6 +202,8 @@ def test_the_report_says_equations_metrics_costs_and_folder(tmp_path):
         "600 real steps = 30 s",
         "8000 imagined",
         "25600 real steps of evaluation",
+        "the last of 2.3 MB, all of them 0.4 s",
+        "It is better.",
         str(tmp_path),
     ):
         assert words in text
