@@ -134,8 +134,7 @@ def run(
                 _begin(folder, provenance, recorder)
             else:
                 _resume(folder, provenance)
-                for name, part in kept.items():
-                    part.load_state_dict(state[name])
+                _restore(kept, state, checkpoints.folder)
             if not finish:
                 train(parts, recipe.train, Callbacks([recorder, bar, saver]), place)
             facts = {"seed": recipe.seed, "system": type(recipe.system).__name__.lower()}
@@ -150,6 +149,22 @@ def _begin(folder: Path, provenance: Provenance, recorder: Recorder) -> None:
     write_text(folder / "config.yaml", provenance.settings)
     write_json(folder / "origin.json", dict(provenance.origin))
     recorder.begin()
+
+
+def _restore(kept: Mapping[str, Kept], state: Mapping[str, Any], folder: Path) -> None:
+    """Bring the parts of a run back to a saved state.
+
+    Raises:
+        ValueError: The state is one of other parts.
+    """
+    try:
+        for name, part in kept.items():
+            part.load_state_dict(state[name])
+    except (AttributeError, AssertionError, LookupError, RuntimeError, TypeError) as error:
+        why = str(error).splitlines()[0]
+        raise ValueError(
+            f"{folder} does not fit the config.yaml beside it ({why}); restore the pair, or remove it to begin anew"
+        ) from error
 
 
 def _resume(folder: Path, provenance: Provenance) -> None:

@@ -160,6 +160,16 @@ def test_numbers_that_go_wrong_are_said_with_the_episode_and_lose_nothing(tmp_pa
     assert go(tmp_path, "none")["episodes"] == 3  # on the plant as it should be
 
 
+def test_a_checkpoint_of_another_run_costs_one_line(tmp_path):
+    with pytest.raises(Stopped):
+        go(tmp_path, "replay", last=CALLS)
+    Plug.calls, Plug.last = 0, None
+    evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=5.0), every=2)
+    wider = dataclasses.replace(recipe(REPLAYED), agent=partial(TD3, hidden=(9, 8)))
+    with pytest.raises(ValueError, match=r"checkpoints does not fit the config\.yaml beside it"):
+        run(wider, evaluating, tmp_path, PROVENANCE, progress=False)
+
+
 def test_other_code_that_goes_on_with_a_run_is_noted(tmp_path):
     with pytest.raises(Stopped):
         go(tmp_path, "none", last=CALLS)
