@@ -160,7 +160,7 @@ def _restore(kept: Mapping[str, Kept], state: Mapping[str, Any], folder: Path) -
     try:
         for name, part in kept.items():
             part.load_state_dict(state[name])
-    except (AttributeError, AssertionError, LookupError, RuntimeError, TypeError) as error:
+    except (AttributeError, AssertionError, LookupError, RuntimeError, TypeError, ValueError) as error:
         why = str(error).splitlines()[0]
         raise ValueError(
             f"{folder} does not fit the config.yaml beside it ({why}); restore the pair, or remove it to begin anew"
