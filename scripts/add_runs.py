@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import torch
-from command import MENDABLE
+from mistakes import MENDABLE, in_words
 from omegaconf import DictConfig
 from reader import while_read
 from saved_run import load_config, load_policy
@@ -58,5 +58,5 @@ if __name__ == "__main__":
         try:
             main(sys.argv[1:])
         except MENDABLE as error:
-            print(f"error: {error}", file=sys.stderr)
+            print(f"error: {in_words(error, 'evaluate')}", file=sys.stderr)
             sys.exit(2)

@@ -19,6 +19,7 @@ from mistakes import CONF, MENDABLE, in_words
 from omegaconf import DictConfig
 from places import complete
 from reader import while_read
+from schema import check
 
 # The jobs of a sweep run in processes of their own, which have to find the modules beside this one.
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(Path(__file__).parent), os.environ.get("PYTHONPATH")]))
@@ -43,6 +44,7 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
                 listen(stop)
             swept = HydraConfig.get().mode == RunMode.MULTIRUN
             with suppress(SystemExit) if swept else nullcontext(), _mistakes_in_words(config_name):
+                check(cfg)
                 task(cfg)
 
         main = hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)(guarded)

@@ -6,6 +6,7 @@ import torch
 from command import command
 from omegaconf import DictConfig
 from saved_run import load_config, load_policy, load_scenario
+from schema import check
 
 from dynasindy.evaluation.files import save_evaluation
 from dynasindy.evaluation.scenarios import evaluate
@@ -23,6 +24,7 @@ def main(cfg: DictConfig) -> None:
         raise ValueError("run is not given; give run=PATH, a run folder that train.py printed")
     folder = Path(cfg.run)
     config = load_config(folder)
+    check(config, str(folder / "config.yaml"))
     env, policy = load_policy(config, folder)
     if cfg.integral:
         policy = IntegralAction(policy, env)

@@ -1,8 +1,10 @@
 """A user's mistake in one line: what was given, what is allowed, what to do."""
 
+import errno
 import os
 import re
 import sys
+from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -15,15 +17,40 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 CONF = Path(__file__).resolve().parents[1] / "conf"
-MENDABLE = (ValueError, TypeError, KeyError, FileNotFoundError, HydraException, OmegaConfBaseException)
+MENDABLE = (ValueError, TypeError, KeyError, OSError, ModuleNotFoundError, HydraException, OmegaConfBaseException)
+EXTRAS = {"joblib": "sweep", "submitit": "slurm", "casadi": "mpc", "stable_baselines3": "bench"}
+"""Optional packages by the first word of a launcher or module, and the extra of ours that installs them."""
+CAUSES = {
+    errno.ENOSPC: "the disk is full: free some of it, or choose a folder on another",
+    errno.EDQUOT: "your quota of the disk is used up: free some of it, or choose a folder on another",
+    errno.EROFS: "the disk is read-only: choose another folder",
+    errno.EACCES: "permission is denied: choose a folder or file that you may read and write",
+    errno.EPERM: "permission is denied: choose a folder or file that you may read and write",
+    errno.EISDIR: "it is a folder: give a file",
+    errno.ENOTDIR: "part of it is a file: give the path of a folder",
+    errno.EEXIST: "a file is in the way: choose another name, or move that file",
+    errno.ENOENT: "it does not exist: correct the path",
+    errno.ENAMETOOLONG: "the name is too long: shorten it",
+}
 
 
 def in_words(error: BaseException, config_name: str) -> str:
-    """Return the innermost message of an error on one line, with what is allowed where it names a key."""
+    """Return the innermost message of an error on one line, with what is allowed where it names a key.
+
+    Raises:
+        BrokenPipeError: The error is that, which is nobody's mistake.
+    """
     part = ""
     while isinstance(error, InstantiationException) and error.__cause__ is not None:
         part = str(error).rpartition("full_key: ")[2].strip()
         error = error.__cause__
+    if isinstance(error, BrokenPipeError):
+        raise error
+    if isinstance(error, OSError) and error.errno is not None:
+        path = error.filename if error.filename is not None else "a file"
+        return f"{path}: {CAUSES.get(error.errno, error.strerror or 'it cannot be read or written')}"
+    if missing := _missing_package(error):
+        return missing
     if part and not isinstance(error, ValueError):
         return f"{part} got a setting of the wrong type or name ({error}); compare it with conf/"
     text = " ".join(str(error).strip("'\"").split()).partition(" Config search path:")[0]
@@ -34,6 +61,17 @@ def in_words(error: BaseException, config_name: str) -> str:
         return _allowed_keys(misspelt[1], config_name)
     except MENDABLE:  # another override is wrong too, or the key itself exists and what it holds cannot be extended
         return f"{text}; replace the whole of a group's keys in a file of its own, as conf/ has them"
+
+
+def _missing_package(error: BaseException) -> str:
+    """Return how to install what an error misses, nothing if it misses no optional package."""
+    launcher = re.search(r"Could not find 'hydra/launcher/((\w+?)(_\w+)?)'", str(error))
+    name = launcher[2] if launcher else str(getattr(error, "name", None)).partition(".")[0]
+    if name not in EXTRAS:
+        return ""
+    wanted = f"hydra/launcher={launcher[1]}" if launcher else f"what was asked for needs {name}, which"
+    instead = ", or choose hydra/launcher=basic" if launcher else ""
+    return f"{wanted} is not installed; install it by pip install 'dynasindy[{EXTRAS[name]}]'{instead}"
 
 
 def _allowed_keys(key: str, config_name: str) -> str:
@@ -52,7 +90,12 @@ def _allowed_keys(key: str, config_name: str) -> str:
     names = sorted(str(k) for k in node if not str(k).startswith("_"))
     if name in names:
         raise KeyError(name)
+    return unknown(name, names, ".".join(parent))
+
+
+def unknown(name: str, names: Iterable[str], where: str) -> str:
+    """Return which names are allowed instead of one that does not exist in a group."""
     guess = get_close_matches(name, names, 1)
     hint = f"; did you mean '{guess[0]}'?" if guess else ""
-    where = f" in '{'.'.join(parent)}'" if parent else ""
-    return f"'{name}' does not exist{where}; allowed are {', '.join(names)}{hint}"
+    place = f" in '{where}'" if where else ""
+    return f"'{name}' does not exist{place}; allowed are {', '.join(sorted(names))}{hint}"

@@ -18,7 +18,7 @@ import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from tensordict import TensorDictBase
@@ -126,7 +126,7 @@ class TD3:
     """
 
     def __init__(
-        self, n_obs: int, n_u: int, seed: int = 0, device: torch.device | str = "cpu", **settings: Any
+        self, n_obs: int, n_u: int, seed: int = 0, device: torch.device | str = "cpu", **settings: Annotated[Any, Hyperparameters]
     ) -> None:
         allowed = {field.name for field in fields(Hyperparameters)}
         if unknown := set(settings) - allowed:

@@ -12,6 +12,7 @@ from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
+from dynasindy.limits import Count
 from dynasindy.planning import Gate, Planner
 from dynasindy.world_models import WorldModel
 
@@ -81,7 +82,7 @@ class Settings:
         ValueError: A number is negative, recent_steps is not positive, or held_out is 1.
     """
 
-    episodes: int
+    episodes: Count
     updates_per_step: float = 1.0
     recent_steps: int | None = None
     held_out: int = 4

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Policy
+from dynasindy.limits import Count
 from dynasindy.systems import Signature, System
 
 
@@ -113,7 +114,7 @@ class DelayedActuator:
         ValueError: `periods` is negative.
     """
 
-    def __init__(self, policy: Policy, env: ControlEnv, periods: int) -> None:
+    def __init__(self, policy: Policy, env: ControlEnv, periods: Count) -> None:
         if periods < 0:
             raise ValueError(f"periods of a delayed actuator must be >= 0, got {periods}; 2 are 0.1 s at 0.05 s")
         self.policy, self.periods = policy, periods

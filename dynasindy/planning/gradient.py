@@ -21,8 +21,10 @@ from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.data.recording import transitions
 from dynasindy.envs import ControlEnv
+from dynasindy.limits import Count, check_memory
 from dynasindy.planning.base import Planned, Planner
 from dynasindy.planning.terminal import TerminalValue
+from dynasindy.planning.trust import Bound
 from dynasindy.planning.variation import Members, Variation, Varied
 from dynasindy.planning.window import Rows, backward, imagine
 from dynasindy.systems import Diverged, System
@@ -74,20 +76,20 @@ class GradientPlanning(Planner):
         agent: TD3,
         replay: DynaReplay,
         *,
-        updates: int = 200,
-        more_updates: int = 80,
+        updates: Count = 200,
+        more_updates: Count = 80,
         rollouts: int = 128,
         window: int = 60,
         lr: float = 1e-2,
         more_lr: float = 3e-3,
-        max_grad_norm: float = 0.3,
+        max_grad_norm: Bound = 0.3,
         width: float | None = 0.02,
         real_starts: float = 0.25,
         jumps: float = 0.25,
-        substeps: int = 1,
+        substeps: Count = 1,
         check_every: int = 50,
         patience: int = 3,
-        terminal_updates: int = 0,
+        terminal_updates: Count = 0,
         variation: Variation | None = None,
         every: int = 1,
         seed: int = 0,
@@ -245,7 +247,7 @@ class GradientThenReplay(Planner):
         replay: DynaReplay,
         gradient: Callable[..., Planner],
         replayed: Callable[..., Planner],
-        critic_updates: int = 1000,
+        critic_updates: Count = 1000,
         seed: int = 0,
     ) -> None:
         if critic_updates < 0 or not float(critic_updates).is_integer():

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
 from dynasindy.envs import ControlEnv
+
+
+Bound = Annotated[float, math.inf]
+"""A limit, infinite where there is none."""
 
 
 @dataclass(frozen=True)
@@ -82,10 +87,10 @@ class Gate:
 
     def __init__(
         self,
-        open_below: float = 0.05,
-        close_above: float = 0.1,
+        open_below: Bound = 0.05,
+        close_above: Bound = 0.1,
         is_open: bool = True,
-        state_error: float = math.inf,
+        state_error: Bound = math.inf,
     ) -> None:
         if not 0 <= open_below <= close_above or not state_error > 0:
             raise ValueError(

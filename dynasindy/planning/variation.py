@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from dynasindy.limits import Count
 from dynasindy.systems import System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
@@ -35,7 +36,7 @@ class Variation:
     disturbance: float = 0.0
     noise: Sequence[float] = ()
     late: bool = False
-    members: int = 0
+    members: Count = 0
 
     def __post_init__(self) -> None:
         numbers = (self.parameters, self.disturbance, self.members, *self.noise)

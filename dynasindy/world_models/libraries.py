@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from itertools import combinations_with_replacement
+from typing import Annotated
 
 from dynasindy.systems.base import Signature
 from dynasindy.world_models.features import CONSTANT, Feature, of, parse, variable
 from dynasindy.world_models.library import Library
 
+LIMIT = "the limit is arbitrary: more functions would hardly be told apart"
 LibraryBuilder = Callable[[Signature], Library]
 
 
@@ -49,7 +51,7 @@ def rotor(
     angle: str = "alpha_p",
     rotors: Sequence[str] = ("omega_a", "omega_p"),
     rates: Sequence[str] = ("Omega_a", "Omega_p"),
-    inertia_order: int = 4,
+    inertia_order: Annotated[int, range(21), LIMIT] = 4,
     reaction: bool = False,
 ) -> Library:
     """Build the library of a beam with two rotors, with the functions that each equation may use.
@@ -104,7 +106,7 @@ def _power(feature: Feature, order: int) -> Feature:
     return product
 
 
-def polynomial(signature: Signature, degree: int = 2, variables: Iterable[str] | None = None) -> Library:
+def polynomial(signature: Signature, degree: Annotated[int, range(1, 11), LIMIT] = 2, variables: Iterable[str] | None = None) -> Library:
     """Build all monomials of states and inputs, constant included.
 
     Args:
@@ -125,7 +127,7 @@ def polynomial(signature: Signature, degree: int = 2, variables: Iterable[str] |
     return Library(signature, features)
 
 
-def fourier(signature: Signature, n_frequencies: int = 1, variables: Iterable[str] | None = None) -> Library:
+def fourier(signature: Signature, n_frequencies: Annotated[int, range(1, 101), LIMIT] = 1, variables: Iterable[str] | None = None) -> Library:
     """Build sin(k z) and cos(k z) for k = 1..n_frequencies.
 
     Args:

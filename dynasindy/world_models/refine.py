@@ -8,6 +8,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from dynasindy.limits import Count
 from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.constraints import Constraints
@@ -38,7 +39,7 @@ class Refinement:
     """
 
     method: Literal["integral", "one_step", "trajectory", "auto"] = "integral"
-    rounds: int = 2
+    rounds: Count = 2
     tolerance: float = 1e-6
     window: int = 50
 

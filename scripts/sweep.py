@@ -1,0 +1,43 @@
+"""What is wrong with a sweep, said before any of its jobs begins."""
+
+import shutil
+import sys
+from pathlib import Path
+from tempfile import TemporaryFile
+
+from hydra.experimental.callback import Callback
+from hydra.utils import instantiate
+from mistakes import MENDABLE, in_words
+from omegaconf import DictConfig, open_dict
+from schema import check
+
+
+class Checking(Callback):
+    """Check what the jobs of a sweep have in common; a mistake costs one line and exit code 2."""
+
+    def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:
+        """Check the config, its launcher and where the results of an ablation go."""
+        try:
+            _check(config.copy())
+        except MENDABLE as error:
+            print(f"error: {in_words(error, 'ablation')}", file=sys.stderr)
+            sys.exit(2)  # Hydra makes warnings of other exceptions
+
+
+def _check(config: DictConfig) -> None:
+    launcher = config.hydra.launcher._target_.rpartition(".")[2]
+    if launcher == "SlurmLauncher" and shutil.which("srun") is None:
+        raise ValueError(
+            "hydra/launcher=submitit_slurm found no srun; it needs a machine that submits to SLURM: choose "
+            "hydra/launcher=joblib, or submitit_local"
+        )
+    with open_dict(config):
+        config.folder = ""  # each job has its own
+        del config.hydra
+    check(config)
+    if "level" in config:
+        instantiate(config.level)
+        results = Path(config.results)
+        results.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=results):  # permissions alone do not tell
+            pass
