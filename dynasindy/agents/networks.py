@@ -61,7 +61,7 @@ class MLP(nn.Module):
         if len(widths) < 3 or min(widths) < 1:
             raise ValueError(
                 f"MLP widths are {widths} (inputs, hidden, outputs); give at least one hidden layer and "
-                "positive widths, such as hidden=[400, 300]."
+                "positive widths, such as agent.hidden=[400, 300]."
             )
         super().__init__()
         self.linears = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))

@@ -43,7 +43,7 @@ class DecayingGaussian(TensorDictModuleBase):
         if not (sigma >= 0 and minimum >= 0 and 0 <= decay < 1):
             raise ValueError(
                 f"Exploration noise has sigma={sigma}, decay={decay}, minimum={minimum}; "
-                "give sigma >= 0, minimum >= 0 and 0 <= decay < 1."
+                "give agent.exploration_noise >= 0, noise_min >= 0 and 0 <= noise_decay < 1."
             )
         super().__init__()
         self.sigma, self.decay, self.minimum = float(sigma), decay, minimum

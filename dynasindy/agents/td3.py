@@ -18,6 +18,7 @@ import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from typing import Annotated, Any
 
 import torch
@@ -29,6 +30,7 @@ from torch.optim import Adam
 from dynasindy.agents.loss import SoftUpdate, TD3Loss
 from dynasindy.agents.networks import actor, critic
 from dynasindy.agents.noise import DecayingGaussian
+from dynasindy.limits import check_memory
 from dynasindy.systems import Diverged
 
 CHECK_EVERY = 100
@@ -73,7 +75,7 @@ class Hyperparameters:
     exploration_noise: float = 0.15
     noise_decay: float = 1e-3
     noise_min: float = 0.0
-    critics: int = 2
+    critics: Annotated[int, range(2, 101), "the limit is arbitrary"] = 2
     layer_norm: bool = False
     max_grad_norm: float = 0.0
     policy_average: float = 0.0
@@ -88,7 +90,7 @@ class Hyperparameters:
             for name in names:
                 value = getattr(self, name)
                 if not isinstance(value, kinds) or not allowed(value):
-                    raise ValueError(f"TD3 has {name}={value}; give {words}.")
+                    raise ValueError(f"agent.{name} is {value}; give {words}.")
 
 
 _RANGES: tuple[tuple[tuple[str, ...], tuple[type, ...], Callable[[Any], bool], str], ...] = (
@@ -126,12 +128,22 @@ class TD3:
     """
 
     def __init__(
-        self, n_obs: int, n_u: int, seed: int = 0, device: torch.device | str = "cpu", **settings: Annotated[Any, Hyperparameters]
+        self,
+        n_obs: int,
+        n_u: int,
+        seed: int = 0,
+        device: torch.device | str = "cpu",
+        **settings: Annotated[Any, Hyperparameters],
     ) -> None:
         allowed = {field.name for field in fields(Hyperparameters)}
         if unknown := set(settings) - allowed:
             raise TypeError(f"TD3 has no setting {_words(unknown)}; the settings are {_words(allowed)}.")
         self.settings = s = Hyperparameters(**settings)
+        widths = [n_obs + n_u, *s.hidden, n_u]
+        check_memory(  # weights, targets, gradients and both moments of Adam, in float32
+            20.0 * (1 + s.critics) * sum(float(a) * b for a, b in pairwise(widths)),
+            f"agent.hidden={list(s.hidden)}, critics={s.critics}",
+        )
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.policy = actor(n_obs, n_u, s.hidden).to(device)

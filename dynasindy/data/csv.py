@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from itertools import pairwise
 from pathlib import Path
-from typing import Literal, TextIO
+from typing import Literal
 
 import numpy as np
 import torch
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import savgol_filter
 
+from dynasindy.data.table import MAP, Table, all_headings, numeric_headings, read_table, seconds_of, split_unit
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -84,6 +85,8 @@ class CsvLog:
     def __post_init__(self) -> None:
         if self.missing not in ("skip", "refuse"):
             raise ValueError(f"csv got missing={self.missing!r}; allowed are skip, refuse: choose one")
+        if self.dt is not None and not self.dt > 0:
+            raise ValueError(f"csv got dt {self.dt} s; allowed is a positive time, or None for the file's own")
         if not self.states or not self.inputs:
             raise ValueError("csv got no states or no inputs; allowed is one or more of each: name their columns")
 
@@ -99,14 +102,14 @@ class CsvLog:
         states, inputs = _columns(self.states), _columns(self.inputs, may_be_rates=False)
         notes: list[str] = []
         names = [self.time, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
-        table = _numbers(Path(self.path), names)
-        table = self._complete(table, names, notes)
-        t = table[:, 0]
-        self._check_time(t)
-        values = dict(zip(names[1:], table[:, 1:].T, strict=True))
+        _check_names([*states, *inputs], self.path)
+        table = self._complete(read_table(Path(self.path), names), notes)
+        t = table.values[:, 0] * seconds_of(Path(self.path), table.headings[0])
+        self._check_time(t, table.lines)
+        values = dict(zip(names[1:], table.values[:, 1:].T, strict=True))
         x = {s: values[c.name] * c.scale for s, c in states.items() if c.name}
         u = np.stack([values[c.name] * c.scale for c in inputs.values()], -1)
-        self._check_inputs(u, list(inputs))
+        self._check_inputs(u, list(inputs), notes)
         dt = float(np.median(np.diff(t))) if self.dt is None else self.dt
         t, x, u, segment = _even(t, x, u, dt, notes)
         free = ~_stuck(x, notes)
@@ -126,45 +129,50 @@ class CsvLog:
         scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(full[known]).max(0, initial=0.0))
         return Recording(data, Signature(tuple(states), units, tuple(inputs), scale), tuple(notes))
 
-    def _complete(self, table: Array, names: list[str], notes: list[str]) -> Array:
+    def _complete(self, table: Table, notes: list[str]) -> Table:
         """Leave out rows with missing values, counted by column."""
-        bad = ~np.isfinite(table)
+        bad = ~np.isfinite(table.values)
         rows = bad.any(1)
         if not rows.any():
             return table
-        where = ", ".join(f"{n}: {int(k)}" for n, k in zip(names, bad.sum(0), strict=True) if k)
-        first = int(np.flatnonzero(rows)[0]) + 2
-        message = f"{int(rows.sum())} of {len(table)} rows have values that are missing or not finite ({where})"
+        where = ", ".join(f"{n}: {int(k)}" for n, k in zip(table.headings, bad.sum(0), strict=True) if k)
+        first = int(table.lines[np.flatnonzero(rows)[0]])
+        message = f"{int(rows.sum())} of {len(rows)} rows have values that are missing or not finite ({where})"
         if self.missing == "refuse":
             raise ValueError(f"{self.path}: {message}, the first in line {first}; mend them or set missing=skip")
-        notes.append(f"{message}; they were skipped")
-        return table[~rows]
+        notes.append(f"{message}, the first in line {first}; they were skipped")
+        return Table(table.headings, table.values[~rows], table.lines[~rows])
 
-    def _check_time(self, t: Array) -> None:
+    def _check_time(self, t: Array, lines: NDArray[np.int64]) -> None:
         steps = np.diff(t)
         if len(t) < 2:
             raise ValueError(f"{self.path} gives {len(t)} complete rows; allowed are {self.min_samples} or more")
         if (steps <= 0).any():
             k = int(np.flatnonzero(steps <= 0)[0])
             raise ValueError(
-                f"{self.path}: time does not increase: {t[k + 1]:g} s follows {t[k]:g} s at complete row {k + 2}; "
-                "allowed is increasing time: sort the rows or split the recordings"
+                f"{self.path}, line {lines[k + 1]}, column {self.time}: time does not increase, {t[k + 1]:g} s follows "
+                f"{t[k]:g} s; allowed is increasing time: sort the rows or split the recordings"
             )
 
-    def _check_inputs(self, u: Array, names: list[str]) -> None:
+    def _check_inputs(self, u: Array, names: list[str], notes: list[str]) -> None:
         for name, column in zip(names, u.T, strict=True):
             if np.ptp(column) == 0:
                 raise ValueError(
                     f"{self.path}: input {name} is constant at {column[0]:g}; allowed is an input that moves: "
                     "excite it, or leave it out of `inputs`"
                 )
+            if np.abs(column).max() > 1:
+                notes.append(
+                    f"input {name} goes from {column.min():g} to {column.max():g}, beyond the [-1, 1] of a plant's "
+                    "inputs; the model holds for these numbers, or give a scale in data.inputs"
+                )
 
 
 def infer(path: str, time: str = "time") -> tuple[dict[str, Column], dict[str, Column]]:
     """Read the columns of states and inputs off the headings of a file, `name` or `name [unit]`.
 
-    Inputs are called u, u1, u_..., or input...; references, predictions and columns that do not begin with a number are
-    left out; all other columns but time are states.
+    Inputs are called u, u1, u_..., or input...; references, predictions and columns without any number are left out;
+    all other columns but time are states.
 
     Args:
         path: the file.
@@ -174,18 +182,18 @@ def infer(path: str, time: str = "time") -> tuple[dict[str, Column], dict[str, C
         FileNotFoundError: there is no such file.
         ValueError: no heading is that of a state, or none that of an input.
     """
-    with _opened(Path(path)) as file:
-        rows = csv.reader(file, delimiter=(separator := _separator(file)))
-        headings, first = [h.strip() for h in next(rows, [])], next(rows, [])
-    given = {h: number for h, number in zip(headings, first, strict=False) if _is_number(number)}
-    columns = {_bare(h): Column(h, h.partition(" [")[2].rstrip("]") or "-") for h in given}
-    others = {n: c for n, c in columns.items() if n != _bare(time) and not n.startswith(("reference_", "predicted_"))}
+    given = {heading: split_unit(heading) for heading in numeric_headings(Path(path))}
+    columns = {name: Column(heading, unit or "-") for heading, (name, unit) in given.items()}
+    others = {
+        n: c for n, c in columns.items() if n != split_unit(time)[0] and not n.startswith(("reference_", "predicted_"))
+    }
     inputs = {n: c for n, c in others.items() if re.fullmatch(r"(u|U|input)([_\d].*)?", n)}
     states = {n: c for n, c in others.items() if n not in inputs}
     if not states or not inputs:
         raise ValueError(
-            f"{path} has the columns {', '.join(headings) or 'none'} (separator {separator!r}); allowed are time, one "
-            "state or more, and one input or more, u, u_... or input_...: name them by data.states and data.inputs"
+            f"{path} has the columns {', '.join(all_headings(Path(path)))}, with numbers in "
+            f"{', '.join(given) or 'none'}; allowed are time, one state or more, and one input or more, u, u_... or "
+            "input_...: name them by data.states and data.inputs"
         )
     return states, inputs
 
@@ -198,7 +206,7 @@ def _columns(group: Mapping[str, Column | Mapping[str, object] | str], may_be_ra
             states = f", or to be the derivative of a logged state ({', '.join(logged)})" if may_be_rates else ""
             raise ValueError(
                 f"{name} has no column and is the derivative of {column.derivative_of or 'nothing'!r}; allowed is a "
-                f"column name{states}: correct the column map (data.time, data.states, data.inputs)"
+                f"column name{states}: {MAP}"
             )
     return made
 
@@ -206,55 +214,29 @@ def _columns(group: Mapping[str, Column | Mapping[str, object] | str], may_be_ra
 def _column(given: Column | Mapping[str, object] | str) -> Column:
     if isinstance(given, str):
         return Column(given)
-    return given if isinstance(given, Column) else Column(**given)  # type: ignore[arg-type]
-
-
-def _numbers(path: Path, names: list[str]) -> Array:
-    """Read the named columns; what is no number becomes NaN."""
-    with _opened(path) as file:
-        rows_of_file = csv.reader(file, delimiter=_separator(file))
-        headings = [h.strip() for h in next(rows_of_file, [])]
-        # A heading may carry its unit, `alpha_a [rad]`, without being named by it.
-        names = [n if n in headings else next((h for h in headings if _bare(h) == n), n) for n in names]
-        absent = [n for n in names if n not in headings]
-        if absent:
-            raise ValueError(
-                f"{path} has no column {', '.join(map(repr, absent))}; allowed are {', '.join(headings) or 'none'}: "
-                "correct the column map (data.time, data.states, data.inputs)"
-            )
-        places = [headings.index(n) for n in names]
-        rows = [[_number(row, k) for k in places] for row in rows_of_file if row]
-    return np.array(rows, dtype=np.float64).reshape(len(rows), len(names))
-
-
-def _opened(path: Path) -> TextIO:
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"{path} does not exist or is no file; allowed is a CSV file with a line of headings: correct data.path"
+    if isinstance(given, Column):
+        return given
+    kinds = {f.name: float if f.name == "scale" else str for f in fields(Column)}
+    wrong = not isinstance(given, Mapping) or any(
+        key not in kinds or isinstance(value, bool) or not isinstance(value, (kinds[key], int))
+        for key, value in given.items()
+    )
+    if wrong or not 0 < abs(float(str(given.get("scale", 1.0)))) < math.inf:
+        raise ValueError(
+            f"a column is {given!r}; allowed is a heading, or the keys name, unit, scale (a number, not 0) and "
+            f"derivative_of: {MAP}"
         )
-    return path.open(newline="", encoding="utf-8-sig")
+    return Column(**{key: kinds[key](str(value)) for key, value in given.items()})  # type: ignore[arg-type]
 
 
-def _separator(file: TextIO) -> str:
-    """Guess the separator from the line of headings, and go back to it."""
-    first = file.readline()
-    file.seek(0)
-    return max(",;\t", key=first.count)
-
-
-def _bare(heading: str) -> str:
-    return heading.partition(" [")[0]
-
-
-def _is_number(text: str) -> bool:
-    return not math.isnan(_number([text], 0))
-
-
-def _number(row: list[str], k: int) -> float:
-    try:
-        return float(row[k])
-    except (ValueError, IndexError):
-        return float("nan")
+def _check_names(names: list[str], path: str) -> None:
+    """Refuse names that could not be told from functions and numbers in an equation."""
+    for name in names:
+        if not re.fullmatch(r"[^\W\d][\w .-]*", name) or names.count(name) > 1:
+            raise ValueError(
+                f"{path}: a state or input is called {name!r}; allowed are names that begin with a letter, hold no "
+                "signs of arithmetic and differ: name it in data.states or data.inputs, as {angle: HEADING}"
+            )
 
 
 def _even(
@@ -272,9 +254,8 @@ def _even(
         f"{int(uneven.sum())} of {len(t) - 1} sampling times are not {dt:g} s; states were resampled by splines"
     )
     grids, states, inputs, labels = [], [], [], []
-    for label in np.unique(segment):
-        rows = segment == label
-        if rows.sum() < 4:
+    for label, rows in enumerate(_stretches(segment)):
+        if len(t[rows]) < 4:
             continue
         grid = np.arange(t[rows][0], t[rows][-1] + 1e-9 * dt, dt)
         grids.append(grid)
@@ -293,6 +274,12 @@ def _even(
         np.concatenate(inputs),
         np.concatenate(labels),
     )
+
+
+def _stretches(segment: NDArray[np.int64]) -> list[slice]:
+    """Return the rows of each segment."""
+    edges = [0, *(np.flatnonzero(np.diff(segment)) + 1).tolist(), len(segment)]
+    return [slice(start, end) for start, end in pairwise(edges)]
 
 
 def _stuck(x: dict[str, Array], notes: list[str]) -> NDArray[np.bool_]:
@@ -321,9 +308,8 @@ def _with_rates(
         if column.name:
             continue
         rate = np.full(len(segment), np.nan)
-        for label in np.unique(segment):
-            rows = segment == label
-            if rows.sum() >= SMOOTH:
+        for rows in _stretches(segment):
+            if len(rate[rows]) >= SMOOTH:
                 rate[rows] = savgol_filter(x[column.derivative_of][rows], SMOOTH, 3, deriv=1, delta=dt)
         full[name] = rate * column.scale
         notes.append(f"{name} was reconstructed from {column.derivative_of}")

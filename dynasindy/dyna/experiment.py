@@ -13,6 +13,7 @@ from dynasindy.data import DynaReplay
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
+from dynasindy.limits import check_memory
 from dynasindy.planning import Gate, ModelPrediction, Planner
 from dynasindy.systems import System
 from dynasindy.tasks import Task
@@ -53,7 +54,8 @@ class Recipe:
         """Build the parts; nothing is written and no step is taken.
 
         Raises:
-            ValueError: A part refuses its settings, or the excitation is longer than an episode.
+            ValueError: A part refuses its settings, the excitation is longer than an episode, or the storages do not
+                fit into memory.
         """
         seeds = torch.randint(2**31, (5,), generator=torch.Generator().manual_seed(self.seed)).tolist()
         signature = self.system.signature
@@ -62,6 +64,7 @@ class Recipe:
         model_env = plant.with_system(world_model, torch.float32, seed=seeds[1])
         agent = self.agent(n_obs=plant.task.n_o, n_u=signature.n_u, seed=seeds[2])
         replay = self.replay(seed=seeds[3])
+        _check_storages(replay, plant)
         excitation = self.excitation(n_u=signature.n_u, dt=plant.dt)
         if excitation.n_steps > plant.task.max_steps:
             raise ValueError(
@@ -79,3 +82,15 @@ class Recipe:
             planner=self.planning(env=model_env, agent=agent, replay=replay, seed=seeds[4]),
             gate=self.gate,
         )
+
+
+def _check_storages(replay: DynaReplay, plant: ControlEnv) -> None:
+    """Refuse storages that memory could not hold when they are full."""
+    n_o, n_x, n_u = plant.task.n_o, plant.system.signature.n_x, plant.system.signature.n_u
+    learned = 4 * (2 * n_o + n_u + 1)  # float32, of both storages and of a batch
+    real, model = (buffer.storage.max_size for buffer in (replay.real, replay.model))
+    check_memory(
+        (real + model + replay.batch_size) * learned + real * (2 + plant.substeps) * n_x * plant.float_type.itemsize,
+        f"replay.capacity={real}, model_capacity={model}, batch_size={replay.batch_size} with "
+        f"env.substeps={plant.substeps} samples a row",
+    )

@@ -10,6 +10,7 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from dynasindy.limits import Count, check_memory
 from dynasindy.systems import System, integrate
 from dynasindy.tasks import Task
 
@@ -35,7 +36,8 @@ class ControlEnv(EnvBase):
         seed: Seed of the environment's own generator.
 
     Raises:
-        ValueError: dt or substeps is not positive.
+        ValueError: dt or substeps is not positive, an episode does not fit into memory, or the system does not give one
+            finite rate of change per state.
     """
 
     batch_locked = False
@@ -45,20 +47,27 @@ class ControlEnv(EnvBase):
         system: System,
         task: Task,
         dt: float = 0.05,
-        substeps: int = 5,
+        substeps: Count = 5,
         *,
         batch_size: tuple[int, ...] = (),
         dtype: torch.dtype = torch.float32,
         seed: int = 0,
     ) -> None:
         if not dt > 0 or substeps < 1:
-            raise ValueError(f"need dt > 0 s and substeps >= 1, got dt={dt}, substeps={substeps}; the paper has 0.05 s")
+            raise ValueError(
+                f"env needs dt > 0 s and substeps >= 1, got dt={dt}, substeps={substeps}; the paper has 0.05 s"
+            )
+        check_memory(
+            task.max_steps * substeps * system.signature.n_x * 2.0 * dtype.itemsize,
+            f"an episode of {task.max_steps:.4g} periods (task.max_steps) with {substeps} samples each (env.substeps)",
+        )
         super().__init__(batch_size=torch.Size(batch_size))
         self.system, self.task = system, task
         self.stops = system.stops
         self.dt, self.substeps, self.float_type = dt, substeps, dtype
         self._make_specs()
         self._set_seed(seed)
+        self._check_system()
 
     @property
     def log_dt(self) -> float:
@@ -159,6 +168,27 @@ class ControlEnv(EnvBase):
         out["done"] = out["truncated"].clone()
         out["terminated"] = torch.zeros_like(out["done"])
         return TensorDict(out, batch_size=tensordict.batch_size, device=self.device)
+
+    @torch.no_grad()
+    def _check_system(self) -> None:
+        """Try the system once, at two states in which episodes begin and inputs of zero."""
+        signature, name = self.system.signature, type(self.system).__name__
+        x = self.task.initial_state(torch.Size((2,)), torch.Generator().manual_seed(0)).to(self.float_type)
+        wanted = f"{tuple(x.shape)} of {x.dtype} for states of that shape and type and inputs {(2, signature.n_u)}"
+        try:
+            dx = self.system(x, torch.zeros(2, signature.n_u, dtype=self.float_type))
+        except (RuntimeError, IndexError, ValueError, TypeError, AttributeError) as error:
+            reason = f"{type(error).__name__}: {error}".splitlines()[0]
+            raise ValueError(f"system {name} failed ({reason}); it has to return {wanted}: mend it") from error
+        given = f"{tuple(dx.shape)} of {dx.dtype}" if isinstance(dx, Tensor) else f"a {type(dx).__name__}"
+        if not isinstance(dx, Tensor) or dx.shape != x.shape or dx.dtype != x.dtype:
+            raise ValueError(f"system {name} returned {given}; it has to return {wanted}: mend it")
+        if not bool(dx.isfinite().all()):
+            bad = ", ".join(n for n, ok in zip(signature.state_names, dx.isfinite().all(0).tolist()) if not ok)
+            raise ValueError(
+                f"system {name} gives rates of change that are not finite, of {bad}, where episodes begin; "
+                "they have to be finite: mend the system or its constants"
+            )
 
     def _set_seed(self, seed: int | None) -> None:
         self.rng = torch.Generator().manual_seed(0 if seed is None else seed)

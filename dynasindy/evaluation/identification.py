@@ -22,6 +22,8 @@ from dynasindy.world_models.prediction import nrmse, one_step_error, open_loop
 from dynasindy.world_models.tables import to_csv, to_latex, to_text
 
 ExcitationBuilder = Callable[..., Excitation]
+LONGEST = 1e8
+"""Steps of a simulated plant, beyond which a recording would take days."""
 UNEXPLAINED = 0.05
 """Part of a rate of change, and of a state predicted open loop, that may be missed by a model that predicts."""
 
@@ -55,7 +57,7 @@ class Simulated:
         seed: seed of noise and validation.
 
     Raises:
-        ValueError: a time is not positive or the noise is negative.
+        ValueError: a time or the substeps are not positive, or the noise is negative.
     """
 
     dt: float = 0.01
@@ -65,10 +67,10 @@ class Simulated:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not self.dt > 0 or not self.validation_seconds > 0 or not self.noise >= 0:
+        if not self.dt > 0 or not self.validation_seconds > 0 or not self.noise >= 0 or self.substeps < 1:
             raise ValueError(
-                f"data=simulated got dt {self.dt} s, validation {self.validation_seconds} s, noise {self.noise}; "
-                "allowed are positive times and noise >= 0: correct them"
+                f"data=simulated got dt {self.dt} s, validation {self.validation_seconds} s, noise {self.noise}, "
+                f"substeps {self.substeps}; allowed are positive times, noise >= 0 and substeps >= 1: correct them"
             )
 
     def load(self, system: System | None, excitation: ExcitationBuilder) -> Source:
@@ -80,6 +82,13 @@ class Simulated:
         if system is None:
             raise ValueError("data=simulated got no plant; it needs one of conf/system: give system=NAME, or data=csv")
         signal = excitation(n_u=system.signature.n_u, seed=self.seed)
+        steps = max(signal.duration, self.validation_seconds) / self.dt * self.substeps
+        if steps > LONGEST:
+            raise ValueError(
+                f"excitation.duration={signal.duration:g} s or data.validation_seconds={self.validation_seconds:g} s, "
+                f"with data.dt={self.dt:g} s and data.substeps={self.substeps}, is {steps:.3g} steps of the plant; "
+                f"allowed are {LONGEST:g}, an arbitrary limit: shorten it"
+            )
         unseen = HeldRandom(
             system.signature.n_u,
             self.validation_seconds,
@@ -126,6 +135,8 @@ class Logged:
             raise ValueError("data=csv got no path; allowed is a CSV file: give data.path=log.csv")
         if not 0 < self.validation_share < 1:
             raise ValueError(f"data=csv got validation_share {self.validation_share}; allowed is between 0 and 1")
+        if self.dt is not None and not self.dt > 0:
+            raise ValueError(f"data=csv got dt {self.dt} s; allowed is a positive time, or null for the file's own")
 
     def load(self, system: System | None, excitation: ExcitationBuilder) -> Source:
         """Read the file; of the plant the names are used at most, and nothing of the excitation."""
@@ -167,7 +178,17 @@ class Identified:
 
 
 def identify(model: SindyModel, source: Source) -> Identified:
-    """Fit a model and predict the validation data: one step ahead, and open loop over 400 control periods."""
+    """Fit a model and predict the validation data: one step ahead, and open loop over 400 control periods.
+
+    Raises:
+        TypeError: The model is not sparse.
+        ValueError: It refuses the data.
+    """
+    if not isinstance(model, SindyModel):
+        raise TypeError(
+            f"world_model is a {type(model).__name__}, which has no coefficients to identify; choose world_model=sindy "
+            "or another that builds a SindyModel"
+        )
     report = model.fit(source.training)
     predicted = open_loop(model, source.validation)
     names = source.signature.state_names

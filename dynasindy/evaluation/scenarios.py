@@ -17,6 +17,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from dynasindy.data.sound import require_finite
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.metrics import tracking_metrics
+from dynasindy.limits import Count, check_memory
 from dynasindy.systems import Signature, System
 from dynasindy.tasks import Reference, Step, Tracking
 
@@ -124,7 +125,7 @@ class Evaluation:
         return tuple(self.signature.state_names[i] for i in self.columns)
 
 
-def step_references(low: Sequence[float], high: Sequence[float], number: int = 64, seed: int = 0) -> Step:
+def step_references(low: Sequence[float], high: Sequence[float], number: Count = 64, seed: int = 0) -> Step:
     """Return `number` fixed step references that fill a box evenly (scrambled Sobol points).
 
     The first, which figures show, is the one nearest to three quarters of the upper ends.
@@ -136,10 +137,14 @@ def step_references(low: Sequence[float], high: Sequence[float], number: int = 6
         seed: Of the scrambling; the same seed gives the same references.
 
     Raises:
-        ValueError: `low` and `high` differ in length.
+        ValueError: `low` and `high` differ in length, or there is no reference to draw.
     """
+    if number < 1:
+        raise ValueError(f"scenario.reference.number is {number}; give 1 or more")
     if len(low) != len(high):
-        raise ValueError(f"low={list(low)} and high={list(high)} differ in length; give one end per output in each")
+        raise ValueError(
+            f"plant.low={list(low)} and plant.high={list(high)} differ in length; give one end per output in each"
+        )
     points = torch.quasirandom.SobolEngine(len(low), scramble=True, seed=seed).draw(number)
     targets = torch.lerp(torch.tensor(low), torch.tensor(high), points)
     worth_a_figure = 0.75 * torch.tensor(high)
@@ -180,7 +185,15 @@ def _prepare(env: ControlEnv, scenario: Scenario) -> tuple[ControlEnv, Tracking]
     if not isinstance(env.task, Tracking):
         raise TypeError(f"task {type(env.task).__name__} tracks no reference; give an environment with a Tracking task")
     task = env.task.with_reference(scenario.reference or env.task.references)
-    task.max_steps = round(scenario.seconds / env.dt)
+    task.max_steps, n_x = round(scenario.seconds / env.dt), env.system.signature.n_x
+    if task.max_steps < 1:
+        raise ValueError(
+            f"scenario.seconds is {scenario.seconds} s, less than a control period of {env.dt} s; give one or more"
+        )
+    check_memory(
+        4.0 * scenario.episodes * task.max_steps * (2 * task.n_o + (2 + env.substeps) * n_x),
+        f"scenario.episodes={scenario.episodes} of scenario.seconds={scenario.seconds} in periods of {env.dt} s",
+    )
     return env.with_task(task, seed=scenario.seed), task
 
 

@@ -11,6 +11,8 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
+from dynasindy.limits import check_memory
+
 Levels = float | Sequence[float]
 
 
@@ -60,6 +62,7 @@ class Excitation(TensorDictModuleBase, ABC):
                 "allowed are positive numbers: correct them"
             )
         self.n_u, self.duration, self.dt = n_u, float(duration), float(dt)
+        self._check_size(self.dt, 1)
         self.register_buffer("amplitude", per_input(amplitude, n_u, "amplitude"))
         self.register_buffer("offset", per_input(offset, n_u, "offset"))
         if bool((self.offset.abs() - self.amplitude.abs() >= 1).any()):
@@ -89,9 +92,15 @@ class Excitation(TensorDictModuleBase, ABC):
         t = tensordict.get("step_count").squeeze(-1).to(torch.float64) * self.dt
         return tensordict.set("action", self.signal(t).to(torch.float32))
 
+    def _check_size(self, step: float, parts: int) -> None:
+        """Refuse an experiment of more steps [s], each of so many parts, than fit into memory."""
+        size = 64.0 * self.n_u * parts * self.duration / step
+        check_memory(size, f"excitation.duration={self.duration:g} s in steps of {step:g} s, {parts} values each,")
+
     def samples(self, dt: float | None = None) -> Tensor:
         """Give the inputs of the whole experiment, `(N, n_u)` float64, sampled every `dt` [s] (default: `self.dt`)."""
         step = self.dt if dt is None else dt
+        self._check_size(step, 1)
         return self.signal(torch.arange(round(self.duration / step), dtype=torch.float64) * step)
 
 

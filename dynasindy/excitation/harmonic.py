@@ -41,6 +41,7 @@ class Sphs(Excitation):
         super().__init__(n_u, duration, dt, **common)
         if harmonics < 1:
             raise ValueError(f"the signal got {harmonics} harmonics; allowed are 1 or more: 8 suits 10 s")
+        self._check_size(min(self.dt, self.duration / 4096), harmonics)
         i = torch.arange(1, harmonics + 1, dtype=torch.float64)
         self.numbers = (i.unsqueeze(-1) - 1) * n_u + torch.arange(1, n_u + 1, dtype=torch.float64)
         self.phases = self._phases(i)

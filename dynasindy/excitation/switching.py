@@ -38,6 +38,7 @@ class Switching(Excitation):
         if not hold > 0:
             raise ValueError(f"excitation got hold {hold} s; allowed is a positive time: 0.5 s suits the twin rotor")
         self.hold = float(hold)
+        self._check_size(self.hold, 1)
         generator = torch.Generator().manual_seed(self.seed)
         self.levels = self._levels(int(self.duration / self.hold) + 3, generator)
 

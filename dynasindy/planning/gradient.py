@@ -108,6 +108,11 @@ class GradientPlanning(Planner):
                 f"terminal_updates={terminal_updates}, real_starts={real_starts}, jumps={jumps}; rollouts and updates "
                 "must be >= 0 and the shares at most 1 together: mend planning"
             )
+        signature = env.system.signature
+        check_memory(
+            8.0 * rollouts * window * signature.n_x * (signature.n_x + signature.n_u + 4),
+            f"planning.rollouts={rollouts} of planning.window={window} periods",
+        )
         self.agent, self.replay, self.network = agent, replay, _network(agent)
         self.phases = ((updates, lr), (more_updates, more_lr))
         self.rollouts, self.window, self.max_grad_norm = rollouts, window, max_grad_norm

@@ -11,6 +11,7 @@ from tensordict import TensorDict
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.envs import ControlEnv
+from dynasindy.limits import check_memory
 from dynasindy.planning.base import Planned, Planner
 from dynasindy.planning.bounds import Bounds
 from dynasindy.planning.imagine import Imagination
@@ -68,7 +69,7 @@ class ImaginedReplay(Planner):
         agent: TD3,
         replay: DynaReplay,
         rollouts: int = 400,
-        horizon: int | Sequence[int] = 100,
+        horizon: int | tuple[int, int, int] = 100,
         every: int = 1,
         generations: int | None = 5,
         bounds: Bounds | None = None,
@@ -86,6 +87,11 @@ class ImaginedReplay(Planner):
         self.bounds, self.recent_steps = bounds or Bounds(), recent_steps
         self.made: list[int] = []
         self.generator = torch.Generator().manual_seed(seed)
+        longest = max(horizon) if isinstance(horizon, Sequence) else horizon
+        check_memory(
+            4.0 * rollouts * longest * (2 * env.task.n_o + (2 + env.substeps) * env.system.signature.n_x),
+            f"planning.rollouts={rollouts} of planning.horizon={longest} periods",
+        )
         self.imagination = Imagination(env, agent.explore_imagined, self.horizons(0))
         replay.model.append_transform(self.imagination)
 
@@ -130,9 +136,9 @@ class ImaginedReplay(Planner):
         self.generator.set_state(state["generator"])
 
 
-def _schedule(horizon: int | Sequence[int]) -> Callable[[int], int]:
+def _schedule(horizon: int | tuple[int, int, int]) -> Callable[[int], int]:
     """Return the horizon of each planning phase, counted from 0."""
-    first, last, phases = (horizon, horizon, 1) if isinstance(horizon, int) else tuple(horizon)
+    first, last, phases = (horizon, horizon, 1) if isinstance(horizon, int) else horizon
     if min(first, last, phases) < 1:
         raise ValueError(
             f"planning.horizon is {horizon}; give control periods >= 1, or [first, last, phases], such as [1, 20, 10]"

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from dynasindy.envs import ControlEnv
 
-
 Bound = Annotated[float, math.inf]
 """A limit, infinite where there is none."""
 

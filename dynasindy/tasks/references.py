@@ -64,7 +64,7 @@ class Reference(ABC):
 def _finite(name: str, *values: Sequence[float]) -> None:
     """Refuse values that are not finite numbers or whose lengths differ."""
     lengths = {len(row) for row in values}
-    if len(lengths) != 1 or not all(math.isfinite(v) for row in values for v in row):
+    if len(lengths) != 1 or lengths == {0} or not all(math.isfinite(v) for row in values for v in row):
         raise ValueError(f"{name} needs one finite number per output in each list, got {values}; complete the lists")
 
 

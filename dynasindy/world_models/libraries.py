@@ -106,7 +106,9 @@ def _power(feature: Feature, order: int) -> Feature:
     return product
 
 
-def polynomial(signature: Signature, degree: Annotated[int, range(1, 11), LIMIT] = 2, variables: Iterable[str] | None = None) -> Library:
+def polynomial(
+    signature: Signature, degree: Annotated[int, range(1, 11), LIMIT] = 2, variables: Iterable[str] | None = None
+) -> Library:
     """Build all monomials of states and inputs, constant included.
 
     Args:
@@ -127,7 +129,11 @@ def polynomial(signature: Signature, degree: Annotated[int, range(1, 11), LIMIT]
     return Library(signature, features)
 
 
-def fourier(signature: Signature, n_frequencies: Annotated[int, range(1, 101), LIMIT] = 1, variables: Iterable[str] | None = None) -> Library:
+def fourier(
+    signature: Signature,
+    n_frequencies: Annotated[int, range(1, 101), LIMIT] = 1,
+    variables: Iterable[str] | None = None,
+) -> Library:
     """Build sin(k z) and cos(k z) for k = 1..n_frequencies.
 
     Args:

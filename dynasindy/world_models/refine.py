@@ -72,7 +72,7 @@ class Refinement:
         if method == "one_step":
             return refine_one_step(library, coefficients, constraints.free, data, self.tolerance)
         if method == "trajectory":
-            return refine_trajectory(library, coefficients, constraints.free, data, self.window)
+            return refine_trajectory(library, coefficients, constraints.free, data, min(self.window, len(data)))
         return coefficients
 
 

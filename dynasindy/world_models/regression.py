@@ -151,8 +151,13 @@ class Regression:
             raise ValueError(f"regression got method {self.method!r}; allowed are stlsq, bic: choose one")
         if self.normalize not in ("two_norm", "rms"):
             raise ValueError(f"regression got normalize {self.normalize!r}; allowed are two_norm, rms: choose one")
-        if self.threshold < 0:
+        if not self.threshold >= 0:
             raise ValueError(f"regression got threshold {self.threshold}; allowed is 0 or more: the paper's is 0.9")
+        if not self.tolerance > 0 or self.max_iterations < 1:
+            raise ValueError(
+                f"regression got tolerance {self.tolerance}, max_iterations {self.max_iterations}; allowed are "
+                "tolerance > 0 and max_iterations >= 1: correct them"
+            )
 
     def solve(self, sums: RunningSums, support: Tensor, offset: Tensor) -> Tensor:
         """Find sparse coefficients.

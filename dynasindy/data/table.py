@@ -1,0 +1,186 @@
+"""A CSV file as headings and numbers, each row with its line in the file; what cannot be read says where."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from array import array
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+MAP = "correct the column map (data.time, data.states, data.inputs)"
+SECONDS = {
+    "s": 1.0,
+    "sec": 1.0,
+    "ms": 1e-3,
+    "us": 1e-6,
+    "\u00b5s": 1e-6,
+    "\u03bcs": 1e-6,
+    "ns": 1e-9,
+    "min": 60.0,
+    "h": 3600.0,
+}
+
+
+@dataclass(frozen=True)
+class Table:
+    """Hold columns of a file.
+
+    Attributes:
+        headings: headings of the columns as the file has them.
+        values: what is no number is NaN, `(rows, columns)`.
+        lines: line of each row in the file, `(rows,)`.
+    """
+
+    headings: tuple[str, ...]
+    values: NDArray[np.float64]
+    lines: NDArray[np.int64]
+
+
+def read_table(path: Path, names: Sequence[str]) -> Table:
+    """Read the named columns of a file; a heading `angle [rad]` may be named by `angle`.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is no table of text, or a column is missing or stands there twice.
+    """
+    (_, headings), rows = _rows(path)
+    columns = [_find(path, name, headings) for name in names]
+    values, lines = array("d"), array("q")
+    for line, row in rows:
+        if len(row) > len(headings) and any(text.strip() for text in row[len(headings) :]):
+            raise ValueError(
+                f"{path}, line {line} has {len(row)} values for {len(headings)} headings; allowed is one each: put "
+                "points into decimals, or semicolons between columns"
+            )
+        lines.append(line)
+        values.extend(number(row[k]) if k < len(row) else math.nan for k in columns)
+    found = tuple(headings[k] for k in columns)
+    return Table(found, np.array(values).reshape(len(lines), len(names)), np.array(lines, dtype=np.int64))
+
+
+def numeric_headings(path: Path) -> list[str]:
+    """Return the headings of columns that hold a number somewhere; the others are comments, or empty.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is no table of text, or two headings agree but for their unit.
+    """
+    (_, headings), rows = _rows(path)
+    names = [split_unit(heading)[0] for heading in headings]
+    if double := sorted({name for name in names if name and names.count(name) > 1}):
+        raise ValueError(
+            f"{path} has {', '.join(map(repr, double))} more than once in its headings; rename all but one"
+        )
+    waiting = set(range(len(headings)))
+    for _, row in rows:
+        waiting -= {k for k in waiting if k < len(row) and not math.isnan(number(row[k]))}
+        if not waiting:
+            break
+    return [heading for k, heading in enumerate(headings) if k not in waiting]
+
+
+def all_headings(path: Path) -> list[str]:
+    """Return all headings of a file."""
+    return _rows(path)[0][1]
+
+
+def split_unit(heading: str) -> tuple[str, str]:
+    """Split `angle [rad]` or `angle (rad)` into name and unit; the unit is empty where there is none."""
+    found = re.fullmatch(r"(.*?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))", heading)
+    return (found[1], (found[2] or found[3] or "").strip()) if found and found[1] else (heading, "")
+
+
+def seconds_of(path: Path, heading: str) -> float:
+    """Return how many seconds the unit of a time column is; without a unit it is seconds.
+
+    Raises:
+        ValueError: the unit is not one of time.
+    """
+    unit = split_unit(heading)[1]
+    if unit and unit not in SECONDS:
+        raise ValueError(
+            f"{path} has the time column {heading!r}; allowed units are {', '.join(SECONDS)}, or none for s: rename it"
+        )
+    return SECONDS.get(unit, 1.0)
+
+
+def number(text: str) -> float:
+    """Return a number, NaN for what is none; a comma that is left in a value is that of a decimal."""
+    try:
+        return float(text.replace(",", "."))
+    except ValueError:
+        return math.nan
+
+
+def _find(path: Path, name: str, headings: Sequence[str]) -> int:
+    """Return the place of a column by its heading, else by its heading without the unit."""
+    places = [k for k, h in enumerate(headings) if h == name]
+    places = places or [k for k, h in enumerate(headings) if split_unit(h)[0] == name]
+    if not places:
+        raise ValueError(f"{path} has no column {name!r}; allowed are {', '.join(headings)}: {MAP}")
+    if len(places) > 1:
+        raise ValueError(f"{path} has {len(places)} columns {name!r}; allowed is one: rename the others")
+    return places[0]
+
+
+def _rows(path: Path) -> tuple[tuple[int, list[str]], Iterator[tuple[int, list[str]]]]:
+    """Return the line and fields of the headings, and of the rows below them; rows without a value are no rows."""
+    rows = _lines(path)
+    line, fields = next(rows, (0, []))
+    headings = [field.strip() for field in fields]
+    if not any(headings):
+        raise ValueError(f"{path} is empty or begins with an empty line; allowed is a CSV file with a line of headings")
+    if all(not math.isnan(number(heading)) for heading in headings):
+        raise ValueError(
+            f"{path} has numbers in line {line}, where headings are wanted; allowed is a CSV file with a line of "
+            "headings: write one above, such as time,angle,u"
+        )
+    return (line, headings), rows
+
+
+def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
+    with _opened(path) as file:
+        reader, before = csv.reader(file, delimiter=_separator(file)), 0
+        try:
+            for row in reader:
+                if reader.line_num > before + 1:
+                    raise ValueError(
+                        f"{path}, line {before + 1}: a quote opens that is not closed in its line, so the lines up "
+                        f"to {reader.line_num} would be one value; close or remove it"
+                    )
+                before = reader.line_num
+                if row:
+                    yield before, row
+        except csv.Error as error:
+            raise ValueError(
+                f"{path}, after line {before}: {error}; allowed are lines of short values: look for a quote that is "
+                "not closed"
+            ) from error
+
+
+def _opened(path: Path) -> TextIO:
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path} does not exist or is no file; allowed is a CSV file with a line of headings: correct data.path"
+        )
+    with path.open("rb") as file:
+        begin = file.read(4096)
+    wide = begin.startswith((b"\xff\xfe", b"\xfe\xff"))
+    if b"\0" in begin and not wide:
+        raise ValueError(f"{path} is not text; allowed is a CSV file with a line of headings: export the log as CSV")
+    # Bytes that are no UTF-8, as a degree sign of Windows in a heading, cost no more than that sign.
+    return path.open(newline="", encoding="utf-16" if wide else "utf-8-sig", errors="replace")
+
+
+def _separator(file: TextIO) -> str:
+    """Guess the separator from the line of headings, and go back to it."""
+    first = file.readline(100_000)
+    file.seek(0)
+    return max(",;\t", key=first.count)
