@@ -55,7 +55,7 @@ class ControlEnv(EnvBase):
     ) -> None:
         if not dt > 0 or substeps < 1:
             raise ValueError(
-                f"env needs dt > 0 s and substeps >= 1, got dt={dt}, substeps={substeps}; the paper has 0.05 s"
+                f"need dt > 0 s and substeps >= 1, got dt={dt}, substeps={substeps}; mend env, the paper has 0.05 s"
             )
         check_memory(
             task.max_steps * substeps * system.signature.n_x * 2.0 * dtype.itemsize,

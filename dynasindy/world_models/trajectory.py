@@ -97,8 +97,19 @@ def linearise(
         parameters: coefficients to differentiate by, P of them.
         windows: the recording.
         sigma: error of each state, the weights; from the errors themselves if omitted.
+
+    Raises:
+        ValueError: without `sigma`, so at an estimate that is no trial, the model runs away within a window.
     """
     predicted, s = _integrate(library, estimate, parameters, windows)
+    lost = ~(predicted.square().isfinite().all(-1) & s.square().isfinite().all(-1).all(-1)).all(-1)
+    if sigma is None and bool(lost.any()):
+        length = windows.mask.shape[1]
+        raise ValueError(
+            f"refinement.method=trajectory: the model runs away in {int(lost.sum())} of {len(lost)} windows of {length} "
+            f"samples, the first of them number {int(lost.nonzero()[0])}; look for outliers in the data there, lower "
+            "refinement.window, or choose refinement.method=integral"
+        )
     n_x, n_p = estimate.xi.shape[1], len(parameters)
     error = (windows.measured - predicted) * windows.mask.unsqueeze(-1)
     start_error = windows.first - estimate.nodes
@@ -177,6 +188,9 @@ def refine_trajectory(
 
     Returns:
         Coefficients, `(n_features, n_x)`.
+
+    Raises:
+        ValueError: the model runs away within a window.
     """
     data = data.to(torch.float64)
     windows, limit = Windows.of(data, window), math.log(len(data))

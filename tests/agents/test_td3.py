@@ -195,7 +195,7 @@ def test_unknown_setting_is_refused_by_name():
     ],
 )
 def test_setting_outside_its_range_is_refused(name, value):
-    with pytest.raises(ValueError, match=rf"TD3 has {name}=.*; give a .*number"):
+    with pytest.raises(ValueError, match=rf"agent\.{name} is .*; give a .*number"):
         small(**{name: value})
 
 

@@ -71,7 +71,7 @@ def test_a_missing_column_is_named_beside_those_there_are(tmp_path):
 
 def test_an_empty_file_and_no_file_are_refused(tmp_path):
     (tmp_path / "empty.csv").write_text("")
-    assert "allowed are none" in refusal(str(tmp_path / "empty.csv"))
+    assert "is empty or begins with an empty line" in refusal(str(tmp_path / "empty.csv"))
     assert "gives 0 complete rows" in refusal(write(tmp_path / "headings.csv", []))
     with pytest.raises(FileNotFoundError):
         CsvLog(str(tmp_path / "absent.csv"), STATES, INPUTS).read()
@@ -84,7 +84,7 @@ def test_rows_with_missing_values_are_counted_and_skipped_or_the_file_is_refused
     path = write(tmp_path / "log.csv", table)
     found = CsvLog(path, STATES, INPUTS).read()
     counted = "3 of 80 rows have values that are missing or not finite (angle: 1, volt: 2)"
-    assert f"{counted}; they were skipped" in found.notes
+    assert f"{counted}, the first in line 22; they were skipped" in found.notes
     assert len(found.transitions) == 79 - 2 - 3  # a lost row costs the transitions before and after it
     assert found.transitions.segment.unique().tolist() == [0, 1, 2]
     assert bool(found.transitions.x.isfinite().all())
@@ -106,7 +106,9 @@ def test_text_and_short_rows_are_missing_values(tmp_path):
 def test_time_that_does_not_increase_is_refused_at_its_row(tmp_path):
     table = log()
     table[30, 0] = table[29, 0]
-    assert "0.29 s follows 0.29 s at complete row 31" in refusal(write(tmp_path / "equal.csv", table))
+    assert "line 32, column time: time does not increase, 0.29 s follows 0.29 s" in refusal(
+        write(tmp_path / "equal.csv", table)
+    )
     assert "0 s follows 0.79 s" in refusal(write(tmp_path / "two.csv", np.concatenate([log(), log()])))
 
 
@@ -214,7 +216,7 @@ def test_without_a_map_the_headings_say_what_is_a_state_and_what_an_input(tmp_pa
 
 def test_headings_without_an_input_are_refused(tmp_path):
     path = write(tmp_path / "log.csv", log())
-    with pytest.raises(ValueError, match=r"has the columns time, angle, rate, volt .*data\.inputs") as error:
+    with pytest.raises(ValueError, match=r"has the columns time, angle, rate, volt, .*data\.inputs") as error:
         infer(path)
     assert "\n" not in str(error.value)
 
@@ -228,3 +230,101 @@ def test_a_missing_file_gets_one_line(tmp_path):
     for read in (CsvLog(str(tmp_path / "none.csv"), STATES, INPUTS).read, lambda: infer(str(tmp_path))):
         with pytest.raises(FileNotFoundError, match=r"is no file; allowed is a CSV .* correct data\.path"):
             read()
+
+
+def test_text_in_the_first_row_costs_that_row_and_no_state(tmp_path):
+    path = Path(write(tmp_path / "log.csv", log(), ("time", "angle", "rate", "u")))
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([lines[0], "0,off,nan,", *lines[2:]]))
+    states, inputs = infer(str(path))
+    assert list(states) == ["angle", "rate"] and list(inputs) == ["u"]
+    found = CsvLog(str(path), states, inputs).read()
+    assert np.array_equal(found.transitions.x.numpy(), log()[1:-1, 1:3])
+    assert "1 of 80 rows" in found.notes[0] and "the first in line 2" in found.notes[0]
+
+
+def test_a_stray_quote_is_refused_at_its_line(tmp_path):
+    path = Path(write(tmp_path / "log.csv", log()))
+    lines = path.read_text().splitlines()
+    lines[9] = lines[9].replace(",", ',"', 1)
+    path.write_text("\n".join(lines))
+    assert "line 10: a quote opens that is not closed" in refusal(str(path))
+    path.write_text("\n".join([*lines, "0," + '"' + 200_000 * "1"]))
+    assert "log.csv, " in refusal(str(path))
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("ms", 1000), ("us", 1e6), ("min", 1 / 60), ("s", 1)])
+@pytest.mark.parametrize("heading", ["time [{}]", "time ({})", "time[{}]"])
+def test_time_is_read_in_its_unit(tmp_path, unit, factor, heading):
+    table = log()
+    table[:, 0] *= factor
+    path = write(tmp_path / "log.csv", table, (heading.format(unit), *HEADINGS[1:]))
+    data = CsvLog(path, STATES, INPUTS).read().transitions
+    assert data.dt == pytest.approx(0.01) and len(data) == 79
+
+
+def test_an_unknown_unit_of_time_is_refused(tmp_path):
+    path = write(tmp_path / "log.csv", log(), ("time [samples]", *HEADINGS[1:]))
+    assert "time column 'time [samples]'; allowed units are s, sec, ms" in refusal(path)
+
+
+def test_a_heading_that_stands_twice_is_refused(tmp_path):
+    path = write(tmp_path / "log.csv", log(), ("time", "angle", "angle", "volt"))
+    assert "2 columns 'angle'" in refusal(path, states={"q": "angle"})
+    with pytest.raises(ValueError, match="'angle' more than once"):
+        infer(write(tmp_path / "units.csv", log(), ("time", "angle [rad]", "angle [deg]", "u")))
+
+
+def test_a_state_is_not_called_like_a_function_of_the_library(tmp_path):
+    path = write(tmp_path / "log.csv", log(), ("time", "1", "rate", "u"))
+    assert "a state or input is called '1'" in refusal(path, *infer(path))
+    assert len(CsvLog(path, {"q": "1", "v": "rate"}, {"u": "u"}).read().transitions) == 79
+
+
+def test_decimal_commas_between_semicolons_are_numbers(tmp_path):
+    path = Path(write(tmp_path / "log.csv", log(), separator=";"))
+    path.write_text(path.read_text().replace(".", ","))
+    assert np.array_equal(CsvLog(str(path), STATES, INPUTS).read().transitions.x.numpy(), log()[:-1, 1:3])
+    path.write_text(path.read_text().replace(";", ","))
+    assert "line 2 has 8 values for 4 headings" in refusal(str(path))
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-8-sig", "cp1252"])
+def test_the_encodings_of_spreadsheets_are_read(tmp_path, encoding):
+    path = Path(write(tmp_path / "log.csv", log(), ("time", "angle [\u00b0]", "rate", "volt")))
+    path.write_text(path.read_text(), encoding=encoding)
+    assert np.array_equal(CsvLog(str(path), STATES, INPUTS).read().transitions.x.numpy(), log()[:-1, 1:3])
+
+
+def test_what_is_no_table_is_refused(tmp_path):
+    (tmp_path / "binary.csv").write_bytes(bytes(range(256)) * 9)
+    assert "is not text" in refusal(str(tmp_path / "binary.csv"))
+    assert "numbers in line 1, where headings are wanted" in refusal(write(tmp_path / "bare.csv", log(), list("0123")))
+
+
+def test_inputs_beyond_those_of_a_plant_are_read_and_said(tmp_path):
+    table = log()
+    table[:, 3] *= 12
+    found = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS).read()
+    assert np.array_equal(found.transitions.u[:, 0].numpy(), table[:-1, 3])
+    assert "input u goes from -12 to 12, beyond the [-1, 1]" in found.notes[0]
+
+
+@pytest.mark.parametrize(
+    "column", [{"name": "angle", "scale": "x"}, {"heading": "angle"}, 3, {"name": "angle", "scale": 0}]
+)
+def test_a_column_that_says_something_else_is_refused(tmp_path, column):
+    path = write(tmp_path / "log.csv", log())
+    assert "allowed is a heading, or the keys name, unit, scale" in refusal(path, {"q": column})
+
+
+@pytest.mark.parametrize("dt", [0.0, -0.01, math.nan])
+def test_a_sampling_time_that_is_none_is_refused(dt):
+    with pytest.raises(ValueError, match="allowed is a positive time"):
+        CsvLog("log.csv", STATES, INPUTS, dt=dt)
+
+
+def test_many_gaps_do_not_take_long(tmp_path):
+    table = log(40_000)
+    table[:, 0] += 0.03 * (np.arange(40_000) // 2) + 0.001 * (np.arange(40_000) % 2)
+    assert "no stretch of the recording has 4 samples" in refusal(write(tmp_path / "log.csv", table), dt=0.01)

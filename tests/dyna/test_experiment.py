@@ -65,3 +65,14 @@ def test_the_model_is_the_one_that_imagines():
 def test_a_part_that_refuses_its_settings_stops_the_build():
     with pytest.raises(ValueError, match="need dt > 0 s"):
         replace(recipe(), env=partial(ControlEnv, dt=-1.0)).build()
+
+
+@pytest.mark.parametrize("sizes", [(10**15, 16), (1000, 10**15)])
+def test_storages_that_memory_cannot_hold_stop_the_build(sizes):
+    with pytest.raises(ValueError, match=rf"replay\.capacity={sizes[0]}, .*batch_size={sizes[1]} .* GB; allowed is"):
+        replace(recipe(), replay=partial(DynaReplay, *sizes)).build()
+
+
+def test_networks_that_memory_cannot_hold_stop_the_build():
+    with pytest.raises(ValueError, match=r"agent\.hidden=\[1000000000\], critics=2 would take"):
+        replace(recipe(), agent=partial(TD3, hidden=(10**9,))).build()

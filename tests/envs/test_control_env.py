@@ -120,3 +120,42 @@ def test_the_step_is_differentiable():
 def test_impossible_times_are_refused(settings):
     with pytest.raises(ValueError, match="need dt > 0 s and substeps >= 1"):
         make(**settings)
+
+
+class Broken(Pendulum):
+    """A plant that returns what a function makes of the right rates of change."""
+
+    def __init__(self, change):
+        super().__init__()
+        self.change = change
+
+    def forward(self, x, u):
+        return self.change(super().forward(x, u))
+
+
+def around(system, **settings):
+    reward = TrackingReward(error_weights=(1.0,))
+    task = Tracking(system.signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), reward, max_steps=400)
+    return ControlEnv(system, task, **settings)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda dx: dx[..., :1], r"returned \(2, 1\) of torch\.float32; it has to return \(2, 2\) of torch\.float32"),
+        (lambda dx: dx.sum(), r"returned \(\) of torch\.float32"),
+        (lambda dx: dx.double(), r"returned \(2, 2\) of torch\.float64"),
+        (lambda dx: dx.tolist(), r"returned a list; it has to return \(2, 2\)"),
+        (lambda dx: dx * torch.tensor([1.0, torch.nan]), r"not finite, of Omega, where episodes begin"),
+        (lambda dx: dx[..., 5], r"system Broken failed \(IndexError"),
+    ],
+)
+def test_a_system_that_gives_no_rates_of_change_is_refused_at_once(change, said):
+    with pytest.raises(ValueError, match=said) as error:
+        around(Broken(change))
+    assert "\n" not in str(error.value)
+
+
+def test_an_episode_that_memory_cannot_hold_is_refused_before_it_begins():
+    with pytest.raises(ValueError, match=r"400 periods \(task\.max_steps\) with 1000000000 samples each .* GB"):
+        around(Pendulum(), substeps=10**9)

@@ -10,7 +10,7 @@ import torch
 from dynasindy.evaluation.identification import Logged, Simulated, identify, to_words, write
 from dynasindy.excitation import Chirp
 from dynasindy.systems import Pendulum
-from dynasindy.world_models import Refinement, Regression, SindyModel
+from dynasindy.world_models import Oracle, Refinement, Regression, SindyModel
 
 EXCITATION = partial(Chirp, duration=10.0, amplitude=0.6)
 
@@ -104,3 +104,15 @@ def test_a_log_without_a_map_has_the_names_of_the_plant_or_those_of_its_headings
 def test_nothing_is_simulated_without_a_plant():
     with pytest.raises(ValueError, match=r"give system=NAME, or data=csv"):
         Simulated().load(None, EXCITATION)
+
+
+@pytest.mark.parametrize("settings", [{"dt": 1e-9}, {"substeps": 10**9}, {"validation_seconds": 1e9}])
+def test_recordings_that_would_take_days_are_refused(settings):
+    with pytest.raises(ValueError, match=r"steps of the plant; allowed are 1e\+08, an arbitrary limit"):
+        Simulated(**settings).load(Pendulum(), Chirp)
+
+
+def test_a_model_without_coefficients_is_not_identified():
+    source = Simulated(validation_seconds=1.0).load(Pendulum(), partial(Chirp, duration=1.0))
+    with pytest.raises(TypeError, match="world_model is a Oracle, which has no coefficients"):
+        identify(Oracle(source.signature, Pendulum()), source)

@@ -191,3 +191,14 @@ def test_a_reward_that_is_not_finite_is_told() -> None:
     env.task.reward_function = Bottomless(bonus=0.0)
     with pytest.raises(Diverged, match=r"scenario 'bad': in control period 1 the reward is \[-?inf\]"):
         evaluate(env, constant(0.0, 0.2), Scenario("bad", seconds=5.0))
+
+
+@pytest.mark.parametrize("settings", [{"seconds": 1e12}, {"episodes": 10**12}])
+def test_runs_that_memory_cannot_hold_are_refused(settings) -> None:
+    with pytest.raises(ValueError, match=r"scenario\.episodes=.* would take .* GB"):
+        evaluate(make(), constant(0.0, 0.0), Scenario("long", **settings))
+
+
+def test_a_run_shorter_than_a_period_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"scenario\.seconds is 0\.01 s, less than a control period"):
+        evaluate(make(), constant(0.0, 0.0), Scenario("short", seconds=0.01))

@@ -65,3 +65,18 @@ def test_negative_bands_no_harmonics_and_no_hold_are_refused():
         Sphs(1, harmonics=0)
     with pytest.raises(ValueError, match="hold"):
         Prbs(1, hold=math.nan)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Chirp(2, 1e15),
+        lambda: Chirp(2, 10.0, 1e-15),
+        lambda: HeldRandom(2, hold=1e-15),
+        lambda: Sphs(2, harmonics=10**12),
+        lambda: Chirp(2).samples(1e-15),
+    ],
+)
+def test_experiments_that_memory_cannot_hold_are_refused(make):
+    with pytest.raises(ValueError, match=r"excitation\.duration=.* would take .* GB; allowed is"):
+        make()

@@ -146,3 +146,8 @@ def test_an_actor_without_finite_weights_is_not_laid_on_the_model():
         next(agent.policy.parameters()).fill_(math.nan)
     with pytest.raises(Diverged, match=r"weights of actor_network\S* are not finite"):
         planner.plan()
+
+
+def test_rollouts_that_memory_cannot_hold_are_refused():
+    with pytest.raises(ValueError, match=r"planning\.rollouts=1000000000 of planning\.horizon=100 periods would take"):
+        make(rollouts=10**9, horizon=100)

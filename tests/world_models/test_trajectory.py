@@ -9,9 +9,11 @@ from scipy.optimize import least_squares
 
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.constraints import Constraints
 from dynasindy.world_models.features import CONSTANT, variable
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.one_step import refine_one_step
+from dynasindy.world_models.refine import Refinement
 from dynasindy.world_models.sensitivity import Parameters
 from dynasindy.world_models.trajectory import Estimate, Windows, linearise, refine_trajectory
 
@@ -37,6 +39,10 @@ def recording(seed: int, noise: float = NOISE) -> Transitions:
 
 def column(*values: float) -> torch.Tensor:
     return torch.tensor(values, dtype=torch.float64).unsqueeze(-1)
+
+
+def refine(window: int) -> Refinement:
+    return Refinement("trajectory", rounds=0, window=window)
 
 
 def bound() -> np.ndarray:
@@ -119,3 +125,21 @@ def test_condensing_leaves_the_slopes_of_one_long_trajectory():
     square = (model.triangle[:, :3] * model.scale).numpy()
     assert np.allclose(square.T @ square, slopes.T @ slopes, rtol=1e-4, atol=1e-6)
     assert model.cost < 1e-9
+
+
+@pytest.mark.parametrize("outlier", [1e8, -1e30])
+def test_an_outlier_from_which_the_model_runs_away_is_said(outlier):
+    data = recording(0)
+    data.x[20, 0] = data.x_next[19, 0] = outlier
+    start = column(A, B, 0.0, 50.0)
+    free = torch.ones(4, 1, dtype=torch.bool)
+    with pytest.raises(ValueError, match=r"runs away in 1 of 10 windows of 20 samples, the first of them number 1;"):
+        refine_trajectory(LIBRARY, start, free, data, 20)
+
+
+def test_a_window_longer_than_memory_is_that_of_the_data():
+    data, start = recording(0), column(A, B, 0.0, 0.0)
+    found = [
+        refine(window).run(LIBRARY, start, Constraints(TWO, torch.zeros_like(start)), data) for window in (200, 10**15)
+    ]
+    assert torch.equal(*found)

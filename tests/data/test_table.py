@@ -1,0 +1,60 @@
+"""A table is read cell by cell as it was written, and every mistake has its line."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynasindy.data.table import numeric_headings, read_table, seconds_of, split_unit
+
+
+def write(folder: Path, text: str) -> Path:
+    (folder / "log.csv").write_text(text, newline="")
+    return folder / "log.csv"
+
+
+def test_cells_headings_and_lines_are_those_of_the_file(tmp_path):
+    table = read_table(write(tmp_path, "a [m],b,c\n1,2,3\n\n4,,x\n7\n"), ["c", "a"])
+    assert table.headings == ("c", "a [m]") and table.lines.tolist() == [2, 4, 5]
+    assert np.array_equal(table.values, [[3, 1], [math.nan, 4], [math.nan, 7]], equal_nan=True)
+
+
+@pytest.mark.parametrize("ends", ["\n", "\r\n", "\r"])
+def test_the_ends_of_lines_of_all_systems_are_read(tmp_path, ends):
+    assert read_table(write(tmp_path, ends.join(["a,b", "1,2", "3,4"])), ["a", "b"]).values.tolist() == [[1, 2], [3, 4]]
+
+
+def test_a_heading_has_a_number_below_it_or_is_left_out(tmp_path):
+    assert numeric_headings(write(tmp_path, "a,b,c,d\nx,,1,\ny,,2,5\n")) == ["c", "d"]
+
+
+@pytest.mark.parametrize(
+    ("heading", "parts"),
+    [("a", ("a", "")), ("a [rad]", ("a", "rad")), ("a(m/s)", ("a", "m/s")), ("[rad]", ("[rad]", "")), ("a b [ V ]", ("a b", "V"))],
+)  # fmt: skip
+def test_a_heading_is_a_name_and_a_unit(heading, parts):
+    assert split_unit(heading) == parts
+
+
+@pytest.mark.parametrize(("unit", "seconds"), [("s", 1), ("ms", 1e-3), ("\u00b5s", 1e-6), ("min", 60), ("h", 3600)])
+def test_a_unit_of_time_is_so_many_seconds(unit, seconds):
+    assert seconds_of(Path("log.csv"), f"t [{unit}]") == seconds
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "is empty"),
+        ("a,b\n1,2,3\n", "line 2 has 3 values for 2 headings"),
+        ('a,b\n1,2\n3,"4\n5,6\n', "line 3: a quote opens that is not closed"),
+        ("1,2\n3,4\n", "numbers in line 1"),
+        ("a,a\n1,2\n", "2 columns 'a'"),
+        ("b,c\n1,2\n", "no column 'a'; allowed are b, c"),
+        ("a\0b\n", "is not text"),
+    ],
+)
+def test_what_is_no_table_is_refused_at_its_line(tmp_path, text, said):
+    with pytest.raises(ValueError, match=r".") as error:
+        read_table(write(tmp_path, text), ["a"])
+    assert said in str(error.value) and str(tmp_path) in str(error.value) and "\n" not in str(error.value)

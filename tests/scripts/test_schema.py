@@ -1,0 +1,141 @@
+"""A value that a key does not take costs one line that names the key, what was given and what is allowed."""
+
+import math
+import sys
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+sys.path.append(str(SCRIPTS))
+from mistakes import in_words
+from schema import check
+
+ALL = ("train", "ablation", "identify", "evaluate", "report")
+NUMBER = "allowed is a finite number"
+
+
+def composed(command, *overrides):
+    with initialize_config_dir(str(SCRIPTS.parent / "conf"), version_base="1.3"):
+        cfg = compose(command, list(overrides))
+    if "folder" in cfg:
+        cfg.folder = "run"
+    return cfg
+
+
+@pytest.mark.parametrize("command", ALL)
+def test_what_conf_holds_is_allowed_and_stays_as_it_is(command):
+    cfg = composed(command)
+    before = OmegaConf.to_yaml(cfg)
+    check(cfg)
+    assert OmegaConf.to_yaml(cfg) == before
+
+
+@pytest.mark.parametrize(
+    ("key", "given", "said"),
+    [
+        ("seed", "x", "seed is 'x'; allowed is a whole number (0 to 9223372036854775807)"),
+        ("seed", -1, "seed is -1; allowed is a whole number (0 to"),
+        ("seed", 2**63, "allowed is a whole number (0 to"),
+        ("seed", True, "seed is True"),
+        ("threads", 1_000_000, "threads is 1000000; allowed is a whole number (1 to"),
+        ("threads", 0, "threads is 0"),
+        ("train.updates_per_step", math.inf, f"train.updates_per_step is inf; {NUMBER}"),
+        ("train.updates_per_step", "x", f"train.updates_per_step is 'x'; {NUMBER}"),
+        ("train.episodes", 2.5, "train.episodes is 2.5; allowed is a whole number"),
+        ("train.episodes", 10**12, "the limit is arbitrary"),
+        ("train.recent_steps", "x", "train.recent_steps is 'x'; allowed is a whole number or null"),
+        ("excitation.duration", math.inf, f"excitation.duration is inf; {NUMBER}"),
+        ("excitation.duration", math.nan, f"excitation.duration is nan; {NUMBER}"),
+        ("excitation.band", [0.0, "x"], f"excitation.band[1] is 'x'; {NUMBER}"),
+        ("env.dt", None, f"env.dt is null; {NUMBER}"),
+        ("env.dt", True, f"env.dt is True; {NUMBER}"),
+        ("agent.hidden", 400, "agent.hidden is 400; allowed is a list, each a whole number"),
+        ("agent.actor_lr", "x", f"agent.actor_lr is 'x'; {NUMBER}"),
+        ("agent.layer_norm", 1, "agent.layer_norm is 1; allowed is true or false"),
+        ("agent.tua", 1, "'tua' does not exist in 'agent'; allowed are actor_lr"),
+        ("gate.open_below", None, "gate.open_below is null; allowed is a finite number"),
+        ("gate", None, "gate is null; allowed is a group with _target_, a Gate"),
+        ("task.reward._target_", "dynasindy.tasks.Step", "a TrackingReward or null"),
+        ("system._target_", "no.such", "system._target_ is 'no.such', which cannot be imported (ModuleNotFoundError"),
+        ("plant.low", ["a", "b"], f"plant.low[0] is 'a'; {NUMBER}"),
+        ("task.outputs", "alpha_a", "task.outputs is 'alpha_a'; allowed is a list, each text"),
+        ("world_model.refinement.method", "best", "allowed is integral, one_step, trajectory, auto"),
+        ("world_model.refinement", {"method": "auto"}, "world_model.refinement is {'method': 'auto'}; allowed is a group"),
+        ("evaluation.every", "x", "evaluation.every is 'x'; allowed is a whole number"),
+        ("scenario.seconds", "x", f"scenario.seconds is 'x'; {NUMBER}"),
+    ],
+)  # fmt: skip
+def test_a_bad_value_is_named(key, given, said):
+    cfg = composed("train", "experiment=smoke", "planning=dyna")
+    OmegaConf.update(cfg, key, given, merge=False, force_add=True)
+    with pytest.raises(ValueError, match=r".") as error:
+        check(cfg)
+    assert said in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("key", "given", "taken"),
+    [
+        ("agent.tau", "1e-3", 1e-3),
+        ("train.episodes", 10.0, 10),
+        ("gate.state_error", ".inf", math.inf),
+        ("gate.close_above", "inf", math.inf),
+        ("agent.hidden", ["64", 32], [64, 32]),
+        ("folder", 2026, "2026"),
+    ],
+)
+def test_text_that_is_a_number_becomes_one(key, given, taken):
+    cfg = composed("train")
+    OmegaConf.update(cfg, key, given, merge=False)
+    check(cfg)
+    found = OmegaConf.select(cfg, key)
+    assert found == taken and type(found) is not type(given) or found == taken == [64, 32]
+
+
+def test_what_is_not_given_is_missed():
+    cfg = composed("train", "~replay.capacity")
+    with pytest.raises(ValueError, match=r"replay\.capacity is not given; allowed is a whole number"):
+        check(cfg)
+
+
+def test_the_file_of_a_config_is_named():
+    with pytest.raises(ValueError, match=r"^run/config\.yaml: seed is -1"):
+        check(OmegaConf.create({"seed": -1}), "run/config.yaml")
+
+
+def test_identify_takes_world_models_without_a_refinement():
+    check(composed("identify", "world_model=sindy_paper"))
+    assert composed("identify").world_model.refinement.method == "auto"
+    assert composed("train").world_model.refinement.method == "integral"
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda folder: (folder / "none" / "file").write_text(""), "none/file: it does not exist: correct the path"),
+        (lambda folder: folder.write_text(""), ": it is a folder: give a file"),
+        (lambda folder: (folder / ("x" * 300)).write_text(""), ": the name is too long: shorten it"),
+        (lambda folder: Path("/dev/full").write_text("x"), "the disk is full: free some of it"),
+        (lambda folder: Path("/proc/x/y").mkdir(parents=True), "/proc/x: it does not exist"),
+    ],
+)
+def test_what_the_system_refuses_costs_one_line(tmp_path, make, words):
+    with pytest.raises(OSError, match=r".") as error:
+        make(tmp_path)
+    line = in_words(error.value, "train")
+    assert words in line and "\n" not in line
+
+
+def test_a_broken_pipe_is_nobodys_mistake():
+    with pytest.raises(BrokenPipeError):
+        in_words(BrokenPipeError(32, "Broken pipe"), "train")
+
+
+def test_packages_that_are_not_installed_come_with_a_command():
+    missing = ModuleNotFoundError("No module named 'casadi'", name="casadi")
+    assert "pip install 'dynasindy[mpc]'" in in_words(missing, "train")
+    launcher = ValueError("In 'ablation': Could not find 'hydra/launcher/joblib'\n\nAvailable options: basic")
+    assert "pip install 'dynasindy[sweep]', or choose hydra/launcher=basic" in in_words(launcher, "ablation")
