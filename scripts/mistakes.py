@@ -52,7 +52,7 @@ def in_words(error: BaseException, config_name: str) -> str:
     if missing := _missing_package(error):
         return missing
     if part and not isinstance(error, ValueError):
-        return f"{part} got a setting of the wrong type or name ({error}); compare it with conf/"
+        return f"{part} got a setting of the wrong type or name ({' '.join(str(error).split())}); compare it with conf/"
     text = " ".join(str(error).strip("'\"").split()).partition(" Config search path:")[0]
     misspelt = re.search(r"Could not override '([^']+)'", text)
     if not misspelt:

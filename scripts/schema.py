@@ -16,6 +16,7 @@ from dynasindy.evaluation.identification import Logged, Simulated
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.systems import System
 
+HYDRA = {"_target_", "_partial_", "_args_", "_convert_", "_recursive_"}
 GIVEN = {"signature", "system", "task", "n_u", "n_obs", "env", "agent", "replay", "policy"}
 """Arguments that an experiment hands to what a config builds with `_partial_`."""
 
@@ -72,7 +73,7 @@ def check(cfg: DictConfig, file: str = "") -> None:
 
     Args:
         cfg: The config of any command.
-        file: Where it was read from, if it was not composed from the command line.
+        file: Where it was read from, if it is a finished run's, which has all parts of an experiment.
 
     Raises:
         ValueError: A value is not what its key allows, or an argument does not exist or is not given.
@@ -83,6 +84,10 @@ def check(cfg: DictConfig, file: str = "") -> None:
         return
     found: dict[str, Any] = {}
     try:
+        if not isinstance(tree, dict):
+            raise ValueError("it holds no keys; restore it, or train again")
+        for name in sorted(get_type_hints(Recipe).keys() - tree.keys()) if file else ():
+            raise ValueError(f"'{name}' is not given; restore it, or train again")
         _arguments(tree, TOP, "", found)
         _nodes(tree, "", found)
     except ValueError as error:
@@ -111,7 +116,7 @@ def _call(node: dict[str, Any], key: str, found: dict[str, Any]) -> None:
         parameters = inspect.signature(function).parameters.values()
     except (NameError, TypeError, ValueError, AttributeError):  # another library's, that does not say
         return
-    given = {name: value for name, value in node.items() if not str(name).startswith("_")}
+    given = {name: value for name, value in node.items() if name not in HYDRA}
     allowed = {p.name: hints.get(p.name, Any) for p in parameters if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)}
     needed = {p.name for p in parameters if p.name in allowed and p.default is p.empty}
     for rest in (hints.get(p.name) for p in parameters if p.kind is p.VAR_KEYWORD):

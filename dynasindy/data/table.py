@@ -70,7 +70,7 @@ def numeric_headings(path: Path) -> list[str]:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is no table of text, or two headings agree but for their unit.
+        ValueError: the file is no table of text, a heading is missing, or two agree but for their unit.
     """
     (_, headings), rows = _rows(path)
     names = [split_unit(heading)[0] for heading in headings]
@@ -83,7 +83,10 @@ def numeric_headings(path: Path) -> list[str]:
         waiting -= {k for k in waiting if k < len(row) and not math.isnan(number(row[k]))}
         if not waiting:
             break
-    return [heading for k, heading in enumerate(headings) if k not in waiting]
+    found = [k for k in range(len(headings)) if k not in waiting]
+    if nameless := [k + 1 for k in found if k and not headings[k]]:  # the first may be the index of another program
+        raise ValueError(f"{path} has numbers in column {nameless[0]} and no heading above them; give it one")
+    return [headings[k] for k in found if headings[k]]
 
 
 def all_headings(path: Path) -> list[str]:

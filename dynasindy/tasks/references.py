@@ -144,7 +144,7 @@ class Wave(Reference):
         offset = [0.0] * len(amplitude) if offset is None else offset
         _finite(f"{shape} reference", amplitude, frequency, offset)
         if min(frequency) < 0:
-            raise ValueError(f"frequencies must be >= 0 Hz, got {list(frequency)}; give e.g. 0.015")
+            raise ValueError(f"frequencies must be >= 0 Hz, got frequency= {list(frequency)}; give e.g. 0.015")
         if shape not in ("sine", "square"):
             raise ValueError(f"shape '{shape}' of a wave is unknown; use 'sine' or 'square'")
         self.n_r = len(amplitude)

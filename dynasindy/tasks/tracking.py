@@ -59,6 +59,12 @@ class Tracking(Task):
             )
         if not error_scale > 0:
             raise ValueError(f"error_scale must be positive, got {error_scale}; give it in the unit of the outputs")
+        for key, names in (("outputs", outputs), ("rates", rates)):
+            if absent := [name for name in names if name not in signature.state_names]:
+                raise ValueError(
+                    f"state '{absent[0]}' does not exist; the states are {', '.join(signature.state_names)}: correct "
+                    f"task.{key}, or plant.{key} from which it is copied"
+                )
         self.output_names = tuple(outputs)
         self.outputs = [signature.state_index(name) for name in outputs]
         self.rates = [signature.state_index(name) for name in rates]

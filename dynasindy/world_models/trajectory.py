@@ -106,9 +106,9 @@ def linearise(
     if sigma is None and bool(lost.any()):
         length = windows.mask.shape[1]
         raise ValueError(
-            f"refinement.method=trajectory: the model runs away in {int(lost.sum())} of {len(lost)} windows of {length} "
-            f"samples, the first of them number {int(lost.nonzero()[0])}; look for outliers in the data there, lower "
-            "refinement.window, or choose refinement.method=integral"
+            f"refinement.method=trajectory: the model runs away in {int(lost.sum())} of {len(lost)} windows of "
+            f"{length} samples, the first of them number {int(lost.nonzero()[0])}; look for outliers there, lower "
+            "refinement.window, or choose another refinement.method"
         )
     n_x, n_p = estimate.xi.shape[1], len(parameters)
     error = (windows.measured - predicted) * windows.mask.unsqueeze(-1)

@@ -29,10 +29,22 @@ def test_a_heading_has_a_number_below_it_or_is_left_out(tmp_path):
     assert numeric_headings(write(tmp_path, "a,b,c,d\nx,,1,\ny,,2,5\n")) == ["c", "d"]
 
 
+def test_an_index_needs_no_heading_but_other_numbers_do(tmp_path):
+    assert numeric_headings(write(tmp_path, ",a,b\n0,1,2\n")) == ["a", "b"]
+    with pytest.raises(ValueError, match=r"numbers in column 2 and no heading above them; give it one"):
+        numeric_headings(write(tmp_path, "a,,b\n0,1,2\n"))
+
+
 @pytest.mark.parametrize(
     ("heading", "parts"),
-    [("a", ("a", "")), ("a [rad]", ("a", "rad")), ("a(m/s)", ("a", "m/s")), ("[rad]", ("[rad]", "")), ("a b [ V ]", ("a b", "V"))],
-)  # fmt: skip
+    [
+        ("a", ("a", "")),
+        ("a [rad]", ("a", "rad")),
+        ("a(m/s)", ("a", "m/s")),
+        ("[rad]", ("[rad]", "")),
+        ("a b [ V ]", ("a b", "V")),
+    ],
+)
 def test_a_heading_is_a_name_and_a_unit(heading, parts):
     assert split_unit(heading) == parts
 
