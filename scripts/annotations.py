@@ -15,6 +15,8 @@ def made(node: Mapping[str, Any], key: str) -> Any:
     """Return the class or function that a group names."""
     target = node["_target_"]
     try:
+        if not isinstance(target, str):
+            raise TypeError("it is no text")
         if callable(found := pkgutil.resolve_name(target)):
             return found
         raise TypeError("it is nothing that can be called")

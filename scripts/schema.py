@@ -33,8 +33,8 @@ class Plant(TypedDict):
     offset: float | list[float]
 
 
-class Evaluation(TypedDict):
-    """Keys of `evaluation`."""
+class Every(TypedDict):
+    """Keys of `evaluation` and `checkpoint`."""
 
     every: int
 
@@ -58,7 +58,10 @@ class Keys(TypedDict):
     settings: list[str]
     slim: list[str]
     refinement: str
-    evaluation: Evaluation
+    resume: str | None
+    finish: bool
+    evaluation: Every
+    checkpoint: Every
     scenario: Scenario
     data: Logged | Simulated
     level: Level
@@ -78,14 +81,14 @@ def check(cfg: DictConfig, file: str = "") -> None:
     Raises:
         ValueError: A value is not what its key allows, or an argument does not exist or is not given.
     """
+    if not OmegaConf.is_dict(cfg) or not isinstance(cfg.get("plant", {}), DictConfig | dict):
+        raise ValueError(f"{file or 'plant'} is no group of keys; give them as conf/ does")
     try:
         tree = OmegaConf.to_container(cfg, resolve=True)
     except InterpolationToMissingValueError:  # a log where a plant is wanted; the command says which plants there are
         return
     found: dict[str, Any] = {}
     try:
-        if not isinstance(tree, dict):
-            raise ValueError("it holds no keys; restore it, or train again")
         for name in sorted(get_type_hints(Recipe).keys() - tree.keys()) if file else ():
             raise ValueError(f"'{name}' is not given; restore it, or train again")
         _arguments(tree, TOP, "", found)
@@ -110,10 +113,11 @@ def _nodes(tree: Any, key: str, found: dict[str, Any]) -> None:
 
 def _call(node: dict[str, Any], key: str, found: dict[str, Any]) -> None:
     """Check the arguments of one `_target_` by its annotations."""
-    function = made(node, key)
+    named = made(node, key)
+    function = named.__init__ if isinstance(named, type) else named  # a class may hide its own behind a metaclass
     try:
-        hints = get_type_hints(function.__init__ if isinstance(function, type) else function, include_extras=True)
-        parameters = inspect.signature(function).parameters.values()
+        hints = get_type_hints(function, include_extras=True)
+        parameters = list(inspect.signature(function).parameters.values())[isinstance(named, type) :]
     except (NameError, TypeError, ValueError, AttributeError):  # another library's, that does not say
         return
     given = {name: value for name, value in node.items() if name not in HYDRA}
