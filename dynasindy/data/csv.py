@@ -137,7 +137,7 @@ class CsvLog:
             return table
         where = ", ".join(f"{n}: {int(k)}" for n, k in zip(table.headings, bad.sum(0), strict=True) if k)
         first = int(table.lines[np.flatnonzero(rows)[0]])
-        message = f"{int(rows.sum())} of {len(rows)} rows have values that are missing or not finite ({where})"
+        message = f"{int(rows.sum())} of {len(table.lines)} rows have values that are missing or not finite ({where})"
         if self.missing == "refuse":
             raise ValueError(f"{self.path}: {message}, the first in line {first}; mend them or set missing=skip")
         notes.append(f"{message}, the first in line {first}; they were skipped")
@@ -211,22 +211,26 @@ def _columns(group: Mapping[str, Column | Mapping[str, object] | str], may_be_ra
     return made
 
 
-def _column(given: Column | Mapping[str, object] | str) -> Column:
+def _column(given: object) -> Column:
     if isinstance(given, str):
         return Column(given)
-    if isinstance(given, Column):
-        return given
-    kinds = {f.name: float if f.name == "scale" else str for f in fields(Column)}
-    wrong = not isinstance(given, Mapping) or any(
-        key not in kinds or isinstance(value, bool) or not isinstance(value, (kinds[key], int))
-        for key, value in given.items()
-    )
-    if wrong or not 0 < abs(float(str(given.get("scale", 1.0)))) < math.inf:
+    column = given if isinstance(given, Column) else None
+    if isinstance(given, Mapping) and given.keys() <= {f.name for f in fields(Column)}:
+        column = Column(**given)
+    if column is None or not _is_sound(column):
         raise ValueError(
             f"a column is {given!r}; allowed is a heading, or the keys name, unit, scale (a number, not 0) and "
             f"derivative_of: {MAP}"
         )
-    return Column(**{key: kinds[key](str(value)) for key, value in given.items()})  # type: ignore[arg-type]
+    return column
+
+
+def _is_sound(column: Column) -> bool:
+    words: list[object] = [column.name, column.unit, column.derivative_of]
+    scale: object = column.scale
+    if not all(isinstance(word, str) for word in words) or isinstance(scale, bool):
+        return False
+    return isinstance(scale, int | float) and 0 < abs(scale) < math.inf
 
 
 def _check_names(names: list[str], path: str) -> None:
