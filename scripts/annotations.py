@@ -86,16 +86,16 @@ def _builds(node: Mapping[str, Any], hint: Any, key: str) -> bool:
         return any(_builds(node, option, key) for option in get_args(hint))
     if node.get("_partial_"):
         return kind is Callable
-    return not isinstance(builder, type) or (isinstance(kind, type) and issubclass(builder, kind))
+    if not isinstance(builder, type):
+        return True
+    return isinstance(kind, type) and not is_typeddict(kind) and issubclass(builder, kind)
 
 
 def _number(value: Any) -> float | None:
     """Return a number that calculations stand, also from text; None for all else."""
     if isinstance(value, str):
         with suppress(ValueError):
-            value = int(value)
-        with suppress(ValueError):
-            value = float(value)
+            value = int(value) if value.strip("+-").isdigit() else float(value)
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     return value if value == 0 or 1 / LARGEST <= abs(value) <= LARGEST else None

@@ -138,5 +138,6 @@ def _arguments(given: Mapping[str, Any], hints: Mapping[str, Any], key: str, fou
     """Fit the values that are given, and note those that change."""
     for name in [name for name in hints if name in given]:
         whole = f"{key}.{name}".lstrip(".")
-        if (value := fit(given[name], hints[name], whole)) != given[name]:
+        value = fit(given[name], hints[name], whole)
+        if repr(value) != repr(given[name]):  # 10 equals 10.0
             found[whole] = value
