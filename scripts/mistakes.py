@@ -53,7 +53,8 @@ def in_words(error: BaseException, config_name: str) -> str:
         return missing
     if part and not isinstance(error, ValueError):
         return f"{part} got a setting of the wrong type or name ({' '.join(str(error).split())}); compare it with conf/"
-    text = " ".join(str(error).strip("'\"").split()).partition(" Config search path:")[0]
+    words = str(error).strip("'\"") if isinstance(error, KeyError) else str(error)
+    text = " ".join(words.split()).partition(" Config search path:")[0]
     misspelt = re.search(r"Could not override '([^']+)'", text)
     if not misspelt:
         return text

@@ -191,7 +191,8 @@ def test_models(tmp_path: Path) -> None:
         else:
             cut = rng.randrange(len(text))
             path.write_text(text[:cut] + text[cut + rng.choice((1, 5, len(text))) :])
-        if said := judged(lambda: load(path), "identify", str(path)):
+        said = judged(lambda: load(path), "identify", str(path), "feature", "function", "library", "state", "unit")
+        if said and " is damaged (" not in said:  # which gives the reason of Python in brackets
             wrong.append(said)
     assert not wrong
 
