@@ -85,7 +85,9 @@ def _builds(node: Mapping[str, Any], hint: Any, key: str) -> bool:
     if kind in (Union, types.UnionType):
         return any(_builds(node, option, key) for option in get_args(hint))
     if node.get("_partial_"):
-        return kind is Callable
+        wanted = get_args(hint)[-1] if get_args(hint) else None
+        other = isinstance(builder, type) and isinstance(wanted, type) and not issubclass(builder, wanted)
+        return kind is Callable and not other
     if not isinstance(builder, type):
         return True
     return isinstance(kind, type) and not is_typeddict(kind) and issubclass(builder, kind)

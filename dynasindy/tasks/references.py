@@ -81,7 +81,7 @@ class Step(Reference):
     def __init__(self, targets: Sequence[Sequence[float]]) -> None:
         if not len(targets):
             raise ValueError("step references need at least one target, got none; give e.g. [[0.4, 0.25]]")
-        _finite("step reference", *targets)
+        _finite("step reference (targets)", *targets)
         self.targets = torch.tensor([list(row) for row in targets], dtype=torch.float32)
         self.n_r = self.targets.shape[-1]
 
@@ -105,7 +105,7 @@ class RandomStep(Reference):
     """
 
     def __init__(self, low: Sequence[float], high: Sequence[float]) -> None:
-        _finite("random step", low, high)
+        _finite("random step (low, high)", low, high)
         if not all(a <= b for a, b in zip(low, high, strict=True)):
             raise ValueError(f"random step needs low <= high, got low={list(low)}, high={list(high)}; swap them")
         self.low, self.high = torch.tensor(list(low)), torch.tensor(list(high))
@@ -142,7 +142,7 @@ class Wave(Reference):
         random: bool = False,
     ) -> None:
         offset = [0.0] * len(amplitude) if offset is None else offset
-        _finite(f"{shape} reference", amplitude, frequency, offset)
+        _finite(f"{shape} reference (amplitude, frequency, offset)", amplitude, frequency, offset)
         if min(frequency) < 0:
             raise ValueError(f"frequencies must be >= 0 Hz, got frequency= {list(frequency)}; give e.g. 0.015")
         if shape not in ("sine", "square"):

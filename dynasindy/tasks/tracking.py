@@ -55,7 +55,7 @@ class Tracking(Task):
         if len(counts) != 1:
             raise ValueError(
                 f"outputs {list(outputs)}, rates {list(rates)}, {reference.n_r} references and "
-                f"{len(reward.error_weights)} error weights must be equally many; complete the task"
+                f"{len(reward.error_weights)} reward.error_weights must be equally many; complete the task"
             )
         if not error_scale > 0:
             raise ValueError(f"error_scale must be positive, got {error_scale}; give it in the unit of the outputs")
