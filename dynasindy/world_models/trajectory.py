@@ -27,6 +27,9 @@ from dynasindy.world_models.library import Library
 from dynasindy.world_models.selection import reconsider, walk_down
 from dynasindy.world_models.sensitivity import Parameters, Propagator
 
+EXACT = 1e-100
+"""Error taken for that of a state that is met exactly, as one that never moves; its inverse has a finite square."""
+
 
 @dataclass(frozen=True)
 class Windows:
@@ -114,7 +117,7 @@ def linearise(
     error = (windows.measured - predicted) * windows.mask.unsqueeze(-1)
     start_error = windows.first - estimate.nodes
     if sigma is None:
-        sigma = (error.square().sum((0, 1)) / windows.mask.sum()).sqrt().clamp_min(1e-300)
+        sigma = (error.square().sum((0, 1)) / windows.mask.sum()).sqrt().clamp_min(EXACT)
     moves, gaps = _condense(estimate.nodes, predicted, s, windows)
     n_start = moves.shape[-1] - n_p - 1
     # error - d predicted: the node's move, then the coefficients.

@@ -143,3 +143,10 @@ def test_a_window_longer_than_memory_is_that_of_the_data():
         refine(window).run(LIBRARY, start, Constraints(TWO, torch.zeros_like(start)), data) for window in (200, 10**15)
     ]
     assert torch.equal(*found)
+
+
+def test_a_state_that_never_moves_is_no_reason_to_fail():
+    data = recording(0)
+    still = Transitions(0 * data.x, data.u, 0 * data.x_next, data.dt, data.segment)
+    found = refine_trajectory(LIBRARY, column(A, 1e-3, 0.0, 0.0), torch.ones(4, 1, dtype=torch.bool), still, 20)
+    assert bool(found.isfinite().all())
