@@ -19,7 +19,6 @@ from mistakes import CONF, MENDABLE, in_words
 from omegaconf import DictConfig
 from places import complete
 from reader import while_read
-from schema import check
 
 # The jobs of a sweep run in processes of their own, which have to find the modules beside this one.
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(Path(__file__).parent), os.environ.get("PYTHONPATH")]))
@@ -39,6 +38,8 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
     def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
         @wraps(task)
         def guarded(cfg: DictConfig) -> None:
+            from schema import check  # it imports torch, which a command that only prints its help does without
+
             if not Sweep.here:  # a worker of a launcher, in which no command was started
                 end_with_parent()
                 listen(stop)

@@ -131,7 +131,7 @@ def test_condensing_leaves_the_slopes_of_one_long_trajectory():
 def test_an_outlier_from_which_the_model_runs_away_is_said(outlier):
     data = recording(0)
     data.x[20, 0] = data.x_next[19, 0] = outlier
-    start = column(A, B, 0.0, 50.0)
+    start = column(A, B, 0.0, 1.0)
     free = torch.ones(4, 1, dtype=torch.bool)
     with pytest.raises(ValueError, match=r"runs away in 1 of 10 windows of 20 samples, the first of them number 1;"):
         refine_trajectory(LIBRARY, start, free, data, 20)
