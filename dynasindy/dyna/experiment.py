@@ -60,6 +60,7 @@ class Recipe:
         seeds = torch.randint(2**31, (5,), generator=torch.Generator().manual_seed(self.seed)).tolist()
         signature = self.system.signature
         plant = self.env(system=self.system, task=self.task(signature=signature), seed=seeds[0])
+        plant.check_plant()
         world_model = self.world_model(signature=signature)
         model_env = plant.with_system(world_model, torch.float32, seed=seeds[1])
         agent = self.agent(n_obs=plant.task.n_o, n_u=signature.n_u, seed=seeds[2])

@@ -37,7 +37,7 @@ class ControlEnv(EnvBase):
 
     Raises:
         ValueError: dt or substeps is not positive, an episode does not fit into memory, or the system does not give one
-            finite rate of change per state.
+            rate of change per state.
     """
 
     batch_locked = False
@@ -67,7 +67,7 @@ class ControlEnv(EnvBase):
         self.dt, self.substeps, self.float_type = dt, substeps, dtype
         self._make_specs()
         self._set_seed(seed)
-        self._check_system()
+        self._rates_at_start()
 
     @property
     def log_dt(self) -> float:
@@ -121,6 +121,20 @@ class ControlEnv(EnvBase):
         """
         return integrate(self.system, x, u, self.dt, self.substeps, self.stops)
 
+    def check_plant(self) -> None:
+        """Refuse a plant whose rates of change are not finite where episodes begin; a model's may be, the gate tells.
+
+        Raises:
+            ValueError: They are not finite.
+        """
+        dx, signature, name = self._rates_at_start(), self.system.signature, type(self.system).__name__
+        if not bool(dx.isfinite().all()):
+            bad = ", ".join(n for n, ok in zip(signature.state_names, dx.isfinite().all(0).tolist()) if not ok)
+            raise ValueError(
+                f"system {name} gives rates of change that are not finite, of {bad}, where episodes begin; "
+                "they have to be finite: mend the system or its constants"
+            )
+
     def start_from(self, states: Tensor) -> TensorDict:
         """Begin episodes at given states, with fresh references.
 
@@ -170,25 +184,20 @@ class ControlEnv(EnvBase):
         return TensorDict(out, batch_size=tensordict.batch_size, device=self.device)
 
     @torch.no_grad()
-    def _check_system(self) -> None:
-        """Try the system once, at two states in which episodes begin and inputs of zero."""
-        signature, name = self.system.signature, type(self.system).__name__
+    def _rates_at_start(self) -> Tensor:
+        """Return the rates of change, `(2, n_x)`, at two states in which episodes begin, under inputs of zero."""
+        n_u, name = self.system.signature.n_u, type(self.system).__name__
         x = self.task.initial_state(torch.Size((2,)), torch.Generator().manual_seed(0)).to(self.float_type)
-        wanted = f"{tuple(x.shape)} of {x.dtype} for states of that shape and type and inputs {(2, signature.n_u)}"
+        wanted = f"{tuple(x.shape)} of {x.dtype} for states of that shape and type and inputs {(2, n_u)}"
         try:
-            dx = self.system(x, torch.zeros(2, signature.n_u, dtype=self.float_type))
+            dx = self.system(x, torch.zeros(2, n_u, dtype=self.float_type))
         except (RuntimeError, IndexError, ValueError, TypeError, AttributeError) as error:
             reason = f"{type(error).__name__}: {error}".splitlines()[0]
             raise ValueError(f"system {name} failed ({reason}); it has to return {wanted}: mend it") from error
         given = f"{tuple(dx.shape)} of {dx.dtype}" if isinstance(dx, Tensor) else f"a {type(dx).__name__}"
         if not isinstance(dx, Tensor) or dx.shape != x.shape or dx.dtype != x.dtype:
             raise ValueError(f"system {name} returned {given}; it has to return {wanted}: mend it")
-        if not bool(dx.isfinite().all()):
-            bad = ", ".join(n for n, ok in zip(signature.state_names, dx.isfinite().all(0).tolist()) if not ok)
-            raise ValueError(
-                f"system {name} gives rates of change that are not finite, of {bad}, where episodes begin; "
-                "they have to be finite: mend the system or its constants"
-            )
+        return dx
 
     def _set_seed(self, seed: int | None) -> None:
         self.rng = torch.Generator().manual_seed(0 if seed is None else seed)
