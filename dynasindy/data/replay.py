@@ -4,7 +4,6 @@ TorchRL's `ReplayBufferEnsemble` mixes in expectation only and cannot sample whi
 agent needs every batch to hold the share it was told, from the first batch before any planning.
 """
 
-import os
 from collections.abc import Collection, Sequence
 from typing import Any
 
@@ -15,6 +14,7 @@ from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer, TensorDictRoundRobinWriter
 
 from dynasindy.data.sound import require_finite
+from dynasindy.limits import memory
 
 LEARN_KEYS: tuple[NestedKey, ...] = (
     "observation",
@@ -246,11 +246,11 @@ class DynaReplay:
         """Refuse capacities that need more than the memory of the device, given what real rows hold."""
         widths = (_bytes(rows), _bytes(rows.select(*LEARN_KEYS, strict=False)))
         needed = sum(capacity * width for capacity, width in zip(self.capacities, widths))
-        if needed > (memory := _memory(self.device)):
+        if needed > (there := _memory(self.device)):
             real, model = self.capacities
             raise ValueError(
                 f"Replay has capacity={real} and model_capacity={model}, rows of {widths[0]} and {widths[1]} bytes, "
-                f"{needed / 2**30:.4g} GiB in all; {self.device} has {memory / 2**30:.4g} GiB: lower replay.capacity "
+                f"{needed / 2**30:.4g} GiB in all; {self.device} has {there / 2**30:.4g} GiB: lower replay.capacity "
                 "and replay.model_capacity."
             )
 
@@ -281,11 +281,11 @@ def _bytes(rows: TensorDictBase) -> int:
     return INDEX_BYTES + sum(column[0].numel() * column.element_size() for column in columns)
 
 
-def _memory(device: torch.device) -> int:
+def _memory(device: torch.device) -> float:
     """Return the physical memory of a device [bytes]."""
     if device.type == "cuda":
         return torch.cuda.get_device_properties(device).total_memory
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return memory()
 
 
 def _words(keys: Collection[NestedKey]) -> str:
