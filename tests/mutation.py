@@ -172,7 +172,7 @@ def run_tests(module, source):
 
 
 def attempt(module, source, seconds):
-    """Return the status of a forked run, and what it printed; it dies of a signal when its CPU time is up."""
+    """Return the status of a forked run, what it printed and its CPU time; it dies of a signal when that is up."""
     reader, writer = os.pipe()
     if (child := os.fork()) == 0:
         code = 1
@@ -191,7 +191,8 @@ def attempt(module, source, seconds):
     os.close(writer)
     with open(reader, errors="replace") as output:
         printed = output.read()
-    return os.waitpid(child, 0)[1], printed
+    _, status, used = os.wait4(child, 0)
+    return status, printed, used.ru_utime + used.ru_stime
 
 
 def main():
@@ -201,7 +202,7 @@ def main():
     parser.add_argument("--seed", type=int, default=0, help="seed of the sample")
     parser.add_argument("--again", action="store_true", help="try the survivors of the session again")
     parser.add_argument(
-        "--seconds", type=int, default=300, help="CPU time of one mutant, after which it counts as killed"
+        "--seconds", type=int, default=60, help="CPU time of one mutant, after which it counts as killed"
     )
     given = parser.parse_args()
     os.chdir(ROOT)
@@ -217,7 +218,9 @@ def main():
         for name in IMPORTED:
             with contextlib.suppress(ImportError):
                 importlib.import_module(name)
-        status, output = attempt(Path("dynasindy", given.room, "__init__.py"), None, given.seconds)
+        status, output, _ = (
+            (0, "", 0) if given.again else attempt(Path("dynasindy", given.room, "__init__.py"), None, 600)
+        )
         if status:
             sys.exit(f"the tests of {given.room} fail without any mutant; mend them first\n{output[-2000:]}")
         todo = {item.job_id: item for item in database.pending_work_items}
@@ -226,12 +229,12 @@ def main():
         for job, item in sorted(todo.items()):
             mutation: MutationSpec = item.mutations[0]
             source, original = mutated(mutation), mutation.module_path.read_text()
-            status, output = attempt(mutation.module_path, source, given.seconds)
+            status, output, used = attempt(mutation.module_path, source, given.seconds)
             outcome = TestOutcome.KILLED if status else TestOutcome.SURVIVED
             lines = difflib.unified_diff(original.splitlines(), source.splitlines(), n=0, lineterm="")
             diff = "\n".join(list(lines)[3:])
             database.set_result(job, WorkResult(WorkerOutcome.NORMAL, output[-2000:], outcome, diff))
-            print(job, outcome.value, f"{mutation.module_path}:{mutation.start_pos[0]}", flush=True)
+            print(job, outcome.value, f"{mutation.module_path}:{mutation.start_pos[0]}", f"{used:.1f} s", flush=True)
             if not status:
                 print(diff, flush=True)
         survived = sum(not result.is_killed for _, result in database.results)

@@ -1,4 +1,5 @@
 import torch
+from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
 from dynasindy.data.recording import transitions
@@ -28,3 +29,22 @@ def test_periods_at_a_stop_are_left_out_and_break_the_segment():
     assert len(data) == 5 * int((~at_stop).sum())
     follows = data.segment[1:] == data.segment[:-1]
     assert torch.equal(data.x[1:][follows], data.x_next[:-1][follows])
+
+
+def test_each_period_gives_its_own_rows_inputs_and_flag():
+    """Four periods of two samples; the second and the last touched a stop."""
+    start = torch.tensor([[0.0], [2.0], [4.0], [6.0]])
+    samples = torch.tensor([[[1.0], [2.0]], [[3.0], [4.0]], [[5.0], [6.0]], [[7.0], [8.0]]])
+    rows = TensorDict(
+        {
+            "state": start,
+            "action": torch.tensor([[0.1, -0.1], [0.2, -0.2], [0.3, -0.3], [0.4, -0.4]]),
+            "next": {"samples": samples, "at_stop": torch.tensor([[False], [True], [False], [True]])},
+        },
+        [4],
+    )
+    data = transitions(rows, 0.025)
+    assert data.x.flatten().tolist() == [0, 1, 4, 5] and data.x_next.flatten().tolist() == [1, 2, 5, 6]
+    expected = torch.tensor([[0.1, -0.1], [0.1, -0.1], [0.3, -0.3], [0.3, -0.3]])
+    assert torch.equal(data.u.float(), expected) and data.u.dtype == data.x.dtype == data.x_next.dtype == torch.float64
+    assert data.segment.tolist() == [0, 0, 1, 1] and data.dt == 0.025
