@@ -109,26 +109,6 @@ def test_resumed_agent_equals_an_uninterrupted_one(tmp_path):
     assert torch.equal(*[a.deployed(explored.clone())["action"] for a in (agent, resumed)])
 
 
-def test_critics_learn_a_known_value():
-    # Reward 1 for ever, gamma 0.5: the value is 2 everywhere.
-    agent = small(gamma=0.5, critic_lr=3e-3, target_update_interval=1, tau=0.05)
-    for batch in batches(600):
-        batch["next", "reward"] = torch.ones(32, 1)
-        metrics = agent.update(batch)
-    assert metrics["q_value"].item() == pytest.approx(2.0, abs=0.1)
-
-
-def test_actor_climbs_the_critic():
-    # Reward -(u - 0.5)^2 at once, gamma ~ 0: the best action is 0.5 everywhere.
-    agent = small(gamma=1e-6, critic_lr=3e-3, actor_lr=1e-3, hidden=(32, 32))
-    assert (agent.policy(next(batches(1, seed=5)))["action"] - 0.5).abs().mean().item() > 0.4
-    for batch in batches(1500, size=64):
-        batch["next", "reward"] = -(batch["action"] - 0.5).square().sum(-1, keepdim=True)
-        agent.update(batch)
-    action = agent.policy(next(batches(1, seed=5)))["action"]
-    assert (action - 0.5).abs().mean().item() < 0.2
-
-
 def test_averaged_policy_trails_the_actor_by_its_rate():
     agent = small(policy_average=0.25, policy_delay=1)
     before = [p.clone() for p in agent.deployed.parameters()]
@@ -413,3 +393,23 @@ def test_ranges_are_met_at_their_edges(name, edges, beyond):
     for value in beyond:
         with pytest.raises(ValueError, match=rf"TD3 has {name}={value}; give a "):
             Hyperparameters(**{name: value})
+
+
+def test_critics_learn_a_known_value():
+    # Reward 1 for ever, gamma 0.5: the value is 2 everywhere.
+    agent = small(gamma=0.5, critic_lr=3e-3, target_update_interval=1, tau=0.05)
+    for batch in batches(600):
+        batch["next", "reward"] = torch.ones(32, 1)
+        metrics = agent.update(batch)
+    assert metrics["q_value"].item() == pytest.approx(2.0, abs=0.1)
+
+
+def test_actor_climbs_the_critic():
+    # Reward -(u - 0.5)^2 at once, gamma ~ 0: the best action is 0.5 everywhere.
+    agent = small(gamma=1e-6, critic_lr=3e-3, actor_lr=1e-3, hidden=(32, 32))
+    assert (agent.policy(next(batches(1, seed=5)))["action"] - 0.5).abs().mean().item() > 0.4
+    for batch in batches(1500, size=64):
+        batch["next", "reward"] = -(batch["action"] - 0.5).square().sum(-1, keepdim=True)
+        agent.update(batch)
+    action = agent.policy(next(batches(1, seed=5)))["action"]
+    assert (action - 0.5).abs().mean().item() < 0.2

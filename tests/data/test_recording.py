@@ -15,22 +15,6 @@ def rollout(u, steps):
     return env.rollout(steps, policy)
 
 
-def test_every_logged_sample_becomes_a_transition_of_the_plant():
-    data = transitions(rollout([0.2, 0.4], 20), 0.01)
-    assert len(data) == 100 and data.dt == 0.01
-    assert torch.allclose(rk4(Tras(), data.x, data.u, 0.01), data.x_next, rtol=1e-12)
-
-
-def test_periods_at_a_stop_are_left_out_and_break_the_segment():
-    rows = rollout([1.0, 1.0], 300)
-    at_stop = rows["next", "at_stop"].flatten()
-    assert 0 < at_stop.sum() < 300
-    data = transitions(rows, 0.01)
-    assert len(data) == 5 * int((~at_stop).sum())
-    follows = data.segment[1:] == data.segment[:-1]
-    assert torch.equal(data.x[1:][follows], data.x_next[:-1][follows])
-
-
 def test_each_period_gives_its_own_rows_inputs_and_flag():
     """Four periods of two samples; the second and the last touched a stop."""
     start = torch.tensor([[0.0], [2.0], [4.0], [6.0]])
@@ -48,3 +32,19 @@ def test_each_period_gives_its_own_rows_inputs_and_flag():
     expected = torch.tensor([[0.1, -0.1], [0.1, -0.1], [0.3, -0.3], [0.3, -0.3]])
     assert torch.equal(data.u.float(), expected) and data.u.dtype == data.x.dtype == data.x_next.dtype == torch.float64
     assert data.segment.tolist() == [0, 0, 1, 1] and data.dt == 0.025
+
+
+def test_every_logged_sample_becomes_a_transition_of_the_plant():
+    data = transitions(rollout([0.2, 0.4], 20), 0.01)
+    assert len(data) == 100 and data.dt == 0.01
+    assert torch.allclose(rk4(Tras(), data.x, data.u, 0.01), data.x_next, rtol=1e-12)
+
+
+def test_periods_at_a_stop_are_left_out_and_break_the_segment():
+    rows = rollout([1.0, 1.0], 80)
+    at_stop = rows["next", "at_stop"].flatten()
+    assert 0 < at_stop.sum() < 80
+    data = transitions(rows, 0.01)
+    assert len(data) == 5 * int((~at_stop).sum())
+    follows = data.segment[1:] == data.segment[:-1]
+    assert torch.equal(data.x[1:][follows], data.x_next[:-1][follows])

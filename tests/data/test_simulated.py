@@ -69,7 +69,7 @@ def test_samples_that_touch_a_stop_are_left_out_and_split_the_recording():
 
 
 def test_noise_has_its_level_and_a_shared_state_has_one_error():
-    clean = record(Oscillator(), inputs(2000), 0.05)
+    clean = record(Oscillator(), inputs(2000), 0.05, substeps=1)
     noisy = disturb(clean, 0.1, seed=3)
     error = noisy.x_next - clean.x_next
     assert torch.allclose(error.std(0), 0.1 * clean.x_next.std(0), rtol=0.1)

@@ -24,21 +24,6 @@ class Constant:
         return tensordict.set("action", self.u.expand(*tensordict.batch_size, len(self.u)))
 
 
-@pytest.mark.parametrize("batch_size", [(), (4,)])
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("system", [Tras, Xi])
-def test_specs_hold(system, dtype, batch_size):
-    check_env_specs(make(system(), dtype=dtype, batch_size=batch_size))
-
-
-@pytest.mark.parametrize(("dtype", "batch_size"), [(torch.float32, ()), (torch.float64, (4,))])
-def test_specs_hold_for_one_input(dtype, batch_size):
-    system = Pendulum()
-    reward = TrackingReward(error_weights=(1.0,))
-    task = Tracking(system.signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), reward)
-    check_env_specs(ControlEnv(system, task, dtype=dtype, batch_size=batch_size))
-
-
 def test_a_period_is_the_integrators_and_its_samples_are_logged():
     env = make(dtype=torch.float64)
     rollout = env.rollout(3, Constant(0.2, 0.4))
@@ -54,15 +39,6 @@ def test_episodes_are_truncated_and_never_terminated():
     assert rollout.shape == (5,)
     assert rollout["next", "truncated"][:, 0].tolist() == [False] * 4 + [True]
     assert not rollout["next", "terminated"].any()
-
-
-def test_the_beam_rests_at_its_stop_and_says_so():
-    rollout = make(dtype=torch.float64).rollout(400, Constant(1.0, 1.0))
-    touched = rollout["next", "at_stop"]
-    pitch, rate = rollout["next", "state"][:, 1], rollout["next", "state"][:, 3]
-    assert touched.any() and not touched[0]
-    assert pitch.max() == torch.pi / 2
-    assert (rate[pitch == torch.pi / 2] <= 0).all()
 
 
 def test_partial_reset_leaves_the_other_rows():
@@ -94,15 +70,6 @@ def test_batched_and_single_physics_agree():
     batch = env.rollout(4, Constant(0.1, 0.3), auto_reset=False, tensordict=env.start_from(start))
     single = env.rollout(4, Constant(0.1, 0.3), auto_reset=False, tensordict=env.start_from(start[2]))
     assert torch.equal(batch["next", "state"][2], single["next", "state"])
-
-
-def test_real_equals_imagined_under_the_true_model():
-    env = make(dtype=torch.float64)
-    imagined = env.with_system(Tras())
-    starts = env.reset(TensorDict(batch_size=[2]))
-    rollouts = [e.rollout(50, Constant(0.3, 0.9), auto_reset=False, tensordict=starts.clone()) for e in (env, imagined)]
-    for key in ("state", "observation", "reward", "at_stop", "reference"):
-        assert torch.equal(rollouts[0]["next", key], rollouts[1]["next", key]), key
 
 
 def test_a_model_of_another_plant_is_refused():
@@ -274,3 +241,36 @@ def test_types_and_bounds_are_those_that_policies_expect():
         assert row[key].dtype == torch.float64, key
     assert (env.action_spec.space.low == -1).all() and (env.action_spec.space.high == 1).all()
     assert row["next", "samples"].shape == (2, 5, 6) and row["next", "reward"].shape == (2, 1)
+
+
+@pytest.mark.parametrize("batch_size", [(), (4,)])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("system", [Tras, Xi])
+def test_specs_hold(system, dtype, batch_size):
+    check_env_specs(make(system(), dtype=dtype, batch_size=batch_size))
+
+
+@pytest.mark.parametrize(("dtype", "batch_size"), [(torch.float32, ()), (torch.float64, (4,))])
+def test_specs_hold_for_one_input(dtype, batch_size):
+    system = Pendulum()
+    reward = TrackingReward(error_weights=(1.0,))
+    task = Tracking(system.signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), reward)
+    check_env_specs(ControlEnv(system, task, dtype=dtype, batch_size=batch_size))
+
+
+def test_the_beam_rests_at_its_stop_and_says_so():
+    rollout = make(dtype=torch.float64).rollout(120, Constant(1.0, 1.0))
+    touched = rollout["next", "at_stop"]
+    pitch, rate = rollout["next", "state"][:, 1], rollout["next", "state"][:, 3]
+    assert touched.any() and not touched[0]
+    assert pitch.max() == torch.pi / 2
+    assert (rate[pitch == torch.pi / 2] <= 0).all()
+
+
+def test_real_equals_imagined_under_the_true_model():
+    env = make(dtype=torch.float64)
+    imagined = env.with_system(Tras())
+    starts = env.reset(TensorDict(batch_size=[2]))
+    rollouts = [e.rollout(50, Constant(0.3, 0.9), auto_reset=False, tensordict=starts.clone()) for e in (env, imagined)]
+    for key in ("state", "observation", "reward", "at_stop", "reference"):
+        assert torch.equal(rollouts[0]["next", key], rollouts[1]["next", key]), key

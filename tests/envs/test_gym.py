@@ -20,18 +20,6 @@ from dynasindy.tasks import Step, Tracking
 IDS = ["dynasindy/TwinRotor-v0", "dynasindy/Pendulum-v0"]
 
 
-@pytest.mark.parametrize("name", IDS)
-def test_gymnasium_check_env_passes(name: str) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        # States have no bounds (rotor speeds follow from the physics), so neither has their space.
-        warnings.filterwarnings("ignore", message=".*Box observation space (min|max)imum value is -?infinity.*")
-        # The id ends in -v0 on purpose.
-        warnings.filterwarnings("ignore", message=".*is out of date.*")
-        env = gymnasium.make(name, render_mode="rgb_array")
-        check_env(env.unwrapped)
-
-
 def test_the_adapter_plays_what_the_control_env_plays() -> None:
     system = Tras()
     task = Tracking(system.signature, Step([[0.3, 0.2]]), max_steps=5)
@@ -81,11 +69,6 @@ def test_mistakes_get_one_line() -> None:
         GymControl(ControlEnv(system, Tracking(system.signature, Step([[0.0, 0.0]])), batch_size=(3,)))
 
 
-def test_importing_the_package_does_not_import_torch() -> None:
-    code = "import sys, dynasindy; assert 'torch' not in sys.modules and 'torchrl' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True)
-
-
 def test_spaces_and_the_papers_references_are_those_documented() -> None:
     env = twin_rotor(render_mode="rgb_array")
     assert env.observation_space.shape == (8,) and env.action_space.shape == (2,)
@@ -128,3 +111,20 @@ def test_a_task_that_tracks_nothing_is_refused() -> None:
     env.task = object()
     with pytest.raises(TypeError, match="task object tracks nothing"):
         GymControl(env)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_gymnasium_check_env_passes(name: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # States have no bounds (rotor speeds follow from the physics), so neither has their space.
+        warnings.filterwarnings("ignore", message=".*Box observation space (min|max)imum value is -?infinity.*")
+        # The id ends in -v0 on purpose.
+        warnings.filterwarnings("ignore", message=".*is out of date.*")
+        env = gymnasium.make(name, render_mode="rgb_array")
+        check_env(env.unwrapped)
+
+
+def test_importing_the_package_does_not_import_torch() -> None:
+    code = "import sys, dynasindy; assert 'torch' not in sys.modules and 'torchrl' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -29,16 +29,6 @@ def test_input_is_held_over_the_period():
     assert torch.allclose(samples[0, :, 0], torch.tensor([0.3, 0.6, 0.9, 1.2, 1.5]))
 
 
-def test_undamped_pendulum_keeps_its_energy():
-    pendulum = Pendulum(damping=0.0)
-    x = torch.tensor([2.0, 0.0], dtype=torch.float64)
-    energy = lambda x: 0.5 * x[1] ** 2 - 9.81 * torch.cos(x[0])  # noqa: E731
-    start = energy(x)
-    for _ in range(1000):
-        x = rk4(pendulum, x, torch.zeros(1, dtype=torch.float64), 0.01)
-    assert abs(energy(x) - start) < 1e-6
-
-
 def test_a_stop_holds_the_position_and_zeroes_the_outward_rate_only():
     stops = Stops((0,), (1,), (-1.0,), (1.0,))
     x = torch.tensor([[1.2, 0.5], [1.2, -0.5], [-3.0, -0.5], [0.5, 2.0]])
@@ -86,3 +76,13 @@ def test_a_stop_touched_only_on_the_way_is_reported_and_every_sample_is_held():
     # 0.2 s: 0.5 + 0.8 - 0.16 = 1.14 is held at 1, rate 4 - 1.6 = 2.4 is zeroed; then 1 - 4 t^2 from rest.
     expected = torch.tensor([[1.0, 0.0], [0.84, -1.6], [0.36, -3.2], [-0.44, -4.8]], dtype=torch.float64)
     torch.testing.assert_close(samples, expected)
+
+
+def test_undamped_pendulum_keeps_its_energy():
+    pendulum = Pendulum(damping=0.0)
+    x = torch.tensor([2.0, 0.0], dtype=torch.float64)
+    energy = lambda x: 0.5 * x[1] ** 2 - 9.81 * torch.cos(x[0])  # noqa: E731
+    start = energy(x)
+    for _ in range(1000):
+        x = rk4(pendulum, x, torch.zeros(1, dtype=torch.float64), 0.01)
+    assert abs(energy(x) - start) < 1e-6
