@@ -392,7 +392,7 @@ def test_stretches_are_resampled_apart_each_from_its_own_start(tmp_path):
     for label, start in ((0, t[0]), (1, t[80])):
         rows = data.segment == label
         grid = start + 0.01 * np.arange(int(rows.sum()))
-        assert len(grid) >= 78
+        assert len(grid) == 79  # 0.793 s hold 79 whole steps: nothing is extrapolated
         assert np.allclose(data.x[rows, 0], np.sin(3 * grid), atol=1e-6)
         assert np.allclose(data.x[rows, 1], 3 * np.cos(3 * grid), atol=1e-5)
         held = [table[np.flatnonzero(t <= now + 1e-8)[-1], 3] for now in grid]
@@ -408,3 +408,21 @@ def test_five_equal_samples_at_an_end_are_a_stop_and_four_are_not(tmp_path, rest
     expected = (f"{masked} samples with q at -0.5, a stop or saturation, were masked",) if masked else ()
     assert found.notes == expected
     assert len(found.transitions) == 99 - (masked + 1 if masked else 0)
+
+
+def test_a_state_that_rests_all_the_time_is_no_stop_and_has_range_one_where_it_is_zero(tmp_path):
+    table = np.concatenate([log(), np.zeros((80, 1)), np.full((80, 1), -3.0)], -1)
+    path = write(tmp_path / "log.csv", table, (*HEADINGS, "still", "low"))
+    found = CsvLog(path, {"q": "angle", "z": "still", "w": "low"}, INPUTS).read()
+    assert found.notes == () and len(found.transitions) == 79
+    assert found.signature.x_scale[1:] == (1.0, 3.0)
+
+
+def test_stretches_of_four_samples_are_resampled_and_of_three_left_out(tmp_path):
+    t = np.concatenate([k + 0.01 * np.arange(n) + 0.001 * (np.arange(n) == 1) for k, n in ((0, 4), (1, 3), (2, 4))])
+    table = np.stack([t, t**3, t, np.arange(11) % 2], -1)
+    data = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS, dt=0.01, min_samples=1).read().transitions
+    assert data.segment.tolist() == [0, 0, 0, 1, 1, 1]
+    expected = np.array([0, 0.01, 0.02, 2, 2.01, 2.02])
+    assert np.allclose(data.x[:, 1], expected) and np.allclose(data.x[:, 0], expected**3, atol=1e-9)
+    assert np.allclose(data.x_next[:, 1], expected + 0.01)

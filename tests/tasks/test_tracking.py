@@ -119,3 +119,16 @@ def test_a_scale_that_is_not_positive_is_refused(settings):
 def test_every_count_is_compared(settings):
     with pytest.raises(ValueError, match="equally many"):
         Tracking(SIGNATURE, WAVE, **settings)
+
+
+def test_any_batch_is_seen_and_paid_as_its_rows_are():
+    task = Tracking(SIGNATURE, WAVE, observe_rate=True)
+    rng = torch.Generator().manual_seed(0)
+    x, x_next = torch.randn(2, 2, 3, 6, generator=rng)
+    t, params = torch.rand(2, 3, 1, generator=rng), task.sample(torch.Size((2, 3)), rng)
+    stopped = torch.rand(2, 3, generator=rng) < 0.5
+    seen, paid = task.observation(x, params, t), task.reward(x, x_next, params, t, stopped)
+    for i, j in ((0, 0), (0, 2), (1, 1)):
+        torch.testing.assert_close(seen[i, j], task.observation(x[i, j], params[i, j], t[i, j]))
+        single = task.reward(x[i, j], x_next[i, j], params[i, j], t[i, j], stopped[i, j])
+        torch.testing.assert_close(paid[i, j], single)
