@@ -1,9 +1,7 @@
 """The agent: update frequencies, seeds, resume, settings."""
 
-import math
-
-
 import copy
+import math
 
 import pytest
 import torch
