@@ -182,7 +182,7 @@ def test_setting_outside_its_range_is_refused(name, value):
 
 
 def test_a_single_critic_is_refused():
-    with pytest.raises(ValueError, match="critics=1; give a whole number > 1"):
+    with pytest.raises(ValueError, match=r"agent\.critics is 1; give a whole number > 1"):
         TD3(3, 2, critics=1)
 
 
@@ -389,7 +389,7 @@ def test_ranges_are_met_at_their_edges(name, edges, beyond):
     for value in edges:
         assert getattr(Hyperparameters(**{name: value}), name) == value
     for value in beyond:
-        with pytest.raises(ValueError, match=rf"TD3 has {name}={value}; give a "):
+        with pytest.raises(ValueError, match=rf"agent\.{name} is {value}; give a "):
             Hyperparameters(**{name: value})
 
 
