@@ -47,3 +47,34 @@ def test_actions_stay_within_the_input_range():
 def test_refuses_impossible_widths(n_in, hidden):
     with pytest.raises(ValueError, match=r"MLP widths are .*; give at least one hidden layer"):
         MLP(n_in, 1, hidden)
+
+
+def test_the_slope_of_the_hidden_units_and_the_linear_end_are_those_of_plain_numbers():
+    net = MLP(1, 1, [1])
+    with torch.no_grad():
+        for p, number in zip(net.parameters(), (2.0, 0.5, -3.0, 0.25), strict=True):
+            p.fill_(number)
+    # x = 1: 2.5, -7.25; x = -1: -1.5 leaks as -0.015, 0.295.
+    torch.testing.assert_close(net(torch.tensor([[1.0], [-1.0]])), torch.tensor([[-7.25], [0.295]]))
+
+
+def test_the_first_of_a_stack_is_a_detached_view_of_its_numbers():
+    networks = [MLP(4, 1, [8], layer_norm=True) for _ in range(2)]
+    with torch.no_grad():
+        for network in networks:
+            for p in network.parameters():
+                p.normal_()
+    stack = networks[0].layers(TensorDict.from_modules(*networks))
+    firsts = [layer.first() for layer in stack]
+    x = torch.randn(5, 4)
+    torch.testing.assert_close(networks[0].functional(firsts, x), networks[0](x))
+    assert not any(part.requires_grad for layer in firsts for part in layer if part is not None)
+
+
+def test_observations_come_before_actions_and_every_part_of_the_critic_counts():
+    value = critic(3, 2, [8], layer_norm=True)
+    assert len(value.module.norms) == 1 and not value.module.squash
+    x, u = torch.randn(4, 3), torch.randn(4, 2)
+    expected = value.module(torch.cat([x, u], -1))
+    torch.testing.assert_close(value(TensorDict({"observation": x, "action": u}, [4]))["state_action_value"], expected)
+    assert len(critic(3, 2, [8]).module.norms) == 0

@@ -73,5 +73,30 @@ def test_state_is_restored():
 
 @pytest.mark.parametrize("wrong", [{"sigma": -1.0}, {"decay": 1.0}, {"minimum": -0.1}])
 def test_refuses_values_outside_their_range(wrong):
-    with pytest.raises(ValueError, match="give sigma >= 0"):
+    with pytest.raises(ValueError, match=r"give agent\.exploration_noise >= 0"):
         DecayingGaussian(**wrong)
+
+
+def test_a_draw_is_the_action_plus_sigma_times_its_generators_numbers():
+    noise = DecayingGaussian(sigma=0.3, decay=0.1, seed=4)
+    drawn = torch.randn(5, 2, generator=torch.Generator().manual_seed(4))
+    action = torch.linspace(-0.9, 0.9, 10).reshape(5, 2)
+    given = noise(TensorDict({"action": action.clone()}, [5]))["action"]
+    torch.testing.assert_close(given, (action + 0.3 * drawn).clamp(-1, 1))
+    assert noise.sigma == pytest.approx(0.27)
+
+
+def test_by_default_the_noise_is_the_papers():
+    noise = DecayingGaussian()
+    assert (noise.sigma, noise.decay, noise.minimum, noise.generator.initial_seed()) == (0.15, 1e-3, 0.0, 0)
+
+
+@pytest.mark.parametrize("edge", [{"sigma": 0.0}, {"decay": 0.0}, {"minimum": 0.0}, {"decay": 0.999}])
+def test_the_edges_of_the_ranges_are_allowed(edge):
+    assert DecayingGaussian(**edge).sigma >= 0
+
+
+@pytest.mark.parametrize("quiet", [ExplorationType.DETERMINISTIC, ExplorationType.MEAN, ExplorationType.MODE])
+def test_all_quiet_kinds_of_exploration_are_quiet(quiet):
+    with set_exploration_type(quiet):
+        assert not DecayingGaussian(sigma=1.0)(zeros(8))["action"].any()

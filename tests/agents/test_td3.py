@@ -1,10 +1,12 @@
 """The agent: update frequencies, seeds, resume, settings."""
 
+import copy
 import math
 
 import pytest
 import torch
 from tensordict import TensorDict
+from torch import nn
 from torchrl.objectives import SoftUpdate
 from torchrl.objectives import TD3Loss as TorchRLTD3Loss
 
@@ -105,26 +107,6 @@ def test_resumed_agent_equals_an_uninterrupted_one(tmp_path):
     assert torch.equal(*[a.deployed(explored.clone())["action"] for a in (agent, resumed)])
 
 
-def test_critics_learn_a_known_value():
-    # Reward 1 for ever, gamma 0.5: the value is 2 everywhere.
-    agent = small(gamma=0.5, critic_lr=3e-3, target_update_interval=1, tau=0.05)
-    for batch in batches(600):
-        batch["next", "reward"] = torch.ones(32, 1)
-        metrics = agent.update(batch)
-    assert metrics["q_value"].item() == pytest.approx(2.0, abs=0.1)
-
-
-def test_actor_climbs_the_critic():
-    # Reward -(u - 0.5)^2 at once, gamma ~ 0: the best action is 0.5 everywhere.
-    agent = small(gamma=1e-6, critic_lr=3e-3, actor_lr=1e-3, hidden=(32, 32))
-    assert (agent.policy(next(batches(1, seed=5)))["action"] - 0.5).abs().mean().item() > 0.4
-    for batch in batches(1500, size=64):
-        batch["next", "reward"] = -(batch["action"] - 0.5).square().sum(-1, keepdim=True)
-        agent.update(batch)
-    action = agent.policy(next(batches(1, seed=5)))["action"]
-    assert (action - 0.5).abs().mean().item() < 0.2
-
-
 def test_averaged_policy_trails_the_actor_by_its_rate():
     agent = small(policy_average=0.25, policy_delay=1)
     before = [p.clone() for p in agent.deployed.parameters()]
@@ -200,7 +182,7 @@ def test_setting_outside_its_range_is_refused(name, value):
 
 
 def test_a_single_critic_is_refused():
-    with pytest.raises(ValueError, match="critics=1; give a whole number > 1"):
+    with pytest.raises(ValueError, match=r"agent\.critics is 1; give a whole number > 1"):
         TD3(3, 2, critics=1)
 
 
@@ -244,3 +226,188 @@ def test_an_actor_without_finite_weights_is_told_and_its_critics_are_checked_too
         lost.loss.actor_layers[1].weight.fill_(math.nan)
     with pytest.raises(Diverged, match="the actor's loss is nan at update 1"):
         lost.update(next(batches(1)))
+
+
+class Plain:
+    """Algorithm 1 of Fujimoto 2018 with modules of torch alone, and what our settings add to it, line by line."""
+
+    def __init__(self, agent, seed):
+        s = self.settings = agent.settings
+        actor = agent.loss.actor_layers
+        self.actor = self.network([(layer.weight, layer.bias) for layer in actor], nn.Tanh())
+        stack = agent.loss.critic_layers
+        self.critics = [self.network([(layer.weight[i], layer.bias[i]) for layer in stack]) for i in range(s.critics)]
+        self.target_actor, self.target_critics = copy.deepcopy(self.actor), copy.deepcopy(self.critics)
+        self.average = copy.deepcopy(self.actor)
+        self.noise = torch.Generator().manual_seed(seed + 1)
+        self.actor_optimizer = torch.optim.Adam(self.actor.parameters(), s.actor_lr)
+        weights = [p for critic in self.critics for p in critic.parameters()]
+        self.critic_optimizer = torch.optim.Adam(weights, s.critic_lr)
+        self.updates = 0
+
+    def network(self, layers, *last):
+        modules = []
+        for weight, bias in layers:
+            linear = nn.Linear(weight.shape[1], weight.shape[0])
+            linear.weight.data, linear.bias.data = weight.detach().clone(), bias.detach().clone()
+            modules += [linear, nn.LeakyReLU(0.01)]
+        return nn.Sequential(*modules[:-1], *last)
+
+    def descend(self, loss, optimizer):
+        optimizer.zero_grad()
+        loss.backward()
+        weights = optimizer.param_groups[0]["params"]
+        size = torch.cat([w.grad.flatten() for w in weights]).norm()
+        for w in weights:
+            w.grad *= min(1.0, self.settings.max_grad_norm / (size.item() + 1e-6))
+        optimizer.step()
+
+    def update(self, batch):
+        s = self.settings
+        x, u, then = batch["observation"], batch["action"], batch["next"]
+        with torch.no_grad():
+            noise = torch.empty_like(u).normal_(generator=self.noise) * s.policy_noise
+            u_then = (self.target_actor(then["observation"]) + noise.clamp(-s.noise_clip, s.noise_clip)).clamp(-1, 1)
+            inputs = torch.cat([then["observation"], u_then], -1)
+            least = torch.stack([critic(inputs) for critic in self.target_critics]).amin(0)
+            wanted = then["reward"] + s.gamma * least * (1 - then["terminated"].float())
+        values = [critic(torch.cat([x, u], -1)) for critic in self.critics]
+        loss = sum((value - wanted).square().mean() for value in values)
+        self.descend(loss, self.critic_optimizer)
+        self.updates += 1
+        if self.updates % s.policy_delay == 0:
+            self.descend(-self.critics[0](torch.cat([x, self.actor(x)], -1)).mean(), self.actor_optimizer)
+            self.follow(self.average, self.actor, s.policy_average)
+        if self.updates % s.target_update_interval == 0:
+            for target, critic in zip(self.target_critics, self.critics, strict=True):
+                self.follow(target, critic, s.tau)
+            self.follow(self.target_actor, self.actor, s.tau)
+        for optimizer in (self.actor_optimizer, self.critic_optimizer):
+            optimizer.param_groups[0]["lr"] *= 1 - s.lr_decay
+        return loss.item(), torch.stack(values).mean().item()
+
+    def follow(self, slow, fast, share):
+        for a, b in zip(slow.parameters(), fast.parameters(), strict=True):
+            a.data = share * b.data + (1 - share) * a.data
+
+
+def test_updates_are_those_of_the_algorithm_written_with_torch_alone():
+    settings = {"gamma": 0.9, "tau": 0.3, "policy_delay": 2, "target_update_interval": 3, "critics": 3}
+    settings |= {"actor_lr": 2e-3, "critic_lr": 3e-3, "lr_decay": 0.05, "max_grad_norm": 0.5, "policy_average": 0.2}
+    agent = small(**settings, policy_noise=0.4, noise_clip=0.3)
+    plain = Plain(agent, seed=3)
+    generator = torch.Generator().manual_seed(11)
+    for batch in batches(8):
+        batch["next", "terminated"] = torch.rand(32, 1, generator=generator) < 0.3
+        batch["next", "truncated"] = torch.rand(32, 1, generator=generator) < 0.3
+        metrics, (loss, value) = agent.update(batch), plain.update(batch)
+        assert metrics["critic_loss"].item() == pytest.approx(loss, rel=1e-5)
+        assert metrics["q_value"].item() == pytest.approx(value, rel=1e-4, abs=1e-6)
+    for ours, theirs in (
+        (agent.policy, plain.actor),
+        (agent.deployed, plain.average),
+    ):
+        for a, b in zip(ours.parameters(), theirs.parameters(), strict=True):
+            torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-6)
+    for stack, nets in (
+        (agent.loss.critic_layers, plain.critics),
+        (agent.loss.target_critic_layers, plain.target_critics),
+    ):
+        for i, net in enumerate(nets):
+            for layer, linear in zip(stack, net[::2], strict=True):
+                torch.testing.assert_close(layer.weight[i], linear.weight, rtol=1e-4, atol=1e-6)
+                torch.testing.assert_close(layer.bias[i], linear.bias, rtol=1e-4, atol=1e-6)
+    for layer, linear in zip(agent.loss.target_actor_layers, plain.target_actor[::2], strict=False):
+        torch.testing.assert_close(layer.weight, linear.weight, rtol=1e-4, atol=1e-6)
+    assert agent.updates == 8
+
+
+def test_critics_alone_learn_as_they_would_in_an_update_and_renew_the_targets_when_due():
+    """Like an agent whose actor is never due."""
+    settings = {"target_update_interval": 2, "tau": 0.5, "lr_decay": 0.0}
+    agent, other = small(**settings), small(**settings, policy_delay=99)
+    before = [p.clone() for p in agent.policy.parameters()]
+    for batch in batches(3):
+        agent.update_critics(batch)
+        other.update(batch)
+    assert agent.updates == 3
+    assert torch.equal(tensors(agent), tensors(other))
+    assert all(torch.equal(a, b) for a, b in zip(before, agent.policy.parameters(), strict=True))
+
+
+def test_the_latest_actor_loss_is_reported_and_is_zero_before_the_first():
+    agent = small(policy_delay=2)
+    losses = [agent.update(batch)["actor_loss"].item() for batch in batches(4)]
+    assert losses[0] == 0.0 != losses[1] == losses[2] != losses[3]
+
+
+def test_seeds_of_weights_smoothing_and_exploration_are_apart():
+    agent = small(seed=3, exploration_noise=0.1)
+    assert agent.loss.generator.initial_seed() == 4 and agent.noise.generator.initial_seed() == 5
+    with torch.random.fork_rng():
+        torch.manual_seed(3)
+        first = nn.Linear(4, 16)
+    assert torch.equal(agent.policy.get_parameter("module.linears.0.weight"), first.weight)
+    assert TD3(4, 2, hidden=(8,)).loss.generator.initial_seed() == 1  # seed 0 by default
+
+
+def test_settings_reach_their_parts():
+    agent = small(noise_min=0.04, noise_decay=0.9, exploration_noise=0.3, layer_norm=True, critics=4, tau=0.2)
+    td = TensorDict({"observation": torch.zeros(2, 4)}, [2])
+    agent.explore(td.clone())
+    agent.explore(td.clone())
+    assert agent.noise.sigma == 0.04
+    assert agent.loss.critic_layers[0].gain.shape == (4, 16) and agent.target_updater.tau == 0.2
+    assert agent.loss.actor_layers[0].gain is None
+    assert (agent.loss.policy_noise, agent.loss.noise_clip, agent.loss.discount) == (0.2, 0.5, 0.995)
+
+
+def test_defaults_that_the_paper_does_not_set_are_td3s():
+    s = Hyperparameters()
+    assert (s.policy_delay, s.policy_noise, s.noise_clip, s.critics) == (2, 0.2, 0.5, 2)  # Fujimoto 2018
+    assert (s.lr_decay, s.noise_min, s.max_grad_norm, s.policy_average, s.layer_norm) == (0, 0, 0, 0, False)
+
+
+@pytest.mark.parametrize(
+    ("name", "edges", "beyond"),
+    [
+        ("actor_lr", (1e-9, 1), (0, 0.0)),
+        ("critic_lr", (1e-9, 1), (0,)),
+        ("gamma", (1, 1e-9), (0.0, 1.0001)),
+        ("tau", (1, 1e-9), (0, 1.0001)),
+        ("lr_decay", (0, 0.999), (1.0, -1e-9)),
+        ("policy_average", (0, 0.999), (1.0, -1e-9)),
+        ("policy_noise", (0, 3), (-1e-9,)),
+        ("noise_clip", (0, 3), (-1e-9,)),
+        ("max_grad_norm", (0, 3), (-1e-9,)),
+        ("policy_delay", (1,), (0, 1.0)),
+        ("target_update_interval", (1,), (0, -1, 1.0)),
+        ("critics", (2,), (1, 2.0)),
+    ],
+)
+def test_ranges_are_met_at_their_edges(name, edges, beyond):
+    for value in edges:
+        assert getattr(Hyperparameters(**{name: value}), name) == value
+    for value in beyond:
+        with pytest.raises(ValueError, match=rf"agent\.{name} is {value}; give a "):
+            Hyperparameters(**{name: value})
+
+
+def test_critics_learn_a_known_value():
+    # Reward 1 for ever, gamma 0.5: the value is 2 everywhere.
+    agent = small(gamma=0.5, critic_lr=3e-3, target_update_interval=1, tau=0.05)
+    for batch in batches(600):
+        batch["next", "reward"] = torch.ones(32, 1)
+        metrics = agent.update(batch)
+    assert metrics["q_value"].item() == pytest.approx(2.0, abs=0.1)
+
+
+def test_actor_climbs_the_critic():
+    # Reward -(u - 0.5)^2 at once, gamma ~ 0: the best action is 0.5 everywhere.
+    agent = small(gamma=1e-6, critic_lr=3e-3, actor_lr=1e-3, hidden=(32, 32))
+    assert (agent.policy(next(batches(1, seed=5)))["action"] - 0.5).abs().mean().item() > 0.4
+    for batch in batches(1500, size=64):
+        batch["next", "reward"] = -(batch["action"] - 0.5).square().sum(-1, keepdim=True)
+        agent.update(batch)
+    action = agent.policy(next(batches(1, seed=5)))["action"]
+    assert (action - 0.5).abs().mean().item() < 0.2

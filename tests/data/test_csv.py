@@ -328,3 +328,101 @@ def test_many_gaps_do_not_take_long(tmp_path):
     table = log(40_000)
     table[:, 0] += 0.03 * (np.arange(40_000) // 2) + 0.001 * (np.arange(40_000) % 2)
     assert "no stretch of the recording has 4 samples" in refusal(write(tmp_path / "log.csv", table), dt=0.01)
+
+
+def test_inputs_and_rates_are_scaled_by_their_own_factors(tmp_path):
+    """Angles in degrees, an input in volts of 24, a second input as it is, a logged rate in rpm."""
+    table = np.concatenate([log(), np.cos(np.arange(80.0))[:, None]], -1)
+    states = {
+        "q": Column("angle", "rad", math.pi / 180),
+        "v": Column("rate", "rad/s", 2 * math.pi / 60),
+        "r": Column("", "rad/s", 10.0, derivative_of="q"),
+    }
+    inputs = {"u": Column("volt", "-", 1 / 24), "w": Column("second", "-", -2.0)}
+    path = write(tmp_path / "log.csv", table, (*HEADINGS, "second"))
+    found = CsvLog(path, states, inputs).read()
+    data = found.transitions
+    assert np.allclose(data.x[:, 0], table[:-1, 1] * 0.017453292519943295, rtol=1e-14)
+    assert np.allclose(data.x[:, 1], table[:-1, 2] * 0.10471975511965977, rtol=1e-14)
+    # q = sin(3 t) degrees: ten times its derivative; the ends of the local cubics are less exact.
+    assert np.allclose(data.x[3:-3, 2], 10 * np.radians(3 * np.cos(3 * table[3:-4, 0])), rtol=1e-3, atol=1e-4)
+    assert np.allclose(data.u, np.stack([table[:-1, 3] / 24, -2 * table[:-1, 4]], -1), rtol=1e-14)
+    assert found.signature.state_names == ("q", "v", "r") and found.signature.input_names == ("u", "w")
+    assert found.signature.state_units == ("rad", "rad/s", "rad/s")
+    largest = [np.radians(table[:, 1]).max(), 3 * 0.10471975511965977]
+    assert found.signature.x_scale[:2] == pytest.approx(largest, rel=1e-12)
+
+
+def test_states_and_inputs_keep_the_order_of_their_maps(tmp_path):
+    path = write(tmp_path / "log.csv", np.concatenate([log(), 7 * log()[:, 2:3]], -1), (*HEADINGS, "second"))
+    data = CsvLog(path, {"v": "rate", "q": "angle"}, {"w": "second", "u": "volt"}).read().transitions
+    assert np.array_equal(data.x, log()[:-1, [2, 1]])
+    assert np.array_equal(data.u, np.stack([7 * log()[:-1, 2], log()[:-1, 3]], -1))
+
+
+def test_the_sampling_time_is_the_median_unless_given(tmp_path):
+    table = np.delete(log(100, dt=0.02), [50, 51], 0)
+    assert CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS).read().transitions.dt == pytest.approx(0.02)
+    fine = CsvLog(str(tmp_path / "log.csv"), STATES, INPUTS, dt=0.015).read()
+    assert fine.transitions.dt == 0.015 and "are not 0.015 s" in fine.notes[-1]
+
+
+def test_a_gap_is_more_than_one_and_a_half_sampling_times_and_jitter_up_to_two_percent_is_even(tmp_path):
+    table = log(120)
+    table[60:, 0] += 0.004  # a step of 1.4 sampling times is resampled
+    found = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS, dt=0.01).read()
+    assert len(found.notes) == 1 and found.notes[0].startswith("1 of 119 sampling times are not 0.01 s")
+    assert found.transitions.segment.unique().tolist() == [0]
+    table[60:, 0] += 0.002  # one of 1.6 splits
+    found = CsvLog(write(tmp_path / "gap.csv", table), STATES, INPUTS, dt=0.01).read()
+    assert found.notes == ("1 gaps longer than 1.5 sampling times split the recording",)
+    for share, even in ((0.019, True), (0.021, False)):
+        table = log(120)
+        table[60, 0] += share * 0.01
+        found = CsvLog(write(tmp_path / "jitter.csv", table), STATES, INPUTS, dt=0.01).read()
+        assert (found.notes == ()) is even
+
+
+def test_stretches_are_resampled_apart_each_from_its_own_start(tmp_path):
+    t = 0.01 * np.arange(160) + 0.003 * (np.arange(160) % 2)
+    t[80:] += 0.5
+    table = np.stack([t, np.sin(3 * t), 3 * np.cos(3 * t), np.arange(160) // 5 % 3 - 1.0], -1)
+    data = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS, dt=0.01).read().transitions
+    assert data.segment.unique().tolist() == [0, 1]
+    for label, start in ((0, t[0]), (1, t[80])):
+        rows = data.segment == label
+        grid = start + 0.01 * np.arange(int(rows.sum()))
+        assert len(grid) == 79  # 0.793 s hold 79 whole steps: nothing is extrapolated
+        assert np.allclose(data.x[rows, 0], np.sin(3 * grid), atol=1e-6)
+        assert np.allclose(data.x[rows, 1], 3 * np.cos(3 * grid), atol=1e-5)
+        held = [table[np.flatnonzero(t <= now + 1e-8)[-1], 3] for now in grid]
+        assert data.u[rows, 0].tolist() == held
+
+
+@pytest.mark.parametrize(("resting", "masked"), [(4, 0), (5, 5), (9, 9)])
+def test_five_equal_samples_at_an_end_are_a_stop_and_four_are_not(tmp_path, resting, masked):
+    table = log(100)
+    table[:, 1] = table[:, 0]
+    table[40 : 40 + resting, 1] = -0.5  # the lower end
+    found = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS).read()
+    expected = (f"{masked} samples with q at -0.5, a stop or saturation, were masked",) if masked else ()
+    assert found.notes == expected
+    assert len(found.transitions) == 99 - (masked + 1 if masked else 0)
+
+
+def test_a_state_that_rests_all_the_time_is_no_stop_and_has_range_one_where_it_is_zero(tmp_path):
+    table = np.concatenate([log(), np.zeros((80, 1)), np.full((80, 1), -3.0)], -1)
+    path = write(tmp_path / "log.csv", table, (*HEADINGS, "still", "low"))
+    found = CsvLog(path, {"q": "angle", "z": "still", "w": "low"}, INPUTS).read()
+    assert found.notes == () and len(found.transitions) == 79
+    assert found.signature.x_scale[1:] == (1.0, 3.0)
+
+
+def test_stretches_of_four_samples_are_resampled_and_of_three_left_out(tmp_path):
+    t = np.concatenate([k + 0.01 * np.arange(n) + 0.001 * (np.arange(n) == 1) for k, n in ((0, 4), (1, 3), (2, 4))])
+    table = np.stack([t, t**3, t, np.arange(11) % 2], -1)
+    data = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS, dt=0.01, min_samples=1).read().transitions
+    assert data.segment.tolist() == [0, 0, 0, 1, 1, 1]
+    expected = np.array([0, 0.01, 0.02, 2, 2.01, 2.02])
+    assert np.allclose(data.x[:, 1], expected) and np.allclose(data.x[:, 0], expected**3, atol=1e-9)
+    assert np.allclose(data.x_next[:, 1], expected + 0.01)

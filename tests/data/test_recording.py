@@ -1,4 +1,5 @@
 import torch
+from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
 from dynasindy.data.recording import transitions
@@ -14,6 +15,25 @@ def rollout(u, steps):
     return env.rollout(steps, policy)
 
 
+def test_each_period_gives_its_own_rows_inputs_and_flag():
+    """Four periods of two samples; the second and the last touched a stop."""
+    start = torch.tensor([[0.0], [2.0], [4.0], [6.0]])
+    samples = torch.tensor([[[1.0], [2.0]], [[3.0], [4.0]], [[5.0], [6.0]], [[7.0], [8.0]]])
+    rows = TensorDict(
+        {
+            "state": start,
+            "action": torch.tensor([[0.1, -0.1], [0.2, -0.2], [0.3, -0.3], [0.4, -0.4]]),
+            "next": {"samples": samples, "at_stop": torch.tensor([[False], [True], [False], [True]])},
+        },
+        [4],
+    )
+    data = transitions(rows, 0.025)
+    assert data.x.flatten().tolist() == [0, 1, 4, 5] and data.x_next.flatten().tolist() == [1, 2, 5, 6]
+    expected = torch.tensor([[0.1, -0.1], [0.1, -0.1], [0.3, -0.3], [0.3, -0.3]])
+    assert torch.equal(data.u.float(), expected) and data.u.dtype == data.x.dtype == data.x_next.dtype == torch.float64
+    assert data.segment.tolist() == [0, 0, 1, 1] and data.dt == 0.025
+
+
 def test_every_logged_sample_becomes_a_transition_of_the_plant():
     data = transitions(rollout([0.2, 0.4], 20), 0.01)
     assert len(data) == 100 and data.dt == 0.01
@@ -21,9 +41,9 @@ def test_every_logged_sample_becomes_a_transition_of_the_plant():
 
 
 def test_periods_at_a_stop_are_left_out_and_break_the_segment():
-    rows = rollout([1.0, 1.0], 300)
+    rows = rollout([1.0, 1.0], 80)
     at_stop = rows["next", "at_stop"].flatten()
-    assert 0 < at_stop.sum() < 300
+    assert 0 < at_stop.sum() < 80
     data = transitions(rows, 0.01)
     assert len(data) == 5 * int((~at_stop).sum())
     follows = data.segment[1:] == data.segment[:-1]

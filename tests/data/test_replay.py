@@ -242,3 +242,108 @@ def test_no_machine_holds_ten_to_the_thirteen_rows():
     replay = DynaReplay(10**13, 2)
     with pytest.raises(ValueError, match=r"GiB in all; cpu has \d+\.?\d* GiB"):
         replay.extend_real(rows(3, keys=REAL_KEYS))
+
+
+def marked(n, first, keys=LEARN_KEYS):
+    """Rows in which every column tells its key: row number plus 1000 times the key's place; flags of own patterns."""
+    number = first + torch.arange(n, dtype=torch.float32)
+    patterns = {"done": 2, "terminated": 3, "truncated": 5, "at_stop": 7}
+    td = TensorDict({}, [n])
+    for place, key in enumerate(keys):
+        name = key if isinstance(key, str) else key[-1]
+        if name in patterns:
+            td[key] = (number % patterns[name] == 0)[:, None]
+        else:
+            td[key] = (number + 1000 * place)[:, None].repeat(1, 1 if name == "reward" else 2)
+    return td
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.5, 1.0])
+def test_every_column_of_a_batch_is_that_of_its_key_in_its_row(ratio):
+    replay = DynaReplay(100, 40, ratio, keys=LEARN_KEYS)
+    replay.extend_real(marked(60, 0))
+    replay.model.extend(marked(60, 100))
+    batch = replay.sample()
+    assert batch.batch_size == (40,) and batch["next"].batch_size == (40,)
+    number = batch["observation"][:, 0].long()
+    assert (number < 100).tolist() == [True] * round(40 * ratio) + [False] * round(40 * (1 - ratio))
+    for place, key in ((1, "action"), (2, ("next", "observation")), (3, ("next", "reward"))):
+        assert torch.equal(batch[key][:, 0].long(), number + 1000 * place), key
+    for key, step in (("done", 2), ("terminated", 3), ("truncated", 5)):
+        assert torch.equal(batch["next", key], (number % step == 0)[:, None]), key
+
+
+def test_shares_are_rounded_to_whole_rows_and_sum_to_the_batch():
+    assert filled(0.3, batch_size=5).counts() == (2, 3)  # 1.5 goes to the even number
+    assert filled(0.29, batch_size=5).counts() == (1, 4)
+    assert filled(0.5, real=0, batch_size=8).counts() == (0, 8)
+    assert filled(0.0, model=0, batch_size=8).counts() == (8, 0)
+    assert filled(None, batch_size=9, real=100, model=200).counts() == (3, 6)
+
+
+def test_both_storages_are_rings_of_their_own_size():
+    replay = DynaReplay(4, 2, keys=LEARN_KEYS, model_capacity=3)
+    replay.extend_real(rows(3))
+    assert replay.real_in_order()["action"][:, 0].tolist() == [0, 1, 2]  # not yet full: as written
+    replay.extend_real(rows(3, 3.0))
+    replay.model.extend(rows(5, 10.0))
+    assert replay.real_in_order()["action"][:, 0].tolist() == [2, 3, 4, 5]
+    assert len(replay.model) == 3
+    replay.keep_imagined(3)  # as many as there are: nothing happens
+    assert len(replay.model) == 3
+    replay.keep_imagined(1)
+    assert replay.model[:]["action"][:, 0].tolist() == [14]
+    assert len(DynaReplay(7, 2).model.storage._storage or ()) == 0 and DynaReplay(7, 2).model.storage.max_size == 7
+
+
+def test_what_is_kept_in_order_is_a_copy():
+    replay = DynaReplay(4, 2, keys=LEARN_KEYS)
+    replay.extend_real(rows(3))
+    replay.real_in_order()["action"].zero_()
+    assert replay.real_in_order()["action"][:, 0].tolist() == [0, 1, 2]
+
+
+def test_keeping_imagined_rows_does_not_imagine_anew():
+    class Doubled(Transform):
+        def _inv_call(self, tensordict):
+            return torch.cat([tensordict, tensordict])
+
+    replay = DynaReplay(20, 2, keys=LEARN_KEYS)
+    replay.model.append_transform(Doubled())
+    replay.model.extend(rows(3))
+    assert len(replay.model) == 6
+    replay.keep_imagined(4)
+    assert len(replay.model) == 4
+
+
+def test_no_rows_are_written_by_none_and_the_next_find_their_place():
+    replay = filled(real=2, model=0)
+    assert replay.model.writer.extend(rows(0)).tolist() == []
+    assert len(replay.model) == 0
+    replay.model.extend(rows(1, 5.0))
+    assert replay.model[:]["action"][:, 0].tolist() == [5]
+
+
+def test_the_default_batch_is_half_real_and_keeps_what_identification_reads():
+    replay = DynaReplay(10, 4)
+    assert replay.real_ratio == 0.5 and replay.device == torch.device("cpu")
+    replay.extend_real(rows(6, keys=REAL_KEYS))
+    replay.model.extend(rows(6))
+    assert replay.counts() == (2, 2)
+    assert {"state", "step_count", ("next", "samples")} < set(replay.real_in_order().keys(True, True))
+
+
+def test_a_resumed_replay_forgets_what_it_held():
+    replay, other = filled(1.0, real=20, model=0), filled(1.0, real=50, model=30, seed=4)
+    other.sample()
+    other.load_state_dict(replay.state_dict())
+    assert (len(other.real), len(other.model)) == (20, 0)
+    assert torch.equal(replay.sample()["action"], other.sample()["action"])
+    assert torch.equal(replay.real_in_order()["action"], other.real_in_order()["action"])
+
+
+@pytest.mark.parametrize("wrong", [{"model_capacity": 0}, {"real_ratio": -0.1}])
+def test_each_size_and_share_is_checked(wrong):
+    with pytest.raises(ValueError, match=r"give (positive numbers|a share)"):
+        DynaReplay(**{"capacity": 10, "batch_size": 4} | wrong)
+    assert DynaReplay(1, 1, 0.0).counts() == (0, 1)

@@ -69,7 +69,7 @@ def test_samples_that_touch_a_stop_are_left_out_and_split_the_recording():
 
 
 def test_noise_has_its_level_and_a_shared_state_has_one_error():
-    clean = record(Oscillator(), inputs(2000), 0.05)
+    clean = record(Oscillator(), inputs(2000), 0.05, substeps=1)
     noisy = disturb(clean, 0.1, seed=3)
     error = noisy.x_next - clean.x_next
     assert torch.allclose(error.std(0), 0.1 * clean.x_next.std(0), rtol=0.1)
@@ -82,3 +82,20 @@ def test_noise_does_not_leak_over_a_gap():
     noisy = disturb(clean, 0.1, seed=3)
     assert not torch.equal(noisy.x[30] - clean.x[30], noisy.x_next[29] - clean.x_next[29])
     assert disturb(clean, 0.0, seed=3) is clean
+
+
+def test_by_default_ten_steps_are_taken_between_two_samples():
+    u = inputs(3)
+    assert torch.equal(record(Oscillator(), u, 0.5).x_next, record(Oscillator(), u, 0.5, substeps=10).x_next)
+    assert not torch.equal(record(Oscillator(), u, 0.5).x_next, record(Oscillator(), u, 0.5, substeps=9).x_next)
+
+
+def test_noise_is_its_seeds_numbers_times_the_spread_of_each_state():
+    clean = record(Oscillator(), inputs(20), 0.05)
+    noisy, rng = disturb(clean, 0.2, seed=7), torch.Generator().manual_seed(7)
+    after, first = (torch.randn(20, 2, generator=rng, dtype=torch.float64) for _ in range(2))
+    spread = torch.from_numpy(np.std(clean.x_next.numpy(), 0, ddof=1))
+    torch.testing.assert_close(noisy.x_next, clean.x_next + 0.2 * spread * after)
+    torch.testing.assert_close(noisy.x[0], clean.x[0] + 0.2 * spread * first[0])
+    torch.testing.assert_close(noisy.x[1:], clean.x[1:] + 0.2 * spread * after[:-1])
+    assert torch.equal(noisy.u, clean.u)

@@ -1,11 +1,13 @@
+import math
+
 import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
 from dynasindy.envs import ControlEnv
-from dynasindy.systems import Pendulum, Tras, Xi, integrate
-from dynasindy.tasks import RandomStep, Tracking, TrackingReward
+from dynasindy.systems import Pendulum, Signature, Tras, Xi, integrate
+from dynasindy.tasks import RandomStep, Tracking, TrackingReward, Wave
 
 
 def make(system=None, **settings):
@@ -20,21 +22,6 @@ class Constant:
 
     def __call__(self, tensordict):
         return tensordict.set("action", self.u.expand(*tensordict.batch_size, len(self.u)))
-
-
-@pytest.mark.parametrize("batch_size", [(), (4,)])
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("system", [Tras, Xi])
-def test_specs_hold(system, dtype, batch_size):
-    check_env_specs(make(system(), dtype=dtype, batch_size=batch_size))
-
-
-@pytest.mark.parametrize(("dtype", "batch_size"), [(torch.float32, ()), (torch.float64, (4,))])
-def test_specs_hold_for_one_input(dtype, batch_size):
-    system = Pendulum()
-    reward = TrackingReward(error_weights=(1.0,))
-    task = Tracking(system.signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), reward)
-    check_env_specs(ControlEnv(system, task, dtype=dtype, batch_size=batch_size))
 
 
 def test_a_period_is_the_integrators_and_its_samples_are_logged():
@@ -52,15 +39,6 @@ def test_episodes_are_truncated_and_never_terminated():
     assert rollout.shape == (5,)
     assert rollout["next", "truncated"][:, 0].tolist() == [False] * 4 + [True]
     assert not rollout["next", "terminated"].any()
-
-
-def test_the_beam_rests_at_its_stop_and_says_so():
-    rollout = make(dtype=torch.float64).rollout(400, Constant(1.0, 1.0))
-    touched = rollout["next", "at_stop"]
-    pitch, rate = rollout["next", "state"][:, 1], rollout["next", "state"][:, 3]
-    assert touched.any() and not touched[0]
-    assert pitch.max() == torch.pi / 2
-    assert (rate[pitch == torch.pi / 2] <= 0).all()
 
 
 def test_partial_reset_leaves_the_other_rows():
@@ -92,15 +70,6 @@ def test_batched_and_single_physics_agree():
     batch = env.rollout(4, Constant(0.1, 0.3), auto_reset=False, tensordict=env.start_from(start))
     single = env.rollout(4, Constant(0.1, 0.3), auto_reset=False, tensordict=env.start_from(start[2]))
     assert torch.equal(batch["next", "state"][2], single["next", "state"])
-
-
-def test_real_equals_imagined_under_the_true_model():
-    env = make(dtype=torch.float64)
-    imagined = env.with_system(Tras())
-    starts = env.reset(TensorDict(batch_size=[2]))
-    rollouts = [e.rollout(50, Constant(0.3, 0.9), auto_reset=False, tensordict=starts.clone()) for e in (env, imagined)]
-    for key in ("state", "observation", "reward", "at_stop", "reference"):
-        assert torch.equal(rollouts[0]["next", key], rollouts[1]["next", key]), key
 
 
 def test_a_model_of_another_plant_is_refused():
@@ -159,3 +128,149 @@ def test_a_system_that_gives_no_rates_of_change_is_refused_at_once(change, said)
 def test_an_episode_that_memory_cannot_hold_is_refused_before_it_begins():
     with pytest.raises(ValueError, match=r"400 periods \(task\.max_steps\) with 1000000000 samples each .* GB"):
         around(Pendulum(), substeps=10**9)
+
+
+def test_a_rollout_is_what_a_loop_in_plain_numbers_makes():
+    """A pendulum under a moving reference: Runge-Kutta, observation and reward without a tensor."""
+    plant = Pendulum(mass=2.0, length=0.8, damping=0.3, max_torque=9.0)
+    wave = Wave([0.4], [0.8], offset=[0.1])
+    reward = TrackingReward((2.0,), 0.3, 0.5, tolerance=0.2)
+    task = Tracking(plant.signature, wave, ("theta",), ("Omega",), reward, max_steps=6, observe_rate=True)
+    env = ControlEnv(plant, task, dt=0.1, substeps=3, dtype=torch.float64)
+    inputs = [0.5, -1.0, 0.25, 1.0, -0.5, 0.75]
+    start = env.start_from(torch.tensor([0.3, -0.7], dtype=torch.float64))
+    actions = iter(torch.tensor(inputs).unsqueeze(-1))
+    made = env.rollout(99, lambda td: td.set("action", next(actions)), auto_reset=False, tensordict=start)
+    assert made.shape == (6,)
+
+    def field(angle, speed, u):
+        return speed, 9.0 * u / 1.28 - 9.81 / 0.8 * math.sin(angle) - 0.3 * speed / 1.28
+
+    def advanced(state, u, h):
+        slopes = [field(*state, u)]
+        for share in (h / 2, h / 2, h):
+            slopes.append(field(state[0] + share * slopes[-1][0], state[1] + share * slopes[-1][1], u))
+        return [s + h / 6 * (a + 2 * b + 2 * c + d) for s, a, b, c, d in zip(state, *map(list, slopes), strict=True)]
+
+    state = [0.3, -0.7]
+    for k, u in enumerate(inputs):
+        before, row, then = state, made[k], made[k]["next"]
+        reference = 0.1 + 0.4 * math.sin(1.6 * math.pi * 0.1 * (k + 1))
+        slope = 0.4 * 1.6 * math.pi * math.cos(1.6 * math.pi * 0.1 * (k + 1))
+        for sample in then["samples"]:
+            state = advanced(state, u, 0.1 / 3)
+            assert sample.tolist() == pytest.approx(state, rel=1e-12)
+        error = reference - state[0]
+        pay = -2 * error**2 - 0.3 * (state[1] - before[1]) ** 2 + 0.5 * (abs(error) < 0.2)
+        assert row["state"].tolist() == pytest.approx(before) and then["state"].tolist() == pytest.approx(state)
+        assert then["reference"].item() == pytest.approx(reference) and then["step_count"].item() == k + 1
+        assert then["observation"].tolist() == pytest.approx([state[0], state[1] / 3, error / 0.5, slope], rel=1e-5)
+        assert then["reward"].item() == pytest.approx(pay, rel=1e-5)
+        flags = [then[key].item() for key in ("truncated", "done", "terminated", "at_stop")]
+        assert flags == [k == 5, k == 5, False, False]
+
+
+def test_episodes_start_at_the_states_given_at_time_zero():
+    env = make(dtype=torch.float64, substeps=3)
+    states = torch.rand(2, 4, 6)
+    start = env.start_from(states)
+    assert start.batch_size == (2, 4) and start["state"].dtype == start["task_params"].dtype == torch.float64
+    torch.testing.assert_close(start["state"], states.double())
+    torch.testing.assert_close(start["samples"], states.double().unsqueeze(-2).expand(2, 4, 3, 6))
+    torch.testing.assert_close(start["reference"], start["task_params"][..., 0])
+    assert not start["step_count"].any() and start["step_count"].dtype == torch.int64
+    for key in ("at_stop", "done", "terminated", "truncated"):
+        assert start[key].shape == (2, 4, 1) and not start[key].any(), key
+
+
+def test_samples_are_logged_at_equal_times_in_a_period():
+    assert make().log_dt == pytest.approx(0.01)  # the paper's period of 0.05 s in five parts
+    assert make(dt=0.2, substeps=8).log_dt == pytest.approx(0.025)
+
+
+def test_another_system_keeps_stops_task_and_settings():
+    env = make(Tras(azimuth_stop=1.5, pitch_stop=0.3), dt=0.1, substeps=4, dtype=torch.float64, batch_size=(3,))
+    other = env.with_system(Xi())
+    assert isinstance(other.system, Xi) and other.task is env.task
+    assert (other.stops.low, other.stops.high) == ((-1.5, -0.3), (1.5, 0.3))
+    assert (other.dt, other.substeps, other.float_type, tuple(other.batch_size)) == (0.1, 4, torch.float64, (3,))
+    # The beam is driven up: a model that knows no stop is held by the plant's.
+    seen = other.rollout(30, lambda td: td.set("action", torch.ones(3, 2)))["next"]
+    assert seen["state"][..., 1].max().item() == 0.3 and seen["at_stop"].any()
+    assert env.with_system(Xi(), torch.float32).float_type == torch.float32
+
+
+def test_another_task_keeps_system_stops_and_settings():
+    env = make(Tras(azimuth_stop=1.5, pitch_stop=0.3), dt=0.1, substeps=4, dtype=torch.float64).with_system(Xi())
+    task = Tracking(Xi().signature, RandomStep([0.1, 0.1], [0.2, 0.2]), max_steps=3)
+    other = env.with_task(task)
+    assert other.task is task and other.system is env.system and other.stops == env.stops != Xi().stops
+    assert (other.dt, other.substeps, other.float_type) == (0.1, 4, torch.float64)
+    assert len(other.rollout(9)) == 3
+
+
+def test_environments_made_of_another_draw_by_their_own_seed():
+    def drawn(env):
+        return env.reset()["reference"]
+
+    env = make(seed=5)
+    for other in (env.with_system(Xi(), seed=5), env.with_task(env.task, seed=5)):
+        assert torch.equal(drawn(other), drawn(make(seed=5)))
+    assert torch.equal(drawn(env.with_system(Xi())), drawn(make(seed=0)))
+    assert torch.equal(drawn(env.with_task(env.task)), drawn(make()))
+    assert not torch.equal(drawn(make(seed=5)), drawn(make()))
+
+
+def test_a_system_with_other_states_or_other_inputs_is_refused():
+    class Short(Pendulum):
+        def __init__(self, states, inputs):
+            super().__init__()
+            self.signature = Signature(tuple("abcdefg"[:states]), ("-",) * states, tuple("xyz"[:inputs]), (1,) * states)
+
+    for states, inputs in ((6, 1), (5, 2)):
+        with pytest.raises(ValueError, match=f"{states} states and {inputs} inputs, the environment 6 and 2"):
+            make().with_system(Short(states, inputs))
+
+
+def test_types_and_bounds_are_those_that_policies_expect():
+    env = make(dtype=torch.float64, batch_size=(2,))
+    row = env.rollout(1, Constant(0.1, 0.2))[:, 0]
+    for key in ("observation", "action", ("next", "reward"), ("next", "observation")):
+        assert row[key].dtype == torch.float32, key
+    for key in ("state", "reference", "task_params", ("next", "samples")):
+        assert row[key].dtype == torch.float64, key
+    assert (env.action_spec.space.low == -1).all() and (env.action_spec.space.high == 1).all()
+    assert row["next", "samples"].shape == (2, 5, 6) and row["next", "reward"].shape == (2, 1)
+
+
+@pytest.mark.parametrize("batch_size", [(), (4,)])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("system", [Tras, Xi])
+def test_specs_hold(system, dtype, batch_size):
+    check_env_specs(make(system(), dtype=dtype, batch_size=batch_size))
+
+
+@pytest.mark.parametrize(("dtype", "batch_size"), [(torch.float32, ()), (torch.float64, (4,))])
+def test_specs_hold_for_one_input(dtype, batch_size):
+    system = Pendulum()
+    reward = TrackingReward(error_weights=(1.0,))
+    task = Tracking(system.signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), reward)
+    check_env_specs(ControlEnv(system, task, dtype=dtype, batch_size=batch_size))
+
+
+def test_the_beam_rests_at_its_stop_and_says_so():
+    rollout = make(dtype=torch.float64).rollout(120, Constant(1.0, 1.0))
+    touched = rollout["next", "at_stop"]
+    pitch, rate = rollout["next", "state"][:, 1], rollout["next", "state"][:, 3]
+    assert touched.any() and not touched[0]
+    assert pitch.max() == torch.pi / 2
+    assert (rate[pitch == torch.pi / 2] <= 0).all()
+
+
+def test_real_equals_imagined_under_the_true_model():
+    env = make(dtype=torch.float64)
+    imagined = env.with_system(Tras())
+    starts = env.reset(TensorDict(batch_size=[2]))
+    rollouts = [e.rollout(50, Constant(0.3, 0.9), auto_reset=False, tensordict=starts.clone()) for e in (env, imagined)]
+    for key in ("state", "observation", "reward", "at_stop", "reference"):
+        assert torch.equal(rollouts[0]["next", key], rollouts[1]["next", key]), key

@@ -12,23 +12,12 @@ from gymnasium.utils.env_checker import check_env
 
 import dynasindy  # noqa: F401 (registers the environments)
 from dynasindy.envs import ControlEnv
-from dynasindy.envs.gym import GymControl, twin_rotor
+from dynasindy.envs.drawing import draw
+from dynasindy.envs.gym import GymControl, pendulum, twin_rotor
 from dynasindy.systems import Tras
 from dynasindy.tasks import Step, Tracking
 
 IDS = ["dynasindy/TwinRotor-v0", "dynasindy/Pendulum-v0"]
-
-
-@pytest.mark.parametrize("name", IDS)
-def test_gymnasium_check_env_passes(name: str) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        # States have no bounds (rotor speeds follow from the physics), so neither has their space.
-        warnings.filterwarnings("ignore", message=".*Box observation space (min|max)imum value is -?infinity.*")
-        # The id ends in -v0 on purpose.
-        warnings.filterwarnings("ignore", message=".*is out of date.*")
-        env = gymnasium.make(name, render_mode="rgb_array")
-        check_env(env.unwrapped)
 
 
 def test_the_adapter_plays_what_the_control_env_plays() -> None:
@@ -78,6 +67,62 @@ def test_mistakes_get_one_line() -> None:
     system = Tras()
     with pytest.raises(ValueError, match="one row"):
         GymControl(ControlEnv(system, Tracking(system.signature, Step([[0.0, 0.0]])), batch_size=(3,)))
+
+
+def test_spaces_and_the_papers_references_are_those_documented() -> None:
+    env = twin_rotor(render_mode="rgb_array")
+    assert env.observation_space.shape == (8,) and env.action_space.shape == (2,)
+    assert (env.action_space.low == -1).all() and (env.action_space.high == 1).all()
+    assert (env.observation_space.low == -np.inf).all() and (env.observation_space.high == np.inf).all()
+    assert env.metadata == {"render_modes": ["rgb_array"], "render_fps": 20}  # a control period is 0.05 s
+    drawn = np.array([env.reset(seed=k)[1]["reference"] for k in range(60)])
+    np.testing.assert_allclose(np.abs(drawn).max(0), [0.4, 0.25], atol=0.03)
+    np.testing.assert_allclose(drawn.min(0), [-0.4, -0.25], atol=0.05)
+    narrow = twin_rotor(low=(0.1, 0.2), high=(0.1, 0.2)).reset()[1]["reference"]
+    np.testing.assert_allclose(narrow, [0.1, 0.2], rtol=1e-6)
+
+
+def test_the_pendulum_tracks_its_angle_for_the_papers_weights() -> None:
+    env = pendulum(low=0.5, high=0.5)
+    observation, _ = env.reset(seed=0)
+    np.testing.assert_allclose(observation, [0, 0, 1.0])  # an error of 0.5 rad counts as 1
+    _, reward, _, _, after = env.step(np.array([0.3], dtype=np.float32))
+    theta, rate = after["state"]
+    assert reward == pytest.approx(-4 * (0.5 - theta) ** 2 - 0.1 * rate**2, rel=1e-5)
+    drawn = np.array([pendulum().reset(seed=k)[1]["reference"].item() for k in range(60)])
+    assert -1 < drawn.min() < -0.9 and 0.9 < drawn.max() < 1
+
+
+def test_pictures_show_the_present_and_are_made_only_when_asked_for() -> None:
+    env = twin_rotor(render_mode="rgb_array")
+    assert env.render() is None  # nothing to show before the first reset
+    env.reset(seed=0)
+    for _ in range(3):
+        _, _, _, _, info = env.step(np.array([1.0, 0.5], dtype=np.float32))
+    expected = draw(Tras().signature, info["state"].tolist(), info["reference"].tolist(), [0, 1], 3 * 0.05)
+    np.testing.assert_array_equal(env.render(), expected)
+    silent = twin_rotor()
+    silent.reset(seed=0)
+    assert silent.render() is None
+
+
+def test_a_task_that_tracks_nothing_is_refused() -> None:
+    env = ControlEnv(Tras(), Tracking(Tras().signature, Step([[0.0, 0.0]])))
+    env.task = object()
+    with pytest.raises(TypeError, match="task object tracks nothing"):
+        GymControl(env)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_gymnasium_check_env_passes(name: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # States have no bounds (rotor speeds follow from the physics), so neither has their space.
+        warnings.filterwarnings("ignore", message=".*Box observation space (min|max)imum value is -?infinity.*")
+        # The id ends in -v0 on purpose.
+        warnings.filterwarnings("ignore", message=".*is out of date.*")
+        env = gymnasium.make(name, render_mode="rgb_array")
+        check_env(env.unwrapped)
 
 
 def test_importing_the_package_does_not_import_torch() -> None:

@@ -80,3 +80,64 @@ def test_negative_bands_no_harmonics_and_no_hold_are_refused():
 def test_experiments_that_memory_cannot_hold_are_refused(make):
     with pytest.raises(ValueError, match=r"excitation\.duration=.* would take .* GB; allowed is"):
         make()
+
+
+@pytest.mark.parametrize("kind", [*MOVING, PrintedChirp])
+def test_the_defaults_are_ten_seconds_of_the_control_period_at_a_third_of_the_range(kind):
+    excitation = kind(2)
+    assert (excitation.duration, excitation.dt, excitation.n_steps, excitation.seed) == (10.0, 0.05, 200, 0)
+    assert excitation.amplitude.tolist() == [0.3, 0.3] and excitation.offset.tolist() == [0.0, 0.0]
+    bare = kind(2, amplitude=1.0).samples()
+    assert excitation.samples().shape == (200, 2) and excitation.samples().dtype == torch.float64
+    torch.testing.assert_close(excitation.samples(), 0.3 * bare)
+    half = kind(2, amplitude=(0.2, 0.4), offset=(0.1, -0.3)).samples()
+    torch.testing.assert_close(half, bare * torch.tensor([0.2, 0.4]).double() + torch.tensor([0.1, -0.3]).double())
+
+
+@pytest.mark.parametrize("kind", [*MOVING, PrintedChirp])
+def test_times_may_have_any_batch(kind):
+    excitation, t = kind(2), torch.linspace(0, 9.9, 12, dtype=torch.float64)
+    single = torch.stack([excitation.signal(time) for time in t])
+    assert torch.equal(excitation.signal(t.reshape(3, 4)), single.reshape(3, 4, 2))
+    assert torch.equal(excitation.signal(t), single)
+
+
+def test_samples_are_the_signal_at_multiples_of_the_step():
+    excitation = Chirp(1, duration=2.0, dt=0.1, amplitude=0.5)
+    t = torch.arange(8, dtype=torch.float64) * 0.25
+    assert torch.equal(excitation.samples(0.25), excitation.signal(t))
+    assert excitation.samples().shape == (20, 1)
+
+
+def test_an_experiment_has_at_least_one_period_and_periods_are_rounded():
+    assert Chirp(1, duration=0.01, dt=0.05).n_steps == 1
+    assert Chirp(1, duration=0.29, dt=0.1).n_steps == 3
+
+
+def test_inputs_are_clipped_at_either_end():
+    u = Prbs(1, amplitude=0.8, offset=-0.6, seed=2).samples()
+    assert sorted(u.unique().tolist()) == pytest.approx([-1.0, 0.2])
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"duration": 0.0}, "duration 0.0 s"),
+        ({"dt": -0.1}, "dt -0.1 s"),
+        ({"offset": (0.0, 1.3)}, "move the offset towards 0"),
+        ({"offset": (0.0, -1.3)}, "move the offset towards 0"),
+        ({"amplitude": (0.1,) * 3}, "3 values of amplitude"),
+        ({"offset": (0.1,) * 3}, "3 values of offset"),
+        ({"offset": (math.inf, 0.0)}, "finite numbers"),
+    ],
+)
+def test_each_setting_is_refused_by_its_own_words(settings, message):
+    with pytest.raises(ValueError, match=message):
+        Chirp(2, **settings)
+
+
+def test_a_range_may_reach_the_limit_and_must_not_lie_beyond_it():
+    assert Chirp(1, amplitude=0.5, offset=1.49).samples().max() == 1.0
+    with pytest.raises(ValueError, match="move the offset towards 0"):
+        Chirp(1, amplitude=0.5, offset=1.5)
+    assert Chirp(1, amplitude=-0.5, offset=1.2).samples().min() < 1.0  # a negative amplitude turns the wave round

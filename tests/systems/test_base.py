@@ -23,3 +23,22 @@ def test_an_unknown_state_is_answered_with_the_states_that_exist():
 def test_inconsistent_signatures_are_refused(names, units, inputs, scale, message):
     with pytest.raises(ValueError, match=message):
         Signature(names, units, inputs, scale)
+
+
+def test_lists_become_tuples_so_that_signatures_compare():
+    given = Signature(["a", "b"], ["rad", "rpm"], ["u"], [1.0, 2.0])
+    assert given == Signature(("a", "b"), ("rad", "rpm"), ("u",), (1.0, 2.0))
+    assert (given.n_x, given.n_u) == (2, 1)
+
+
+@pytest.mark.parametrize(
+    ("names", "inputs", "scale"), [(("a", "b"), ("a",), (1.0, 1.0)), (("a", "b"), ("u",), (1.0, -1.0))]
+)
+def test_an_input_named_like_a_state_and_a_single_bad_range_are_refused(names, inputs, scale):
+    with pytest.raises(ValueError, match=r"rename the repeated one|give the typical range"):
+        Signature(names, ("rad", "rad"), inputs, scale)
+
+
+def test_a_range_is_asked_for_each_state():
+    with pytest.raises(ValueError, match="2 state names, 2 units and 1 ranges"):
+        Signature(("a", "b"), ("rad", "rad"), ("u",), (1.0,))

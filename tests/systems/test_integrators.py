@@ -29,16 +29,6 @@ def test_input_is_held_over_the_period():
     assert torch.allclose(samples[0, :, 0], torch.tensor([0.3, 0.6, 0.9, 1.2, 1.5]))
 
 
-def test_undamped_pendulum_keeps_its_energy():
-    pendulum = Pendulum(damping=0.0)
-    x = torch.tensor([2.0, 0.0], dtype=torch.float64)
-    energy = lambda x: 0.5 * x[1] ** 2 - 9.81 * torch.cos(x[0])  # noqa: E731
-    start = energy(x)
-    for _ in range(1000):
-        x = rk4(pendulum, x, torch.zeros(1, dtype=torch.float64), 0.01)
-    assert abs(energy(x) - start) < 1e-6
-
-
 def test_a_stop_holds_the_position_and_zeroes_the_outward_rate_only():
     stops = Stops((0,), (1,), (-1.0,), (1.0,))
     x = torch.tensor([[1.2, 0.5], [1.2, -0.5], [-3.0, -0.5], [0.5, 2.0]])
@@ -59,3 +49,40 @@ def test_touching_within_the_period_is_reported():
 def test_impossible_stops_are_refused(stops):
     with pytest.raises(ValueError, match="stops need"):
         Stops(*stops)
+
+
+def test_a_step_is_the_classical_tableau_in_plain_numbers():
+    """x' = x^2 + u x from 0.7 with u = -0.4 over 0.3 s."""
+
+    def f(x):
+        return x * x - 0.4 * x
+
+    k1 = f(0.7)
+    k2 = f(0.7 + 0.15 * k1)
+    k3 = f(0.7 + 0.15 * k2)
+    k4 = f(0.7 + 0.3 * k3)
+    u = torch.tensor([-0.4], dtype=torch.float64)
+    after = rk4(lambda x, u: x * x + u * x, torch.tensor([0.7], dtype=torch.float64), u, 0.3)
+    assert after.item() == pytest.approx(0.7 + 0.3 * (k1 + 2 * k2 + 2 * k3 + k4) / 6, rel=1e-14)
+
+
+def test_a_stop_touched_only_on_the_way_is_reported_and_every_sample_is_held():
+    """Thrown up to the stop at 1, pulled back: it touches in the second of four sub-steps and leaves again."""
+    stops = Stops((0,), (1,), (-9.0,), (1.0,))
+    x, u = torch.tensor([0.5, 4.0], dtype=torch.float64), torch.tensor([-8.0], dtype=torch.float64)
+    field = lambda x, u: torch.stack((x[..., 1], u[..., 0]), -1)  # noqa: E731
+    samples, touched = integrate(field, x, u, 0.8, 4, stops)
+    assert bool(touched)
+    # 0.2 s: 0.5 + 0.8 - 0.16 = 1.14 is held at 1, rate 4 - 1.6 = 2.4 is zeroed; then 1 - 4 t^2 from rest.
+    expected = torch.tensor([[1.0, 0.0], [0.84, -1.6], [0.36, -3.2], [-0.44, -4.8]], dtype=torch.float64)
+    torch.testing.assert_close(samples, expected)
+
+
+def test_undamped_pendulum_keeps_its_energy():
+    pendulum = Pendulum(damping=0.0)
+    x = torch.tensor([2.0, 0.0], dtype=torch.float64)
+    energy = lambda x: 0.5 * x[1] ** 2 - 9.81 * torch.cos(x[0])  # noqa: E731
+    start = energy(x)
+    for _ in range(1000):
+        x = rk4(pendulum, x, torch.zeros(1, dtype=torch.float64), 0.01)
+    assert abs(energy(x) - start) < 1e-6

@@ -1,3 +1,4 @@
+import pytest
 import torch
 
 from dynasindy.systems import Stops
@@ -14,3 +15,31 @@ def test_states_without_stops_pass_unchanged():
     x = torch.tensor([[0.1, 50.0, -7.0]])
     held, touched = Stops((0,), (2,), (-1.0,), (1.0,)).apply(x)
     assert torch.equal(held, x) and not touched.any()
+
+
+def test_each_position_has_its_own_stops_and_all_are_tried():
+    stops = Stops([0, 2], [1, 3], [-1.0, -0.2], [0.5, 0.3])
+    x = torch.tensor([[0.7, 1.0, -0.4, -2.0], [-1.0, -3.0, 0.3, -1.0], [0.0, 4.0, 0.0, -4.0]], dtype=torch.float64)
+    held, touched = stops.apply(x)
+    assert held.tolist() == [[0.5, 0, -0.2, 0], [-1, 0, 0.3, -1], [0, 4, 0, -4]]
+    assert touched.tolist() == [True, True, False]
+    assert stops == Stops((0, 2), (1, 3), (-1.0, -0.2), (0.5, 0.3))
+
+
+def test_a_state_on_the_very_stop_touches_it():
+    held, touched = Stops((0,), (1,), (-1.0,), (1.0,)).apply(torch.tensor([[1.0, 0.0], [-1.0, 0.0], [0.999, 0.0]]))
+    assert touched.tolist() == [True, True, False]
+    assert held[0].tolist() == [1.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    "wrong", [((0,), (1, 2), (-1.0,), (1.0,)), ((0,), (1,), (-1.0, 0.0), (1.0,)), ((0,), (1,), (-1.0,), (1.0, 2.0))]
+)
+def test_each_position_needs_a_rate_a_low_and_a_high_end(wrong):
+    with pytest.raises(ValueError, match="complete the lists"):
+        Stops(*wrong)
+
+
+def test_stops_without_travel_between_them_are_refused():
+    with pytest.raises(ValueError, match="swap or widen"):
+        Stops((0,), (1,), (1.0,), (1.0,))

@@ -63,3 +63,62 @@ def test_recordings_of_different_rates_are_not_joined():
     slow = Transitions.from_trajectory(torch.zeros(3, 1), torch.zeros(2, 1), 0.2)
     with pytest.raises(ValueError, match="sampling times"):
         Transitions.cat([_line(2), slow])
+
+
+def test_batches_of_episodes_are_laid_end_to_end_as_a_loop_would():
+    rng = torch.Generator().manual_seed(0)
+    samples = torch.randn(2, 3, 4, 5, generator=rng, dtype=torch.float64)
+    start = torch.cat([torch.randn(2, 1, 5, generator=rng, dtype=torch.float64), samples[:, :-1, -1]], 1)
+    u = torch.randn(2, 3, 2, generator=rng, dtype=torch.float64)
+    data = Transitions.from_samples(start, u, samples, 0.02)
+    row = 0
+    for episode in range(2):
+        state = start[episode, 0]
+        for period in range(3):
+            for sample in samples[episode, period]:
+                assert torch.equal(data.x[row], state) and torch.equal(data.x_next[row], sample)
+                assert torch.equal(data.u[row], u[episode, period]) and data.segment[row] == episode
+                state, row = sample, row + 1
+    assert len(data) == row == 24 and data.dt == 0.02
+
+
+def test_one_state_that_differs_breaks_a_stretch():
+    start = torch.tensor([[0.0, 0.0], [1.0, 9.0], [2.0, 2.0]])
+    samples = torch.tensor([[[1.0, 1.0]], [[2.0, 2.0]], [[3.0, 3.0]]])
+    assert Transitions.from_samples(start, torch.zeros(3, 1), samples, 0.1).segment.tolist() == [0, 1, 1]
+
+
+def test_rows_kept_of_several_stretches_stay_apart_where_they_were_apart():
+    both = Transitions.cat([_line(3), _line(3, start=9.0), _line(2, start=20.0)])
+    assert both.segment.tolist() == [0, 0, 0, 1, 1, 1, 2, 2]
+    kept = both.select(torch.tensor([True, True, True, True, False, True, True, True]))
+    assert kept.segment.tolist() == [0, 0, 0, 1, 2, 3, 3]
+    assert kept.x_next.squeeze(-1).tolist() == [1, 2, 3, 10, 12, 21, 22]
+    assert both.last(3).segment.tolist() == [0, 1, 1] and both.last(99).x.shape == (8, 1)
+
+
+def test_joining_keeps_rows_inputs_and_rate_and_passes_over_an_empty_recording():
+    empty = _line(2).select(torch.tensor([False, False]))
+    first = Transitions.from_trajectory(torch.tensor([[0.0], [1.0]]).double(), torch.tensor([[0.5]]).double(), 0.1)
+    both = Transitions.cat([first, empty, _line(2, start=5.0)])
+    assert both.x.squeeze(-1).tolist() == [0, 5, 6] and both.x_next.squeeze(-1).tolist() == [1, 6, 7]
+    assert both.u.squeeze(-1).tolist() == [0.5, 0, 0] and both.dt == 0.1
+    assert both.segment.tolist() == [0, 1, 1]
+    with pytest.raises(ValueError, match="empty list"):
+        Transitions.cat([])
+
+
+def test_casting_casts_states_and_inputs_and_leaves_the_rest():
+    data = _line(3).select(torch.tensor([True, False, True])).to(torch.float32)
+    assert {data.x.dtype, data.u.dtype, data.x_next.dtype} == {torch.float32}
+    assert data.segment.tolist() == [0, 1] and data.dt == 0.1
+
+
+@pytest.mark.parametrize(
+    "shapes",
+    [((3, 2), (3, 1), (2, 2), 3), ((3, 2), (3, 1), (3, 2), 2), ((3, 2), (3,), (3, 2), 3), ((3,), (3, 1), (3,), 3)],
+)
+def test_every_shape_is_checked(shapes):
+    x, u, x_next, n = shapes
+    with pytest.raises(ValueError, match="flatten or trim"):
+        Transitions(torch.zeros(x), torch.zeros(u), torch.zeros(x_next), 0.1, torch.zeros(n, dtype=torch.int64))

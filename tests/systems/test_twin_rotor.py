@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from dynasindy.systems.twin_rotor import beam_stops, two_branches
+from dynasindy.systems.twin_rotor import SIGNATURE, beam_stops, two_branches
 
 
 def test_default_stops_are_those_of_the_vendors_simulation():
@@ -10,9 +10,26 @@ def test_default_stops_are_those_of_the_vendors_simulation():
     assert stops.low == tuple(-h for h in stops.high)
 
 
-def test_a_beam_without_travel_is_refused():
+def test_positions_are_stopped_with_their_own_rates():
+    stops = beam_stops(azimuth=2.0, pitch=0.5)
+    x = torch.tensor([[2.5, 0.1, 1.0, 1.0, 9.0, 9.0], [0.1, -0.6, -1.0, -1.0, 9.0, 9.0]])
+    held, touched = stops.apply(x)
+    assert held.tolist() == [[2.0, pytest.approx(0.1), 0, 1, 9, 9], [pytest.approx(0.1), -0.5, -1, 0, 9, 9]]
+    assert touched.all()
+
+
+@pytest.mark.parametrize("travel", [{"azimuth": 0.0}, {"pitch": 0.0}, {"azimuth": -1.0}])
+def test_a_beam_without_travel_is_refused(travel):
     with pytest.raises(ValueError, match="half ranges"):
-        beam_stops(azimuth=0.0)
+        beam_stops(**travel)
+
+
+def test_states_and_inputs_are_the_papers_in_its_order():
+    assert SIGNATURE.state_names == ("alpha_a", "alpha_p", "Omega_a", "Omega_p", "omega_a", "omega_p")
+    assert SIGNATURE.state_units == ("rad", "rad", "rad/s", "rad/s", "rpm", "rpm")
+    assert SIGNATURE.input_names == ("u_a", "u_p")
+    assert SIGNATURE.x_scale == (1, 1, 1, 1, 4000, 2500)  # about half of the bench's top speeds
+    assert (SIGNATURE.n_x, SIGNATURE.n_u) == (6, 2)
 
 
 def test_a_rotors_branch_is_chosen_by_its_sense_in_full_precision():

@@ -68,3 +68,93 @@ def test_a_mixture_holds_its_weights():
 def test_impossible_references_are_refused(make):
     with pytest.raises(ValueError, match=r"need|must|unknown"):
         make()
+
+
+@pytest.mark.parametrize("square", [0.0, 1.0])
+def test_value_and_rate_are_the_formulas_in_plain_numbers(square):
+    rng = torch.Generator().manual_seed(2)
+    params = torch.rand(4, 3, 5, generator=rng, dtype=torch.float64)
+    params[..., 3] *= 6
+    params[..., 4] = square
+    t = 7 * torch.rand(4, 1, generator=rng, dtype=torch.float64)
+    for i in range(4):
+        for j in range(3):
+            offset, amplitude, frequency, phase, _ = params[i, j].tolist()
+            sine = math.sin(2 * math.pi * frequency * t[i].item() + phase)
+            slope = amplitude * 2 * math.pi * frequency * math.cos(2 * math.pi * frequency * t[i].item() + phase)
+            wave = math.copysign(1.0, sine) if square else sine
+            assert value(params, t)[i, j].item() == pytest.approx(offset + amplitude * wave, rel=1e-12)
+            assert rate(params, t)[i, j].item() == pytest.approx(0.0 if square else slope, rel=1e-12)
+
+
+def test_a_square_is_up_from_its_zero_on_and_down_from_its_half_period_on():
+    # sin has its zeros there; the wave must not rest at 0.
+    params = torch.tensor([[[0.0, 1.0, 0.5, 0.0, 1.0]]], dtype=torch.float64)
+    assert [value(params, torch.tensor([[t]]).double()).item() for t in (0.0, 0.5, 1.0, 1.5)] == [1.0, 1.0, -1.0, -1.0]
+
+
+def test_parameters_are_offset_amplitude_frequency_phase_and_shape():
+    size, rng = torch.Size((2, 3)), torch.Generator()
+    step = Step([[0.4, 0.25], [-0.1, 0.0], [0.2, 0.3]])
+    drawn = step.sample(size, rng)
+    assert drawn.shape == (2, 3, 2, 5) and step.n_r == 2 and not drawn[..., 1:].any()
+    torch.testing.assert_close(drawn[..., 0].reshape(6, 2), torch.tensor([[0.4, 0.25], [-0.1, 0.0], [0.2, 0.3]] * 2))
+    wave = Wave([0.4, 0.3, 0.2], [0.1, 0.2, 0.3], "square", [0.01, 0.02, 0.03])
+    rows = [[0.01, 0.4, 0.1, 0, 1], [0.02, 0.3, 0.2, 0, 1], [0.03, 0.2, 0.3, 0, 1]]
+    assert wave.n_r == 3 and torch.equal(wave.sample(size, rng), torch.tensor(rows).expand(2, 3, 3, 5))
+    assert torch.equal(Wave([0.4], [0.1]).sample(size, rng)[0, 0], torch.tensor([[0, 0.4, 0.1, 0, 0]]))
+    box = RandomStep([-0.5, 0.1], [0.5, 0.2])
+    assert box.n_r == 2 and not box.sample(size, rng)[..., 1:].any()
+
+
+def test_random_waves_draw_amplitude_frequency_and_phase_of_every_row_and_output_apart():
+    wave = Wave([2.0, 3.0], [4.0, 5.0], offset=[0.5, 0.6], random=True)
+    drawn = wave.sample(torch.Size((4000,)), torch.Generator().manual_seed(0))
+    assert torch.equal(drawn[..., 0], torch.tensor([0.5, 0.6]).expand(4000, 2)) and not drawn[..., 4].any()
+    free = drawn[..., 1:4] / torch.tensor([[2.0, 4.0, 2 * math.pi], [3.0, 5.0, 2 * math.pi]])
+    assert (free >= 0).all() and (free <= 1).all()
+    shares = free.reshape(4000, 6)
+    torch.testing.assert_close(shares.mean(0), torch.full((6,), 0.5), atol=0.02, rtol=0)
+    torch.testing.assert_close(shares.std(0), torch.full((6,), 12**-0.5), atol=0.01, rtol=0)
+    assert (torch.corrcoef(shares.T) - torch.eye(6)).abs().max() < 0.06
+
+
+def test_random_steps_are_drawn_apart_and_a_point_is_a_box():
+    drawn = RandomStep([0.0, 0.0], [1.0, 1.0]).sample(torch.Size((3000,)), torch.Generator().manual_seed(0))[..., 0]
+    assert abs(torch.corrcoef(drawn.T)[0, 1]) < 0.06
+    assert (RandomStep([0.3], [0.3]).sample(torch.Size((2,)), torch.Generator())[..., 0] == 0.3).all()
+
+
+def test_a_mixture_takes_whole_rows_of_its_components_equally_often_unless_told():
+    first, second = Step([[1.0, 2.0]]), Wave([3.0, 4.0], [0.1, 0.2])
+    mixture = Mixture([first, second])
+    drawn = mixture.sample(torch.Size((40, 50)), torch.Generator().manual_seed(0))
+    assert drawn.shape == (40, 50, 2, 5) and mixture.n_r == 2
+    a = (drawn == torch.tensor([[1.0, 0, 0, 0, 0], [2.0, 0, 0, 0, 0]])).all(-1).all(-1)
+    b = (drawn == torch.tensor([[0, 3.0, 0.1, 0, 0], [0, 4.0, 0.2, 0, 0]])).all(-1).all(-1)
+    assert (a ^ b).all() and a.float().mean().item() == pytest.approx(0.5, abs=0.04)
+    steps = Mixture([Step([[float(i)] for i in range(6)]), Step([[9.0]])], [1.0, 0.0])
+    assert at(steps, 0.0, 6).flatten().tolist() == [0, 1, 2, 3, 4, 5]  # row k keeps what its component gave row k
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: RandomStep([0.0, 0.0], [1.0]), "one finite number per output"),
+        (lambda: RandomStep([0.0, 0.5], [1.0, 0.4]), "needs low <= high"),
+        (lambda: Wave([0.1, 0.2], [1.0]), "one finite number per output"),
+        (lambda: Wave([0.1], [1.0], offset=[math.inf]), "one finite number per output"),
+        (lambda: Wave([0.1, 0.1], [1.0, -1.0]), "frequencies must be >= 0"),
+        (lambda: Mixture([Step([[1.0]]), Step([[1.0, 2.0]])]), "equal numbers of outputs"),
+        (lambda: Mixture([Step([[1.0]]), Step([[1.0]])], [1.0]), "one weight >= 0 per reference"),
+        (lambda: Mixture([Step([[1.0]]), Step([[1.0]])], [2.0, -1.0]), "one weight >= 0 per reference"),
+        (lambda: Mixture([Step([[1.0]]), Step([[1.0]])], [0.0, 0.0]), "one weight >= 0 per reference"),
+    ],
+)
+def test_each_impossible_reference_is_refused_by_its_own_words(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_a_frequency_of_zero_is_a_constant():
+    assert at(Wave([0.5], [0.0], offset=[0.2]), 3.0).item() == pytest.approx(0.2)

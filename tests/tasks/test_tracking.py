@@ -1,3 +1,5 @@
+import math
+
 import pytest
 import torch
 
@@ -46,3 +48,87 @@ def test_another_reference_leaves_the_rest():
     other = task.with_reference(Step([[0.1, 0.2]]))
     assert (other.max_steps, other.observe_rate, other.error_scale) == (7, True, 0.2)
     assert other.outputs == task.outputs
+
+
+WAVE = Wave([0.4, 0.3], [0.5, 0.25], offset=[0.1, -0.2])
+
+
+def wanted(t):
+    """The wave above in plain numbers."""
+    return [0.1 + 0.4 * math.sin(2 * math.pi * 0.5 * t), -0.2 + 0.3 * math.sin(2 * math.pi * 0.25 * t)]
+
+
+def test_the_reward_measures_against_the_reference_at_the_periods_end():
+    task = Tracking(SIGNATURE, WAVE, reward=TrackingReward((2.0, 3.0), 0.5, 0.0, stop_penalty=7.0))
+    params = WAVE.sample(torch.Size((1,)), torch.Generator())
+    x = torch.tensor([[0.0, 0.0, 0.3, -0.2, 0.0, 0.0]])
+    x_next = torch.tensor([[0.15, -0.05, 0.1, 0.3, 0.0, 0.0]])
+    a, p = wanted(0.7)
+    cost = 2 * (a - 0.15) ** 2 + 3 * (p + 0.05) ** 2 + 0.5 * (0.2**2 + 0.5**2)
+    for at_stop in (False, True):
+        paid = task.reward(x, x_next, params, torch.tensor([[0.7]]), torch.tensor([at_stop]))
+        assert paid.item() == pytest.approx(-cost - 7 * at_stop, rel=1e-5)
+
+
+def test_errors_and_references_follow_the_time_of_each_row():
+    task = Tracking(SIGNATURE, WAVE, observe_rate=True, error_scale=0.25)
+    params = WAVE.sample(torch.Size((2,)), torch.Generator())
+    x, t = torch.tensor([[0.5, -0.5, 1.0, -1.0, 400.0, -250.0]]).expand(2, 6), torch.tensor([[0.3], [1.1]])
+    torch.testing.assert_close(task.reference(params, t), torch.tensor([wanted(0.3), wanted(1.1)]))
+    seen = task.observation(x, params, t)
+    for row, time in enumerate((0.3, 1.1)):
+        a, p = wanted(time)
+        errors = [(a - 0.5) / 0.25, (p + 0.5) / 0.25]
+        slopes = [0.4 * math.pi * math.cos(math.pi * time), 0.15 * math.pi * math.cos(0.5 * math.pi * time)]
+        assert seen[row].tolist() == pytest.approx([0.5, -0.5, 1, -1, 0.1, -0.1, *errors, *slopes], rel=1e-5)
+        assert task.error(x, params, t)[row].tolist() == pytest.approx([a - 0.5, p + 0.5], rel=1e-5)
+        assert seen[row, task.error_columns].tolist() == pytest.approx(errors, rel=1e-5)
+
+
+def test_other_outputs_and_rates_are_read_where_they_stand():
+    reward = TrackingReward((1.0,), 10.0, 0.0)
+    task = Tracking(SIGNATURE, Step([[0.5]]), ["alpha_p"], ["Omega_p"], reward)
+    assert (task.n_r, task.n_o, task.output_names, task.params_shape) == (1, 7, ("alpha_p",), (1, 5))
+    x_next = torch.tensor([[9.0, 0.2, 9.0, 0.3, 9.0, 9.0]])
+    params = task.sample(torch.Size((1,)), torch.Generator())
+    paid = task.reward(torch.zeros(1, 6), x_next, params, torch.zeros(1, 1), torch.tensor([False]))
+    assert paid.item() == pytest.approx(-(0.3**2) - 10 * 0.3**2)
+    other = task.with_reference(Step([[0.1]]))
+    assert other.rates == [3] and other.reward_function is reward and other.output_names == ("alpha_p",)
+
+
+def test_the_defaults_are_the_papers_task():
+    task = Tracking(SIGNATURE, RandomStep([-0.4, -0.25], [0.4, 0.25]))
+    assert (task.max_steps, task.observe_rate, task.error_scale) == (400, False, 0.5)
+    assert (task.outputs, task.rates, task.n_o, task.n_r) == ([0, 1], [2, 3], 8, 2)
+    assert task.reward_function == TrackingReward() and task.params_shape == (2, 5)
+    start = task.initial_state(torch.Size((3, 2)), torch.Generator())
+    assert start.shape == (3, 2, 6) and not start.any()
+
+
+@pytest.mark.parametrize("settings", [{"error_scale": 0.0}, {"error_scale": float("nan")}])
+def test_a_scale_that_is_not_positive_is_refused(settings):
+    with pytest.raises(ValueError, match="error_scale must be positive"):
+        Tracking(SIGNATURE, WAVE, **settings)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"outputs": ("alpha_a",)}, {"rates": ("Omega_a",)}, {"reward": TrackingReward((1.0,))}, {"outputs": ()}],
+)
+def test_every_count_is_compared(settings):
+    with pytest.raises(ValueError, match="equally many"):
+        Tracking(SIGNATURE, WAVE, **settings)
+
+
+def test_any_batch_is_seen_and_paid_as_its_rows_are():
+    task = Tracking(SIGNATURE, WAVE, observe_rate=True)
+    rng = torch.Generator().manual_seed(0)
+    x, x_next = torch.randn(2, 2, 3, 6, generator=rng)
+    t, params = torch.rand(2, 3, 1, generator=rng), task.sample(torch.Size((2, 3)), rng)
+    stopped = torch.rand(2, 3, generator=rng) < 0.5
+    seen, paid = task.observation(x, params, t), task.reward(x, x_next, params, t, stopped)
+    for i, j in ((0, 0), (0, 2), (1, 1)):
+        torch.testing.assert_close(seen[i, j], task.observation(x[i, j], params[i, j], t[i, j]))
+        single = task.reward(x[i, j], x_next[i, j], params[i, j], t[i, j], stopped[i, j])
+        torch.testing.assert_close(paid[i, j], single)

@@ -62,3 +62,32 @@ def test_a_missing_package_costs_one_line_that_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(ModuleNotFoundError, match=r"MPC needs CasADi.*pip install -e '.\[mpc\]'"):
         symbolic.vector_field(Xi())
+
+
+def test_every_operation_is_that_of_torch():
+    class Many(Pendulum):
+        def forward(self, x, u):
+            a, b = x.unbind(-1)
+            w = u[..., 0]
+            positive = a * a + 0.5
+            terms = (
+                torch.rsub(a, b, alpha=3.0) + torch.sub(a, w, alpha=2.0) + torch.add(b, w, alpha=-1.5),
+                torch.addcmul(a, b, w, value=0.7) + torch.addcmul(b, a, w) + torch.neg(b) + (2.0 - a),
+                torch.reciprocal(positive) + torch.square(b) + torch.pow(positive, 1.5) + a / positive,
+                torch.sin(a) + torch.cos(b) + torch.tan(w) + torch.tanh(a) + torch.exp(b),
+                torch.log(positive) + torch.sqrt(positive) + torch.sign(b) + torch.abs(a),
+                torch.where((a > b) & ~(w >= 0) | (b <= w), a, 2 * b) + torch.minimum(a, b) + torch.maximum(a, w),
+                torch.where(a < b, a, w) + torch.where(a == b, a, 3 * w) + torch.where(a != b, b, w),
+                torch.atan2(a, b) + torch.zeros_like(a) + torch.ones_like(b),
+            )
+            columns = torch.cat([torch.stack(terms, -1), x[..., 1:], x.unsqueeze(-1).squeeze(-1)], -1)
+            total = columns[..., 1:9:2].unbind(-1)[1]
+            for weight, column in zip((1.0, 2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0, 19.0, 23.0), columns.unbind(-1)):
+                total = total + weight * column
+            return torch.stack((total, a), -1)
+
+    system = Many()
+    field, rng = symbolic.vector_field(system), torch.Generator().manual_seed(0)
+    for _ in range(30):
+        x, u = torch.randn(2, generator=rng).double(), torch.randn(1, generator=rng).double()
+        np.testing.assert_allclose(field(x.numpy(), u.numpy()).full()[:, 0], system(x, u).numpy(), rtol=1e-9)
