@@ -44,7 +44,7 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
                 end_with_parent()
                 listen(stop)
             swept = HydraConfig.get().mode == RunMode.MULTIRUN
-            with suppress(SystemExit) if swept else nullcontext(), _mistakes_in_words(config_name):
+            with suppress(SystemExit) if swept else nullcontext(), while_read(), _mistakes_in_words(config_name):
                 check(cfg)
                 task(cfg)
 

@@ -34,9 +34,15 @@ class Plant(TypedDict):
 
 
 class Every(TypedDict):
-    """Keys of `evaluation` and `checkpoint`."""
+    """Keys of `checkpoint`."""
 
     every: int
+
+
+class Evaluating(Every):
+    """Keys of `evaluation`."""
+
+    must_improve: bool
 
 
 class Keys(TypedDict):
@@ -60,13 +66,14 @@ class Keys(TypedDict):
     refinement: str
     resume: str | None
     finish: bool
-    evaluation: Every
+    evaluation: Evaluating
     checkpoint: Every
     scenario: Scenario
     data: Logged | Simulated
     level: Level
 
 
+EXPERIMENT = {"task", "env", "agent", "replay", "planning", "gate"}
 TOP = get_type_hints(Keys, include_extras=True) | get_type_hints(Recipe)
 TOP |= {"seed": Annotated[int, range(2**63)], "system": System | None}
 
@@ -91,7 +98,9 @@ def check(cfg: DictConfig, file: str = "") -> None:
     try:
         for name in sorted(get_type_hints(Recipe).keys() - tree.keys()) if file else ():
             raise ValueError(f"'{name}' is not given; restore it, or train again")
-        _arguments(tree, TOP, "", found)
+        # A plant has words for the task of an experiment, which a command without one does not build.
+        spare = set() if "train" in tree or file else EXPERIMENT
+        _arguments({name: value for name, value in tree.items() if name not in spare}, TOP, "", found)
         _nodes(tree, "", found)
     except ValueError as error:
         raise ValueError(f"{file}: {error}" if file else str(error)) from error
