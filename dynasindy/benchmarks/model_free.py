@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +30,12 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from tensordict import TensorDict, TensorDictBase
 
 from dynasindy.benchmarks.gradient import PLANTS, Plant
+from dynasindy.dyna.folder import check_settings, claimed, clear
 from dynasindy.dyna.loop import interact
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.gym import GymControl
-from dynasindy.evaluation.ablation import Level, gather, is_finished
-from dynasindy.evaluation.files import write_csv
+from dynasindy.evaluation.ablation import Level, gather, read_rows
+from dynasindy.evaluation.files import write_csv, write_json, write_text
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate, step_references
 from dynasindy.evaluation.summary import Summary, summarise
 from dynasindy.excitation import Chirp
@@ -101,10 +103,16 @@ def main(argv: list[str]) -> None:
     if arguments.episodes < 1:
         parser.error(f"argument --episodes: {arguments.episodes} leaves nothing to evaluate; give 1 or more")
     torch.set_num_threads(1)
-    for seed in arguments.seeds:
-        for plant in arguments.plants:
-            for agent in arguments.agents:
-                perform(Job(plant, agent, seed, arguments.episodes), arguments.out)
+    named = product(arguments.seeds, arguments.plants, arguments.agents)
+    jobs = [Job(plant, agent, seed, arguments.episodes) for seed, plant, agent in named]
+    for folder, job in [(job.folder(arguments.out), job) for job in jobs]:
+        if folder.is_dir():
+            try:
+                check_settings(folder, job.settings)
+            except ValueError as error:
+                parser.error(str(error))
+    for job in jobs:
+        perform(job, arguments.out)
     level = Level()
     gather(arguments.out, arguments.results, level)
     draw_ablation(arguments.results, level.error)
@@ -113,20 +121,27 @@ def main(argv: list[str]) -> None:
 def perform(job: Job, root: Path) -> None:
     """Run a job unless its folder holds the result; `metrics.json`, the last file, says that it is finished."""
     folder = job.folder(root)
-    if is_finished(folder, job.settings):
-        print(f"finished before: {folder}", flush=True)
-        return
-    origin = {"command": f"python scripts/benchmark.py {' '.join(sys.argv[1:])}".strip(), "commit": commit()}
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "metrics.json").unlink(missing_ok=True)
-    (folder / "config.yaml").write_text(job.settings)
-    (folder / "origin.json").write_text(json.dumps(origin, indent=2) + "\n")
-    metrics = learn(job, folder)
-    temporary = folder / "metrics.json.tmp"
-    temporary.write_text(json.dumps(metrics, indent=2) + "\n")
-    temporary.replace(folder / "metrics.json")
+    with claimed(folder):
+        if is_finished(folder, job):
+            print(f"finished before: {folder}", flush=True)
+            return
+        clear(folder)
+        write_text(folder / "config.yaml", job.settings)
+        command = f"python scripts/benchmark.py {' '.join(sys.argv[1:])}".strip()
+        write_json(folder / "origin.json", {"command": command, "commit": commit()})
+        metrics = learn(job, folder)
+        write_json(folder / "metrics.json", metrics)
     errors = [f"{v:.3g}" for k, v in metrics["evaluation"].items() if k.startswith("steady_state_error/")]
     print(f"finished: {folder}, error {' / '.join(errors)} rad, {metrics['cost']['wall_seconds']:.0f} s", flush=True)
+
+
+def is_finished(folder: Path, job: Job) -> bool:
+    """Return whether a run folder, whose settings were compared before, holds the result of all episodes."""
+    try:
+        json.loads((folder / "metrics.json").read_text())
+    except (OSError, ValueError):
+        return False
+    return len(read_rows(folder / "progress.csv")) == job.episodes
 
 
 def learn(job: Job, folder: Path) -> dict[str, Any]:
@@ -161,7 +176,7 @@ def learn(job: Job, folder: Path) -> dict[str, Any]:
         rows.append(progress(episode, agent, cost, latest))
         write_csv(folder / "progress.csv", list(rows[0]), [list(row.values()) for row in rows])
     spent = cost | {"evaluation_steps": (job.episodes + 1) * scenario.episodes * round(scenario.seconds / env.dt)}
-    head = {"seed": job.seed, "system": job.plant, "cost": spent, "scenario": scenario.name}
+    head = {"seed": job.seed, "system": job.plant, "episodes": job.episodes, "cost": spent, "scenario": scenario.name}
     return {**head, "evaluation": latest, "untrained": untrained}
 
 

@@ -20,11 +20,11 @@ CONF = Path(__file__).resolve().parents[2] / "conf"
 
 @pytest.fixture
 def short(monkeypatch):
-    """Episodes of 8 periods, an evaluation of 2 references and 100 periods, an excitation of 4 periods."""
+    """Episodes of 8 periods, an evaluation of 2 references and 4 periods, an excitation of 4 periods."""
     monkeypatch.setattr(model_free, "Tracking", lambda *a, **k: Tracking(*a, **k, max_steps=8))
     scenario, chirp, steps = model_free.Scenario, model_free.Chirp, model_free.step_references
     monkeypatch.setattr(model_free, "step_references", lambda low, high, n: steps(low, high, 2))
-    monkeypatch.setattr(model_free, "Scenario", lambda name, reference, n: scenario(name, reference, 2, 5.0))
+    monkeypatch.setattr(model_free, "Scenario", lambda name, reference, n: scenario(name, reference, 2, 0.2))
     monkeypatch.setattr(model_free, "Chirp", lambda n_u, **k: chirp(n_u, duration=0.2, **k))
 
 
@@ -100,12 +100,13 @@ def test_a_seed_decides_everything(short, tmp_path):
     assert rows[0] == rows[1] != rows[2]
 
 
-def test_finished_runs_are_not_repeated_and_unfinished_or_other_ones_are(tmp_path, monkeypatch):
+def test_finished_runs_are_not_repeated_and_others_are_refused_before_anything_runs(tmp_path, monkeypatch, capsys):
     learned = []
 
     def learn(job, folder):
-        learned.append((job.agent, job.seed, job.episodes))
-        if learned == [("sac", 0, 4), ("td3", 0, 4)]:
+        learned.append((job.agent, job.seed))
+        (folder / "progress.csv").write_text("episode\n" + "1\n" * (2 if len(learned) == 2 else 4))
+        if len(learned) == 2:
             raise KeyboardInterrupt
         return {"seed": job.seed, "evaluation": {"steady_state_error/y": 0.5}, "cost": {"wall_seconds": 1.0}}
 
@@ -115,14 +116,18 @@ def test_finished_runs_are_not_repeated_and_unfinished_or_other_ones_are(tmp_pat
     command = options(tmp_path, "--agents", "sac", "td3", "--seeds", "0", "--episodes")
     with pytest.raises(KeyboardInterrupt):
         model_free.main([*command, "4"])
-    assert not (Job("xi", "td3", 0, 4).folder(tmp_path / "runs") / "metrics.json").exists()
+    first, second = (Job("xi", agent, 0, 4).folder(tmp_path / "runs") for agent in ("sac", "td3"))
+    assert not (second / "metrics.json").exists()
     model_free.main([*command, "4"])
     model_free.main([*command, "4"])
-    model_free.main([*command, "5"])
-    repeated = [("td3", 0, 4)]
-    assert learned == [("sac", 0, 4), ("td3", 0, 4), *repeated, ("sac", 0, 5), ("td3", 0, 5)]
-    origin = json.loads((Job("xi", "sac", 0, 5).folder(tmp_path / "runs") / "origin.json").read_text())
-    assert set(origin) == {"command", "commit"}
+    assert learned == [("sac", 0), ("td3", 0), ("td3", 0)]
+    (second / "metrics.json").write_text("")  # as a full disk leaves it
+    model_free.main([*command, "4"])
+    assert learned[3:] == [("td3", 0)]
+    with pytest.raises(SystemExit):
+        model_free.main([*command, "5", "--seeds", "1", "0"])
+    assert "episodes: 5" in capsys.readouterr().err and len(learned) == 4
+    assert set(json.loads((first / "origin.json").read_text())) == {"command", "commit"}
 
 
 def test_td3_explores_and_sac_has_the_settings_of_its_library():
