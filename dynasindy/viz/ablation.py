@@ -21,7 +21,10 @@ MAIN = "rollouts"
 REFERENCE = "rollouts_800"
 EQUAL = "horizon"
 """Family that is compared at equal numbers of imagined transitions, which are not those of the reference."""
-OTHERS = "model, gate, plain TD3"
+OTHERS = "model, gate"
+MODEL_FREE = "without a model"
+WITHOUT_MODEL = ("rollouts_0_tuned", "direct", "sb3_")
+"""How the names of settings begin that have no model; `rollouts_0` stands beside the numbers of rollouts."""
 CHANGED = "changed on the command line"
 
 
@@ -137,6 +140,8 @@ def _family(setting: str) -> str:
     """Return what a setting varies: `real_share` for `real_share_05`; those of a kind of their own stand together."""
     if "," in setting:
         return CHANGED
+    if setting.startswith(WITHOUT_MODEL):
+        return MODEL_FREE
     stem = re.fullmatch(r"(.+)_\d+", setting)
     return stem[1] if stem else OTHERS
 

@@ -16,12 +16,6 @@ def test_the_true_table_is_the_published_one():
     assert float(truth.abs().max()) == pytest.approx(3.7e4)
 
 
-def test_scores_count_true_and_false_terms():
-    truth = torch.tensor([[1.0, 0.0], [2.0, 0.0], [0.0, 4.0]])
-    found = torch.tensor([[1.1, 0.5], [0.0, 0.0], [0.0, 4.0]])
-    assert identify.score(found, truth) == (2, 1, pytest.approx(1.0))
-
-
 def test_ten_seconds_without_noise_give_the_plant():
     rows = identify.noise_free(10.0, 0.01, 1e-6, 1)
     assert rows[0]["value"] == "1 of 1"
@@ -42,6 +36,15 @@ def test_the_bound_falls_with_the_root_of_the_noise_and_grows_with_it():
     one, two = (identify.cramer_rao(truth, parameters, data, s) for s in (sigma, 2 * sigma))
     assert torch.allclose(two, 2 * one, rtol=1e-6)
     assert bool((one > 0).all())
+
+
+def test_pysindy_is_nearly_exact_once_it_has_the_integral_form_and_scaled_rates():
+    values = [row["value"] for row in identify.pysindy_rows(1) if "10 s" in row["measure"]]
+    default, best, given, exact, scaled, scaled_exact = values
+    counts = [tuple(map(float, value.split(", ")[:2])) for value in (default, best, given, scaled)]
+    assert all(false > 20 for _, false in counts[:2])
+    assert all(true >= 18 and false <= 8 for true, false in counts[2:])
+    assert {exact, scaled_exact} <= {"0 of 1", "1 of 1"}
 
 
 @pytest.mark.slow

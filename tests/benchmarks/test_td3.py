@@ -10,7 +10,7 @@ from dynasindy.agents import TD3
 from dynasindy.benchmarks import td3
 from dynasindy.benchmarks.td3 import N_OBS, N_U, Size
 
-SIZE = Size("tiny", (12, 8), 16, 2)
+SIZE = Size("tiny", (12, 8), 16, 10)
 
 
 @pytest.fixture
@@ -46,13 +46,36 @@ def test_rivals_learn(make, batch, monkeypatch):
     assert len(set(map(id, steps))) == 2
 
 
+def test_a_call_of_the_best_rival_takes_ten_fused_steps(batch, monkeypatch):
+    steps = []
+    original = torch.optim.Adam.step
+    monkeypatch.setattr(torch.optim.Adam, "step", lambda self, *a: steps.append(self) or original(self, *a))
+    td3.stable_baselines3_update(SIZE, batch, 10, fused=True)()
+    assert len(steps) == 15 and all(one.defaults["fused"] for one in steps)
+    steps.clear()
+    td3.stable_baselines3_update(SIZE, batch)()
+    assert not any(one.defaults["fused"] for one in steps)
+
+
+def test_times_are_per_update_however_many_a_call_takes(monkeypatch):
+    monkeypatch.setattr(td3, "REPLAY_ROWS", (50, 100))
+    clock = iter(range(10_000))
+    monkeypatch.setattr(td3.time, "process_time", lambda: float(next(clock)))
+    calls = []
+    monkeypatch.setattr(td3, "stable_baselines3_update", lambda *a, **k: lambda: calls.append(k.get("fused", False)))
+    rows = td3.measure(SIZE, 1)
+    assert {row["ms_per_update"] for row in rows} == {100.0}  # a second by the clock for ten updates
+    assert calls.count(False) == 20 and calls.count(True) == 2  # one repeat, after one that warms up
+
+
 def test_main_writes_a_row_per_contender_and_size(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(td3, "SIZES", (SIZE,))
     monkeypatch.setattr(td3, "REPLAY_ROWS", (50, 100))
     td3.main(["--repeats", "1", "--out", str(tmp_path / "new" / "td3.csv")])
     with (tmp_path / "new" / "td3.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert [row["what"] for row in rows][:3] == [td3.OURS, "TorchRL TD3Loss loop", "Stable-Baselines3 TD3"]
+    rivals = ["TorchRL TD3Loss loop", "Stable-Baselines3 TD3", td3.BEST]
+    assert [row["what"] for row in rows][:4] == [td3.OURS, *rivals]
     assert float(rows[0]["ratio_to_ours"]) == 1.0
     assert all(float(row["ms_per_update"]) > 0 for row in rows)
     printed = capsys.readouterr().out

@@ -39,15 +39,17 @@ def test_a_pair_of_figures_for_every_plant_and_experiment(tmp_path):
 
 def test_controls_stand_by_what_they_vary_beside_the_reference_where_it_compares():
     names = ("direct", "horizon_100", "horizon_20", "oracle", "real_share_05", "horizon_20,agent.tau=0.1")
+    names += ("rollouts_0_tuned", "sb3_sac", "sb3_sac_5")
     curves = {name: np.full((1, 2), float(k)) for k, name in enumerate(names)}
     found = families(curves, np.full((5, 2), 9.0))
     assert {family: list(members) for family, members in found.items()} == {
         "changed on the command line": ["rollouts_800", "horizon_20,agent.tau=0.1"],
         "horizon": ["horizon_20", "horizon_100"],  # at equal numbers of transitions, of which the reference has more
-        "model, gate, plain TD3": ["rollouts_800", "direct", "oracle"],
+        "model, gate": ["rollouts_800", "oracle"],
         "real share": ["rollouts_800", "real_share_05"],
+        "without a model": ["rollouts_800", "direct", "rollouts_0_tuned", "sb3_sac", "sb3_sac_5"],
     }
-    assert list(families({"direct": curves["direct"]}, None)["model, gate, plain TD3"]) == ["direct"]
+    assert list(families({"direct": curves["direct"]}, None)["without a model"]) == ["direct"]
 
 
 def test_the_settings_of_the_paper_stand_alone_and_the_controls_in_a_figure_of_their_own(tmp_path):

@@ -9,7 +9,7 @@ import numpy as np
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.learning import average_rewards
 from dynasindy.viz.report.document import Part, Picture, Section, Table, Text
-from dynasindy.viz.report.sources import CASES, SETTINGS, MissingResult, Results, Run, each
+from dynasindy.viz.report.sources import CASES, MODEL_FREE, SETTINGS, MissingResult, Results, Run, each
 from dynasindy.viz.report.verdicts import rewards_agree, sine_agrees, square_agrees, steps_agree
 from dynasindy.viz.response import step_response, tracking
 from dynasindy.viz.run import stacked
@@ -32,6 +32,7 @@ def rewards(results: Results) -> Section:
         )
         curves = {words: returns for name, words in SETTINGS.items() if len(returns := _curves(rows, name))}
         to_level = {words: _to_level(runs, name) for name, words in SETTINGS.items() if words in curves}
+        to_level |= {words: seeds for name, words in MODEL_FREE.items() if (seeds := _to_level(runs, name))}
         episodes = np.array(sorted({float(row["episode"]) for row in rows if row["evaluated_return"]}))
         title = f"Dyna-style vs. direct TD3, average rewards: plant {plant}, experiment {experiment}"
         return [
@@ -48,7 +49,8 @@ def rewards(results: Results) -> Section:
         "The paper plots the average reward over training episodes without planning, with 400 and with 800 rollouts: "
         "very low at first, higher and rising sooner with planning, soonest with 800 (about 180 episodes), all three "
         "nearly the same at the end. In `experiment=dyna` the runs without planning make as many gradient updates as "
-        "the others; in `experiment=paper` they are direct TD3."
+        "the others; in `experiment=paper` they are direct TD3. Where the level is compared, other agents without a "
+        "model stand beside them, as far as the ablation has them."
     )
     return Section("Figure 11: Dyna-Style vs. Direct TD3 average rewards", [Text(words), *each(_of, *CASES)])
 

@@ -18,6 +18,14 @@ PLANTS = ("xi", "tras")
 CASES = tuple((plant, experiment) for plant in PLANTS for experiment in ("dyna", "paper"))
 """What the ablation compares its settings in."""
 SETTINGS = {"rollouts_0": "no planning", "rollouts_400": "400 rollouts", "rollouts_800": "800 rollouts"}
+MODEL_FREE = {
+    "rollouts_0_tuned": "TD3 tuned for no planning",
+    "sb3_sac": "SAC",
+    "sb3_sac_5": "SAC with five updates per step",
+    "sb3_td3": "Stable-Baselines3's TD3",
+    "sb3_td3_5": "the same with five updates per step",
+}
+"""Other settings of the ablation that have no model, which planning is compared with too."""
 
 
 class MissingResult(FileNotFoundError):

@@ -29,7 +29,8 @@ def rewards_agree(case: str, curves: Mapping[str, Array], to_level: Mapping[str,
     Args:
         case: What they are of, in words.
         curves: Evaluated return per setting, `(n_seeds, n_evaluations)`.
-        to_level: Real episodes to the required level per setting and seed, infinite where never reached.
+        to_level: Real episodes to the required level per setting and seed, infinite where never reached; settings that
+            have no curve here are other agents without a model, all of which planning has to be ahead of.
     """
     mean = {name: _middle(returns.T) for name, returns in curves.items()}
     early = {name: float(values[: max(1, len(values) // 4)].mean()) for name, values in mean.items()}
@@ -40,7 +41,8 @@ def rewards_agree(case: str, curves: Mapping[str, Array], to_level: Mapping[str,
     planned = [name for name in (SOME, MANY) if name in mean]
     both = planned == [SOME, MANY]
     compared = NONE in mean and bool(planned)
-    sooner = compared and all(level[name] < level[NONE] for name in planned)
+    modelless = [episodes for name, episodes in level.items() if name not in planned]
+    sooner = compared and max(level[name] for name in planned) < min(modelless)
     return [
         Finding(
             f"{case}: rewards are low at first and rise",

@@ -1,7 +1,10 @@
+import shutil
+
 import numpy as np
 
 from dynasindy.viz.report import control
 from dynasindy.viz.report.document import Picture, Table, Text
+from dynasindy.viz.report.sources import Results
 
 
 def lines(section):
@@ -23,6 +26,19 @@ def test_average_rewards_are_the_numbers_of_the_table(results):
     assert level.agrees and level.ours.endswith("no planning never, 400 rollouts 6, 800 rollouts 4")
     assert "`python scripts/ablation.py system=xi experiment=paper` makes them" in lines(section)[0]
     assert len(lines(section)) == 3
+
+
+def test_other_agents_without_a_model_stand_beside_where_the_level_is_compared(results, tmp_path):
+    more = tmp_path / "results"
+    shutil.copytree(results.folder, more)
+    with (more / "ablation.csv").open("a") as file:
+        file.write("xi,dyna,sb3_sac_5,0,5\r\nxi,dyna,sb3_sac_5,1,5\r\n")
+    section = control.rewards(Results(more, results.settings))
+    said = {finding.paper.partition(": ")[2]: finding for finding in section.findings}
+    level = said["planning reaches the required level sooner"]
+    assert level.ours.endswith("800 rollouts 4, SAC with five updates per step 5") and not level.agrees
+    (axis,) = pictures(section)["average_rewards_xi_dyna"].axes
+    assert not any("SAC" in str(line.get_label()) for line in axis.lines)
 
 
 def test_steps_of_the_three_settings_share_axes_and_their_errors_are_those_of_the_runs(results):

@@ -33,6 +33,14 @@ def test_rewards_that_go_the_other_way_agree_in_none():
     assert "800 rollouts never" in found[2].ours
 
 
+def test_planning_is_sooner_only_if_it_is_ahead_of_every_agent_without_a_model():
+    curves = {name: np.array([[-2.0, -1.0]]) for name in (NONE, SOME, MANY)}
+    planned = {NONE: [np.inf], SOME: [5], MANY: [4]}
+    found = rewards_agree("xi", curves, planned | {"SAC": [15, 16]})[2]
+    assert found.agrees and found.ours.endswith("no planning never, 400 rollouts 5, 800 rollouts 4, SAC 15.5")
+    assert not rewards_agree("xi", curves, planned | {"SAC": [4.5]})[2].agrees
+
+
 def test_without_a_setting_what_compares_it_is_not_measured():
     found = rewards_agree("xi", {MANY: np.array([[-2.0, -1.0]])}, {MANY: [2]})
     assert answers(found) == [True, None, None, None, None]

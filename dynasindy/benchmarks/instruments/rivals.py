@@ -1,0 +1,79 @@
+"""PySINDy's regression on rows of its own and on ours, and what a regression found."""
+
+from __future__ import annotations
+
+import warnings
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.library import Library
+from dynasindy.world_models.regression import Rows, integral_form, simpson_form
+
+Score = tuple[int, int, float]
+THRESHOLDS = (0.1, 0.3, 0.9, 3.0, 10.0, 30.0, 100.0, 300.0)
+SCALED_THRESHOLDS = (1e-4, 3e-4, 1e-3, 3e-3, 5e-3, 1e-2)
+"""That PySINDy is tried with: of coefficients of columns of unit norm, and of those relative to the rates' norm."""
+
+
+def score(found: Tensor, truth: Tensor) -> Score:
+    """Return true terms found, false terms, and the worst relative error of a true coefficient."""
+    true, mine = truth != 0, found != 0
+    worst = ((found - truth)[true] / truth[true]).abs().max()
+    return int((true & mine).sum()), int((mine & ~true).sum()), float(worst)
+
+
+def given_rows(library: Library, data: Transitions) -> Rows:
+    """Return functions averaged over the intervals by Simpson's rule, and mean rates; midpoints by least squares."""
+    rows = integral_form(library, data)
+    for _ in range(2):
+        norms = rows[0].norm(dim=0)
+        scale = torch.where(norms > 0, norms, 1.0)
+        dense = torch.linalg.lstsq(rows[0] / scale, rows[1], driver="gelsd").solution / scale.unsqueeze(-1)
+        rows = simpson_form(library, partial(_field, library, dense), data)
+    return rows
+
+
+def _field(library: Library, coefficients: Tensor, x: Tensor, u: Tensor) -> Tensor:
+    return library(x, u) @ coefficients
+
+
+def own_rows(library: Library, data: Transitions, derivative: Any) -> Rows:
+    """Return functions at the samples and the rates that PySINDy differentiates from them."""
+    x = torch.cat([data.x, data.x_next[-1:]]).numpy()
+    return library(data.x, data.u), torch.from_numpy(derivative._differentiate(x, data.dt)[:-1])
+
+
+def best_threshold(name: str, pairs: list[Rows], truth: Tensor, scaled: bool = False) -> tuple[int, str, list[Score]]:
+    """Return what PySINDy's best threshold is worth, true terms less false ones over all seeds, its words and scores.
+
+    Args:
+        name: Words for the rows.
+        pairs: Functions and rates, of each seed.
+        truth: The true coefficients, by which the threshold is chosen.
+        scaled: Whether the rates of each state are divided by their norm, so that one threshold suits all states.
+    """
+    import pysindy
+
+    found: list[tuple[int, str, list[Score]]] = []
+    for threshold in SCALED_THRESHOLDS if scaled else THRESHOLDS:
+        scores = []
+        for theta, dx in pairs:
+            norms = dx.norm(dim=0) if scaled else torch.ones(dx.shape[1], dtype=dx.dtype)
+            optimizer = pysindy.STLSQ(threshold=threshold, alpha=0, normalize_columns=True)
+            scores.append(score(stlsq((theta, dx / norms), optimizer) * norms, truth))
+        words = f"threshold={threshold:g}, alpha=0, normalised, {name}"
+        found.append((sum(t - f for t, f, _ in scores), words, scores))
+    return max(found, key=lambda one: one[0])
+
+
+def stlsq(pair: Rows, optimizer: Any) -> Tensor:
+    """Return what an optimiser of PySINDy finds, `(n_features, n_x)`."""
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        optimizer.fit(pair[0].numpy(), pair[1].numpy())
+    return torch.from_numpy(np.asarray(optimizer.coef_)).mT
