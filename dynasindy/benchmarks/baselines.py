@@ -256,5 +256,5 @@ def _middle(values: Sequence[float]) -> float:
 
 
 def _over_seeds(values: Sequence[float]) -> str:
-    """Return the figure over seeds with its interval, alone where there is one seed, a dash where there is none."""
-    return over_seeds(values) if len(values) > 1 else "".join(f"{value:.3g}" for value in values) or "-"
+    """Return the figure over seeds, a dash where there is none."""
+    return over_seeds(values) if values else "-"

@@ -16,7 +16,9 @@ from typing import Any
 import torch
 
 from dynasindy.agents import TD3
+from dynasindy.benchmarks.instruments.commit import commit
 from dynasindy.benchmarks.instruments.sensors import MeasuredReplay
+from dynasindy.benchmarks.instruments.unseen import following, holding
 from dynasindy.benchmarks.instruments.watch import Watch, Watched
 from dynasindy.data import DynaReplay
 from dynasindy.dyna.callback import Callback
@@ -81,6 +83,7 @@ COLUMNS = (
     "updates",
     "wall_seconds",
     "cpu_seconds",
+    "commit",
 )
 
 
@@ -96,6 +99,7 @@ class Case:
         detuned: Evaluate on a plant with other parameters, in a gust.
         late: Control periods that inputs need to reach the plant in flight.
         integral: Evaluate with integral action, too.
+        unseen: Evaluate in situations that nothing was tuned on.
         variation: How imagined plants stray.
         updates: Gradient updates of the first planning phase.
         terminal_updates: Critic updates per window, for a value of what follows it.
@@ -110,6 +114,7 @@ class Case:
     detuned: bool = False
     late: int = 0
     integral: bool = False
+    unseen: bool = False
     variation: Variation = field(default_factory=Variation)
     updates: int = 200
     terminal_updates: int = 0
@@ -132,9 +137,11 @@ CASES = {
     "detuned": Case(detuned=True, integral=True, plants=("tras",)),
     "detuned_robust": Case(detuned=True, integral=True, variation=Variation(parameters=0.1), plants=("tras",)),
     "friction": Case(episodes=5, integral=True, plants=("trms33",)),
+    "unseen": Case(unseen=True),  # the policies of `step` after 10 s and of `moving`, elsewhere
+    "unseen_moving": Case(unseen=True, moving=True, updates=400),
 }
 
-REPORTED = ["step", "oracle", "moving", "noise", "detuned", "friction"]
+REPORTED = ["step", "oracle", "moving", "noise", "detuned", "friction", "unseen", "unseen_moving"]
 """Cases measured if none is named; the others are trials that were not kept, or of a single setting."""
 
 
@@ -164,7 +171,7 @@ def measure(name: str, plant: str, seed: int, **planning: Any) -> list[Row]:
         seed: Seed of the run.
         **planning: Settings of `GradientPlanning` other than its defaults.
     """
-    case = CASES[name]
+    case, code = CASES[name], commit()
     rows: list[Row] = []
     watch = Watch()
 
@@ -174,7 +181,7 @@ def measure(name: str, plant: str, seed: int, **planning: Any) -> list[Row]:
         seconds = parts.plant.dt * len(parts.replay.real)
         for scenario, metric, values in judge(case, plant, parts, seed):
             head = {"case": name, "plant": plant, "seed": seed, "plant_seconds": seconds}
-            rows.append({**head, "scenario": scenario, "metric": metric, **values, **watch.costs()})
+            rows.append({**head, "scenario": scenario, "metric": metric, **values, **watch.costs(), "commit": code})
         watch.start()
 
     recipe = build_recipe(case, plant, seed, planning)
@@ -229,6 +236,12 @@ def sparse_model(library: str, signature: Any) -> SindyModel:
 def judge(case: Case, plant: str, parts: Parts, seed: int) -> Iterable[tuple[str, str, Row]]:
     """Yield scenario, metric and numbers of the policy on the real plant."""
     facts = PLANTS[plant]
+    if case.unseen:
+        env, policy = parts.plant, parts.agent.deployed
+        box = (facts.low, facts.high, NOISE, seed)
+        for name, metric, result, errors in following(env, policy) if case.moving else holding(env, policy, *box):
+            yield name, metric, _numbers(result, errors)
+        return
     steps = step_references(facts.low, facts.high, 64)
     if case.moving:
         for wave, seconds in zip(_waves(), (100.0, 200.0)):

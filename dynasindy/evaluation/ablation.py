@@ -121,14 +121,15 @@ def summarise_run(curve: Sequence[Mapping[str, float | None]], level: Level) -> 
 
 
 def to_markdown(rows: Iterable[Row], level: Level) -> str:
-    """Return a table of interquartile means over seeds with 95 % bootstrap intervals, a row per setting."""
+    """Return a table of the figures over seeds, a row per setting."""
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
         groups.setdefault(tuple(str(row[key]) for key in KEY), []).append(row)
     lines = [
         f"Level: mean abs steady-state error of every axis at or under {level.error:g} rad in {level.consecutive} "
         "evaluations in a row.",
-        "Interquartile mean over seeds [95 % bootstrap interval]; excitation counts as real, evaluation does not.",
+        "Interquartile mean over seeds [95 % bootstrap interval], of fewer than three seeds each of them.",
+        "Excitation counts as real, evaluation does not.",
         "Steady-state error: the worse axis after the last episode. Area: the mean evaluated return.",
         "",
     ]

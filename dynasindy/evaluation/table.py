@@ -14,6 +14,8 @@ import torch
 from dynasindy.evaluation.statistics import bootstrap_interval, interquartile_mean
 
 HUGE = 1e30  # stands for infinity in the bootstrap, which interpolates between resamples
+FEWEST = 3
+"""Seeds from which on an interval says something; fewer are shown one by one."""
 SWEEP = (
     "setting",
     "seeds",
@@ -62,18 +64,24 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def over_seeds(values: Sequence[float], digits: int = 3, infinite: str = "inf") -> str:
     """Return the interquartile mean over seeds and the 95 % interval of its bootstrap, `middle [low, high]`.
 
+    Fewer than three seeds give no interval: each stands for itself, `first, second`.
+
     Args:
         values: A number per seed; it may be infinite.
         digits: Significant digits.
         infinite: Word for infinity.
     """
     scores = torch.tensor(list(values), dtype=torch.float64).nan_to_num(posinf=HUGE)
+    if len(scores) < FEWEST:
+        return ", ".join(_short(score, digits, infinite) for score in scores.tolist())
     numbers = (interquartile_mean(scores), *bootstrap_interval(scores.unsqueeze(-1)))
-    middle, low, high = (infinite if n > 1e-3 * HUGE else _short(n.item(), digits) for n in numbers)
+    middle, low, high = (_short(n.item(), digits, infinite) for n in numbers)
     return f"{middle} [{low}, {high}]"
 
 
-def _short(value: float, digits: int) -> str:
+def _short(value: float, digits: int, infinite: str) -> str:
+    if value > 1e-3 * HUGE:
+        return infinite
     return f"{value:.0f}" if abs(value) >= 10**digits else f"{value:.{digits}g}"
 
 

@@ -35,7 +35,7 @@ def steady_state_errors(
     episode: ArrayLike | None = None,
     title: str = "Steady-state error",
 ) -> Figure:
-    """Draw the error of the worse axis over episodes: interquartile mean and 95 % bootstrap band over seeds.
+    """Draw the error of the worse axis over episodes: interquartile mean and 95 % band over seeds; see `draw_bands`.
 
     Args:
         curves: `(n_seeds, n_episodes)` error after each episode, per setting [rad].

@@ -11,6 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from dynasindy.evaluation.statistics import bootstrap_interval, interquartile_mean
+from dynasindy.evaluation.table import FEWEST
 from dynasindy.viz.style import BLUE, CYCLE, RED, Array, array, legend_beside, name_single, panels, styled
 
 
@@ -62,7 +63,7 @@ def average_rewards(
     title: str = "Average rewards",
     log: bool = False,
 ) -> Figure:
-    """Draw interquartile mean and 95 % bootstrap band over seeds, one line per setting.
+    """Draw interquartile mean and 95 % bootstrap band over seeds, one line per setting; see `draw_bands`.
 
     Args:
         curves: `(n_seeds, n_episodes)` return of each episode, per setting.
@@ -88,6 +89,8 @@ def average_rewards(
 def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike | None = None, seed: int = 0) -> None:
     """Draw interquartile mean and 95 % bootstrap band over seeds into an axis, one line per setting.
 
+    Of fewer than three seeds every one is a line of its own, and nothing is a band.
+
     Args:
         axis: Where to draw.
         curves: `(n_seeds, n_episodes)` values after each episode, per setting.
@@ -97,9 +100,13 @@ def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike |
     for (name, values), color in zip(curves.items(), cycle(CYCLE)):
         rows = np.atleast_2d(array(values))
         x = np.arange(1, rows.shape[1] + 1) if episode is None else array(episode)[: rows.shape[1]]
-        middle, low, high = band(rows, seed)
-        axis.plot(x, middle, color=color, label=f"{name} ({len(rows)} seed{'s' * (len(rows) > 1)})")
-        axis.fill_between(x, low, high, color=color, alpha=0.2, linewidth=0)
+        label = f"{name} ({len(rows)} seed{'s' * (len(rows) > 1)})"
+        if len(rows) < FEWEST:
+            axis.plot(x, rows.T, color=color, label=[label, *["_"] * (len(rows) - 1)])
+        else:
+            middle, low, high = band(rows, seed)
+            axis.plot(x, middle, color=color, label=label)
+            axis.fill_between(x, low, high, color=color, alpha=0.2, linewidth=0)
     axis.set_xlabel("real episode")
 
 

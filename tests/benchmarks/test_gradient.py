@@ -1,5 +1,8 @@
 """The benchmark of planning by gradient: its rows, its plants, and how it is carried on."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import pytest
 import torch
 
@@ -55,3 +58,28 @@ def test_inputs_are_late_in_flight_and_not_in_the_data():
     actions = env.rollout(3, policy)["action"]
     assert actions[:, 0].tolist() == [0.0, 1.0, 1.0]
     assert gradient._in_flight(gradient.CASES["step"], 0) == []
+
+
+def test_what_nothing_was_tuned_on_is_flown_by_the_policies_of_the_tuned_cases(monkeypatch):
+    assert gradient.CASES["unseen"] == replace(gradient.CASES["step"], episodes=0, unseen=True)
+    assert gradient.CASES["unseen_moving"] == replace(gradient.CASES["moving"], unseen=True)
+    asked = {}
+
+    def flown(name):
+        def fly(env, policy, *box):
+            asked[name] = (env, policy, *box)
+            return iter([(name, "m", "result", "errors")])
+
+        return fly
+
+    monkeypatch.setattr(gradient, "holding", flown("holding"))
+    monkeypatch.setattr(gradient, "following", flown("following"))
+    monkeypatch.setattr(gradient, "_numbers", lambda result, errors: {"azimuth": (result, errors)})
+    parts = SimpleNamespace(plant="env", agent=SimpleNamespace(deployed="policy"))
+    for case in ("unseen", "unseen_moving"):
+        ((_, metric, numbers),) = gradient.judge(gradient.CASES[case], "tras", parts, 3)
+        assert metric == "m" and numbers == {"azimuth": ("result", "errors")}
+    assert asked == {
+        "holding": ("env", "policy", (-0.5, -0.5), (0.5, 0.4), gradient.NOISE, 3),
+        "following": ("env", "policy"),
+    }

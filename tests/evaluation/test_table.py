@@ -22,7 +22,7 @@ def test_seeds_are_joined_and_settings_are_not(tmp_path):
     write(tmp_path, "4_planning-none__seed-0", -50.0)
     dyna, none = sweep_table(tmp_path).splitlines()[2:]
     assert dyna.startswith("| `planning=dyna` | 4 | 600 (30 s) | -9 [-9, -9] |") and "| 2.5 [" in dyna
-    assert none.startswith("| `planning=none` | 1 |") and "| -50 [-50, -50] |" in none
+    assert none.startswith("| `planning=none` | 1 |") and "| -50 |" in none
 
 
 def test_a_run_without_a_finite_figure_is_counted_and_not_left_out(tmp_path):
@@ -54,6 +54,13 @@ def test_figures_over_seeds_are_short_and_infinity_has_a_word():
     assert over_seeds([0.00123456] * 3, 4) == "0.001235 [0.001235, 0.001235]"
     assert over_seeds([4.0, float("inf"), 4.0, 4.0, 4.0], 4, "never").startswith("4 [4, ")
     assert over_seeds([float("inf")] * 3, infinite="never") == "never [never, never]"
+
+
+def test_fewer_than_three_seeds_stand_for_themselves_in_their_order():
+    assert over_seeds([0.3456, 0.12]) == "0.346, 0.12"
+    assert over_seeds([4.0, float("inf")], infinite="never") == "4, never"
+    assert over_seeds([-5841.3]) == "-5841"
+    assert over_seeds([1.0, 2.0, 3.0]).startswith("2 [")
 
 
 def test_a_table_is_markdown():

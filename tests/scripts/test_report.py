@@ -31,7 +31,7 @@ def test_a_run_is_evaluated_saved_and_shown(trained: Path, tmp_path: Path) -> No
     origin = json.loads((kept / "origin.json").read_text())
     assert origin["command"] == "python scripts/train.py system=xi experiment=smoke"
     assert str(tmp_path) not in (kept / "config.yaml").read_text()
-    text = (tmp_path / "docs" / "report" / "report.md").read_text()
+    text = " ".join((tmp_path / "docs" / "report" / "report.md").read_text().split())
     assert "made by `python scripts/train.py system=xi experiment=smoke` at commit" in text
     assert "![" in text and "docs/report/report.html" in done.stdout
 

@@ -26,13 +26,17 @@ def test_average_rewards_draw_the_interquartile_mean_within_its_band() -> None:
     low, high = (f(figure.axes[0].collections[0].get_paths()[0].vertices[:, 1]) for f in (np.min, np.max))
     assert 0 <= low <= 15 <= high <= 1000
     assert "(4 seeds)" in figure.axes[0].get_legend().get_texts()[0].get_text()
+    assert len(figure.axes[0].lines) == len(figure.axes[0].collections) == 2  # three seeds have a band, too
 
 
-def test_one_seed_draws_a_line_without_a_band() -> None:
-    figure = average_rewards({"one": np.arange(5.0)}, episode=[10, 20, 30, 40, 50], window=1)
-    np.testing.assert_array_equal(figure.axes[0].lines[0].get_xydata()[:, 0], [10, 20, 30, 40, 50])
-    vertices = figure.axes[0].collections[0].get_paths()[0].vertices
-    assert set(vertices[:, 1]) == set(np.arange(5.0))
+def test_fewer_than_three_seeds_are_lines_without_a_band() -> None:
+    two = np.array([np.arange(5.0), 2 * np.arange(5.0)])
+    (axis,) = average_rewards({"one": two[0], "two": two}, episode=[10, 20, 30, 40, 50], window=1).axes
+    np.testing.assert_array_equal(axis.lines[0].get_xydata()[:, 0], [10, 20, 30, 40, 50])
+    np.testing.assert_array_equal([line.get_ydata() for line in axis.lines], [two[0], *two])
+    assert not axis.collections
+    assert axis.lines[1].get_color() == axis.lines[2].get_color() != axis.lines[0].get_color()
+    assert [text.get_text() for text in axis.get_legend().get_texts()] == ["one (1 seed)", "two (2 seeds)"]
 
 
 def test_the_evaluated_return_of_a_single_episode_is_written_out() -> None:

@@ -1,1 +1,1 @@
-"""What benchmarks measure with: stopwatches, and sensors that are not exact."""
+"""What benchmarks measure with: stopwatches, sensors that are not exact, flights elsewhere, the commit."""

@@ -10,6 +10,7 @@ import torch
 from dynasindy.evaluation.metrics import UNITS
 from dynasindy.evaluation.statistics import interquartile_mean
 from dynasindy.evaluation.summary import WORDS
+from dynasindy.evaluation.table import FEWEST
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.gate import gate
 from dynasindy.viz.report.document import Part, Picture, Section, Table, Text
@@ -51,8 +52,9 @@ def gradient(results: Results) -> Section:
             *("worst azimuth [rad]", "worst pitch [rad]", "return", "wall time [s]"),
         ]
         words = (
-            "Interquartile means over seeds of the errors over 64 references: mean error of the last 5 s (steps), RMSE "
-            "(waves) or largest error from 5 s after the gust (detuned plant); worst: of the worst reference. "
+            "Interquartile means over seeds, of fewer than three seeds each of them, of the errors over references: "
+            "mean error of the last 5 s (steps), RMSE (waves, ramp, chirp) or largest error from 5 s after the gust "
+            "(detuned plant); worst: of the worst reference. "
         )
         return [Text(words + results.source("gradient.csv")), Table(header, _grouped(rows, key, numbers))]
 
@@ -82,7 +84,10 @@ def baselines(results: Results) -> Section:
 
     def _table() -> list[Part]:
         rows = results.rows("baselines.csv", "python scripts/benchmark.py baselines")
-        words = f"Interquartile means over seeds, azimuth / pitch. {results.source('baselines.csv')}"
+        words = (
+            "Interquartile means over seeds, of fewer than three seeds each of them, azimuth / pitch. "
+            f"{results.source('baselines.csv')}"
+        )
         parts: list[Part] = [Text(words)]
         for plant, scenario in dict.fromkeys((row["plant"], row["scenario"]) for row in rows):
             here = [row for row in rows if (row["plant"], row["scenario"]) == (plant, scenario)]
@@ -135,19 +140,20 @@ def _heading(metric: str) -> str:
 
 
 def _grouped(rows: Sequence[Mapping[str, str]], key: Sequence[str], numbers: Sequence[str]) -> list[list[str]]:
-    """Return a row per group: its key, its number of seeds, and interquartile means over them."""
+    """Return a row per group: its key, its number of seeds, and numbers over them."""
     groups: dict[tuple[str, ...], list[Mapping[str, str]]] = {}
     for row in rows:
         groups.setdefault(tuple(row[name] for name in key), []).append(row)
     return [
-        [*names, str(len({row["seed"] for row in group})), *(_mean([row[name] for row in group]) for name in numbers)]
+        [*names, str(len({row["seed"] for row in group})), *(_over([row[name] for row in group]) for name in numbers)]
         for names, group in groups.items()
     ]
 
 
-def _mean(cells: Sequence[str]) -> str:
-    """Return the interquartile mean of numbers, or how many cells have none."""
+def _over(cells: Sequence[str]) -> str:
+    """Return the interquartile mean of numbers, the numbers if there are too few, or how many cells have none."""
     if missing := sum(not cell for cell in cells):
         return "-" if missing == len(cells) else f"none in {missing} of {len(cells)}"
     values = torch.as_tensor(np.array([float(cell) for cell in cells]))
-    return f"{interquartile_mean(values).item():.3g}"
+    shown = values if len(values) < FEWEST else interquartile_mean(values).unsqueeze(0)
+    return ", ".join(f"{value:.3g}" for value in shown.tolist())

@@ -31,6 +31,8 @@ def rewards(results: Results) -> Section:
             for name in ("ablation_curves", "ablation")
         )
         curves = {words: returns for name, words in SETTINGS.items() if len(returns := _curves(rows, name))}
+        names = [name for name, words in SETTINGS.items() if words in curves]
+        drawn = [row for row in runs if row["setting"] in names]
         to_level = {words: _to_level(runs, name) for name, words in SETTINGS.items() if words in curves}
         to_level |= {words: seeds for name, words in MODEL_FREE.items() if (seeds := _to_level(runs, name))}
         episodes = np.array(sorted({float(row["episode"]) for row in rows if row["evaluated_return"]}))
@@ -41,7 +43,8 @@ def rewards(results: Results) -> Section:
                 f"average_rewards_{plant}_{experiment}",
                 average_rewards(curves, episodes, window=1, title=title, log=True),
                 "Return of the policy without noise over 64 fixed steps after real episodes: interquartile mean and "
-                f"95 % bootstrap interval over seeds. {results.source('ablation_curves.csv')}",
+                "95 % bootstrap interval over seeds, of fewer than three seeds a line each. "
+                + results.of_runs("ablation_curves.csv", drawn, [(plant, experiment, name) for name in names]),
             ),
         ]
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import html
 import io
 import re
+import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -63,6 +64,7 @@ class Finding:
 
 Part = Text | Table | Listing | Picture | Finding
 VERDICT = {True: "yes", False: "no", None: "not measured"}
+WIDTH = 120
 FINDINGS = ("the paper", "ours", "agrees")
 
 
@@ -188,8 +190,13 @@ def _markdown(part: Part, formats: Sequence[str]) -> str:
         return "\n".join(f"    {line}" for line in part.lines)
     if isinstance(part, Picture):
         alt = part.caption.partition(". ")[0].replace("`", "").replace("[", "(").replace("]", ")")
-        return f"![{alt}](figures/{part.name}.{formats[0]})\n\n{part.caption}"
-    return part.words if isinstance(part, Text) else part.ours
+        return f"![{alt}](figures/{part.name}.{formats[0]})\n\n{_wrapped(part.caption)}"
+    return _wrapped(part.words if isinstance(part, Text) else part.ours)
+
+
+def _wrapped(words: str) -> str:
+    """Return a paragraph in lines that a reader of the source can take in."""
+    return "\n".join(textwrap.wrap(words, WIDTH, break_long_words=False, break_on_hyphens=False))
 
 
 def _html(part: Part, drawn: set[str]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -137,13 +137,37 @@ class Results:
             return list(csv.DictReader(lines))
 
     def source(self, name: str) -> str:
-        """Return where a table lies, and its command and commit as the README of the results lists them."""
+        """Return where a table lies, the command that the README of the results lists for it, and its commits.
+
+        They are those that its rows name; where a table has no such column, what the README lists.
+        """
         listed = self.folder / "README.md"
         pattern = rf"^\| [^|\n]*(?<![\w/]){re.escape(name)}\b[^|\n]*\| `([^`]+)`[^|\n]*\|([^|\n]*)\|"
         found = re.search(pattern, listed.read_text(), re.M) if listed.is_file() else None
-        commit = f" at commit {found[2].strip()}" if found and found[2].strip() else ""
+        named = commits(self.rows(name, "")) if (self.folder / name).is_file() else ""
+        commit = f" at commit {named or found[2].strip()}" if found and (named or found[2].strip()) else ""
         made = f", made by `{found[1]}`{commit}" if found else ""
         return f"Table `{_shown(self.folder / name)}`{made}."
+
+    def of_runs(self, name: str, rows: Iterable[Mapping[str, str]], first: Sequence[tuple[str, str, str]]) -> str:
+        """Return where rows over seeds lie, the commits of their runs, and the sources of the first seeds.
+
+        Args:
+            name: Name of the table that is drawn.
+            rows: A row per run, with its commit.
+            first: Plant, experiment and setting of each curve; those that are saved are named with their commands.
+        """
+        found = commits(rows)
+        of = f", of runs at commit {found}" if found else ""
+        saved = [place for place in first if "_".join(place) in self.settings]
+        runs = " ".join(self.compared(*place).source for place in saved)
+        return f"Table `{_shown(self.folder / name)}`{of}." + (f" First seeds: {runs}" if runs else "")
+
+
+def commits(rows: Iterable[Mapping[str, str]]) -> str:
+    """Return the commits that rows name, in words; empty where they name none."""
+    *most, last = dict.fromkeys(row.get("commit") or "" for row in rows) or [""]
+    return f"{', '.join(most)} and {last}" if most else last
 
 
 def each(build: Callable[..., list[Part]], *cases: tuple[str, ...]) -> list[Part]:

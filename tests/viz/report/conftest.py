@@ -71,16 +71,21 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
     for name, error in ERRORS.items():
         write_run(folder / "runs" / f"xi_dyna_{name}", error)
     key = ["system", "experiment", "setting", "seed"]
-    rows = [["xi", "dyna", name, seed, steps] for name, steps in EPISODES.items() for seed in (0, 1)]
-    table(folder / "ablation.csv", [*key, "episodes_to_level"], rows)
+    made = {0: "abc1234", 1: "def5678", 2: "abc1234"}
+    rows = [["xi", "dyna", name, seed, steps, made[seed]] for name, steps in EPISODES.items() for seed in made]
+    table(folder / "ablation.csv", [*key, "episodes_to_level", "commit"], rows)
     rows = [
         ["xi", "dyna", name, seed, k, -1000 * error / k + seed]
         for name, error in ERRORS.items()
-        for seed in (0, 1)
+        for seed in made
         for k in range(1, 7)
     ]
     table(folder / "ablation_curves.csv", [*key, "episode", "evaluated_return"], rows)
-    (folder / "README.md").write_text("| [ablation.csv](ablation.csv) | `python scripts/y.py` | 1a2b3c4 | words |\n")
+    table(folder / "speed.csv", ["what", "ms"], [["ours", 1.0]])
+    lines = [
+        f"| [{name}]({name}) | `python scripts/y.py` | 1a2b3c4 | words |\n" for name in ("ablation.csv", "speed.csv")
+    ]
+    (folder / "README.md").write_text("".join(lines))
     return Results(folder, {f"xi_dyna_{name}": SETTINGS for name in ERRORS})
 
 

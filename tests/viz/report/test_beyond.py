@@ -54,6 +54,12 @@ def test_baselines_are_means_over_seeds(empty):
     ]
 
 
+def test_one_or_two_seeds_stand_for_themselves():
+    rows = [{"k": "a", "seed": s, "v": v} for s, v in (("0", "0.1234"), ("1", "2"))]
+    assert beyond._grouped(rows, ["k"], ["v"]) == [["a", "2", "0.123, 2"]]
+    assert beyond._grouped(rows[:1], ["k"], ["v"]) == [["a", "1", "0.123"]]
+
+
 def test_the_gradient_table_groups_seeds_and_shows_the_worst(empty):
     columns = (
         "case,plant,seed,plant_seconds,scenario,metric,azimuth,pitch,azimuth_worst,pitch_worst,return,wall_seconds"

@@ -19,8 +19,8 @@ def test_average_rewards_are_the_numbers_of_the_table(results):
     section = control.rewards(results)
     (axis,) = pictures(section)["average_rewards_xi_dyna"].axes
     curves = {line.get_label(): line.get_ydata() for line in axis.lines}
-    np.testing.assert_allclose(curves["800 rollouts (2 seeds)"], [-10.0 / k + 0.5 for k in range(1, 7)])
-    np.testing.assert_allclose(curves["no planning (2 seeds)"], [-200.0 / k + 0.5 for k in range(1, 7)])
+    np.testing.assert_allclose(curves["800 rollouts (3 seeds)"], [-10.0 / k + 1.0 for k in range(1, 7)])
+    np.testing.assert_allclose(curves["no planning (3 seeds)"], [-200.0 / k + 1.0 for k in range(1, 7)])
     said = {finding.paper.partition(": ")[2]: finding for finding in section.findings}
     level = said["planning reaches the required level sooner"]
     assert level.agrees and level.ours.endswith("no planning never, 400 rollouts 6, 800 rollouts 4")
@@ -39,6 +39,13 @@ def test_other_agents_without_a_model_stand_beside_where_the_level_is_compared(r
     assert level.ours.endswith("800 rollouts 4, SAC with five updates per step 5") and not level.agrees
     (axis,) = pictures(section)["average_rewards_xi_dyna"].axes
     assert not any("SAC" in str(line.get_label()) for line in axis.lines)
+
+
+def test_the_caption_of_curves_over_seeds_names_the_commits_of_their_runs_and_the_commands_of_the_saved_ones(results):
+    (caption,) = [part.caption for part in control.rewards(results).parts if isinstance(part, Picture)]
+    assert "ablation_curves.csv`, of runs at commit abc1234 and def5678. First seeds: Run" in caption
+    for name in ("rollouts_0", "rollouts_400", "rollouts_800"):
+        assert f"xi_dyna_{name}`, made by `python scripts/x.py` at commit abc1234." in caption
 
 
 def test_steps_of_the_three_settings_share_axes_and_their_errors_are_those_of_the_runs(results):

@@ -95,3 +95,10 @@ def test_letters_that_a_page_has_are_not_drawn_again():
 @pytest.mark.parametrize("title", ["Figure 5: chirp input", "Table 2: SINDy model Xi matrix"])
 def test_anchors_are_plain_words(title):
     assert re.fullmatch(r"[a-z0-9-]+", Section(title).anchor)
+
+
+def test_paragraphs_of_the_markdown_page_are_wrapped_and_lose_no_word(tmp_path):
+    words = "a paragraph with a `python scripts/train.py system=xi` in it, and a-hyphen-that-stays " * 9
+    write_markdown("t", [Section("s", [Text(words)])], tmp_path / "page.md", ["svg"])
+    lines = (tmp_path / "page.md").read_text().splitlines()[4:]
+    assert " ".join(lines) == words.strip() and 100 < max(map(len, lines)) <= 120

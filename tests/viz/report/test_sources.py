@@ -25,7 +25,9 @@ def test_what_is_missing_has_a_line_with_its_command(results, empty):
 
 
 def test_the_command_and_commit_of_a_table_are_those_of_the_list(results):
-    assert results.source("ablation.csv").endswith("`, made by `python scripts/y.py` at commit 1a2b3c4.")
+    assert results.source("speed.csv").endswith("`, made by `python scripts/y.py` at commit 1a2b3c4.")
+    # A table whose rows name their commits says those.
+    assert results.source("ablation.csv").endswith("`, made by `python scripts/y.py` at commit abc1234 and def5678.")
     assert "made by" not in results.source("other.csv")
     assert "made by" not in results.source("first_ablation.csv")
 

@@ -1,0 +1,39 @@
+"""What is asked of policies in situations that they were not trained for."""
+
+import torch
+
+from dynasindy.benchmarks.instruments import unseen
+from dynasindy.envs import ControlEnv
+from dynasindy.systems import Xi
+from dynasindy.tasks import Step, Tracking
+
+
+def still(tensordict):
+    return tensordict.set("action", torch.zeros(*tensordict.batch_size, 2))
+
+
+def plant(observe_rate=False):
+    return ControlEnv(Xi(), Tracking(Xi().signature, Step([[0.0, 0.0]]), observe_rate=observe_rate), dt=0.25)
+
+
+def test_holding_flies_every_situation_within_and_beyond_its_box():
+    noise = (1e-3,) * 6
+    judged = list(unseen.holding(plant(), still, (-0.4, -0.2), (0.4, 0.3), noise, 0))
+    flown = {name: result for name, _, result, _ in judged}
+    assert list(flown) == ["step", "edges", "beyond", "away", "noise_in_flight", "staircase"]
+    assert {name: len(result.references) for name, result in flown.items()} == {
+        **dict.fromkeys(("step", "away", "noise_in_flight"), 64), "edges": 16, "beyond": 16, "staircase": 1,
+    }  # fmt: skip
+    assert flown["step"].references.abs().amax() <= 0.4
+    torch.testing.assert_close(flown["edges"].references.amax((0, 1)), torch.tensor([0.4, 0.3]))
+    torch.testing.assert_close(flown["beyond"].references.amin((0, 1)), torch.tensor([-0.48, -0.25]))
+    assert not flown["step"].trajectory["state"][:, 0].any() and flown["away"].trajectory["state"][:, 0].all()
+
+
+def test_each_stair_is_judged_by_its_end():
+    *_, (name, _, result, errors) = unseen.following(plant(observe_rate=True), still)
+    assert name == "staircase" and errors.shape == (len(unseen.LEVELS), 2)
+    steps = round(unseen.STAIR / 0.25)
+    ends = result.outputs[0].reshape(len(unseen.LEVELS), steps, 2)[:, -round(unseen.HELD / 0.25) :]
+    wanted = (torch.tensor(unseen.LEVELS).unsqueeze(1) - ends).abs().mean(1)
+    torch.testing.assert_close(errors, wanted)

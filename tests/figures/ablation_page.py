@@ -1,0 +1,171 @@
+"""docs/ablation.md: the tables of the ablation, of its controls and of what the settings rest on."""
+
+import re
+from collections.abc import Iterator
+
+from tables import cell, middle, numbers, pair, rows, setting, short, table
+from ties import Tie, Untied
+
+PAGE = "docs/ablation.md"
+ERRORS = ("steady_state_error/alpha_a", "steady_state_error/alpha_p")
+LAST = {"xi": 12, "tras": 16}
+"""Episodes after which the controls are compared."""
+RESULTS = {
+    "plant time to the level [s]": "plant_seconds_to_level",
+    "error at the end, worse axis [rad]": "steady_state_error",
+    "area under the curve": "area_under_curve",
+    "return at the end": "final_return",
+}
+SETTINGS = ("rollouts_800", "rollouts_400", "rollouts_0")
+QUICK = {"learning_rate": 0.001, "layer_norm": "False", "policy_average": 0.001, "error_scale": 0.5}
+FIRST = {
+    **QUICK, "system": "tras", "gamma": 0.95, "lr_decay": 0, "error_shape": "linear", "tau": 0.005,
+    "target_update_interval": 2, "policy_noise": 0.1, "noise_min": 0.05, "generations": 1, "seed": 0,
+}  # fmt: skip
+TARGETS = {"tau": 0.01, "target_update_interval": 1}
+SMOOTH = {**TARGETS, "policy_noise": 0.03, "noise_min": 0.02}
+SLOW = "targets at 0.005 every second update"
+LOG = {"error_shape": "logarithmic", "gamma": 0.97}
+TUNING = {
+    ("`tras` 0", f"cost linear in large errors, gamma 0.95, {SLOW}, smoothing noise 0.1"): {},
+    ("`tras` 0", "cost logarithmic in large errors"): {"error_shape": "logarithmic"},
+    ("`tras` 0", "gamma 0.97"): LOG,
+    ("`tras` 0", "targets at 0.01 every update"): {**LOG, **TARGETS},
+    ("`tras` 0", "smoothing noise 0.03, exploration down to 0.02"): {**LOG, **SMOOTH},
+    ("`tras` 1", "the same"): {**LOG, **SMOOTH, "seed": 1},
+    ("`tras` 1", "transitions of five models kept instead of one"): {**LOG, **SMOOTH, "seed": 1, "generations": 5},
+    ("`xi` 0", "as the last but one"): {**LOG, **SMOOTH, "system": "xi"},
+    ("`xi` 0", "learning rates lose 5e-5 per update"): {**LOG, **SMOOTH, "system": "xi", "lr_decay": 5e-05},
+    ("`xi` 0", "no loss; transitions of five models kept instead of one"): {
+        **LOG, **SMOOTH, "system": "xi", "generations": 5,
+    },
+}  # fmt: skip
+"""What each row of the table changed, against the first."""
+
+
+def ties(text: str) -> Iterator[Tie]:
+    """Yield what the page must say."""
+    yield from _results()
+    yield from _controls(text)
+    yield from _paper(text)
+    yield from _tuning()
+    yield from _words()
+
+
+def _runs(plant: str, name: str, experiment: str = "dyna") -> list[dict[str, str]]:
+    return rows("ablation.csv", system=plant, experiment=experiment, setting=name)
+
+
+def _reached(found: list[dict[str, str]]) -> str:
+    return f"{sum(bool(row['episodes_to_level']) for row in found)}/{len(found)}"
+
+
+def _results() -> Iterator[Tie]:
+    for plant in ("xi", "tras"):
+        runs = [_runs(plant, name) for name in SETTINGS]
+        # What never reached the level has no interval to show.
+        level = [cell(numbers(found, "episodes_to_level")).replace("never [never, never]", "never") for found in runs]
+        seeds = [f"{words} ({_reached(found)} seeds)" for words, found in zip(level, runs)]
+        yield Tie(PAGE, f"| `{plant}`, real episodes to the level | {{}} | {{}} | {{}} |", tuple(seeds))
+        for words, column in RESULTS.items():
+            figures = [cell(numbers(found, column)).replace("never [never, never]", "never") for found in runs]
+            yield Tie(PAGE, f"| `{plant}`, {words} | {{}} | {{}} | {{}} |", tuple(figures))
+
+
+def _controls(text: str) -> Iterator[Tie]:
+    """Yield the rows of the table of controls, whichever stand there."""
+    part = text.partition("## Controls")[2].partition("\n## ")[0]
+    for plant, name in re.findall(r"^\| `(\w+)`, `([^`]+)` \|", part, re.M):
+        runs = _runs(plant, name)
+        level = cell(numbers(runs, "episodes_to_level")).replace("never [never, never]", "never")
+        error = cell(_errors(plant, name, LAST[plant]))
+        figures = (str(len(runs)), _reached(runs), level, error)
+        yield Tie(PAGE, f"| `{plant}`, `{name}` | {{}} | {{}} | {{}} | {{}} |", figures)
+
+
+def _errors(plant: str, name: str, episode: int) -> list[float]:
+    """Return the error of the worse axis of each seed after an episode."""
+    found = rows("ablation_curves.csv", system=plant, experiment="dyna", setting=name, episode=episode)
+    return [max(float(row[f"evaluated_{column}"]) for column in ERRORS) for row in found]
+
+
+def _paper(text: str) -> Iterator[Tie]:
+    part = text.partition("## The paper's experiment")[2].partition("\n## ")[0]
+    for plant, name in re.findall(r"^\| `(\w+)`, `([^`]+)` \|", part, re.M):
+        runs = _runs(plant, name, "paper")
+        columns = ("final_return", "area_under_curve", "steady_state_error")
+        figures = (str(len(runs)), runs[0]["episodes"], *(cell(numbers(runs, column)) for column in columns))
+        yield Tie(PAGE, f"| `{plant}`, `{name}` | {{}}, {{}} | {{}} | {{}} | {{}} |", figures)
+
+
+def _tuned(changed: dict[str, object], episode: int) -> str:
+    found = [
+        row
+        for row in table("tuning.csv")
+        if all(row[key] == str(value) for key, value in {**FIRST, **changed, "episode": episode}.items())
+    ]
+    assert len(found) <= 1
+    return pair(lambda axis: float(found[0][axis]), 3, axes=ERRORS) if found else ""
+
+
+def _tuning() -> Iterator[Tie]:
+    for (run, words), changed in TUNING.items():
+        figures = tuple(f" {shown}" if (shown := _tuned(changed, n)) else "" for n in (4, 6, 8, 10, 12))
+        yield Tie(PAGE, f"| {run} | {{}} |{{}} |{{}} |{{}} |{{}} |{{}} |", (words, *figures))
+
+
+def _words() -> Iterator[Tie]:
+    level = setting("level.error", page="ablation")
+    yield Tie(PAGE, "over 64 fixed step references at or under {} rad on both axes", (str(level),))
+    judged = {plant: max(_judged(plant)) for plant in ("xi", "tras")}
+    figures = (f"{judged['xi']:.1g}", short(judged["tras"]), str(setting("gate.close_above", "experiment=dyna")))
+    yield Tie(
+        PAGE,
+        "the judged reward error reached {} per period on `xi` and {} on `tras` at most, and the gate closes at {}.",
+        figures,
+    )
+    yield Tie(PAGE, "(`rollouts_0`: {} after 12 episodes)", (short(middle(_errors("xi", "rollouts_0", 12)), 3),))
+    shares = [f"{setting('replay.real_ratio', f'+setting=real_share_{name}')}" for name in ("05", "50")]
+    default = str(setting("replay.real_ratio", "experiment=dyna"))
+    yield Tie(
+        PAGE, "{} to {} make no difference that these seeds could show. The default of {} stays.", (*shares, default)
+    )
+    (row,) = rows("tuning.csv", system="tras", learning_rate=0.0003, episode=10)
+    ends = tuple(f"{float(row[column]):.2f}" for column in ERRORS)
+    yield Tie(PAGE, "(earlier rows): at {}, `tras` stands at {} / {} rad after ten episodes.", ("3e-4", *ends))
+    (row,) = rows("tuning.csv", error_scale=0.1, episode=12)
+    yield Tie(
+        PAGE,
+        "{} / {} rad after 12 episodes on `tras`, swinging",
+        tuple(f"{float(row[column]):.2g}" for column in ERRORS),
+    )
+    ends = [_end("xi", "horizon_20", 3), _end("tras", "horizon_20", 3)]
+    yield Tie(PAGE, "in the real tenth of its batches only: {} rad at the end on `xi`, {} on `tras`", tuple(ends))
+    ends = [_end("xi", "rollouts_800", 3), _end("tras", "rollouts_800", 3)]
+    yield Tie(PAGE, "With 5 s it is {} and {}.", tuple(ends))
+
+
+def _end(plant: str, name: str, places: int) -> str:
+    return short(middle(_errors(plant, name, LAST[plant])), places)
+
+
+def _judged(plant: str) -> list[float]:
+    """Return the reward errors on which the gate of the saved runs decided."""
+    return [
+        float(row["judged_reward_error"])
+        for name in ("rollouts_400", "rollouts_800")
+        for row in table(f"runs/{plant}_dyna_{name}/gate.csv")
+        if row["judged_reward_error"]
+    ]
+
+
+UNTIED = [
+    Untied(PAGE, "reward errors of up to 0.9 per period", "log of a gate that was not kept; the page says so"),
+    Untied(PAGE, "at a learning rate of 1e-4 and one update per step", "setting of experiment=paper, see algorithm.md"),
+    Untied(PAGE, "## What stalls TD3 near 0.1 rad", "a heading in round numbers"),
+    Untied(PAGE, "1e-3 learning rates; steady-state error", "column learning_rate by which the rows are chosen"),
+    Untied(PAGE, "the difference between 0.05 and 0.01 rad was a few thousandths", "round numbers of an argument"),
+    Untied(PAGE, "At 0.005 every second update a renewal takes some 400", "arithmetic on a setting of the table above"),
+    Untied(PAGE, "gamma 0.95, linear cost) did not help", "columns by which the row is chosen"),
+    Untied(PAGE, "averaging the value over inputs 0.1 around it", "setting of the table above"),
+]

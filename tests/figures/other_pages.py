@@ -1,0 +1,161 @@
+"""README.md, docs/identification.md and the words of docs/results/baselines.md."""
+
+from collections.abc import Iterator
+
+from results_page import limit_cycle
+from tables import cell, middle, numbers, rows, setting, short
+from ties import Tie, Untied
+
+README, IDENTIFICATION, BASELINES = "README.md", "docs/identification.md", "docs/results/baselines.md"
+
+
+def readme(text: str) -> Iterator[Tie]:
+    """Yield what README.md must say."""
+    runs = {
+        plant: rows("ablation.csv", system=plant, experiment="dyna", setting="rollouts_800") for plant in ("xi", "tras")
+    }
+    level = [cell(numbers(found, "episodes_to_level"), 3) for found in runs.values()]
+    seeds = {f"{sum(bool(row['episodes_to_level']) for row in found)} of {len(found)}" for found in runs.values()}
+    (reached,) = seeds
+    ends = [f"{middle(numbers(found, 'steady_state_error')):.2g}" for found in runs.values()]
+    yield Tie(
+        README,
+        "reaches {} rad on both axes in {} real episodes on `xi` and {} on `tras`, on {} seeds each, and ends at "
+        "{} and {} rad;",
+        (str(setting("level.error", page="ablation")), *level, reached, *ends),
+    )
+    noisy = [
+        r
+        for plant in runs
+        for r in rows("gradient.csv", case="noise", plant=plant, plant_seconds=10.0, scenario="step")
+    ]
+    assert len(noisy) == 20
+    edge = max(*numbers(noisy, "azimuth"), *numbers(noisy, "pitch"))
+    yield Tie(README, "planning by gradient stands within {} rad after the same 10 s", (f"{edge:.4f}",))
+    yield Tie(README, "ends in a limit cycle, steady-state error {} / {} rad", limit_cycle())
+    yield Tie(README, "its predictions are: {} % of the range of the worst state", (_measured("tras", "worst state"),))
+
+
+def _measured(case: str, words: str, method: str = "ours") -> str:
+    """Return a cell of identification.csv by its case, the beginning of its method, and words of its measure."""
+    found = [
+        row["value"]
+        for row in rows("identification.csv", case=case)
+        if row["method"].startswith(method) and words in row["measure"]
+    ]
+    assert found, (case, words, method)
+    return found[0]
+
+
+def identification(text: str) -> Iterator[Tie]:
+    """Yield what docs/identification.md must say."""
+
+    def tie(words: str, *figures: str) -> Tie:
+        return Tie(IDENTIFICATION, words, figures)
+
+    every = "19 of 19 terms and 0 false"
+    for case, seconds, step, bound in (("xi_10s", 10, "0.01", "1e-6"), ("xi_control", 20, "0.05", "1e-4")):
+        error = _measured(case, "worst relative coefficient error").replace("e-0", "e-")
+        asked = "19 of 19 terms, 0 false, error" if case == "xi_10s" else "19/0,"
+        words = f"| `xi`, {seconds} s at {{}} s, 10 seeds | {asked} <= {{}} | {{}}, worst {{}} |"
+        yield tie(words, step, bound, _measured(case, every), error)
+    median = _measured("xi_noise", "largest error / Cramer-Rao bound").partition(",")[0]
+    words = "| {} (all with 19/0); largest error {} times the bound in the median seed,"
+    yield tie(words, _measured("xi_noise", every), median)
+    yield tie("| {} % worst state, 32 unseen episodes |", _measured("tras", "worst state"))
+    better, worse = (
+        next(
+            r["value"] for r in rows("identification.csv", case="trms33", method=name) if "worst state" in r["measure"]
+        )
+        for name in ("ours, rotor_reaction", "ours, rotor")
+    )
+    words = "| {} % worst state over 26 unseen episodes (`rotor_reaction`); {} % with `rotor` |"
+    yield tie(words, better, f"{float(worse):g}")
+    refits = [f"{float(_measured('refit', size)):.2g}" for size in ("1e+06", "1e+07")]
+    theirs = _measured("refit", "fit of 1e6", "PySINDy")
+    yield tie("| {} ms, at {} {} ms; PySINDy {} ms |", refits[0], "1e7", refits[1], theirs)
+    yield tie("| {} s |", f"{float(_measured('xi_10s', 'refined fit')):.2f}")
+    ours = [_measured("speed", f"{plant} model").partition(",")[0].replace("e+0", "e") for plant in ("xi", "tras")]
+    yield tie(
+        "| {} (`xi`), {} (`tras`); PySINDy `simulate` {} |", *ours, f"{float(_measured('speed', 'xi', 'PySINDy')):.0f}"
+    )
+
+
+def baselines(text: str) -> Iterator[Tie]:
+    """Yield what the words of docs/results/baselines.md must say."""
+
+    def of(plant: str, controller: str, scenario: str, metric: str, axis: str) -> float:
+        found = rows(
+            "baselines.csv", plant=plant, controller=controller, model="identified", scenario=scenario, metric=metric
+        )
+        return middle([float(row[axis]) for row in found])
+
+    square = {
+        name: [of("tras", name, "square", "rmse", axis) for axis in ("azimuth", "pitch")] for name in _CONTROLLERS
+    }
+    plain, integral, lqi, mpc, pid = square.values()
+    yield Tie(BASELINES, "square C on `tras` ({} against {})", (short(integral[1]), short(lqi[1])))
+    yield Tie(BASELINES, "Without it, it is ahead there ({}),", (short(plain[1], 3),))
+    yield Tie(BASELINES, "which PID buys with its pitch ({} / {})", (short(pid[0], 3), short(pid[1], 3)))
+    pairs = [f"{short(azimuth)}/{short(pitch, 3)}" for azimuth, pitch in (plain, mpc)]
+    yield Tie(BASELINES, "ahead in square C on `tras` ({} against {})", tuple(pairs))
+    steady = "steady_state_error"
+    behind = [
+        of(plant, "Dyna-gradient", *case, axis) - of(plant, "LQI", *case, axis)
+        for plant, case, axis in (
+            ("tras", ("step", steady), "azimuth"),
+            ("xi", ("step", steady), "azimuth"),
+            ("xi", ("step", steady), "pitch"),
+            ("xi", ("sine", "rmse"), "azimuth"),
+        )
+    ]
+    yield Tie(BASELINES, "in the azimuth of sine B on `xi`, by {} to {} rad.", _range(behind))
+    starts = [
+        of(p, name, "sine", "rmse", "pitch") - of(p, "MPC", "sine", "rmse", "pitch")
+        for p in ("xi", "tras")
+        for name in _LEARNED
+    ]
+    yield Tie(BASELINES, "the start of sine B by {} to {} rad of pitch", _range(starts))
+    held, left = (
+        [of("tras", name, "step", steady, axis) for axis in ("azimuth", "pitch")] for name in reversed(_LEARNED)
+    )
+    words = "the steady error on `tras` by {} rad with integral action and {} to {} without."
+    yield Tie(BASELINES, words, (_range(held)[1], *_range(left)))
+
+
+def _range(values: list[float]) -> tuple[str, str]:
+    """Return the least and the greatest to one digit: 2e-4."""
+    return tuple(f"{value:.0e}".replace("e-0", "e-") for value in (min(values), max(values)))
+
+
+_LEARNED = ("Dyna-gradient", "Dyna-gradient, integral")
+_CONTROLLERS = (*_LEARNED, "LQI", "MPC", "PID")
+COMPARED = {
+    "Agent training hyperparameters (the paper's table, every row)": "compared with conf/ by tests/test_docs.py",
+    "What the text of the paper sets": "compared with conf/ by tests/test_docs.py",
+}
+"""Sections of docs/algorithm.md of which figures may stand untied."""
+SIZES = "size of a download, which differs from day to day"
+NOT_KEPT = "of twelve runs that were not kept; the page says so"
+UNTIED = [
+    Untied(README, "| `planning=gradient system=tras` | 3 |...", NOT_KEPT),
+    Untied(README, "| `planning=gradient system=xi` | 3 |...", NOT_KEPT),
+    Untied(README, "| `planning=none system=tras` | 3 |...", NOT_KEPT),
+    Untied(README, "| `planning=none system=xi` | 3 |...", NOT_KEPT),
+    Untied(README, "Python 3.11 to 3.13", "versions, as in pyproject.toml"),
+    Untied(README, "the same commands take 1.5 GB", SIZES),
+    Untied("docs/index.md", "the same commands then take 1.5 GB", SIZES),
+    Untied("docs/algorithm.md", "which stays within [0.707, 1]", "the range of the formula"),
+    Untied(IDENTIFICATION, "the signal stays within [0.707, 1]", "the range of the formula"),
+    Untied(IDENTIFICATION, "every second one sweeps to 0.7 of the last frequency", "a constant of the code"),
+    Untied(IDENTIFICATION, "## lambda = 0.9", "of the paper"),
+    Untied(IDENTIFICATION, "On raw columns 0.9 would delete", "of the paper"),
+    Untied(IDENTIFICATION, "neighbouring one-step errors correlate by about -0.5", "of differences of white noise"),
+    Untied(IDENTIFICATION, "noise 1e-3, 10 seeds", "the case that is measured"),
+    Untied(IDENTIFICATION, "on top of 1e6 samples | <= 10 ms, at 1e7 at most twice", "the case that is measured"),
+    Untied(IDENTIFICATION, "batch 4096 | >= 1e6", "what had to be reached"),
+    Untied(IDENTIFICATION, "Random steps held for 0.5 s", "a setting of the benchmark"),
+    Untied(BASELINES, "same input limits, 0.05 s of control period", "a setting of all cases"),
+    Untied(BASELINES, "Horizon 1.8 s in 14 blocks", "a setting of the controller"),
+    Untied(BASELINES, "weigh 1 : 0.0001 : 0.001", "settings of the controller"),
+]
