@@ -11,6 +11,7 @@ from dynasindy import viz
 from dynasindy.evaluation.identification import Identified, Source, identify, to_words, write
 
 
+
 @command("identify")
 def main(cfg: DictConfig) -> None:
     """Load data, fit, judge, write everything and print it."""
@@ -42,8 +43,7 @@ def draw(found: Identified, source: Source, folder: Path, formats: list[str]) ->
         ),
     }
     for name, figure in figures.items():
-        for suffix in formats:
-            figure.savefig(folder / f"{name}.{suffix}")
+        viz.save(figure, folder / name, formats)
 
 
 if __name__ == "__main__":
