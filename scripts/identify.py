@@ -11,7 +11,6 @@ from dynasindy import viz
 from dynasindy.evaluation.identification import Identified, Source, identify, to_words, write
 
 
-
 @command("identify")
 def main(cfg: DictConfig) -> None:
     """Load data, fit, judge, write everything and print it."""

@@ -166,9 +166,8 @@ def _read_run(folder: Path, root: Path, level: Level) -> tuple[Row, list[Row]]:
     """
     with understood(folder):
         place, curve = _place(folder, root), _curve(folder)
-        return {**place, **summarise_run(curve, level), "commit": _commit(folder)}, [
-            {**place, **line} for line in curve
-        ]
+        row = {**place, **summarise_run(curve, level), "commit": _commit(folder)}
+        return row, [{**place, **line} for line in curve]
 
 
 def _place(folder: Path, root: Path) -> Row:

@@ -113,8 +113,8 @@ def plain_name(name: str, what: str) -> str:
     """
     if not isinstance(name, str) or not re.fullmatch(r"\w[\w.,=+ -]*", name) or len(name) > LONGEST:
         raise ValueError(
-            f"{what} '{escaped(str(name)[:LONGEST])}' is no name of a file; allowed are letters, digits, '_' and, after "
-            f"the first, '.,=+-' and spaces, {LONGEST} at most: choose another name"
+            f"{what} '{escaped(str(name)[:LONGEST])}' is no name of a file; allowed are letters, digits, '_' and, after the "
+            f"first, '.,=+-' and spaces, {LONGEST} at most: choose another name"
         )
     return name
 
@@ -134,5 +134,5 @@ def own_folder(folder: Path, name: str) -> Path:
 def escaped(words: str) -> str:
     """Return text that Markdown takes neither for HTML nor for a link, and that stays on its line."""
     line = re.sub(r"\s*[\x00-\x08\x0a-\x1f\x7f\x85\u2028\u2029]+\s*", " ", words)
-    # Either mark may do no more than stand there: HTML needs a letter, '/', '!' or '?' behind '<', a link needs '(' here.
+    # HTML needs a letter, '/', '!' or '?' behind '<', a link one of '([:' behind ']': elsewhere both stand as they are.
     return re.sub(r"\](?=[(\[:])", r"]\\", re.sub(r"<(?=[A-Za-z/!?])", "&lt;", line))

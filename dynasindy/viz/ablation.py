@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from dynasindy.evaluation.ablation import Row, read_rows
-from dynasindy.evaluation.given import plain_name, understood
+from dynasindy.evaluation.given import plain_name
 from dynasindy.viz.learning import average_rewards, draw_bands
 from dynasindy.viz.style import BLACK, Array, legend_beside, panels, save, styled
 

@@ -188,9 +188,8 @@ def _markdown(part: Part, formats: Sequence[str]) -> str:
     if isinstance(part, Table):
         return markdown(part.header, part.rows)
     if isinstance(part, Listing):
-        return "\n".join(
-            f"    {' '.join(line.splitlines())}" for line in part.lines
-        )  # a code block ends with its lines
+        # A line break within a line would end the code block.
+        return "\n".join(f"    {' '.join(line.splitlines())}" for line in part.lines)
     if isinstance(part, Picture):
         alt = part.caption.partition(". ")[0].replace("`", "").replace("[", "(").replace("]", ")")
         return f"![{escaped(alt)}](figures/{part.name}.{formats[0]})\n\n{escaped(part.caption)}"
