@@ -113,8 +113,8 @@ def plain_name(name: str, what: str) -> str:
     """
     if not isinstance(name, str) or not re.fullmatch(r"\w[\w.,=+ -]*", name) or len(name) > LONGEST:
         raise ValueError(
-            f"{what} '{escaped(str(name)[:LONGEST])}' is no name of a file; allowed are letters, digits, '_' and, after the "
-            f"first, '.,=+-' and spaces, {LONGEST} at most: choose another name"
+            f"{what} '{escaped(str(name)[:LONGEST])}' is no file name; allowed are letters, digits, '_' and, after "
+            f"the first, '.,=+-' and spaces, {LONGEST} at most: choose another name"
         )
     return name
 

@@ -171,9 +171,7 @@ def _checked(factor: Factor) -> Factor:
     """Return a factor from a file or from words if its numbers are those of a function."""
     if type(factor.power) is not int or abs(factor.power) > LARGEST_POWER:
         shown = str(factor.power)[:20] if abs(factor.power) < 10**20 else "a number of more than 20 digits"
-        raise ValueError(
-            f"a function has the power {shown}; allowed are whole numbers up to {LARGEST_POWER}: correct it"
-        )
+        raise ValueError(f"a function has the power {shown}; allowed are whole ones up to {LARGEST_POWER}: correct it")
     if not math.isfinite(factor.frequency):
         raise ValueError(f"a function has the frequency {factor.frequency}; allowed are finite ones: correct it")
     if factor.function == "id" and len(factor.variables) != 1:

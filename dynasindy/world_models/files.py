@@ -20,7 +20,8 @@ from dynasindy.world_models.tables import equations
 FORMAT = "dynasindy sparse model 1"
 LARGEST = 20_000_000
 """Size beyond which no model is read [bytes]; that of a plant here has 30 000."""
-LARGEST_SYSTEM = 1000
+LARGEST_SYSTEM = 200
+"""Number of states beyond which a model is taken for damaged."""
 
 
 def save(library: Library, coefficients: Tensor, path: str | Path, constraints: Constraints | None = None) -> None:
@@ -99,7 +100,7 @@ def _constraints(library: Library, data: dict[str, Any] | None) -> Constraints:
         for name in data[state]["free"]:
             free[library.index(name), i] = True
         for name, value in data[state]["given"].items():
-            offset[library.index(name), i] = value
+            offset[library.index(name), i] = _number(value)
     return Constraints(free, offset)
 
 
@@ -110,12 +111,16 @@ def _model(data: dict[str, Any]) -> tuple[Library, Tensor, Constraints]:
     place = {name: k for k, name in enumerate(library.names)}
     for i, state in enumerate(signature.state_names):
         for name, value in data["coefficients"][state].items():
-            if type(value) not in (int, float) or not math.isfinite(value):
-                raise TypeError(f"a coefficient of {state}' is {str(value)[:40]}, no finite number")
-            coefficients[place[name] if name in place else library.index(name), i] = value
+            coefficients[place[name] if name in place else library.index(name), i] = _number(value)
     with torch.no_grad():  # a function with other arguments than it takes fails here, not in the middle of a run
         library(torch.ones(1, signature.n_x, dtype=torch.float64), torch.ones(1, signature.n_u, dtype=torch.float64))
     return library, coefficients, _constraints(library, data.get("constraints"))
+
+
+def _number(value: Any) -> float:
+    if type(value) not in (int, float) or not math.isfinite(value):
+        raise TypeError(f"a coefficient is {str(value)[:40]!r}, no finite number")
+    return float(value)
 
 
 def _signature(words: dict[str, Any]) -> Signature:

@@ -24,9 +24,7 @@ def bounded(features: Iterable[Feature]) -> list[Feature]:
     """
     first = list(islice(features, LARGEST + 1))
     if len(first) > LARGEST:
-        raise ValueError(
-            f"the library has more than {LARGEST} functions; allowed are as many: lower its degree or order"
-        )
+        raise ValueError(f"the library has more than {LARGEST} functions; lower its degree or order")
     return first
 
 
