@@ -28,7 +28,8 @@ class Signature:
         x_scale: Typical range of each state, in its unit; observations are states divided by it.
 
     Raises:
-        ValueError: The lengths disagree, a name occurs twice or is none, a unit is none, or a range is not positive and finite.
+        ValueError: The lengths disagree, a name is none or occurs twice, a unit is none, or a range is not
+            positive and finite.
     """
 
     state_names: tuple[str, ...]

@@ -98,7 +98,8 @@ def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike |
         rows = np.atleast_2d(array(values))
         x = np.arange(1, rows.shape[1] + 1) if episode is None else array(episode)[: rows.shape[1]]
         middle, low, high = band(rows, seed)
-        axis.plot(x, middle, color=color, label=f"{name} ({len(rows)} seed{'s' * (len(rows) > 1)})")
+        words = name.replace("$", r"\$")  # names of settings are no mathematics
+        axis.plot(x, middle, color=color, label=f"{words} ({len(rows)} seed{'s' * (len(rows) > 1)})")
         axis.fill_between(x, low, high, color=color, alpha=0.2, linewidth=0)
     axis.set_xlabel("real episode")
 

@@ -65,8 +65,8 @@ def load(path: str | Path) -> tuple[Library, Tensor, Constraints]:
         ValueError: the library uses a function that is not registered.
     """
     try:
-        if Path(path).stat().st_size > LARGEST:
-            raise ValueError(f"it is larger than {LARGEST} bytes")
+        if Path(path).stat().st_size > LARGEST or Path(path).is_fifo():
+            raise ValueError(f"it is a pipe, or larger than {LARGEST} bytes")
         data = json.loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise
