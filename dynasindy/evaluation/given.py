@@ -101,7 +101,7 @@ def read_cells(path: Path) -> tuple[list[str], list[list[str]]]:
         return header, rows
 
 
-def plain_name(name: str, what: str) -> str:
+def plain_name(name: object, what: str) -> str:
     """Return a name that is to be a file's or a folder's, if it can lead nowhere else.
 
     Args:
