@@ -22,7 +22,8 @@ ROOMS = ("systems", "tasks", "envs", "excitation", "world_models", "planning", "
 BESIDES = ("evaluation.scenarios", "evaluation.disturbances", "evaluation.ablation", "dyna.parts")
 BUILDERS = ("dynasindy.world_models.libraries", "dynasindy.evaluation.scenarios.step_references")
 """Where the parts of an experiment are classes, and where they are functions."""
-PLUGIN = "plugins=[PACKAGE]"
+PLUGINS = "DYNASINDY_PLUGINS"
+"""Environment variable that names packages of plug-ins, with spaces between them."""
 
 
 def read_config(file: Path) -> DictConfig:
@@ -90,7 +91,7 @@ def _check_target(target: Any, plugins: Sequence[str], where: str) -> None:
 
     Nothing outside the admitted packages is imported to find out.
     """
-    advice = f"allowed are parts of dynasindy, and of plug-ins that you trust and name: {PLUGIN}"
+    advice = f"allowed are parts of dynasindy, and of plug-ins that you trust and name, as by {PLUGINS}=PACKAGE"
     shown = repr(target)[:100]
     if not isinstance(target, str) or not re.fullmatch(r"[^\W\d_]\w*(\.[^\W\d_]\w*)+", target):
         raise ValueError(f"{where} has _target_: {shown}, which is no name of a part; {advice}")

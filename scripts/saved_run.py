@@ -1,10 +1,11 @@
 """Finished runs, loaded again: the environment they were made for and the policy they found."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import hydra
-from admitted import check, read_config
+from admitted import PLUGINS, check, read_config
 from hydra.core.global_hydra import GlobalHydra
 from hydra.utils import instantiate
 from mistakes import CONF, MENDABLE
@@ -20,7 +21,7 @@ def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
 
     Args:
         folder: Run folder; it may be anybody's.
-        plugins: Packages of parts that the user names, beside dynasindy.
+        plugins: Packages of parts that the user names, beside dynasindy; those of DYNASINDY_PLUGINS count too.
 
     Raises:
         FileNotFoundError: The folder is not one of a run.
@@ -31,6 +32,7 @@ def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
         raise FileNotFoundError(f"{folder} is not a run folder, it has no config.yaml; give one that train.py printed")
     config = read_config(file)
     named = [plugins] if isinstance(plugins, str) else list(plugins)
+    named += os.environ.get(PLUGINS, "").split()
     check(OmegaConf.to_container(config, resolve=False), named, str(file))
     if absent := [part for part in ("system", "task", "env", "agent", "plant") if not config.get(part)]:
         raise ValueError(f"{file} is not of a run, it has no {absent[0]}; give a folder that train.py printed")

@@ -36,9 +36,7 @@ def test_what_is_no_record_is_damaged(tmp_path, content):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"\n\n", b"a,a\n1,2\n", b"a,b\n1\n", b"a\n1,2\n", b'a\n"1', b"a\n\xff\n"]
-)
+@pytest.mark.parametrize("content", [b"", b"\n\n", b"a,a\n1,2\n", b"a,b\n1\n", b"a\n1,2\n", b'a\n"1', b"a\n\xff\n"])
 def test_what_is_no_table_is_damaged(tmp_path, content):
     (tmp_path / "f.csv").write_bytes(content)
     with pytest.raises(DamagedFileError, match=r"f\.csv is damaged \(.+\); restore it"):

@@ -175,6 +175,8 @@ def test_a_plug_in_is_imported_only_where_the_user_names_it(saved_run, run, cana
     assert not canary.exists() and "my_part" not in sys.modules
     env, _ = saved_run.load_policy(saved_run.load_config(run, ["my_part"]), run)
     assert type(env.system).__name__ == "Part" and canary.exists()
+    monkeypatch.setenv("DYNASINDY_PLUGINS", "other my_part")
+    assert type(saved_run.load_policy(saved_run.load_config(run), run)[0].system).__name__ == "Part"
     change(run, "system", {"_target_": "my_part.system", "command": f"touch {tmp_path / 'second'}"})
     refused(saved_run, run, "no part of an experiment", plugins=["my_part"])
     assert not (tmp_path / "second").exists()
