@@ -49,9 +49,12 @@ def test_a_missing_result_or_column_becomes_a_line_and_findings_come_first(resul
     assert lines[2].words == "words"
 
 
-@pytest.mark.parametrize("content", ["", "{", "[]", "7", "\\x00", "a,b\n1\n"])
 @pytest.mark.parametrize(
-    ("name", "section"), [("gate.csv", model.learning_progress), ("model.json", model.coefficients)]
+    ("name", "section", "content"),
+    [
+        *(("gate.csv", model.learning_progress, text) for text in ("", "a,b\n1\n", "episode\nx\n", 'a\n"')),
+        *(("model.json", model.coefficients, text) for text in ("", "{", "[]", "7", "\x00", "[" * 100_000)),
+    ],
 )
 def test_a_damaged_file_of_a_saved_run_is_named_in_a_line(results, tmp_path, name, section, content):
     folder = shutil.copytree(results.folder, tmp_path / "results")
