@@ -6,6 +6,7 @@ import math
 import re
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Any
 
 from torch import Tensor, nn
 
@@ -45,7 +46,8 @@ class Signature:
                 f"a signature was given {len(self.state_names)} state names, {len(self.state_units)} units and "
                 f"{len(self.x_scale)} ranges; give one unit and one range per state"
             )
-        names = self.state_names + self.input_names
+        names: tuple[Any, ...] = self.state_names + self.input_names
+        units: tuple[Any, ...] = self.state_units  # of files, which may hold anything
         if len(set(names)) != len(names):
             raise ValueError(f"state and input names must differ, got {names}; rename the repeated one")
         # Names and units come from files and end up in tables, figures and files: they are words, not text of any kind.
@@ -54,7 +56,7 @@ class Signature:
                 f"{str(wrong[0])[:60]!r} is no name of a state or an input; allowed are a letter or '_', then letters, "
                 "digits, '_', ' ', '.', '-' and \"'\", 60 at most: rename it"
             )
-        if wrong := [unit for unit in self.state_units if not isinstance(unit, str) or not UNIT.fullmatch(unit)]:
+        if wrong := [unit for unit in units if not isinstance(unit, str) or not UNIT.fullmatch(unit)]:
             raise ValueError(
                 f"{str(wrong[0])[:60]!r} is no unit of a state; allowed are up to 30 letters, digits and '°%^*/().- ': "
                 "correct it, or give '-'"
