@@ -79,7 +79,8 @@ def read_record(path: Path) -> dict[str, Any]:
     with understood(path):
         record = json.loads(text)
         if not isinstance(record, dict):
-            raise TypeError(f"it holds a {type(record).__name__}, not keys and values")
+            why = f"it holds a {type(record).__name__}, not keys and values"
+            raise DamagedFileError(f"{path} is damaged ({why}); restore it, or make it again")
         return record
 
 
@@ -94,10 +95,12 @@ def read_cells(path: Path) -> tuple[list[str], list[list[str]]]:
     with understood(path):
         header, *rows = [row for row in csv.reader(StringIO(text, newline=""), strict=True) if row] or [[]]
         if not header or len(set(header)) < len(header):
-            raise ValueError("its first line is no line of different headings")
+            why = "its first line is no line of different headings"
+            raise DamagedFileError(f"{path} is damaged ({why}); restore it, or make it again")
         wrong = next((place for place, row in enumerate(rows) if len(row) != len(header)), None)
         if wrong is not None:
-            raise ValueError(f"row {wrong + 1} has {len(rows[wrong])} cells under {len(header)} headings")
+            why = f"row {wrong + 1} has {len(rows[wrong])} cells under {len(header)} headings"
+            raise DamagedFileError(f"{path} is damaged ({why}); restore it, or make it again")
         return header, rows
 
 

@@ -15,7 +15,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from dynasindy.evaluation.given import plain_name, read_cells, read_record, read_text, understood
+from dynasindy.evaluation.given import DamagedFileError, plain_name, read_cells, read_record, read_text, understood
 
 ROWS, DIGITS = 250, 5
 SPACING = {"data": 0.1, "evaluation": 0.2}
@@ -157,7 +157,11 @@ def _copy(source: Path, target: Path, model: bool) -> None:
 
 
 def origin_without_machine(folder: Path) -> dict[str, str]:
-    """Return which command and commit made a run, without paths of the machine; "unknown" where it does not say."""
+    """Return which command and commit made a run, without paths of the machine; "unknown" where it does not say.
+
+    Raises:
+        DamagedFileError: It says something else.
+    """
     file = folder / "origin.json"
     if not file.is_file():
         return {"command": "unknown", "commit": "unknown"}
@@ -165,7 +169,7 @@ def origin_without_machine(folder: Path) -> dict[str, str]:
         origin = read_record(file)
         words = [word for word in origin["command"].split() if not re.search(r"=/|^(hydra\.run\.dir|folder)=", word)]
         if not isinstance(origin["commit"], str):
-            raise TypeError("its commit is no text")
+            raise DamagedFileError(f"{file} is damaged (its commit is no text); restore it, or make it again")
         return {**origin, "command": " ".join(words)}
 
 
