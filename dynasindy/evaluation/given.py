@@ -137,5 +137,6 @@ def own_folder(folder: Path, name: str) -> Path:
 def escaped(words: str) -> str:
     """Return text that Markdown takes neither for HTML nor for a link, and that stays on its line."""
     line = re.sub(r"\s*[\x00-\x08\x0a-\x1f\x7f\x85\u2028\u2029]+\s*", " ", words)
-    # HTML needs a letter, '/', '!' or '?' behind '<', a link one of '([:' behind ']': elsewhere both stand as they are.
-    return re.sub(r"\](?=[(\[:])", r"]\\", re.sub(r"<(?=[A-Za-z/!?])", "&lt;", line))
+    # HTML needs a letter, '/', '!' or '?' behind '<', a link '(' or '[' behind ']', and where a link leads is told by a
+    # line that begins with '[': elsewhere they stand as they are.
+    return re.sub(r"\](?=[(\[])", r"]\\", re.sub(r"<(?=[A-Za-z/!?])", "&lt;", re.sub(r"^\s*\[", r"\\[", line)))

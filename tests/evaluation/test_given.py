@@ -111,9 +111,9 @@ def test_a_folder_of_results_may_be_new_or_old_but_no_link(tmp_path):
     [
         ("<script>alert(1)</script>", "&lt;script>alert(1)&lt;/script>"),
         ("<!-- x", "&lt;!-- x"),
-        ("[x](javascript:y)", "[x]\\(javascript:y)"),
+        ("[x](javascript:y)", "\\[x]\\(javascript:y)"),
         ("![x](http://y)", "![x]\\(http://y)"),
-        ("[x][y] [x]: z", "[x]\\[y] [x]\\: z"),
+        ("[x][y] [x]: z", "\\[x]\\[y] [x]: z"),
         ("a\n\n# b\r\u2028c", "a # b c"),
         ("a < b, a <= b, [1, 2] and (3)", "a < b, a <= b, [1, 2] and (3)"),
     ],
