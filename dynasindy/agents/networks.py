@@ -40,10 +40,6 @@ class Layer(NamedTuple):
         return Layer(weight, bias, self.gain.detach()[0], self.shift.detach()[0])
 
 
-LARGEST = 100_000_000
-"""Number of weights beyond which a network is taken for a mistake; the paper's has 126 000."""
-
-
 class MLP(nn.Module):
     """Perceptron with LeakyReLU hidden layers.
 
@@ -55,7 +51,7 @@ class MLP(nn.Module):
         squash: end in Tanh.
 
     Raises:
-        ValueError: a width is not positive, there is no hidden layer, or there are more than `LARGEST` weights.
+        ValueError: a width is not positive, or there is no hidden layer.
     """
 
     def __init__(
@@ -67,8 +63,6 @@ class MLP(nn.Module):
                 f"MLP widths are {widths} (inputs, hidden, outputs); give at least one hidden layer and "
                 "positive widths, such as agent.hidden=[400, 300]."
             )
-        if sum(a * b for a, b in pairwise(widths)) > LARGEST:
-            raise ValueError(f"MLP widths {widths} make more than {LARGEST} weights; give smaller ones")
         super().__init__()
         self.linears = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))
         self.norms = nn.ModuleList(nn.LayerNorm(width) for width in hidden if layer_norm)
