@@ -1,8 +1,8 @@
 """Add the policies of finished runs to the table of controllers: `python scripts/add_runs.py RUN... [--out FILE]`."""
 
 import argparse
-import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
@@ -12,6 +12,7 @@ from reader import while_read
 from saved_run import load_config, load_policy
 
 from dynasindy.benchmarks import baselines
+from dynasindy.evaluation.given import read_record, understood
 
 
 def controller(config: DictConfig) -> tuple[str, str]:
@@ -23,7 +24,7 @@ def controller(config: DictConfig) -> tuple[str, str]:
     return ("Dyna-TD3" if planning == "ImaginedReplay" else f"Dyna, {planning}"), model
 
 
-def keys(folders: list[Path]) -> dict[tuple[str, ...], Path]:
+def keys(folders: list[Path], plugins: Sequence[str] = ()) -> dict[tuple[str, ...], Path]:
     """Return the runs by plant, controller, model and seed.
 
     Raises:
@@ -31,8 +32,9 @@ def keys(folders: list[Path]) -> dict[tuple[str, ...], Path]:
     """
     found: dict[tuple[str, ...], Path] = {}
     for folder in folders:
-        config = load_config(folder)
-        key = (config.system._target_.rpartition(".")[2].lower(), *controller(config), str(config.seed))
+        config = load_config(folder, plugins)
+        with understood(folder / "config.yaml"):
+            key = (config.system._target_.rpartition(".")[2].lower(), *controller(config), str(int(config.seed)))
         if key in found:
             raise ValueError(f"{found[key]} and {folder} are both {', '.join(key)}; give one of them")
         found[key] = folder
@@ -44,11 +46,13 @@ def main(argv: list[str]) -> None:
     parser = argparse.ArgumentParser(prog="add_runs.py", description=__doc__)
     parser.add_argument("runs", type=Path, nargs="+", help="folders of finished runs")
     parser.add_argument("--out", type=Path, default=baselines.OUT, help="CSV file of the benchmark")
+    parser.add_argument("--plugins", nargs="*", default=[], help="packages beside dynasindy that the runs may name")
     arguments = parser.parse_args(argv)
     torch.set_num_threads(1)
-    for key, folder in keys(arguments.runs).items():
-        env, policy = load_policy(load_config(folder), folder)
-        seconds = json.loads((folder / "metrics.json").read_text())["cost"]["plant_seconds"]
+    for key, folder in keys(arguments.runs, arguments.plugins).items():
+        env, policy = load_policy(load_config(folder, arguments.plugins), folder)
+        with understood(folder / "metrics.json"):
+            seconds = float(read_record(folder / "metrics.json")["cost"]["plant_seconds"])
         baselines.append(arguments.out, baselines.judge(env, policy, (*key, seconds), baselines.scenarios(key[0])))
     baselines.write_tables(arguments.out)
 

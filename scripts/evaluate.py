@@ -9,6 +9,7 @@ from saved_run import load_config, load_policy, load_scenario
 from schema import check
 
 from dynasindy.evaluation.files import save_evaluation
+from dynasindy.evaluation.given import own_folder
 from dynasindy.evaluation.scenarios import evaluate
 from dynasindy.evaluation.summary import heading, summarise, to_text
 from dynasindy.planning.integral import IntegralAction
@@ -23,12 +24,12 @@ def main(cfg: DictConfig) -> None:
     if cfg.run is None:
         raise ValueError("run is not given; give run=PATH, a run folder that train.py printed")
     folder = Path(cfg.run)
-    config = load_config(folder)
+    config = load_config(folder, cfg.plugins)
     check(config, str(folder / "config.yaml"))
     env, policy = load_policy(config, folder)
     if cfg.integral:
         policy = IntegralAction(policy, env)
-    out = folder / ("evaluation_integral" if cfg.integral else "evaluation")
+    out = own_folder(folder, "evaluation_integral" if cfg.integral else "evaluation")
     scenarios = [load_scenario(name, config) for name in cfg.scenarios]
     for scenario in scenarios:
         result = evaluate(env, policy, scenario)

@@ -42,8 +42,7 @@ def draw(found: Identified, source: Source, folder: Path, formats: list[str]) ->
         ),
     }
     for name, figure in figures.items():
-        for suffix in formats:
-            figure.savefig(folder / f"{name}.{suffix}")
+        viz.save(figure, folder / name, formats)
 
 
 if __name__ == "__main__":

@@ -3,12 +3,14 @@
 from pathlib import Path
 
 import torch
+from admitted import read_config
 from command import command
 from omegaconf import DictConfig, OmegaConf
 from saved_run import load_config, load_policy, load_scenario
 
 from dynasindy.evaluation.files import save_evaluation
-from dynasindy.evaluation.saved import keep_run, to_save
+from dynasindy.evaluation.given import own_folder
+from dynasindy.evaluation.saved import check_copy, keep_run, to_save
 from dynasindy.evaluation.scenarios import evaluate
 from dynasindy.viz.report.build import build
 from dynasindy.viz.report.sources import Results
@@ -21,7 +23,7 @@ def main(cfg: DictConfig) -> None:
     results = Path(cfg.results)
     if cfg.save is not None:
         keep(cfg, results / "runs")
-    configs = {file.parent.name: OmegaConf.load(file) for file in results.glob("runs/*/config.yaml")}
+    configs = {file.parent.name: read_config(file) for file in sorted(results.glob("runs/*/config.yaml"))}
     settings = {name: OmegaConf.to_container(config) for name, config in configs.items()}
     files = build(Results(results, settings), Path(cfg.output), list(cfg.formats))
     print(f"{files[0]} and {files[1]}, from {len(settings)} saved runs")
@@ -30,20 +32,22 @@ def main(cfg: DictConfig) -> None:
 def keep(cfg: DictConfig, target: Path) -> None:
     """Evaluate and save the runs that are asked for."""
     for folder, name in to_save(Path(cfg.save), cfg.name, cfg.seed, cfg.settings).items():
-        measure(folder, cfg.scenarios)
-        files = keep_run(folder, target / name, model=folder.parent.name not in cfg.slim)
+        check_copy(folder, target / name, cfg.any_commit)
+        measure(folder, cfg.scenarios, cfg.plugins)
+        files = keep_run(folder, target / name, folder.parent.name not in cfg.slim, cfg.any_commit)
         print(f"saved {target / name}: {sum(file.stat().st_size for file in files) / 1000:.0f} kB")
 
 
-def measure(folder: Path, scenarios: list[str]) -> None:
+def measure(folder: Path, scenarios: list[str], plugins: list[str]) -> None:
     """Evaluate a run in the scenarios in which it was not evaluated since it ended."""
-    config, ended = load_config(folder), (folder / "metrics.json").stat().st_mtime
-    files = {name: folder / "evaluation" / f"{name}.json" for name in scenarios}
+    config, ended = load_config(folder, plugins), (folder / "metrics.json").stat().st_mtime
+    out = own_folder(folder, "evaluation")
+    files = {name: out / f"{name}.json" for name in scenarios}
     due = [name for name, file in files.items() if not file.is_file() or file.stat().st_mtime < ended]
     if due:
         env, policy = load_policy(config, folder)
     for name in due:
-        save_evaluation(evaluate(env, policy, load_scenario(name, config)), folder / "evaluation")
+        save_evaluation(evaluate(env, policy, load_scenario(name, config)), out)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,14 @@
 """Finished runs, loaded again: the environment they were made for and the policy they found."""
 
+import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import hydra
+from admitted import PLUGINS, check, read_config
 from hydra.core.global_hydra import GlobalHydra
 from hydra.utils import instantiate
-from mistakes import CONF
+from mistakes import CONF, MENDABLE
 from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.dyna.weights import read_weights
@@ -13,17 +16,26 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Policy, Scenario
 
 
-def load_config(folder: Path) -> DictConfig:
-    """Return the resolved configuration of a run.
+def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
+    """Return the resolved configuration of a run, of which nothing but admitted parts can be built.
+
+    Args:
+        folder: Run folder; it may be anybody's.
+        plugins: Packages of parts that the user names, beside dynasindy; those of DYNASINDY_PLUGINS count too.
 
     Raises:
         FileNotFoundError: The folder is not one of a run.
+        ValueError: The configuration is damaged, or names something to build that is not admitted.
     """
     file = folder / "config.yaml"
     if not file.is_file():
         raise FileNotFoundError(f"{folder} is not a run folder, it has no config.yaml; give one that train.py printed")
-    config = OmegaConf.load(file)
-    assert isinstance(config, DictConfig)
+    config = read_config(file)
+    named = [plugins] if isinstance(plugins, str) else list(plugins)
+    named += os.environ.get(PLUGINS, "").split()
+    check(OmegaConf.to_container(config, resolve=False), named, str(file))
+    if absent := [part for part in ("system", "task", "env", "agent", "plant") if not config.get(part)]:
+        raise ValueError(f"{file} is not of a run, it has no {absent[0]}; give a folder that train.py printed")
     return config
 
 
@@ -32,15 +44,21 @@ def load_policy(config: DictConfig, folder: Path) -> tuple[ControlEnv, Policy]:
 
     Raises:
         FileNotFoundError: The run did not end, it has no policy.
-        ValueError: The saved policy does not fit the agent of the configuration.
+        ValueError: The configuration builds no environment and agent, or the saved policy does not fit the agent.
     """
-    system = instantiate(config.system)
-    task = instantiate(config.task, _convert_="all")(signature=system.signature)
-    env = instantiate(config.env)(system=system, task=task)
-    policy = instantiate(config.agent, _convert_="all")(n_obs=task.n_o, n_u=system.signature.n_u).deployed
+    try:
+        system = instantiate(config.system)
+        task = instantiate(config.task, _convert_="all")(signature=system.signature)
+        env = instantiate(config.env)(system=system, task=task)
+        policy = instantiate(config.agent, _convert_="all")(n_obs=task.n_o, n_u=system.signature.n_u).deployed
+        wanted = policy.state_dict()
+    except MENDABLE:
+        raise
+    except Exception as error:  # any: other parts than those of a run stand where they are looked for
+        raise ValueError(f"{folder}/config.yaml builds no environment and agent: {error}; restore it") from error
     if not (folder / "policy.pt").is_file():
         raise FileNotFoundError(f"{folder} has no policy.pt, its run did not end; give the folder of a finished run")
-    policy.load_state_dict(read_weights(folder / "policy.pt", policy.state_dict()))
+    policy.load_state_dict(read_weights(folder / "policy.pt", wanted))
     return env, policy
 
 

@@ -8,10 +8,11 @@ from reader import while_read
 from dynasindy.evaluation.table import sweep_table
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2:
-        sys.exit("error: give one folder, that of a sweep: python scripts/table.py runs/DATE_TIME")
     with while_read():
         try:
+            if len(sys.argv) != 2:
+                raise ValueError("give one folder, that of a sweep: python scripts/table.py runs/DATE_TIME")
             print(sweep_table(Path(sys.argv[1])))
-        except FileNotFoundError as error:
-            sys.exit(f"error: {error}")
+        except (FileNotFoundError, ValueError) as error:
+            print(f"error: {error}", file=sys.stderr)
+            sys.exit(2)

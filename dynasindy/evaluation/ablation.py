@@ -7,12 +7,12 @@ run (`ablation.csv`) and a row per episode (`ablation_curves.csv`), from which t
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from dynasindy.evaluation.given import read_cells, read_record, understood
 from dynasindy.evaluation.table import markdown, over_seeds, overrides
 
 Row = dict[str, str | float | None]
@@ -77,16 +77,11 @@ def gather(root: Path, results: Path, level: Level) -> list[Row]:
     Returns:
         The rows of `ablation.csv`.
     """
-    folders = sorted(file.parent for file in root.rglob("metrics.json"))
-    read = [(_place(folder, root), _curve(folder)) for folder in folders]
+    runs = [_read_run(file.parent, root, level) for file in sorted(root.rglob("metrics.json"))]
     results.mkdir(parents=True, exist_ok=True)
-    curves = [{**place, **line} for place, curve in read for line in curve]
+    curves = [line for _, lines in runs for line in lines]
     write_rows(results / "ablation_curves.csv", _merged(read_rows(results / "ablation_curves.csv"), curves))
-    runs = [
-        {**place, **summarise_run(curve, level), "commit": _commit(folder)}
-        for folder, (place, curve) in zip(folders, read)
-    ]
-    rows = _merged(read_rows(results / "ablation.csv"), runs)
+    rows = _merged(read_rows(results / "ablation.csv"), [row for row, _ in runs])
     write_rows(results / "ablation.csv", rows)
     (results / "ablation.md").write_text(to_markdown(rows, level))
     return rows
@@ -145,10 +140,11 @@ def to_markdown(rows: Iterable[Row], level: Level) -> str:
 
 def read_rows(path: Path) -> list[Row]:
     """Read a table, numbers as numbers and empty cells as None; no file is an empty table."""
-    if not path.is_file():
+    if not path.exists():
         return []
-    with path.open(newline="") as file:
-        return [{key: _value(key, cell) for key, cell in row.items()} for row in csv.DictReader(file)]
+    header, rows = read_cells(path)
+    with understood(path):
+        return [{key: _value(key, cell) for key, cell in zip(header, row)} for row in rows]
 
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
@@ -163,9 +159,21 @@ def write_rows(path: Path, rows: Sequence[Row]) -> None:
     temporary.replace(path)
 
 
+def _read_run(folder: Path, root: Path, level: Level) -> tuple[Row, list[Row]]:
+    """Return the row of a run and those of its evaluated episodes.
+
+    Raises:
+        DamagedFileError: What the run wrote cannot be read.
+    """
+    with understood(folder):
+        place, curve = _place(folder, root), _curve(folder)
+        row = {**place, **summarise_run(curve, level), "commit": _commit(folder)}
+        return row, [{**place, **line} for line in curve]
+
+
 def _place(folder: Path, root: Path) -> Row:
     system, experiment, *setting, _ = folder.relative_to(root).parts
-    seed = json.loads((folder / "metrics.json").read_text())["seed"]
+    seed = read_record(folder / "metrics.json")["seed"]
     name = ",".join([*setting[:1], *(word for part in setting[1:] for word in overrides(part))])
     return {"system": system, "experiment": experiment, "setting": name, "seed": int(seed)}
 
@@ -173,7 +181,7 @@ def _place(folder: Path, root: Path) -> Row:
 def _commit(folder: Path) -> str:
     """Return the commit that made a run."""
     origin = folder / "origin.json"
-    return json.loads(origin.read_text())["commit"] if origin.is_file() else "unknown"
+    return str(read_record(origin)["commit"]) if origin.is_file() else "unknown"
 
 
 def _curve(folder: Path) -> list[dict[str, float | None]]:

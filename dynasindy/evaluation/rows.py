@@ -7,15 +7,21 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from dynasindy.evaluation.given import read_cells
+
 Row = dict[str, Any]
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Return the rows of a file, each cell as text; none if there is no file."""
+    """Return the rows of a file, each cell as text; none if there is no file.
+
+    Raises:
+        DamagedFileError: It is no table.
+    """
     if not path.exists():
         return []
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
+    header, rows = read_cells(path)
+    return [dict(zip(header, row)) for row in rows]
 
 
 def write_rows(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:

@@ -16,6 +16,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.data.sound import require_finite
 from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.given import plain_name
 from dynasindy.evaluation.metrics import tracking_metrics
 from dynasindy.limits import Count, check_memory
 from dynasindy.systems import Signature, System
@@ -42,7 +43,8 @@ class Scenario:
         seed: Of drawn references and initial states.
 
     Raises:
-        ValueError: `episodes` or `seconds` is not positive, or the windows are not in order within the run.
+        ValueError: The name is none of a file, `episodes` or `seconds` is not positive, or the windows are not in order
+            within the run.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Scenario:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        plain_name(self.name, "scenario")
         if self.episodes < 1 or not self.seconds > 0:
             raise ValueError(
                 f"scenario '{self.name}' has episodes={self.episodes}, seconds={self.seconds}; both must be positive"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Iterable, Sequence
@@ -11,6 +10,7 @@ from typing import Any
 
 import torch
 
+from dynasindy.evaluation.given import escaped, read_record, understood
 from dynasindy.evaluation.statistics import bootstrap_interval, interquartile_mean
 
 HUGE = 1e30  # stands for infinity in the bootstrap, which interpolates between resamples
@@ -36,6 +36,7 @@ def sweep_table(folder: Path) -> str:
 
     Raises:
         FileNotFoundError: No run of the folder has ended, or it is one run.
+        DamagedFileError: What a run wrote cannot be read.
     """
     if (folder / "metrics.json").is_file():
         raise FileNotFoundError(f"{folder} is one run, not a sweep of runs; give the folder above it")
@@ -43,10 +44,13 @@ def sweep_table(folder: Path) -> str:
     for file in sorted(folder.glob("*/metrics.json")):
         words = overrides(file.parent.name.partition("_")[2])
         setting = " ".join(word for word in words if not word.startswith("seed="))
-        groups.setdefault(setting, []).append(json.loads(file.read_text()))
+        with understood(file):
+            _row(setting, [run := read_record(file)])
+        groups.setdefault(setting, []).append(run)
     if not groups:
         raise FileNotFoundError(f"{folder} holds no finished run; give the folder of a sweep, e.g. runs/DATE_TIME")
-    return markdown(SWEEP, [_row(setting, runs) for setting, runs in sorted(groups.items())])
+    with understood(folder):  # whose runs may not have the same figures
+        return markdown(SWEEP, [_row(setting, runs) for setting, runs in sorted(groups.items())])
 
 
 def overrides(name: str) -> list[str]:
@@ -57,8 +61,9 @@ def overrides(name: str) -> list[str]:
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table in Markdown, without a final line break."""
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in (header, ["---"] * len(header), *rows))
+    """Return a table in Markdown, without a final line break; a cell ends and begins nothing but itself."""
+    lines = (header, ["---"] * len(header), *rows)
+    return "\n".join("| " + " | ".join(escaped(cell).replace("|", r"\|") for cell in cells) + " |" for cells in lines)
 
 
 def over_seeds(values: Sequence[float], digits: int = 3, infinite: str = "inf") -> str:

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import math
+import re
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Any
 
 from torch import Tensor, nn
 
 from dynasindy.systems.stops import Stops
+
+NAME = re.compile(r"[^\W\d][\w .'-]{0,59}")
+UNIT = re.compile(r"[\w°%^*/().\- ²³·µ]{1,30}")
 
 
 @dataclass(frozen=True)
@@ -23,7 +29,8 @@ class Signature:
         x_scale: Typical range of each state, in its unit; observations are states divided by it.
 
     Raises:
-        ValueError: The lengths disagree, a name occurs twice, or a range is not positive.
+        ValueError: The lengths disagree, a name is none or occurs twice, a unit is none, or a range is not
+            positive and finite.
     """
 
     state_names: tuple[str, ...]
@@ -39,11 +46,25 @@ class Signature:
                 f"a signature was given {len(self.state_names)} state names, {len(self.state_units)} units and "
                 f"{len(self.x_scale)} ranges; give one unit and one range per state"
             )
-        names = self.state_names + self.input_names
+        names: tuple[Any, ...] = self.state_names + self.input_names
+        units: tuple[Any, ...] = self.state_units  # of files, which may hold anything
         if len(set(names)) != len(names):
             raise ValueError(f"state and input names must differ, got {names}; rename the repeated one")
-        if not all(scale > 0 for scale in self.x_scale):
-            raise ValueError(f"x_scale must be positive, got {self.x_scale}; give the typical range of each state")
+        # Names and units come from files and end up in tables, figures and files: they are words, not text of any kind.
+        if wrong := [name for name in names if not isinstance(name, str) or not NAME.fullmatch(name)]:
+            raise ValueError(
+                f"{str(wrong[0])[:60]!r} is no name of a state or an input; allowed are a letter or '_', then letters, "
+                "digits, '_', ' ', '.', '-' and \"'\", 60 at most: rename it"
+            )
+        if wrong := [unit for unit in units if not isinstance(unit, str) or not UNIT.fullmatch(unit)]:
+            raise ValueError(
+                f"{str(wrong[0])[:60]!r} is no unit of a state; allowed are up to 30 letters, digits and '°%^*/().- ': "
+                "correct it, or give '-'"
+            )
+        if not all(0 < scale < math.inf for scale in self.x_scale):
+            raise ValueError(
+                f"x_scale must be positive and finite, got {self.x_scale}; give the typical range of each state"
+            )
 
     @property
     def n_x(self) -> int:

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from dynasindy.evaluation.ablation import Row, read_rows
+from dynasindy.evaluation.given import plain_name
 from dynasindy.viz.learning import average_rewards, draw_bands
 from dynasindy.viz.style import BLACK, Array, legend_beside, panels, save, styled
 
@@ -88,7 +89,7 @@ def draw_ablation(results: Path, level: float, formats: tuple[str, ...] = ("png"
     rows = read_rows(results / "ablation_curves.csv")
     files = []
     for (system, experiment), group in groupby(rows, key=lambda row: (row["system"], row["experiment"])):
-        lines = list(group)
+        lines, case = list(group), plain_name(f"{system}_{experiment}", "plant and experiment")
         title = f"plant {system}, experiment {experiment}"
         average = f"Imagined rollouts: average rewards, {title}"
         returns = _curves(lines, lambda row: float(row["evaluated_return"] or 0.0))
@@ -96,15 +97,15 @@ def draw_ablation(results: Path, level: float, formats: tuple[str, ...] = ("png"
         episodes = sorted({float(row["episode"] or 0.0) for row in lines})
         chosen = [name for name in errors if _family(name) == MAIN] or list(errors)
         figure = average_rewards({name: returns[name] for name in chosen}, episodes, window=1, title=average, log=True)
-        files += save(figure, results / f"average_rewards_{system}_{experiment}", formats)
+        files += save(figure, results / f"average_rewards_{case}", formats)
         main = {name: errors.pop(name) for name in chosen}
         figure = steady_state_errors(main, level, episodes, f"Steady-state error, {title}")
-        files += save(figure, results / f"steady_state_error_{system}_{experiment}", formats)
+        files += save(figure, results / f"steady_state_error_{case}", formats)
         if errors:
             figure = controls(
                 families(errors, main.get(REFERENCE)), level, episodes, f"Controls: steady-state error, {title}"
             )
-            files += save(figure, results / f"controls_{system}_{experiment}", formats)
+            files += save(figure, results / f"controls_{case}", formats)
     return files
 
 

@@ -100,7 +100,8 @@ def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike |
     for (name, values), color in zip(curves.items(), cycle(CYCLE)):
         rows = np.atleast_2d(array(values))
         x = np.arange(1, rows.shape[1] + 1) if episode is None else array(episode)[: rows.shape[1]]
-        label = f"{name} ({len(rows)} seed{'s' * (len(rows) > 1)})"
+        words = name.replace("$", r"\$")  # names of settings are no mathematics
+        label = f"{words} ({len(rows)} seed{'s' * (len(rows) > 1)})"
         if len(rows) < FEWEST:
             axis.plot(x, rows.T, color=color, label=[label, *["_"] * (len(rows) - 1)])
         else:

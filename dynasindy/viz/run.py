@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from dynasindy.evaluation.given import read_cells, read_record, understood
 from dynasindy.systems import Signature
 from dynasindy.viz.gate import gate
 from dynasindy.viz.identification import excitation, model_error, prediction, training_data
@@ -26,12 +25,13 @@ def read_table(path: Path) -> Table:
 
     Raises:
         FileNotFoundError: The file does not exist.
+        DamagedFileError: It is no table of numbers.
     """
-    if not path.is_file():
+    if not path.exists():
         raise FileNotFoundError(f"{path} does not exist; give the folder of a finished run")
-    with path.open(newline="") as file:
-        header, *rows = list(csv.reader(file))
-    cells = np.array([[float(cell) if cell else np.nan for cell in row] for row in rows]).reshape(-1, len(header))
+    header, rows = read_cells(path)
+    with understood(path):
+        cells = np.array([[float(cell) if cell else np.nan for cell in row] for row in rows]).reshape(-1, len(header))
     return dict(zip((name.partition(" [")[0] for name in header), cells.T, strict=True))
 
 
@@ -70,7 +70,7 @@ def _figures(folder: Path, signature: Signature) -> dict[str, Figure]:
         at = np.isfinite(progress["evaluated_return"])
         episodes, returns = progress["episode"][at], progress["evaluated_return"][at]
         if (folder / "metrics.json").is_file():  # the untrained policy stands at episode 0
-            untrained = json.loads((folder / "metrics.json").read_text())["untrained"]["return"]
+            untrained = read_record(folder / "metrics.json")["untrained"]["return"]
             episodes, returns = np.append(0, episodes), np.append(np.nan if untrained is None else untrained, returns)
         figures["learning_curve"] = learning_curve(progress["episode"], progress["return"], episodes, returns)
         error = progress["one_step_reward_error"]

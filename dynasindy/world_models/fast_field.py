@@ -30,7 +30,7 @@ def generate(library: Library, coefficients: Tensor) -> Field:
         `(x, u) -> dx`, `(*batch, n_x)`.
 
     Raises:
-        ValueError: a coefficient is not finite.
+        ValueError: a coefficient is not finite, or the model has more functions than can be written.
     """
     if len(wrong := (~coefficients.isfinite()).nonzero()):
         k, i = wrong[0].tolist()
@@ -39,7 +39,10 @@ def generate(library: Library, coefficients: Tensor) -> Field:
             f"{library.signature.state_names[i]}'; allowed are finite ones: fit on data that excite this function, or "
             "leave it out of the library"
         )
-    writer = _Writer(library, coefficients)
+    try:
+        writer = _Writer(library, coefficients)
+    except RecursionError as error:
+        raise ValueError(f"the model has too many terms of {len(library)}; remove some: raise the threshold") from error
     scope: dict[str, object] = {"torch": torch, "constants": _Constants(writer.constants), **writer.functions}
     exec(compile(writer.source(), "<sparse model>", "exec"), scope)
     field: Field = scope["field"]  # type: ignore[assignment]

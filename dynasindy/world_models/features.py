@@ -11,6 +11,7 @@ A feature that is data can be named, printed as LaTeX, saved, multiplied, differ
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -37,6 +38,9 @@ class Function:
     latex: str
     atomic: bool = True
 
+
+LARGEST_POWER = 100
+"""Power beyond which a function of a file or of words is taken for a mistake."""
 
 _REGISTRY: dict[str, Function] = {
     f.name: f
@@ -158,8 +162,21 @@ class Feature:
 
         Raises:
             ValueError: a function is not known (user functions are registered before loading).
+            ValueError: a power is not whole or larger than `LARGEST_POWER`, or a frequency is not finite.
         """
-        return cls(tuple(Factor(tuple(v), function(f).name, int(p), float(w)) for v, f, p, w in data))
+        return cls(tuple(_checked(Factor(tuple(v), function(f).name, p, float(w))) for v, f, p, w in data))
+
+
+def _checked(factor: Factor) -> Factor:
+    """Return a factor from a file or from words if its numbers are those of a function."""
+    if type(factor.power) is not int or abs(factor.power) > LARGEST_POWER:
+        shown = str(factor.power)[:20] if abs(factor.power) < 10**20 else "a number of more than 20 digits"
+        raise ValueError(f"a function has the power {shown}; allowed are whole ones up to {LARGEST_POWER}: correct it")
+    if not math.isfinite(factor.frequency):
+        raise ValueError(f"a function has the frequency {factor.frequency}; allowed are finite ones: correct it")
+    if factor.function == "id" and len(factor.variables) != 1:
+        raise ValueError(f"a product has a factor of {len(factor.variables)} variables; allowed is one: correct it")
+    return factor
 
 
 def variable(name: str, power: int = 1) -> Feature:
@@ -182,7 +199,7 @@ def parse(text: str) -> Feature:
     """Read a feature from its name, e.g. `omega_a |omega_a|`, `Omega_a^2 sin(2 alpha_p)`, `1`.
 
     Raises:
-        ValueError: the text is no product of states, inputs and known functions.
+        ValueError: the text is no product of states, inputs and known functions, or a power is too large.
     """
     factors, place = [], 0
     while place < len(text.rstrip()):
@@ -193,7 +210,7 @@ def parse(text: str) -> Feature:
                 "'Omega_a^2 sin(alpha_p)': separate factors by spaces"
             )
         place = token.end()
-        power = int(token["power"] or 1)
+        power = int((token["power"] or "1")[:9])  # more digits than that are refused below, whatever they are
         if token["abs"]:
             factors.append(Factor((token["abs"].strip(),), "abs", power))
         elif token["function"]:
@@ -201,7 +218,7 @@ def parse(text: str) -> Feature:
             factors.append(Factor(names, function(token["function"]).name, power, scales[0]))
         elif token["name"]:
             factors.append(Factor((token["name"],), "id", power))
-    return Feature.of(factors)
+    return Feature.of(map(_checked, factors))
 
 
 def _scaled(argument: str) -> tuple[float, str]:

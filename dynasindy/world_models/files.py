@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,10 @@ from dynasindy.world_models.library import Library
 from dynasindy.world_models.tables import equations
 
 FORMAT = "dynasindy sparse model 1"
+LARGEST = 20_000_000
+"""Size beyond which no model is read [bytes]; that of a plant here has 30 000."""
+LARGEST_SYSTEM = 200
+"""Number of states beyond which a model is taken for damaged."""
 
 
 def save(library: Library, coefficients: Tensor, path: str | Path, constraints: Constraints | None = None) -> None:
@@ -55,18 +60,23 @@ def load(path: str | Path) -> tuple[Library, Tensor, Constraints]:
         file, nothing.
 
     Raises:
-        ValueError: the file is not JSON, not of this format, or damaged.
+        FileNotFoundError: the file does not exist.
+        ValueError: the file cannot be read, is too large, not JSON, not of this format, or damaged.
         ValueError: the library uses a function that is not registered.
     """
     try:
+        if Path(path).stat().st_size > LARGEST or Path(path).is_fifo():
+            raise ValueError(f"it is a pipe, or larger than {LARGEST} bytes")
         data = json.loads(Path(path).read_text(encoding="utf-8"))
-    except json.JSONDecodeError as error:
+    except FileNotFoundError:
+        raise
+    except (OSError, ValueError, RecursionError) as error:
         raise ValueError(f"{path} is not JSON ({error}); allowed is a file that SindyModel.save wrote") from error
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise ValueError(f"{path} is not of the format {FORMAT!r}; allowed is a file that SindyModel.save wrote")
     try:
         return _model(data)
-    except (KeyError, TypeError, AttributeError) as error:
+    except (ArithmeticError, AttributeError, IndexError, KeyError, RuntimeError, TypeError) as error:
         raise ValueError(
             f"{path} is damaged ({type(error).__name__}: {error}); allowed is a file that "
             "SindyModel.save wrote: save it anew"
@@ -90,21 +100,36 @@ def _constraints(library: Library, data: dict[str, Any] | None) -> Constraints:
         for name in data[state]["free"]:
             free[library.index(name), i] = True
         for name, value in data[state]["given"].items():
-            offset[library.index(name), i] = value
+            offset[library.index(name), i] = _number(value)
     return Constraints(free, offset)
 
 
 def _model(data: dict[str, Any]) -> tuple[Library, Tensor, Constraints]:
-    signature = Signature(**data["signature"])
+    signature = _signature(data["signature"])
     library = Library(signature, [_feature(f) for f in data["library"].values()])
     coefficients = torch.zeros(len(library), signature.n_x, dtype=torch.float64)
+    place = {name: k for k, name in enumerate(library.names)}
     for i, state in enumerate(signature.state_names):
         for name, value in data["coefficients"][state].items():
-            coefficients[library.index(name), i] = value
+            coefficients[place[name] if name in place else library.index(name), i] = _number(value)
+    with torch.no_grad():  # a function with other arguments than it takes fails here, not in the middle of a run
+        library(torch.ones(1, signature.n_x, dtype=torch.float64), torch.ones(1, signature.n_u, dtype=torch.float64))
     return library, coefficients, _constraints(library, data.get("constraints"))
 
 
+def _number(value: Any) -> float:
+    if type(value) not in (int, float) or not math.isfinite(value):
+        raise TypeError(f"a coefficient is {str(value)[:40]!r}, no finite number")
+    return float(value)
+
+
+def _signature(words: dict[str, Any]) -> Signature:
+    if not all(isinstance(given, list) for given in words.values()) or len(words["state_names"]) > LARGEST_SYSTEM:
+        raise TypeError(f"its signature is no lists of names, units and ranges of up to {LARGEST_SYSTEM} states")
+    return Signature(**words)
+
+
 def _feature(factors: list[list[Any]]) -> Feature:
-    if any(len(factor) != 4 for factor in factors):
+    if any(len(factor) != 4 or not isinstance(factor[0], list) for factor in factors):
         raise TypeError("a function has no variables, name, power and frequency")
     return Feature.from_list(factors)

@@ -122,11 +122,8 @@ def polynomial(
     if degree < 1:
         raise ValueError(f"polynomial library got degree {degree}; allowed is 1 or more: raise it")
     names = tuple(variables) if variables is not None else _variables(signature)
-    features = [CONSTANT]
-    for total in range(1, degree + 1):
-        for group in combinations_with_replacement(names, total):
-            features.append(Feature.of(f for n in group for f in variable(n).factors))
-    return Library(signature, features)
+    groups = (group for total in range(degree + 1) for group in combinations_with_replacement(names, total))
+    return Library(signature, (Feature.of(f for n in group for f in variable(n).factors) for group in groups))
 
 
 def fourier(
@@ -148,7 +145,7 @@ def fourier(
         raise ValueError(f"fourier library got {n_frequencies} harmonics; allowed is 1 or more: raise it")
     names = tuple(variables) if variables is not None else _variables(signature)
     harmonics = range(1, n_frequencies + 1)
-    return Library(signature, [of(f, n, frequency=float(k)) for k in harmonics for n in names for f in ("sin", "cos")])
+    return Library(signature, (of(f, n, frequency=float(k)) for k in harmonics for n in names for f in ("sin", "cos")))
 
 
 def terms(signature: Signature, functions: Iterable[str], variables: Iterable[str]) -> Library:

@@ -4,12 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import torch
 from torch import Tensor
 
 from dynasindy.systems.base import Signature
 from dynasindy.world_models.features import Factor, Feature, function
+
+LARGEST = 10_000
+"""Number of functions beyond which a library is taken for a mistake; the largest of a plant here has 159."""
+
+
+def bounded(features: Iterable[Feature]) -> list[Feature]:
+    """Return features, unless there are more than a library may hold; they are not counted to their end.
+
+    Raises:
+        ValueError: there are more.
+    """
+    first = list(islice(features, LARGEST + 1))
+    if len(first) > LARGEST:
+        raise ValueError(f"the library has more than {LARGEST} functions; lower its degree or order")
+    return first
 
 
 class Library:
@@ -25,7 +41,7 @@ class Library:
     Raises:
         ValueError: a feature reads a state or an input that does not exist.
         ValueError: `allowed` names a state that does not exist.
-        ValueError: there is no feature.
+        ValueError: there is no feature, or more than `LARGEST`.
     """
 
     def __init__(
@@ -35,7 +51,7 @@ class Library:
         allowed: Mapping[str, Iterable[Feature]] | None = None,
     ) -> None:
         self.signature = signature
-        self.features: tuple[Feature, ...] = tuple({f.key: f for f in features}.values())
+        self.features: tuple[Feature, ...] = tuple({f.key: f for f in bounded(features)}.values())
         self._index = {n: i for i, n in enumerate((*signature.state_names, *signature.input_names))}
         wrong = sorted(set().union(*(f.variables for f in self.features)) - set(self._index))
         if wrong:
@@ -62,7 +78,7 @@ class Library:
 
     def __mul__(self, other: Library) -> Library:
         """Multiply every feature of one library with every feature of the other; `allowed` is forgotten."""
-        return Library(self.signature, [a * b for b in other.features for a in self.features])
+        return Library(self.signature, (a * b for b in other.features for a in self.features))
 
     def subset(self, indices: Sequence[int]) -> Library:
         """Keep the features at the given positions."""

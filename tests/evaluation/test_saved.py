@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from dynasindy.evaluation.saved import keep_run, origin_without_machine, to_save, without_machine
+from dynasindy.evaluation.saved import is_copy, keep_run, origin_without_machine, to_save, without_machine
 
 
 def write(path: Path, header: str, rows) -> None:
@@ -36,6 +36,7 @@ def run(tmp_path: Path) -> Path:
         "seed: 0\nfolder: /tmp/x/run\nresults: docs/results\ntrain:\n  path: /etc/x\n  n: 1\n"
     )
     (folder / "policy.pt").write_bytes(b"weights")
+    (folder / "origin.json").write_text(json.dumps({"command": "x", "commit": "abc1234"}))
     (folder / "evaluation/step.json").write_text('{"rmse": 0.1}')
     return folder
 
@@ -48,7 +49,7 @@ def test_the_copy_is_small_and_holds_no_weights_and_no_place(run, tmp_path):
         "data/prediction_last_episode.csv", "evaluation/sine.csv", "evaluation/step.json",
     }  # fmt: skip
     assert (target / "config.yaml").read_text() == "seed: 0\ntrain:\n  n: 1\n"
-    assert json.loads((target / "origin.json").read_text()) == {"command": "unknown", "commit": "unknown"}
+    assert json.loads((target / "origin.json").read_text()) == {"command": "x", "commit": "abc1234"}
 
 
 def test_tables_over_time_are_thinned_evenly_and_lose_what_no_figure_shows(run, tmp_path):
@@ -71,10 +72,11 @@ def test_a_log_of_episodes_keeps_its_ends_and_whole_numbers(run, tmp_path):
 
 
 def test_what_the_model_saw_is_left_out_on_demand_and_an_old_copy_is_replaced(run, tmp_path):
-    (tmp_path / "kept").mkdir()
-    (tmp_path / "kept" / "old.csv").write_text("x")
+    keep_run(run, tmp_path / "kept")
+    (tmp_path / "kept" / "data" / "old.csv").write_text("x")
     files = {file.name for file in keep_run(run, tmp_path / "kept", model=False)}
     assert "excitation.csv" not in files and "old.csv" not in files and "step_response.csv" in files
+    assert {path.name for path in tmp_path.iterdir()} == {"run", "kept"}
 
 
 def test_a_run_that_knows_its_command_is_believed_without_its_paths(run, tmp_path):
@@ -113,6 +115,124 @@ def test_the_first_seed_of_the_settings_that_are_meant_is_saved_under_its_place(
 
 def test_one_run_keeps_its_name_or_gets_another(run):
     assert to_save(run, None, 0, []) == {run: "run"} and to_save(run, "mine", 0, []) == {run: "mine"}
+
+
+@pytest.mark.parametrize("name", ["..", ".", "../x", "/abs/x", "a/b", "", "-x", ".hidden", "a\nb", "x" * 300, "a\0b"])
+def test_a_copy_has_the_name_of_one_folder(run, name):
+    with pytest.raises(ValueError, match="is no file name; allowed are letters") as error:
+        to_save(run, name, 0, [])
+    assert "\n" not in str(error.value)
+
+
+def test_a_run_given_by_a_dot_is_named_by_its_folder(run, monkeypatch):
+    monkeypatch.chdir(run)
+    assert to_save(Path(), None, 0, []) == {Path(): "run"}
+
+
+def test_two_runs_of_one_name_are_refused(tmp_path):
+    for place in ("a_b/c/s/seed_0", "a/b_c/s/seed_0"):
+        (tmp_path / place).mkdir(parents=True)
+        (tmp_path / place / "metrics.json").touch()
+    with pytest.raises(ValueError, match=r"two runs in .* would be saved as a_b_c_s"):
+        to_save(tmp_path, None, 0, ["s"])
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+
+
+@pytest.mark.parametrize(
+    "case", ["runs", "itself", "within", "around", "a run", "foreign file", "a file", "a link", "empty"]
+)
+def test_nothing_is_removed_that_is_no_copy(run, tmp_path, case):
+    saved = tmp_path / "results" / "runs"
+    keep_run(run, saved / "first")
+    target, source = saved / "mine", run
+    if case == "runs":
+        target = saved
+    elif case == "itself":
+        source = target = saved / "first"
+    elif case == "within":
+        target = run / "docs" / "mine"
+    elif case == "around":
+        target = tmp_path
+    elif case == "a run":
+        target.mkdir()
+        for name, content in tree(run).items():
+            (target / name).parent.mkdir(exist_ok=True)
+            (target / name).write_bytes(content)
+    elif case == "foreign file":
+        keep_run(run, target)
+        (target / "notes.txt").write_text("mine")
+    elif case == "a file":
+        target.write_text("mine")
+    elif case == "a link":
+        target.symlink_to(saved / "first")
+    elif case == "empty":
+        target.mkdir()
+    before = tree(tmp_path)
+    with pytest.raises(ValueError, match=r"would lie in each other|is no saved copy") as error:
+        keep_run(source, target)
+    assert tree(tmp_path) == before and "\n" not in str(error.value)
+
+
+def test_a_copy_that_fails_leaves_the_older_one(run, tmp_path):
+    keep_run(run, tmp_path / "kept")
+    before = tree(tmp_path / "kept")
+    (run / "progress.csv").write_text("episode,return\n1,x\n")
+    with pytest.raises(ValueError, match=r"progress\.csv is damaged \(could not convert"):
+        keep_run(run, tmp_path / "kept")
+    assert tree(tmp_path / "kept") == before and {path.name for path in tmp_path.iterdir()} == {"run", "kept"}
+
+
+@pytest.mark.parametrize("commit", ["abc1234-dirty", "unknown", "", None])
+def test_a_run_that_nobody_can_make_again_is_saved_on_demand_only(run, tmp_path, commit):
+    (run / "origin.json").unlink()
+    if commit is not None:
+        (run / "origin.json").write_text(json.dumps({"command": "x", "commit": commit}))
+    with pytest.raises(ValueError, match=r"nobody can make it again; .* or give any_commit=true"):
+        keep_run(run, tmp_path / "kept")
+    assert not (tmp_path / "kept").exists()
+    keep_run(run, tmp_path / "kept", any_commit=True)
+    assert is_copy(tmp_path / "kept")
+
+
+@pytest.mark.parametrize("name", ["metrics.json", "evaluation/sine.csv", "data/secret.csv"])
+def test_a_run_with_links_is_not_copied(run, tmp_path, name):
+    secret = tmp_path / "secret.csv"
+    secret.write_text("time,y\n0,1\n")
+    (run / name).unlink(missing_ok=True)
+    (run / name).symlink_to(secret)
+    with pytest.raises(ValueError, match="is a link, and may lead anywhere"):
+        keep_run(run, tmp_path / "kept")
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("metrics.json", b"{"),
+        ("evaluation/step.json", b"[]"),
+        ("origin.json", b'{"command": 1, "commit": 2}'),
+        ("origin.json", b"{}"),
+        ("progress.csv", b""),
+        ("progress.csv", b"a,b\n1\n"),
+        ("data/excitation.csv", b"time,y\n0,1\n0,2\n"),
+        ("data/excitation.csv", b'time,y\n0,"1'),
+        ("data/step_response.csv", b"\xff\xfe"),
+        ("evaluation/sine.csv", b"time,y\n0,<script>\n"),
+        ("config.yaml", b"\xff"),
+    ],
+)
+def test_a_damaged_run_is_named_by_its_file(run, tmp_path, name, content):
+    (run / name).write_bytes(content)
+    with pytest.raises(ValueError, match=f"{name.rpartition('/')[2]} is damaged") as error:
+        keep_run(run, tmp_path / "kept")
+    assert "\n" not in str(error.value) and not (tmp_path / "kept").exists()
+
+
+def test_every_saved_run_of_the_repository_is_known_as_a_copy():
+    folders = list((Path(__file__).parents[2] / "docs" / "results" / "runs").iterdir())
+    assert folders and all(is_copy(folder) for folder in folders)
 
 
 def test_lines_with_paths_of_a_machine_go():

@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from dynasindy.evaluation.ablation import write_rows
 from dynasindy.viz.ablation import controls, draw_ablation, families, steady_state_errors
@@ -72,3 +73,22 @@ def test_the_figure_of_controls_has_a_panel_per_family_on_one_scale():
     assert [axis.get_title() for axis in figure.axes] == ["horizon", "others"]
     assert figure.axes[0].get_ylim() == figure.axes[1].get_ylim()
     assert figure.axes[1].get_legend().get_texts()[0].get_text() == "direct (1 seed)"
+
+
+def hostile_rows(**changed):
+    row = {"system": "xi", "experiment": "dyna", "setting": "a", "seed": 0, "episode": 1, "evaluated_return": -1.0}
+    return [{**row, "evaluated_steady_state_error/y": 0.1, **changed}]
+
+
+@pytest.mark.parametrize("changed", [{"system": "../../x"}, {"experiment": "x/../../../y"}, {"system": "/tmp/x"}])
+def test_cells_of_a_table_do_not_choose_where_figures_go(tmp_path, changed):
+    (tmp_path / "results").mkdir()
+    write_rows(tmp_path / "results" / "ablation_curves.csv", hostile_rows(**changed))
+    with pytest.raises(ValueError, match="is no file name"):
+        draw_ablation(tmp_path / "results", 0.05)
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["ablation_curves.csv"]
+
+
+def test_a_setting_with_signs_of_mathematics_is_drawn_as_it_stands(tmp_path):
+    write_rows(tmp_path / "ablation_curves.csv", hostile_rows(setting="$\\frac{$,x=<b>"))
+    assert draw_ablation(tmp_path, 0.05)

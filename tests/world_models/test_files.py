@@ -105,6 +105,105 @@ def test_a_file_damaged_inside_is_refused(written, damage):
     assert "\n" not in str(error.value)
 
 
+CALL = "__import__('os').system('touch canary')"
+
+
+def name_state(name):
+    def change(data):
+        old = data["signature"]["state_names"][0]
+        data["signature"]["state_names"][0] = name
+        data["coefficients"][name] = data["coefficients"].pop(old)
+        for factors in data["library"].values():
+            for factor in factors:
+                factor[0] = [name if variable == old else variable for variable in factor[0]]
+
+    return change
+
+
+def put(value, *path):
+    def change(data):
+        for step in path[:-1]:
+            data = data[step]
+        data[path[-1]] = value
+
+    return change
+
+
+HOSTILE = {
+    "state with code": name_state(CALL),
+    "state of two lines": name_state("a\nimport os"),
+    "state with a quote": name_state('a"b'),
+    "state with HTML": name_state("<script>"),
+    "state as a path": name_state("../../x"),
+    "state that is a number": name_state("1"),
+    "state without a name": name_state(""),
+    "long state": name_state("x" * 1000),
+    "state that is no text": put(7, "signature", "state_names", 0),
+    "names in one text": put("abcdef", "signature", "state_names"),
+    "too many states": put([f"s{k}" for k in range(100_000)], "signature", "state_names"),
+    "input with code": put(CALL, "signature", "input_names", 0),
+    "unit with mathematics": put("$\\frac{", "signature", "state_units", 0),
+    "unit with HTML": put("<b>", "signature", "state_units", 0),
+    "range": put(float("inf"), "signature", "x_scale", 0),
+    "word for a range": put("1", "signature", "x_scale", 0),
+    "another word": put([1], "signature", "__class__"),
+    "function with code": put([[["u_p"], CALL, 1, 1.0]], "library", "u_p"),
+    "function of torch": put([[["u_p"], "torch.load", 1, 1.0]], "library", "u_p"),
+    "function that is a list": put([[["u_p"], ["sin"], 1, 1.0]], "library", "u_p"),
+    "two arguments of sin": put([[["u_p", "u_a"], "sin", 1, 1.0]], "library", "u_p"),
+    "product of two": put([[["u_p", "u_a"], "id", 1, 1.0]], "library", "u_p"),
+    "no argument": put([[[], "sin", 1, 1.0]], "library", "u_p"),
+    "argument in one text": put([["u_p", "sin", 1, 1.0]], "library", "u_p"),
+    "another variable": put([[["x'); import os; ('"], "sin", 1, 1.0]], "library", "u_p"),
+    "power": put([[["u_p"], "id", 10**9, 1.0]], "library", "u_p"),
+    "power of many digits": put([[["u_p"], "id", 10**4000, 1.0]], "library", "u_p"),
+    "negative power": put([[["u_p"], "id", -(10**9), 1.0]], "library", "u_p"),
+    "broken power": put([[["u_p"], "id", 1.5, 1.0]], "library", "u_p"),
+    "infinite power": put([[["u_p"], "id", float("inf"), 1.0]], "library", "u_p"),
+    "word for a power": put([[["u_p"], "id", CALL, 1.0]], "library", "u_p"),
+    "frequency": put([[["u_p"], "sin", 1, float("nan")]], "library", "u_p"),
+    "word for a frequency": put([[["u_p"], "sin", 1, CALL]], "library", "u_p"),
+    "infinite coefficient": put(float("inf"), "coefficients", "omega_p", "u_p"),
+    "no number": put(float("nan"), "coefficients", "omega_p", "u_p"),
+    "large coefficient": put(10**400, "coefficients", "omega_p", "u_p"),
+    "word for a coefficient": put("1.0", "coefficients", "omega_p", "u_p"),
+    "list for a coefficient": put([1.0], "coefficients", "omega_p", "u_p"),
+    "list for coefficients": put([1.0], "coefficients", "omega_p"),
+    "list for a library": put([1.0], "library"),
+    "empty library": put({}, "library"),
+    "many functions": put({str(k): [[["u_p"], "sin", 1, k + 0.5]] for k in range(20_000)}, "library"),
+    "constraints": put({"alpha_a": {"free": [], "given": {"u_p": float("nan")}}}, "constraints"),
+    "list for constraints": put([1], "constraints"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_model_of_a_stranger_is_numbers_and_registered_names_or_is_refused(written, name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    data = json.loads(written.read_text())
+    HOSTILE[name](data)
+    written.write_text(json.dumps(data))
+    with pytest.raises(ValueError) as error:  # noqa: PT011  the words differ from case to case
+        load(written)
+    assert "\n" not in str(error.value) and len(str(error.value)) < 2000
+    assert not (tmp_path / "canary").exists()
+
+
+def test_what_cannot_be_read_at_all_costs_a_line(tmp_path):
+    for kind, content in (("deep", b"[" * 200_000), ("bytes", b"\xff{}"), ("digits", b"9" * 5000)):
+        (tmp_path / kind).write_bytes(content)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "loop").symlink_to("loop")
+    with (tmp_path / "large").open("wb") as file:
+        file.truncate(1_000_000_000)
+    for path in tmp_path.iterdir():
+        with pytest.raises(ValueError, match="is not JSON") as error:
+            load(path)
+        assert "\n" not in str(error.value)
+    with pytest.raises(FileNotFoundError):
+        load(tmp_path / "nothing")
+
+
 def test_a_coefficient_of_no_function_is_refused(written):
     data = json.loads(written.read_text())
     data["coefficients"]["omega_p"]["u_p^3"] = 1.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from dynasindy.evaluation.given import understood
 from dynasindy.viz.framework import framework
 from dynasindy.viz.report import beyond, control, data, model
 from dynasindy.viz.report.document import Picture, Section, Table, Text, write_html, write_markdown
@@ -55,10 +56,12 @@ def build(results: Results, folder: Path, formats: Sequence[str] = ("svg", "png"
 
     Raises:
         ValueError: There is no format, or the first one cannot be shown by a Markdown page.
+        DamagedFileError: A saved file is not what a section expects.
     """
-    if not formats or formats[0] not in ("svg", "png"):
+    if not formats or formats[0] not in ("svg", "png") or not all(suffix.isalnum() for suffix in formats):
         raise ValueError(f"formats is {list(formats)}; a page shows svg or png, name one of them first")
-    found = sections(results)
+    with understood(results.folder):
+        found = sections(results)
     pages = [summary(found), *found]
     return [
         write_html(TITLE, pages, folder / "report.html"),

@@ -1,6 +1,6 @@
 """A page of sections with words, tables and figures, written as one HTML file and as Markdown with figure files.
 
-Words may hold `code` and **bold**; all else is taken as it stands.
+Words may hold `code` and **bold**; all else is shown as it stands, and is neither HTML nor a link.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import matplotlib
 from matplotlib.figure import Figure
 from PIL import Image
 
+from dynasindy.evaluation.given import escaped, plain_name
 from dynasindy.evaluation.table import markdown
 from dynasindy.viz.style import STYLE, save
 
@@ -51,6 +52,9 @@ class Picture:
     name: str
     figure: Figure
     caption: str
+
+    def __post_init__(self) -> None:
+        plain_name(self.name, "figure")
 
 
 @dataclass(frozen=True)
@@ -184,14 +188,14 @@ def _joined(parts: Iterable[Part]) -> list[Part]:
 
 def _markdown(part: Part, formats: Sequence[str]) -> str:
     if isinstance(part, Table):
-        header, *rows = ([cell.replace("|", r"\|") for cell in row] for row in (part.header, *part.rows))
-        return markdown(header, rows)
+        return markdown(part.header, part.rows)
     if isinstance(part, Listing):
-        return "\n".join(f"    {line}" for line in part.lines)
+        # A line break within a line would end the code block.
+        return "\n".join(f"    {' '.join(line.splitlines())}" for line in part.lines)
     if isinstance(part, Picture):
         alt = part.caption.partition(". ")[0].replace("`", "").replace("[", "(").replace("]", ")")
-        return f"![{alt}](figures/{part.name}.{formats[0]})\n\n{_wrapped(part.caption)}"
-    return _wrapped(part.words if isinstance(part, Text) else part.ours)
+        return f"![{escaped(alt)}](figures/{part.name}.{formats[0]})\n\n{_wrapped(escaped(part.caption))}"
+    return _wrapped(escaped(part.words if isinstance(part, Text) else part.ours))
 
 
 def _wrapped(words: str) -> str:

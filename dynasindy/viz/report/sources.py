@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import csv
-import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from dynasindy.evaluation.given import read_record, read_text, understood
+from dynasindy.evaluation.rows import read_rows
 from dynasindy.viz.report.document import Finding, Part, Text
 from dynasindy.viz.run import Table, read_table
 
@@ -60,7 +60,7 @@ class Run:
         Raises:
             MissingResult: The run does not have it.
         """
-        return json.loads(self._file(name).read_text())
+        return read_record(self._file(name))
 
     def setting(self, key: str) -> Any:
         """Return a setting by its dotted key, None where the run has none."""
@@ -133,8 +133,7 @@ class Results:
         file = self.folder / name
         if not file.is_file():
             raise MissingResult(f"Not measured: no `{_shown(file)}`; `{make}` makes it.")
-        with file.open(newline="") as lines:
-            return list(csv.DictReader(lines))
+        return read_rows(file)
 
     def source(self, name: str) -> str:
         """Return where a table lies, the command that the README of the results lists for it, and its commits.
@@ -143,7 +142,7 @@ class Results:
         """
         listed = self.folder / "README.md"
         pattern = rf"^\| [^|\n]*(?<![\w/]){re.escape(name)}\b[^|\n]*\| `([^`]+)`[^|\n]*\|([^|\n]*)\|"
-        found = re.search(pattern, listed.read_text(), re.M) if listed.is_file() else None
+        found = re.search(pattern, read_text(listed), re.M) if listed.is_file() else None
         named = commits(self.rows(name, "")) if (self.folder / name).is_file() else ""
         commit = f" at commit {named or found[2].strip()}" if found and (named or found[2].strip()) else ""
         made = f", made by `{found[1]}`{commit}" if found else ""
@@ -177,16 +176,21 @@ def each(build: Callable[..., list[Part]], *cases: tuple[str, ...]) -> list[Part
         build: Makes the parts of a case; where a result, or a column of it, is missing, a line stands for them that
             says what makes it.
         cases: Arguments of `build`.
+
+    Raises:
+        DamagedFileError: What is saved is not what the section expects.
     """
     parts: list[Part] = []
     for case in cases:
-        try:
-            parts += build(*case)
-        except MissingResult as missing:
-            parts.append(Text(str(missing)))
-        except KeyError as column:
-            words = f"saved results of {' '.join(case)} have no {column}; they are older than this report"
-            parts.append(Text(f"Not measured: {words}. Run their commands again, then `{REPORT} save=runs/ablation`."))
+        with understood(f"what is saved of {' '.join(case) or build.__module__.rpartition('.')[2]}"):
+            try:
+                parts += build(*case)
+            except MissingResult as missing:
+                parts.append(Text(str(missing)))
+            except KeyError as column:
+                words = f"saved results of {' '.join(case)} have no {column}; they are older than this report"
+                again = f"Run their commands again, then `{REPORT} save=runs/ablation`."
+                parts.append(Text(f"Not measured: {words}. {again}"))
     return sorted(parts, key=lambda part: not isinstance(part, Finding))
 
 

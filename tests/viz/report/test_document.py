@@ -102,3 +102,33 @@ def test_paragraphs_of_the_markdown_page_are_wrapped_and_lose_no_word(tmp_path):
     write_markdown("t", [Section("s", [Text(words)])], tmp_path / "page.md", ["svg"])
     lines = (tmp_path / "page.md").read_text().splitlines()[4:]
     assert " ".join(lines) == words.strip() and 100 < max(map(len, lines)) <= 120
+
+
+HOSTILE = (
+    "<script>alert(1)</script> <img src=x onerror=y> "
+    "[a](javascript:b) ![c](http://d) `e` **f** | g \n\n# h\n\n</td></table>"
+)
+PARTS = [Text(HOSTILE), Table([HOSTILE], [[HOSTILE]]), Finding(HOSTILE, HOSTILE), Listing([HOSTILE])]
+
+
+@pytest.mark.parametrize("part", PARTS, ids=lambda part: type(part).__name__)
+def test_words_of_others_are_shown_and_are_neither_html_nor_links(part, tmp_path):
+    hostile = [Section("Results", [part, Picture("p", figure(), HOSTILE)])]
+    page = write_html("Title", hostile, tmp_path / "page.html").read_text()
+    assert not re.search(r"<script|<img|onerror=(?!y&gt;)|href=\"javascript|</td></table>(?!</tbody>)", page)
+    text = write_markdown("Title", hostile, tmp_path / "page.md", ("svg",))[0].read_text()
+    shown = [line for line in text.splitlines() if not line.startswith("    ")]  # a code block shows what it holds
+    assert not [line for line in shown if re.search(r"<script|<img|</t|\]\((?!figures/p\.svg\))|^# h", line)]
+    assert text.count("figures/p.svg") == 1
+
+
+def test_text_in_a_figure_is_no_element_of_the_page():
+    drawn = tracking(TIME, [[0.1, 0.2]] * 3, {"<script>": [[0.0, 0.1]] * 3}, title="--><script>x</script>")
+    element = svg(drawn, "p")
+    assert "<script" not in element and "--" not in element
+
+
+@pytest.mark.parametrize("name", ["../x", "a/b", 'a" onload="x', "", "<b>"])
+def test_a_figure_is_named_by_one_plain_name(name):
+    with pytest.raises(ValueError, match="is no file name"):
+        Picture(name, figure(), "")

@@ -1,7 +1,11 @@
+import shutil
+
 import pytest
 
+from dynasindy.evaluation.given import DamagedFileError
+from dynasindy.viz.report import model
 from dynasindy.viz.report.document import Finding, Text
-from dynasindy.viz.report.sources import MissingResult, each
+from dynasindy.viz.report.sources import MissingResult, Results, each
 
 
 def test_a_saved_run_says_where_it_comes_from(results):
@@ -45,3 +49,29 @@ def test_a_missing_result_or_column_becomes_a_line_and_findings_come_first(resul
     assert lines[0].words == "Not measured: x; `make` makes it."
     assert "saved results of old have no 'new_column'" in lines[1].words
     assert lines[2].words == "words"
+
+
+@pytest.mark.parametrize(
+    ("name", "section", "content"),
+    [
+        *(("gate.csv", model.learning_progress, text) for text in ("", "a,b\n1\n", "episode\nx\n", 'a\n"')),
+        *(("model.json", model.coefficients, text) for text in ("", "{", "[]", "7", "\x00", "[" * 100_000)),
+    ],
+)
+def test_a_damaged_file_of_a_saved_run_is_named_in_a_line(results, tmp_path, name, section, content):
+    folder = shutil.copytree(results.folder, tmp_path / "results")
+    for run in (folder / "runs").iterdir():
+        (run / name).write_text(content)
+    with pytest.raises(DamagedFileError, match=f"{name} is damaged") as error:
+        section(Results(folder, results.settings))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("damage", [TypeError("x\ny"), ValueError("bad"), IndexError("none"), AttributeError("a")])
+def test_what_a_section_stumbles_over_is_one_line_that_names_the_case(damage):
+    def _of(plant, experiment):
+        raise damage
+
+    with pytest.raises(DamagedFileError, match="what is saved of xi dyna is damaged") as error:
+        each(_of, ("xi", "dyna"))
+    assert "\n" not in str(error.value)

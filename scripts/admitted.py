@@ -1,0 +1,117 @@
+"""What the config.yaml of a run folder may hold: plain settings, and parts of the package or of a plug-in to build.
+
+A run folder may be anybody's. What a user composes himself, from conf/ or --config-dir, is his own and not looked at.
+"""
+
+import inspect
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+import yaml
+from hydra.utils import get_object
+from omegaconf import DictConfig, OmegaConf
+
+from dynasindy.evaluation.given import DamagedFileError, read_text, understood
+
+LARGEST, DEEPEST = 250_000, 20
+"""Size [bytes] and depth that a config.yaml may have; those of runs have 3000 and 6."""
+ROOMS = ("systems", "tasks", "envs", "excitation", "world_models", "planning", "agents", "data.replay")
+BESIDES = ("evaluation.scenarios", "evaluation.disturbances", "evaluation.ablation", "dyna.parts")
+BUILDERS = ("dynasindy.world_models.libraries", "dynasindy.evaluation.scenarios.step_references")
+"""Where the parts of an experiment are classes, and where they are functions."""
+PLUGINS = "DYNASINDY_PLUGINS"
+"""Environment variable that names packages of plug-ins, with spaces between them."""
+
+
+def read_config(file: Path) -> DictConfig:
+    """Return the settings of a run's config.yaml, in which nothing is named that would be looked up or built.
+
+    Raises:
+        FileNotFoundError: It does not exist.
+        DamagedFileError: It is no plain YAML: too large or deep, with tags, aliases or interpolations, or not YAML.
+    """
+    text, depth = read_text(file, LARGEST), 0
+    try:
+        with understood(file):
+            for event in yaml.parse(text, Loader=yaml.SafeLoader):
+                depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+                if depth > DEEPEST:
+                    raise ValueError(f"it is nested more than {DEEPEST} deep")
+                if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
+                    raise ValueError("it has anchors and aliases, which a run does not write")
+                if getattr(event, "tag", None):
+                    raise ValueError(f"it has the tag {event.tag}, which a run does not write")
+                if "${" in (getattr(event, "value", None) or ""):
+                    raise ValueError(f"it has the interpolation {event.value!r}; a run writes resolved values")
+            config = OmegaConf.create(text)
+            if not isinstance(config, DictConfig):
+                raise TypeError("it does not hold keys and values")
+    except (yaml.YAMLError, DamagedFileError) as error:
+        raise DamagedFileError(" ".join(f"{'' if str(file) in str(error) else f'{file}: '}{error}".split())) from error
+    return config
+
+
+def check(node: Any, plugins: Sequence[str] = (), where: str = "config.yaml") -> None:
+    """Refuse settings that would build anything but a part of the package or of a plug-in.
+
+    Args:
+        node: Settings as plain containers, all that they hold included.
+        plugins: Packages that the user names.
+        where: Words for the file.
+
+    Raises:
+        ValueError: `_target_` is none of them, or another word of Hydra's is used.
+    """
+    if isinstance(node, Mapping):
+        if words := [key for key in node if str(key).startswith("_") and key not in ("_target_", "_partial_")]:
+            raise ValueError(
+                f"{where} has {words[0]}, which no run writes; allowed are _target_ and _partial_: remove it"
+            )
+        if not isinstance(node.get("_partial_", False), bool):
+            raise ValueError(f"{where} has _partial_: {node['_partial_']!r}; allowed are true and false: correct it")
+        if "_target_" in node and not _is_dtype(node):
+            _check_target(node["_target_"], plugins, where)
+    for value in node.values() if isinstance(node, Mapping) else node if isinstance(node, list) else ():
+        check(value, plugins, where)
+
+
+def _is_dtype(node: Mapping[Any, Any]) -> bool:
+    """Return whether a node is the one helper of Hydra's that conf/ uses: a number type of torch, by name."""
+    if set(node) != {"_target_", "path"} or node["_target_"] != "hydra.utils.get_object":
+        return False
+    package, _, name = str(node["path"]).partition(".")
+    return package == "torch" and isinstance(getattr(torch, name, None), torch.dtype)
+
+
+def _check_target(target: Any, plugins: Sequence[str], where: str) -> None:
+    """Refuse a target that is not written as a name, or is not what its name says.
+
+    Nothing outside the admitted packages is imported to find out.
+    """
+    advice = f"allowed are parts of dynasindy, and of plug-ins that you trust and name, as by {PLUGINS}=PACKAGE"
+    shown = repr(target)[:100]
+    if not isinstance(target, str) or not re.fullmatch(r"[^\W\d_]\w*(\.[^\W\d_]\w*)+", target):
+        raise ValueError(f"{where} has _target_: {shown}, which is no name of a part; {advice}")
+    package = next((name for name in ("dynasindy", *plugins) if target.startswith(f"{name}.")), None)
+    if package is None:
+        raise ValueError(f"{where} has _target_: {shown}, which is of another package; {advice}")
+    try:
+        part = get_object(target)
+    except Exception as error:
+        raise ValueError(f"{where} has _target_: {shown}, which does not exist here; {advice}") from error
+    if not _is_part(part, package):
+        raise ValueError(f"{where} has _target_: {shown}, which is no part of an experiment; {advice}")
+
+
+def _is_part(part: Any, package: str) -> bool:
+    """Return whether an object is a class or a function of the package itself, and one that experiments are made of."""
+    if not (inspect.isclass(part) or inspect.isfunction(part)) or part.__qualname__ != part.__name__:
+        return False
+    place = f"{part.__module__}.{part.__name__}"
+    if package != "dynasindy":
+        return place.startswith(f"{package}.")
+    homes = [f"dynasindy.{room}" for room in (*ROOMS, *BESIDES)] if inspect.isclass(part) else BUILDERS
+    return not part.__name__.startswith("_") and any(f"{place}.".startswith(f"{home}.") for home in homes)
