@@ -74,7 +74,8 @@ def over_seeds(values: Sequence[float], digits: int = 3, infinite: str = "inf") 
 
 
 def _short(value: float, digits: int) -> str:
-    return f"{value:.0f}" if abs(value) >= 10**digits else f"{value:.{digits}g}"
+    # What rounds up to a power of ten would be written as 1e+03.
+    return f"{value:.0f}" if abs(value) >= 10**digits - 0.5 else f"{value:.{digits}g}"
 
 
 def _row(setting: str, runs: Sequence[dict[str, Any]]) -> list[str]:
