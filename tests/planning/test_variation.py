@@ -59,6 +59,7 @@ def test_disturbances_are_measured_in_ranges_of_the_state():
 
 def test_each_member_moves_its_share_of_the_rows():
     x, u = states(5)
+    torch.testing.assert_close(Members([Xi()])(x, u), Xi()(x, u))
     moved = Members([Xi(), Tras()])(x, u)
     torch.testing.assert_close(moved, torch.cat([Xi()(x[:3], u[:3]), Tras()(x[3:], u[3:])]))
 
