@@ -9,14 +9,10 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from dynasindy.evaluation.identification import Logged, Simulated, identify, to_words, write
-from dynasindy.excitation import Chirp
-from dynasindy.systems import Pendulum
-from dynasindy.world_models import Oracle, Refinement, Regression, SindyModel
 from dynasindy.evaluation.identification import Identified, Logged, Simulated, _verdict, identify, to_words, write
 from dynasindy.excitation import Chirp, HeldRandom
 from dynasindy.systems import Pendulum, Tras
-from dynasindy.world_models import Refinement, Regression, SindyModel
+from dynasindy.world_models import Oracle, Refinement, Regression, SindyModel
 
 EXCITATION = partial(Chirp, duration=10.0, amplitude=0.6)
 
