@@ -87,7 +87,8 @@ def over_seeds(values: Sequence[float], digits: int = 3, infinite: str = "inf") 
 def _short(value: float, digits: int, infinite: str) -> str:
     if value > 1e-3 * HUGE:
         return infinite
-    return f"{value:.0f}" if abs(value) >= 10**digits else f"{value:.{digits}g}"
+    # What rounds up to a power of ten would be written as 1e+03.
+    return f"{value:.0f}" if abs(value) >= 10**digits - 0.5 else f"{value:.{digits}g}"
 
 
 def _row(setting: str, runs: Sequence[dict[str, Any]]) -> list[str]:

@@ -76,3 +76,35 @@ def test_storages_that_memory_cannot_hold_stop_the_build(sizes):
 def test_networks_that_memory_cannot_hold_stop_the_build():
     with pytest.raises(ValueError, match=r"agent\.hidden=\[1000000000\], critics=2 would take"):
         replace(recipe(), agent=partial(TD3, hidden=(10**9,))).build()
+
+
+def test_every_part_draws_from_a_seed_of_its_own():
+    given = {}
+
+    def planning(**parts):
+        given.update(parts)
+        return NoPlanning()
+
+    def agent(**settings):
+        given["agent_seed"] = settings["seed"]
+        return TD3(**settings, hidden=(8,))
+
+    parts = replace(recipe(3), planning=planning, agent=agent).build()
+    seeds = [parts.plant.rng.initial_seed(), parts.model_env.rng.initial_seed(), parts.replay.generator.initial_seed()]
+    seeds += [given["seed"], given["agent_seed"]]
+    assert len(set(seeds)) == 5
+    assert given["env"] is parts.model_env and given["agent"] is parts.agent and given["replay"] is parts.replay
+
+
+def test_the_excitation_may_be_as_long_as_an_episode_and_no_longer():
+    exact = replace(recipe(), excitation=partial(Chirp, duration=20.0))
+    assert exact.build().excitation.n_steps == 400
+    with pytest.raises(ValueError, match=r"excitation of 20\.05 s does not fit into an episode of 20 s"):
+        replace(recipe(), excitation=partial(Chirp, duration=20.05)).build()
+
+
+def test_the_real_environment_says_what_the_model_predicts():
+    parts = replace(recipe(), world_model=partial(Oracle, system=Tras(azimuth_stop=2.0))).build()
+    rollout = parts.env.rollout(3, parts.agent.explore)
+    torch.testing.assert_close(rollout["next", "predicted_state"], rollout["next", "state"], rtol=1e-4, atol=1e-4)
+    assert parts.excitation.dt == parts.plant.dt and parts.agent.deployed is not None

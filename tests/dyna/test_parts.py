@@ -43,3 +43,7 @@ def test_the_parts_are_those_that_algorithm_1_works_on():
     }
     with pytest.raises(TypeError, match="gate"):
         Parts(**dict.fromkeys([f.name for f in fields(Parts)][:-1]))
+
+
+def test_every_fourth_second_is_held_out_by_default():
+    assert Settings(7) == Settings(7, 1.0, None, 4) and Settings(1, held_out=2).held_out == 2

@@ -1,7 +1,7 @@
 """A refit is believed only where it predicts held-out data no worse."""
 
 import math
-from functools import partial
+from functools import cache, partial
 
 import pytest
 import torch
@@ -14,7 +14,7 @@ from dynasindy.dyna.parts import Settings
 from dynasindy.dyna.refit import fit, held_out_windows, refit
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Chirp
-from dynasindy.planning import Gate, NoPlanning, replay_error
+from dynasindy.planning import Gate, ModelError, NoPlanning, replay_error
 from dynasindy.systems import Diverged, Xi
 from dynasindy.tasks import RandomStep, Tracking
 from dynasindy.world_models import Oracle
@@ -37,8 +37,8 @@ class Scaled(Oracle):
         return "report"
 
 
-def setting(*factors, steps=80):
-    parts = Recipe(
+def built(*factors, steps=80):
+    return Recipe(
         system=Xi(),
         task=partial(Tracking, reference=RandomStep([-0.5, -0.5], [0.5, 0.4]), max_steps=steps),
         env=ControlEnv,
@@ -50,7 +50,16 @@ def setting(*factors, steps=80):
         gate=Gate(),
         train=Settings(1),
     ).build()
-    rollout = interact(parts.env, parts.agent.explore, steps)
+
+
+@cache
+def flown():
+    parts = built()
+    return interact(parts.env, parts.agent.explore, 80)
+
+
+def setting(*factors):
+    parts, rollout = built(*factors), flown().clone()
     parts.replay.extend_real(rollout)
     return parts, rollout
 
@@ -125,3 +134,68 @@ def test_without_a_test_a_refit_that_is_not_finite_ends_the_phase():
     fit(parts, Settings(1))
     with pytest.raises(Diverged, match="model learning"):
         refit(parts, Settings(1, held_out=0), rollout)
+
+
+def samples_of(rollout, steps):
+    """Ends of all logged samples of the given control periods, and the inputs held in them."""
+    rows = rollout[torch.tensor(steps)]
+    return rows["next", "samples"].flatten(0, 1).double(), rows["action"].repeat_interleave(5, 0).double()
+
+
+@pytest.mark.parametrize(
+    ("recent_steps", "held_out", "used"),
+    [
+        (30, 0, [*range(50, 80)]),
+        (30, 4, [*range(50, 60)]),  # the last second, periods 60 to 79, is held out
+        (None, 2, [*range(20), *range(40, 60)]),
+        (45, 3, [*range(35, 40), *range(60, 80)]),
+        (500, 4, [*range(60)]),
+    ],
+)
+def test_a_refit_reads_the_recent_periods_but_the_held_out_ones(recent_steps, held_out, used):
+    parts, rollout = setting(1.0)
+    refit(parts, Settings(1, recent_steps=recent_steps, held_out=held_out), rollout)
+    (seen,) = parts.world_model.seen
+    ends, inputs = samples_of(rollout, used)
+    assert torch.equal(seen.x_next, ends) and torch.equal(seen.u, inputs)
+    assert seen.dt == 0.01  # five samples per period of 0.05 s
+
+
+def test_earlier_episodes_are_read_whole():
+    parts, first = setting(1.0)
+    parts.plant.rng.manual_seed(5)  # other references than those of the first episode
+    parts.replay.extend_real(second := interact(parts.env, parts.agent.explore, 80))
+    refit(parts, Settings(1, held_out=2), second)
+    ends = [samples_of(first, [*range(80)])[0], samples_of(second, [*range(20), *range(40, 60)])[0]]
+    assert torch.equal(parts.world_model.seen[0].x_next, torch.cat(ends))
+
+
+def test_the_errors_are_those_of_the_held_out_seconds_before_and_after():
+    parts, rollout = setting(1.5, 1.2)
+    fit(parts, Settings(1))
+    windows = torch.tensor([20, 60])  # every second of four
+    before = replay_error(parts.model_env, rollout, windows, 20)
+    result = refit(parts, Settings(1, held_out=2), rollout)
+    after = replay_error(parts.model_env, rollout, windows, 20)
+    assert (result.error_before, result.error_after) == (before.state_error, after.state_error)
+    assert result.error.reward_error == after.reward_error and result.report == "report"
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "kept"),
+    [(1.0, 1.09, True), (1.0, 1.11, False), (1.0, 0.5, True), (0.0, 0.9e-5, True), (0.0, 1.1e-5, False)],
+)
+def test_a_refit_may_be_a_tenth_worse_or_off_by_what_no_plan_feels(monkeypatch, before, after, kept):
+    parts, rollout = setting(2.0, 3.0)
+    fit(parts, Settings(1))
+    errors = iter([ModelError(0.1, before, torch.zeros(0)), ModelError(0.2, after, torch.zeros(0))])
+    monkeypatch.setattr("dynasindy.dyna.refit.replay_error", lambda *_: next(errors))
+    result = refit(parts, Settings(1), rollout)
+    assert result.kept == kept and parts.world_model.factor == (3.0 if kept else 2.0)
+    assert result.error.reward_error == (0.2 if kept else 0.1)
+
+
+def test_a_window_needs_its_whole_second():
+    assert held_out_windows(80, 20, 4).tolist() == [60]
+    assert held_out_windows(100, 20, 2).tolist() == [20, 60]
+    assert held_out_windows(120, 20, 3).tolist() == [40, 100] and held_out_windows(119, 20, 3).tolist() == [40]

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from dynasindy.evaluation.ablation import Level, gather, read_rows, summarise_run, to_markdown
+from dynasindy.evaluation.ablation import SUMMARY, Level, gather, read_rows, summarise_run, to_markdown
 
 LEVEL = Level(0.05, 3)
 HEADER = (
@@ -102,3 +102,25 @@ def test_a_run_without_any_axis_never_reaches_the_level():
 def test_impossible_levels_are_refused(settings):
     with pytest.raises(ValueError, match="error > 0 rad and a count >= 1"):
         Level(**settings)
+
+
+def test_each_cell_of_the_table_is_that_of_its_column():
+    row = {"system": "xi", "experiment": "dyna", "setting": "s", "episodes": 12.0, "commit": "abc"}
+    row |= {name: float(n) for n, name in enumerate(SUMMARY, start=1)}
+    other = row | {"commit": "def", "episodes": 4.0, "episodes_to_level": None}
+    head, _, cells = to_markdown([row, other], LEVEL).splitlines()[-3:]
+    found = dict(zip(head.strip("| ").split(" | "), cells.strip("| ").split(" | "), strict=True))
+    assert {k: found[k] for k in ("seeds", "episodes", "reached", "commit")} == {
+        "seeds": "2", "episodes": "4 or 12", "reached": "1/2", "commit": "abc or def",
+    }  # fmt: skip
+    for n, words in enumerate(SUMMARY.values(), start=1):
+        assert found[words] == ("never [1, never]" if n == 1 else f"{n} [{n}, {n}]")
+
+
+def test_figures_at_the_end_are_those_of_the_last_evaluation(tmp_path):
+    run_folder(tmp_path / "runs", "s", 3, [0.5, 0.3, 0.1])
+    (row,) = gather(tmp_path / "runs", tmp_path, LEVEL)
+    assert row["seed"] == 3 and row["commit"] == "unknown" and row["return_at_level"] is None
+    assert (row["real_steps"], row["updates"], row["imagined_transitions"], row["wall_seconds"]) == (1400, 150, 300, 21)
+    assert row["area_under_curve"] == pytest.approx(-30.0) and row["final_return"] == pytest.approx(-10.0)
+    assert Level() == Level(0.05, 3) and Level(0.05, 1).reached([0.06, 0.05]) == 1

@@ -7,7 +7,7 @@ from tensordict import TensorDict, TensorDictBase
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.disturbances import DelayedActuator, Detuned, Pushed, SensorNoise
 from dynasindy.systems import Tras, Xi
-from dynasindy.tasks import Step, Tracking
+from dynasindy.tasks import Step, Tracking, Wave
 
 X = torch.rand(4, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
 U = torch.rand(4, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
@@ -76,3 +76,28 @@ def test_mistakes_get_one_line() -> None:
         SensorNoise(lambda td: td, make(), [0.1])
     with pytest.raises(ValueError, match="periods of a delayed actuator must be >= 0"):
         DelayedActuator(lambda td: td, make(), -1)
+
+
+def test_noisy_observations_are_of_the_present_time() -> None:
+    system, seen = Tras(), []
+    env = ControlEnv(system, Tracking(system.signature, Wave([0.3, 0.2], [0.5, 0.4])))
+
+    def policy(td: TensorDictBase) -> TensorDictBase:
+        seen.append(td.clone())
+        return td.set("action", torch.full((*td.batch_size, 2), 0.4))
+
+    start = env.start_from(torch.zeros(3, 6))
+    start["step_count"] = torch.tensor([[0], [7], [30]])
+    out = SensorNoise(policy, env, [0.01] * 6)(start)
+    params, t = start["task_params"], torch.tensor([[0.0], [0.35], [1.5]])
+    torch.testing.assert_close(seen[0]["observation"], env.task.observation(seen[0]["state"], params, t))
+    assert not torch.equal(seen[0]["state"], start["state"]) and bool((out["action"] == 0.4).all())
+
+
+def test_what_is_not_named_stays_as_it_is() -> None:
+    torch.testing.assert_close(Detuned(Xi(), {})(X, U), Xi()(X, U))
+    torch.testing.assert_close(Pushed(Xi(), {})(X, U), Xi()(X, U))
+    both = Pushed(Xi(), {"Omega_a": 0.5, "omega_p": -3.0})(X, U) - Xi()(X, U)
+    torch.testing.assert_close(both[2], torch.tensor([0, 0, 0.5, 0, 0, -3.0], dtype=torch.float64))
+    with pytest.raises(ValueError, match="one number >= 0"):
+        SensorNoise(lambda td: td, make(), [0.1, 0.1, 0.1, 0.1, 0.1, -0.1])

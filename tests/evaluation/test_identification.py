@@ -1,15 +1,17 @@
 """From a source of data to a model, its figures and its files."""
 
 import json
+import math
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 import torch
 
-from dynasindy.evaluation.identification import Logged, Simulated, identify, to_words, write
-from dynasindy.excitation import Chirp
-from dynasindy.systems import Pendulum
+from dynasindy.evaluation.identification import Identified, Logged, Simulated, _verdict, identify, to_words, write
+from dynasindy.excitation import Chirp, HeldRandom
+from dynasindy.systems import Pendulum, Tras
 from dynasindy.world_models import Oracle, Refinement, Regression, SindyModel
 
 EXCITATION = partial(Chirp, duration=10.0, amplitude=0.6)
@@ -116,3 +118,47 @@ def test_a_model_without_coefficients_is_not_identified():
     source = Simulated(validation_seconds=1.0).load(Pendulum(), partial(Chirp, duration=1.0))
     with pytest.raises(TypeError, match="world_model is a Oracle, which has no coefficients"):
         identify(Oracle(source.signature, Pendulum()), source)
+
+
+def test_validation_is_held_random_of_seven_tenths_of_the_range_about_the_same_offset():
+    chirp = partial(Chirp, duration=5.0, amplitude=0.6, offset=0.2)
+    one, other = (Simulated(0.02, substeps=1, validation_seconds=6.0, seed=s).load(Pendulum(), chirp) for s in (0, 1))
+    u = one.validation.u
+    assert (len(one.training), len(one.validation), one.validation.dt) == (250, 300, 0.02)
+    expected = HeldRandom(1, 6.0, amplitude=0.42, offset=0.2, seed=1).samples(0.02)  # the next seed
+    torch.testing.assert_close(u, expected.to(u))
+    assert not torch.equal(u, other.validation.u) and one.notes == ()
+    assert torch.equal(one.training.u, other.training.u)  # a chirp has no seed
+
+
+def test_samples_at_a_stop_are_left_out_and_counted():
+    hard = partial(Chirp, duration=3.0, amplitude=1.0)
+    plant = Tras(azimuth_stop=0.05)
+    source = Simulated(substeps=1, validation_seconds=0.1).load(plant, hard)
+    left_out = 300 - len(source.training)
+    assert left_out > 0 and source.notes == (f"{left_out} samples that touched a stop were left out",)
+
+
+def test_the_last_part_of_a_log_is_for_validation(tmp_path):
+    lines = ["time,theta,Omega,u", *(f"{0.1 * k:.1f},{k},{k % 7},{k % 3}" for k in range(101))]
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    source = Logged(str(tmp_path / "log.csv"), validation_share=0.3).load(Pendulum(), EXCITATION)
+    assert source.training.x[:, 0].tolist() == [*range(70)]
+    assert source.validation.x[:, 0].tolist() == [*range(70, 100)]
+
+
+@pytest.mark.parametrize(
+    ("residual", "free", "said"),
+    [
+        (0.051, 0.051, "Omega' is 5.1 % unexplained"),
+        (0.051, 0.049, None),  # noise of the rate: open loop it predicts
+        (0.049, 0.9, None),
+        (0.0, 1.01, "open loop Omega is off by more than its own spread in the validation part"),
+        (0.3, math.inf, "open loop it runs away, Omega' is 30 % unexplained"),
+    ],
+)
+def test_what_a_model_is_blamed_for(residual, free, said):
+    report = SimpleNamespace(residual={"theta": 0.0, "Omega": residual})
+    found = Identified(None, report, None, {"open_loop_nrmse": {"theta": 0.0, "Omega": free}})
+    advice = "name the plant by system=NAME, choose another library, or excite longer"
+    assert _verdict(found) == ([f"this model does not predict: {said}; {advice}"] if said else [])

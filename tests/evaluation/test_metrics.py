@@ -5,7 +5,14 @@ import math
 import pytest
 import torch
 
-from dynasindy.evaluation.metrics import MIN_STEP, TRACKING, tracking_metrics
+from dynasindy.evaluation.metrics import (
+    MIN_STEP,
+    TRACKING,
+    overshoot,
+    rise_time,
+    settling_time,
+    tracking_metrics,
+)
 
 DT = 0.001
 TIME = torch.arange(0, 20, DT, dtype=torch.float64)
@@ -106,3 +113,53 @@ def test_shapes_that_do_not_agree_are_refused(bad: str) -> None:
         u = y[:3]
     with pytest.raises(ValueError, match="must"):
         tracking_metrics(time, y, r, u)
+
+
+def record(y: list[float], target: float, dt: float = 0.5, start: float = 0.0) -> tuple[torch.Tensor, ...]:
+    time = start + dt * torch.arange(len(y), dtype=torch.float64)
+    column = torch.tensor(y, dtype=torch.float64).unsqueeze(-1)
+    return time, column, torch.full_like(column, target)
+
+
+def test_every_figure_of_a_short_record_by_hand() -> None:
+    time, y, r = record([0.0, 0.05, 0.3, 0.9, 1.2, 0.97, 1.04, 1.0], 1.0, start=7.0)
+    u = torch.tensor([0.0, 0.5, -0.5, 1.0, 1.0, 0.0, 0.0, 0.0]).double().unsqueeze(-1)
+    found = {name: value.item() for name, value in tracking_metrics(time, y, r, u).items()}
+    errors = [1.0, 0.95, 0.7, 0.1, 0.2, 0.03, 0.04, 0.0]
+    assert found["rmse"] == pytest.approx((sum(e * e for e in errors) / 8) ** 0.5)
+    assert found["mean_abs_error"] == found["steady_state_error"] == pytest.approx(sum(errors) / 8)  # under 5 s long
+    assert found["overshoot"] == pytest.approx(20.0)
+    # 10 % a fifth of the way from 0.05 to 0.3 (t = 0.6 s), 90 % at t = 1.5 s.
+    assert found["rise_time"] == pytest.approx(0.9)
+    assert found["settling_time"] == pytest.approx(2.5)  # since the step, not since time zero
+    assert found["control_effort"] == pytest.approx((0.25 + 0.25 + 1 + 1) / 8)
+    assert found["control_variation"] == pytest.approx((0.5 + 1.0 + 1.5 + 0.0 + 1.0) / 7 / 0.5)
+
+
+def test_settling_is_at_the_band_and_never_if_the_last_sample_is_outside() -> None:
+    time, y, r = record([0.0, 0.5, 0.75, 1.25, 1.0], 1.0)
+    assert settling_time(time, y, r, band=0.25).item() == 1.0  # 0.75 and 1.25 are still inside
+    assert settling_time(time, y, r, band=0.24).item() == 2.0
+    assert settling_time(time[:4], y[:4], r[:4], band=0.24).isinf()
+    assert settling_time(time, r, r).isnan()  # no step at all
+
+
+def test_rise_counts_from_the_first_crossings_between_samples() -> None:
+    time, y, r = record([0.0, 0.4, 0.0, 0.8, 0.6, 1.0], 1.0)
+    assert rise_time(time, y, r, low=0.2, high=0.7).item() == pytest.approx(0.5 * (2 + 0.7 / 0.8) - 0.25)
+    assert rise_time(time[:3], y[:3], r[:3]).isinf()  # it began and never arrived
+
+
+def test_the_smallest_step_that_counts_and_axes_apart() -> None:
+    time = torch.arange(4.0, dtype=torch.float64)
+    y = torch.tensor([[0.0, 0.0, 0.0], [0.03, 0.0, 0.3], [0.06, 0.0, 0.2], [0.05, 0.0, 0.2]]).double()
+    r = torch.tensor([[MIN_STEP, 0.99 * MIN_STEP, 0.2]]).double().expand(4, 3)
+    assert overshoot(y, r)[0].item() == pytest.approx(20.0, rel=1e-5)
+    assert overshoot(y, r)[1].isnan() and overshoot(y, r)[2].item() == pytest.approx(50.0, rel=1e-5)
+    assert rise_time(time, y, r).isnan().tolist() == [False, True, False]
+
+
+def test_steps_downwards_from_elsewhere_are_steps() -> None:
+    time, y, r = record([0.5, 0.3, 0.05, -0.1, 0.0], 0.0)
+    assert overshoot(y, r).item() == pytest.approx(20.0)
+    assert rise_time(time, y, r).item() == pytest.approx(0.5 * 2 - 0.5 * 0.25)  # 0.45 a quarter of the way to 0.3

@@ -9,7 +9,7 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 
 from dynasindy.agents import TD3
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate, step_references
+from dynasindy.evaluation.scenarios import Evaluation, Scenario, _phases, evaluate, step_references
 from dynasindy.systems import Diverged, Tras, Xi
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward, Wave
 
@@ -202,3 +202,48 @@ def test_runs_that_memory_cannot_hold_are_refused(settings) -> None:
 def test_a_run_shorter_than_a_period_is_refused() -> None:
     with pytest.raises(ValueError, match=r"scenario\.seconds is 0\.01 s, less than a control period"):
         evaluate(make(), constant(0.0, 0.0), Scenario("short", seconds=0.01))
+
+
+@pytest.mark.parametrize(
+    ("windows", "phases"),
+    [
+        (None, [(60, True)]),
+        ([], [(60, False)]),
+        ([(1.0, 2.0)], [(20, False), (20, True), (20, False)]),
+        ([(0.0, 0.5), (0.5, 1.0), (2.5, 3.0)], [(10, True), (10, True), (30, False), (10, True)]),
+        ([(0.0, 3.0)], [(60, True)]),
+    ],
+)
+def test_phases_fill_the_run_and_windows_are_those_disturbed(windows, phases) -> None:
+    assert _phases(Scenario("gusts", seconds=3.0, windows=windows), 0.05) == phases
+
+
+def test_the_first_step_is_the_one_nearest_to_three_quarters_of_the_upper_ends() -> None:
+    targets = step_references([-0.4, -0.1], [0.4, 0.25], number=32).targets
+    distances = ((targets - torch.tensor([0.3, 0.1875])) ** 2).sum(-1)
+    assert torch.equal(distances, distances.sort().values) and len(targets) == 32
+    assert bool(((targets >= torch.tensor([-0.4, -0.1])) & (targets <= torch.tensor([0.4, 0.25]))).all())
+
+
+def test_figures_of_a_run_are_those_of_its_trajectory() -> None:
+    system = Xi()
+    env = ControlEnv(system, Tracking(system.signature, RandomStep([-0.4, -0.25], [0.4, 0.25])), dt=0.1, substeps=2)
+    result = evaluate(env, constant(0.1, 0.2), Scenario("short", episodes=2, seconds=1.5))
+    assert result.seconds == pytest.approx(1.5) and result.time.tolist() == pytest.approx([0.1 * k for k in range(15)])
+    assert result.inputs.shape == (2, 15, 2) and bool((result.inputs == torch.tensor([0.1, 0.2])).all())
+    assert torch.equal(result.outputs, result.trajectory["state"][..., :2]) and result.windows == ()
+    error = (result.outputs - result.references).double()
+    torch.testing.assert_close(result.metrics["rmse"].double(), error.square().mean(1).sqrt())
+    at_stop = torch.zeros(2, 15, 1, dtype=torch.bool)
+    at_stop[1, :3] = True
+    result.trajectory["next", "at_stop"] = at_stop
+    assert result.stop_share.tolist() == pytest.approx([0.0, 0.2])
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"seconds": 0.0}, {"episodes": 0}, {"windows": [(2.0, 1.0)]}, {"windows": [(-1, 2)]}]
+)
+def test_scenarios_that_cannot_be_run_are_refused(wrong) -> None:
+    with pytest.raises(ValueError, match="scenario 'odd'"):
+        Scenario("odd", **wrong)
+    assert Scenario("one", episodes=1, seconds=0.1, windows=[(0.0, 0.1)]).seconds == 0.1

@@ -55,3 +55,29 @@ def test_bad_arguments_are_refused() -> None:
         bootstrap_interval(torch.zeros(3, 1), confidence=95)
     with pytest.raises(ValueError, match="n_seeds, n_tasks"):
         bootstrap_interval(torch.zeros(3))
+
+
+def test_interval_is_scipy_s_percentile_bootstrap() -> None:
+    scores = np.random.default_rng(4).gamma(2.0, size=20)
+
+    def middle(x: np.ndarray, axis: int = -1) -> np.ndarray:
+        return stats.trim_mean(x, 0.25, axis=axis)
+
+    theirs = stats.bootstrap(
+        (scores,), middle, confidence_level=0.8, n_resamples=20_000, method="percentile", random_state=0
+    ).confidence_interval
+    low, high = bootstrap_interval(torch.from_numpy(scores).unsqueeze(-1), confidence=0.8, resamples=20_000)
+    width = theirs.high - theirs.low
+    assert low.item() == pytest.approx(theirs.low, abs=0.03 * width)
+    assert high.item() == pytest.approx(theirs.high, abs=0.03 * width)
+
+
+@pytest.mark.parametrize(("confidence", "interval"), [(0.45, (0.5, 0.5)), (0.55, (0.0, 1.0))])
+def test_of_two_seeds_the_mean_is_at_each_end_in_a_quarter_of_the_resamples(confidence, interval) -> None:
+    found = bootstrap_interval(torch.tensor([[0.0], [1.0]]), lambda x: x.mean(-1), confidence, resamples=10_000)
+    assert (found[0].item(), found[1].item()) == interval
+
+
+def test_by_default_two_thousand_resamples_give_95_percent() -> None:
+    scores = torch.rand(9, 2, generator=torch.Generator().manual_seed(0))
+    assert bootstrap_interval(scores) == bootstrap_interval(scores, interquartile_mean, 0.95, 2000, 0)

@@ -65,3 +65,32 @@ def test_fewer_than_three_seeds_stand_for_themselves_in_their_order():
 
 def test_a_table_is_markdown():
     assert markdown(("a", "b"), [["1", "2"]]) == "| a | b |\n| --- | --- |\n| 1 | 2 |"
+
+
+def test_numbers_round_to_a_whole_before_they_turn_to_powers_of_ten():
+    assert [over_seeds([value] * 3).split()[0] for value in (999.4, 999.6, 99.96, -999.6, 0.0)] == [
+        "999", "1000", "100", "-1000", "0",
+    ]  # fmt: skip
+    assert over_seeds([9999.7] * 3, 4).startswith("10000 [")
+
+
+def test_each_cell_of_a_sweep_is_that_of_its_column(tmp_path):
+    for seed in range(2):
+        run = tmp_path / f"{seed}_planning-dyna__seed-{seed}"
+        run.mkdir()
+        errors = {"steady_state_error/a": 0.1 + seed, "steady_state_error/b": 0.3, "rmse/a": 0.5, "rmse/b": 0.7}
+        cost = {"real_steps": 1800, "plant_seconds": 90.0, "wall_seconds": 11.0}
+        record = {"cost": cost, "untrained": {"return": -9.0}, "evaluation": {"return": 4.0, **errors}}
+        (run / "metrics.json").write_text(json.dumps(record))
+    head, _, row = sweep_table(tmp_path).splitlines()
+    cells = dict(zip(head.strip("| ").split(" | "), row.strip("| ").split(" | "), strict=True))
+    assert cells.pop("steady-state error, per axis [rad]").startswith("0.6 [0.1, 1.1] / 0.3 [0.3, 0.3]")
+    assert cells == {
+        "setting": "`planning=dyna`",
+        "seeds": "2",
+        "real steps (plant time)": "1800 (90 s)",
+        "return, untrained": "-9 [-9, -9]",
+        "return, trained": "4 [4, 4]",
+        "RMSE, per axis [rad]": "0.5 [0.5, 0.5] / 0.7 [0.7, 0.7]",
+        "wall time [s]": "11 [11, 11]",
+    }

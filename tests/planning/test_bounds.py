@@ -2,6 +2,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from dynasindy.data.recording import transitions
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Bounds
@@ -70,3 +71,59 @@ def test_a_model_without_members_cannot_disagree():
 def test_impossible_bounds_are_refused(settings):
     with pytest.raises(ValueError, match=r"planning\.bounds"):
         Bounds(**settings)
+
+
+def real_rows(n=20):
+    plant = Xi()
+    env = ControlEnv(plant, Tracking(plant.signature, Step([[0.1, 0.1]])), dtype=torch.float64)
+    return env, env.rollout(n, Multisine(2, 10.0, 0.05))
+
+
+def test_the_limit_is_the_reach_times_the_largest_state_that_a_period_ended_in():
+    env, real = real_rows()
+    real["state"][0] = 1e6  # where a period begins does not count
+    (within,) = Bounds(reach=2.5).masks(env, real, torch.Generator())
+    torch.testing.assert_close(within.limit, 2.5 * real["next", "state"].abs().amax(0))
+
+
+def test_the_distance_is_measured_to_pairs_of_state_and_action_drawn_by_the_generator():
+    env, real = real_rows()
+    torch.manual_seed(5)
+    near, again, other = (
+        Bounds(distance=0.1).masks(env, real, torch.Generator().manual_seed(seed))[1] for seed in (0, 0, 1)
+    )
+    assert len(near.real) == 2000 and near.distance == 0.1
+    pairs = torch.cat([real["state"], real["action"]], -1).float()
+    # Of twenty pairs every one is among two thousand draws, and nothing else is.
+    scale = pairs.abs().amax(0).clamp_min(1e-9)
+    torch.testing.assert_close(near.real.unique(dim=0), (pairs / scale).unique(dim=0))
+    assert torch.equal(near.real, again.real) and not torch.equal(near.real, other.real)
+
+
+def test_a_state_that_never_moved_counts_by_its_least_movement():
+    near = Near(torch.zeros(3, 1), torch.ones(3, 1), distance=1.0)
+    asked = steps(torch.tensor([[0.0], [0.9e-9], [1.1e-9]]), torch.ones(3, 1))
+    assert near(asked).tolist() == [True, True, False]
+
+
+def test_near_reads_every_step_of_every_rollout_in_its_place():
+    near = Near(torch.tensor([[1.0]]), torch.tensor([[1.0]]), distance=0.5)
+    rollouts = TensorDict({"state": torch.tensor([[[1.0], [2.0], [1.2]], [[3.0], [1.0], [0.4]]])}, [2, 3])
+    rollouts["action"] = torch.ones(2, 3, 1)
+    assert near(rollouts).tolist() == [[True, False, True], [False, True, False]]
+
+
+def test_five_fits_have_to_agree_over_a_control_period():
+    env, real = real_rows(100)
+    model_env = env.with_system(SindyModel(env.system.signature))
+    agreeing = Bounds(disagreement=0.2).masks(model_env, real, torch.Generator())[1]
+    assert len(agreeing.models) == 5 and agreeing.disagreement == 0.2
+    torch.testing.assert_close(agreeing.factor, 0.05 / torch.tensor(env.system.signature.x_scale))
+    # The fits are those to the samples every 0.01 s within the periods.
+    expected = Members.of(model_env.system, transitions(real, 0.01), 5).models
+    assert all(torch.equal(one.coefficients, two.coefficients) for one, two in zip(agreeing.models, expected))
+
+
+@pytest.mark.parametrize("name", ["reach", "distance", "disagreement"])
+def test_the_smallest_positive_bounds_are_allowed(name):
+    assert getattr(Bounds(**{name: 1e-9}), name) == 1e-9

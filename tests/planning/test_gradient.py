@@ -10,8 +10,8 @@ import torch
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.envs import ControlEnv
-from dynasindy.planning import Bounds, GradientPlanning, GradientThenReplay, ImaginedReplay, Planned, Variation
-from dynasindy.planning.gradient import Episodes
+from dynasindy.planning import Bounds, GradientPlanning, GradientThenReplay, ImaginedReplay, Planned, Planner, Variation
+from dynasindy.planning.gradient import Episodes, _schedule
 from dynasindy.planning.window import imagine
 from dynasindy.systems import Diverged
 from dynasindy.systems.xi import Xi
@@ -264,3 +264,172 @@ def test_a_step_that_was_skipped_is_no_update():
     planned = planner.plan()
     assert planned.updates == 2 and planned.imagined == 4 * 16 * 20
     assert bool(weights(agent.policy).isfinite().all())
+
+
+def test_the_learning_rate_warms_up_over_ten_updates_and_falls_along_half_a_cosine_to_a_hundredth():
+    cosine = [0.01 + 0.99 * (1 + math.cos(math.pi * k / 40)) / 2 for k in range(40)]
+    warm = [min((k + 1) / 10, 1.0) for k in range(40)]
+    assert [_schedule(k, 40) for k in range(40)] == pytest.approx([a * b for a, b in zip(cosine, warm)])
+    assert _schedule(0, 1000) == pytest.approx(0.1) and _schedule(1000, 1000) == pytest.approx(0.01)
+
+
+def planned(**settings):
+    env, agent, replay = setting()
+    return GradientPlanning(env, agent, replay, **(SMALL | {"updates": 1} | settings))
+
+
+def test_each_phase_begins_with_its_own_learning_rate_and_steps_along_the_schedule():
+    planner, rates = planned(updates=3, more_updates=2, lr=0.5, more_lr=0.2), []
+    planner._update = lambda episodes, optimizer: rates.append(optimizer.param_groups[0]["lr"]) or True
+    planner.test = lambda: 0.0
+    for _ in range(3):
+        planner.plan()
+    of = [_schedule(k, 3) * 0.5 for k in range(3)] + 2 * [_schedule(k, 2) * 0.2 for k in range(2)]
+    assert rates == pytest.approx(of)
+
+
+def test_tests_come_every_so_many_updates_and_at_the_end_of_a_phase():
+    planner, updates = planned(updates=11, check_every=4, patience=100), []
+    planner._update = lambda episodes, optimizer: updates.append("update") or True
+    planner.test = lambda: updates.append("test") or 0.0
+    assert planner.plan() == Planned(11 * 16 * 20, 11)
+    assert [k - n for n, k in enumerate(i for i, what in enumerate(updates) if what == "test")] == [4, 8, 11]
+
+
+def test_patience_counts_failures_in_a_row():
+    planner, scores = planned(updates=100, check_every=1, patience=2), iter([1.0, 0.0, 2.0, 2.0, 3.0, 1.0, 3.0, 9.0])
+    planner._update = lambda episodes, optimizer: True
+    planner.test = lambda: next(scores)
+    assert planner.plan().updates == 7  # an equal score is a failure, a better one forgives
+
+
+def test_the_held_out_score_is_the_mean_reward_over_whole_episodes_from_rest():
+    env, agent, replay = setting(max_steps=12)
+    planner = GradientPlanning(env, agent, replay, width=None, **SMALL)
+    params = env.task.sample(torch.Size((64,)), torch.Generator().manual_seed(1))  # the seed of the planner and one
+    start = env.start_from(torch.zeros(64, 6))
+    start["task_params"] = params
+    start["observation"] = env.task.observation(torch.zeros(64, 6), params, torch.zeros(64, 1))
+    imagined = planner.env.rollout(12, agent.policy, auto_reset=False, tensordict=start)
+    assert planner.test() == pytest.approx(imagined["next", "reward"].mean().item(), rel=1e-4)
+
+
+def test_a_row_that_diverged_scores_like_the_worst_before_it():
+    planner = planned(width=None)
+    with torch.no_grad():
+        free = imagine(planner.env, planner.env.system, planner.network, planner.held_out, 60, False, planner.rng)
+    planner.held_out.reach = torch.full((6,), torch.inf)
+    planner.held_out.reach[5] = free.states[..., 5].abs().flatten().median().item()
+    alive = (free.states.abs() <= planner.held_out.reach).all(-1).int().cummin(0).values.bool()[1:]
+    params = planner.held_out.params.expand(60, -1, -1, -1)
+    stopped = torch.zeros(60, 64, dtype=torch.bool)
+    reward = planner.env.task.reward(free.states[:-1], free.states[1:], params, free.times[1:], stopped)
+    assert 0 < alive.float().mean() < 1
+    expected = (reward[alive].sum() + (~alive).sum() * reward[alive].min()) / reward.numel()
+    assert planner.test() == pytest.approx(expected.item(), rel=1e-4)
+    planner.held_out.reach = torch.full((6,), -1.0)
+    assert planner.test() == -math.inf
+
+
+def test_episodes_begin_staggered_and_anew_where_they_end_or_diverge():
+    planner = planned(real_starts=0.0, jumps=0.0, rollouts=500)
+    episodes = Episodes(planner)
+    length = 60 * 0.05
+    # The first ends lie evenly over an episode.
+    assert episodes.end.min() < 0.05 * length and 0.95 * length < episodes.end.max() <= length
+    assert episodes.end.mean().item() == pytest.approx(length / 2, rel=0.1)
+    rows, ends, params = episodes.rows, episodes.end.clone(), episodes.rows.params.clone()
+    x, held = torch.full((500, 6), 0.2), torch.full((500, 2), 0.3)
+    alive = torch.arange(500) % 5 != 0
+    episodes.carry_on(x, held, alive)  # a window of 20 periods: 1 s
+    over = (ends.squeeze(-1) <= 1.0) | ~alive
+    assert 0 < int((ends.squeeze(-1) <= 1.0).sum()) < 500
+    torch.testing.assert_close(rows.t.squeeze(-1), torch.where(over, 0.0, 1.0))
+    torch.testing.assert_close(episodes.end, torch.where(over.unsqueeze(-1), length, ends))
+    torch.testing.assert_close(rows.x, torch.where(over.unsqueeze(-1), 0.0, x))
+    # The delayed input goes on into the next episode unless its row diverged.
+    torch.testing.assert_close(rows.held, torch.where(alive.unsqueeze(-1), held, 0.0))
+    changed = (rows.params != params).flatten(1).any(-1)
+    assert torch.equal(changed, over)
+
+
+def test_shares_of_the_starts_are_those_asked_for():
+    env, agent, replay = setting()
+    real = flown(env, agent)
+    real["state"] = torch.arange(20.0).unsqueeze(-1).expand(20, 6) + 1
+    replay.extend_real(real)
+    planner = GradientPlanning(env, agent, replay, real_starts=0.3, jumps=0.2, **(SMALL | {"rollouts": 4000}))
+    episodes = Episodes(planner)
+    x = torch.full((4000, 6), -5.0)
+    lost = torch.arange(4000) < 2000
+    starts = episodes._starts(x, lost)[:, 0]
+    for diverged, rows in ((False, starts[2000:]), (True, starts[:2000])):
+        from_real, from_rest, on = rows > 0, rows == 0, rows == -5
+        assert bool((from_real | from_rest | on).all())
+        assert from_real.float().mean().item() == pytest.approx(0.3, abs=0.04)
+        # Where the model diverged nothing goes on.
+        assert on.float().mean().item() == pytest.approx(0.0 if diverged else 0.2, abs=0.0 if diverged else 0.04)
+    assert starts[starts > 0].unique().tolist() == [float(n) for n in range(1, 21)]
+
+
+def test_divergence_is_a_hundred_times_the_largest_real_value_and_nothing_where_a_state_never_moved():
+    env, agent, replay = setting()
+    real = flown(env, agent)
+    real["state"] = torch.tensor([1.0, -2.0, 0.0, 4.0, 50.0, 0.5]) * torch.linspace(0, 1, 20).unsqueeze(-1)
+    replay.extend_real(real)
+    reach = Episodes(GradientPlanning(env, agent, replay, **SMALL)).rows.reach
+    assert reach.tolist() == pytest.approx([100.0, 200.0, math.inf, 400.0, 5000.0, 50.0])
+
+
+def test_updates_are_clipped_and_those_without_a_finite_gradient_skipped(monkeypatch):
+    planner, norms = planned(max_grad_norm=0.125), []
+
+    class Optimizer:
+        def zero_grad(self):
+            planner.network.zero_grad()
+
+        def step(self):
+            norms.append(torch.cat([p.grad.flatten() for p in planner.network.parameters()]).norm().item())
+
+    for slope in (1e3, math.nan):
+
+        def backward(*_, slope=slope):
+            for parameter in planner.network.parameters():
+                parameter.grad = torch.full_like(parameter, slope)
+
+        monkeypatch.setattr("dynasindy.planning.gradient.backward", backward)
+        planner._update(Episodes(planner), Optimizer())
+    assert norms == [pytest.approx(0.125, rel=1e-3)]
+
+
+def test_the_imagined_cost_is_linear_without_a_bonus_and_the_task_keeps_its_own():
+    planner = planned(width=0.04)
+    of_task = setting()[0].task.reward_function
+    expected = replace(of_task, error_shape="linear", width=0.04, bonus=0.0)
+    assert planner.env.task.reward_function == expected and of_task.bonus > 0
+    assert planned(width=None).env.task.reward_function == of_task
+    assert (planner.env.substeps, planned(substeps=3).env.substeps, planner.log_dt) == (1, 3, 0.01)
+
+
+def test_warming_the_critics_waits_for_a_plan():
+    class Idle(Planner):
+        def __init__(self, updates=0, every=1, **_):
+            super().__init__(every)
+            self.updates, self.dropped = updates, 0
+
+        def plan(self):
+            return Planned(imagined=7, updates=self.updates)
+
+        def distrust(self):
+            self.dropped += 1
+
+    env, agent, replay = setting()
+    replay.sample, warmed = (lambda: "batch"), []
+    agent.update_critics = warmed.append
+    for updates, total in ((0, 3), (5, 12)):
+        parts = (partial(Idle, updates=updates, every=4), partial(Idle, updates=3, every=6))
+        both = GradientThenReplay(env, agent, replay, *parts, critic_updates=4)
+        assert both.plan() == Planned(14, total) and both.every == 4
+        both.distrust()
+        assert [planner.dropped for planner in both.planners] == [1, 1]
+    assert warmed == ["batch"] * 4

@@ -1,3 +1,4 @@
+import pytest
 import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
@@ -8,7 +9,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.planning import Imagination
 from dynasindy.planning.bounds import Within
 from dynasindy.systems import System, Tras
-from dynasindy.tasks import Step, Tracking
+from dynasindy.tasks import Step, Tracking, Wave
 
 POLICY = TensorDictModule(lambda o: o[..., :2] * 0 + 0.3, in_keys=["observation"], out_keys=["action"])
 
@@ -70,3 +71,61 @@ def test_what_is_not_finite_is_never_stored():
     imagined = Imagination(make_env(Explosion()), POLICY, horizon=50).imagine(starts)
     assert 0 < len(imagined) < 150
     assert all(imagined[key].isfinite().all() for key in LEARN_KEYS)
+
+
+class Turn(System):
+    """A clock: the azimuth grows by a tenth per period, whatever is done."""
+
+    def __init__(self):
+        super().__init__(Tras().signature)
+
+    def forward(self, x, u):
+        return torch.cat([torch.full_like(x[..., :1], 0.1 / 0.05), torch.zeros_like(x[..., 1:])], -1)
+
+
+def test_what_follows_a_step_that_is_not_believed_is_cut_although_it_is_believed_again():
+    def unlucky(rollout):  # the third step of the first rollout, the first of the second
+        return (rollout["next", "state"][..., 0] - 0.3).abs() > 0.05
+
+    starts = torch.zeros(3, 6)
+    starts[1:, 0] = torch.tensor([0.2, 0.7])
+    imagined = Imagination(make_env(Turn()), POLICY, horizon=5, masks=[unlucky]).imagine(starts)
+    ends = (10 * imagined["next", "observation"][:, 0]).round()
+    assert ends.tolist() == [1, 2, 8, 9, 10, 11, 12]
+    assert imagined["next", "truncated"].flatten().tolist() == [False, True, False, False, False, False, True]
+
+
+def test_every_mask_must_believe():
+    masks = [lambda rollout, k=k: (10 * rollout["next", "state"][..., 0] - k).abs() > 0.5 for k in (4, 2)]
+    assert len(Imagination(make_env(Turn()), POLICY, horizon=5, masks=masks).imagine(torch.zeros(1, 6))) == 1
+    assert len(Imagination(make_env(Turn()), POLICY, horizon=5, masks=masks[:1]).imagine(torch.zeros(1, 6))) == 3
+
+
+def test_imagined_rollouts_are_those_of_a_loop_over_rows_and_periods():
+    plant = Tras()
+    env = ControlEnv(plant, Tracking(plant.signature, Wave([0.3, 0.2], [0.5, 0.4])))
+    policy = TensorDictModule(lambda o: (0.5 * o[..., 6:]).clamp(-1, 1), in_keys=["observation"], out_keys=["action"])
+    starts = 0.1 * torch.randn(2, 3, 6, generator=torch.Generator().manual_seed(0))
+    imagined = Imagination(env, policy, horizon=4).imagine(starts)
+    assert imagined.batch_size == (24,)
+    params = env.task.sample(torch.Size((1,)), torch.Generator())
+    for i, x in enumerate(starts.reshape(6, 1, 6)):
+        for k in range(4):
+            seen = env.task.observation(x, params, torch.tensor([[k * 0.05]]))
+            u = (0.5 * seen[:, 6:]).clamp(-1, 1)
+            following = env.advance(x, u)[0][:, -1]
+            t = torch.tensor([[(k + 1) * 0.05]])
+            reward = env.task.reward(x, following, params, t, torch.zeros(1, dtype=torch.bool))
+            row = imagined[4 * i + k]
+            torch.testing.assert_close(row["observation"], seen[0])
+            torch.testing.assert_close(row["action"], u[0])
+            torch.testing.assert_close(row["next", "observation"], env.task.observation(following, params, t)[0])
+            torch.testing.assert_close(row["next", "reward"], reward, atol=1e-6, rtol=1e-5)
+            assert row["next", "done"].item() == (k == 3)
+            x = following
+
+
+def test_a_rollout_needs_a_period():
+    with pytest.raises(ValueError, match=r"at least 1 control period, got 0; mend planning\.horizon"):
+        Imagination(make_env(), POLICY, horizon=0)
+    assert len(Imagination(make_env(), POLICY, horizon=1).imagine(torch.zeros(2, 6))) == 2

@@ -1,12 +1,14 @@
 """Integral action, on a plant that a proportional policy leaves with a steady error."""
 
+import math
+
 import pytest
 import torch
 
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.systems.pendulum import Pendulum
-from dynasindy.tasks import Step, Tracking, TrackingReward
+from dynasindy.tasks import Step, Tracking, TrackingReward, Wave
 
 
 def setting():
@@ -65,3 +67,62 @@ def test_gains_must_be_positive():
     env, proportional = setting()
     with pytest.raises(ValueError, match="positive"):
         IntegralAction(proportional, env, gain=0.0)
+
+
+def test_shift_and_integral_are_those_of_the_formulas_on_a_moving_reference():
+    plant = Pendulum()
+    task = Tracking(plant.signature, Wave([0.3], [0.2]), ("theta",), ("Omega",), TrackingReward((4.0,)))
+    env = ControlEnv(plant, task, dtype=torch.float64)
+    seen = []
+
+    def policy(tensordict):
+        seen.append(tensordict["observation"].clone())
+        return tensordict.set("action", torch.tensor([0.123]))
+
+    action = IntegralAction(policy, env, gain=3.0, band=0.25, limit=0.02, rate=0.5)
+    integral = 0.0
+    for k, (angle, speed) in enumerate([(-0.2, 0.1), (-0.1, 0.3), (0.0, 0.5), (0.1, 0.2), (0.4, 0.2), (0.5, -1.0)]):
+        now = env.start_from(torch.tensor([angle, speed]))
+        now["task_params"] = task.sample(torch.Size(()), torch.Generator()).double()
+        now["step_count"] = torch.tensor([5 * k])
+        t = 0.25 * k  # the count in control periods of 0.05 s
+        true = task.observation(now["state"], now["task_params"], torch.tensor([t])).float()
+        now["observation"] = true.clone()
+        out = action(now)
+        expected = true.clone()
+        expected[2] += integral / 0.5  # states first, then the error over 0.5 rad
+        torch.testing.assert_close(seen[-1], expected)
+        torch.testing.assert_close(out["observation"], true)
+        assert out["action"].item() == pytest.approx(0.123)
+        error = 0.3 * math.sin(2 * math.pi * 0.2 * t) - angle
+        moving = (0.3 * 2 * math.pi * 0.2 * math.cos(2 * math.pi * 0.2 * t) - speed) / 0.5
+        step = 3.0 * 0.05 * error / (1 + moving**2) if abs(error) < 0.25 else 0.0
+        integral = max(-0.02, min(0.02, integral + step))
+        assert action.integral.item() == pytest.approx(integral, abs=1e-7)
+    assert len({round(o[2].item(), 3) for o in seen}) == 6 and integral != 0.02  # the limit was met, and left again
+
+
+def test_a_row_that_begins_anew_forgets_alone():
+    env, proportional = setting()
+    action = IntegralAction(proportional, env, gain=2.0, band=1.0)
+    start = env.start_from(torch.zeros(2, 2))
+    action(start.clone().set("step_count", torch.tensor([[3], [3]])))
+    action(start.clone().set("step_count", torch.tensor([[4], [0]])))
+    assert action.integral.flatten().tolist() == pytest.approx([0.04, 0.02])  # twice and once 2/s * 0.05 s * 0.2 rad
+    action(env.start_from(torch.zeros(3, 2)).set("step_count", torch.ones(3, 1, dtype=torch.int64)))
+    assert action.integral.flatten().tolist() == pytest.approx([0.02] * 3)  # another batch begins at zero
+
+
+@pytest.mark.parametrize("name", ["gain", "band", "limit", "rate"])
+def test_each_number_must_be_positive(name):
+    env, proportional = setting()
+    with pytest.raises(ValueError, match=f"{name}=0.0"):
+        IntegralAction(proportional, env, **{name: 0.0})
+    IntegralAction(proportional, env, **{name: 1e-3})
+
+
+def test_a_task_without_a_reference_is_refused():
+    env, proportional = setting()
+    env.task = object()
+    with pytest.raises(TypeError, match="task object has no error to integrate"):
+        IntegralAction(proportional, env)

@@ -1,4 +1,5 @@
 import math
+from functools import cache
 
 import pytest
 import torch
@@ -6,19 +7,25 @@ import torch
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.envs import ControlEnv
-from dynasindy.planning import Bounds, ImaginedReplay, NoPlanning
+from dynasindy.planning import Bounds, ImaginedReplay, NoPlanning, Planned
+from dynasindy.planning.replayed import _schedule
 from dynasindy.systems import Diverged, Tras
 from dynasindy.tasks import RandomStep, Tracking
 
+PLANT = Tras()
+ENV = ControlEnv(PLANT, Tracking(PLANT.signature, RandomStep([-0.5, -0.5], [0.5, 0.4])))
+
+
+@cache
+def flown():
+    with torch.no_grad():
+        return ENV.rollout(60, TD3(ENV.task.n_o, 2, hidden=(8,)).explore)
+
 
 def make(**settings):
-    plant = Tras()
-    env = ControlEnv(plant, Tracking(plant.signature, RandomStep([-0.5, -0.5], [0.5, 0.4])))
-    agent = TD3(env.task.n_o, 2, hidden=(8,))
-    replay = DynaReplay(5000, 32)
-    with torch.no_grad():
-        replay.extend_real(env.rollout(60, agent.explore))
-    return replay, ImaginedReplay(env, agent, replay, **settings), agent
+    agent, replay = TD3(ENV.task.n_o, 2, hidden=(8,)), DynaReplay(5000, 32)
+    replay.extend_real(flown().clone())
+    return replay, ImaginedReplay(ENV, agent, replay, **settings), agent
 
 
 def test_rollouts_times_horizon_are_stored_and_counted():
@@ -151,3 +158,76 @@ def test_an_actor_without_finite_weights_is_not_laid_on_the_model():
 def test_rollouts_that_memory_cannot_hold_are_refused():
     with pytest.raises(ValueError, match=r"planning\.rollouts=1000000000 of planning\.horizon=100 periods would take"):
         make(rollouts=10**9, horizon=100)
+
+
+def starts_of(replay, rows=slice(None)):
+    return replay.model[:]["observation"][rows, :6]
+
+
+@pytest.mark.parametrize(("recent_steps", "newest"), [(1, 1), (4, 4), (None, 60), (500, 60)])
+def test_branches_begin_at_every_one_of_the_newest_states_and_at_no_other(recent_steps, newest):
+    replay, planner, _ = make(rollouts=600, horizon=1, recent_steps=recent_steps)
+    planner.plan()
+    real = replay.real_in_order()["observation"][:, :6]
+    same = (starts_of(replay).unsqueeze(1) == real).all(-1)
+    assert same.any(0).nonzero().flatten().tolist() == [*range(60 - newest, 60)]
+    # Each as often as any other: the counts of 600 draws deviate by the root of their mean.
+    assert float((same.sum(0)[-newest:] - 600 / newest).abs().max()) <= 5 * (600 / newest) ** 0.5
+
+
+def test_the_seed_of_the_planner_chooses_the_starts_and_nothing_else_does():
+    chosen = []
+    for seed, drawn_elsewhere in ((3, 0), (3, 7), (4, 0)):
+        replay, planner, _ = make(rollouts=20, horizon=1, seed=seed)
+        torch.rand(drawn_elsewhere)
+        planner.plan()
+        chosen.append(starts_of(replay))
+    assert torch.equal(chosen[0], chosen[1]) and not torch.equal(chosen[0], chosen[2])
+
+
+def test_cut_rollouts_are_counted_as_stored_and_evicted_as_counted():
+    replay, planner, _ = make(rollouts=12, horizon=5, generations=3)
+    kept = iter([3, 4, 1, 2, 5, 5])
+
+    class First(Bounds):
+        def masks(self, env, real, generator):
+            steps = next(kept)
+            return [lambda rollout: (torch.arange(5) < steps).expand(rollout.shape)]
+
+    planner.bounds = First()
+    found = []
+    for _ in range(4):
+        found.append((planner.plan().imagined, len(replay.model)))
+    # 12 rollouts of 3, 4, 1 and 2 steps; of four phases the newest three stay.
+    assert found == [(36, 36), (48, 84), (12, 96), (24, 84)] and planner.made == [36, 48, 12, 24]
+    planner.distrust()
+    assert len(replay.model) == 0
+    assert [(planner.plan().imagined, len(replay.model)) for _ in range(2)] == [(60, 60), (60, 120)]
+
+
+def test_the_first_horizon_holds_until_a_phase_counts():
+    _, planner, _ = make(rollouts=0, horizon=[2, 8, 4])
+    assert [planner.plan().imagined for _ in range(3)] == [0, 0, 0] and planner.made == []
+    assert [planner.horizons(phase) for phase in range(6)] == [2, 4, 6, 8, 8, 8]
+    assert planner.imagination.horizon == 2
+
+
+@pytest.mark.parametrize(("horizon", "grown"), [([9, 3, 1], [9, 3, 3]), ([9, 3, 5], [9, 8, 3]), (7, [7, 7, 7])])
+def test_a_horizon_may_shrink_and_stays_at_its_end(horizon, grown):
+    assert [_schedule(horizon)(phase) for phase in (0, 1, 5)] == grown
+
+
+@pytest.mark.parametrize("fine", [{"rollouts": 0}, {"generations": 1}, {"recent_steps": 1}, {"horizon": [1, 1, 1]}])
+def test_the_smallest_plans_are_allowed(fine):
+    assert make(**({"rollouts": 1, "horizon": 1} | fine))[1].plan().imagined <= 1
+
+
+def test_by_default_four_hundred_rollouts_of_a_hundred_periods_are_kept_for_five_phases():
+    _, planner, _ = make()
+    assert (planner.rollouts, planner.horizons(0), planner.every, planner.generations) == (400, 100, 1, 5)
+    assert planner.bounds == Bounds(1.5, None, None) and planner.recent_steps is None
+
+
+def test_no_planning_costs_nothing():
+    planner = NoPlanning()
+    assert planner.plan() == Planned(0, 0) and planner.distrust() is None and planner.learns_by_td3

@@ -59,6 +59,7 @@ def test_disturbances_are_measured_in_ranges_of_the_state():
 
 def test_each_member_moves_its_share_of_the_rows():
     x, u = states(5)
+    torch.testing.assert_close(Members([Xi()])(x, u), Xi()(x, u))
     moved = Members([Xi(), Tras()])(x, u)
     torch.testing.assert_close(moved, torch.cat([Xi()(x[:3], u[:3]), Tras()(x[3:], u[3:])]))
 
@@ -93,3 +94,61 @@ def test_noise_needs_one_deviation_per_state():
     assert Variation().deviations(6) is None
     with pytest.raises(ValueError, match="one per state"):
         Variation(noise=[0.1]).deviations(6)
+
+
+def test_versions_fill_their_ranges_evenly_on_both_sides_and_apart():
+    varied = Varied(Xi(), Variation(parameters=0.2, disturbance=0.3), 4000)
+    varied.draw(torch.ones(4000, dtype=torch.bool), torch.Generator().manual_seed(0))
+    scale = torch.tensor(Xi().signature.x_scale)
+    for drawn in ((varied.gain - 1)[:, 2:] / 0.2, (varied.input_gain - 1) / 0.2, (varied.drift / scale)[:, 2:] / 0.3):
+        # Uniform in [-1, 1]: mean 0, variance 1/3; four thousand draws leave a hundredth.
+        assert drawn.min() < -0.99 and drawn.max() > 0.99 and drawn.abs().max() <= 1 + 1e-4
+        torch.testing.assert_close(drawn.mean(0), torch.zeros(drawn.shape[1]), atol=0.04, rtol=0)
+        torch.testing.assert_close(drawn.var(0), torch.full((drawn.shape[1],), 1 / 3), atol=0.02, rtol=0)
+    # What one column draws says nothing of another.
+    both = torch.corrcoef(torch.cat([varied.gain[:, 2:], varied.input_gain, varied.drift[:, 2:]], -1).mT)
+    assert (both - torch.eye(len(both))).abs().max() < 0.1
+    assert not varied.drift[:, :2].any() and bool((varied.gain[:, :2] == 1).all())
+
+
+def test_the_versions_are_those_of_the_generator():
+    drawn = []
+    for seed in (0, 0, 1):
+        varied = Varied(Xi(), Variation(parameters=0.2), 5)
+        varied.draw(ALL, torch.Generator().manual_seed(seed))
+        drawn.append(varied.gain)
+    assert torch.equal(drawn[0], drawn[1]) and not torch.equal(drawn[0], drawn[2])
+
+
+def test_a_push_is_added_after_the_gain():
+    varied = Varied(Xi(), Variation(parameters=0.1, disturbance=0.2), 5)
+    varied.draw(ALL, torch.Generator().manual_seed(2))
+    x, u = states(5)
+    expected = varied.gain * Xi()(x, varied.input_gain * u) + varied.drift
+    torch.testing.assert_close(varied(x, u), expected)
+    torch.testing.assert_close(varied(x.expand(3, 5, 6), u.expand(3, 5, 2))[2], expected)
+
+
+def test_plants_differ_by_parameters_or_disturbances_only():
+    assert not Variation(noise=[1.0], late=True, members=3).plants
+    assert Variation(parameters=0.1).plants and Variation(disturbance=0.1).plants
+    assert Variation(noise=[0.1, 0.2]).deviations(2).tolist() == pytest.approx([0.1, 0.2])
+
+
+@pytest.mark.parametrize("wrong", [{"parameters": -0.1}, {"parameters": 1.5}, {"noise": [0.1, -0.1]}])
+def test_each_number_of_a_variation_is_checked(wrong):
+    with pytest.raises(ValueError, match=r"mend planning\.variation"):
+        Variation(**wrong)
+
+
+def test_members_keep_the_stops_and_the_library_of_the_model():
+    inputs = HeldRandom(2, duration=2.0, amplitude=(0.6, 0.45), offset=(-0.12, 0.21), seed=0).samples(0.01)
+    data = record(Xi(), inputs, dt=0.01)
+    model = SindyModel(Xi().signature, "paper_table")
+    model.stops = Tras().stops
+    members = Members.of(model, data, 3)
+    assert members.stops == Tras().stops and len(members.models) == 3
+    assert not model.coefficients.any()  # the model itself is not fitted
+    x, u = states(9)
+    shares = [one(x[3 * k : 3 * k + 3], u[3 * k : 3 * k + 3]) for k, one in enumerate(members.models)]
+    torch.testing.assert_close(members(x, u), torch.cat(shares))

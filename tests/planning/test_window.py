@@ -9,7 +9,7 @@ from dynasindy.planning.window import Rows, backward, imagine, sensitivities
 from dynasindy.systems import rk4
 from dynasindy.systems.pendulum import Pendulum
 from dynasindy.systems.xi import Xi
-from dynasindy.tasks import RandomStep, Tracking, TrackingReward
+from dynasindy.tasks import RandomStep, Tracking, TrackingReward, Wave
 
 STEPS = 25
 
@@ -139,3 +139,117 @@ def test_a_row_out_of_reach_is_out_from_there_on():
     out = (free.states[..., 0].abs() > rows.reach[0]).int().cummax(0).values.bool()
     assert out.any() and torch.equal(bound.alive, ~out)
     torch.testing.assert_close(bound.states[bound.alive], free.states[bound.alive])
+
+
+def moving():
+    """The setting under references that move, each row at its own time and phase, in two sub-steps."""
+    env, network, rows, rng = setting()
+    env.task.references = Wave([0.3, 0.2], [0.5, 0.4])
+    env.substeps = 2
+    rows.t = 0.05 * torch.arange(8.0).unsqueeze(-1)
+    rows.params = env.task.sample(torch.Size((8,)), rng)
+    rows.params[..., 3] = torch.rand(8, 2, generator=rng)
+    rows.held = 0.2 * torch.randn(8, 2, generator=rng)
+    return env, network, rows, rng
+
+
+def looped(env, network, rows, late):
+    """States, actions and rewards of a loop over rows and periods, step by step of the environment."""
+    states, actions, total = [], [], 0.0
+    for i in range(8):
+        x, held, path = rows.x[i : i + 1], rows.held[i : i + 1], [rows.x[i]]
+        for k in range(STEPS):
+            t = rows.t[i : i + 1] + k * env.dt
+            u = network(env.task.observation(x, rows.params[i : i + 1], t))
+            entering, held = (held, u) if late else (u, held)
+            following = env.advance(x, entering)[0][:, -1]
+            free = torch.zeros(1, dtype=torch.bool)
+            total = total + env.task.reward(x, following, rows.params[i : i + 1], t + env.dt, free).sum() / (8 * STEPS)
+            x = following
+            path.append(x[0])
+            actions.append(u[0])
+        states.append(torch.stack(path))
+    return torch.stack(states, 1), torch.stack(actions).reshape(8, STEPS, 2).movedim(0, 1), total
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_window_under_moving_references_is_a_loop_over_rows_and_periods(late):
+    env, network, rows, rng = moving()
+    states, actions, total = looped(env, network, rows, late)
+    terminal = torch.randn(8, 6, generator=rng) / torch.tensor(env.system.signature.x_scale)
+    (-total + (terminal * states[-1]).sum()).backward()
+    wanted = torch.cat([p.grad.flatten() for p in network.parameters()])
+    network.zero_grad()
+    window = imagine(env, env.system, network, rows, STEPS, late, rng)
+    torch.testing.assert_close(window.states, states.detach(), rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(window.actions, actions.detach(), rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(window.times[:, :, 0], rows.t[:, 0] + 0.05 * torch.arange(STEPS + 1.0).unsqueeze(-1))
+    reward = backward(env, env.system, network, rows, window, late, terminal)
+    torch.testing.assert_close(reward, total.detach(), rtol=1e-4, atol=1e-6)
+    found = torch.cat([p.grad.flatten() for p in network.parameters()])
+    torch.testing.assert_close(found, wanted, rtol=2e-3, atol=1e-4 * float(wanted.abs().max()))
+
+
+def test_the_gradient_equals_central_differences_of_the_imagined_reward():
+    env, network, rows, rng = moving()
+    window = imagine(env, env.system, network, rows, STEPS, False, rng)
+    backward(env, env.system, network, rows, window, False)
+    bias = network[2].bias
+    for j in range(2):
+        totals = []
+        for step in (1e-2, -1e-2):
+            with torch.no_grad():
+                bias[j] += step
+                totals.append(looped(env, network, rows, False)[2].item())
+                bias[j] -= step
+        # The cost is the negative reward.
+        assert bias.grad[j].item() == pytest.approx(-(totals[0] - totals[1]) / 2e-2, rel=2e-2, abs=1e-5)
+
+
+def test_what_diverged_holds_the_first_state_and_no_input_from_there_on():
+    env, network, rows, rng = setting()
+    rows.reach = torch.full((6,), torch.inf)
+    free = imagine(env, env.system, network, rows, STEPS, False, rng)
+    rows.reach[0] = free.states[:, :, 0].abs().amax().item() / 2
+    bound = imagine(env, env.system, network, rows, STEPS, False, rng)
+    for i in range(8):
+        out = [k for k in range(STEPS + 1) if free.states[k, i, 0].abs() > rows.reach[0]]
+        first = min(out, default=STEPS + 1)  # the first state that is out of reach
+        assert bound.alive[:, i].tolist() == [k < first for k in range(STEPS + 1)]
+        for k in range(STEPS + 1):
+            assert torch.equal(bound.states[k, i], free.states[k, i] if k < first else rows.x[i])
+        for k in range(STEPS):  # a period lives if it ends in reach, a measurement if it begins there
+            kept = k + 1 < first
+            assert torch.equal(bound.applied[k, i], free.applied[k, i] if kept else torch.zeros(2))
+            assert torch.equal(bound.actions[k, i], free.actions[k, i] if kept else torch.zeros(2))
+            assert torch.equal(bound.seen[k, i], free.seen[k, i] if k < first else rows.x[i])
+    assert not bound.alive.all()
+
+
+def test_a_terminal_slope_of_a_row_that_diverged_does_not_count():
+    env, network, rows, rng = setting()
+    rows.x[:3, 5], rows.x[3:, 5] = 1500.0, -500.0
+    rows.reach = torch.tensor([6.0, 6.0, 50.0, 50.0, 1e5, 1e5])
+    sick, gradients = Explosion(), []
+    terminal = 0.01 * torch.ones(8, 6)
+    for of_the_lost in (1.0, 100.0):
+        terminal[:3] = of_the_lost
+        network.zero_grad()
+        window = imagine(env, sick, network, rows, STEPS, False, rng)
+        reward = backward(env, sick, network, rows, window, False, terminal)
+        gradients.append(torch.cat([p.grad.flatten() for p in network.parameters()]))
+    torch.testing.assert_close(*gradients)
+    # The reward is a mean over eight rows, of which three earn nothing.
+    five = Rows(*(getattr(rows, name)[3:] for name in ("x", "held", "params", "t")), reach=rows.reach)
+    window = imagine(env, sick, network, five, STEPS, False, rng)
+    torch.testing.assert_close(reward, 5 / 8 * backward(env, sick, network, five, window, False))
+
+
+def test_the_noise_is_that_of_the_generator():
+    env, network, rows, _ = setting()
+    rows.noise = torch.tensor([5e-4, 5e-4, 5e-3, 5e-3, 20.0, 20.0])
+    seen = [
+        imagine(env, env.system, network, rows, 3, False, torch.Generator().manual_seed(seed)).seen
+        for seed in (0, 0, 1)
+    ]
+    assert torch.equal(seen[0], seen[1]) and not torch.equal(seen[0], seen[2])

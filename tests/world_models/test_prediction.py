@@ -4,10 +4,12 @@ import math
 
 import numpy as np
 import torch
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import SindyModel
 from dynasindy.world_models.prediction import nrmse, one_step_error, open_loop
 
 MATRIX = np.array([[0.0, 1.0], [-4.0, -0.4]])
@@ -82,3 +84,46 @@ def test_a_prediction_that_overflows_has_an_infinite_error():
     predicted = open_loop(Explosion(MATRIX), data)
     assert not bool(predicted.isfinite().all())
     assert nrmse(predicted, data).tolist() == [math.inf, math.inf]
+
+
+def swing() -> SindyModel:
+    """a' = b, b' = -9 sin a - 0.3 b + 2 u, as a sparse model."""
+    model = SindyModel(Signature(("a", "b"), ("rad", "rad/s"), ("u",), (1.0, 1.0)), ["b", "sin(a)", "u"])
+    model.set_coefficients(torch.tensor([[1.0, -0.3], [0.0, -9.0], [0.0, 2.0]]))
+    return model
+
+
+def solved(x0, inputs, dt) -> np.ndarray:
+    """States after each held input, by SciPy."""
+    states = [np.asarray(x0, dtype=float)]
+    for held in inputs:
+        ends = solve_ivp(
+            lambda t, x, u=held: [x[1], -9 * math.sin(x[0]) - 0.3 * x[1] + 2 * u],
+            (0, dt), states[-1], rtol=1e-11, atol=1e-12,
+        )  # fmt: skip
+        states.append(ends.y[:, -1])
+    return np.array(states)
+
+
+def test_substeps_of_predictions_and_simulations_approach_scipy_by_fourth_order():
+    model, inputs = swing(), [0.5, -1.0, 0.8]
+    x0, u = torch.tensor([[0.8, 0.5]], dtype=torch.float64), torch.tensor(inputs, dtype=torch.float64)
+    exact = solved([0.8, 0.5], inputs, 0.3)
+    errors = []
+    for substeps in (1, 2, 4, 32):
+        with torch.no_grad():
+            path = model.simulate(x0, u.reshape(1, 3, 1), 0.3, substeps)
+            once = model.predict(x0, u[:1].unsqueeze(0), 0.3, substeps)
+        assert path.shape == (1, 4, 2) and torch.equal(path[:, 0], x0) and torch.equal(path[:, 1], once)
+        errors.append(float((once[0] - torch.from_numpy(exact[1])).abs().max()))
+    assert np.allclose(path[0], exact, atol=1e-6)
+    assert all(9 < coarse / fine < 40 for coarse, fine in zip(errors[:2], errors[1:3])) and errors[3] < 1e-7
+
+
+def test_substeps_of_both_errors_approach_scipy():
+    model, inputs = swing(), [0.5, -1.0, 0.8, 0.1, -0.4]
+    exact = torch.from_numpy(solved([0.8, 0.5], inputs, 0.3))
+    data = Transitions.from_trajectory(exact, torch.tensor(inputs, dtype=torch.float64).unsqueeze(-1), 0.3)
+    coarse, fine = (one_step_error(model, data, substeps=n) for n in (1, 2))
+    assert float((coarse / fine).min()) > 7 and float(one_step_error(model, data, substeps=30).max()) < 1e-6
+    assert float(nrmse(open_loop(model, data, substeps=30), data).max()) < 1e-5

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy.optimize import brentq
 
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -13,7 +14,7 @@ from dynasindy.world_models.features import CONSTANT, variable
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.one_step import refine_one_step
 from dynasindy.world_models.refine import METHODS, Refinement, looks_noisy
-from dynasindy.world_models.regression import Regression, RunningSums, integral_form
+from dynasindy.world_models.regression import Regression, RunningSums, integral_form, simpson_form
 from dynasindy.world_models.trajectory import refine_trajectory
 
 SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
@@ -90,3 +91,63 @@ def test_settings_that_are_not_allowed_are_refused(wrong):
     with pytest.raises(ValueError, match="allowed") as refused:
         Refinement(**wrong)
     assert "\n" not in str(refused.value)
+
+
+def errors_as_data(errors: np.ndarray, segments: list[int]) -> tuple[Library, torch.Tensor, Transitions]:
+    """Transitions whose one-step errors, of a model that says that nothing moves, are the given ones."""
+    n_x = errors.shape[1]
+    names = tuple(f"y{k}" for k in range(n_x))
+    library = Library(Signature(names, ("-",) * n_x, ("u",), (1.0,) * n_x), [variable(names[0])])
+    x = torch.zeros(len(errors), n_x, dtype=torch.float64)
+    data = Transitions(x, torch.zeros(len(errors), 1), torch.from_numpy(errors), 0.1, torch.tensor(segments))
+    return library, torch.zeros(1, n_x, dtype=torch.float64), data
+
+
+def with_correlation(rho: float) -> np.ndarray:
+    """Twelve errors whose neighbours correlate by rho exactly."""
+    a, b = np.ones(12), (-1.0) ** np.arange(12)
+
+    def correlation(share: float) -> float:
+        e = a + share * b
+        return float(e[:-1] @ e[1:] / (np.linalg.norm(e[:-1]) * np.linalg.norm(e[1:])))
+
+    share = brentq(lambda s: correlation(s) - rho, 0.01, 100.0)
+    return a + share * b
+
+
+@pytest.mark.parametrize(
+    ("correlations", "noisy"),
+    [
+        ([-0.31], True),
+        ([-0.29], False),
+        ([0.31], False),
+        ([-0.5, 0.5], False),  # one of two is not the majority
+        ([-0.5, 0.5, -0.5], True),
+        ([-0.5, 0.5, 0.5], False),
+    ],
+)
+def test_noise_is_where_most_states_have_neighbours_that_correlate_below_minus_three_tenths(correlations, noisy):
+    errors = np.stack([with_correlation(rho) for rho in correlations], -1)
+    assert looks_noisy(*errors_as_data(errors, [0] * 12)) == noisy
+
+
+def test_neighbours_across_two_segments_are_none():
+    # Within each segment errors are equal; only across the gaps they change their sign.
+    errors = np.array([1.0, 1.0, -1.0, -1.0] * 3 + [-3.0] + [3.0] * 3)[:, None]
+    assert not looks_noisy(*errors_as_data(errors, [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 7, 7, 7]))
+    alternating = np.array([1.0, -1.0] * 8)[:, None]
+    assert looks_noisy(*errors_as_data(alternating, [0] * 16))
+    assert not looks_noisy(*errors_as_data(alternating, [*range(16)]))
+
+
+def test_each_round_is_a_simpson_regression_with_the_model_of_the_round_before():
+    data, xi = recording(0.05), first(recording(0.05))
+    for rounds in (1, 2):
+        coefficients = xi
+        for _ in range(rounds):
+            theta, dx = simpson_form(LIBRARY, lambda x, u, c=coefficients: LIBRARY(x, u) @ c, data)
+            sums = RunningSums(4, 1)
+            sums.add((theta, dx))
+            coefficients = Regression("bic", tolerance=1e-3).solve(sums, FREE.free, FREE.offset)
+        found = Refinement("integral", rounds=rounds, tolerance=1e-3).run(LIBRARY, xi, FREE, data)
+        torch.testing.assert_close(found, coefficients, rtol=1e-9, atol=1e-12)

@@ -204,3 +204,83 @@ def test_settings_that_are_not_allowed_are_refused(wrong):
     with pytest.raises(ValueError, match="allowed") as error:
         Regression(**wrong)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("count", [50, 400])
+def test_a_term_is_worth_the_logarithm_of_the_number_of_samples(count):
+    # Orthonormal columns: without the second term the squared residual grows from s to s + g, and it stays
+    # if N ln((s + g) / s) > ln N, that is from g = s (N^(1/N) - 1) on.
+    rest = 0.01
+    just = rest * (count ** (1 / count) - 1)
+    for share, kept in ((1.02, 2), (0.98, 1)):
+        g = share * just
+        theta = torch.eye(3, dtype=torch.float64)[:, :2]
+        target = torch.tensor([[1.0], [g**0.5], [rest**0.5]], dtype=torch.float64)
+        found = eliminate(theta, target, torch.ones(2, 1, dtype=torch.bool), count, 1e-9)
+        assert int((found != 0).sum()) == kept and found[0, 0].item() == pytest.approx(1.0)
+
+
+def test_below_the_tolerance_more_terms_gain_nothing():
+    theta = torch.eye(3, dtype=torch.float64)[:, :2]
+    target = torch.tensor([[1.0], [1e-7], [0.0]], dtype=torch.float64)
+    for tolerance, kept in ((1e-9, 2), (1e-5, 1)):
+        assert int((eliminate(theta, target, torch.ones(2, 1, dtype=torch.bool), 100, tolerance) != 0).sum()) == kept
+
+
+def test_terms_that_may_not_occur_do_not_whatever_they_are_worth():
+    theta, dx, xi = problem(noise=0.0)
+    theta, dx = theta / theta.norm(dim=0), dx / dx.norm(dim=0)
+    support = torch.ones(8, 2, dtype=torch.bool)
+    support[6, 0] = False
+    found = eliminate(theta, dx, support, 300, 1e-5)
+    assert found[6, 0] == 0 and found[:, 1].nonzero().flatten().tolist() == xi[:, 1].nonzero().flatten().tolist()
+    nothing = eliminate(theta, dx, torch.zeros(8, 2, dtype=torch.bool), 300, 1e-5)
+    assert not nothing.any()
+
+
+def unit_problem(count):
+    """Columns of 2-norm 1 and 3, orthogonal, with rates 5 and 0.5 of each unit column."""
+    theta = torch.zeros(count, 2, dtype=torch.float64)
+    theta[0, 0], theta[1, 1] = 1.0, 3.0
+    return theta, theta @ torch.tensor([[5.0], [0.5 / 3.0]], dtype=torch.float64)
+
+
+@pytest.mark.parametrize(
+    ("settings", "limit"),
+    [
+        ({}, 1.0),  # on coefficients of unit columns
+        ({"normalize": "rms"}, (250 / 1000) ** 0.5),  # the same at a thousand samples
+        ({"scale_targets": True}, (25.25 / 250) ** 0.5),  # times the root mean square of the rates
+        ({"normalize": "rms", "scale_targets": True}, (25.25 / 1000) ** 0.5),
+    ],
+)
+def test_each_rule_has_its_limit(settings, limit):
+    for factor, kept in ((0.99, 2), (1.01, 1)):
+        # The smaller coefficient, 0.5 on its unit column, stays below its limit.
+        regression = Regression(threshold=factor * 0.5 / limit, **settings)
+        theta, dx = unit_problem(250)
+        sums = RunningSums(2, 1)
+        sums.add((theta, dx))
+        found = regression.solve(sums, torch.ones(2, 1, dtype=torch.bool), torch.zeros(2, 1).double())
+        assert int((found != 0).sum()) == kept and found[0, 0].item() == pytest.approx(5.0)
+
+
+def test_the_number_of_refits_is_limited():
+    # Each refit makes the next coefficient small: 1, 1/2, 1/4 ... of a chain of ever less independent columns.
+    theta = torch.eye(4, dtype=torch.float64)
+    theta[0, 1:] = 1.0
+    target = theta @ torch.tensor([[0.1], [1.0], [1.0], [1.0]], dtype=torch.float64)
+    everything = torch.ones(4, 1, dtype=torch.bool)
+    supports = [
+        (stlsq(theta, target, everything, torch.tensor([0.5]), max_iterations=n) != 0).sum().item() for n in (0, 1, 20)
+    ]
+    assert supports[0] == 4 and supports[1] == supports[2] == 3
+
+
+def test_simpson_s_rule_takes_its_middle_from_the_hermite_interpolant():
+    x, u = torch.tensor([[1.0], [2.0]]), torch.tensor([[3.0]])
+    data = Transitions.from_trajectory(x, u, 0.8)
+    theta, dx = simpson_form(lambda x, u: x * x + u, lambda x, u: 10 * x, data)
+    middle = 1.5 + 0.8 / 8 * (10 - 20)
+    assert theta.item() == pytest.approx(((1 + 3) + 4 * (middle**2 + 3) + (4 + 3)) / 6)
+    assert dx.item() == pytest.approx(1 / 0.8)

@@ -71,3 +71,57 @@ def test_nothing_better_is_said_so():
     active = Parameters(torch.tensor([0, 2]), torch.tensor([0, 0]))
     others = Parameters(torch.tensor([1, 3]), torch.tensor([0, 0]))
     assert reconsider(_triangle(columns[:, [0, 2, 1, 3]], target) / 0.1, 0, active, others, 20.0) is None
+
+
+def diagonal(*targets: float, rest: float = 1.0) -> torch.Tensor:
+    """Orthonormal columns: dropping one costs the square of its target."""
+    n = len(targets)
+    column = torch.tensor([*targets, rest], dtype=torch.float64).unsqueeze(-1)
+    return torch.cat([torch.eye(n + 1, n, dtype=torch.float64), column], -1)
+
+
+def test_a_column_stays_if_it_costs_as_much_as_the_limit():
+    for value, kept in ((3.0, [0, 1, 2]), (2.99, [0, 2])):
+        found, values = walk_down(diagonal(5.0, value, -4.0), torch.ones(3, dtype=torch.bool), 9.0)
+        assert found.tolist() == kept
+        assert values.tolist() == pytest.approx([{0: 5.0, 1: value, 2: -4.0}[k] for k in kept])
+
+
+def test_a_dependent_column_goes_for_nothing_unless_it_must_stay():
+    triangle = diagonal(5.0, 3.0)
+    triangle[1, 1] = 1e-14
+    assert least_missed(triangle, 2) == (1, 0.0)
+    assert least_missed(triangle, 2, torch.tensor([True, False]))[0] == 0
+    assert least_missed(triangle, 0) == (-1, float("inf"))
+    assert least_missed(triangle, 2, torch.zeros(2, dtype=torch.bool)) == (-1, float("inf"))
+
+
+def test_a_function_comes_in_if_it_is_worth_twice_the_limit_the_best_of_each_equation():
+    active = Parameters(torch.tensor([0]), torch.tensor([0]))
+    others = Parameters(torch.tensor([1, 2, 1, 2]), torch.tensor([0, 0, 1, 1]))
+    # Squared errors 9 and 16 in the first equation, 8.1 and 7.9 in the second; the start state is always there.
+    triangle = diagonal(1.0, 5.0, 3.0, 4.0, 8.1**0.5, 7.9**0.5)
+    assert reconsider(triangle, 1, active, others, 4.0).tolist() == [0, 2, 3]
+    assert reconsider(triangle, 1, active, others, 4.1).tolist() == [0, 2]
+    assert reconsider(triangle, 1, active, others, 8.1) is None
+
+
+def exchange(states: list[int], n_fixed: int = 0) -> list[int] | None:
+    """Three functions whose sum is the target, and the sum itself outside the model."""
+    n = 3 + n_fixed
+    columns = torch.eye(n + 2, n + 1, dtype=torch.float64)
+    columns[:, n] = 0.0
+    columns[n_fixed:n, n] = 1.0
+    columns[n, n] = 1e-3
+    target = 10.0 * columns[:, n : n + 1].clone()
+    target[n] = 0.0
+    target[:n_fixed] = 7.0
+    active = Parameters(torch.tensor([0, 1, 2]), torch.tensor(states))
+    others = Parameters(torch.tensor([3]), torch.tensor([0]))
+    better = reconsider(_triangle(columns, target), n_fixed, active, others, 1.0)
+    return None if better is None else better.tolist()
+
+
+def test_an_exchange_needs_three_functions_of_its_own_equation():
+    assert exchange([0, 0, 0]) == exchange([0, 0, 0], n_fixed=2) == [3]
+    assert exchange([0, 0, 1]) is None

@@ -15,7 +15,7 @@ from dynasindy.world_models.library import Library
 from dynasindy.world_models.one_step import refine_one_step
 from dynasindy.world_models.refine import Refinement
 from dynasindy.world_models.sensitivity import Parameters
-from dynasindy.world_models.trajectory import Estimate, Windows, linearise, refine_trajectory
+from dynasindy.world_models.trajectory import Estimate, Windows, _move, linearise, refine_trajectory
 
 SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
 LIBRARY = Library(SIGNATURE, [variable("y"), variable("u"), CONSTANT, variable("y", 2)])
@@ -150,3 +150,64 @@ def test_a_state_that_never_moves_is_no_reason_to_fail():
     still = Transitions(0 * data.x, data.u, 0 * data.x_next, data.dt, data.segment)
     found = refine_trajectory(LIBRARY, column(A, 1e-3, 0.0, 0.0), torch.ones(4, 1, dtype=torch.bool), still, 20)
     assert bool(found.isfinite().all())
+
+
+def test_the_cost_counts_samples_starts_and_gaps_each_by_its_weight():
+    # y' = 0: every state stays where its window begins.
+    x = torch.tensor([1.0, 2.0, 4.0, 8.0, 16.0, 32.0]).double().unsqueeze(-1)
+    data = Transitions.from_trajectory(x, torch.zeros(5, 1).double(), 0.1)
+    windows = Windows.of(data, 2)
+    nodes = torch.tensor([1.5, 5.0, 17.0]).double().unsqueeze(-1)
+    none = torch.zeros(4, 1).double()
+    parameters = Parameters.where(torch.tensor([[False], [False], [True], [False]]))
+    model = linearise(LIBRARY, Estimate(none, nodes), parameters, windows, torch.tensor([2.0]).double())
+    samples = (2 - 1.5) ** 2 + (4 - 1.5) ** 2 + (8 - 5) ** 2 + (16 - 5) ** 2 + (32 - 17) ** 2
+    start = (1 - 1.5) ** 2
+    gaps = (1.5 - 5) ** 2 + (5 - 17) ** 2
+    assert model.cost == pytest.approx((samples + start + 10 * 2 * gaps) / 2.0**2)
+    free = linearise(LIBRARY, Estimate(none, nodes), parameters, windows, None)
+    assert free.sigma.item() == pytest.approx((samples / 5) ** 0.5)
+    # The first node moves by itself; each other one closes its gap and follows: by the start, 0.2 s of the constant.
+    expected = [[1.0, 0.0, 0.0], [1.0, 0.2, -3.5], [1.0, 0.4, -15.5]]
+    torch.testing.assert_close(model.moves[:, 0], torch.tensor(expected).double())
+
+
+def test_a_step_solves_the_linear_problem_of_starts_and_coefficients():
+    # y' = c is linear in all unknowns: one undamped step is the least-squares line, whatever the nodes.
+    generator = np.random.default_rng(0)
+    y = generator.normal(size=8)
+    data = Transitions.from_trajectory(torch.from_numpy(y).unsqueeze(-1), torch.zeros(7, 1).double(), 0.5)
+    windows = Windows.of(data, 3)
+    parameters = Parameters.where(torch.tensor([[False], [False], [True], [False]]))
+    estimate = Estimate(column(0.0, 0.0, 3.0, 0.0), torch.from_numpy(generator.normal(size=(3, 1))))
+    model = linearise(LIBRARY, estimate, parameters, windows, torch.ones(1).double())
+    found = _move(estimate, model, parameters, torch.arange(2))
+    slope, start = np.polyfit(0.5 * np.arange(8), y, 1)
+    assert found.xi.flatten().tolist() == pytest.approx([0, 0, slope, 0], abs=1e-9)
+    assert found.nodes.flatten().tolist() == pytest.approx([start + 1.5 * k * slope for k in range(3)], abs=1e-9)
+    # Without the constant the best start is the mean, and an infinite damping leaves the start where it is.
+    mean = _move(estimate, model, parameters, torch.tensor([0]))
+    assert mean.xi[2, 0] == 0 and mean.nodes[0, 0].item() == pytest.approx(y.mean())
+    still = _move(estimate, model, parameters, torch.arange(2), damping=1e12)
+    assert still.xi[2, 0].item() == pytest.approx(3.0, rel=1e-6)
+    assert still.nodes[0, 0].item() == pytest.approx(estimate.nodes[0, 0].item(), abs=1e-6)
+
+
+def test_two_recordings_have_a_start_each():
+    y = [motion(A, B, start, INPUTS[:60]) for start in (0.3, -0.8)]
+    noise = np.random.default_rng(5).normal(size=(2, 61))
+    parts = [
+        Transitions.from_trajectory(
+            torch.from_numpy(a + NOISE * b).unsqueeze(-1), torch.from_numpy(INPUTS[:60]).unsqueeze(-1), DT
+        )
+        for a, b in zip(y, noise)
+    ]
+    data = Transitions.cat(parts)
+    measured = np.concatenate([a + NOISE * b for a, b in zip(y, noise)])
+
+    def miss(p):
+        return np.concatenate([motion(p[0], p[1], start, INPUTS[:60]) for start in p[2:]]) - measured
+
+    theirs = least_squares(miss, [A, B, 0.3, -0.8], xtol=1e-12, ftol=1e-12).x
+    found = refine_trajectory(LIBRARY, column(-1.5, 2.5, 0.0, 0.0), TWO, data, 25)
+    assert found[:2, 0].tolist() == pytest.approx(theirs[:2].tolist(), rel=5e-3)
