@@ -11,6 +11,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from saved_run import load_config
+from schema import check
 
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.folder import result
@@ -44,11 +45,13 @@ def _resumed(cfg: DictConfig) -> DictConfig:
     Raises:
         ValueError: Other settings were given, which the run does not have.
     """
-    own = ("resume=", "finish=", "threads=")
+    own = ("resume=", "finish=", "threads=", "plugins=")
     if others := [word for word in HydraConfig.get().overrides.task if not word.startswith(own)]:
         raise ValueError(f"resume={cfg.resume} goes on with the run's own settings; leave out {' '.join(others)}")
+    kept = load_config(Path(cfg.resume), cfg.plugins)
+    check(kept, f"{cfg.resume}/config.yaml")
     here = {name: cfg[name] for name in ("resume", "finish", "threads")}
-    return DictConfig({**load_config(Path(cfg.resume)), **here, "folder": cfg.resume})
+    return DictConfig({**kept, **here, "folder": cfg.resume})
 
 
 def settings_of(cfg: DictConfig) -> str:

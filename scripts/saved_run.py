@@ -57,7 +57,10 @@ def load_policy(config: DictConfig, folder: Path) -> tuple[ControlEnv, Policy]:
     except Exception as error:  # any: other parts than those of a run stand where they are looked for
         raise ValueError(f"{folder}/config.yaml builds no environment and agent: {error}; restore it") from error
     if not (folder / "policy.pt").is_file():
-        raise FileNotFoundError(f"{folder} has no policy.pt, its run did not end; give the folder of a finished run")
+        raise FileNotFoundError(
+            f"{folder} has no policy.pt, its run did not end; go on with train.py resume={folder}, or end it there with "
+            f"train.py resume={folder} finish=true"
+        )
     policy.load_state_dict(read_weights(folder / "policy.pt", wanted))
     return env, policy
 

@@ -65,6 +65,7 @@ class Keys(TypedDict):
     slim: list[str]
     refinement: str
     resume: str | None
+    plugins: list[str]
     finish: bool
     evaluation: Evaluating
     checkpoint: Every

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -30,6 +29,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from tensordict import TensorDict, TensorDictBase
 
 from dynasindy.benchmarks.gradient import PLANTS, Plant
+from dynasindy.benchmarks.instruments.commit import commit
 from dynasindy.dyna.folder import check_settings, claimed, clear
 from dynasindy.dyna.loop import interact
 from dynasindy.envs import ControlEnv
@@ -235,12 +235,3 @@ def progress(episode: int, agent: OffPolicyAlgorithm, cost: Summary, figures: Su
     row |= dict.fromkeys(MODEL_COLUMNS) | cost
     kept = {k: v for k, v in figures.items() if k == "return" or k.startswith(("steady_state_error/", "rmse/"))}
     return row | {f"evaluated_{key}": value for key, value in kept.items()}
-
-
-def commit() -> str:
-    """Return the commit of the code, "unknown" outside a git checkout."""
-    git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--exclude", "*"]
-    try:
-        return subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
