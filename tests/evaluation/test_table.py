@@ -84,13 +84,13 @@ def test_each_cell_of_a_sweep_is_that_of_its_column(tmp_path):
         (run / "metrics.json").write_text(json.dumps(record))
     head, _, row = sweep_table(tmp_path).splitlines()
     cells = dict(zip(head.strip("| ").split(" | "), row.strip("| ").split(" | "), strict=True))
-    assert cells.pop("steady-state error, per axis [rad]").startswith("0.6 [0.1, 1.1] / 0.3 [0.3, 0.3]")
+    assert cells.pop("steady-state error, per axis [rad]") == "0.1, 1.1 / 0.3, 0.3"
     assert cells == {
         "setting": "`planning=dyna`",
         "seeds": "2",
         "real steps (plant time)": "1800 (90 s)",
-        "return, untrained": "-9 [-9, -9]",
-        "return, trained": "4 [4, 4]",
-        "RMSE, per axis [rad]": "0.5 [0.5, 0.5] / 0.7 [0.7, 0.7]",
-        "wall time [s]": "11 [11, 11]",
+        "return, untrained": "-9, -9",
+        "return, trained": "4, 4",
+        "RMSE, per axis [rad]": "0.5, 0.5 / 0.7, 0.7",
+        "wall time [s]": "11, 11",
     }
