@@ -58,8 +58,8 @@ def load_policy(config: DictConfig, folder: Path) -> tuple[ControlEnv, Policy]:
         raise ValueError(f"{folder}/config.yaml builds no environment and agent: {error}; restore it") from error
     if not (folder / "policy.pt").is_file():
         raise FileNotFoundError(
-            f"{folder} has no policy.pt, its run did not end; go on with train.py resume={folder}, or end it there with "
-            f"train.py resume={folder} finish=true"
+            f"{folder} has no policy.pt, its run did not end; go on with train.py resume={folder}, or end it there "
+            f"with train.py resume={folder} finish=true"
         )
     policy.load_state_dict(read_weights(folder / "policy.pt", wanted))
     return env, policy

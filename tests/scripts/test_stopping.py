@@ -10,6 +10,7 @@ import json
 import os
 import random
 import re
+import resource
 import runpy
 import signal
 import subprocess
@@ -24,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[2]
 MOMENTS = int(os.environ.get("DYNASINDY_MOMENTS", 1))
 SMALL = (
     "system=xi", "env.dt=0.1", "env.substeps=3", "task.max_steps=25", "excitation.duration=2.5",
-    "scenario.episodes=2", "scenario.seconds=5", "evaluation.every=2",
+    "scenario.episodes=2", "scenario.seconds=5", "evaluation.every=2", "evaluation.must_improve=false",
 )  # fmt: skip
 EXPERIMENTS = {
     "dyna": (
@@ -201,6 +202,24 @@ def test_an_ablation_that_is_stopped_leaves_no_workers_and_goes_on(tmp_path, how
     assert done[0].stat().st_mtime_ns == before
     assert len(sorted((tmp_path / "runs").rglob("metrics.json"))) == 4
     assert (tmp_path / "results" / "ablation.md").is_file()
+
+
+@pytest.mark.parametrize("size", [20_000, 100_000])
+def test_a_full_disk_costs_one_line_and_no_good_checkpoint(tmp_path, size, whole):
+    expected, _ = whole("dyna")
+    command = [*EXPERIMENTS["dyna"], *SMALL, "hydra.run.dir=run"]
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))  # as a full disk, larger files cannot be written
+    try:
+        pid = fork(command, tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert wait(pid) == 2
+    output = (tmp_path / "output").read_text()
+    assert "Traceback" not in output
+    assert re.search(r"error: .*checkpoints/.*File too large.*\n$", output), output
+    assert wait(fork(["resume=run"], tmp_path)) == 0
+    assert kept(tmp_path / "run") == expected
 
 
 def test_a_signal_during_the_imports_costs_one_line(tmp_path):
