@@ -27,12 +27,13 @@ class Gathering(Callback):
 def main(cfg: DictConfig) -> None:
     """Run one job, unless it is finished."""
     folder = Path(cfg.folder)
-    _, metrics, known = run_job(cfg, progress=False)
-    if known:
+    done = run_job(cfg, progress=False)
+    if done.before:
         print(f"finished before: {folder}")
         return
-    errors = [f"{v:.3g}" for k, v in metrics["evaluation"].items() if k.startswith("steady_state_error/")]
-    print(f"finished: {folder}, steady-state error {' / '.join(errors)} rad, {metrics['cost']['wall_seconds']:.0f} s")
+    errors = [f"{v:.3g}" for k, v in done.metrics["evaluation"].items() if k.startswith("steady_state_error/")]
+    seconds = done.metrics["cost"]["wall_seconds"]
+    print(f"finished: {folder}, steady-state error {' / '.join(errors)} rad, {seconds:.0f} s")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """What the scripts that train share: one run of Algorithm 1 from a composed config."""
 
 import subprocess
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +18,25 @@ from dynasindy.dyna.folder import result
 from dynasindy.dyna.run import Evaluating, Provenance, Saving, run
 
 
-def run_job(cfg: DictConfig, progress: bool = True) -> tuple[Recipe, dict[str, Any], bool]:
-    """Build the experiment of a config and run it, unless it has ended before.
+@dataclass(frozen=True)
+class Done:
+    """What came of a job.
 
-    Returns:
-        The experiment, what its `metrics.json` holds, and whether it had ended before.
+    Attributes:
+        recipe: The experiment.
+        metrics: What its `metrics.json` holds.
+        before: Whether it had ended before.
+        enough: Whether the policy is better than the untrained one, or need not be.
     """
+
+    recipe: Recipe
+    metrics: dict[str, Any]
+    before: bool
+    enough: bool
+
+
+def run_job(cfg: DictConfig, progress: bool = True) -> Done:
+    """Build the experiment of a config and run it, unless it has ended before."""
     if not isinstance(cfg.threads, int) or cfg.threads < 1:
         raise ValueError(f"threads must be a whole number >= 1, got {cfg.threads}; 1 unless the cores are idle")
     if cfg.resume is not None:
@@ -36,7 +49,7 @@ def run_job(cfg: DictConfig, progress: bool = True) -> tuple[Recipe, dict[str, A
     evaluating = Evaluating(instantiate(cfg.scenario, _convert_="all"), cfg.evaluation.every)
     known = result(Path(cfg.folder), recipe.train.episodes) is not None
     metrics = run(recipe, evaluating, Path(cfg.folder), provenance, Saving(**cfg.checkpoint), progress, cfg.finish)
-    return recipe, metrics, known
+    return Done(recipe, metrics, known, metrics["verdict"]["usable"] or not cfg.evaluation.must_improve)
 
 
 def _resumed(cfg: DictConfig) -> DictConfig:

@@ -17,13 +17,13 @@ from dynasindy.viz.run import draw_run
 def main(cfg: DictConfig) -> None:
     """Build the experiment, run it, draw its figures and print what came of it."""
     folder = Path(cfg.folder)
-    recipe, metrics, known = run_job(cfg)
-    if known and HydraConfig.get().mode == RunMode.MULTIRUN:
+    done, swept = run_job(cfg), HydraConfig.get().mode == RunMode.MULTIRUN
+    if done.before and swept:
         print(f"finished before: {folder}")
         return
-    draw_run(folder, recipe.system.signature)
-    print(report(metrics, folder))
-    if cfg.evaluation.must_improve and not metrics["verdict"]["usable"] and HydraConfig.get().mode == RunMode.RUN:
+    draw_run(folder, done.recipe.system.signature)
+    print(report(done.metrics, folder))
+    if not (done.enough or swept):
         sys.exit(1)
 
 

@@ -222,10 +222,10 @@ def stored(agent: OffPolicyAlgorithm) -> int:
 def judge(env: ControlEnv, agent: OffPolicyAlgorithm, scenario: Scenario) -> Evaluation:
     """Run the agent's policy, without noise, in the scenario."""
 
-    def act(tensordict: TensorDictBase) -> TensorDictBase:
+    def _act(tensordict: TensorDictBase) -> TensorDictBase:
         return tensordict.set("action", agent.policy(tensordict["observation"], deterministic=True))
 
-    return evaluate(env, act, scenario)
+    return evaluate(env, _act, scenario)
 
 
 def progress(episode: int, agent: OffPolicyAlgorithm, cost: Summary, figures: Summary) -> Summary:

@@ -89,6 +89,9 @@ def whole(path: Path) -> Iterator[Path]:
         _flush(temporary)
         temporary.replace(path)
         _flush(path.parent)
+    except OSError as error:
+        error.filename = error.filename or str(path)  # a full disk does not say whose file found no room
+        raise
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -13,6 +13,8 @@ from ties import REPOSITORY
 from dynasindy.evaluation.statistics import interquartile_mean
 from dynasindy.evaluation.table import over_seeds
 
+TRIAL = "a trial whose run folders were not kept; the page says so"
+
 RESULTS = REPOSITORY / "docs" / "results"
 AXES = ("alpha_a", "alpha_p")
 Row = dict[str, str]

@@ -45,7 +45,7 @@ def test_a_polynomial_and_fourier_model_of_pysindy_is_read():
     library = pysindy.PolynomialLibrary(2) + pysindy.FourierLibrary(2)
     theirs = pysindy.SINDy(optimizer=pysindy.STLSQ(threshold=0.05, alpha=0), feature_library=library)
     theirs.fit(x, t=0.1, x_dot=dx, u=u)
-    ours = from_pysindy(theirs, Signature(("a", "b"), ("", ""), ("c",), (1.0, 1.0)))
+    ours = from_pysindy(theirs, Signature(("a", "b"), ("-", "-"), ("c",), (1.0, 1.0)))
     assert np.allclose(ours(torch.from_numpy(x), torch.from_numpy(u)).numpy(), dx, atol=1e-8)
 
 
@@ -75,5 +75,5 @@ def test_names_are_read_as_they_are_written():
 
 def test_a_signature_of_another_size_is_refused():
     with pytest.raises(ValueError, match="6 states"):
-        from_pysindy(to_pysindy(_model("paper_table")), Signature(("a",), ("",), ("u",), (1.0,)))
+        from_pysindy(to_pysindy(_model("paper_table")), Signature(("a",), ("-",), ("u",), (1.0,)))
     assert Xi().signature.n_x == 6
