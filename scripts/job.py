@@ -64,7 +64,7 @@ def _resumed(cfg: DictConfig) -> DictConfig:
     kept = load_config(Path(cfg.resume), cfg.plugins)
     check(kept, f"{cfg.resume}/config.yaml")
     here = {name: cfg[name] for name in ("resume", "finish", "threads")}
-    return DictConfig({**kept, **here, "folder": cfg.resume})
+    return DictConfig({**kept, **here, "folder": str(Path(cfg.resume).absolute())})
 
 
 def settings_of(cfg: DictConfig) -> str:
@@ -80,7 +80,9 @@ def settings_of(cfg: DictConfig) -> str:
             f"system={given} is no plant to train on, only a log of one; choose one of {', '.join(plants)}, "
             "or fit a model to the log: python scripts/identify.py data=csv data.path=FILE"
         )
-    return OmegaConf.to_yaml(cfg, resolve=True)
+    begun = cfg.copy()  # a run that is resumed before its first checkpoint writes them anew
+    begun.resume, begun.finish = None, False
+    return OmegaConf.to_yaml(begun, resolve=True)
 
 
 def command_and_commit(job: DictConfig) -> dict[str, str]:
