@@ -1,4 +1,4 @@
-"""Print a sweep as a Markdown table: `python scripts/table.py runs/DATE_TIME`."""
+"""Print a sweep as a Markdown table: `python scripts/table.py runs/SWEEP`, the folder that it printed."""
 
 import sys
 from pathlib import Path
@@ -11,7 +11,7 @@ if __name__ == "__main__":
     with while_read():
         try:
             if len(sys.argv) != 2:
-                raise ValueError("give one folder, that of a sweep: python scripts/table.py runs/DATE_TIME")
+                raise ValueError("give one folder, that of a sweep: python scripts/table.py runs/SWEEP")
             print(sweep_table(Path(sys.argv[1])))
         except (FileNotFoundError, ValueError) as error:
             print(f"error: {error}", file=sys.stderr)

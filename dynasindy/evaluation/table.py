@@ -48,7 +48,7 @@ def sweep_table(folder: Path) -> str:
             _row(setting, [run := read_record(file)])
         groups.setdefault(setting, []).append(run)
     if not groups:
-        raise FileNotFoundError(f"{folder} holds no finished run; give the folder of a sweep, e.g. runs/DATE_TIME")
+        raise FileNotFoundError(f"{folder} holds no finished run; give the folder of a sweep, which it prints")
     with understood(folder):  # whose runs may not have the same figures
         return markdown(SWEEP, [_row(setting, runs) for setting, runs in sorted(groups.items())])
 
