@@ -142,7 +142,6 @@ UNTIED = [
     Untied(README, "| `planning=gradient system=xi` | 3 |...", NOT_KEPT),
     Untied(README, "| `planning=none system=tras` | 3 |...", NOT_KEPT),
     Untied(README, "| `planning=none system=xi` | 3 |...", NOT_KEPT),
-    Untied(README, "stood just outside it after 12 episodes and at 0.019 rad after 20", TRIAL),
     Untied(README, "Python 3.11 to 3.13", "versions, as in pyproject.toml"),
     Untied(README, "the same commands take 1.5 GB", SIZES),
     Untied("docs/index.md", "the same commands then take 1.5 GB", SIZES),
