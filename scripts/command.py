@@ -123,6 +123,7 @@ def _leave_word(line: str) -> None:
     if not folder.is_dir() or folder.resolve() == Path.cwd():
         return
     if any(folder.iterdir()) or HydraConfig.get().mode == RunMode.MULTIRUN:
+        (folder / "error.txt").unlink(missing_ok=True)  # it may be a link in a run folder of others
         (folder / "error.txt").write_text(line + "\n")
     else:
         folder.rmdir()

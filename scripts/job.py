@@ -16,6 +16,7 @@ from schema import check
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.folder import result
 from dynasindy.dyna.run import Evaluating, Provenance, Saving, run
+from dynasindy.evaluation.given import refuse_links
 
 
 @dataclass(frozen=True)
@@ -56,12 +57,13 @@ def _resumed(cfg: DictConfig) -> DictConfig:
     """Return the config of the run to resume, in the folder where it is now.
 
     Raises:
-        ValueError: Other settings were given, which the run does not have.
+        ValueError: Other settings were given, which the run does not have, or its folder holds a link.
     """
     own = ("resume=", "finish=", "threads=", "plugins=")
     if others := [word for word in HydraConfig.get().overrides.task if not word.startswith(own)]:
         raise ValueError(f"resume={cfg.resume} goes on with the run's own settings; leave out {' '.join(others)}")
     kept = load_config(Path(cfg.resume), cfg.plugins)
+    refuse_links(Path(cfg.resume))
     check(kept, f"{cfg.resume}/config.yaml")
     here = {name: cfg[name] for name in ("resume", "finish", "threads")}
     return DictConfig({**kept, **here, "folder": str(Path(cfg.resume).absolute())})

@@ -139,7 +139,14 @@ class Recorder(Callback):
         return {**logged, "cost": asdict(self.cost), "seconds": self._seconds()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what `state_dict` returned, and bring the logs in the folder back to that state."""
+        """Restore what `state_dict` returned, and bring the logs in the folder back to that state.
+
+        Raises:
+            ValueError: A logged figure has a name whose file would lie outside the folder.
+        """
+        for name in (name for row in state["rows"] for name in row):
+            if Path(name).is_absolute() or ".." in Path(name).parts:  # `scalars/` has a file for each
+                raise ValueError(f"{name!r} is no name of a logged figure")
         for name in self._logged:
             setattr(self, name, state[name])
         self.cost, self.seconds_before = Cost(**state["cost"]), state["seconds"]

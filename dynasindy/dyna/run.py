@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ from dynasindy.dyna.progress import ProgressBar
 from dynasindy.dyna.recorder import Recorder
 from dynasindy.dyna.stopped import Stopped
 from dynasindy.evaluation.files import write_json, write_text
+from dynasindy.evaluation.given import read_record
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.summary import to_text
 from dynasindy.systems import Diverged
@@ -119,26 +119,28 @@ def run(
     with claimed(folder):
         check_settings(folder, provenance.settings)
         if (metrics := result(folder, recipe.train.episodes)) is not None:
+            (folder / "error.txt").unlink(missing_ok=True)
+            checkpoints.remove()  # of a process that was killed before it did
             return metrics
         saver = Saver(
             checkpoints, (saving or Saving()).every, lambda: {name: p.state_dict() for name, p in kept.items()}
         )
-        with (
-            _left_in_order(saver, folder, lambda: place.present(recipe.train.episodes)),
-            closing(ProgressBar(recipe.train.episodes, progress, place)) as bar,
-        ):
+        with _left_in_order(saver, folder, lambda: place.present(recipe.train.episodes)):
             state = checkpoints.newest()
             if state is None and finish:
                 raise ValueError(f"{folder} keeps no checkpoint, there is nothing to finish; leave out finish=true")
             if state is None:
+                checkpoints.remove()  # damaged ones, whose numbers would rank before the new
                 _begin(folder, provenance, recorder)
             else:
                 _resume(folder, provenance)
                 _restore(kept, state, checkpoints.folder)
             if not finish:
-                train(parts, recipe.train, Callbacks([recorder, bar, saver]), place)
+                with closing(ProgressBar(recipe.train.episodes, progress, place)) as bar:
+                    train(parts, recipe.train, Callbacks([recorder, bar, saver]), place)
             facts = {"seed": recipe.seed, "system": type(recipe.system).__name__.lower()}
             metrics = recorder.finish({**facts, "checkpoint": {"bytes": saver.bytes, "seconds": saver.seconds}})
+        (folder / "error.txt").unlink(missing_ok=True)  # of a process that was refused meanwhile
         if place.episodes == recipe.train.episodes:
             checkpoints.remove()
     return metrics
@@ -171,7 +173,7 @@ def _resume(folder: Path, provenance: Provenance) -> None:
     """Note in `origin.json` if other code goes on with a run than began it."""
     (folder / "error.txt").unlink(missing_ok=True)
     file = folder / "origin.json"
-    begun = json.loads(file.read_text()) if file.is_file() else {}
+    begun = read_record(file) if file.is_file() else {}
     if (commit := provenance.origin.get("commit")) != begun.get("commit"):
         write_json(file, {**begun, "resumed_at_commit": commit})
 

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from dynasindy.evaluation.files import whole, write_text
 from dynasindy.evaluation.given import read_cells, read_record, understood
 from dynasindy.evaluation.table import markdown, over_seeds, overrides
 
@@ -78,12 +79,11 @@ def gather(root: Path, results: Path, level: Level) -> list[Row]:
         The rows of `ablation.csv`.
     """
     runs = [_read_run(file.parent, root, level) for file in sorted(root.rglob("metrics.json"))]
-    results.mkdir(parents=True, exist_ok=True)
     curves = [line for _, lines in runs for line in lines]
     write_rows(results / "ablation_curves.csv", _merged(read_rows(results / "ablation_curves.csv"), curves))
     rows = _merged(read_rows(results / "ablation.csv"), [row for row, _ in runs])
     write_rows(results / "ablation.csv", rows)
-    (results / "ablation.md").write_text(to_markdown(rows, level))
+    write_text(results / "ablation.md", to_markdown(rows, level))
     return rows
 
 
@@ -148,15 +148,13 @@ def read_rows(path: Path) -> list[Row]:
 
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
-    """Write a table whole, with the columns of all rows, through a temporary file."""
+    """Write a table whole, with the columns of all rows, and at once."""
     columns = list(dict.fromkeys(column for row in rows for column in row))
-    temporary = path.with_suffix(".tmp")
-    with temporary.open("w", newline="") as file:
+    with whole(path) as temporary, temporary.open("w", newline="") as file:
         writer = csv.DictWriter(file, columns, restval="", lineterminator="\n")
         writer.writeheader()
         for row in rows:
             writer.writerow({k: f"{v:.7g}" if isinstance(v, float) else v for k, v in row.items()})
-    temporary.replace(path)
 
 
 def _read_run(folder: Path, root: Path, level: Level) -> tuple[Row, list[Row]]:

@@ -129,9 +129,20 @@ def own_folder(folder: Path, name: str) -> Path:
         ValueError: It, or a file in it, is a link, and what is written there would end up elsewhere.
     """
     target = folder / name
-    if links := [path for path in (target, *target.glob("**/*")) if path.is_symlink()]:
-        raise ValueError(f"{links[0]} is a link, and may lead anywhere; remove it, then results are written there")
+    if target.is_symlink():
+        raise ValueError(f"{target} is a link, and may lead anywhere; remove it, then results are written there")
+    refuse_links(target)
     return target
+
+
+def refuse_links(folder: Path) -> None:
+    """Make sure that what is written into a folder, which may itself be a link, stays in it.
+
+    Raises:
+        ValueError: The folder holds a link.
+    """
+    if links := sorted(path for path in folder.rglob("*") if path.is_symlink()):
+        raise ValueError(f"{links[0]} is a link, and may lead anywhere; remove it, then results are written there")
 
 
 def escaped(words: str) -> str:

@@ -79,8 +79,10 @@ def check_copy(source: Path, target: Path, any_commit: bool = False) -> None:
         raise ValueError(f"{links[0]} is a link, and may lead anywhere; put the file itself there, or remove it")
     if (target.exists() or target.is_symlink()) and not is_copy(target):
         raise ValueError(f"{target} is there and is no saved copy of a run; move it away, or give another name=NAME")
-    commit = origin_without_machine(source)["commit"]
-    if not any_commit and (commit in ("", "unknown") or commit.endswith("-dirty")):
+    origin = origin_without_machine(source)
+    made_at = [str(origin[key]) for key in ("commit", "resumed_at_commit") if key in origin]
+    commit = next((c for c in made_at if c in ("", "unknown") or c.endswith("-dirty")), None)
+    if not any_commit and commit is not None:
         raise ValueError(
             f"{source} was made at commit '{commit}', so that nobody can make it again; commit, run it once more, and "
             "save that, or give any_commit=true"
@@ -120,12 +122,13 @@ def keep_run(source: Path, target: Path, model: bool = True, any_commit: bool = 
     try:
         copy = aside / "new"
         _copy(source, copy, model)
-        if target.exists():
-            os.rename(target, aside / "old")
         try:
+            if target.exists():
+                os.rename(target, aside / "old")
             os.rename(copy, target)
-        except BaseException:
-            os.rename(aside / "old", target)
+        except BaseException:  # a signal too: what is aside is removed below
+            if (aside / "old").exists() and not target.exists():
+                os.rename(aside / "old", target)
             raise
     finally:
         shutil.rmtree(aside)
