@@ -48,6 +48,8 @@ def run_job(cfg: DictConfig, progress: bool = True) -> Done:
     parts = {name: instantiate(cfg[name], _convert_="all") for name in names}
     recipe = Recipe(**parts, seed=cfg.seed)
     evaluating = Evaluating(instantiate(cfg.scenario, _convert_="all"), cfg.evaluation.every)
+    if progress:
+        print(f"Run folder: {cfg.folder}", flush=True)
     known = result(Path(cfg.folder), recipe.train.episodes) is not None
     metrics = run(recipe, evaluating, Path(cfg.folder), provenance, Saving(**cfg.checkpoint), progress, cfg.finish)
     return Done(recipe, metrics, known, metrics["verdict"]["usable"] or not cfg.evaluation.must_improve)

@@ -94,9 +94,11 @@ class Saver(Callback):
             return f"nothing is kept in {folder} yet, the same command begins anew"
         done = Place()
         done.load_state_dict(state["place"])
+        near = folder.absolute()
+        near = near.relative_to(Path.cwd()) if near.is_relative_to(Path.cwd()) else folder
         return (
-            f"{folder} is kept up to the end of {done.words()}: go on with resume={folder}, "
-            f"or evaluate and draw what is learnt with resume={folder} finish=true"
+            f"the run is kept up to the end of {done.words()}: go on with python scripts/train.py resume={near} "
+            "(with finish=true, to evaluate and draw what it has learnt instead)"
         )
 
     def reached(self, place: Place) -> None:
