@@ -67,6 +67,13 @@ def _resumed(cfg: DictConfig) -> DictConfig:
     kept = load_config(Path(cfg.resume), cfg.plugins)
     refuse_links(Path(cfg.resume))
     check(kept, f"{cfg.resume}/config.yaml")
+    folder = Path(cfg.resume)
+    ended = (folder / "metrics.json").is_file() and not (folder / "checkpoints").is_dir()
+    if ended and result(folder, kept.train.episodes) is None:
+        raise ValueError(
+            f"{folder} holds results and no checkpoint, it cannot go on and would begin anew; give the folder of a "
+            "stopped run, or restore its files"
+        )
     here = {name: cfg[name] for name in ("resume", "finish", "threads")}
     return DictConfig({**kept, **here, "folder": str(Path(cfg.resume).absolute())})
 

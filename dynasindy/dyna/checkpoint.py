@@ -123,6 +123,8 @@ def _read(path: Path) -> State | None:
             if any(entry.compress_type != zipfile.ZIP_STORED for entry in archive.infolist()):
                 return None
         state = torch.load(io.BytesIO(payload), weights_only=True)
+    except OSError:  # the disk, which may be well again later: nothing is begun anew for that
+        raise
     except Exception:  # any: what a file of others makes the reader do ends here
         return None
     return state if isinstance(state, dict) else None

@@ -44,7 +44,12 @@ class Parts:
     gate: Gate
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that a resumed run needs to equal an uninterrupted one, between two phases."""
+        """Return everything that a resumed run needs to equal an uninterrupted one, between two phases.
+
+        Raises:
+            Diverged: The agent's weights are not finite, and no run could go on from them.
+        """
+        self.agent.check()
         kept = {name: getattr(self, name).state_dict() for name in self._kept}
         generators = {name: getattr(self, name).rng.get_state() for name in self._drawing}
         # Parts draw from generators of their own; a stranger's plant or task may use the global ones.

@@ -171,7 +171,8 @@ def _restore(kept: Mapping[str, Kept], state: Mapping[str, Any], folder: Path) -
 
 def _resume(folder: Path, provenance: Provenance) -> None:
     """Note in `origin.json` if other code goes on with a run than began it."""
-    (folder / "error.txt").unlink(missing_ok=True)
+    for name in ("error.txt", "metrics.json"):  # of a run that was ended early, which now goes on
+        (folder / name).unlink(missing_ok=True)
     file = folder / "origin.json"
     begun = read_record(file) if file.is_file() else {}
     if (commit := provenance.origin.get("commit")) != begun.get("commit"):

@@ -90,3 +90,17 @@ def test_the_line_of_a_stopped_run_says_how_it_goes_on(tmp_path):
     saver.reached(Place(True, True, 3))
     assert "up to the end of episode 3" in saver.words(tmp_path)
     assert f"resume={tmp_path}" in saver.words(tmp_path) and "\n" not in saver.words(tmp_path)
+
+
+def test_a_disk_that_cannot_be_read_is_no_reason_to_begin_anew(tmp_path, monkeypatch):
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(1, {"number": 1})
+
+    def fail(*_, **__):
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(type(tmp_path), "open", fail)
+    with pytest.raises(OSError, match="Input/output"):
+        checkpoints.newest()
+    monkeypatch.undo()
+    assert checkpoints.newest() == {"number": 1}

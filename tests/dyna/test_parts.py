@@ -4,8 +4,11 @@ import math
 from dataclasses import FrozenInstanceError, fields
 
 import pytest
+import torch
 
+from dynasindy.agents import TD3
 from dynasindy.dyna.parts import Parts, Settings
+from dynasindy.systems import Diverged
 
 
 @pytest.mark.parametrize(
@@ -47,3 +50,12 @@ def test_the_parts_are_those_that_algorithm_1_works_on():
 
 def test_every_fourth_second_is_held_out_by_default():
     assert Settings(7) == Settings(7, 1.0, None, 4) and Settings(1, held_out=2).held_out == 2
+
+
+def test_weights_that_are_not_finite_are_in_no_state_to_go_on_from():
+    agent = TD3(n_obs=2, n_u=1, hidden=(4,))
+    with torch.no_grad():
+        next(agent.policy.parameters()).fill_(torch.nan)
+    parts = Parts(*[None] * 5, agent, *[None] * 3)
+    with pytest.raises(Diverged):
+        parts.state_dict()

@@ -25,14 +25,18 @@ ROOT = Path(__file__).resolve().parents[2]
 MOMENTS = int(os.environ.get("DYNASINDY_MOMENTS", 1))
 SMALL = (
     "system=xi", "env.dt=0.1", "env.substeps=3", "task.max_steps=25", "excitation.duration=2.5",
-    "scenario.episodes=2", "scenario.seconds=5", "evaluation.every=2", "evaluation.must_improve=false",
+    "scenario.episodes=2", "scenario.seconds=5", "evaluation.every=2",
 )  # fmt: skip
 EXPERIMENTS = {
     "dyna": (
-        "experiment=dyna", "train.episodes=3", "train.updates_per_step=2", "planning.rollouts=20",
-        "planning.horizon=20", "agent.hidden=[32,32]", "replay.capacity=10000", "replay.model_capacity=1500",
+        "experiment=dyna", "evaluation.must_improve=false", "train.episodes=3", "train.updates_per_step=2",
+        "planning.rollouts=20", "planning.horizon=20", "agent.hidden=[32,32]", "replay.capacity=10000",
+        "replay.model_capacity=1500",
     ),
-    "default": ("planning.updates=10", "planning.more_updates=10", "planning.rollouts=8", "planning.window=20"),
+    "default": (
+        "evaluation.must_improve=false", "planning.updates=10", "planning.more_updates=10", "planning.rollouts=8",
+        "planning.window=20",
+    ),
 }  # fmt: skip
 CODES = {"SIGKILL": -9, "SIGINT": 130, "SIGTERM": 143}
 
@@ -147,7 +151,7 @@ def test_a_run_stopped_at_a_random_moment_ends_as_the_one_that_was_not(tmp_path,
     assert found == expected
 
 
-SWEEP = ("-m", *EXPERIMENTS["default"][:2], *SMALL, "planning.window=20", "train.episodes=1", "planning.rollouts=-5,4")
+SWEEP = ("-m", *EXPERIMENTS["default"][1:3], *SMALL, "planning.window=20", "train.episodes=1", "planning.rollouts=-5,4")
 
 
 def test_a_job_that_fails_ends_no_sweep_and_what_is_finished_is_not_repeated(tmp_path):
