@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from results_page import limit_cycle
-from tables import TRIAL, cell, middle, numbers, rows, setting, short
+from tables import cell, middle, numbers, rows, setting, short
 from ties import Tie, Untied
 
 README, IDENTIFICATION, BASELINES = "README.md", "docs/identification.md", "docs/results/baselines.md"
@@ -148,8 +148,6 @@ UNTIED = [
     Untied("docs/algorithm.md", "which stays within [0.707, 1]", "the range of the formula"),
     Untied(IDENTIFICATION, "the signal stays within [0.707, 1]", "the range of the formula"),
     Untied(IDENTIFICATION, "every second one sweeps to 0.7 of the last frequency", "a constant of the code"),
-    Untied(IDENTIFICATION, "at a largest error of 2e-7", TRIAL),
-    Untied(IDENTIFICATION, "At a control period of 0.05 s it kept 4 to 15", TRIAL),
     Untied(IDENTIFICATION, "## lambda = 0.9", "of the paper"),
     Untied(IDENTIFICATION, "On raw columns 0.9 would delete", "of the paper"),
     Untied(IDENTIFICATION, "neighbouring one-step errors correlate by about -0.5", "of differences of white noise"),
