@@ -167,6 +167,21 @@ def test_a_job_that_fails_ends_no_sweep_and_what_is_finished_is_not_repeated(tmp
     assert f"finished before: {done.parent}" in (tmp_path / "output").read_text()
 
 
+@pytest.mark.parametrize(
+    ("mistake", "words"),
+    [
+        ("level.error=-1", "level has error=-1"),
+        ("results=output", "output"),  # a file, and no folder for tables
+        ("threads=1000000", "threads is 1000000"),
+    ],
+)
+def test_what_all_jobs_of_an_ablation_share_is_checked_before_the_first(tmp_path, mistake, words):
+    assert wait(fork(["experiment=smoke", "hydra/launcher=basic", mistake], tmp_path, "ablation")) == 2
+    lines = (tmp_path / "output").read_text().strip().splitlines()
+    assert len(lines) == 1 and lines[0].startswith("error: ") and words in lines[0], lines
+    assert not list(tmp_path.rglob("config.yaml"))
+
+
 def workers(folder):
     """Return the processes that work below a folder."""
     found = []
