@@ -17,6 +17,8 @@ FREE = ("folder:", "threads:", "results:", "resume:", "finish:", "plugins:")
 """Keys of a configuration, as its lines begin, that do not change a result."""
 MADE = ("metrics.json", "policy.pt", "model.json", "progress.csv", "gate.csv", "identification.txt", "error.txt")
 """Files that a run makes besides its `config.yaml`."""
+NEEDED = {"episodes", "cost", "evaluation", "untrained", "equations", "verdict", "checkpoint"}
+"""Keys of `metrics.json` that are read again."""
 
 
 @contextmanager
@@ -83,7 +85,7 @@ def result(folder: Path, episodes: int) -> dict[str, Any] | None:
         metrics = json.loads((folder / "metrics.json").read_text())
         json.loads((folder / "model.json").read_text())
         torch.load(folder / "policy.pt", weights_only=True)
-        complete = metrics["episodes"] == episodes and {"cost", "evaluation", "untrained"} <= metrics.keys()
+        complete = metrics.keys() >= NEEDED and metrics["episodes"] == episodes
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError, EOFError, UnpicklingError):
         return None
     return metrics if complete else None

@@ -133,8 +133,8 @@ def run(
                 checkpoints.remove()  # damaged ones, whose numbers would rank before the new
                 _begin(folder, provenance, recorder)
             else:
-                _resume(folder, provenance)
                 _restore(kept, state, checkpoints.folder)
+                _resume(folder, provenance)
             if not finish:
                 with closing(ProgressBar(recipe.train.episodes, progress, place)) as bar:
                     train(parts, recipe.train, Callbacks([recorder, bar, saver]), place)
@@ -170,7 +170,7 @@ def _restore(kept: Mapping[str, Kept], state: Mapping[str, Any], folder: Path) -
 
 
 def _resume(folder: Path, provenance: Provenance) -> None:
-    """Note in `origin.json` if other code goes on with a run than began it."""
+    """Remove what the run was ended early with, and note in `origin.json` if other code goes on than began it."""
     for name in ("error.txt", "metrics.json"):  # of a run that was ended early, which now goes on
         (folder / name).unlink(missing_ok=True)
     file = folder / "origin.json"

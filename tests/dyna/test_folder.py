@@ -10,6 +10,7 @@ from dynasindy.dyna.folder import check_settings, claimed, clear, result
 
 def finished(folder, episodes=3):
     record = {"episodes": episodes, "cost": {}, "evaluation": {}, "untrained": {}}
+    record |= {"equations": [], "verdict": {}, "checkpoint": {}}
     (folder / "metrics.json").write_text(json.dumps(record))
     (folder / "model.json").write_text("{}")
     torch.save({"weight": torch.zeros(2)}, folder / "policy.pt")
