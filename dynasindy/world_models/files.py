@@ -130,6 +130,6 @@ def _signature(words: dict[str, Any]) -> Signature:
 
 
 def _feature(factors: list[list[Any]]) -> Feature:
-    if any(len(factor) != 4 or not isinstance(factor[0], list) for factor in factors):
+    if any(len(factor) not in (4, 5) or not isinstance(factor[0], list) for factor in factors):
         raise TypeError("a function has no variables, name, power and frequency")
     return Feature.from_list(factors)

@@ -14,8 +14,10 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.constraints import Constraints
 from dynasindy.world_models.fast_field import generate
 from dynasindy.world_models.library import Library
+from dynasindy.world_models.measured import has_gaps
 from dynasindy.world_models.one_step import refine_one_step
 from dynasindy.world_models.regression import Regression, RunningSums, simpson_form
+from dynasindy.world_models.shapes import fit_shapes
 from dynasindy.world_models.trajectory import refine_trajectory
 
 METHODS = ("integral", "one_step", "trajectory", "auto")
@@ -29,7 +31,8 @@ class Refinement:
         method: `integral` repeats the regression with a fourth-order integral form, at the cost of a regression;
             `one_step` minimises the one-step prediction error after that, for data without noise; `trajectory`
             minimises the error of whole trajectories, their start states estimated too, for data with noise;
-            `auto` takes `trajectory` where the one-step errors look like measurement noise, else `one_step`.
+            `auto` takes `trajectory` where the one-step errors look like measurement noise, else `one_step`. Data in
+            which a state was not measured are always fitted by `trajectory`.
         rounds: repetitions of the fourth-order regression.
         tolerance: unexplained part of a rate of change that is taken as exact.
         window: sampling intervals between two states that `trajectory` estimates.
@@ -52,28 +55,35 @@ class Refinement:
                 "rounds >= 0, tolerance > 0, window >= 1: correct them"
             )
 
-    def run(self, library: Library, coefficients: Tensor, constraints: Constraints, data: Transitions) -> Tensor:
-        """Return refined coefficients, `(n_features, n_x)`.
+    def run(
+        self, library: Library, coefficients: Tensor, constraints: Constraints, data: Transitions, guess: Transitions
+    ) -> tuple[Library, Tensor]:
+        """Return the library, whose fitted factors may have changed, and refined coefficients, `(n_features, n_x)`.
 
         Args:
             library: candidate functions.
             coefficients: first estimate, `(n_features, n_x)`.
             constraints: what is known of the equations.
-            data: transitions to refine on.
+            data: transitions to refine on, NaN where a state was not measured.
+            guess: the same, the states that were not measured guessed.
         """
         regression = Regression(method="bic", tolerance=self.tolerance)
         for _ in range(self.rounds):
             sums = RunningSums(len(library), library.signature.n_x)
-            sums.add(simpson_form(library, generate(library, coefficients), data))
+            sums.add(simpson_form(library, generate(library, coefficients), guess))
             coefficients = regression.solve(sums, constraints.free, constraints.offset)
+            library, coefficients = fit_shapes(library, coefficients, constraints.free, guess, self.tolerance)
         method = self.method
-        if method == "auto":
+        if bool(has_gaps(data)):
+            method = "trajectory"
+        elif method == "auto":
             method = "trajectory" if looks_noisy(library, coefficients, data) else "one_step"
         if method == "one_step":
             return refine_one_step(library, coefficients, constraints.free, data, self.tolerance)
         if method == "trajectory":
-            return refine_trajectory(library, coefficients, constraints.free, data, min(self.window, len(data)))
-        return coefficients
+            window = min(self.window, len(data))
+            return refine_trajectory(library, coefficients, constraints.free, data, window, start=guess.x)
+        return library, coefficients
 
 
 def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bool:

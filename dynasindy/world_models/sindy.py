@@ -30,6 +30,7 @@ from dynasindy.world_models.fast_field import Field, generate
 from dynasindy.world_models.files import load, save
 from dynasindy.world_models.libraries import LibraryBuilder, build_library
 from dynasindy.world_models.library import Library
+from dynasindy.world_models.measured import reconstruct, rates_known
 from dynasindy.world_models.refine import Refinement
 from dynasindy.world_models.regression import Regression, RunningSums, integral_form
 from dynasindy.world_models.report import FitReport
@@ -151,9 +152,10 @@ class SindyModel(WorldModel):
         start = time.perf_counter()
         data = transitions.to(torch.float64)
         self._check(data)
-        self.sums.add(integral_form(self.library, data))
+        guess = reconstruct(data, rates_known(self.library, self.constraints))
+        self.sums.add(integral_form(self.library, guess))
         self._solve(self.sums)
-        notes = self._refine(data)
+        notes = self._refine(data, guess)
         seconds = time.perf_counter() - start
         return FitReport.of(self.library, self.coefficients, self.sums, seconds, notes, data.dt)
 
@@ -218,14 +220,15 @@ class SindyModel(WorldModel):
                 "function: collect more data or choose a smaller library"
             )
 
-    def _refine(self, data: Transitions) -> list[str]:
+    def _refine(self, data: Transitions, guess: Transitions) -> list[str]:
         """Refine the coefficients and return what is to be said of it."""
         if self.refinement is None:
             return []
-        found = self.refinement.run(self.library, self.coefficients, self.constraints, data)
+        library, found = self.refinement.run(self.library, self.coefficients, self.constraints, data, guess)
         refined = self._finite(found, "refinement")
         if self.coefficients[self.constraints.free].any() and not refined[self.constraints.free].any():
             return ["the refinement dropped every function, so the fit before it stays; collect more or cleaner data"]
+        self.library = library
         self.set_coefficients(refined)
         return []
 
