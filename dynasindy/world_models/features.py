@@ -135,7 +135,9 @@ class Factor:
     def slope(self, *args: Tensor) -> Tensor:
         """Return the derivative of the function of some variables by the number inside it."""
         known, p = function(self.function), torch.full_like(args[0], self.frequency)
-        inside = known.compute if known.parametric else lambda *given: known.compute(*(given[-1] * a for a in given[:-1]))
+        inside = (
+            known.compute if known.parametric else lambda *given: known.compute(*(given[-1] * a for a in given[:-1]))
+        )
         derivative: Tensor = torch.func.jvp(lambda q: inside(*args, q), (p,), (torch.ones_like(p),))[1]
         return derivative
 
@@ -231,9 +233,7 @@ def variable(name: str, power: int = 1) -> Feature:
     return Feature((Factor((name,), "id", power),))
 
 
-def of(
-    function_name: str, *variables: str, power: int = 1, frequency: float = 1.0, fitted: bool = False
-) -> Feature:
+def of(function_name: str, *variables: str, power: int = 1, frequency: float = 1.0, fitted: bool = False) -> Feature:
     """Return a function of states or inputs as a feature, e.g. `of("sin", "alpha_p")`."""
     return Feature((Factor(variables, function(function_name).name, power, frequency, fitted),))
 

@@ -56,7 +56,12 @@ class Refinement:
             )
 
     def run(
-        self, library: Library, coefficients: Tensor, constraints: Constraints, data: Transitions, guess: Transitions
+        self,
+        library: Library,
+        coefficients: Tensor,
+        constraints: Constraints,
+        data: Transitions,
+        guess: Transitions | None = None,
     ) -> tuple[Library, Tensor]:
         """Return the library, whose fitted factors may have changed, and refined coefficients, `(n_features, n_x)`.
 
@@ -65,8 +70,9 @@ class Refinement:
             coefficients: first estimate, `(n_features, n_x)`.
             constraints: what is known of the equations.
             data: transitions to refine on, NaN where a state was not measured.
-            guess: the same, the states that were not measured guessed.
+            guess: the same, the states that were not measured guessed; needed where there are such states.
         """
+        guess = data if guess is None else guess
         regression = Regression(method="bic", tolerance=self.tolerance)
         for _ in range(self.rounds):
             sums = RunningSums(len(library), library.signature.n_x)

@@ -86,9 +86,7 @@ class Propagator:
         shapes: factors by whose numbers to differentiate.
     """
 
-    def __init__(
-        self, library: Library, xi: Tensor, parameters: Parameters, shapes: Sequence[Factor] = ()
-    ) -> None:
+    def __init__(self, library: Library, xi: Tensor, parameters: Parameters, shapes: Sequence[Factor] = ()) -> None:
         used = (xi != 0).any(-1)
         used[parameters.features] = True
         rows = used.nonzero().squeeze(-1)

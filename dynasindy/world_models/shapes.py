@@ -62,9 +62,7 @@ def fit_shapes(
     return library, xi
 
 
-def _solved(
-    library: Library, xi: Tensor, active: Tensor, data: Transitions, tolerance: float
-) -> tuple[Tensor, float]:
+def _solved(library: Library, xi: Tensor, active: Tensor, data: Transitions, tolerance: float) -> tuple[Tensor, float]:
     """Return the coefficients for these shapes, and N/2 log of the squared errors of all states."""
     theta, dx = simpson_form(library, generate(library, xi), data)
     found, cost = torch.where(active, 0.0, xi), 0.0
