@@ -150,7 +150,7 @@ class Factor:
         """Write the factor as a reader would."""
         known = function(self.function)
         form = known.latex if latex else known.text
-        number = f"{self.frequency:.4g}" if self.fitted else f"{self.frequency:g}"
+        number = f"{self.frequency:g}"
         scale = "" if self.frequency == 1 or known.parametric else f"{number} "
         names = [scale + (latex_name(v) if latex else v) for v in self.variables]
         written = form.format(", ".join(names), number)
@@ -239,7 +239,9 @@ def of(function_name: str, *variables: str, power: int = 1, frequency: float = 1
 
 
 _TOKEN = re.compile(
-    r"\s*(?:\|(?P<abs>[^|]+)\||(?P<function>[A-Za-z_]\w*)\((?P<args>[^()]*)\)|(?P<name>[A-Za-z_]\w*)|(?P<one>1))"
+    r"\s*(?:\|(?P<abs>[^|]+)\||/\(1 \+ (?P<per>[\d.e+-]+) cos\((?P<angle>[^()]+)\)\^2\)|"
+    r"max\(0, (?P<over>[^()]+) - (?P<edge>[\d.e+-]+)\)|exp\(-\((?P<bell>[^()]+)\)\^2\)|"
+    r"(?P<function>[A-Za-z_]\w*)\((?P<args>[^()]*)\)|(?P<name>[A-Za-z_]\w*)|(?P<one>1))"
     r"(?:\^(?P<power>\d+))?\s*\*?"
 )
 
@@ -260,7 +262,14 @@ def parse(text: str) -> Feature:
             )
         place = token.end()
         power = int((token["power"] or "1")[:9])  # more digits than that are refused below, whatever they are
-        if token["abs"]:
+        if token["per"]:
+            factors.append(Factor((token["angle"].strip(),), "per_cos2", power, float(token["per"])))
+        elif token["edge"]:
+            factors.append(Factor((token["over"].strip(),), "hinge", power, float(token["edge"])))
+        elif token["bell"]:
+            width, name = _scaled(token["bell"])
+            factors.append(Factor((name,), "bell", power, float(width)))
+        elif token["abs"]:
             factors.append(Factor((token["abs"].strip(),), "abs", power))
         elif token["function"]:
             scales, names = zip(*(_scaled(a) for a in token["args"].split(",")), strict=True)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,15 +13,32 @@ from dynasindy.limits import Count
 from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.constraints import Constraints
+from dynasindy.world_models.delay import delayed, fine_delay, rough_delay
 from dynasindy.world_models.fast_field import generate
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.measured import has_gaps
 from dynasindy.world_models.one_step import refine_one_step
 from dynasindy.world_models.regression import Regression, RunningSums, simpson_form
 from dynasindy.world_models.shapes import fit_shapes
-from dynasindy.world_models.trajectory import refine_trajectory
+from dynasindy.world_models.trajectory import refine_trajectory, trajectory_cost
 
+STEPS = 6
+"""Gauss-Newton steps after which two delays are compared."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
+
+
+class Refined(NamedTuple):
+    """Hold what a refinement found.
+
+    Attributes:
+        library: candidate functions, with the numbers inside fitted factors.
+        coefficients: Xi, `(n_features, n_x)`.
+        delay: time between an input and its effect [s].
+    """
+
+    library: Library
+    coefficients: Tensor
+    delay: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -36,6 +54,8 @@ class Refinement:
         rounds: repetitions of the fourth-order regression.
         tolerance: unexplained part of a rate of change that is taken as exact.
         window: sampling intervals between two states that `trajectory` estimates.
+        longest_delay: longest delay of the inputs that is looked for [s], in whole samples, by `trajectory` in
+            fractions of them; 0 takes the inputs as they are.
 
     Raises:
         ValueError: a setting is not allowed.
@@ -45,10 +65,13 @@ class Refinement:
     rounds: Count = 2
     tolerance: float = 1e-6
     window: int = 50
+    longest_delay: float = 0.0
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise ValueError(f"refinement got method {self.method!r}; allowed are {', '.join(METHODS)}: choose one")
+        if not 0 <= self.longest_delay < math.inf:
+            raise ValueError(f"refinement got longest_delay {self.longest_delay} s; allowed is 0 or more")
         if self.rounds < 0 or not self.tolerance > 0 or self.window < 1:
             raise ValueError(
                 f"refinement got rounds {self.rounds}, tolerance {self.tolerance}, window {self.window}; allowed are "
@@ -62,8 +85,8 @@ class Refinement:
         constraints: Constraints,
         data: Transitions,
         guess: Transitions | None = None,
-    ) -> tuple[Library, Tensor]:
-        """Return the library, whose fitted factors may have changed, and refined coefficients, `(n_features, n_x)`.
+    ) -> Refined:
+        """Return refined coefficients, the library with its fitted factors, and the delay of the inputs.
 
         Args:
             library: candidate functions.
@@ -73,22 +96,39 @@ class Refinement:
             guess: the same, the states that were not measured guessed; needed where there are such states.
         """
         guess = data if guess is None else guess
-        regression = Regression(method="bic", tolerance=self.tolerance)
-        for _ in range(self.rounds):
-            sums = RunningSums(len(library), library.signature.n_x)
-            sums.add(simpson_form(library, generate(library, coefficients), guess))
-            coefficients = regression.solve(sums, constraints.free, constraints.offset)
-            library, coefficients = fit_shapes(library, coefficients, constraints.free, guess, self.tolerance)
+        delay = rough_delay(library, constraints.free, guess, self.longest_delay) if self.longest_delay else 0.0
+        library, coefficients = self._regressed(library, coefficients, constraints, delayed(guess, delay))
         method = self.method
         if bool(has_gaps(data)):
             method = "trajectory"
         elif method == "auto":
             method = "trajectory" if looks_noisy(library, coefficients, data) else "one_step"
+        free = constraints.free
         if method == "one_step":
-            return refine_one_step(library, coefficients, constraints.free, data, self.tolerance)
+            late = delayed(data, delay)
+            return Refined(*refine_one_step(library, coefficients, free, late, self.tolerance), delay)
         if method == "trajectory":
             window = min(self.window, len(data))
-            return refine_trajectory(library, coefficients, constraints.free, data, window, start=guess.x)
+
+            def _cost(late: Transitions) -> float:
+                return trajectory_cost(library, coefficients, free, late, window, STEPS, guess.x)
+
+            if self.longest_delay:
+                delay = fine_delay(data, delay, self.longest_delay, _cost)
+            data = delayed(data, delay)
+            return Refined(*refine_trajectory(library, coefficients, free, data, window, start=guess.x), delay)
+        return Refined(library, coefficients, delay)
+
+    def _regressed(
+        self, library: Library, coefficients: Tensor, constraints: Constraints, data: Transitions
+    ) -> tuple[Library, Tensor]:
+        """Repeat the regression with the fourth-order integral form, and fit the numbers inside functions."""
+        regression = Regression(method="bic", tolerance=self.tolerance)
+        for _ in range(self.rounds):
+            sums = RunningSums(len(library), library.signature.n_x)
+            sums.add(simpson_form(library, generate(library, coefficients), data))
+            coefficients = regression.solve(sums, constraints.free, constraints.offset)
+            library, coefficients = fit_shapes(library, coefficients, constraints.free, data, self.tolerance)
         return library, coefficients
 
 

@@ -9,7 +9,6 @@ from torch import Tensor
 
 from dynasindy.world_models.sensitivity import Parameters
 
-
 DEPENDENT = 1e-13
 """Part of a column of unit norm that others leave over, below which it depends on them."""
 

@@ -234,6 +234,29 @@ def refine_trajectory(
     return estimate.library, estimate.xi
 
 
+def trajectory_cost(
+    library: Library, xi: Tensor, free: Tensor, data: Transitions, window: int, rounds: int, start: Tensor
+) -> float:
+    """Return N/2 times the logarithm of the squared errors that a few steps leave over, summed over measured states.
+
+    Args:
+        library: candidate functions.
+        xi: first estimate, `(n_features, n_x)`; its support stays.
+        free: coefficients that may be estimated, bool `(n_features, n_x)`.
+        data: the recording.
+        window: sampling intervals in a window.
+        rounds: Gauss-Newton steps.
+        start: guess of the states before each transition, `(N, n_x)`.
+    """
+    support, data = (xi != 0) & free, data.to(torch.float64)
+    estimate, windows = _grown(Estimate(library, xi, start), support, data, window, True, rounds)
+    parameters = Parameters.where(support)
+    estimate = _converge(estimate, parameters, windows, rounds)
+    sigma = Flow.of(estimate, parameters, windows).sigma(windows)
+    counts, seen = windows.mask.sum((0, 1)), sigma > EXACT
+    return float((counts * sigma.log())[seen].sum())
+
+
 def _grown(
     estimate: Estimate, support: Tensor, data: Transitions, window: int, joined: bool, max_rounds: int
 ) -> tuple[Estimate, Windows]:
