@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models.library import Library
-from dynasindy.world_models.regression import integral_form, least_squares
+from dynasindy.world_models.regression import Rows, least_squares
 
 Cost = Callable[[Transitions], float]
 """N/2 times the logarithm of the squared error of a model fitted to a recording, summed over the states."""
@@ -42,18 +41,18 @@ def delayed(data: Transitions, delay: float) -> Transitions:
     return replace(data, u=(1 - part) * late + part * later)
 
 
-def rough_delay(library: Library, free: Tensor, guess: Transitions, longest: float) -> float:
+def rough_delay(free: Tensor, data: Transitions, longest: float, rows: Callable[[Transitions], Rows]) -> float:
     """Return the delay of whole samples with which all functions explain the rates of change best [s].
 
     Args:
-        library: candidate functions.
         free: functions that each equation may have, bool `(n_features, n_x)`.
-        guess: the recording, the states that were not measured guessed.
+        data: the recording.
         longest: longest delay that is tried [s].
+        rows: averaged functions and rates of change of a delayed recording.
     """
-    most = math.floor(longest / guess.dt + 1e-9)
-    costs = [_regressed(library, free, delayed(guess, k * guess.dt)) for k in range(most + 1)]
-    return min(range(most + 1), key=costs.__getitem__) * guess.dt
+    most = math.floor(longest / data.dt + 1e-9)
+    costs = [_regressed(free, *rows(delayed(data, k * data.dt))) for k in range(most + 1)]
+    return min(range(most + 1), key=costs.__getitem__) * data.dt
 
 
 def fine_delay(data: Transitions, rough: float, longest: float, cost: Cost) -> float:
@@ -65,34 +64,33 @@ def fine_delay(data: Transitions, rough: float, longest: float, cost: Cost) -> f
         longest: longest delay [s].
         cost: what a fit to a delayed recording leaves over.
     """
-    most, middle = math.floor(longest / data.dt + 1e-9), round(rough / data.dt)
-    costs: dict[int, float] = {}
+    costs: dict[float, float] = {}
 
-    def _at(k: int) -> float:
-        if not 0 <= k <= most:
+    def _at(delay: float) -> float:
+        if not 0 <= delay <= longest * (1 + 1e-9):
             return math.inf
-        if k not in costs:
-            costs[k] = cost(delayed(data, k * data.dt))
-        return costs[k]
+        if delay not in costs:
+            costs[delay] = cost(delayed(data, delay))
+        return costs[delay]
 
-    while (better := min((middle - 1, middle, middle + 1), key=_at)) != middle:
-        middle = better
-    if middle and _at(0) - _at(middle) < math.log(max(len(data), 2)):
+    best, step = rough, data.dt
+    while True:
+        better = min((best - step, best, best + step), key=_at)
+        if better != best:
+            best = better
+        elif step > data.dt / 4:
+            step /= 2
+        else:
+            break
+    if best and _at(0.0) - _at(best) < math.log(max(len(data), 2)):
         return 0.0
-    at = _lowest(middle, costs) if 0 < middle < most else float(middle)
-    return at * data.dt
-
-
-def _lowest(middle: int, costs: dict[int, float]) -> float:
-    """Return where the parabola through three neighbouring costs is lowest."""
-    before, here, after = (costs[middle + k] for k in (-1, 0, 1))
+    before, here, after = (_at(best + k * step) for k in (-1, 0, 1))
     bend = before - 2 * here + after
-    return middle + 0.5 * (before - after) / bend if bend > 0 else float(middle)
+    return best + step * 0.5 * (before - after) / bend if math.isfinite(bend) and bend > 0 else best
 
 
-def _regressed(library: Library, support: Tensor, data: Transitions) -> float:
+def _regressed(support: Tensor, theta: Tensor, dx: Tensor) -> float:
     """Return N/2 log of what the regression of the rates of change leaves over, summed over the states."""
-    theta, dx = integral_form(library, data)
     cost = 0.0
     for i in range(dx.shape[1]):
         if not bool(support[:, i].any()):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -14,13 +14,60 @@ from torch import Tensor
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.constraints import Constraints
 from dynasindy.world_models.library import Library
+from dynasindy.world_models.regression import Rows, Theta, simpson_form
+from dynasindy.world_models.weak import weak_form
 
 LENGTHS = (5, 7, 9, 13, 17, 25, 35, 51, 71, 101)
 """Samples under a local cubic that are tried."""
 AS_GOOD = 1.1
 """Factor on the smallest error of prediction up to which the longer cubic is taken: rates want a longer one."""
 
+SHORTEST_BUMP, LONGEST_BUMP = 8, 20
+"""Samples in half a bump: fewer leave the noise in, more leave fewer rows than a library has functions."""
+
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Hold a recording as its regressions read it.
+
+    Attributes:
+        guess: the recording, the states that were not measured guessed.
+        measured: the same, NaN where a state was not measured.
+        rates: which state is the rate of which other one, `{rate: state}`.
+        half: half of the length of the bump of the weak form [samples]; 0 where all states were measured.
+    """
+
+    guess: Transitions
+    measured: Transitions
+    rates: Mapping[int, int]
+    half: int
+
+    @classmethod
+    def of(cls, guess: Transitions, measured: Transitions, rates: Mapping[int, int]) -> Seen:
+        """Choose the bump by the noise of what was measured."""
+        half = 0
+        if bool(has_gaps(measured)):
+            columns = (filled(column.numpy()) for column in measured.x_next.double().unbind(-1))
+            half = max(best_length(column) for column in columns if column is not None) // 2
+            half = min(max(half, SHORTEST_BUMP), LONGEST_BUMP)
+        return cls(guess.to(torch.float64), measured.to(torch.float64), rates, half)
+
+    def with_inputs(self, u: Tensor) -> Seen:
+        """Return the same recording under other inputs, `(N, n_u)`."""
+        return replace(self, guess=replace(self.guess, u=u.to(torch.float64)))
+
+    def rows(self, theta: Theta, field: Theta) -> Rows:
+        """Average functions and rates of change: by the weak form, or within intervals if all states were measured.
+
+        Args:
+            theta: `(x, u) -> (N, n_features)`.
+            field: first model `(x, u) -> dx`, `(N, n_x)`.
+        """
+        if not self.half:
+            return simpson_form(theta, field, self.guess)
+        return weak_form(theta, self.measured, self.guess, self.rates, self.half)
 
 
 def rates_known(library: Library, constraints: Constraints) -> dict[int, int]:

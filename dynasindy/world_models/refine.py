@@ -16,9 +16,9 @@ from dynasindy.world_models.constraints import Constraints
 from dynasindy.world_models.delay import delayed, fine_delay, rough_delay
 from dynasindy.world_models.fast_field import generate
 from dynasindy.world_models.library import Library
-from dynasindy.world_models.measured import has_gaps
+from dynasindy.world_models.measured import Seen, has_gaps, rates_known
 from dynasindy.world_models.one_step import refine_one_step
-from dynasindy.world_models.regression import Regression, RunningSums, simpson_form
+from dynasindy.world_models.regression import Regression, Rows, RunningSums
 from dynasindy.world_models.shapes import fit_shapes
 from dynasindy.world_models.trajectory import refine_trajectory, trajectory_cost
 
@@ -95,40 +95,47 @@ class Refinement:
             data: transitions to refine on, NaN where a state was not measured.
             guess: the same, the states that were not measured guessed; needed where there are such states.
         """
-        guess = data if guess is None else guess
-        delay = rough_delay(library, constraints.free, guess, self.longest_delay) if self.longest_delay else 0.0
-        library, coefficients = self._regressed(library, coefficients, constraints, delayed(guess, delay))
+        seen = Seen.of(data if guess is None else guess, data, rates_known(library, constraints))
+        free, delay = constraints.free, 0.0
+        if self.longest_delay:
+
+            def _rows(late: Transitions) -> Rows:
+                return seen.with_inputs(late.u).rows(library, generate(library, coefficients))
+
+            delay = rough_delay(free, data, self.longest_delay, _rows)
+        late = seen.with_inputs(delayed(data, delay).u)
+        library, coefficients = self._regressed(library, coefficients, constraints, late)
         method = self.method
         if bool(has_gaps(data)):
             method = "trajectory"
         elif method == "auto":
-            method = "trajectory" if looks_noisy(library, coefficients, data) else "one_step"
-        free = constraints.free
+            method = "trajectory" if looks_noisy(library, coefficients, late.guess) else "one_step"
         if method == "one_step":
-            late = delayed(data, delay)
-            return Refined(*refine_one_step(library, coefficients, free, late, self.tolerance), delay)
+            return Refined(*refine_one_step(library, coefficients, free, late.guess, self.tolerance), delay)
         if method == "trajectory":
-            window = min(self.window, len(data))
+            window, start = min(self.window, len(data)), seen.guess.x
 
-            def _cost(late: Transitions) -> float:
-                return trajectory_cost(library, coefficients, free, late, window, STEPS, guess.x)
+            def _cost(trial: Transitions) -> float:
+                return trajectory_cost(library, coefficients, free, trial, window, STEPS, start)
 
             if self.longest_delay:
                 delay = fine_delay(data, delay, self.longest_delay, _cost)
+                late = seen.with_inputs(delayed(data, delay).u)
+                library, coefficients = self._regressed(library, coefficients, constraints, late)
             data = delayed(data, delay)
-            return Refined(*refine_trajectory(library, coefficients, free, data, window, start=guess.x), delay)
+            return Refined(*refine_trajectory(library, coefficients, free, data, window, start=start), delay)
         return Refined(library, coefficients, delay)
 
     def _regressed(
-        self, library: Library, coefficients: Tensor, constraints: Constraints, data: Transitions
+        self, library: Library, coefficients: Tensor, constraints: Constraints, seen: Seen
     ) -> tuple[Library, Tensor]:
-        """Repeat the regression with the fourth-order integral form, and fit the numbers inside functions."""
+        """Repeat the regression with what is known of the states between samples, and fit numbers inside functions."""
         regression = Regression(method="bic", tolerance=self.tolerance)
         for _ in range(self.rounds):
             sums = RunningSums(len(library), library.signature.n_x)
-            sums.add(simpson_form(library, generate(library, coefficients), data))
+            sums.add(seen.rows(library, generate(library, coefficients)))
             coefficients = regression.solve(sums, constraints.free, constraints.offset)
-            library, coefficients = fit_shapes(library, coefficients, constraints.free, data, self.tolerance)
+            library, coefficients = fit_shapes(library, coefficients, constraints.free, seen.rows, self.tolerance)
         return library, coefficients
 
 

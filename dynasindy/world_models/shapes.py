@@ -7,20 +7,23 @@ projection, Golub and Pereyra 1973).
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
-from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.fast_field import generate
 from dynasindy.world_models.library import Library
-from dynasindy.world_models.regression import least_squares, simpson_form
+from dynasindy.world_models.regression import Rows, Theta, least_squares
 
-MOST = 5000
-"""Transitions beyond which evenly spaced ones are enough for a few numbers."""
+LITTLE = 1e-3
+"""Gain of log-likelihood below which the numbers stand still."""
+RowsOf = Callable[[Theta, Theta], Rows]
+"""Functions `(x, u) -> (N, n_features)` and a first model `(x, u) -> dx` to averaged functions and rates of change."""
 
 
 def fit_shapes(
-    library: Library, xi: Tensor, free: Tensor, data: Transitions, tolerance: float, rounds: int = 10
+    library: Library, xi: Tensor, free: Tensor, rows: RowsOf, tolerance: float, rounds: int = 10
 ) -> tuple[Library, Tensor]:
     """Fit the numbers inside the fitted factors, and the active coefficients with them.
 
@@ -28,43 +31,40 @@ def fit_shapes(
         library: candidate functions.
         xi: coefficients, `(n_features, n_x)`; those that are zero stay so.
         free: coefficients that may be estimated, bool `(n_features, n_x)`.
-        data: transitions, all states known.
+        rows: averages functions and rates of change, given the functions and a first model.
         tolerance: unexplained part of a rate of change that is taken as exact.
         rounds: limit on Gauss-Newton steps.
 
     Returns:
         The library with its shapes, and coefficients, `(n_features, n_x)`.
     """
-    data = data.to(torch.float64)
-    if len(data) > MOST:
-        data = data.select(torch.arange(len(data)) % (len(data) // MOST) == 0)
     active = (xi != 0) & free
     used = {f.base for k in active.any(-1).nonzero().flatten().tolist() for f in library.features[k].factors}
     if not used & set(library.shapes):
         return library, xi
-    xi, cost = _solved(library, xi, active, data, tolerance)
+    xi, cost = _solved(library, xi, active, rows, tolerance)
     for _ in range(rounds):
-        step, size = _step(library, xi, active, data, tolerance), 1.0
+        step, size = _step(library, xi, active, rows, tolerance), 1.0
         numbers = torch.tensor([shape.frequency for shape in library.shapes], dtype=torch.float64)
         while size > 1e-3:
             # No number grows tenfold or changes its sign in one step.
             moved = numbers + (size * step).clamp(-0.9 * numbers.abs(), 9 * numbers.abs())
             trial = library.with_shapes(moved.tolist())
-            found, lower = _solved(trial, xi, active, data, tolerance)
+            found, lower = _solved(trial, xi, active, rows, tolerance)
             if lower < cost:
                 break
             size /= 4
         else:
             return library, xi
         gain, library, xi, cost = cost - lower, trial, found, lower
-        if gain < 1e-6 * len(data):
+        if gain < LITTLE:
             break
     return library, xi
 
 
-def _solved(library: Library, xi: Tensor, active: Tensor, data: Transitions, tolerance: float) -> tuple[Tensor, float]:
+def _solved(library: Library, xi: Tensor, active: Tensor, rows: RowsOf, tolerance: float) -> tuple[Tensor, float]:
     """Return the coefficients for these shapes, and N/2 log of the squared errors of all states."""
-    theta, dx = simpson_form(library, generate(library, xi), data)
+    theta, dx = rows(library, generate(library, xi))
     found, cost = torch.where(active, 0.0, xi), 0.0
     rest = dx - theta @ found
     for i in range(xi.shape[1]):
@@ -75,11 +75,11 @@ def _solved(library: Library, xi: Tensor, active: Tensor, data: Transitions, tol
         scale = columns.norm(dim=0).clamp_min(1e-300)
         found[mine, i] = least_squares(columns / scale, rest[:, i]) / scale
         error = (rest[:, i] - columns @ found[mine, i]).square().sum()
-        cost += 0.5 * len(data) * float((error / dx[:, i].square().sum() + tolerance**2).log())
+        cost += 0.5 * len(dx) * float((error / dx[:, i].square().sum() + tolerance**2).log())
     return found, cost
 
 
-def _step(library: Library, xi: Tensor, active: Tensor, data: Transitions, tolerance: float) -> Tensor:
+def _step(library: Library, xi: Tensor, active: Tensor, rows: RowsOf, tolerance: float) -> Tensor:
     """Return the Gauss-Newton step of the shapes, `(S,)`."""
     shapes, n = library.shapes, len(library)
 
@@ -87,8 +87,8 @@ def _step(library: Library, xi: Tensor, active: Tensor, data: Transitions, toler
         slopes = library.by_shapes(x, u, shapes).mT @ xi  # (N, S, n_x)
         return torch.cat([library(x, u), slopes.flatten(-2)], -1)
 
-    rows, dx = simpson_form(_both, generate(library, xi), data)
-    theta, slopes = rows[:, :n], rows[:, n:].unflatten(-1, (len(shapes), -1))
+    both, dx = rows(_both, generate(library, xi))
+    theta, slopes = both[:, :n], both[:, n:].unflatten(-1, (len(shapes), -1))
     error = dx - theta @ xi
     normal, target = [], []
     for i in range(xi.shape[1]):

@@ -30,7 +30,7 @@ from dynasindy.world_models.fast_field import Field, generate
 from dynasindy.world_models.files import load, save
 from dynasindy.world_models.libraries import LibraryBuilder, build_library
 from dynasindy.world_models.library import Library
-from dynasindy.world_models.measured import rates_known, reconstruct
+from dynasindy.world_models.measured import Seen, rates_known, reconstruct
 from dynasindy.world_models.refine import Refinement
 from dynasindy.world_models.regression import Regression, RunningSums, integral_form
 from dynasindy.world_models.report import FitReport
@@ -155,8 +155,10 @@ class SindyModel(WorldModel):
         start = time.perf_counter()
         data = transitions.to(torch.float64)
         self._check(data)
-        guess = reconstruct(data, rates_known(self.library, self.constraints))
-        self.sums.add(integral_form(self.library, guess))
+        rates = rates_known(self.library, self.constraints)
+        guess = reconstruct(data, rates)
+        seen = Seen.of(guess, data, rates)
+        self.sums.add(seen.rows(self.library, self) if seen.half else integral_form(self.library, guess))
         self._solve(self.sums)
         notes = self._refine(data, guess)
         seconds = time.perf_counter() - start
