@@ -46,6 +46,8 @@ class Function:
 
 SMALLEST_ROOT = 1e-9
 """Number below which `sqrt` is that of this one, so that its slope stays finite at zero and roots of less are none."""
+FARTHEST = 30.0
+"""Factor between the first guess of a number inside a function and what is fitted, either way."""
 LARGEST_POWER = 100
 """Power beyond which a function of a file or of words is taken for a mistake."""
 
@@ -116,14 +118,19 @@ class Factor:
         function: name of an elementary function.
         power: whole number.
         frequency: the number inside the function: a frequency, the inverse of a width, an offset.
-        fitted: whether that number is a first guess, to be fitted with the coefficients.
+        fitted: first guess of that number if it is fitted with the coefficients, 0 if it is given.
     """
 
     variables: tuple[str, ...]
     function: str = "id"
     power: int = 1
     frequency: float = 1.0
-    fitted: bool = False
+    fitted: float = 0.0
+
+    def with_number(self, number: float) -> Factor:
+        """Return the factor with another number inside, not farther from its first guess than `FARTHEST` allows."""
+        low, high = sorted((self.fitted / FARTHEST, self.fitted * FARTHEST))
+        return replace(self, frequency=min(max(number, low), high))
 
     def compute(self) -> Callable[..., Tensor]:
         """Return the function of the variables alone, its power left out."""
@@ -202,7 +209,8 @@ class Feature:
     def to_list(self) -> list[list]:
         """Return plain lists for JSON."""
         return [
-            [list(f.variables), f.function, f.power, f.frequency, *([True] if f.fitted else [])] for f in self.factors
+            [list(f.variables), f.function, f.power, f.frequency, *([f.fitted] if f.fitted else [])]
+            for f in self.factors
         ]
 
     @classmethod
@@ -214,7 +222,9 @@ class Feature:
             ValueError: a power is not whole or larger than `LARGEST_POWER`, or a frequency is not finite.
         """
         return cls(
-            tuple(_checked(Factor(tuple(v), function(f).name, p, float(w), bool(fit))) for v, f, p, w, *fit in data)
+            tuple(
+                _checked(Factor(tuple(v), function(f).name, p, float(w), *map(float, fit))) for v, f, p, w, *fit in data
+            )
         )
 
 
@@ -223,7 +233,7 @@ def _checked(factor: Factor) -> Factor:
     if type(factor.power) is not int or abs(factor.power) > LARGEST_POWER:
         shown = str(factor.power)[:20] if abs(factor.power) < 10**20 else "a number of more than 20 digits"
         raise ValueError(f"a function has the power {shown}; allowed are whole ones up to {LARGEST_POWER}: correct it")
-    if not math.isfinite(factor.frequency):
+    if not (math.isfinite(factor.frequency) and math.isfinite(factor.fitted)):
         raise ValueError(f"a function has the frequency {factor.frequency}; allowed are finite ones: correct it")
     if factor.function == "id" and len(factor.variables) != 1:
         raise ValueError(f"a product has a factor of {len(factor.variables)} variables; allowed is one: correct it")
@@ -275,8 +285,9 @@ def parse(text: str) -> Feature:
             factors.append(Factor((token["abs"].strip(),), "abs", power))
         elif token["function"]:
             scales, names = zip(*(_scaled(a) for a in token["args"].split(",")), strict=True)
-            number, fitted = float(scales[0].lstrip("~")), scales[0].startswith("~")
-            factors.append(Factor(names, function(token["function"]).name, power, number, fitted))
+            number = float(scales[0].lstrip("~"))
+            guess = number if scales[0].startswith("~") else 0.0
+            factors.append(Factor(names, function(token["function"]).name, power, number, guess))
         elif token["name"]:
             factors.append(Factor((token["name"],), "id", power))
     return Feature.of(map(_checked, factors))

@@ -146,7 +146,7 @@ class Library:
 
     def with_shapes(self, numbers: Sequence[float]) -> Library:
         """Return the library with other numbers inside its fitted factors, in the order of `shapes`."""
-        new = dict(zip(self.shapes, numbers, strict=True))
+        new = {s: s.with_number(number).frequency for s, number in zip(self.shapes, numbers, strict=True)}
         features = [
             Feature(tuple(replace(f, frequency=new.get(f.base, f.frequency)) for f in feature.factors))
             for feature in self.features

@@ -64,7 +64,7 @@ class Refinement:
     method: Literal["integral", "one_step", "trajectory", "auto"] = "integral"
     rounds: Count = 2
     tolerance: float = 1e-6
-    window: int = 50
+    window: int = 20
     longest_delay: float = 0.0
 
     def __post_init__(self) -> None:
