@@ -229,8 +229,13 @@ def refine_trajectory(
         better = reconsider(model.triangle, n_fixed, active, others, limit)
         if better is None:
             break
-        estimate = _move(estimate, model, active + others, torch.cat([torch.arange(n_fixed), n_fixed + better]))
-        support = (active + others).take(better).support(support.shape)
+        chosen = (active + others).take(better)
+        changed = _changed(
+            estimate, model, active + others, torch.cat([torch.arange(n_fixed), n_fixed + better]), windows
+        )
+        if changed is None:
+            break
+        estimate, support = changed, chosen.support(support.shape)
     return estimate.library, estimate.xi
 
 
@@ -298,10 +303,27 @@ def _descend(
         kept, _ = walk_down(model.triangle, torch.arange(len(model.scale)) >= n_fixed, limits[0])
         if len(kept) == len(model.scale):
             break
-        estimate = _move(estimate, model, parameters, kept)
-        chosen = kept[kept >= n_fixed] - n_fixed
-        support = Parameters(parameters.features[chosen], parameters.states[chosen]).support(support.shape)
+        changed = _changed(estimate, model, parameters, kept, windows)
+        if changed is None:
+            break
+        estimate, support = changed, parameters.take(kept[kept >= n_fixed] - n_fixed).support(support.shape)
     return estimate, support
+
+
+def _changed(
+    estimate: Estimate, model: Linearised, parameters: Parameters, kept: Tensor, windows: Windows
+) -> Estimate | None:
+    """Return the estimate with the kept unknowns alone; None where that runs away however it is made.
+
+    A whole step of the linear model comes first; where it is too long, what goes is only left out.
+    """
+    n_fixed = len(model.scale) - len(parameters)
+    chosen = parameters.take(kept[kept >= n_fixed] - n_fixed)
+    bare = chosen.write(parameters.write(estimate.xi, 0 * parameters.read(estimate.xi)), chosen.read(estimate.xi))
+    for trial in (_move(estimate, model, parameters, kept), replace(estimate, xi=bare)):
+        if not bool(Flow.of(trial, chosen, windows).lost().any()):
+            return trial
+    return None
 
 
 def _converge(estimate: Estimate, parameters: Parameters, windows: Windows, max_rounds: int) -> Estimate:
