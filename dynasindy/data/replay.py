@@ -13,7 +13,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer, TensorDictRoundRobinWriter
 
-from dynasindy.data.sound import require_finite
+from dynasindy.data.sound import require_finite, unsound
 from dynasindy.limits import memory
 
 LEARN_KEYS: tuple[NestedKey, ...] = (
@@ -36,6 +36,9 @@ REAL_KEYS: tuple[NestedKey, ...] = (
     ("next", "at_stop"),
 )
 """What is kept of the real plant: also what identification and planning read."""
+
+MEASURED_KEYS: tuple[NestedKey, ...] = (*REAL_KEYS, "measurement", "task_params")
+"""The same of a plant behind sensors, whose `measurement` and `samples` are NaN where nothing was measured."""
 
 INDEX_BYTES = 8
 """What TorchRL keeps of each row beside its keys: its place in the storage."""
@@ -88,7 +91,7 @@ class CheckedWriter(TensorDictRoundRobinWriter):
                 f"missing: {_words(self.keys - given)}; not allowed: {_words(given - self.keys)}."
             )
         for key in self.keys:
-            if not torch.isfinite(data.get(key)).all():
+            if unsound(key, data).any():
                 raise ValueError(
                     f"The {self.name} storage takes finite rows; {_words([key])} holds NaN or infinity; "
                     "leave such rows out."

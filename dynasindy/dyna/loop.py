@@ -20,7 +20,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.dyna.callback import Callback, Episode, Place
 from dynasindy.dyna.parts import Parts, Settings
-from dynasindy.dyna.refit import fit, refit
+from dynasindy.dyna.refit import first_fit, refit
 from dynasindy.planning import replay_error
 
 
@@ -46,7 +46,7 @@ def train(parts: Parts, settings: Settings, callback: Callback, place: Place | N
         replay.extend_real(excited)
         cost.real_steps += excited.numel()
         # Model learning: f_SINDy from D_real.
-        callback.fitted(fit(parts, settings), excited, cost)
+        callback.fitted(first_fit(parts, settings), excited, cost)
         callback.reached(place.past_excitation())
     if not place.planned:
         # Departure: the first planning phase comes before the first episode, with the model of the excitation.
