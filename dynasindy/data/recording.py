@@ -22,7 +22,7 @@ def transitions(rows: TensorDictBase, log_dt: float) -> Transitions:
         Up to `T * substeps` transitions.
     """
     samples = rows["next", "samples"].double()
-    start = rows["measurement"] if "measurement" in rows.keys() else rows["state"]  # noqa: SIM118
+    start = rows["measurement"] if "measurement" in set(rows.keys()) else rows["state"]
     fine = Transitions.from_samples(start.double(), rows["action"].double(), samples, log_dt)
     free = ~rows["next", "at_stop"].reshape(-1).repeat_interleave(samples.shape[-2])
     return fine.select(free)

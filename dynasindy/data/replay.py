@@ -172,6 +172,23 @@ class DynaReplay:
         """Return the real rows, `(n,)`, the oldest first."""
         return _in_order(self.real)
 
+    def rewrite_newest(self, rows: TensorDictBase) -> None:
+        """Replace the newest real rows, as by better estimates of their states.
+
+        Args:
+            rows: As many rows as are to be replaced, `(n,)`, in the order of time.
+
+        Raises:
+            ValueError: There are fewer real rows.
+        """
+        writer, size = self.real.writer, len(self.real)
+        assert isinstance(writer, CheckedWriter)
+        if len(rows) > size:
+            raise ValueError(f"Replay has {size} real rows, given {len(rows)} to replace them; give at most as many.")
+        places = (writer._cursor - len(rows) + torch.arange(len(rows))) % self.real.storage.max_size
+        self.real.storage.set(places, rows, set_cursor=False)
+        writer.version += 1
+
     def keep_imagined(self, newest: int) -> None:
         """Evict all imagined rows but the `newest`.
 

@@ -28,7 +28,7 @@ SUSPECTS: tuple[tuple[NestedKey, str, NestedKey, str], ...] = (
 def unsound(key: NestedKey, rows: TensorDictBase) -> Tensor:
     """Return which numbers of a key are not finite; of what sensors measure, NaN says that nothing was measured."""
     values: Tensor = rows.get(key)
-    measured = key in ("measurement", ("next", "samples")) and "measurement" in rows.keys()  # noqa: SIM118
+    measured = key in ("measurement", ("next", "samples")) and "measurement" in set(rows.keys())
     return values.isinf() if measured else ~values.isfinite()
 
 

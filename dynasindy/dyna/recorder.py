@@ -125,7 +125,8 @@ class Recorder(Callback):
             "equations": self.parts.world_model.equations(),
         }
         if self.parts.sensing is not None:
-            write_json(self.folder / "observer.json", self.parts.sensing.observer.state_dict())
+            metrics["observer"] = self.parts.sensing.observer.state_dict()
+            write_json(self.folder / "observer.json", metrics["observer"])
         metrics["verdict"] = asdict(judge(metrics))
         self._write_rollout("step_response", final.trajectory[0])
         with whole(self.folder / "model.json") as path:

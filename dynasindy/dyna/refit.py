@@ -117,14 +117,14 @@ def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
 
 
 def _observe(parts: Parts) -> None:
-    """Adapt the observer, if there is one, to the model as it is, on the newest real episode."""
+    """Adapt the observer, if there is one, to the model as it is on the newest real episode, and estimate that anew."""
     if parts.sensing is None:
         return
     rows = parts.replay.real_in_order()
-    begin = int((rows["step_count"].squeeze(-1) == 0).nonzero().max())
-    newest = rows[begin:]
+    newest = rows[int((rows["step_count"].squeeze(-1) == 0).nonzero().max()) :]
     y = torch.cat([newest["measurement"][:1], newest["next", "samples"][:, -1]])
-    parts.sensing.observer.learn(y, newest["action"])
+    estimates = parts.sensing.observer.learn(y, newest["action"])
+    parts.replay.rewrite_newest(parts.sensing.reestimated(newest, estimates))
 
 
 def held_out_windows(steps: int, length: int, every: int) -> Tensor:

@@ -72,12 +72,17 @@ class Observer:
         self.variance = sensors.variance(model.signature).clamp_min((FINEST * self.scale).square())
         self.q = torch.full_like(self.scale, STRAYING)
         self.q[list(rates)] = FOLLOWING
-        self.nis, self.learnt = math.nan, False
+        self.nis: float | None = None
 
     @property
     def memory(self) -> int:
         """How many past inputs an observer may need."""
         return 2 * LONGEST + 2
+
+    @property
+    def learnt(self) -> bool:
+        """Whether it relies on the model."""
+        return self.nis is not None
 
     @property
     def system(self) -> System:
@@ -106,16 +111,16 @@ class Observer:
         noise = torch.diag_embed((self.q * self.scale).square() * self.dt)
         covariance = transition @ belief.covariance @ transition.mT + noise
         # A model that explodes is no ground to lose an estimate; it is doubted instead.
-        sound = mean.isfinite().all(-1, keepdim=True) & covariance.isfinite().all(-1, keepdim=True).all(-2, keepdim=True)
+        sound = mean.isfinite().all(-1, keepdim=True) & covariance.isfinite().all((-2, -1), keepdim=True)
         doubted = belief.covariance + torch.diag_embed((UNKNOWN * self.scale).square())
         kept = torch.where(sound.squeeze(-1), mean.squeeze(-2), belief.mean)
         return Belief(kept, torch.where(sound, covariance, doubted))
 
-    def correct(self, belief: Belief, y: Tensor) -> tuple[Belief, Tensor]:
-        """Return the belief after a measurement `(*batch, n_x)`, NaN where there is none, and the NIS `(*batch,)`.
+    def correct(self, belief: Belief, y: Tensor) -> tuple[Belief, Tensor, Tensor]:
+        """Return the belief after a measurement `(*batch, n_x)`, NaN where there is none, its NIS and log-likelihood.
 
         The normalised innovation squared is divided by the number of measured states, so that it is 1 on average where
-        the noise levels are right; it is NaN where nothing was measured.
+        the noise levels are right; it is NaN where nothing was measured. Both are `(*batch,)`.
         """
         seen = ~y.isnan()
         pick = torch.diag_embed(seen.double())
@@ -126,8 +131,9 @@ class Observer:
         gain = torch.linalg.solve(spread, gained.mT).mT
         left = torch.eye(len(self.scale), dtype=torch.float64) - gain @ pick
         covariance = left @ belief.covariance @ left.mT + (gain * torch.where(seen, r, 0.0).unsqueeze(-2)) @ gain.mT
-        nis = (innovation.mT @ torch.linalg.solve(spread, innovation)).squeeze(-1).squeeze(-1) / seen.sum(-1)
-        return Belief(belief.mean + (gain @ innovation).squeeze(-1), covariance), nis
+        squared = (innovation.mT @ torch.linalg.solve(spread, innovation)).squeeze(-1).squeeze(-1)
+        likelihood = -0.5 * (squared + torch.linalg.slogdet(spread).logabsdet)
+        return Belief(belief.mean + (gain @ innovation).squeeze(-1), covariance), squared / seen.sum(-1), likelihood
 
     def ahead(self, mean: Tensor, inputs: Tensor) -> Tensor:
         """Predict the state at the time at which the next command arrives at the plant.
@@ -143,7 +149,7 @@ class Observer:
             x = self._flow(x, inputs[..., -k, :], self.dt)
         return torch.where(x.isfinite(), x, mean)
 
-    def follow(self, y: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+    def follow(self, y: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Filter a log.
 
         Args:
@@ -151,48 +157,61 @@ class Observer:
             u: Commands in between, `(T, n_u)`.
 
         Returns:
-            Estimates as `ahead` gives them, `(*rows, T + 1, n_x)`, and the NIS of each but the first, `(*rows, T)`; rows
-            are those of `q`, if it has any.
+            Estimates as `ahead` gives them, `(*rows, T + 1, n_x)`, and NIS and log-likelihood of each but the first,
+            `(*rows, T)`; rows are those of `q`, if it has any.
         """
         rows, late = self.q.shape[:-1], self.sensors.delay
         past = torch.cat([torch.zeros(self.memory, u.shape[-1], dtype=torch.float64), u.double()])
         y = torch.cat([y[:1].expand(late, -1), y])
         belief = self.begin(y[0].expand(*rows, -1))
-        means, nis = [self.ahead(belief.mean, past[: self.memory])], []
+        means, nis, likelihoods = [self.ahead(belief.mean, past[: self.memory])], [], []
         for k in range(len(u)):
             inputs = past[k + 1 : k + 1 + self.memory]
-            belief, surprise = self.correct(self.advance(belief, inputs), y[k + 1].expand(*rows, -1))
+            belief, surprise, likelihood = self.correct(self.advance(belief, inputs), y[k + 1].expand(*rows, -1))
             means.append(self.ahead(belief.mean, inputs))
             nis.append(surprise)
-        return torch.stack(means, -2), torch.stack(nis, -1)
+            likelihoods.append(likelihood)
+        return torch.stack(means, -2), torch.stack(nis, -1), torch.stack(likelihoods, -1)
 
     @torch.no_grad()
-    def learn(self, y: Tensor, u: Tensor) -> None:
+    def learn(self, y: Tensor, u: Tensor) -> Tensor:
         """Rely on the model from now on, as far as its innovations on a log allow.
 
-        The process noise is the least at which the model's innovations are no larger than it expects.
+        The process noise is the one at which they are most likely; `nis` then tells whether they are as large as the
+        filter expects.
 
         Args:
             y: Measurements, `(T + 1, n_x)`.
             u: Commands in between, `(T, n_u)`.
+
+        Returns:
+            The estimates on the log, `(T + 1, n_x)`.
         """
-        self.learnt = True
+        self.nis = math.nan
         given = self.sensors.process_noise
         candidates = CANDIDATES if given is None else torch.tensor([given], dtype=torch.float64)
         self.q = candidates.unsqueeze(-1).expand(-1, len(self.scale))
-        nis = self.follow(y, u)[1].nanmean(-1)
-        fitting = (nis <= 1).nonzero()
-        chosen = int(fitting[0]) if len(fitting) else len(candidates) - 1
-        self.q, self.nis = self.q[chosen].clone(), nis[chosen].item()
+        means, nis, likelihoods = self.follow(y, u)
+        chosen = int(likelihoods.sum(-1).argmax())
+        self.q, self.nis = self.q[chosen].clone(), nis[chosen].nanmean().nan_to_num(nan=0.0).item()
+        return means[chosen]
 
     def state_dict(self) -> dict[str, Any]:
         """Return what was learnt, the model apart."""
-        return {"q": self.q.tolist(), "nis": self.nis, "learnt": self.learnt}
+        return {"process_noise": self.q.tolist(), "nis": self.nis}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what `state_dict` returned."""
-        self.q = torch.tensor(state["q"], dtype=torch.float64)
-        self.nis, self.learnt = state["nis"], state["learnt"]
+        """Restore what `state_dict` returned.
+
+        Raises:
+            ValueError: It is not of such an observer.
+        """
+        q, nis = torch.tensor(state["process_noise"], dtype=torch.float64), state["nis"]
+        if q.shape != self.scale.shape or not bool((q > 0).all() and q.isfinite().all()):
+            raise ValueError(
+                f"an observer has a process noise > 0 for each of {len(self.scale)} states, got {q.tolist()}"
+            )
+        self.q, self.nis = q, None if nis is None else float(nis)
 
     def _late(self) -> tuple[int, float]:
         """Return the model's input delay, in whole control periods and the rest [s]."""

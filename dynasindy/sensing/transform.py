@@ -65,7 +65,7 @@ class Sensing(Transform):
     @torch.no_grad()
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Hand the plant its true state, and the input that has arrived."""
-        if "action" not in tensordict.keys() or "true_state" not in tensordict.keys():
+        if not {"action", "true_state"} <= set(tensordict.keys()):  # a reset
             return tensordict
         commanded = tensordict["action"].unsqueeze(-2)
         inputs = torch.cat([tensordict["observer", "inputs"][..., 1:, :], commanded], -2)
@@ -82,7 +82,7 @@ class Sensing(Transform):
         measurements = torch.cat([before["measurements"][..., 1:, :], y[..., -1:, :]], -2)
         inputs = before["inputs"]
         belief = self.observer.advance(Belief(before["mean"], before["covariance"]), inputs)
-        belief, nis = self.observer.correct(belief, measurements[..., 0, :])
+        belief, nis, _ = self.observer.correct(belief, measurements[..., 0, :])
         after["true_state"], after["true_reward"], after["samples"] = after["state"], after["reward"], y
         self._show(after, belief, nis, inputs, measurements)
         x, x_next = tensordict["estimate"], after["state"]
@@ -91,12 +91,27 @@ class Sensing(Transform):
         after["reward"] = reward.float().unsqueeze(-1)
         return after
 
+    def reestimated(self, rows: TensorDictBase, x: Tensor) -> TensorDictBase:
+        """Return the rows of a real episode with other estimates of its states.
+
+        Args:
+            rows: Control periods `(T,)` with `task_params`.
+            x: States at their ends, `(T + 1, n_x)`.
+        """
+        shown, task, x = rows.clone(), self.env.task, x.to(self.env.float_type)
+        params, t = rows["task_params"], rows["step_count"].to(x.dtype) * self.env.dt
+        touched = rows["next", "at_stop"].squeeze(-1)
+        shown["state"], shown["next", "state"] = x[:-1], x[1:]
+        shown["observation"] = task.observation(x[:-1], params, t).float()
+        shown["next", "observation"] = task.observation(x[1:], params, t + self.env.dt).float()
+        reward = task.reward(x[:-1], x[1:], params, t + self.env.dt, touched)
+        shown["next", "reward"] = reward.float().unsqueeze(-1)
+        return shown
+
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         return self.begin(tensordict_reset)
 
-    def _show(
-        self, shown: TensorDictBase, belief: Belief, nis: Tensor, inputs: Tensor, measurements: Tensor
-    ) -> None:
+    def _show(self, shown: TensorDictBase, belief: Belief, nis: Tensor, inputs: Tensor, measurements: Tensor) -> None:
         """Write what may be seen in the place of the true state."""
         dtype, task = self.env.float_type, self.env.task
         x = self.observer.ahead(belief.mean, inputs).to(dtype)
