@@ -30,8 +30,8 @@ UNKNOWN = 0.1
 """Standard deviation of a state that is not measured when an episode begins, at rest [ranges of the state]."""
 STRAYING, FOLLOWING = 1.0, 1e-3
 """Process noise before there is a model: of states of which nothing is known, and of those whose rate is a state."""
-CANDIDATES = torch.logspace(-4, -1, 13, dtype=torch.float64)
-"""Process noise to choose from. Even a perfect model is doubted a little, or a filter would heed no measurement."""
+CANDIDATES = torch.logspace(-3, -1, 9, dtype=torch.float64)
+"""Process noise to choose from. Innovations on the data of its fit flatter a model: all are doubted a little."""
 NUDGE = 1e-4
 """Step of the central differences [ranges of the states]: in float64 they are right to some eight digits."""
 FINEST = 1e-9
