@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from tensordict import TensorDictBase
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.envs import EnvBase
 
@@ -45,6 +47,11 @@ class Parts:
     planner: Planner
     gate: Gate
     sensing: Sensing | None = None
+
+    @property
+    def explore(self) -> Callable[[TensorDictBase], TensorDictBase]:
+        """The agent's policy with noise, as it acts on the real plant."""
+        return self.agent.explore if self.sensing is None else self.sensing.controller(self.agent.explore)
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that a resumed run needs to equal an uninterrupted one, between two phases.

@@ -174,7 +174,7 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensi
             a reward that is not finite.
     """
     calm, task = _prepare(env, scenario)
-    wrapped = policy
+    wrapped = policy if sensing is None else sensing.on(calm, sensing.rng).controller(policy)
     for wrap in scenario.wrappers:
         wrapped = wrap(wrapped, calm)
     state = task.initial_state(torch.Size((scenario.episodes,)), calm.rng)

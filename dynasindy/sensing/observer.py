@@ -2,12 +2,14 @@
 
 | name         | symbol                         | shape                |
 | ------------ | ------------------------------ | -------------------- |
-| `mean`       | x                              | `(*batch, n_x)`      |
-| `covariance` | P                              | `(*batch, n_x, n_x)` |
-| `transition` | F = dx_k+1/dx_k                | `(*batch, n_x, n_x)` |
-| `variance`   | R, diagonal                    | `(n_x,)`             |
-| `noise`      | Q = diag((q x_scale)^2) dt     | `(n_x,)`             |
+| `mean`       | x                              | `(*batch, n)`        |
+| `covariance` | P                              | `(*batch, n, n)`     |
+| `transition` | F = dx_k+1/dx_k                | `(*batch, n, n)`     |
+| `variance`   | R, diagonal                    | `(n,)`               |
+| `noise`      | Q = diag((q x_scale)^2) dt     | `(n,)`               |
 | `nis`        | v' S^-1 v, v = y - x           | `(*batch,)`          |
+
+The n states are those of the plant and, if they are to be estimated, constant pushes on some of their rates.
 
 Source: the usual equations, e.g. Simon, Optimal State Estimation (2006), sections 5.1 and 13.2.
 """
@@ -15,6 +17,7 @@ Source: the usual equations, e.g. Simon, Optimal State Estimation (2006), sectio
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,9 +26,12 @@ from torch import Tensor
 
 from dynasindy.envs import ControlEnv
 from dynasindy.sensing.kinematic import Kinematic
+from dynasindy.sensing.offset import correction
 from dynasindy.sensing.sensors import LONGEST, Sensors
 from dynasindy.systems import System, integrate
 
+DRIFTING = 0.01
+"""Process noise of a push [ranges of the rate per second, in a second]."""
 UNKNOWN = 0.1
 """Standard deviation of a state that is not measured when an episode begins, at rest [ranges of the state]."""
 STRAYING, FOLLOWING = 1.0, 1e-3
@@ -43,8 +49,8 @@ class Belief:
     """What an observer holds of the plant.
 
     Attributes:
-        mean: Estimated states, `(*batch, n_x)` float64.
-        covariance: Covariance of their errors, `(*batch, n_x, n_x)`.
+        mean: Estimated states, `(*batch, n)` float64.
+        covariance: Covariance of their errors, `(*batch, n, n)`.
     """
 
     mean: Tensor
@@ -66,12 +72,16 @@ class Observer:
     def __init__(self, model: System, sensors: Sensors, env: ControlEnv) -> None:
         self.model, self.sensors = model, sensors
         self.dt, self.substeps, self.stops = env.dt, env.substeps, env.stops
-        self.scale = torch.tensor(model.signature.x_scale, dtype=torch.float64)
+        self.n_x = model.signature.n_x
         rates = sensors.rate_indices(model.signature)
+        self.pushed = list(rates.values()) if sensors.disturbance else []
+        scale = torch.tensor(model.signature.x_scale, dtype=torch.float64)
+        self.scale = torch.cat([scale, scale[self.pushed]])
         self.kinematic = Kinematic(model.signature, rates)
-        self.variance = sensors.variance(model.signature).clamp_min((FINEST * self.scale).square())
+        variance = torch.cat([sensors.variance(model.signature), torch.full((len(self.pushed),), torch.inf)])
+        self.variance = variance.clamp_min((FINEST * self.scale).square())
         self.q = torch.full_like(self.scale, STRAYING)
-        self.q[list(rates)] = FOLLOWING
+        self.q[list(rates)], self.q[self.n_x :] = FOLLOWING, DRIFTING
         self.nis: float | None = None
 
     @property
@@ -91,6 +101,7 @@ class Observer:
 
     def begin(self, y: Tensor) -> Belief:
         """Return the belief at rest from the first measurement, `(*batch, n_x)`; what is not measured is taken as 0."""
+        y = self._padded(y)
         mean = y.double().nan_to_num(nan=0.0)
         first = torch.where(y.isnan(), (UNKNOWN * self.scale).square(), self.variance)
         return Belief(mean, torch.diag_embed(first))
@@ -122,6 +133,7 @@ class Observer:
         The normalised innovation squared is divided by the number of measured states, so that it is 1 on average where
         the noise levels are right; it is NaN where nothing was measured. Both are `(*batch,)`.
         """
+        y = self._padded(y)
         seen = ~y.isnan()
         pick = torch.diag_embed(seen.double())
         r = torch.where(seen, self.variance, 1.0)
@@ -139,7 +151,7 @@ class Observer:
         """Predict the state at the time at which the next command arrives at the plant.
 
         Args:
-            mean: Estimate at the time of the last measurement that has arrived, `(*batch, n_x)`.
+            mean: Estimate at the time of the last measurement that has arrived, `(*batch, n)`.
             inputs: Commands so far, `(*batch, memory, n_u)`.
         """
         whole, part = self._late()
@@ -148,6 +160,20 @@ class Observer:
         for k in range(late, 0, -1):
             x = self._flow(x, inputs[..., -k, :], self.dt)
         return torch.where(x.isfinite(), x, mean)
+
+    def correction(self, mean: Tensor, inputs: Tensor, outputs: Sequence[int], guess: Tensor) -> Tensor:
+        """Return what counteracts the estimated push, see `dynasindy.sensing.offset`; zero before there is a model.
+
+        Args:
+            mean: Estimate, `(*batch, n)`.
+            inputs: Commands so far, `(*batch, memory, n_u)`.
+            outputs: Indices of the tracked states, which are to stay.
+            guess: What was returned a control period ago, `(*batch, n_x + n_u)`.
+        """
+        if not self.learnt:
+            return torch.zeros_like(guess)
+        u = inputs[..., -1, :].double()
+        return correction(self.system, mean[..., : self.n_x], u, self._push(mean), outputs, guess)
 
     def follow(self, y: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Filter a log.
@@ -190,11 +216,12 @@ class Observer:
         self.nis = math.nan
         given = self.sensors.process_noise
         candidates = CANDIDATES if given is None else torch.tensor([given], dtype=torch.float64)
-        self.q = candidates.unsqueeze(-1).expand(-1, len(self.scale))
+        self.q = candidates.unsqueeze(-1).repeat(1, len(self.scale))
+        self.q[:, self.n_x :] = DRIFTING
         means, nis, likelihoods = self.follow(y, u)
         chosen = int(likelihoods.sum(-1).argmax())
         self.q, self.nis = self.q[chosen].clone(), nis[chosen].nanmean().nan_to_num(nan=0.0).item()
-        return means[chosen]
+        return means[chosen, :, : self.n_x]
 
     def state_dict(self) -> dict[str, Any]:
         """Return what was learnt, the model apart."""
@@ -236,4 +263,21 @@ class Observer:
         u = u.double().expand(*x.shape[:-1], u.shape[-1])
         # State-major memory: every elementwise operation of the model runs on contiguous rows.
         x, u = (t.movedim(-1, 0).contiguous().movedim(0, -1) for t in (x, u))
-        return integrate(self.system, x, u, seconds, substeps, self.stops)[0][..., -1, :]
+        return integrate(self._rates, x, u, seconds, substeps, self.stops)[0][..., -1, :]
+
+    def _rates(self, x: Tensor, u: Tensor) -> Tensor:
+        """Return dx/dt of the states and, if they are estimated, of the pushes behind them, which stay."""
+        dx: Tensor = self.system(x[..., : self.n_x], u)
+        if not self.pushed:
+            return dx
+        return torch.cat([dx + self._push(x) if self.learnt else dx, torch.zeros_like(x[..., self.n_x :])], -1)
+
+    def _push(self, mean: Tensor) -> Tensor:
+        """Return the push on each state, `(*batch, n_x)`."""
+        push = torch.zeros_like(mean[..., : self.n_x])
+        push[..., self.pushed] = mean[..., self.n_x :]
+        return push
+
+    def _padded(self, y: Tensor) -> Tensor:
+        """Return measurements with a NaN for each push, which nothing measures."""
+        return torch.nn.functional.pad(y, (0, len(self.pushed)), value=torch.nan)

@@ -14,6 +14,7 @@ of an evaluation may read them.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -24,6 +25,10 @@ from torchrl.envs import Transform, TransformedEnv
 
 from dynasindy.envs import ControlEnv
 from dynasindy.sensing.observer import Belief, Observer
+from dynasindy.sensing.offset import OffsetFree
+
+Policy = Callable[[TensorDictBase], TensorDictBase]
+"""Reads `observation` of a tensordict and writes `action`."""
 
 
 class Sensing(Transform):
@@ -48,18 +53,27 @@ class Sensing(Transform):
         """Return an environment seen through the same sensors and observer, its noise drawn from the same generator."""
         return TransformedEnv(env, self.on(env, self.rng))
 
+    def controller(self, policy: Policy) -> Policy:
+        """Return a policy that counteracts the push that the observer estimates; if it does not, the policy itself."""
+        return OffsetFree(policy, self.env) if self.observer.pushed else policy
+
     @torch.no_grad()
     def begin(self, start: TensorDictBase) -> TensorDictBase:
         """Hide the true states in which episodes begin; until then the plant was at rest, and inputs zero."""
         x, sensors = start["state"], self.observer.sensors
         y = sensors.read(x, self.env.system.signature, self.rng)
         n_u, batch = self.env.system.signature.n_u, x.shape[:-1]
-        inputs = torch.zeros(*batch, self.observer.memory, n_u)
-        measurements = y.unsqueeze(-2).repeat_interleave(sensors.delay + 1, -2)
+        held = {
+            "inputs": torch.zeros(*batch, self.observer.memory, n_u),
+            "measurements": y.unsqueeze(-2).repeat_interleave(sensors.delay + 1, -2),
+            "nis": torch.ones(*batch, 1, dtype=torch.float64),
+        }
+        if self.observer.pushed:
+            held["shift"] = torch.zeros(*batch, x.shape[-1] + n_u, dtype=torch.float64)
         start["true_state"] = x
         start["true_reward"] = torch.zeros(*batch, 1)
         start["samples"] = y.unsqueeze(-2).expand(start["samples"].shape).clone()
-        self._show(start, self.observer.begin(y), torch.ones(batch, dtype=torch.float64), inputs, measurements)
+        self._show(start, self.observer.begin(y), held)
         return start
 
     @torch.no_grad()
@@ -80,11 +94,11 @@ class Sensing(Transform):
         before, after, task = tensordict["observer"], next_tensordict, self.env.task
         y = self.observer.sensors.read(after["samples"], self.env.system.signature, self.rng)
         measurements = torch.cat([before["measurements"][..., 1:, :], y[..., -1:, :]], -2)
-        inputs = before["inputs"]
-        belief = self.observer.advance(Belief(before["mean"], before["covariance"]), inputs)
+        belief = self.observer.advance(Belief(before["mean"], before["covariance"]), before["inputs"])
         belief, nis, _ = self.observer.correct(belief, measurements[..., 0, :])
         after["true_state"], after["true_reward"], after["samples"] = after["state"], after["reward"], y
-        self._show(after, belief, nis, inputs, measurements)
+        held = {key: before[key] for key in ("inputs", "shift") if key in set(before.keys())}
+        self._show(after, belief, held | {"measurements": measurements, "nis": nis.unsqueeze(-1)})
         x, x_next = tensordict["estimate"], after["state"]
         t_next, touched = after["step_count"].to(x.dtype) * self.env.dt, after["at_stop"].squeeze(-1)
         reward = task.reward(x, x_next, after["task_params"], t_next, touched)
@@ -111,16 +125,19 @@ class Sensing(Transform):
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         return self.begin(tensordict_reset)
 
-    def _show(self, shown: TensorDictBase, belief: Belief, nis: Tensor, inputs: Tensor, measurements: Tensor) -> None:
-        """Write what may be seen in the place of the true state."""
+    def _show(self, shown: TensorDictBase, belief: Belief, held: dict[str, Tensor]) -> None:
+        """Write what may be seen in the place of the true state, and what the observer holds besides its belief."""
         dtype, task = self.env.float_type, self.env.task
-        x = self.observer.ahead(belief.mean, inputs).to(dtype)
+        mean = self.observer.ahead(belief.mean, held["inputs"])
+        x = mean[..., : self.observer.n_x].to(dtype)
         t = shown["step_count"].to(dtype) * self.env.dt
         shown["state"] = x
         shown["observation"] = task.observation(x, shown["task_params"], t).float()
-        shown["measurement"] = measurements[..., -1, :]
-        held = {"mean": belief.mean, "covariance": belief.covariance, "nis": nis.unsqueeze(-1)}
-        held |= {"inputs": inputs, "measurements": measurements}
+        shown["measurement"] = held["measurements"][..., -1, :]
+        if self.observer.pushed:
+            outputs = [self.env.system.signature.state_index(name) for name in task.output_names]
+            held["shift"] = self.observer.correction(mean, held["inputs"], outputs, held["shift"])
+        held |= {"mean": belief.mean, "covariance": belief.covariance}
         shown["observer"] = TensorDict(held, shown.batch_size)
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
@@ -150,18 +167,20 @@ class Sensing(Transform):
         self.rng.set_state(state["rng"])
 
     def _held(self, batch: tuple[int, ...]) -> Composite:
-        signature, late = self.env.system.signature, self.observer.sensors.delay
+        signature, late, n = self.env.system.signature, self.observer.sensors.delay, len(self.observer.scale)
 
         def _unbounded(*shape: int, dtype: torch.dtype = torch.float64) -> Unbounded:
             return Unbounded(shape=(*batch, *shape), dtype=dtype)
 
         held = {
-            "mean": _unbounded(signature.n_x),
-            "covariance": _unbounded(signature.n_x, signature.n_x),
+            "mean": _unbounded(n),
+            "covariance": _unbounded(n, n),
             "nis": _unbounded(1),
             "inputs": _unbounded(self.observer.memory, signature.n_u, dtype=torch.float32),
             "measurements": _unbounded(late + 1, signature.n_x, dtype=self.env.float_type),
         }
+        if self.observer.pushed:
+            held["shift"] = _unbounded(signature.n_x + signature.n_u)
         return Composite(held, shape=batch)
 
 

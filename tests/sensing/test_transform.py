@@ -52,11 +52,12 @@ def chirp(steps=80):
     return Chirp(2, duration=steps * 0.05, dt=0.05, amplitude=[0.4, 0.3], offset=[0.0, 0.3])
 
 
+@pytest.mark.parametrize("disturbance", [False, True])
 @pytest.mark.parametrize("batch", [(), (4,)])
-def test_specs_hold(batch):
+def test_specs_hold(batch, disturbance):
     plant = Tras()
     env = ControlEnv(plant, Tracking(plant.signature, Step([[0.1, 0.1]])), dtype=torch.float64, batch_size=batch)
-    sensors = Sensors(BENCH, rates=KNOWN, delay=2, lost=0.1, actuator_delay=1)
+    sensors = Sensors(BENCH, rates=KNOWN, delay=2, lost=0.1, actuator_delay=1, disturbance=disturbance)
     check_env_specs(Sensing(env, Observer(plant, sensors, env), torch.Generator().manual_seed(0)).around(env))
 
 
@@ -259,7 +260,8 @@ def test_no_number_of_the_replay_is_true():
     assert not (stored["next", "reward"] == rollout["next", "true_reward"]).any()
 
 
-def test_a_run_resumed_at_any_place_is_the_uninterrupted_one():
+@pytest.mark.parametrize("disturbance", [False, True])
+def test_a_run_resumed_at_any_place_is_the_uninterrupted_one(disturbance):
     class Saved(Callback):
         def __init__(self, parts, place):
             self.parts, self.place, self.states = parts, place, []
@@ -267,12 +269,12 @@ def test_a_run_resumed_at_any_place_is_the_uninterrupted_one():
         def reached(self, place):
             self.states.append(copy.deepcopy((place.state_dict(), self.parts.state_dict())))
 
-    made = recipe()
+    made = recipe(sensors=Sensors(BENCH, rates=KNOWN, lost=0.05, actuator_delay=1, disturbance=disturbance))
     whole, place = made.build(), Place()
     saved = Saved(whole, place)
     train(whole, made.train, saved, place)
     for where, state in saved.states[:-1]:
-        again, place = recipe().build(), Place()
+        again, place = made.build(), Place()
         again.load_state_dict(state)
         place.load_state_dict(where)
         train(again, made.train, Callback(), place)
