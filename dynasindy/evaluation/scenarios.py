@@ -173,7 +173,7 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensi
         Diverged: The policy gives an action that is not finite, the plant leaves all finite states, or the task gives
             a reward that is not finite.
     """
-    calm, task = _prepare(env, scenario)
+    calm, task = _prepare(env, scenario, 0 if sensing is None else sensing.observer.width)
     wrapped = policy if sensing is None else sensing.on(calm, sensing.rng).controller(policy)
     for wrap in scenario.wrappers:
         wrapped = wrap(wrapped, calm)
@@ -188,7 +188,7 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensi
     return _measure(calm, task, scenario, trajectory)
 
 
-def _prepare(env: ControlEnv, scenario: Scenario) -> tuple[ControlEnv, Tracking]:
+def _prepare(env: ControlEnv, scenario: Scenario, width: int) -> tuple[ControlEnv, Tracking]:
     """Return the undisturbed environment, with the scenario's reference and length, and its task."""
     if not isinstance(env.task, Tracking):
         raise TypeError(f"task {type(env.task).__name__} tracks no reference; give an environment with a Tracking task")
@@ -199,7 +199,7 @@ def _prepare(env: ControlEnv, scenario: Scenario) -> tuple[ControlEnv, Tracking]
             f"scenario.seconds is {scenario.seconds} s, less than a control period of {env.dt} s; give one or more"
         )
     check_memory(
-        4.0 * scenario.episodes * task.max_steps * (2 * task.n_o + (2 + env.substeps) * n_x),
+        4.0 * scenario.episodes * task.max_steps * (2 * task.n_o + (2 + env.substeps) * n_x + width),
         f"scenario.episodes={scenario.episodes} of scenario.seconds={scenario.seconds} in periods of {env.dt} s",
     )
     return env.with_task(task, seed=scenario.seed), task
