@@ -36,7 +36,8 @@ from dynasindy.world_models.diagnosis import Missing, diagnose
 from dynasindy.world_models.libraries import paper_table
 from dynasindy.world_models.prediction import one_step_error
 from dynasindy.world_models.sensitivity import Parameters
-from dynasindy.world_models.trajectory import Estimate, Windows, linearise
+from dynasindy.world_models.trajectory import Estimate, linearise
+from dynasindy.world_models.windows import Windows
 
 KNOWN = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
 HOVER = (-0.12, 0.21)
@@ -156,7 +157,8 @@ def noisy(seeds: int) -> list[Row]:
 def cramer_rao(truth: Tensor, parameters: Parameters, clean: Transitions, sigma: Tensor) -> Tensor:
     """Return the smallest standard error of the true terms, start state unknown, white noise of `sigma`, `(P,)`."""
     windows = Windows.of(clean, 50)
-    model = linearise(paper_table(Xi().signature), Estimate(truth, windows.first.clone()), parameters, windows, sigma)
+    estimate = Estimate(paper_table(Xi().signature), truth, windows.first.clone())
+    model = linearise(estimate, parameters, windows, sigma)
     n = len(model.scale)
     inverse = torch.linalg.inv(model.triangle[:n, :n])
     return (inverse.square().sum(-1).sqrt() / model.scale)[n - len(parameters) :]

@@ -11,7 +11,14 @@ from dynasindy.systems.transitions import Transitions
 
 
 class WorldModel(System):
-    """A vector field with the signature of the plant whose transitions it is fitted to."""
+    """A vector field with the signature of the plant whose transitions it is fitted to.
+
+    Attributes:
+        delay: Time between an input of the plant and its effect [s]. The field itself is that of the inputs as they
+            take effect.
+    """
+
+    delay: float = 0.0
 
     @abstractmethod
     def fit(self, transitions: Transitions) -> Any:

@@ -159,8 +159,10 @@ class _Writer:
         return self._line((factor, power), f"{self._power(factor, power - half)} * {self._power(factor, half)}")
 
     def _value(self, factor: Factor) -> str:
-        args = [self.variable[v] for v in factor.variables]
-        if factor.frequency != 1:
+        args, parametric = [self.variable[v] for v in factor.variables], function(factor.function).parametric
+        if parametric:
+            args.append(self._constant(factor.frequency))
+        elif factor.frequency != 1:
             frequency = self._constant(factor.frequency)
             args = [self._line((a, factor.frequency), f"{a} * {frequency}") for a in args]
         if factor.function == "id":

@@ -6,6 +6,7 @@ A feature that is data can be named, printed as LaTeX, saved, multiplied, differ
 | ----------------- | ----------------------------------------------- | ------------------------------- |
 | Function          | elementary function of one variable or more      | `sin`                           |
 | Factor            | function of `frequency * variable`, to a power   | `cos(2 alpha_p)^3`              |
+| shape             | a factor whose frequency is fitted with the rest | `tanh(~20 Omega_a)`             |
 | Feature           | product of factors; `1` is the empty product      | `omega_a |omega_a| cos(alpha_p)` |
 """
 
@@ -30,6 +31,7 @@ class Function:
         text: format string of its value, e.g. `sin({0})`.
         latex: format string for LaTeX.
         atomic: whether the value needs no brackets before a power.
+        parametric: whether the number of a factor is the last argument, and not what the others are multiplied by.
     """
 
     name: str
@@ -37,8 +39,11 @@ class Function:
     text: str
     latex: str
     atomic: bool = True
+    parametric: bool = False
 
 
+SMALLEST_ROOT = 1e-9
+"""Number below which `sqrt` is that of this one, so that its slope stays finite at zero and roots of less are none."""
 LARGEST_POWER = 100
 """Power beyond which a function of a file or of words is taken for a mistake."""
 
@@ -52,6 +57,18 @@ _REGISTRY: dict[str, Function] = {
         Function("sign", torch.sign, "sign({0})", r"\operatorname{{sign}} {0}"),
         Function("exp", torch.exp, "exp({0})", r"e^{{{0}}}"),
         Function("tanh", torch.tanh, "tanh({0})", r"\tanh {0}"),
+        Function("sqrt", lambda z: z.clamp_min(SMALLEST_ROOT).sqrt(), "sqrt({0})", r"\sqrt{{{0}}}"),
+        Function("bell", lambda z: (-z * z).exp(), "exp(-({0})^2)", r"e^{{-({0})^2}}"),
+        Function(
+            "hinge", lambda z, p: (z - p).clamp_min(0), "max(0, {0} - {1})", r"\max(0, {0} - {1})", parametric=True
+        ),
+        Function(
+            "per_cos2",
+            lambda z, p: 1 / (1 + p * z.cos().square()),
+            "/(1 + {1} cos({0})^2)",
+            r"\frac{{1}}{{1 + {1} \cos^2 {0}}}",
+            parametric=True,
+        ),
     )
 }
 
@@ -90,12 +107,39 @@ def function(name: str) -> Function:
 
 @dataclass(frozen=True, order=True)
 class Factor:
-    """Raise `function(frequency * variables)` to a power."""
+    """Raise `function(frequency * variables)`, or `function(variables, frequency)`, to a power.
+
+    Attributes:
+        variables: states and inputs.
+        function: name of an elementary function.
+        power: whole number.
+        frequency: the number inside the function: a frequency, the inverse of a width, an offset.
+        fitted: whether that number is a first guess, to be fitted with the coefficients.
+    """
 
     variables: tuple[str, ...]
     function: str = "id"
     power: int = 1
     frequency: float = 1.0
+    fitted: bool = False
+
+    def compute(self) -> Callable[..., Tensor]:
+        """Return the function of the variables alone, its power left out."""
+        known = function(self.function)
+        if known.parametric:
+            return lambda *args: known.compute(*args, self.frequency)
+        if self.frequency == 1:
+            return known.compute
+        return lambda *args: known.compute(*(self.frequency * a for a in args))
+
+    def slope(self, *args: Tensor) -> Tensor:
+        """Return the derivative of the function of some variables by the number inside it."""
+        known, p = function(self.function), torch.full_like(args[0], self.frequency)
+        inside = (
+            known.compute if known.parametric else lambda *given: known.compute(*(given[-1] * a for a in given[:-1]))
+        )
+        derivative: Tensor = torch.func.jvp(lambda q: inside(*args, q), (p,), (torch.ones_like(p),))[1]
+        return derivative
 
     @property
     def base(self) -> Factor:
@@ -104,15 +148,16 @@ class Factor:
 
     def text(self, latex: bool = False) -> str:
         """Write the factor as a reader would."""
-        scale = "" if self.frequency == 1 else f"{self.frequency:g} "
-        names = [scale + (latex_name(v) if latex else v) for v in self.variables]
         known = function(self.function)
         form = known.latex if latex else known.text
-        written = form.format(", ".join(names))
+        number = f"{self.frequency:g}"
+        scale = "" if self.frequency == 1 or known.parametric else f"{number} "
+        names = [scale + (latex_name(v) if latex else v) for v in self.variables]
+        written = form.format(", ".join(names), number)
         if self.power == 1:
             return written
         if latex and self.function in ("sin", "cos", "tanh"):
-            return form.replace(" {0}", f"^{{{{{self.power}}}}} {{0}}").format(", ".join(names))
+            return form.replace(" {0}", f"^{{{{{self.power}}}}} {{0}}").format(", ".join(names), number)
         return f"{written}^{{{self.power}}}" if latex else f"{written}^{self.power}"
 
 
@@ -154,7 +199,9 @@ class Feature:
 
     def to_list(self) -> list[list]:
         """Return plain lists for JSON."""
-        return [[list(f.variables), f.function, f.power, f.frequency] for f in self.factors]
+        return [
+            [list(f.variables), f.function, f.power, f.frequency, *([True] if f.fitted else [])] for f in self.factors
+        ]
 
     @classmethod
     def from_list(cls, data: list[list]) -> Feature:
@@ -164,7 +211,9 @@ class Feature:
             ValueError: a function is not known (user functions are registered before loading).
             ValueError: a power is not whole or larger than `LARGEST_POWER`, or a frequency is not finite.
         """
-        return cls(tuple(_checked(Factor(tuple(v), function(f).name, p, float(w))) for v, f, p, w in data))
+        return cls(
+            tuple(_checked(Factor(tuple(v), function(f).name, p, float(w), bool(fit))) for v, f, p, w, *fit in data)
+        )
 
 
 def _checked(factor: Factor) -> Factor:
@@ -184,13 +233,15 @@ def variable(name: str, power: int = 1) -> Feature:
     return Feature((Factor((name,), "id", power),))
 
 
-def of(function_name: str, *variables: str, power: int = 1, frequency: float = 1.0) -> Feature:
+def of(function_name: str, *variables: str, power: int = 1, frequency: float = 1.0, fitted: bool = False) -> Feature:
     """Return a function of states or inputs as a feature, e.g. `of("sin", "alpha_p")`."""
-    return Feature((Factor(variables, function(function_name).name, power, frequency),))
+    return Feature((Factor(variables, function(function_name).name, power, frequency, fitted),))
 
 
 _TOKEN = re.compile(
-    r"\s*(?:\|(?P<abs>[^|]+)\||(?P<function>[A-Za-z_]\w*)\((?P<args>[^()]*)\)|(?P<name>[A-Za-z_]\w*)|(?P<one>1))"
+    r"\s*(?:\|(?P<abs>[^|]+)\||/\(1 \+ (?P<per>[\d.e+-]+) cos\((?P<angle>[^()]+)\)\^2\)|"
+    r"max\(0, (?P<over>[^()]+) - (?P<edge>[\d.e+-]+)\)|exp\(-\((?P<bell>[^()]+)\)\^2\)|"
+    r"(?P<function>[A-Za-z_]\w*)\((?P<args>[^()]*)\)|(?P<name>[A-Za-z_]\w*)|(?P<one>1))"
     r"(?:\^(?P<power>\d+))?\s*\*?"
 )
 
@@ -211,20 +262,28 @@ def parse(text: str) -> Feature:
             )
         place = token.end()
         power = int((token["power"] or "1")[:9])  # more digits than that are refused below, whatever they are
-        if token["abs"]:
+        if token["per"]:
+            factors.append(Factor((token["angle"].strip(),), "per_cos2", power, float(token["per"])))
+        elif token["edge"]:
+            factors.append(Factor((token["over"].strip(),), "hinge", power, float(token["edge"])))
+        elif token["bell"]:
+            width, name = _scaled(token["bell"])
+            factors.append(Factor((name,), "bell", power, float(width)))
+        elif token["abs"]:
             factors.append(Factor((token["abs"].strip(),), "abs", power))
         elif token["function"]:
             scales, names = zip(*(_scaled(a) for a in token["args"].split(",")), strict=True)
-            factors.append(Factor(names, function(token["function"]).name, power, scales[0]))
+            number, fitted = float(scales[0].lstrip("~")), scales[0].startswith("~")
+            factors.append(Factor(names, function(token["function"]).name, power, number, fitted))
         elif token["name"]:
             factors.append(Factor((token["name"],), "id", power))
     return Feature.of(map(_checked, factors))
 
 
-def _scaled(argument: str) -> tuple[float, str]:
-    """Split `2 alpha_p` into its factor and its name."""
+def _scaled(argument: str) -> tuple[str, str]:
+    """Split `2 alpha_p`, or `~2 alpha_p` whose number is to be fitted, into the number and the name."""
     parts = argument.replace("*", " ").split()
-    return (float(parts[0]), parts[1]) if len(parts) == 2 else (1.0, parts[0])
+    return (parts[0], parts[1]) if len(parts) == 2 else ("1", parts[0])
 
 
 _GREEK = ("alpha", "beta", "gamma", "delta", "theta", "phi", "psi", "omega", "Omega", "Theta", "Phi", "Psi")

@@ -24,7 +24,13 @@ LARGEST_SYSTEM = 200
 """Number of states beyond which a model is taken for damaged."""
 
 
-def save(library: Library, coefficients: Tensor, path: str | Path, constraints: Constraints | None = None) -> None:
+def save(
+    library: Library,
+    coefficients: Tensor,
+    path: str | Path,
+    constraints: Constraints | None = None,
+    delay: float = 0.0,
+) -> None:
     """Write signature, library, coefficients, constraints and the equations in words.
 
     Args:
@@ -32,6 +38,7 @@ def save(library: Library, coefficients: Tensor, path: str | Path, constraints: 
         coefficients: Xi, `(n_features, n_x)`.
         path: file to write.
         constraints: what is known of the equations; nothing by default.
+        delay: time between an input and its effect [s].
     """
     signature, table = library.signature, coefficients.tolist()
     states = signature.state_names
@@ -44,20 +51,22 @@ def save(library: Library, coefficients: Tensor, path: str | Path, constraints: 
         },
         "library": {f.name(): f.to_list() for f in library.features},
     }
+    if delay:
+        data["delay"] = delay
     if constraints is not None and not bool(constraints.free.all()):
         data["constraints"] = {s: _constraint(library, constraints, i) for i, s in enumerate(states)}
     Path(path).write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 
-def load(path: str | Path) -> tuple[Library, Tensor, Constraints]:
+def load(path: str | Path) -> tuple[Library, Tensor, Constraints, float]:
     """Read a library, its coefficients and its constraints, exact to the last digit.
 
     Args:
         path: file that `save` wrote.
 
     Returns:
-        The library, Xi, `(n_features, n_x)` float64, and what is known of the equations; without a word of it in the
-        file, nothing.
+        The library, Xi, `(n_features, n_x)` float64, what is known of the equations, and the delay of the inputs [s];
+        without a word of them in the file, nothing and 0.
 
     Raises:
         FileNotFoundError: the file does not exist.
@@ -104,7 +113,7 @@ def _constraints(library: Library, data: dict[str, Any] | None) -> Constraints:
     return Constraints(free, offset)
 
 
-def _model(data: dict[str, Any]) -> tuple[Library, Tensor, Constraints]:
+def _model(data: dict[str, Any]) -> tuple[Library, Tensor, Constraints, float]:
     signature = _signature(data["signature"])
     library = Library(signature, [_feature(f) for f in data["library"].values()])
     coefficients = torch.zeros(len(library), signature.n_x, dtype=torch.float64)
@@ -114,7 +123,9 @@ def _model(data: dict[str, Any]) -> tuple[Library, Tensor, Constraints]:
             coefficients[place[name] if name in place else library.index(name), i] = _number(value)
     with torch.no_grad():  # a function with other arguments than it takes fails here, not in the middle of a run
         library(torch.ones(1, signature.n_x, dtype=torch.float64), torch.ones(1, signature.n_u, dtype=torch.float64))
-    return library, coefficients, _constraints(library, data.get("constraints"))
+    if (delay := _number(data.get("delay", 0.0))) < 0:
+        raise TypeError(f"its delay is {delay} s, which is negative")
+    return library, coefficients, _constraints(library, data.get("constraints")), delay
 
 
 def _number(value: Any) -> float:
@@ -130,6 +141,6 @@ def _signature(words: dict[str, Any]) -> Signature:
 
 
 def _feature(factors: list[list[Any]]) -> Feature:
-    if any(len(factor) != 4 or not isinstance(factor[0], list) for factor in factors):
+    if any(len(factor) not in (4, 5) or not isinstance(factor[0], list) for factor in factors):
         raise TypeError("a function has no variables, name, power and frequency")
     return Feature.from_list(factors)

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from dynasindy.systems.base import Signature
-from dynasindy.world_models.features import Feature, parse
+from dynasindy.world_models.features import Feature, function, parse
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.sindy import SindyModel
 
@@ -86,7 +86,7 @@ def from_pysindy(theirs: Any, signature: Signature) -> SindyModel:
 
 
 def _renamed(feature: Feature, names: dict[str, str]) -> Feature:
-    factors = [[[names[v] for v in variables], f, p, w] for variables, f, p, w in feature.to_list()]
+    factors = [[[names[v] for v in variables], *rest] for variables, *rest in feature.to_list()]
     return Feature.from_list(factors)
 
 
@@ -98,14 +98,25 @@ def to_sympy(model: SindyModel) -> dict[str, Any]:
     """
     import sympy
 
-    known = {"id": lambda z: z, "abs": sympy.Abs, "sign": sympy.sign}
+    known = {
+        "id": lambda z: z,
+        "abs": sympy.Abs,
+        "sign": sympy.sign,
+        "sqrt": lambda z: sympy.sqrt(sympy.Max(z, 0)),
+        "bell": lambda z: sympy.exp(-(z**2)),
+        "hinge": lambda z, p: sympy.Max(0, z - p),
+        "per_cos2": lambda z, p: 1 / (1 + p * sympy.cos(z) ** 2),
+    }
     table = model.coefficients.tolist()
 
     def _expression(feature: Feature) -> Any:
         product = sympy.Integer(1)
         for factor in feature.factors:
-            scale = sympy.Integer(1) if factor.frequency == 1 else sympy.Float(factor.frequency)
-            symbols = [scale * sympy.Symbol(v, real=True) for v in factor.variables]
+            symbols: list[Any] = [sympy.Symbol(v, real=True) for v in factor.variables]
+            if function(factor.function).parametric:
+                symbols.append(sympy.Float(factor.frequency))
+            elif factor.frequency != 1:
+                symbols = [sympy.Float(factor.frequency) * symbol for symbol in symbols]
             call = (
                 known.get(factor.function) or getattr(sympy, factor.function, None) or sympy.Function(factor.function)
             )

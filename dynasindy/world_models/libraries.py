@@ -15,6 +15,8 @@ from dynasindy.world_models.features import CONSTANT, Feature, of, parse, variab
 from dynasindy.world_models.library import Library
 
 LIMIT = "the limit is arbitrary: more functions would hardly be told apart"
+DRY = 10.0
+"""First guess of the inverse of the rate at which dry friction is full [s/rad]."""
 LibraryBuilder = Callable[[Signature], Library]
 
 
@@ -51,24 +53,23 @@ def rotor(
     angle: str = "alpha_p",
     rotors: Sequence[str] = ("omega_a", "omega_p"),
     rates: Sequence[str] = ("Omega_a", "Omega_p"),
-    inertia_order: Annotated[int, range(21), LIMIT] = 4,
     reaction: bool = False,
+    friction: bool = False,
 ) -> Library:
     """Build the library of a beam with two rotors, with the functions that each equation may use.
 
     A rotor's speed w is driven by its input against drag in w, |w|, w|w|, w^2 (two branches). The pitch rate has
     the thrust w|w|, w^2 of the main rotor, gravity, damping, the centrifugal torque and the tail rotor's reaction.
-    In the azimuth rate everything is divided by J_h(a), which is no function of the library; 1/J_h is even in
-    cos a, so products with powers of cos^2 a stand for it.
+    In the azimuth rate everything is divided by the moment of inertia J_h(a) = J_0 (1 + k cos^2 a), whose k is fitted.
 
     Args:
         signature: names of states and inputs; the inputs are in the order of the rotors.
         angle: pitch angle a [rad].
         rotors: speeds of the tail and the main rotor [rpm], in this order.
         rates: azimuth and pitch rate [rad/s], in this order.
-        inertia_order: highest power of cos^2 a in the stand-in for 1/J_h; 4 holds pitch within about 1.1 rad.
         reaction: whether the angles (a cable), the rotors' torques and their gyroscopic moments act on the beam too,
             as on the Feedback rig.
+        friction: whether the beam's bearings have dry friction, tanh(rate / width), whose widths are fitted.
     """
     c, s, rate_a, rate_p = of("cos", angle), of("sin", angle), *(variable(n) for n in rates)
     thrust, drag = {}, {}
@@ -81,6 +82,9 @@ def rotor(
     u_tail, u_main = (variable(n) for n in signature.input_names)
     pitch = [CONSTANT, c, s, rate_p, u_tail, *thrust[main], rate_a * rate_a * s * c]
     torques = [rate_a, s * c * rate_a * rate_p, u_main * c, *(f * c for f in thrust[tail])]
+    dry_a, dry_p = ([of("tanh", rate, frequency=DRY, fitted=True)] if friction else [] for rate in rates)
+    pitch, torques = [*pitch, *dry_p], [*torques, *dry_a]
+    inertia = of("per_cos2", angle, frequency=3.0, fitted=True)
     if reaction:
         azimuth_angle = variable(signature.state_names[0])
         w_tail, w_main = variable(tail), variable(main)
@@ -88,22 +92,14 @@ def rotor(
         torques += [w_main * rate_p * s, w_tail]
         pitch += [w_tail, thrust[tail][0], w_main * rate_a * s, rate_a, azimuth_angle, thrust[tail][0] * c, u_main * c]
         # The centres of mass are off the axes: part of the torques of one axis goes to the other, and to the rotors.
-        swapped = [f * g for f in torques for g in (s, c)]
+        swapped = [f * g * inertia for f in torques for g in (s, c)]
         torques += [f * g for f in pitch for g in (s, c)]
         pitch += swapped
         drag[tail] += pitch
-        drag[main] += [f * c for f in torques]
-    azimuth = [f * _power(c * c, order) for order in range(inertia_order + 1) for f in torques]
-    allowed = {rates[0]: azimuth, rates[1]: pitch, **drag}
+        drag[main] += [f * c * inertia for f in torques]
+    allowed = {rates[0]: [f * inertia for f in torques], rates[1]: pitch, **drag}
     basics = [CONSTANT, *(variable(n) for n in _variables(signature))]
     return Library(signature, [*basics, *(f for group in allowed.values() for f in group)], allowed)
-
-
-def _power(feature: Feature, order: int) -> Feature:
-    product = CONSTANT
-    for _ in range(order):
-        product = product * feature
-    return product
 
 
 def polynomial(
@@ -175,8 +171,8 @@ def product_of(signature: Signature, libraries: Iterable[LibraryBuilder]) -> Lib
 
 
 def rotor_reaction(signature: Signature) -> Library:
-    """Build the rotor library with reactions, for the Feedback rig; see `rotor`."""
-    return rotor(signature, inertia_order=2, reaction=True)
+    """Build the rotor library with reactions and dry friction, for the Feedback rig; see `rotor`."""
+    return rotor(signature, reaction=True, friction=True)
 
 
 NAMED: dict[str, LibraryBuilder] = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 
@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.base import Signature
-from dynasindy.world_models.features import Factor, Feature, function
+from dynasindy.world_models.features import Factor, Feature
 
 LARGEST = 10_000
 """Number of functions beyond which a library is taken for a mistake; the largest of a plant here has 159."""
@@ -139,6 +139,48 @@ class Library:
             slopes.append(torch.stack(row, -1))
         return torch.stack(theta, -1), torch.stack(slopes, -2)
 
+    @property
+    def shapes(self) -> tuple[Factor, ...]:
+        """Return the factors whose number is fitted, each once, to the power of one."""
+        return tuple({f.base: None for feature in self.features for f in feature.factors if f.fitted})
+
+    def with_shapes(self, numbers: Sequence[float]) -> Library:
+        """Return the library with other numbers inside its fitted factors, in the order of `shapes`."""
+        new = dict(zip(self.shapes, numbers, strict=True))
+        features = [
+            Feature(tuple(replace(f, frequency=new.get(f.base, f.frequency)) for f in feature.factors))
+            for feature in self.features
+        ]
+        names = dict(zip(self.names, (f.name() for f in features), strict=True))
+        changed = Library(self.signature, features)
+        changed.allowed = {state: tuple(names[n] for n in group) for state, group in self.allowed.items()}
+        return changed
+
+    def by_shapes(self, x: Tensor, u: Tensor, shapes: Sequence[Factor]) -> Tensor:
+        """Evaluate the derivatives of all features by the numbers inside some factors.
+
+        Args:
+            x: states, `(*batch, n_x)`.
+            u: inputs, `(*batch, n_u)`.
+            shapes: factors to the power of one.
+
+        Returns:
+            `(*batch, n_features, n_shapes)`.
+        """
+        columns = (*x.unbind(-1), *u.to(x.dtype).unbind(-1))
+        values: dict[Factor, Tensor] = {}
+        ones = torch.ones_like(columns[0])
+        slopes = torch.zeros(*x.shape[:-1], len(self.features), len(shapes), dtype=x.dtype, device=x.device)
+        for j, shape in enumerate(shapes):
+            slope = shape.slope(*(columns[self._index[v]] for v in shape.variables))
+            for i, feature in enumerate(self.features):
+                for k, factor in enumerate(feature.factors):
+                    if factor.base == shape:
+                        lower = (replace(factor, power=factor.power - 1),) if factor.power != 1 else ()
+                        rest = feature.factors[:k] + lower + feature.factors[k + 1 :]
+                        slopes[..., i, j] = slope * factor.power * self._product(rest, columns, values, ones)
+        return slopes
+
     def _product(
         self, factors: Iterable[Factor], columns: Sequence[Tensor], values: dict[Factor, Tensor], ones: Tensor
     ) -> Tensor:
@@ -153,15 +195,8 @@ class Library:
             if factor.power != 1:
                 values[factor] = self._value(factor.base, columns, values) ** factor.power
             else:
-                values[factor] = self._compute(factor)(*(columns[self._index[v]] for v in factor.variables))
+                values[factor] = factor.compute()(*(columns[self._index[v]] for v in factor.variables))
         return values[factor]
-
-    @staticmethod
-    def _compute(factor: Factor) -> Callable[..., Tensor]:
-        compute = function(factor.function).compute
-        if factor.frequency == 1:
-            return compute
-        return lambda *args: compute(*(factor.frequency * a for a in args))
 
     def _slope(self, factor: Factor, argument: int, columns: Sequence[Tensor]) -> Tensor:
         """Differentiate an elementwise function by one argument: its tangent along ones."""
@@ -169,4 +204,4 @@ class Library:
         if factor.function == "id":
             return torch.full_like(args[0], factor.frequency)
         tangents = tuple(torch.ones_like(a) if j == argument else torch.zeros_like(a) for j, a in enumerate(args))
-        return torch.func.jvp(self._compute(factor), args, tangents)[1]
+        return torch.func.jvp(factor.compute(), args, tangents)[1]

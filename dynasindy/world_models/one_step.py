@@ -24,7 +24,7 @@ def substeps_for(dt: float) -> int:
 
 def refine_one_step(
     library: Library, xi: Tensor, free: Tensor, data: Transitions, tolerance: float, max_rounds: int = 8
-) -> Tensor:
+) -> tuple[Library, Tensor]:
     """Minimise the one-step prediction error over the active coefficients; drop those that do not matter.
 
     Each round makes one Gauss-Newton step with all active coefficients; from the same linear model coefficients
@@ -40,47 +40,51 @@ def refine_one_step(
         max_rounds: limit on the rounds.
 
     Returns:
-        Coefficients, `(n_features, n_x)`.
+        The library with its shapes, and coefficients, `(n_features, n_x)`.
     """
     data = data.to(torch.float64)
     floor = tolerance * (data.x_next - data.x).square().mean(0).sqrt()
     limit = math.log(len(data))
     support, held = (xi != 0) & free, torch.where(free, 0.0, xi)
     for _ in range(6):
-        xi, support = _descend(library, xi, support, data, floor, max_rounds)
+        library, xi, support = _descend(library, xi, support, data, floor, max_rounds)
         active, others = Parameters.where(support), Parameters.where(free & ~support)
         if not len(active) or not len(others):
             break
         rows, target, scale = linear_model(library, xi, active + others, data, floor)
-        triangle = torch.linalg.qr(torch.cat([rows, target], -1), mode="r")[1]
-        better = reconsider(triangle, 0, active, others, limit)
+        triangle, n_shapes = torch.linalg.qr(torch.cat([rows, target], -1), mode="r")[1], len(library.shapes)
+        better = reconsider(triangle, n_shapes, active, others, limit)
         if better is None:
             break
-        chosen = (active + others).take(better)
-        xi = chosen.write(held, least_squares(triangle[:, better], triangle[:, -1]) / scale[better])
+        chosen, columns = (active + others).take(better), torch.cat([torch.arange(n_shapes), n_shapes + better])
+        values = least_squares(triangle[:, columns], triangle[:, -1]) / scale[columns]
+        xi = chosen.write(held, values[n_shapes:])
         support = chosen.support(support.shape)
-    return xi
+    return library, xi
 
 
 def _descend(
     library: Library, xi: Tensor, support: Tensor, data: Transitions, floor: Tensor, max_rounds: int
-) -> tuple[Tensor, Tensor]:
+) -> tuple[Library, Tensor, Tensor]:
     """Step and drop until neither the support nor the coefficients move."""
+    n_shapes = len(library.shapes)
     for _ in range(max_rounds):
         parameters = Parameters.where(support)
         if not len(parameters):
             break
         rows, target, scale = linear_model(library, xi, parameters, data, floor)
         triangle = torch.linalg.qr(torch.cat([rows, target], -1), mode="r")[1]
-        removable = torch.ones(len(parameters), dtype=torch.bool)
-        kept, values = walk_down(triangle, removable, math.log(len(data)))
+        kept, values = walk_down(triangle, torch.arange(rows.shape[1]) >= n_shapes, math.log(len(data)))
+        numbers = [shape.frequency + by for shape, by in zip(library.shapes, (values / scale[kept]).tolist())]
+        library = library.with_shapes(numbers) if numbers else library
+        values, kept = (values / scale[kept])[n_shapes:], kept[n_shapes:] - n_shapes
         chosen = Parameters(parameters.features[kept], parameters.states[kept])
-        last, xi = xi, chosen.write(torch.where(support, 0.0, xi), values / scale[kept])
+        last, xi = xi, chosen.write(torch.where(support, 0.0, xi), values)
         support = chosen.support(xi.shape)
         change = ((xi - last).abs() / xi.abs().clamp_min(1e-300))[support]
         if len(chosen) == len(parameters) and float(change.max()) < 1e-7:
             break
-    return xi, support
+    return library, xi, support
 
 
 def linear_model(
@@ -96,14 +100,16 @@ def linear_model(
         floor: error of each state below which it is not weighted further, `(n_x,)`.
 
     Returns:
-        J with columns of unit norm, `(N n_x, P)`; J xi + error, `(N n_x, 1)`; the norms, `(P,)`.
+        J with columns of unit norm, of the shapes and the coefficients, `(N n_x, S + P)`; J xi + error, `(N n_x, 1)`;
+        the norms, `(S + P,)`.
     """
-    propagator = Propagator(library, xi, parameters)
+    propagator = Propagator(library, xi, parameters, library.shapes)
     start = propagator.start(len(data))
     predicted, s = propagator.advance(data.x, start, data.u, data.dt, substeps_for(data.dt))
     error, jacobian = data.x_next - predicted, s[:, :, xi.shape[1] :]
     weight = 1 / torch.maximum(error.square().mean(0).sqrt(), floor).clamp_min(1e-300)
-    rows = (jacobian * weight.unsqueeze(-1)).reshape(-1, len(parameters))
+    rows = (jacobian * weight.unsqueeze(-1)).reshape(-1, jacobian.shape[-1])
     scale = rows.norm(dim=0).clamp_min(1e-300)
-    target = (error * weight).reshape(-1, 1) + rows @ parameters.read(xi).unsqueeze(-1)
+    coefficients = rows[:, rows.shape[1] - len(parameters) :]
+    target = (error * weight).reshape(-1, 1) + coefficients @ parameters.read(xi).unsqueeze(-1)
     return rows / scale, target, scale

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,13 +13,32 @@ from dynasindy.limits import Count
 from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.constraints import Constraints
+from dynasindy.world_models.delay import delayed, fine_delay, rough_delay
 from dynasindy.world_models.fast_field import generate
 from dynasindy.world_models.library import Library
+from dynasindy.world_models.measured import Seen, has_gaps, rates_known
 from dynasindy.world_models.one_step import refine_one_step
-from dynasindy.world_models.regression import Regression, RunningSums, simpson_form
-from dynasindy.world_models.trajectory import refine_trajectory
+from dynasindy.world_models.regression import Regression, Rows, RunningSums
+from dynasindy.world_models.shapes import fit_shapes
+from dynasindy.world_models.trajectory import refine_trajectory, trajectory_cost
 
+STEPS = 6
+"""Gauss-Newton steps after which two delays are compared."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
+
+
+class Refined(NamedTuple):
+    """Hold what a refinement found.
+
+    Attributes:
+        library: candidate functions, with the numbers inside fitted factors.
+        coefficients: Xi, `(n_features, n_x)`.
+        delay: time between an input and its effect [s].
+    """
+
+    library: Library
+    coefficients: Tensor
+    delay: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -29,10 +49,13 @@ class Refinement:
         method: `integral` repeats the regression with a fourth-order integral form, at the cost of a regression;
             `one_step` minimises the one-step prediction error after that, for data without noise; `trajectory`
             minimises the error of whole trajectories, their start states estimated too, for data with noise;
-            `auto` takes `trajectory` where the one-step errors look like measurement noise, else `one_step`.
+            `auto` takes `trajectory` where the one-step errors look like measurement noise, else `one_step`. Data in
+            which a state was not measured are always fitted by `trajectory`.
         rounds: repetitions of the fourth-order regression.
         tolerance: unexplained part of a rate of change that is taken as exact.
         window: sampling intervals between two states that `trajectory` estimates.
+        longest_delay: longest delay of the inputs that is looked for [s], in whole samples, by `trajectory` in
+            fractions of them; 0 takes the inputs as they are.
 
     Raises:
         ValueError: a setting is not allowed.
@@ -42,38 +65,78 @@ class Refinement:
     rounds: Count = 2
     tolerance: float = 1e-6
     window: int = 50
+    longest_delay: float = 0.0
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise ValueError(f"refinement got method {self.method!r}; allowed are {', '.join(METHODS)}: choose one")
+        if not 0 <= self.longest_delay < math.inf:
+            raise ValueError(f"refinement got longest_delay {self.longest_delay} s; allowed is 0 or more")
         if self.rounds < 0 or not self.tolerance > 0 or self.window < 1:
             raise ValueError(
                 f"refinement got rounds {self.rounds}, tolerance {self.tolerance}, window {self.window}; allowed are "
                 "rounds >= 0, tolerance > 0, window >= 1: correct them"
             )
 
-    def run(self, library: Library, coefficients: Tensor, constraints: Constraints, data: Transitions) -> Tensor:
-        """Return refined coefficients, `(n_features, n_x)`.
+    def run(
+        self,
+        library: Library,
+        coefficients: Tensor,
+        constraints: Constraints,
+        data: Transitions,
+        guess: Transitions | None = None,
+    ) -> Refined:
+        """Return refined coefficients, the library with its fitted factors, and the delay of the inputs.
 
         Args:
             library: candidate functions.
             coefficients: first estimate, `(n_features, n_x)`.
             constraints: what is known of the equations.
-            data: transitions to refine on.
+            data: transitions to refine on, NaN where a state was not measured.
+            guess: the same, the states that were not measured guessed; needed where there are such states.
         """
+        seen = Seen.of(data if guess is None else guess, data, rates_known(library, constraints))
+        free, delay = constraints.free, 0.0
+        if self.longest_delay:
+
+            def _rows(late: Transitions) -> Rows:
+                return seen.with_inputs(late.u).rows(library, generate(library, coefficients))
+
+            delay = rough_delay(free, data, self.longest_delay, _rows)
+        late = seen.with_inputs(delayed(data, delay).u)
+        library, coefficients = self._regressed(library, coefficients, constraints, late)
+        method = self.method
+        if bool(has_gaps(data)):
+            method = "trajectory"
+        elif method == "auto":
+            method = "trajectory" if looks_noisy(library, coefficients, late.guess) else "one_step"
+        if method == "one_step":
+            return Refined(*refine_one_step(library, coefficients, free, late.guess, self.tolerance), delay)
+        if method == "trajectory":
+            window, start = min(self.window, len(data)), seen.guess.x
+
+            def _cost(trial: Transitions) -> float:
+                return trajectory_cost(library, coefficients, free, trial, window, STEPS, start)
+
+            if self.longest_delay:
+                delay = fine_delay(data, delay, self.longest_delay, _cost)
+                late = seen.with_inputs(delayed(data, delay).u)
+                library, coefficients = self._regressed(library, coefficients, constraints, late)
+            data = delayed(data, delay)
+            return Refined(*refine_trajectory(library, coefficients, free, data, window, start=start), delay)
+        return Refined(library, coefficients, delay)
+
+    def _regressed(
+        self, library: Library, coefficients: Tensor, constraints: Constraints, seen: Seen
+    ) -> tuple[Library, Tensor]:
+        """Repeat the regression with what is known of the states between samples, and fit numbers inside functions."""
         regression = Regression(method="bic", tolerance=self.tolerance)
         for _ in range(self.rounds):
             sums = RunningSums(len(library), library.signature.n_x)
-            sums.add(simpson_form(library, generate(library, coefficients), data))
+            sums.add(seen.rows(library, generate(library, coefficients)))
             coefficients = regression.solve(sums, constraints.free, constraints.offset)
-        method = self.method
-        if method == "auto":
-            method = "trajectory" if looks_noisy(library, coefficients, data) else "one_step"
-        if method == "one_step":
-            return refine_one_step(library, coefficients, constraints.free, data, self.tolerance)
-        if method == "trajectory":
-            return refine_trajectory(library, coefficients, constraints.free, data, min(self.window, len(data)))
-        return coefficients
+            library, coefficients = fit_shapes(library, coefficients, constraints.free, seen.rows, self.tolerance)
+        return library, coefficients
 
 
 def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bool:

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models.selection import least_missed
+from dynasindy.world_models.selection import DEPENDENT, least_missed
 
 Rows = tuple[Tensor, Tensor]
 Theta = Callable[[Tensor, Tensor], Tensor]
@@ -264,7 +264,8 @@ def _best_subset(theta: Tensor, target: Tensor, active: Tensor, count: int, tole
         n = len(active)
         squared = float(triangle[n:, n].square().sum())
         score = count * math.log(squared + tolerance**2) + n * math.log(max(count, 2))
-        if score < best_score:
+        # Dependent columns leave a row of R to nobody, which would count as explained: they go before a set is scored.
+        if score < best_score and (not n or float(triangle[:n, :n].diagonal().abs().min()) >= DEPENDENT):
             best, best_score = active, score
         if not n:
             return best

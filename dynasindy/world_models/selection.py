@@ -9,6 +9,9 @@ from torch import Tensor
 
 from dynasindy.world_models.sensitivity import Parameters
 
+DEPENDENT = 1e-13
+"""Part of a column of unit norm that others leave over, below which it depends on them."""
+
 
 def least_missed(triangle: Tensor, n: int, removable: Tensor | None = None) -> tuple[int, float]:
     """Find the column whose removal lets the squared residual grow least; a dependent column is free to go.
@@ -27,7 +30,7 @@ def least_missed(triangle: Tensor, n: int, removable: Tensor | None = None) -> t
     pivots = square.diagonal().abs()
     if removable is not None:
         pivots = torch.where(removable, pivots, math.inf)
-    if float(pivots.min()) < 1e-13:
+    if float(pivots.min()) < DEPENDENT:
         return int(pivots.argmin()), 0.0
     inverse = torch.linalg.solve_triangular(square, torch.eye(n, dtype=square.dtype), upper=True)
     growth = (inverse @ rotated).square() / inverse.square().sum(-1)

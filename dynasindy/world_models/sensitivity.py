@@ -4,16 +4,19 @@
 | ------ | ------------------------- | ------------------- |
 | xi     | Xi                        | `(n_features, n_x)` |
 | places | (feature, state) of each estimated coefficient, P of them | two `(P,)` |
-| s      | dx/d(x0, xi_1 .. xi_P)    | `(B, n_x, n_x + P)` |
+| shapes | the numbers inside fitted factors, S of them | `(S,)` |
+| s      | dx/d(x0, shapes, xi_1 .. xi_P) | `(B, n_x, n_x + S + P)` |
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from dynasindy.world_models.features import Factor
 from dynasindy.world_models.library import Library
 
 
@@ -80,9 +83,10 @@ class Propagator:
         library: candidate functions.
         xi: coefficients, `(n_features, n_x)`.
         parameters: coefficients to differentiate by.
+        shapes: factors by whose numbers to differentiate.
     """
 
-    def __init__(self, library: Library, xi: Tensor, parameters: Parameters) -> None:
+    def __init__(self, library: Library, xi: Tensor, parameters: Parameters, shapes: Sequence[Factor] = ()) -> None:
         used = (xi != 0).any(-1)
         used[parameters.features] = True
         rows = used.nonzero().squeeze(-1)
@@ -90,18 +94,20 @@ class Propagator:
         position = torch.zeros(len(used), dtype=torch.int64)
         position[rows] = torch.arange(len(rows))
         self.features, self.states = position[parameters.features], parameters.states
-        self.n_x = xi.shape[1]
+        self.n_x, self.shapes = xi.shape[1], tuple(shapes)
 
     def start(self, batch: int) -> Tensor:
-        """Return the sensitivities of start states by themselves and by the coefficients."""
-        s = torch.zeros(batch, self.n_x, self.n_x + len(self.features), dtype=torch.float64)
+        """Return the sensitivities of start states by themselves, the shapes and the coefficients."""
+        s = torch.zeros(batch, self.n_x, self.n_x + len(self.shapes) + len(self.features), dtype=torch.float64)
         s[:, :, : self.n_x] = torch.eye(self.n_x, dtype=torch.float64)
         return s
 
     def _rate(self, x: Tensor, s: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         theta, slopes = self.library.jacobian(x, u)
         ds = (slopes.mT @ self.xi).mT @ s
-        columns = torch.arange(self.n_x, self.n_x + len(self.features))
+        if self.shapes:
+            ds[:, :, self.n_x : self.n_x + len(self.shapes)] += self.xi.mT @ self.library.by_shapes(x, u, self.shapes)
+        columns = torch.arange(ds.shape[-1] - len(self.features), ds.shape[-1])
         ds[:, self.states, columns] += theta[:, self.features]
         return theta @ self.xi, ds
 
@@ -110,7 +116,7 @@ class Propagator:
 
         Args:
             x: states, `(B, n_x)`.
-            s: sensitivities, `(B, n_x, n_x + P)`.
+            s: sensitivities, `(B, n_x, n_x + S + P)`.
             u: inputs, `(B, n_u)`.
             h: length of the step [s].
         """

@@ -30,6 +30,7 @@ from dynasindy.world_models.fast_field import Field, generate
 from dynasindy.world_models.files import load, save
 from dynasindy.world_models.libraries import LibraryBuilder, build_library
 from dynasindy.world_models.library import Library
+from dynasindy.world_models.measured import Seen, rates_known, reconstruct
 from dynasindy.world_models.refine import Refinement
 from dynasindy.world_models.regression import Regression, RunningSums, integral_form
 from dynasindy.world_models.report import FitReport
@@ -88,13 +89,16 @@ class SindyModel(WorldModel):
         return {**self.__dict__, "_field": None}
 
     def get_extra_state(self) -> dict[str, object]:
-        """Return what `state_dict` keeps besides the coefficients: the running sums."""
-        return {"r": self.sums.r, "count": self.sums.count}
+        """Return what `state_dict` keeps besides the coefficients: the running sums, the fitted factors, the delay."""
+        shapes = [shape.frequency for shape in self.library.shapes]
+        return {"r": self.sums.r, "count": self.sums.count, "shapes": shapes, "delay": self.delay}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore what `get_extra_state` returned."""
         self.sums = RunningSums(len(self.library), self.signature.n_x)
         self.sums.r, self.sums.count = state["r"].clone(), state["count"]
+        self.library, self.delay = self.library.with_shapes(state["shapes"]), state["delay"]
+        self._field = None
 
     def predict(self, x: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
         """Predict states one sampling time ahead, `(*batch, n_x)`, by `substeps` Runge-Kutta steps."""
@@ -151,9 +155,12 @@ class SindyModel(WorldModel):
         start = time.perf_counter()
         data = transitions.to(torch.float64)
         self._check(data)
-        self.sums.add(integral_form(self.library, data))
+        rates = rates_known(self.library, self.constraints)
+        guess = reconstruct(data, rates)
+        seen = Seen.of(guess, data, rates)
+        self.sums.add(seen.rows(self.library, self) if seen.half else integral_form(self.library, guess))
         self._solve(self.sums)
-        notes = self._refine(data)
+        notes = self._refine(data, guess)
         seconds = time.perf_counter() - start
         return FitReport.of(self.library, self.coefficients, self.sums, seconds, notes, data.dt)
 
@@ -183,7 +190,7 @@ class SindyModel(WorldModel):
 
     def save(self, path: str | Path) -> None:
         """Write the model as readable JSON, with what was known of its equations before the data."""
-        save(self.library, self.coefficients, path, self.constraints)
+        save(self.library, self.coefficients, path, self.constraints, self.delay)
 
     @classmethod
     def load(
@@ -199,9 +206,9 @@ class SindyModel(WorldModel):
         Raises:
             ValueError: the file is not such a model, or needs a function that is not registered.
         """
-        library, coefficients, constraints = load(path)
+        library, coefficients, constraints, delay = load(path)
         model = cls(library.signature, library, regression, refinement)
-        model.constraints = constraints
+        model.constraints, model.delay = constraints, delay
         model.set_coefficients(coefficients)
         return model
 
@@ -218,15 +225,20 @@ class SindyModel(WorldModel):
                 "function: collect more data or choose a smaller library"
             )
 
-    def _refine(self, data: Transitions) -> list[str]:
+    def _refine(self, data: Transitions, guess: Transitions) -> list[str]:
         """Refine the coefficients and return what is to be said of it."""
         if self.refinement is None:
             return []
-        found = self.refinement.run(self.library, self.coefficients, self.constraints, data)
-        refined = self._finite(found, "refinement")
+        found = self.refinement.run(self.library, self.coefficients, self.constraints, data, guess)
+        refined = self._finite(found.coefficients, "refinement")
         if self.coefficients[self.constraints.free].any() and not refined[self.constraints.free].any():
             return ["the refinement dropped every function, so the fit before it stays; collect more or cleaner data"]
         self.set_coefficients(refined)
+        self.delay = found.delay
+        if found.library is not self.library:
+            # The functions are others now, and so are the sums of their products.
+            self.library, self.sums = found.library, RunningSums(len(self.library), self.signature.n_x)
+            self.sums.add(integral_form(self.library, guess))
         return []
 
     def _solve(self, sums: RunningSums) -> None:

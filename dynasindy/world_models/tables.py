@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
 
 from torch import Tensor
 
 from dynasindy.world_models.features import latex_name
 from dynasindy.world_models.library import Library
+
+QUOTIENTS = ("per_cos2",)
+"""Functions that are written as a division."""
 
 
 def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[str]:
@@ -24,14 +28,34 @@ def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[s
     """
     lines = []
     for i, state in enumerate(library.signature.state_names):
-        written = ""
-        for name, value in zip(library.names, coefficients[:, i].tolist(), strict=True):
+        groups: dict[str, list[tuple[str, float]]] = {}
+        for feature, name, value in zip(library.features, library.names, coefficients[:, i].tolist(), strict=True):
             if value:
-                sign = (" - " if written else "-") if value < 0 else (" + " if written else "")
-                size = f"{abs(value):.{digits}g}"
-                written += sign + (size if name == "1" else name if size == "1" else f"{size} {name}")
+                quotient = " ".join(f.text() for f in feature.factors if f.function in QUOTIENTS)
+                above = " ".join(f.text() for f in feature.factors if f.function not in QUOTIENTS) or "1"
+                groups.setdefault(quotient, []).append((above if quotient else name, value))
+        written = _sum(groups.pop("", []), digits)
+        for quotient, terms in groups.items():
+            # What is divided by the same is written over it once.
+            above, sign = _sum(terms, digits), ""
+            if len(terms) > 1:
+                above = f"({above})"
+            elif above.startswith("-"):
+                above, sign = above[1:], "-"
+            joint = (" - " if sign else " + ") if written else sign
+            written += f"{joint}{above} {quotient}"
         lines.append(f"{state}' = {written or '0'}")
     return lines
+
+
+def _sum(terms: Sequence[tuple[str, float]], digits: int) -> str:
+    """Write coefficients and functions as a sum."""
+    written = ""
+    for name, value in terms:
+        sign = (" - " if written else "-") if value < 0 else (" + " if written else "")
+        size = f"{abs(value):.{digits}g}"
+        written += sign + (size if name == "1" else name if size == "1" else f"{size} {name}")
+    return written
 
 
 def _rows(library: Library, coefficients: Tensor, digits: int, latex: bool, active_only: bool) -> list[list[str]]:

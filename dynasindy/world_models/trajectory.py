@@ -1,23 +1,25 @@
-"""Gauss-Newton on the error of whole trajectories, their start states estimated too: for data with noise.
+"""Gauss-Newton on the error of whole trajectories, their start states estimated too: for data as sensors give them.
 
-Noise in the states makes regression biased (errors in variables). Here the states are never put into the functions:
-the model's own trajectory is, from a start state that is estimated with the coefficients, which is the maximum
-likelihood estimate for white measurement noise. The trajectory is cut into windows whose start states are unknowns
-of their own, so that windows are integrated side by side and a poor first model does not run away (multiple
-shooting, Bock 1981); in each step the conditions that windows join are eliminated (condensing).
+Noise in the states makes regression biased (errors in variables), and a state that no sensor sees cannot be put into
+a function at all. Here the states are never put into the functions: the model's own trajectory is, from a start state
+that is estimated with the coefficients, which is the maximum likelihood estimate for white measurement noise. The
+trajectory is cut into windows whose start states are unknowns of their own, so that windows are integrated side by
+side and a poor first model does not run away (multiple shooting, Bock 1981); in each step the conditions that windows
+join are eliminated (condensing). Where windows are not joined, each begins at a state of its own: the error is then
+that of a prediction over one window, which random pushes on the plant spoil less.
 
-| name    | meaning                                                     | shape                    |
-| ------- | ----------------------------------------------------------- | ------------------------ |
-| nodes   | start states of the windows                                 | `(W, n_x)`               |
-| measured| states at the ends of the sampling intervals                | `(W, L, n_x)`            |
-| mask    | 1 where an interval belongs to the recording                | `(W, L)`                 |
-| joined  | whether a window continues the one before                    | bool `(W,)`              |
+| name     | meaning                                             | shape      |
+| -------- | --------------------------------------------------- | ---------- |
+| nodes    | start states of the windows                         | `(W, n_x)` |
+| shapes   | numbers inside the fitted factors of the library    | `(S,)`     |
+| fixed    | unknowns that always stay: first nodes and shapes   | F of them  |
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -26,48 +28,56 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.selection import reconsider, walk_down
 from dynasindy.world_models.sensitivity import Parameters, Propagator
+from dynasindy.world_models.windows import Windows
 
 EXACT = 1e-100
 """Error taken for that of a state that is met exactly, as one that never moves; its inverse has a finite square."""
-
-
-@dataclass(frozen=True)
-class Windows:
-    """Hold a recording cut into windows of L sampling intervals; shapes are in the table above."""
-
-    first: Tensor
-    inputs: Tensor
-    measured: Tensor
-    mask: Tensor
-    joined: Tensor
-    dt: float
-
-    @classmethod
-    def of(cls, data: Transitions, length: int) -> Windows:
-        """Cut every segment of a recording into windows of `length` intervals; the last one may be shorter."""
-        first, inputs, measured, mask, joined = [], [], [], [], []
-        for segment in data.segment.unique().tolist():
-            rows = (data.segment == segment).nonzero().flatten()
-            for k, part in enumerate(rows.split(length)):
-                pad = torch.cat([part, part[-1:].expand(length - len(part))])
-                first.append(data.x[part[0]])
-                inputs.append(data.u[pad])
-                measured.append(data.x_next[pad])
-                mask.append((torch.arange(length) < len(part)).to(torch.float64))
-                joined.append(k > 0)
-        return cls(
-            *(torch.stack(first), torch.stack(inputs), torch.stack(measured), torch.stack(mask)),
-            joined=torch.tensor(joined),
-            dt=data.dt,
-        )
+LONGEST_STEP = 0.01
+"""Longest Runge-Kutta step [s]."""
 
 
 @dataclass
 class Estimate:
-    """Hold the unknowns of a fit to trajectories."""
+    """Hold the unknowns of a fit to trajectories: the library with its shapes, Xi, and the nodes."""
 
+    library: Library
     xi: Tensor
     nodes: Tensor
+
+
+@dataclass(frozen=True)
+class Flow:
+    """Hold the trajectories of all windows and their sensitivities.
+
+    Attributes:
+        predicted: states at the ends of the intervals, `(W, L, n_x)`.
+        s: their derivatives by the window's start, the shapes and the coefficients, `(W, L, n_x, n_x + S + P)`.
+    """
+
+    predicted: Tensor
+    s: Tensor
+
+    @classmethod
+    def of(cls, estimate: Estimate, parameters: Parameters, windows: Windows) -> Flow:
+        """Integrate all windows."""
+        propagator = Propagator(estimate.library, estimate.xi, parameters, estimate.library.shapes)
+        x, s = estimate.nodes, propagator.start(len(estimate.nodes))
+        states, slopes = [], []
+        for u in windows.inputs.unbind(1):
+            x, s = propagator.advance(x, s, u, windows.dt, max(1, math.ceil(windows.dt / LONGEST_STEP - 1e-9)))
+            states.append(x)
+            slopes.append(s)
+        return cls(torch.stack(states, 1), torch.stack(slopes, 1))
+
+    def lost(self) -> Tensor:
+        """Return which windows the model runs away in, bool `(W,)`."""
+        finite = self.predicted.square().isfinite().all(-1) & self.s.square().isfinite().all(-1).all(-1)
+        return ~finite.all(-1)
+
+    def sigma(self, windows: Windows) -> Tensor:
+        """Return the error of each state, `(n_x,)`; `EXACT` where none was measured."""
+        error = (windows.measured - self.predicted) * windows.mask
+        return (error.square().sum((0, 1)) / windows.mask.sum((0, 1)).clamp_min(1)).sqrt().clamp_min(EXACT)
 
 
 @dataclass(frozen=True)
@@ -75,10 +85,10 @@ class Linearised:
     """Hold the condensed linear model at an estimate.
 
     Attributes:
-        triangle: R of [start states, coefficients, target], all weighted and scaled.
+        triangle: R of [fixed unknowns, coefficients, target], all weighted and scaled.
         scale: norms of the columns.
         cost: sum of squared errors and of squared gaps between windows, both weighted.
-        moves: how the node of each window moves with the unknowns, `(W, n_x, n_start + P + 1)`.
+        moves: how the node of each window moves with the unknowns, `(W, n_x, F + P + 1)`.
         sigma: error of each state, `(n_x,)`.
     """
 
@@ -90,85 +100,86 @@ class Linearised:
 
 
 def linearise(
-    library: Library, estimate: Estimate, parameters: Parameters, windows: Windows, sigma: Tensor | None
+    estimate: Estimate, parameters: Parameters, windows: Windows, sigma: Tensor | None = None, flow: Flow | None = None
 ) -> Linearised:
     """Integrate all windows with sensitivities and eliminate the nodes that continue a window.
 
     Args:
-        library: candidate functions.
         estimate: coefficients and nodes.
         parameters: coefficients to differentiate by, P of them.
         windows: the recording.
         sigma: error of each state, the weights; from the errors themselves if omitted.
+        flow: what was integrated already.
 
     Raises:
         ValueError: without `sigma`, so at an estimate that is no trial, the model runs away within a window.
     """
-    predicted, s = _integrate(library, estimate, parameters, windows)
-    lost = ~(predicted.square().isfinite().all(-1) & s.square().isfinite().all(-1).all(-1)).all(-1)
-    if sigma is None and bool(lost.any()):
-        length = windows.mask.shape[1]
-        raise ValueError(
-            f"refinement.method=trajectory: the model runs away in {int(lost.sum())} of {len(lost)} windows of "
-            f"{length} samples, the first of them number {int(lost.nonzero()[0])}; look for outliers there, lower "
-            "refinement.window, or choose another refinement.method"
-        )
-    n_x, n_p = estimate.xi.shape[1], len(parameters)
-    error = (windows.measured - predicted) * windows.mask.unsqueeze(-1)
-    start_error = windows.first - estimate.nodes
+    flow = flow or Flow.of(estimate, parameters, windows)
     if sigma is None:
-        sigma = (error.square().sum((0, 1)) / windows.mask.sum()).sqrt().clamp_min(EXACT)
-    moves, gaps = _condense(estimate.nodes, predicted, s, windows)
-    n_start = moves.shape[-1] - n_p - 1
-    # error - d predicted: the node's move, then the coefficients.
-    columns = s[..., :n_x] @ moves.unsqueeze(1)
-    columns[..., n_start : n_start + n_p] += s[..., n_x:]
+        _require_bounded(flow, windows)
+        sigma = flow.sigma(windows)
+    error = (windows.measured - flow.predicted) * windows.mask
+    begun = ~windows.joined
+    start_error = (windows.first - estimate.nodes)[begun]
+    moves, gaps = _condense(estimate.nodes, flow, windows, len(parameters))
+    n_x, n_fixed = estimate.xi.shape[1], moves.shape[-1] - len(parameters) - 1
+    # error - d predicted: the node's move, then shapes and coefficients.
+    columns = flow.s[..., :n_x] @ moves.unsqueeze(1)
+    n_own = flow.s.shape[-1] - n_x
+    columns[..., -1 - n_own : -1] += flow.s[..., n_x:]
     columns[..., -1] = error - columns[..., -1]
-    columns = columns * (windows.mask.unsqueeze(-1) / sigma).unsqueeze(-1)
-    starts = moves[~windows.joined].clone()
-    starts[..., -1] = start_error[~windows.joined]
-    rows = torch.cat(
-        [columns.reshape(-1, columns.shape[-1]), (starts / sigma.unsqueeze(-1)).reshape(-1, columns.shape[-1])]
-    )
+    columns = columns * (windows.mask / sigma).unsqueeze(-1)
+    starts = moves[begun].clone()
+    starts[..., -1] = start_error
+    starts = torch.where(start_error.isnan().unsqueeze(-1), 0.0, starts / sigma.unsqueeze(-1))
+    rows = torch.cat([columns.reshape(-1, columns.shape[-1]), starts.reshape(-1, columns.shape[-1])])
     scale = rows[:, :-1].norm(dim=0).clamp_min(1e-300)
-    target = rows[:, -1:] + rows[:, n_start:-1] @ parameters.read(estimate.xi).unsqueeze(-1)
+    target = rows[:, -1:] + rows[:, n_fixed:-1] @ parameters.read(estimate.xi).unsqueeze(-1)
     triangle = torch.linalg.qr(torch.cat([rows[:, :-1] / scale, target], -1), mode="r")[1]
     # A gap shifts all samples that follow, so closing it is worth more than the errors it hid.
     gap_weight = 10.0 * windows.mask.shape[1]
-    starts_off = start_error[~windows.joined]
-    cost = float(
-        sum((w * (e / sigma).square().sum() for w, e in ((1.0, error), (1.0, starts_off), (gap_weight, gaps))))
+    weighted = (
+        (1.0, error / sigma),
+        (1.0, start_error.nan_to_num() / sigma),
+        (gap_weight, gaps / _gap_sigma(sigma, estimate)),
     )
+    cost = float(sum((w * e.square().sum() for w, e in weighted), torch.zeros(())))
     return Linearised(triangle, scale, cost, moves, sigma)
 
 
-def _integrate(library: Library, estimate: Estimate, parameters: Parameters, windows: Windows) -> tuple[Tensor, Tensor]:
-    propagator = Propagator(library, estimate.xi, parameters)
-    x, s = estimate.nodes, propagator.start(len(estimate.nodes))
-    states, slopes = [], []
-    for u in windows.inputs.unbind(1):
-        x, s = propagator.advance(x, s, u, windows.dt, max(1, math.ceil(windows.dt / 0.01 - 1e-9)))
-        states.append(x)
-        slopes.append(s)
-    return torch.stack(states, 1), torch.stack(slopes, 1)
+def _gap_sigma(sigma: Tensor, estimate: Estimate) -> Tensor:
+    """Return what a gap of each state is weighed against; of one that no sensor sees, by the errors of the others."""
+    spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12)
+    seen = sigma > EXACT
+    relative = (sigma / spread)[seen].median() if bool(seen.any()) else torch.ones(())
+    return torch.where(seen, sigma, relative * spread).clamp_min(EXACT)
 
 
-def _condense(nodes: Tensor, predicted: Tensor, s: Tensor, windows: Windows) -> tuple[Tensor, Tensor]:
-    """Express the move of every node by the moves of the first nodes and of the coefficients.
+def _require_bounded(flow: Flow, windows: Windows) -> None:
+    if bool((lost := flow.lost()).any()):
+        raise ValueError(
+            f"refinement.method=trajectory: the model runs away in {int(lost.sum())} of {len(lost)} windows of "
+            f"{windows.mask.shape[1]} samples, the first of them number {int(lost.nonzero()[0])}; look for outliers "
+            "there, lower refinement.window, or choose another refinement.method"
+        )
+
+
+def _condense(nodes: Tensor, flow: Flow, windows: Windows, n_p: int) -> tuple[Tensor, Tensor]:
+    """Express the move of every node by the moves of the first nodes, of the shapes and of the coefficients.
 
     A window that continues another one starts where that one ends:
-    d node_j = gap_j + A d node_(j-1) + B d xi, A and B the sensitivities at the end of window j - 1.
+    d node_j = gap_j + A d node_(j-1) + B d (shapes, xi), A and B the sensitivities at the end of window j - 1.
     """
-    n_x, n_p = nodes.shape[1], s.shape[-1] - nodes.shape[1]
-    n_start = n_x * int((~windows.joined).sum())
-    moves = torch.zeros(len(nodes), n_x, n_start + n_p + 1, dtype=nodes.dtype)
+    n_x, s = nodes.shape[1], flow.s
+    n_own, n_start = s.shape[-1] - n_x, n_x * int((~windows.joined).sum())
+    moves = torch.zeros(len(nodes), n_x, n_start + n_own + 1, dtype=nodes.dtype)
     gaps = torch.zeros_like(nodes)
     seen = 0
     for j, joined in enumerate(windows.joined.tolist()):
         if joined:
             moves[j] = s[j - 1, -1, :, :n_x] @ moves[j - 1]
-            moves[j, :, n_start : n_start + n_p] += s[j - 1, -1, :, n_x:]
-            gaps[j] = predicted[j - 1, -1] - nodes[j]
+            moves[j, :, n_start : n_start + n_own] += s[j - 1, -1, :, n_x:]
+            gaps[j] = flow.predicted[j - 1, -1] - nodes[j]
             moves[j, :, -1] += gaps[j]
         else:
             moves[j, :, seen : seen + n_x] = torch.eye(n_x, dtype=nodes.dtype)
@@ -177,70 +188,130 @@ def _condense(nodes: Tensor, predicted: Tensor, s: Tensor, windows: Windows) -> 
 
 
 def refine_trajectory(
-    library: Library, xi: Tensor, free: Tensor, data: Transitions, window: int, max_rounds: int = 30
-) -> Tensor:
+    library: Library,
+    xi: Tensor,
+    free: Tensor,
+    data: Transitions,
+    window: int,
+    max_rounds: int = 30,
+    start: Tensor | None = None,
+    joined: bool = True,
+) -> tuple[Library, Tensor]:
     """Minimise the error of whole trajectories over coefficients and start states; drop what does not matter.
 
     Args:
         library: candidate functions.
         xi: first estimate, `(n_features, n_x)`.
         free: coefficients that may be estimated, bool `(n_features, n_x)`.
-        data: transitions in segments that are long against the window.
-        window: sampling intervals in a window.
+        data: transitions in segments that are long against the window, NaN where a state was not measured.
+        window: sampling intervals in a window; fewer to begin with where the first estimate runs away.
         max_rounds: limit on Gauss-Newton steps.
+        start: guess of the states before each transition, `(N, n_x)`; the measured ones if omitted.
+        joined: whether the windows join to one trajectory.
 
     Returns:
-        Coefficients, `(n_features, n_x)`.
+        The library with its shapes, and coefficients, `(n_features, n_x)`.
 
     Raises:
-        ValueError: the model runs away within a window.
+        ValueError: the model runs away within the shortest of windows.
     """
-    data = data.to(torch.float64)
-    windows, limit = Windows.of(data, window), math.log(len(data))
-    estimate = Estimate(xi, windows.first.clone())
+    data, limit = data.to(torch.float64), math.log(max(len(data), 2))
+    guess = data.x if start is None else start.to(torch.float64)
     support = (xi != 0) & free
+    estimate, windows = _grown(Estimate(library, xi, guess), support, data, window, joined, max_rounds)
     for _ in range(6):
-        estimate, support = _descend(library, estimate, support, windows, (limit, max_rounds))
+        estimate, support = _descend(estimate, support, windows, (limit, max_rounds))
         active, others = Parameters.where(support), Parameters.where(free & ~support)
         if not len(active) or not len(others):
             break
-        model = linearise(library, estimate, active + others, windows, None)
-        n_start = len(model.scale) - len(active) - len(others)
-        better = reconsider(model.triangle, n_start, active, others, limit)
+        model = linearise(estimate, active + others, windows)
+        n_fixed = len(model.scale) - len(active) - len(others)
+        better = reconsider(model.triangle, n_fixed, active, others, limit)
         if better is None:
             break
-        estimate = _move(estimate, model, active + others, torch.cat([torch.arange(n_start), n_start + better]))
+        estimate = _move(estimate, model, active + others, torch.cat([torch.arange(n_fixed), n_fixed + better]))
         support = (active + others).take(better).support(support.shape)
-    return estimate.xi
+    return estimate.library, estimate.xi
+
+
+def trajectory_cost(
+    library: Library, xi: Tensor, free: Tensor, data: Transitions, window: int, rounds: int, start: Tensor
+) -> float:
+    """Return N/2 times the logarithm of the squared errors that a few steps leave over, summed over measured states.
+
+    Args:
+        library: candidate functions.
+        xi: first estimate, `(n_features, n_x)`; its support stays.
+        free: coefficients that may be estimated, bool `(n_features, n_x)`.
+        data: the recording.
+        window: sampling intervals in a window.
+        rounds: Gauss-Newton steps.
+        start: guess of the states before each transition, `(N, n_x)`.
+    """
+    support, data = (xi != 0) & free, data.to(torch.float64)
+    estimate, windows = _grown(Estimate(library, xi, start), support, data, window, True, rounds)
+    parameters = Parameters.where(support)
+    estimate = _converge(estimate, parameters, windows, rounds)
+    sigma = Flow.of(estimate, parameters, windows).sigma(windows)
+    counts, seen = windows.mask.sum((0, 1)), sigma > EXACT
+    return float((counts * sigma.log())[seen].sum())
+
+
+def _grown(
+    estimate: Estimate, support: Tensor, data: Transitions, window: int, joined: bool, max_rounds: int
+) -> tuple[Estimate, Windows]:
+    """Return windows of the wanted length, and an estimate that does not run away in them.
+
+    Args:
+        estimate: first estimate; its nodes are a guess of the states before each transition, `(N, n_x)`.
+        support: coefficients in the model.
+        data: the recording.
+        window: wanted length.
+        joined: whether the windows join.
+        max_rounds: limit on Gauss-Newton steps of each length.
+    """
+    parameters, guess = Parameters.where(support), estimate.nodes
+    lengths = [window]
+    while True:
+        windows = Windows.of(data, lengths[0], joined)
+        trial = replace(estimate, nodes=guess[windows.rows])
+        if lengths[0] <= 2 or not bool(Flow.of(trial, parameters, windows).lost().any()):
+            break
+        lengths.insert(0, max(2, lengths[0] // 4))
+    for length in lengths[1:]:
+        trial = _converge(trial, parameters, windows, max_rounds)
+        guess = guess.index_copy(0, windows.rows, trial.nodes)
+        windows = Windows.of(data, length, joined)
+        trial = replace(trial, nodes=guess[windows.rows])
+    return trial, windows
 
 
 def _descend(
-    library: Library, estimate: Estimate, support: Tensor, windows: Windows, limits: tuple[float, int]
+    estimate: Estimate, support: Tensor, windows: Windows, limits: tuple[float, int]
 ) -> tuple[Estimate, Tensor]:
     """Converge and drop until the support stands still."""
     while bool(support.any()):
         parameters = Parameters.where(support)
-        estimate = _converge(library, estimate, parameters, windows, limits[1])
-        model = linearise(library, estimate, parameters, windows, None)
-        n_start = len(model.scale) - len(parameters)
-        kept, _ = walk_down(model.triangle, torch.arange(len(model.scale)) >= n_start, limits[0])
+        estimate = _converge(estimate, parameters, windows, limits[1])
+        model = linearise(estimate, parameters, windows)
+        n_fixed = len(model.scale) - len(parameters)
+        kept, _ = walk_down(model.triangle, torch.arange(len(model.scale)) >= n_fixed, limits[0])
         if len(kept) == len(model.scale):
             break
         estimate = _move(estimate, model, parameters, kept)
-        chosen = kept[kept >= n_start] - n_start
+        chosen = kept[kept >= n_fixed] - n_fixed
         support = Parameters(parameters.features[chosen], parameters.states[chosen]).support(support.shape)
     return estimate, support
 
 
-def _converge(
-    library: Library, estimate: Estimate, parameters: Parameters, windows: Windows, max_rounds: int
-) -> Estimate:
+def _converge(estimate: Estimate, parameters: Parameters, windows: Windows, max_rounds: int) -> Estimate:
     """Make Levenberg-Marquardt steps until the cost stands still."""
-    damping, sigma = 0.0, None
-    model = linearise(library, estimate, parameters, windows, sigma)
+    damping = 0.0
+    model = linearise(estimate, parameters, windows)
     for _ in range(max_rounds):
         candidate = _move(estimate, model, parameters, torch.arange(len(model.scale)), damping)
-        trial = linearise(library, candidate, parameters, windows, model.sigma)
+        flow = Flow.of(candidate, parameters, windows)
+        trial = linearise(candidate, parameters, windows, model.sigma, flow)
         if not trial.cost < model.cost:
             if damping > 1e6 or abs(trial.cost - model.cost) < 1e-6 * model.cost:
                 break
@@ -248,28 +319,30 @@ def _converge(
             continue
         gain = (model.cost - trial.cost) / model.cost
         estimate, damping = candidate, damping / 10 if damping > 1e-6 else 0.0
-        model = linearise(library, estimate, parameters, windows, None)
+        model = linearise(estimate, parameters, windows, None, flow)
         if gain < 1e-5:
             break
     return estimate
 
 
 def _move(
-    estimate: Estimate, model: Linearised, parameters: Parameters, kept: Tensor, damping: float = 0.0
+    estimate: Estimate, model: Linearised, parameters: Parameters, kept: Tensor | Sequence[int], damping: float = 0.0
 ) -> Estimate:
-    """Solve the linear model over the kept unknowns and move coefficients and nodes accordingly."""
-    n = len(kept)
-    square = model.triangle[:, kept]
-    old = torch.cat([torch.zeros(len(model.scale) - len(parameters)), parameters.read(estimate.xi)]) * model.scale
+    """Solve the linear model over the kept unknowns and move coefficients, shapes and nodes accordingly."""
+    kept = torch.as_tensor(kept)
+    square, n_fixed = model.triangle[:, kept], len(model.scale) - len(parameters)
+    old = torch.cat([torch.zeros(n_fixed), parameters.read(estimate.xi)]) * model.scale
+    target = model.triangle[:, -1]
     if damping:
-        square = torch.cat([square, damping**0.5 * torch.eye(n, dtype=square.dtype)])
-        target = torch.cat([model.triangle[:, -1], damping**0.5 * old[kept]])
-    else:
-        target = model.triangle[:, -1]
+        square = torch.cat([square, damping**0.5 * torch.eye(len(kept), dtype=square.dtype)])
+        target = torch.cat([target, damping**0.5 * old[kept]])
     solution = torch.linalg.lstsq(square, target.unsqueeze(-1), driver="gelsd").solution.squeeze(-1)
     values = torch.zeros_like(old).index_copy(0, kept, solution) / model.scale
-    n_start = len(old) - len(parameters)
     step = values.clone()
-    step[n_start:] -= parameters.read(estimate.xi)
+    step[n_fixed:] -= parameters.read(estimate.xi)
     nodes = estimate.nodes + model.moves[..., :-1] @ step + model.moves[..., -1]
-    return Estimate(parameters.write(estimate.xi, values[n_start:]), nodes)
+    library, shapes = estimate.library, estimate.library.shapes
+    if shapes:
+        numbers = step[n_fixed - len(shapes) : n_fixed].tolist()
+        library = library.with_shapes([shape.frequency + by for shape, by in zip(shapes, numbers, strict=True)])
+    return Estimate(library, parameters.write(estimate.xi, values[n_fixed:]), nodes)

@@ -32,7 +32,7 @@ def test_what_is_loaded_is_what_was_saved(tmp_path, name):
     library = build_library(name, Tras().signature)
     xi = coefficients(library)
     save(library, xi, tmp_path / "model.json")
-    again, back, _ = load(tmp_path / "model.json")
+    again, back, _, _ = load(tmp_path / "model.json")
     assert again.names == library.names and again.signature == library.signature
     assert torch.equal(back, xi) and back.dtype == torch.float64
 
@@ -46,7 +46,7 @@ def test_powers_and_frequencies_of_any_size_are_kept(tmp_path):
 
 def test_a_file_can_be_read_by_a_person(written):
     data = json.loads(written.read_text())
-    library, xi, _ = load(written)
+    library, xi, _, _ = load(written)
     assert data["format"] == FORMAT
     assert [line.partition("'")[0] for line in data["equations"]] == list(library.signature.state_names)
     assert data["signature"]["input_names"] == ["u_a", "u_p"]

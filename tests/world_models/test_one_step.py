@@ -19,6 +19,11 @@ LIBRARY = Library(SIGNATURE, [variable("y"), variable("u"), CONSTANT, variable("
 A, B, DT = -2.0, 3.0, 0.05
 
 
+def coefficients_of(refine, *args):
+    """Coefficients that a refinement finds; the library comes back as it was."""
+    return refine(*args)[1]
+
+
 def recording(noise: float = 0.0, n: int = 400, seed: int = 0) -> Transitions:
     """y' = A y + B u in discrete form y+ = phi y + gamma u + noise."""
     generator = np.random.default_rng(seed)
@@ -41,7 +46,7 @@ def test_intervals_are_divided_into_steps_of_five_milliseconds_at_most():
 
 
 def test_from_a_poor_first_model_the_plant_is_found_to_nine_digits():
-    found = refine_one_step(LIBRARY, column(-1.0, 2.0, 0.5, 0.2), FREE, recording(), 1e-9)
+    found = coefficients_of(refine_one_step, LIBRARY, column(-1.0, 2.0, 0.5, 0.2), FREE, recording(), 1e-9)
     assert found[2:].flatten().tolist() == [0.0, 0.0]
     assert found[:2].flatten().tolist() == pytest.approx([A, B], rel=1e-8)
 
@@ -51,8 +56,8 @@ def test_with_process_noise_it_is_the_least_squares_fit_of_the_discrete_form():
     rows = torch.cat([data.x, data.u], -1).numpy()
     phi, gamma = np.linalg.lstsq(rows, data.x_next.numpy().ravel(), rcond=None)[0]
     a = math.log(phi) / DT
-    found = refine_one_step(
-        LIBRARY, column(A, B, 0.0, 0.0), torch.tensor([[True], [True], [False], [False]]), data, 1e-9
+    found = coefficients_of(
+        refine_one_step, LIBRARY, column(A, B, 0.0, 0.0), torch.tensor([[True], [True], [False], [False]]), data, 1e-9
     )
     assert found[:2].flatten().tolist() == pytest.approx([a, gamma * a / (phi - 1)], rel=1e-6)
     assert abs(a - A) > 1e-3  # the noise does move the estimate
@@ -63,7 +68,9 @@ def test_its_spread_over_recordings_is_the_cramer_rao_bound():
     support = torch.tensor([[True], [True], [False], [False]])
     for seed in range(60):
         data = recording(0.05, n=200, seed=seed)
-        estimates.append(refine_one_step(LIBRARY, column(A, B, 0.0, 0.0), support, data, 1e-9)[:2, 0].numpy())
+        estimates.append(
+            coefficients_of(refine_one_step, LIBRARY, column(A, B, 0.0, 0.0), support, data, 1e-9)[:2, 0].numpy()
+        )
         phi = math.exp(A * DT)
         # d y+ / d a and d y+ / d b of y+ = e^(a dt) y + b (e^(a dt) - 1) / a u
         x, u = data.x.numpy().ravel(), data.u.numpy().ravel()
@@ -77,15 +84,15 @@ def test_its_spread_over_recordings_is_the_cramer_rao_bound():
 
 def test_functions_that_noise_suggests_are_dropped_and_those_that_are_missed_come_in():
     data = recording(0.02)
-    dropped = refine_one_step(LIBRARY, column(A, B, 0.1, 0.1), FREE, data, 1e-6)
+    dropped = coefficients_of(refine_one_step, LIBRARY, column(A, B, 0.1, 0.1), FREE, data, 1e-6)
     assert (dropped != 0).flatten().tolist() == [True, True, False, False]
-    added = refine_one_step(LIBRARY, column(A, 0.0, 0.0, 0.0), FREE, data, 1e-6)
+    added = coefficients_of(refine_one_step, LIBRARY, column(A, 0.0, 0.0, 0.0), FREE, data, 1e-6)
     assert torch.allclose(added, dropped, rtol=1e-5)
 
 
 def test_coefficients_that_are_not_free_stay():
     free = torch.tensor([[True], [False], [False], [False]])
-    found = refine_one_step(LIBRARY, column(-1.0, 2.5, 0.0, 0.0), free, recording(), 1e-6)
+    found = coefficients_of(refine_one_step, LIBRARY, column(-1.0, 2.5, 0.0, 0.0), free, recording(), 1e-6)
     assert found[1, 0] == 2.5 and found[2:].flatten().tolist() == [0.0, 0.0]
 
     def errors(a):

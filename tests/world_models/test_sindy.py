@@ -13,6 +13,7 @@ from dynasindy.systems import Diverged, Tras, Xi, integrate, rk4
 from dynasindy.systems.base import System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import Refinement, Regression, SindyModel
+from dynasindy.world_models.refine import Refined
 
 # The paper, table "SINDY model Xi matrix": 19 coefficients.
 PUBLISHED = {
@@ -186,7 +187,7 @@ def test_too_few_samples_wrong_widths_and_unfinished_numbers_are_refused():
     with pytest.raises(ValueError, match="1 inputs; allowed are 6 and 2"):
         model.fit(Transitions.from_trajectory(zeros, torch.zeros(11, 1), 0.01))
     bad = torch.zeros(41, 6)
-    bad[3, 2] = float("nan")
+    bad[3, 2] = float("inf")
     with pytest.raises(ValueError, match="not finite"):
         model.fit(Transitions.from_trajectory(bad, torch.zeros(41, 2), 0.01))
     with pytest.raises(ValueError, match="coefficients got shape"):
@@ -205,8 +206,8 @@ def test_a_loaded_model_keeps_what_was_known_and_is_fitted_as_it_is_told(tmp_pat
 
 
 class Nothing(Refinement):
-    def run(self, library, coefficients, constraints, data):
-        return constraints.offset
+    def run(self, library, coefficients, constraints, data, guess):
+        return Refined(library, constraints.offset)
 
 
 def test_a_refinement_that_drops_everything_leaves_the_fit_and_says_so():
@@ -230,7 +231,7 @@ def test_coefficients_that_are_not_finite_are_told_and_the_model_stays(stage):
             return before.clone().index_fill_(0, torch.tensor(3), torch.nan)
 
         def run(self, *of):
-            return before.clone().index_fill_(0, torch.tensor(3), torch.inf)
+            return Refined(model.library, before.clone().index_fill_(0, torch.tensor(3), torch.inf))
 
     if stage == "regression":
         model.regression = Spoilt()

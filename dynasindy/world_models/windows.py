@@ -1,0 +1,66 @@
+"""A recording cut into windows, side by side: what a fit to trajectories reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from dynasindy.systems.transitions import Transitions
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Hold a recording cut into W windows of L sampling intervals.
+
+    Attributes:
+        rows: place of the first transition of each window in the recording, `(W,)`.
+        first: states measured at the beginning of each window, `(W, n_x)`, NaN where not measured.
+        inputs: inputs held in each interval, `(W, L, n_u)`.
+        measured: states measured at the ends of the intervals, `(W, L, n_x)`, zero where not measured.
+        mask: 1 where a state was measured at the end of an interval of the recording, else 0, `(W, L, n_x)`.
+        joined: whether a window continues the one before, bool `(W,)`.
+        dt: length of an interval [s].
+    """
+
+    rows: Tensor
+    first: Tensor
+    inputs: Tensor
+    measured: Tensor
+    mask: Tensor
+    joined: Tensor
+    dt: float
+
+    @classmethod
+    def of(cls, data: Transitions, length: int, joined: bool = True) -> Windows:
+        """Cut every segment of a recording into windows of `length` intervals; the last one may be shorter.
+
+        Args:
+            data: the recording; NaN where a state was not measured.
+            length: sampling intervals in a window.
+            joined: whether a window continues the one before; if not, each begins at a state of its own.
+        """
+        starts, rows, inside, follows = [], [], [], []
+        for segment in data.segment.unique().tolist():
+            mine = (data.segment == segment).nonzero().flatten()
+            for k, part in enumerate(mine.split(length)):
+                starts.append(int(part[0]))
+                rows.append(torch.cat([part, part[-1:].expand(length - len(part))]))
+                inside.append(torch.arange(length) < len(part))
+                follows.append(joined and k > 0)
+        places, within = torch.stack(rows), torch.stack(inside)
+        after = data.x_next[places]
+        return cls(
+            rows=torch.tensor(starts),
+            first=data.x[torch.tensor(starts)],
+            inputs=data.u[places],
+            measured=after.nan_to_num(),
+            mask=(within.unsqueeze(-1) & ~after.isnan()).to(after.dtype),
+            joined=torch.tensor(follows),
+            dt=data.dt,
+        )
+
+    def __len__(self) -> int:
+        """Count the windows."""
+        return len(self.rows)
