@@ -65,6 +65,7 @@ class Keys(TypedDict):
     settings: list[str]
     slim: list[str]
     refinement: str
+    longest_delay: float
     resume: str | None
     plugins: list[str]
     finish: bool

@@ -110,6 +110,7 @@ class Case:
         oracle: Plan with the true plant as the model.
         moving: Train on moving references and evaluate on the paper's sine and square.
         sensors: What is measured of the plant, in the data and in flight; all states as they are if None.
+        longest_delay: Longest delay of the inputs that the fit looks for [s].
         detuned: Evaluate on a plant with other parameters, in a gust.
         late: Control periods that inputs need to reach the plant in flight.
         integral: Evaluate with integral action, too.
@@ -125,6 +126,7 @@ class Case:
     oracle: bool = False
     moving: bool = False
     sensors: Sensors | None = None
+    longest_delay: float = 0.0
     detuned: bool = False
     late: int = 0
     integral: bool = False
@@ -146,8 +148,8 @@ CASES = {
     "noise": Case(episodes=3, sensors=NOISY, integral=True),
     "noise_robust": Case(episodes=1, sensors=NOISY, integral=True, variation=Variation(noise=NOISE)),
     "noise_members": Case(episodes=1, sensors=NOISY, integral=True, variation=Variation(members=4)),
-    "bench": Case(sensors=BENCH),
-    "bench_delay": Case(sensors=replace(BENCH, actuator_delay=1)),
+    "bench": Case(sensors=BENCH, longest_delay=0.1),
+    "bench_delay": Case(sensors=replace(BENCH, actuator_delay=1), longest_delay=0.1),
     "late": Case(late=1),
     "late_robust": Case(late=1, variation=Variation(late=True)),
     "detuned": Case(detuned=True, integral=True, plants=("tras",)),
@@ -222,7 +224,7 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
     """Return the experiment of a case."""
     facts = PLANTS[plant]
     system = facts.build()
-    model = partial(Oracle, system=system) if case.oracle else partial(sparse_model, facts.library)
+    model = partial(Oracle, system=system) if case.oracle else partial(sparse_model, facts.library, case.longest_delay)
     references: Reference = RandomStep(facts.low, facts.high)
     if case.moving:
         references = Mixture([RandomStep((-0.55, -0.55), (0.55, 0.55)), *_waves(random=True)])
@@ -247,13 +249,13 @@ def _planning(case: Case) -> dict[str, Any]:
     return {name: getattr(case, name) for name in ("variation", "updates", "terminal_updates", "width")}
 
 
-def sparse_model(library: str, signature: Any) -> SindyModel:
-    """Return the world model of the main job."""
+def sparse_model(library: str, longest_delay: float, signature: Any) -> SindyModel:
+    """Return the world model of the main job, whose inputs may be late."""
     return SindyModel(
         signature,
         library,
         Regression(method="bic", tolerance=1e-4),
-        Refinement(),
+        Refinement(longest_delay=longest_delay),
         known=KNOWN,
     )
 
