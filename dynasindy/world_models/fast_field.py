@@ -13,6 +13,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from dynasindy.systems.base import Signature
 from dynasindy.world_models.features import Factor, function
 from dynasindy.world_models.library import Library
 
@@ -40,17 +41,17 @@ def generate(library: Library, coefficients: Tensor) -> Field:
             "leave it out of the library"
         )
     try:
-        writer = _Writer(library, coefficients)
+        writer = _FieldWriter(library, coefficients)
     except RecursionError as error:
         raise ValueError(f"the model has too many terms of {len(library)}; remove some: raise the threshold") from error
-    scope: dict[str, object] = {"torch": torch, "constants": _Constants(writer.constants), **writer.functions}
+    scope: dict[str, object] = {"torch": torch, "constants": Constants(writer.constants), **writer.functions}
     exec(compile(writer.source(), "<sparse model>", "exec"), scope)
     field: Field = scope["field"]  # type: ignore[assignment]
     field.__doc__ = writer.source()
     return field
 
 
-class _Constants:
+class Constants:
     """Keep numbers as tensors of the dtype and device in use: an operation then need not make them each time."""
 
     def __init__(self, values: list[float]) -> None:
@@ -68,16 +69,70 @@ class _Constants:
 Term = tuple[dict[Factor, int], float]  # powers of elementary functions, and the coefficient
 
 
-class _Writer:
-    """Collect lines of code; every value is written once."""
+class Writer:
+    """Collect lines of code; every value is written once.
 
-    def __init__(self, library: Library, coefficients: Tensor) -> None:
+    Args:
+        signature: names of the states and inputs, which are `z[0]`, `z[1]`, ... in the code.
+    """
+
+    def __init__(self, signature: Signature) -> None:
         self.lines: list[str] = []
         self.written: dict[object, str] = {}
         self.functions: dict[str, object] = {}
         self.constants: list[float] = []
-        signature = library.signature
         self.variable = {n: f"z[{i}]" for i, n in enumerate((*signature.state_names, *signature.input_names))}
+
+    def _line(self, key: object, expression: str) -> str:
+        if key not in self.written:
+            self.written[key] = f"v{len(self.written)}"
+            self.lines.append(f"{self.written[key]} = {expression}")
+        return self.written[key]
+
+    def _constant(self, value: float) -> str:
+        self.constants.append(value)
+        return f"k[{len(self.constants) - 1}]"
+
+    def _product(self, powers: dict[Factor, int]) -> str:
+        value, key = "", frozenset[tuple[Factor, int]]()
+        for factor, power in powers.items():
+            key = key | {(factor, power)}
+            one = self._power(factor, power)
+            value = self._line(key, f"{value} * {one}") if value else one
+        return value
+
+    def _power(self, factor: Factor, power: int) -> str:
+        if power < 0:
+            return self._line((factor, power), f"1 / {self._power(factor, -power)}")
+        if power == 1:
+            return self._value(factor)
+        half = power // 2
+        return self._line((factor, power), f"{self._power(factor, power - half)} * {self._power(factor, half)}")
+
+    def _value(self, factor: Factor) -> str:
+        args = self._scaled(factor)
+        if factor.function == "id":
+            return args[0]
+        self.functions[f"f_{factor.function}"] = function(factor.function).compute
+        return self._line(factor, f"f_{factor.function}({', '.join(args)})")
+
+    def _scaled(self, factor: Factor) -> list[str]:
+        """Write the arguments of a factor's function."""
+        args = [self.variable[v] for v in factor.variables]
+        if function(factor.function).parametric:
+            return [*args, self._constant(factor.frequency)]
+        if factor.frequency == 1:
+            return args
+        frequency = self._constant(factor.frequency)
+        return [self._line((a, factor.frequency), f"{a} * {frequency}") for a in args]
+
+
+class _FieldWriter(Writer):
+    """Write the sums of a sparse model."""
+
+    def __init__(self, library: Library, coefficients: Tensor) -> None:
+        super().__init__(library.signature)
+        signature = library.signature
         table = coefficients.tolist()
         powers = [{f.base: f.power for f in feature.factors} for feature in library.features]
         rows = [[(p, table[k][i]) for k, p in enumerate(powers) if table[k][i]] for i in range(signature.n_x)]
@@ -90,12 +145,6 @@ class _Writer:
             "def field(x, u):\n    k, z = constants(x), (*x.unbind(-1), *u.to(x.dtype).unbind(-1))\n"
             f"{body}    return torch.stack(({', '.join(self.results)},), 0).movedim(0, -1)\n"
         )
-
-    def _line(self, key: object, expression: str) -> str:
-        if key not in self.written:
-            self.written[key] = f"v{len(self.written)}"
-            self.lines.append(f"{self.written[key]} = {expression}")
-        return self.written[key]
 
     def _sum(self, terms: list[Term]) -> str:
         """Write a sum; terms that share a function are summed before they are multiplied by it."""
@@ -137,38 +186,6 @@ class _Writer:
         for value, c in products:
             total = self._line((total, value, c), f"torch.add({total}, {value}, alpha={c!r})")
         return total
-
-    def _constant(self, value: float) -> str:
-        self.constants.append(value)
-        return f"k[{len(self.constants) - 1}]"
-
-    def _product(self, powers: dict[Factor, int]) -> str:
-        value, key = "", frozenset[tuple[Factor, int]]()
-        for factor, power in powers.items():
-            key = key | {(factor, power)}
-            one = self._power(factor, power)
-            value = self._line(key, f"{value} * {one}") if value else one
-        return value
-
-    def _power(self, factor: Factor, power: int) -> str:
-        if power < 0:
-            return self._line((factor, power), f"1 / {self._power(factor, -power)}")
-        if power == 1:
-            return self._value(factor)
-        half = power // 2
-        return self._line((factor, power), f"{self._power(factor, power - half)} * {self._power(factor, half)}")
-
-    def _value(self, factor: Factor) -> str:
-        args, parametric = [self.variable[v] for v in factor.variables], function(factor.function).parametric
-        if parametric:
-            args.append(self._constant(factor.frequency))
-        elif factor.frequency != 1:
-            frequency = self._constant(factor.frequency)
-            args = [self._line((a, factor.frequency), f"{a} * {frequency}") for a in args]
-        if factor.function == "id":
-            return args[0]
-        self.functions[f"f_{factor.function}"] = function(factor.function).compute
-        return self._line(factor, f"f_{factor.function}({', '.join(args)})")
 
 
 def _divided(powers: dict[Factor, int], factor: Factor, power: int) -> dict[Factor, int]:

@@ -31,6 +31,7 @@ class Function:
         text: format string of its value, e.g. `sin({0})`.
         latex: format string for LaTeX.
         atomic: whether the value needs no brackets before a power.
+        slope: its derivative, where it is known; found by automatic differentiation where not.
         parametric: whether the number of a factor is the last argument, and not what the others are multiplied by.
     """
 
@@ -39,6 +40,7 @@ class Function:
     text: str
     latex: str
     atomic: bool = True
+    slope: Callable[[Tensor], Tensor] | None = None
     parametric: bool = False
 
 
@@ -51,12 +53,12 @@ _REGISTRY: dict[str, Function] = {
     f.name: f
     for f in (
         Function("id", lambda z: z, "{0}", "{0}"),
-        Function("sin", torch.sin, "sin({0})", r"\sin {0}"),
-        Function("cos", torch.cos, "cos({0})", r"\cos {0}"),
-        Function("abs", torch.abs, "|{0}|", r"|{0}|"),
-        Function("sign", torch.sign, "sign({0})", r"\operatorname{{sign}} {0}"),
-        Function("exp", torch.exp, "exp({0})", r"e^{{{0}}}"),
-        Function("tanh", torch.tanh, "tanh({0})", r"\tanh {0}"),
+        Function("sin", torch.sin, "sin({0})", r"\sin {0}", slope=torch.cos),
+        Function("cos", torch.cos, "cos({0})", r"\cos {0}", slope=lambda z: -torch.sin(z)),
+        Function("abs", torch.abs, "|{0}|", r"|{0}|", slope=torch.sign),
+        Function("sign", torch.sign, "sign({0})", r"\operatorname{{sign}} {0}", slope=torch.zeros_like),
+        Function("exp", torch.exp, "exp({0})", r"e^{{{0}}}", slope=torch.exp),
+        Function("tanh", torch.tanh, "tanh({0})", r"\tanh {0}", slope=lambda z: 1 - torch.tanh(z).square()),
         Function("sqrt", lambda z: z.clamp_min(SMALLEST_ROOT).sqrt(), "sqrt({0})", r"\sqrt{{{0}}}"),
         Function("bell", lambda z: (-z * z).exp(), "exp(-({0})^2)", r"e^{{-({0})^2}}"),
         Function(

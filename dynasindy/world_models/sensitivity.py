@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from dynasindy.world_models.fast_slopes import Slopes
 from dynasindy.world_models.features import Factor
 from dynasindy.world_models.library import Library
 
@@ -90,11 +91,14 @@ class Propagator:
         used = (xi != 0).any(-1)
         used[parameters.features] = True
         rows = used.nonzero().squeeze(-1)
-        self.library, self.xi = library.subset(rows.tolist()), xi[rows]
+        self.xi = xi[rows]
         position = torch.zeros(len(used), dtype=torch.int64)
         position[rows] = torch.arange(len(rows))
         self.features, self.states = position[parameters.features], parameters.states
         self.n_x, self.shapes = xi.shape[1], tuple(shapes)
+        self.slopes = Slopes(library.subset(rows.tolist()), self.shapes)
+        self.jacobian = _summed(self.xi, self.slopes.by_state, self.n_x)
+        self.of_shapes = _summed(self.xi, self.slopes.by_shape, len(self.shapes))
 
     def start(self, batch: int) -> Tensor:
         """Return the sensitivities of start states by themselves, the shapes and the coefficients."""
@@ -103,10 +107,12 @@ class Propagator:
         return s
 
     def _rate(self, x: Tensor, s: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        theta, slopes = self.library.jacobian(x, u)
-        ds = (slopes.mT @ self.xi).mT @ s
+        theta, slopes, by_shape = self.slopes(x, u)
+        ds = (slopes @ self.jacobian).unflatten(-1, (self.n_x, self.n_x)) @ s
         if self.shapes:
-            ds[:, :, self.n_x : self.n_x + len(self.shapes)] += self.xi.mT @ self.library.by_shapes(x, u, self.shapes)
+            ds[:, :, self.n_x : self.n_x + len(self.shapes)] += (by_shape @ self.of_shapes).unflatten(
+                -1, (self.n_x, len(self.shapes))
+            )
         columns = torch.arange(ds.shape[-1] - len(self.features), ds.shape[-1])
         ds[:, self.states, columns] += theta[:, self.features]
         return theta @ self.xi, ds
@@ -133,3 +139,11 @@ class Propagator:
         for _ in range(substeps):
             x, s = self.step(x, s, u, dt / substeps)
         return x, s
+
+
+def _summed(xi: Tensor, places: Sequence[tuple[int, int]], width: int) -> Tensor:
+    """Return the matrix that turns derivatives of functions into those of the rates, `(n_places, n_x * width)`."""
+    matrix = torch.zeros(len(places), xi.shape[1], width, dtype=xi.dtype)
+    for row, (feature, column) in enumerate(places):
+        matrix[row, :, column] = xi[feature]
+    return matrix.flatten(1)
