@@ -5,7 +5,7 @@ from pathlib import Path
 import torch
 from command import command
 from omegaconf import DictConfig
-from saved_run import load_config, load_policy, load_scenario
+from saved_run import load_config, load_policy, load_scenario, load_sensing
 from schema import check
 
 from dynasindy.evaluation.files import save_evaluation
@@ -27,12 +27,13 @@ def main(cfg: DictConfig) -> None:
     config = load_config(folder, cfg.plugins)
     check(config, str(folder / "config.yaml"))
     env, policy = load_policy(config, folder)
+    sensing = load_sensing(config, folder, env)
     if cfg.integral:
         policy = IntegralAction(policy, env)
     out = own_folder(folder, "evaluation_integral" if cfg.integral else "evaluation")
     scenarios = [load_scenario(name, config) for name in cfg.scenarios]
     for scenario in scenarios:
-        result = evaluate(env, policy, scenario)
+        result = evaluate(env, policy, scenario, sensing)
         save_evaluation(result, out)
         draw_evaluation(result, out, formats=cfg.formats)
         if cfg.animate:

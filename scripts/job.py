@@ -45,7 +45,7 @@ def run_job(cfg: DictConfig, progress: bool = True) -> Done:
     provenance = Provenance(settings_of(cfg), command_and_commit(HydraConfig.get()))
     torch.set_num_threads(cfg.threads)
     names = [field.name for field in fields(Recipe) if field.name != "seed"]
-    parts = {name: instantiate(cfg[name], _convert_="all") for name in names}
+    parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
     recipe = Recipe(**parts, seed=cfg.seed)
     evaluating = Evaluating(instantiate(cfg.scenario, _convert_="all"), cfg.evaluation.every)
     if progress:

@@ -6,7 +6,7 @@ import torch
 from admitted import read_config
 from command import command
 from omegaconf import DictConfig, OmegaConf
-from saved_run import load_config, load_policy, load_scenario
+from saved_run import load_config, load_policy, load_scenario, load_sensing
 
 from dynasindy.evaluation.files import save_evaluation
 from dynasindy.evaluation.given import own_folder
@@ -46,8 +46,9 @@ def measure(folder: Path, scenarios: list[str], plugins: list[str]) -> None:
     due = [name for name, file in files.items() if not file.is_file() or file.stat().st_mtime < ended]
     if due:
         env, policy = load_policy(config, folder)
+        sensing = load_sensing(config, folder, env)
     for name in due:
-        save_evaluation(evaluate(env, policy, load_scenario(name, config)), out)
+        save_evaluation(evaluate(env, policy, load_scenario(name, config), sensing), out)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import hydra
+import torch
 from admitted import PLUGINS, check, read_config
 from hydra.core.global_hydra import GlobalHydra
 from hydra.utils import instantiate
@@ -13,7 +14,10 @@ from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.dyna.weights import read_weights
 from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.given import read_record, understood
 from dynasindy.evaluation.scenarios import Policy, Scenario
+from dynasindy.sensing import Observer, Sensing
+from dynasindy.world_models import Oracle, SindyModel
 
 
 def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
@@ -63,6 +67,25 @@ def load_policy(config: DictConfig, folder: Path) -> tuple[ControlEnv, Policy]:
         )
     policy.load_state_dict(read_weights(folder / "policy.pt", wanted))
     return env, policy
+
+
+def load_sensing(config: DictConfig, folder: Path, env: ControlEnv) -> Sensing | None:
+    """Return the sensors and the observer through which the policy of a run sees the plant, None if it sees all states.
+
+    Raises:
+        FileNotFoundError: The run left no model or observer.
+        ValueError: The configuration builds no sensors, or a file is damaged.
+    """
+    if (sensors := instantiate(config.get("sensors"), _convert_="all")) is None:
+        return None
+    model = instantiate(config.world_model, _convert_="all")(signature=env.system.signature)
+    if not isinstance(model, Oracle):
+        model = SindyModel.load(folder / "model.json")
+    observer, file = Observer(model, sensors, env), folder / "observer.json"
+    record = read_record(file)
+    with understood(file):
+        observer.load_state_dict(record)
+    return Sensing(env, observer, torch.Generator())
 
 
 def load_scenario(name: str, config: DictConfig) -> Scenario:

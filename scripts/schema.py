@@ -31,6 +31,7 @@ class Plant(TypedDict):
     known: dict[str, str]
     amplitude: float | list[float]
     offset: float | list[float]
+    sensors: dict[str, dict[str, float]]
 
 
 class Every(TypedDict):
@@ -64,6 +65,7 @@ class Keys(TypedDict):
     settings: list[str]
     slim: list[str]
     refinement: str
+    longest_delay: float
     resume: str | None
     plugins: list[str]
     finish: bool
@@ -97,7 +99,7 @@ def check(cfg: DictConfig, file: str = "") -> None:
         return
     found: dict[str, Any] = {}
     try:
-        for name in sorted(get_type_hints(Recipe).keys() - tree.keys()) if file else ():
+        for name in sorted(get_type_hints(Recipe).keys() - tree.keys() - {"sensors"}) if file else ():
             raise ValueError(f"'{name}' is not given; restore it, or train again")
         # A plant has words for the task of an experiment, which a command without one does not build.
         spare = set() if "train" in tree or file else EXPERIMENT

@@ -1,14 +1,16 @@
 """Seconds of plant data to a controller: planning through the model's gradient, measured on the real plant.
 
-Every row is one policy in one scenario. A file that exists is carried on: rows it holds are not measured again.
+Every row is one figure of one policy in one scenario; figures of inputs stand where those of angles do.
+A file that exists is carried on: rows it holds are not measured again.
 Wall and CPU seconds are those from nothing to the policy (excitation, fits, planning, episodes), evaluation left out.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,7 +19,6 @@ import torch
 
 from dynasindy.agents import TD3
 from dynasindy.benchmarks.instruments.commit import commit
-from dynasindy.benchmarks.instruments.sensors import MeasuredReplay
 from dynasindy.benchmarks.instruments.unseen import following, holding
 from dynasindy.benchmarks.instruments.watch import Watch, Watched
 from dynasindy.data import DynaReplay
@@ -26,14 +27,17 @@ from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import train
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.disturbances import DelayedActuator, Pushed, SensorNoise
+from dynasindy.evaluation.disturbances import DelayedActuator, Pushed
+from dynasindy.evaluation.metrics import STEADY_SECONDS
 from dynasindy.evaluation.rows import Row, append_rows, read_rows
 from dynasindy.evaluation.scenarios import Evaluation, Policy, PolicyWrapper, Scenario, evaluate, step_references
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Gate, GradientPlanning, Variation
 from dynasindy.planning.integral import IntegralAction
+from dynasindy.sensing import Channel, Sensors
 from dynasindy.systems import System, Tras, Trms33, Xi
 from dynasindy.systems.tras import TrasConstants
+from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.tasks import Mixture, RandomStep, Reference, Tracking, TrackingReward, Wave
 from dynasindy.world_models import Oracle, Refinement, Regression, SindyModel
 
@@ -66,7 +70,17 @@ PLANTS = {
     "tras": Plant(Tras, "rotor"),
     "trms33": Plant(Trms33, "rotor_reaction", high=(0.5, 0.3), amplitude=(0.4, 0.25), offset=(0.2, 0.5)),
 }
+KNOWN = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
+COUNT = 2 * math.pi / 4096  # rad
+BENCH = Sensors(
+    {
+        **dict.fromkeys(("alpha_a", "alpha_p"), Channel(resolution=COUNT)),
+        **dict.fromkeys(("omega_a", "omega_p"), Channel(noise=20.0)),  # rpm
+    },
+    KNOWN,
+)
 NOISE = (5e-4, 5e-4, 5e-3, 5e-3, 20.0, 20.0)  # rad, rad, rad/s, rad/s, rpm, rpm
+NOISY = Sensors({name: Channel(noise=std) for name, std in zip(SIGNATURE.state_names, NOISE)}, KNOWN)
 GUST = {"Omega_a": 0.5, "Omega_p": 0.5}  # rad/s^2
 COLUMNS = (
     "case",
@@ -95,7 +109,8 @@ class Case:
         episodes: Real episodes after the excitation.
         oracle: Plan with the true plant as the model.
         moving: Train on moving references and evaluate on the paper's sine and square.
-        noise: Standard deviations of the measurement noise, in the data and in flight.
+        sensors: What is measured of the plant, in the data and in flight; all states as they are if None.
+        longest_delay: Longest delay of the inputs that the fit looks for [s].
         detuned: Evaluate on a plant with other parameters, in a gust.
         late: Control periods that inputs need to reach the plant in flight.
         integral: Evaluate with integral action, too.
@@ -110,7 +125,8 @@ class Case:
     episodes: int = 0
     oracle: bool = False
     moving: bool = False
-    noise: tuple[float, ...] = ()
+    sensors: Sensors | None = None
+    longest_delay: float = 0.0
     detuned: bool = False
     late: int = 0
     integral: bool = False
@@ -129,9 +145,11 @@ CASES = {
     "moving": Case(moving=True, updates=400),
     "moving_long": Case(moving=True, updates=1000),
     "moving_long_wide": Case(moving=True, updates=1000, width=0.1),
-    "noise": Case(episodes=3, noise=NOISE, integral=True),
-    "noise_robust": Case(episodes=1, noise=NOISE, integral=True, variation=Variation(noise=NOISE)),
-    "noise_members": Case(episodes=1, noise=NOISE, integral=True, variation=Variation(members=4)),
+    "noise": Case(episodes=3, sensors=NOISY, integral=True),
+    "noise_robust": Case(episodes=1, sensors=NOISY, integral=True, variation=Variation(noise=NOISE)),
+    "noise_members": Case(episodes=1, sensors=NOISY, integral=True, variation=Variation(members=4)),
+    "bench": Case(sensors=BENCH, longest_delay=0.1),
+    "bench_delay": Case(sensors=replace(BENCH, actuator_delay=1), longest_delay=0.1),
     "late": Case(late=1),
     "late_robust": Case(late=1, variation=Variation(late=True)),
     "detuned": Case(detuned=True, integral=True, plants=("tras",)),
@@ -141,7 +159,18 @@ CASES = {
     "unseen_moving": Case(unseen=True, moving=True, updates=400),
 }
 
-REPORTED = ["step", "oracle", "moving", "noise", "detuned", "friction", "unseen", "unseen_moving"]
+REPORTED = [
+    "step",
+    "oracle",
+    "moving",
+    "noise",
+    "bench",
+    "bench_delay",
+    "detuned",
+    "friction",
+    "unseen",
+    "unseen_moving",
+]
 """Cases measured if none is named; the others are trials that were not kept, or of a single setting."""
 
 
@@ -186,8 +215,6 @@ def measure(name: str, plant: str, seed: int, **planning: Any) -> list[Row]:
 
     recipe = build_recipe(case, plant, seed, planning)
     parts = recipe.build()
-    if case.noise:
-        parts.agent.explore = SensorNoise(parts.agent.explore, parts.plant, case.noise, seed)
     parts.planner = Watched(parts.planner, planned)
     train(parts, recipe.train, Callback())
     return rows
@@ -197,12 +224,11 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
     """Return the experiment of a case."""
     facts = PLANTS[plant]
     system = facts.build()
-    model = partial(Oracle, system=system) if case.oracle else partial(sparse_model, facts.library)
+    model = partial(Oracle, system=system) if case.oracle else partial(sparse_model, facts.library, case.longest_delay)
     references: Reference = RandomStep(facts.low, facts.high)
     if case.moving:
         references = Mixture([RandomStep((-0.55, -0.55), (0.55, 0.55)), *_waves(random=True)])
     reward = TrackingReward(error_shape="linear")
-    replay = partial(MeasuredReplay, std=case.noise, noise_seed=seed + 7) if case.noise else DynaReplay
     return Recipe(
         system=system,
         task=partial(Tracking, reference=references, reward=reward, observe_rate=case.moving),
@@ -210,10 +236,11 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
         excitation=partial(Multisine, amplitude=facts.amplitude, offset=facts.offset, seed=seed),
         world_model=model,
         agent=partial(TD3, hidden=(128, 128)),
-        replay=partial(replay, capacity=100_000, batch_size=256),
+        replay=partial(DynaReplay, capacity=100_000, batch_size=256),
         planning=partial(GradientPlanning, **{**_planning(case), **planning}),
         gate=Gate(open_below=torch.inf, close_above=torch.inf),
         train=Settings(episodes=case.episodes, updates_per_step=0),
+        sensors=case.sensors,
         seed=seed,
     )
 
@@ -222,14 +249,14 @@ def _planning(case: Case) -> dict[str, Any]:
     return {name: getattr(case, name) for name in ("variation", "updates", "terminal_updates", "width")}
 
 
-def sparse_model(library: str, signature: Any) -> SindyModel:
-    """Return the world model of the main job."""
+def sparse_model(library: str, longest_delay: float, signature: Any) -> SindyModel:
+    """Return the world model of the main job, whose inputs may be late."""
     return SindyModel(
         signature,
         library,
         Regression(method="bic", tolerance=1e-4),
-        Refinement(),
-        known={"alpha_a": "Omega_a", "alpha_p": "Omega_p"},
+        Refinement(longest_delay=longest_delay),
+        known=KNOWN,
     )
 
 
@@ -256,11 +283,14 @@ def judge(case: Case, plant: str, parts: Parts, seed: int) -> Iterable[tuple[str
     for suffix, policy in policies.items():
         if case.detuned:
             gust = Scenario("detuned_gust", steps, 64, 30.0, partial(Pushed, push=GUST), [(12.0, 15.0)])
-            result = evaluate(env, policy, gust)
+            result = evaluate(env, policy, gust, parts.sensing)
             yield f"detuned_gust{suffix}", "max_abs_error_5s_after_gust", _numbers(result, _after(result, 20.0))
         else:
-            result = evaluate(env, policy, Scenario("step", steps, 64, wrappers=_in_flight(case, seed)))
+            result = evaluate(env, policy, Scenario("step", steps, 64, wrappers=_in_flight(case)), parts.sensing)
             yield f"step{suffix}", "mean_abs_error_last_5s", _numbers(result, result.metrics["steady_state_error"])
+            if case.sensors is not None:
+                yield f"step{suffix}_inputs", "mean_abs_change_per_period_last_5s", _numbers(result, _changes(result))
+                yield f"step{suffix}_nis", "mean_nis", _numbers(result, _surprise(result))
 
 
 def detuned(seed: int) -> Tras:
@@ -303,10 +333,20 @@ def _waves(random: bool = False) -> list[Wave]:
     return [Wave((0.35, 0.25), (0.015, 0.015)), Wave((0.4, -0.5), (0.01, 0.01), "square")]
 
 
-def _in_flight(case: Case, seed: int) -> list[PolicyWrapper]:
+def _in_flight(case: Case) -> list[PolicyWrapper]:
     """Return what lies between policy and plant."""
-    wrappers: list[PolicyWrapper] = [partial(SensorNoise, std=case.noise, seed=seed)] if case.noise else []
-    return [*wrappers, partial(DelayedActuator, periods=case.late)] if case.late else wrappers
+    return [partial(DelayedActuator, periods=case.late)] if case.late else []
+
+
+def _changes(result: Evaluation) -> torch.Tensor:
+    """Return how much the inputs change per control period in the last 5 s, `(episodes, n_u)`."""
+    last = result.inputs[:, result.time >= result.seconds - STEADY_SECONDS - 1e-6]
+    return last.diff(dim=1).abs().mean(1)
+
+
+def _surprise(result: Evaluation) -> torch.Tensor:
+    """Return the mean normalised innovation squared of each flight, in both columns, `(episodes, 2)`."""
+    return result.trajectory["next", "observer", "nis"].nanmean(1).expand(-1, 2)
 
 
 def _after(result: Evaluation, second: float) -> torch.Tensor:

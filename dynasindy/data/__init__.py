@@ -1,5 +1,5 @@
 """Stored experience."""
 
-from dynasindy.data.replay import LEARN_KEYS, REAL_KEYS, DynaReplay
+from dynasindy.data.replay import LEARN_KEYS, MEASURED_KEYS, REAL_KEYS, DynaReplay
 
-__all__ = ["LEARN_KEYS", "REAL_KEYS", "DynaReplay"]
+__all__ = ["LEARN_KEYS", "MEASURED_KEYS", "REAL_KEYS", "DynaReplay"]

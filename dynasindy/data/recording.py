@@ -10,17 +10,19 @@ from dynasindy.systems.transitions import Transitions
 def transitions(rows: TensorDictBase, log_dt: float) -> Transitions:
     """Return the logged samples of real control periods as transitions, in float64.
 
+    Of a plant behind sensors these are the measured samples, NaN where nothing was measured.
     Periods in which a mechanical stop was touched are left out: they are not smooth dynamics.
 
     Args:
-        rows: Control periods `(T,)` in the order of time, with `state`, `action`, ("next", "samples") and
-            ("next", "at_stop").
+        rows: Control periods `(T,)` in the order of time, with `state` or, behind sensors, `measurement`,
+            `action`, ("next", "samples") and ("next", "at_stop").
         log_dt: Time between samples [s].
 
     Returns:
         Up to `T * substeps` transitions.
     """
     samples = rows["next", "samples"].double()
-    fine = Transitions.from_samples(rows["state"].double(), rows["action"].double(), samples, log_dt)
+    start = rows["measurement"] if "measurement" in set(rows.keys()) else rows["state"]
+    fine = Transitions.from_samples(start.double(), rows["action"].double(), samples, log_dt)
     free = ~rows["next", "at_stop"].reshape(-1).repeat_interleave(samples.shape[-2])
     return fine.select(free)

@@ -13,7 +13,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer, TensorDictRoundRobinWriter
 
-from dynasindy.data.sound import require_finite
+from dynasindy.data.sound import require_finite, unsound
 from dynasindy.limits import memory
 
 LEARN_KEYS: tuple[NestedKey, ...] = (
@@ -36,6 +36,9 @@ REAL_KEYS: tuple[NestedKey, ...] = (
     ("next", "at_stop"),
 )
 """What is kept of the real plant: also what identification and planning read."""
+
+MEASURED_KEYS: tuple[NestedKey, ...] = (*REAL_KEYS, "measurement", "task_params")
+"""The same of a plant behind sensors, whose `measurement` and `samples` are NaN where nothing was measured."""
 
 INDEX_BYTES = 8
 """What TorchRL keeps of each row beside its keys: its place in the storage."""
@@ -88,7 +91,7 @@ class CheckedWriter(TensorDictRoundRobinWriter):
                 f"missing: {_words(self.keys - given)}; not allowed: {_words(given - self.keys)}."
             )
         for key in self.keys:
-            if not torch.isfinite(data.get(key)).all():
+            if unsound(key, data).any():
                 raise ValueError(
                     f"The {self.name} storage takes finite rows; {_words([key])} holds NaN or infinity; "
                     "leave such rows out."
@@ -168,6 +171,23 @@ class DynaReplay:
     def real_in_order(self) -> TensorDict:
         """Return the real rows, `(n,)`, the oldest first."""
         return _in_order(self.real)
+
+    def rewrite_newest(self, rows: TensorDictBase) -> None:
+        """Replace the newest real rows, as by better estimates of their states.
+
+        Args:
+            rows: As many rows as are to be replaced, `(n,)`, in the order of time.
+
+        Raises:
+            ValueError: There are fewer real rows.
+        """
+        writer, size = self.real.writer, len(self.real)
+        assert isinstance(writer, CheckedWriter)
+        if len(rows) > size:
+            raise ValueError(f"Replay has {size} real rows, given {len(rows)} to replace them; give at most as many.")
+        places = (writer._cursor - len(rows) + torch.arange(len(rows))) % self.real.storage.max_size
+        self.real.storage.set(places, rows, set_cursor=False)
+        writer.version += 1
 
     def keep_imagined(self, newest: int) -> None:
         """Evict all imagined rows but the `newest`.

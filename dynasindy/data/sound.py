@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
@@ -26,6 +25,13 @@ SUSPECTS: tuple[tuple[NestedKey, str, NestedKey, str], ...] = (
 """What may go wrong within a control period, in the order of cause and effect: the number, what it follows from."""
 
 
+def unsound(key: NestedKey, rows: TensorDictBase) -> Tensor:
+    """Return which numbers of a key are not finite; of what sensors measure, NaN says that nothing was measured."""
+    values: Tensor = rows.get(key)
+    measured = key in ("measurement", ("next", "samples")) and "measurement" in set(rows.keys())
+    return values.isinf() if measured else ~values.isfinite()
+
+
 def require_finite(rows: TensorDictBase, where: str = "real plant") -> None:
     """Refuse a rollout on the plant that holds a number that is not finite.
 
@@ -37,7 +43,7 @@ def require_finite(rows: TensorDictBase, where: str = "real plant") -> None:
         Diverged: A number is not finite; the first one is told, with the state, the input and the period.
     """
     present = rows.keys(include_nested=True, leaves_only=True)
-    bad = {key: _bad(rows[key]) for key, *_ in SUSPECTS if key in present}
+    bad = {key: unsound(key, rows).flatten(1).any(-1) for key, *_ in SUSPECTS if key in present}
     first = min((int(found.int().argmax()) for found in bad.values() if bool(found.any())), default=None)
     if first is None:
         return
@@ -45,11 +51,6 @@ def require_finite(rows: TensorDictBase, where: str = "real plant") -> None:
     row = rows[first]
     told = f"{what} {_numbers(row[key])}, from {_name(of)} {_numbers(row[of])} under input {_numbers(row['action'])}"
     raise Diverged(f"{where}: in control period {int(row['step_count']) + 1} {told}; {mend}")
-
-
-def _bad(values: Tensor) -> Tensor:
-    """Return which rows of `(n, ...)` are not finite, bool `(n,)`."""
-    return ~torch.isfinite(values).flatten(1).all(-1)
 
 
 def _numbers(values: Tensor) -> str:

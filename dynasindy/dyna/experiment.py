@@ -6,15 +6,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-from torchrl.envs import TransformedEnv
+from torchrl.envs import EnvBase, TransformedEnv
 
 from dynasindy.agents import TD3
-from dynasindy.data import DynaReplay
+from dynasindy.data import MEASURED_KEYS, DynaReplay
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
 from dynasindy.limits import check_memory
 from dynasindy.planning import Gate, ModelPrediction, Planner
+from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.systems import System
 from dynasindy.tasks import Task
 from dynasindy.world_models import WorldModel
@@ -35,6 +36,7 @@ class Recipe:
         planning: Builder of the planner, called with `env`, `agent`, `replay` and `seed`.
         gate: Trust in the model.
         train: Lengths of the loop.
+        sensors: What is measured of the plant; None sees all states as they are.
         seed: Seed of everything; each part draws its own from it.
     """
 
@@ -48,6 +50,7 @@ class Recipe:
     planning: Callable[..., Planner]
     gate: Gate
     train: Settings
+    sensors: Sensors | None = None
     seed: int = 0
 
     def build(self) -> Parts:
@@ -57,14 +60,15 @@ class Recipe:
             ValueError: A part refuses its settings, the excitation is longer than an episode, or the storages do not
                 fit into memory.
         """
-        seeds = torch.randint(2**31, (5,), generator=torch.Generator().manual_seed(self.seed)).tolist()
+        seeds = torch.randint(2**31, (6,), generator=torch.Generator().manual_seed(self.seed)).tolist()
         signature = self.system.signature
         plant = self.env(system=self.system, task=self.task(signature=signature), seed=seeds[0])
         plant.check_plant()
         world_model = self.world_model(signature=signature)
         model_env = plant.with_system(world_model, torch.float32, seed=seeds[1])
         agent = self.agent(n_obs=plant.task.n_o, n_u=signature.n_u, seed=seeds[2])
-        replay = self.replay(seed=seeds[3])
+        sensing = self._sensing(plant, world_model, seeds[5])
+        replay = self.replay(seed=seeds[3]) if sensing is None else self.replay(seed=seeds[3], keys=MEASURED_KEYS)
         _check_storages(replay, plant)
         excitation = self.excitation(n_u=signature.n_u, dt=plant.dt)
         if excitation.n_steps > plant.task.max_steps:
@@ -74,7 +78,7 @@ class Recipe:
             )
         return Parts(
             plant=plant,
-            env=TransformedEnv(plant, ModelPrediction(model_env)),
+            env=_predicted(plant if sensing is None else TransformedEnv(plant, sensing), model_env),
             model_env=model_env,
             excitation=excitation,
             world_model=world_model,
@@ -82,7 +86,21 @@ class Recipe:
             replay=replay,
             planner=self.planning(env=model_env, agent=agent, replay=replay, seed=seeds[4]),
             gate=self.gate,
+            sensing=sensing,
         )
+
+    def _sensing(self, plant: ControlEnv, world_model: WorldModel, seed: int) -> Sensing | None:
+        if self.sensors is None:
+            return None
+        return Sensing(plant, Observer(world_model, self.sensors, plant), torch.Generator().manual_seed(seed))
+
+
+def _predicted(env: EnvBase, model_env: ControlEnv) -> EnvBase:
+    """Return the real environment with the model's one-step prediction beside every step.
+
+    It predicts from what is seen of the plant, so that it stays outside of the sensors.
+    """
+    return TransformedEnv(env, ModelPrediction(model_env), auto_unwrap=False)
 
 
 def _check_storages(replay: DynaReplay, plant: ControlEnv) -> None:

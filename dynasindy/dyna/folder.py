@@ -15,7 +15,10 @@ import torch
 
 FREE = ("folder:", "threads:", "results:", "resume:", "finish:", "plugins:")
 """Keys of a configuration, as its lines begin, that do not change a result."""
-MADE = ("metrics.json", "policy.pt", "model.json", "progress.csv", "gate.csv", "identification.txt", "error.txt")
+MADE = (
+    *("metrics.json", "policy.pt", "model.json", "observer.json"),
+    *("progress.csv", "gate.csv", "identification.txt", "error.txt"),
+)
 """Files that a run makes besides its `config.yaml`."""
 NEEDED = {"episodes", "cost", "evaluation", "untrained", "equations", "verdict", "checkpoint"}
 """Keys of `metrics.json` that are read again."""

@@ -12,15 +12,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.dyna.callback import Callback, Episode, Place
 from dynasindy.dyna.parts import Parts, Settings
-from dynasindy.dyna.refit import fit, refit
+from dynasindy.dyna.refit import first_fit, refit
 from dynasindy.planning import replay_error
 
 
@@ -46,7 +48,7 @@ def train(parts: Parts, settings: Settings, callback: Callback, place: Place | N
         replay.extend_real(excited)
         cost.real_steps += excited.numel()
         # Model learning: f_SINDy from D_real.
-        callback.fitted(fit(parts, settings), excited, cost)
+        callback.fitted(first_fit(parts, settings), excited, cost)
         callback.reached(place.past_excitation())
     if not place.planned:
         # Departure: the first planning phase comes before the first episode, with the model of the excitation.
@@ -54,7 +56,7 @@ def train(parts: Parts, settings: Settings, callback: Callback, place: Place | N
         callback.reached(place.past_planning())
     for number in range(place.episodes + 1, settings.episodes + 1):
         # Real interaction.
-        rollout = interact(env, agent.explore, parts.model_env.task.max_steps)
+        rollout = interact(env, parts.explore, parts.model_env.task.max_steps)
         replay.extend_real(rollout)
         cost.real_steps += rollout.numel()
         # Policy learning.
@@ -73,7 +75,7 @@ def train(parts: Parts, settings: Settings, callback: Callback, place: Place | N
     return agent.deployed
 
 
-def interact(env: EnvBase, policy: TensorDictModuleBase, steps: int) -> TensorDict:
+def interact(env: EnvBase, policy: Callable[[TensorDictBase], TensorDictBase], steps: int) -> TensorDict:
     """Run a policy, exploring, on the real system for at most one episode, `(T,)`."""
     with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
         return env.rollout(steps, policy)

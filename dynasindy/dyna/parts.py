@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from tensordict import TensorDictBase
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.envs import EnvBase
 
@@ -14,6 +16,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
 from dynasindy.limits import Count
 from dynasindy.planning import Gate, Planner
+from dynasindy.sensing import Sensing
 from dynasindy.world_models import WorldModel
 
 
@@ -23,7 +26,7 @@ class Parts:
 
     Attributes:
         plant: Real environment.
-        env: The same, with the model's one-step prediction beside every step.
+        env: The same through its sensors, with the model's one-step prediction beside every step.
         model_env: The same environment around the world model.
         excitation: Input signal of the data collection.
         world_model: Model to fit.
@@ -31,6 +34,7 @@ class Parts:
         replay: Real and model storages.
         planner: Dyna's planning phase.
         gate: Trust in the model.
+        sensing: Sensors and observer of the real environment; None where all states are seen as they are.
     """
 
     plant: ControlEnv
@@ -42,6 +46,12 @@ class Parts:
     replay: DynaReplay
     planner: Planner
     gate: Gate
+    sensing: Sensing | None = None
+
+    @property
+    def explore(self) -> Callable[[TensorDictBase], TensorDictBase]:
+        """The agent's policy with noise, as it acts on the real plant."""
+        return self.agent.explore if self.sensing is None else self.sensing.controller(self.agent.explore)
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that a resumed run needs to equal an uninterrupted one, between two phases.
@@ -50,7 +60,7 @@ class Parts:
             Diverged: The agent's weights are not finite, and no run could go on from them.
         """
         self.agent.check()
-        kept = {name: getattr(self, name).state_dict() for name in self._kept}
+        kept = {name: part.state_dict() for name, part in self._kept().items()}
         generators = {name: getattr(self, name).rng.get_state() for name in self._drawing}
         # Parts draw from generators of their own; a stranger's plant or task may use the global ones.
         return {**kept, "generators": generators, "global": GlobalRNGState().state_dict(), "gate": self.gate.is_open}
@@ -62,14 +72,17 @@ class Parts:
             KeyError: The state lacks a part.
             RuntimeError: The state is of parts of other shapes.
         """
-        for name in self._kept:
-            getattr(self, name).load_state_dict(state[name])
+        for name, part in self._kept().items():
+            part.load_state_dict(state[name])
         for name in self._drawing:
             getattr(self, name).rng.set_state(state["generators"][name])
         GlobalRNGState().load_state_dict(state["global"])
         self.gate.is_open = state["gate"]
 
-    _kept: ClassVar = ("world_model", "agent", "replay", "planner")
+    def _kept(self) -> dict[str, Any]:
+        parts = {name: getattr(self, name) for name in ("world_model", "agent", "replay", "planner", "sensing")}
+        return {name: part for name, part in parts.items() if part is not None}
+
     _drawing: ClassVar = ("plant", "model_env")
 
 

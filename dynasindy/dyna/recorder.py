@@ -69,7 +69,7 @@ class Recorder(Callback):
 
     def evaluate(self) -> Evaluation:
         """Run the deployed policy, without noise, in the scenario; its steps are counted apart from the real ones."""
-        evaluation = evaluate(self.plant, self.parts.agent.deployed, self.scenario)
+        evaluation = evaluate(self.plant, self.parts.agent.deployed, self.scenario, self.parts.sensing)
         self.evaluation_steps += evaluation.trajectory.numel()
         return evaluation
 
@@ -124,6 +124,9 @@ class Recorder(Callback):
             "untrained": self.untrained,
             "equations": self.parts.world_model.equations(),
         }
+        if self.parts.sensing is not None:
+            metrics["observer"] = self.parts.sensing.observer.state_dict()
+            write_json(self.folder / "observer.json", metrics["observer"])
         metrics["verdict"] = asdict(judge(metrics))
         self._write_rollout("step_response", final.trajectory[0])
         with whole(self.folder / "model.json") as path:

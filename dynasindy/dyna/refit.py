@@ -69,6 +69,17 @@ def fit(parts: Parts, settings: Settings, held_out: Tensor | None = None) -> obj
     return report
 
 
+def first_fit(parts: Parts, settings: Settings) -> object:
+    """Fit the world model to all that counts as recent, let the observer rely on it, and return its report.
+
+    Raises:
+        Diverged: What the model has learnt is not finite.
+    """
+    report = fit(parts, settings)
+    _observe(parts)
+    return report
+
+
 def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
     """Fit the world model anew, and go back to the earlier one if that predicts held-out windows better.
 
@@ -87,7 +98,7 @@ def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
     starts = held_out_windows(rollout.numel(), length, settings.held_out)
     if not len(starts):
         unseen = replay_error(parts.model_env, rollout)
-        return Refit(fit(parts, settings), torch.nan, torch.nan, True, unseen)
+        return Refit(first_fit(parts, settings), torch.nan, torch.nan, True, unseen)
     held_out = torch.zeros(rollout.numel(), dtype=torch.bool)
     held_out[(starts.unsqueeze(-1) + torch.arange(length)).flatten()] = True
     earlier = copy.deepcopy(parts.world_model.state_dict())
@@ -101,7 +112,19 @@ def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
         report, after, kept = lost, replace(before, reward_error=torch.inf, state_error=torch.inf), False
     if not kept:
         parts.world_model.load_state_dict(earlier)
+    _observe(parts)
     return Refit(report, before.state_error, after.state_error, kept, after if kept else before)
+
+
+def _observe(parts: Parts) -> None:
+    """Adapt the observer, if there is one, to the model as it is on the newest real episode, and estimate that anew."""
+    if parts.sensing is None:
+        return
+    rows = parts.replay.real_in_order()
+    newest = rows[int((rows["step_count"].squeeze(-1) == 0).nonzero().max()) :]
+    y = torch.cat([newest["measurement"][:1], newest["next", "samples"][:, -1]])
+    estimates = parts.sensing.observer.learn(y, newest["action"])
+    parts.replay.rewrite_newest(parts.sensing.reestimated(newest, estimates))
 
 
 def held_out_windows(steps: int, length: int, every: int) -> Tensor:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
@@ -19,6 +19,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.given import plain_name
 from dynasindy.evaluation.metrics import tracking_metrics
 from dynasindy.limits import Count, check_memory
+from dynasindy.sensing import Sensing, unveiled
 from dynasindy.systems import Signature, System
 from dynasindy.tasks import Reference, Step, Tracking
 
@@ -79,7 +80,7 @@ class Evaluation:
         signature: Names and units of the plant.
         columns: Indices of the tracked states.
         time: `(T,)` times of the root entries of the trajectory [s].
-        trajectory: `[episodes, T]` as `ControlEnv.rollout` writes it.
+        trajectory: `[episodes, T]` as `ControlEnv.rollout` writes it; behind sensors, `estimate` is what was seen.
         metrics: Per row, see `dynasindy.evaluation.metrics`.
         windows: Times `(start, end)` at which the plant was disturbed [s], where that was not all the time.
     """
@@ -155,7 +156,7 @@ def step_references(low: Sequence[float], high: Sequence[float], number: Count =
 
 
 @torch.no_grad()
-def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario) -> Evaluation:
+def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensing | None = None) -> Evaluation:
     """Run a policy, without exploration, in a scenario.
 
     The environment and all random generators are left as they were.
@@ -164,6 +165,7 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario) -> Evaluation:
         env: Environment whose plant, task and control period are meant.
         policy: Policy to run; its exploration is off.
         scenario: Situation to run it in.
+        sensing: Sensors and observer through which the policy sees the plant; the metrics see it as it is.
 
     Raises:
         TypeError: The task does not track a reference.
@@ -171,19 +173,22 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario) -> Evaluation:
         Diverged: The policy gives an action that is not finite, the plant leaves all finite states, or the task gives
             a reward that is not finite.
     """
-    calm, task = _prepare(env, scenario)
-    wrapped = policy
+    calm, task = _prepare(env, scenario, 0 if sensing is None else sensing.observer.width)
+    wrapped = policy if sensing is None else sensing.on(calm, sensing.rng).controller(policy)
     for wrap in scenario.wrappers:
         wrapped = wrap(wrapped, calm)
     state = task.initial_state(torch.Size((scenario.episodes,)), calm.rng)
-    start = calm.start_from(state)
+    start: TensorDictBase = calm.start_from(state)
+    if sensing is not None:
+        sensing = sensing.on(calm, torch.Generator().manual_seed(scenario.seed))
+        start = sensing.begin(start)
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.random.fork_rng():
         _check_action(policy, start, env.system.signature.n_u, scenario.name)
-        trajectory = _run(calm, wrapped, scenario, start)
+        trajectory = _run(calm, wrapped, scenario, start, sensing)
     return _measure(calm, task, scenario, trajectory)
 
 
-def _prepare(env: ControlEnv, scenario: Scenario) -> tuple[ControlEnv, Tracking]:
+def _prepare(env: ControlEnv, scenario: Scenario, width: int) -> tuple[ControlEnv, Tracking]:
     """Return the undisturbed environment, with the scenario's reference and length, and its task."""
     if not isinstance(env.task, Tracking):
         raise TypeError(f"task {type(env.task).__name__} tracks no reference; give an environment with a Tracking task")
@@ -194,24 +199,27 @@ def _prepare(env: ControlEnv, scenario: Scenario) -> tuple[ControlEnv, Tracking]
             f"scenario.seconds is {scenario.seconds} s, less than a control period of {env.dt} s; give one or more"
         )
     check_memory(
-        4.0 * scenario.episodes * task.max_steps * (2 * task.n_o + (2 + env.substeps) * n_x),
+        4.0 * scenario.episodes * task.max_steps * (2 * task.n_o + (2 + env.substeps) * n_x + width),
         f"scenario.episodes={scenario.episodes} of scenario.seconds={scenario.seconds} in periods of {env.dt} s",
     )
     return env.with_task(task, seed=scenario.seed), task
 
 
-def _run(calm: ControlEnv, policy: Policy, scenario: Scenario, start: TensorDict) -> TensorDictBase:
+def _run(
+    calm: ControlEnv, policy: Policy, scenario: Scenario, start: TensorDictBase, sensing: Sensing | None
+) -> TensorDictBase:
     """Roll the policy out phase by phase, each phase with its own plant."""
     parts = []
     for steps, disturbed in _phases(scenario, calm.dt):
-        env = calm.with_system(scenario.plant(calm.system)) if disturbed and scenario.plant else calm
+        plant = calm.with_system(scenario.plant(calm.system)) if disturbed and scenario.plant else calm
+        env = plant if sensing is None else sensing.around(plant)
         part = env.rollout(steps, policy, auto_reset=False, tensordict=start, break_when_any_done=False)
         start = env.step_mdp(part[..., -1])
         parts.append(part)
     trajectory: TensorDictBase = torch.cat(parts, -1)
     in_time = trajectory.transpose(0, 1).reshape(-1)
     require_finite(in_time, f"evaluation in scenario '{scenario.name}'")
-    return trajectory
+    return trajectory if sensing is None else unveiled(trajectory)
 
 
 def _phases(scenario: Scenario, dt: float) -> list[tuple[int, bool]]:
@@ -222,7 +230,7 @@ def _phases(scenario: Scenario, dt: float) -> list[tuple[int, bool]]:
     return [(end - start, k % 2 == 1) for k, (start, end) in enumerate(pairwise(steps)) if end > start]
 
 
-def _check_action(policy: Policy, start: TensorDict, n_u: int, name: str) -> None:
+def _check_action(policy: Policy, start: TensorDictBase, n_u: int, name: str) -> None:
     wanted = (*start.batch_size, n_u)
     try:
         given = f"an action of shape {tuple(policy(start.clone())['action'].shape)}"

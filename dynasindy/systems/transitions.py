@@ -124,5 +124,6 @@ class Transitions:
 def _segments(x: Tensor, x_next: Tensor) -> Tensor:
     """Number the unbroken stretches of rows that should follow each other."""
     breaks = torch.zeros(x.shape[0], dtype=torch.int64, device=x.device)
-    breaks[1:] = (x[1:] != x_next[:-1]).any(-1).long()
+    same = (x[1:] == x_next[:-1]) | (x[1:].isnan() & x_next[:-1].isnan())  # NaN is what was not measured
+    breaks[1:] = (~same.all(-1)).long()
     return breaks.cumsum(0)

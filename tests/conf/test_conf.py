@@ -1,18 +1,22 @@
 """Every option of every group composes and its parts are built."""
 
+import math
 from dataclasses import fields
 from pathlib import Path
 
 import pytest
+import torch
 from hydra import compose, initialize_config_dir
+from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
+from dynasindy.data import REAL_KEYS
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.planning import Gate
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
-GROUPS = ("system", "task", "excitation", "world_model", "planning", "agent", "scenario", "experiment")
+GROUPS = ("system", "task", "excitation", "world_model", "planning", "agent", "sensors", "scenario", "experiment")
 OPTIONS = [f"{group}={file.stem}" for group in GROUPS for file in sorted((CONF / group).glob("*.yaml"))]
 ABSTRACT = {"task=_tracking", "system=logged"}
 
@@ -39,6 +43,30 @@ def test_every_setting_of_the_ablation_differs_from_its_default_in_what_it_names
     changed = {key for key in cfg if cfg[key] != default[key]}
     assert changed <= {line.partition(":")[0] for line in text.splitlines()} | {"world_model"}
     assert bool(changed) == (setting != "rollouts_800")
+
+
+@pytest.mark.parametrize("system", sorted({file.stem for file in (CONF / "system").glob("*.yaml")} - {"logged"}))
+@pytest.mark.parametrize("sensors", ["bench", "bench_delay"])
+def test_every_plant_has_a_bench(system, sensors):
+    cfg, parts = build(f"system={system}", f"sensors={sensors}", "experiment=smoke")
+    observer = parts.sensing.observer
+    measured = [name for name, r in zip(parts.plant.system.signature.state_names, observer.variance) if r < torch.inf]
+    assert measured == list(cfg.plant.sensors) and not set(measured) & set(cfg.plant.rates)
+    assert observer.sensors.actuator_delay == (sensors == "bench_delay")
+    assert observer.kinematic.rates  # known from the plant's file
+    for name in cfg.plant.outputs:
+        assert observer.sensors.channels[name].resolution == pytest.approx(2 * math.pi / 4096, rel=1e-6)
+
+
+def test_without_sensors_there_is_no_transform_and_no_more_to_keep():
+    parts = build("experiment=smoke")[1]
+    assert parts.sensing is None and parts.env.base_env is parts.plant
+    assert set(parts.replay.real.writer.keys) == set(REAL_KEYS)
+
+
+def test_a_plant_without_a_bench_is_told_how_to_give_one():
+    with pytest.raises(InstantiationException, match=r"sensors\.channels is empty; .* plant\.sensors"):
+        build("sensors=bench", "~plant.sensors")
 
 
 @pytest.mark.parametrize("system", sorted({file.stem for file in (CONF / "system").glob("*.yaml")} - {"logged"}))

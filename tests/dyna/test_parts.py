@@ -42,10 +42,10 @@ def test_settings_cannot_change_under_a_running_loop():
 
 def test_the_parts_are_those_that_algorithm_1_works_on():
     assert {f.name for f in fields(Parts)} == {
-        *("plant", "env", "model_env", "excitation", "world_model", "agent", "replay", "planner", "gate"),
+        *("plant", "env", "model_env", "excitation", "world_model", "agent", "replay", "planner", "gate", "sensing"),
     }
     with pytest.raises(TypeError, match="gate"):
-        Parts(**dict.fromkeys([f.name for f in fields(Parts)][:-1]))
+        Parts(**dict.fromkeys([f.name for f in fields(Parts)][:-2]))
 
 
 def test_every_fourth_second_is_held_out_by_default():

@@ -51,6 +51,23 @@ def test_it_writes_tables_figures_and_an_animation(run_folder: Path, tmp_path: P
     assert json.loads((run_folder / "evaluation" / "delay.json").read_text())["rows"] == 64
 
 
+def test_a_policy_that_was_trained_behind_sensors_is_evaluated_behind_them(tmp_path: Path) -> None:
+    words = ["system=tras", "sensors=bench", "world_model=oracle", "experiment=gradient_smoke", "train.episodes=0"]
+    script = [sys.executable, str(REPOSITORY / "scripts" / "train.py"), *words, "scenario.episodes=2"]
+    done = subprocess.run([*script, f"hydra.run.dir={tmp_path / 'run'}"], capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    record = json.loads((tmp_path / "run" / "observer.json").read_text())
+    assert len(record["process_noise"]) == 6 and record["nis"] < 1.5
+    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["observer"] == record
+    results = []
+    for change in ("", '{"process_noise": [0.1, 0.1, 0.1, 0.1, 0.1, 0.1], "nis": 1.0}', "{}"):
+        (tmp_path / "run" / "observer.json").write_text(change or json.dumps(record))
+        done = evaluate("run=run", "scenarios=[detuned]", "formats=[svg]", cwd=tmp_path)
+        results.append(done.stdout if done.returncode == 0 else done.stderr)
+    assert "Scenario 'detuned'" in results[0] and results[0] != results[1]
+    assert "observer.json is damaged (it lacks 'process_noise')" in results[2]
+
+
 def test_integral_action_has_results_of_its_own(run_folder: Path, tmp_path: Path) -> None:
     folder = shutil.copytree(run_folder, tmp_path / "run")
     for option in ("integral=false", "integral=true"):

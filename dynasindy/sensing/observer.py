@@ -1,0 +1,289 @@
+"""State observer: an extended Kalman filter on the identified model, batched, at the control rate.
+
+| name         | symbol                         | shape                |
+| ------------ | ------------------------------ | -------------------- |
+| `mean`       | x                              | `(*batch, n)`        |
+| `covariance` | P                              | `(*batch, n, n)`     |
+| `transition` | F = dx_k+1/dx_k                | `(*batch, n, n)`     |
+| `variance`   | R, diagonal                    | `(n,)`               |
+| `noise`      | Q = diag((q x_scale)^2) dt     | `(n,)`               |
+| `nis`        | v' S^-1 v, v = y - x           | `(*batch,)`          |
+
+The n states are those of the plant and, if they are to be estimated, constant pushes on some of their rates.
+
+Source: the usual equations, e.g. Simon, Optimal State Estimation (2006), sections 5.1 and 13.2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from dynasindy.envs import ControlEnv
+from dynasindy.sensing.kinematic import Kinematic
+from dynasindy.sensing.offset import correction
+from dynasindy.sensing.sensors import LONGEST, Sensors
+from dynasindy.systems import System, integrate
+
+DRIFTING = 0.01
+"""Process noise of a push [ranges of the rate per second, in a second]."""
+UNKNOWN = 0.1
+"""Standard deviation of a state that is not measured when an episode begins, at rest [ranges of the state]."""
+STRAYING, FOLLOWING = 1.0, 1e-3
+"""Process noise before there is a model: of states of which nothing is known, and of those whose rate is a state."""
+CANDIDATES = torch.logspace(-3, -1, 9, dtype=torch.float64)
+"""Process noise to choose from. Innovations on the data of its fit flatter a model: all are doubted a little."""
+NUDGE = 1e-4
+"""Step of the central differences [ranges of the states]: in float64 they are right to some eight digits."""
+FINEST = 1e-9
+"""Least standard deviation of a measurement [ranges of the state]: a perfect one would leave a singular matrix."""
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What an observer holds of the plant.
+
+    Attributes:
+        mean: Estimated states, `(*batch, n)` float64.
+        covariance: Covariance of their errors, `(*batch, n, n)`.
+    """
+
+    mean: Tensor
+    covariance: Tensor
+
+
+class Observer:
+    """Estimate the states of a plant from what is measured of it.
+
+    Until `learn` was called it knows of the plant which state is the rate of which, and nothing else; from then on it
+    relies on the model, its input delay included: a model with an attribute `delay` [s] gets its inputs so much later.
+
+    Args:
+        model: World model of the plant; the observer reads it as it is at any time.
+        sensors: What is measured.
+        env: Environment: control period, sub-steps and stops.
+    """
+
+    def __init__(self, model: System, sensors: Sensors, env: ControlEnv) -> None:
+        self.model, self.sensors = model, sensors
+        self.dt, self.substeps, self.stops = env.dt, env.substeps, env.stops
+        self.n_x = model.signature.n_x
+        rates = sensors.rate_indices(model.signature)
+        self.pushed = list(rates.values()) if sensors.disturbance else []
+        scale = torch.tensor(model.signature.x_scale, dtype=torch.float64)
+        self.scale = torch.cat([scale, scale[self.pushed]])
+        self.kinematic = Kinematic(model.signature, rates)
+        variance = torch.cat([sensors.variance(model.signature), torch.full((len(self.pushed),), torch.inf)])
+        self.variance = variance.clamp_min((FINEST * self.scale).square())
+        self.q = torch.full_like(self.scale, STRAYING)
+        self.q[list(rates)], self.q[self.n_x :] = FOLLOWING, DRIFTING
+        self.nis: float | None = None
+
+    @property
+    def memory(self) -> int:
+        """How many past inputs an observer may need."""
+        return self.sensors.delay + LONGEST + 2
+
+    @property
+    def width(self) -> int:
+        """Numbers of float32 size that a control period of a rollout takes up for the observer."""
+        n, n_u = len(self.scale), len(self.model.signature.input_names)
+        return 2 * (2 * (n * n + 2 * n + n_u + self.sensors.delay * n) + self.memory * n_u)
+
+    @property
+    def learnt(self) -> bool:
+        """Whether it relies on the model."""
+        return self.nis is not None
+
+    @property
+    def system(self) -> System:
+        """What the observer believes of the plant."""
+        return self.model if self.learnt else self.kinematic
+
+    def begin(self, y: Tensor) -> Belief:
+        """Return the belief at rest from the first measurement, `(*batch, n_x)`; what is not measured is taken as 0."""
+        y = self._padded(y)
+        mean = y.double().nan_to_num(nan=0.0)
+        first = torch.where(y.isnan(), (UNKNOWN * self.scale).square(), self.variance)
+        return Belief(mean, torch.diag_embed(first))
+
+    def advance(self, belief: Belief, inputs: Tensor) -> Belief:
+        """Predict the belief one control period ahead.
+
+        Args:
+            belief: At the time of the last measurement that has arrived.
+            inputs: Commands so far, `(*batch, memory, n_u)`, the last one that of the period that has just ended.
+        """
+        n = belief.mean.shape[-1]
+        steps = NUDGE * self.scale
+        nudges = torch.cat([torch.zeros(1, n, dtype=torch.float64), torch.diag(steps), -torch.diag(steps)])
+        around = self._period(belief.mean.unsqueeze(-2) + nudges, inputs)
+        mean, forth, back = around.split([1, n, n], -2)
+        transition = ((forth - back) / (2 * steps.unsqueeze(-1))).mT
+        noise = torch.diag_embed((self.q * self.scale).square() * self.dt)
+        covariance = transition @ belief.covariance @ transition.mT + noise
+        # A model that explodes is no ground to lose an estimate; it is doubted instead.
+        sound = mean.isfinite().all(-1, keepdim=True) & covariance.isfinite().all((-2, -1), keepdim=True)
+        doubted = belief.covariance + torch.diag_embed((UNKNOWN * self.scale).square())
+        kept = torch.where(sound.squeeze(-1), mean.squeeze(-2), belief.mean)
+        return Belief(kept, torch.where(sound, covariance, doubted))
+
+    def correct(self, belief: Belief, y: Tensor) -> tuple[Belief, Tensor, Tensor]:
+        """Return the belief after a measurement `(*batch, n_x)`, NaN where there is none, its NIS and log-likelihood.
+
+        The normalised innovation squared is divided by the number of measured states, so that it is 1 on average where
+        the noise levels are right; it is NaN where nothing was measured. Both are `(*batch,)`.
+        """
+        y = self._padded(y)
+        seen = ~y.isnan()
+        pick = torch.diag_embed(seen.double())
+        r = torch.where(seen, self.variance, 1.0)
+        innovation = torch.where(seen, y.double() - belief.mean, 0.0).unsqueeze(-1)
+        gained = belief.covariance @ pick
+        spread = pick @ gained + torch.diag_embed(r)
+        gain = torch.linalg.solve(spread, gained.mT).mT
+        left = torch.eye(len(self.scale), dtype=torch.float64) - gain @ pick
+        covariance = left @ belief.covariance @ left.mT + (gain * torch.where(seen, r, 0.0).unsqueeze(-2)) @ gain.mT
+        squared = (innovation.mT @ torch.linalg.solve(spread, innovation)).squeeze(-1).squeeze(-1)
+        likelihood = -0.5 * (squared + torch.linalg.slogdet(spread).logabsdet)
+        return Belief(belief.mean + (gain @ innovation).squeeze(-1), covariance), squared / seen.sum(-1), likelihood
+
+    def ahead(self, mean: Tensor, inputs: Tensor) -> Tensor:
+        """Predict the state at the time at which the next command arrives at the plant.
+
+        Args:
+            mean: Estimate at the time of the last measurement that has arrived, `(*batch, n)`.
+            inputs: Commands so far, `(*batch, memory, n_u)`.
+        """
+        whole, part = self._late()
+        late = self.sensors.delay + whole
+        x = self._flow(mean, inputs[..., -1 - late, :], part) if part else mean
+        for k in range(late, 0, -1):
+            x = self._flow(x, inputs[..., -k, :], self.dt)
+        return torch.where(x.isfinite(), x, mean)
+
+    def correction(self, mean: Tensor, inputs: Tensor, outputs: Sequence[int], guess: Tensor) -> Tensor:
+        """Return what counteracts the estimated push, see `dynasindy.sensing.offset`; zero before there is a model.
+
+        Args:
+            mean: Estimate, `(*batch, n)`.
+            inputs: Commands so far, `(*batch, memory, n_u)`.
+            outputs: Indices of the tracked states, which are to stay.
+            guess: What was returned a control period ago, `(*batch, n_x + n_u)`.
+        """
+        if not self.learnt:
+            return torch.zeros_like(guess)
+        u = inputs[..., -1, :].double()
+        return correction(self.system, mean[..., : self.n_x], u, self._push(mean), outputs, guess)
+
+    def follow(self, y: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Filter a log.
+
+        Args:
+            y: Measurements, `(T + 1, n_x)`.
+            u: Commands in between, `(T, n_u)`.
+
+        Returns:
+            Estimates as `ahead` gives them, `(*rows, T + 1, n_x)`, and NIS and log-likelihood of each but the first,
+            `(*rows, T)`; rows are those of `q`, if it has any.
+        """
+        rows, late = self.q.shape[:-1], self.sensors.delay
+        past = torch.cat([torch.zeros(self.memory, u.shape[-1], dtype=torch.float64), u.double()])
+        y = torch.cat([y[:1].expand(late, -1), y])
+        belief = self.begin(y[0].expand(*rows, -1))
+        means, nis, likelihoods = [self.ahead(belief.mean, past[: self.memory])], [], []
+        for k in range(len(u)):
+            inputs = past[k + 1 : k + 1 + self.memory]
+            belief, surprise, likelihood = self.correct(self.advance(belief, inputs), y[k + 1].expand(*rows, -1))
+            means.append(self.ahead(belief.mean, inputs))
+            nis.append(surprise)
+            likelihoods.append(likelihood)
+        return torch.stack(means, -2), torch.stack(nis, -1), torch.stack(likelihoods, -1)
+
+    @torch.no_grad()
+    def learn(self, y: Tensor, u: Tensor) -> Tensor:
+        """Rely on the model from now on, as far as its innovations on a log allow.
+
+        The process noise is the one at which they are most likely; `nis` then tells whether they are as large as the
+        filter expects.
+
+        Args:
+            y: Measurements, `(T + 1, n_x)`.
+            u: Commands in between, `(T, n_u)`.
+
+        Returns:
+            The estimates on the log, `(T + 1, n_x)`.
+        """
+        self.nis = math.nan
+        given = self.sensors.process_noise
+        candidates = CANDIDATES if given is None else torch.tensor([given], dtype=torch.float64)
+        self.q = candidates.unsqueeze(-1).repeat(1, len(self.scale))
+        self.q[:, self.n_x :] = DRIFTING
+        means, nis, likelihoods = self.follow(y, u)
+        chosen = int(likelihoods.sum(-1).argmax())
+        self.q, self.nis = self.q[chosen].clone(), nis[chosen].nanmean().nan_to_num(nan=0.0).item()
+        return means[chosen, :, : self.n_x]
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what was learnt, the model apart."""
+        return {"process_noise": self.q.tolist(), "nis": self.nis}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned.
+
+        Raises:
+            ValueError: It is not of such an observer.
+        """
+        q, nis = torch.tensor(state["process_noise"], dtype=torch.float64), state["nis"]
+        if q.shape != self.scale.shape or not bool((q > 0).all() and q.isfinite().all()):
+            raise ValueError(
+                f"an observer has a process noise > 0 for each of {len(self.scale)} states, got {q.tolist()}"
+            )
+        self.q, self.nis = q, None if nis is None else float(nis)
+
+    def _late(self) -> tuple[int, float]:
+        """Return the model's input delay, in whole control periods and the rest [s]."""
+        delay = float(getattr(self.system, "delay", 0.0))
+        whole = int(delay / self.dt + 1e-6)
+        if whole > LONGEST:
+            raise ValueError(f"the model's delay is {delay} s, the observer allows {LONGEST * self.dt:g} s; shorten it")
+        rest = delay - whole * self.dt
+        return whole, rest if rest > 1e-6 * self.dt else 0.0
+
+    def _period(self, x: Tensor, inputs: Tensor) -> Tensor:
+        """Move states `(*batch, n, n_x)` on by the control period whose measurement has just arrived."""
+        whole, part = self._late()
+        k = self.sensors.delay + whole + 1
+        if part:
+            x = self._flow(x, inputs[..., -k - 1, :].unsqueeze(-2), part)
+        return self._flow(x, inputs[..., -k, :].unsqueeze(-2), self.dt - part)
+
+    def _flow(self, x: Tensor, u: Tensor, seconds: float) -> Tensor:
+        """Move states on under inputs that broadcast with them."""
+        substeps = max(1, round(self.substeps * seconds / self.dt))
+        u = u.double().expand(*x.shape[:-1], u.shape[-1])
+        # State-major memory: every elementwise operation of the model runs on contiguous rows.
+        x, u = (t.movedim(-1, 0).contiguous().movedim(0, -1) for t in (x, u))
+        return integrate(self._rates, x, u, seconds, substeps, self.stops)[0][..., -1, :]
+
+    def _rates(self, x: Tensor, u: Tensor) -> Tensor:
+        """Return dx/dt of the states and, if they are estimated, of the pushes behind them, which stay."""
+        dx: Tensor = self.system(x[..., : self.n_x], u)
+        if not self.pushed:
+            return dx
+        return torch.cat([dx + self._push(x) if self.learnt else dx, torch.zeros_like(x[..., self.n_x :])], -1)
+
+    def _push(self, mean: Tensor) -> Tensor:
+        """Return the push on each state, `(*batch, n_x)`."""
+        push = torch.zeros_like(mean[..., : self.n_x])
+        push[..., self.pushed] = mean[..., self.n_x :]
+        return push
+
+    def _padded(self, y: Tensor) -> Tensor:
+        """Return measurements with a NaN for each push, which nothing measures."""
+        return torch.nn.functional.pad(y, (0, len(self.pushed)), value=torch.nan)

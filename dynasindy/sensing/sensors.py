@@ -1,0 +1,142 @@
+"""Sensors of a plant: which states are measured, how finely, how noisily, how late, and how often not at all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from dynasindy.limits import Count
+from dynasindy.systems import Signature
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One measured state.
+
+    Attributes:
+        resolution: Step between two values that the sensor can tell apart [unit of the state]; 0 is infinitely fine.
+        noise: Standard deviation of white noise [unit of the state].
+
+    Raises:
+        ValueError: A number is negative or not finite.
+    """
+
+    resolution: float = 0.0
+    noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.resolution < math.inf and 0 <= self.noise < math.inf):
+            raise ValueError(
+                f"a sensor has resolution={self.resolution}, noise={self.noise}; give finite numbers >= 0 in the unit "
+                "of its state"
+            )
+
+    @property
+    def variance(self) -> float:
+        """Variance of the error: that of the noise, and that of rounding, which is uniform within a step."""
+        return self.noise**2 + self.resolution**2 / 12
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """What lies between the real plant and all that learns from it or controls it.
+
+    Attributes:
+        channels: Measured states by name, each a `Channel` or its keys; a state that is not named is not measured.
+        rates: State to the state that is its rate, e.g. `{"alpha_a": "Omega_a"}`: how rates are estimated before there
+            is a model. Entries that name no state are ignored.
+        delay: Control periods from a measurement to its arrival, known to the observer.
+        lost: Probability that a sample, of all channels, is lost.
+        actuator_delay: Control periods from a command to the actuator, known to nobody.
+        process_noise: Standard deviation by which a state strays from the model in a second [ranges of the state];
+            None has it adapted to the model.
+        disturbance: Estimate a constant push on each state in `rates`, and counteract it.
+
+    Raises:
+        ValueError: Nothing is measured, a channel is none, or a number is out of range.
+    """
+
+    channels: Mapping[str, Channel | Mapping[str, float]] | None
+    rates: Mapping[str, str] = field(default_factory=dict)
+    delay: Count = 0
+    lost: float = 0.0
+    actuator_delay: Count = 0
+    process_noise: float | None = None
+    disturbance: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.channels:
+            raise ValueError(
+                "sensors.channels is empty; name the measured states, such as {theta: {resolution: 0.0015}}, or give "
+                "them as plant.sensors in the file of the system"
+            )
+        object.__setattr__(self, "channels", {name: _channel(name, given) for name, given in self.channels.items()})
+        if not (0 <= self.delay <= LONGEST and 0 <= self.actuator_delay <= LONGEST and 0 <= self.lost < 1):
+            raise ValueError(
+                f"sensors have delay={self.delay}, actuator_delay={self.actuator_delay}, lost={self.lost}; give delays "
+                f"of 0 to {LONGEST} control periods and a probability in [0, 1)"
+            )
+        if self.disturbance and not self.rates:
+            raise ValueError("sensors.disturbance is a push on a rate; name in sensors.rates which state is a rate")
+        if self.process_noise is not None and not 0 < self.process_noise < math.inf:
+            raise ValueError(f"sensors.process_noise is {self.process_noise}; give a number > 0, or null to adapt it")
+
+    def variance(self, signature: Signature) -> Tensor:
+        """Return the variance of each state's measurement, `(n_x,)` float64, infinite where there is none.
+
+        Raises:
+            ValueError: A measured state does not exist.
+        """
+        values = torch.full((signature.n_x,), torch.inf, dtype=torch.float64)
+        for name, channel in self._places(signature).items():
+            values[name] = channel.variance
+        return values
+
+    def read(self, x: Tensor, signature: Signature, rng: torch.Generator) -> Tensor:
+        """Measure states.
+
+        Args:
+            x: True states, `(*batch, n_x)`.
+            signature: Their names.
+            rng: Generator of noise and losses.
+
+        Returns:
+            What was measured, `(*batch, n_x)`, NaN where nothing was; infinite where the plant left all finite states.
+        """
+        noise = torch.randn(x.shape, generator=rng, dtype=x.dtype)
+        lost = torch.rand(*x.shape[:-1], 1, generator=rng, dtype=x.dtype) < self.lost
+        y = torch.full_like(x, torch.nan)
+        for i, channel in self._places(signature).items():
+            value = x[..., i] + channel.noise * noise[..., i]
+            y[..., i] = (value / channel.resolution).round() * channel.resolution if channel.resolution else value
+        return torch.where(x.isfinite(), y.masked_fill(lost, torch.nan), torch.inf)
+
+    def rate_indices(self, signature: Signature) -> dict[int, int]:
+        """Return the index of a state to that of its rate."""
+        names = signature.state_names
+        return {names.index(a): names.index(b) for a, b in self.rates.items() if a in names and b in names}
+
+    def _places(self, signature: Signature) -> dict[int, Channel]:
+        channels = self.channels or {}
+        if absent := [name for name in channels if name not in signature.state_names]:
+            raise ValueError(
+                f"sensors.channels measures '{absent[0]}', which is no state; the states are "
+                f"{', '.join(signature.state_names)}: correct it, or plant.sensors from which it is copied"
+            )
+        return {signature.state_index(name): _channel(name, given) for name, given in channels.items()}
+
+
+LONGEST = 10
+"""Longest delay [control periods]."""
+
+
+def _channel(name: str, given: object) -> Channel:
+    if isinstance(given, Channel):
+        return given
+    if not isinstance(given, Mapping) or not given.keys() <= {"resolution", "noise"}:
+        raise ValueError(f"sensors.channels.{name} is {given!r}; allowed are the keys resolution and noise: correct it")
+    return Channel(**given)

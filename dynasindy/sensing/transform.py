@@ -1,0 +1,193 @@
+"""Sensors, actuator and observer as a TorchRL transform of the real environment.
+
+Downstream of it `state`, `samples`, `observation` and `reward` are made of measurements and estimates alone. The truth
+travels along as `true_state`, which the transform hands back to the plant, and `true_reward`; nothing but the metrics
+of an evaluation may read them.
+
+| key                       | what it holds                                                                     |
+| ------------------------- | --------------------------------------------------------------------------------- |
+| `measurement`             | what the sensors saw at this time, NaN where nothing; late ones stand at their time |
+| `state`                   | the estimate for the time at which the next action arrives at the plant           |
+| `("next", "samples")`     | what the sensors saw within the period                                            |
+| `("observer", ...)`       | mean, covariance, past inputs, measurements under way, normalised innovation       |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite, TensorSpec, Unbounded
+from torchrl.envs import Transform, TransformedEnv
+
+from dynasindy.envs import ControlEnv
+from dynasindy.sensing.observer import Belief, Observer
+from dynasindy.sensing.offset import OffsetFree
+
+Policy = Callable[[TensorDictBase], TensorDictBase]
+"""Reads `observation` of a tensordict and writes `action`."""
+
+
+class Sensing(Transform):
+    """Hide the true state of a plant behind its sensors, and show what an observer makes of them.
+
+    Args:
+        env: The real environment.
+        observer: Observer, with the sensors that it reads.
+        rng: Generator of noise and losses.
+    """
+
+    def __init__(self, env: ControlEnv, observer: Observer, rng: torch.Generator) -> None:
+        super().__init__(in_keys=[], out_keys=["true_state", "true_reward", "measurement", "observer"])
+        self.__dict__["env"] = env  # transforms have parents, not children
+        self.observer, self.rng = observer, rng
+
+    def on(self, env: ControlEnv, rng: torch.Generator) -> Sensing:
+        """Return the same sensors and observer for another environment of the same plant, with their own generator."""
+        return Sensing(env, self.observer, rng)
+
+    def around(self, env: ControlEnv) -> TransformedEnv:
+        """Return an environment seen through the same sensors and observer, its noise drawn from the same generator."""
+        return TransformedEnv(env, self.on(env, self.rng))
+
+    def controller(self, policy: Policy) -> Policy:
+        """Return a policy that counteracts the push that the observer estimates; if it does not, the policy itself."""
+        return OffsetFree(policy, self.env) if self.observer.pushed else policy
+
+    @torch.no_grad()
+    def begin(self, start: TensorDictBase) -> TensorDictBase:
+        """Hide the true states in which episodes begin; until then the plant was at rest, and inputs zero."""
+        x, sensors = start["state"], self.observer.sensors
+        y = sensors.read(x, self.env.system.signature, self.rng)
+        n_u, batch = self.env.system.signature.n_u, x.shape[:-1]
+        held = {
+            "inputs": torch.zeros(*batch, self.observer.memory, n_u),
+            "measurements": y.unsqueeze(-2).repeat_interleave(sensors.delay + 1, -2),
+            "nis": torch.ones(*batch, 1, dtype=torch.float64),
+        }
+        if self.observer.pushed:
+            held["shift"] = torch.zeros(*batch, x.shape[-1] + n_u, dtype=torch.float64)
+        start["true_state"] = x
+        start["true_reward"] = torch.zeros(*batch, 1)
+        start["samples"] = y.unsqueeze(-2).expand(start["samples"].shape).clone()
+        self._show(start, self.observer.begin(y), held)
+        return start
+
+    @torch.no_grad()
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Hand the plant its true state, and the input that has arrived."""
+        if not {"action", "true_state"} <= set(tensordict.keys()):  # a reset
+            return tensordict
+        commanded = tensordict["action"].unsqueeze(-2)
+        inputs = torch.cat([tensordict["observer", "inputs"][..., 1:, :], commanded], -2)
+        tensordict["estimate"], tensordict["state"] = tensordict["state"], tensordict["true_state"]
+        tensordict["observer", "inputs"] = inputs
+        tensordict["action"] = inputs[..., -1 - self.observer.sensors.actuator_delay, :]
+        return tensordict
+
+    @torch.no_grad()
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        """Measure what the plant did, and estimate where it is."""
+        before, after, task = tensordict["observer"], next_tensordict, self.env.task
+        y = self.observer.sensors.read(after["samples"], self.env.system.signature, self.rng)
+        measurements = torch.cat([before["measurements"][..., 1:, :], y[..., -1:, :]], -2)
+        belief = self.observer.advance(Belief(before["mean"], before["covariance"]), before["inputs"])
+        belief, nis, _ = self.observer.correct(belief, measurements[..., 0, :])
+        after["true_state"], after["true_reward"], after["samples"] = after["state"], after["reward"], y
+        held = {key: before[key] for key in ("inputs", "shift") if key in set(before.keys())}
+        self._show(after, belief, held | {"measurements": measurements, "nis": nis.unsqueeze(-1)})
+        x, x_next = tensordict["estimate"], after["state"]
+        t_next, touched = after["step_count"].to(x.dtype) * self.env.dt, after["at_stop"].squeeze(-1)
+        reward = task.reward(x, x_next, after["task_params"], t_next, touched)
+        after["reward"] = reward.float().unsqueeze(-1)
+        return after
+
+    def reestimated(self, rows: TensorDictBase, x: Tensor) -> TensorDictBase:
+        """Return the rows of a real episode with other estimates of its states.
+
+        Args:
+            rows: Control periods `(T,)` with `task_params`.
+            x: States at their ends, `(T + 1, n_x)`.
+        """
+        shown, task, x = rows.clone(), self.env.task, x.to(self.env.float_type)
+        params, t = rows["task_params"], rows["step_count"].to(x.dtype) * self.env.dt
+        touched = rows["next", "at_stop"].squeeze(-1)
+        shown["state"], shown["next", "state"] = x[:-1], x[1:]
+        shown["observation"] = task.observation(x[:-1], params, t).float()
+        shown["next", "observation"] = task.observation(x[1:], params, t + self.env.dt).float()
+        reward = task.reward(x[:-1], x[1:], params, t + self.env.dt, touched)
+        shown["next", "reward"] = reward.float().unsqueeze(-1)
+        return shown
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return self.begin(tensordict_reset)
+
+    def _show(self, shown: TensorDictBase, belief: Belief, held: dict[str, Tensor]) -> None:
+        """Write what may be seen in the place of the true state, and what the observer holds besides its belief."""
+        dtype, task = self.env.float_type, self.env.task
+        mean = self.observer.ahead(belief.mean, held["inputs"])
+        x = mean[..., : self.observer.n_x].to(dtype)
+        t = shown["step_count"].to(dtype) * self.env.dt
+        shown["state"] = x
+        shown["observation"] = task.observation(x, shown["task_params"], t).float()
+        shown["measurement"] = held["measurements"][..., -1, :]
+        if self.observer.pushed:
+            outputs = [self.env.system.signature.state_index(name) for name in task.output_names]
+            held["shift"] = self.observer.correction(mean, held["inputs"], outputs, held["shift"])
+        held |= {"mean": belief.mean, "covariance": belief.covariance}
+        shown["observer"] = TensorDict(held, shown.batch_size)
+
+    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
+        """Add what is measured, what the observer holds, and the truth behind."""
+        assert isinstance(observation_spec, Composite)
+        batch = tuple(observation_spec.shape)
+        observation_spec["true_state"] = observation_spec["state"].clone()
+        observation_spec["true_reward"] = Unbounded(shape=(*batch, 1))
+        observation_spec["measurement"] = observation_spec["state"].clone()
+        observation_spec["observer"] = self._held(batch)
+        return observation_spec
+
+    def transform_state_spec(self, state_spec: TensorSpec) -> TensorSpec:
+        """Add what is carried from step to step: the true state and what the observer holds."""
+        assert isinstance(state_spec, Composite)
+        state_spec["true_state"] = state_spec["state"].clone()
+        state_spec["observer"] = self._held(tuple(state_spec.shape))
+        return state_spec
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """Return what a resumed run needs."""
+        return {"observer": self.observer.state_dict(), "rng": self.rng.get_state()}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Restore what `get_extra_state` returned."""
+        self.observer.load_state_dict(state["observer"])
+        self.rng.set_state(state["rng"])
+
+    def _held(self, batch: tuple[int, ...]) -> Composite:
+        signature, late, n = self.env.system.signature, self.observer.sensors.delay, len(self.observer.scale)
+
+        def _unbounded(*shape: int, dtype: torch.dtype = torch.float64) -> Unbounded:
+            return Unbounded(shape=(*batch, *shape), dtype=dtype)
+
+        held = {
+            "mean": _unbounded(n),
+            "covariance": _unbounded(n, n),
+            "nis": _unbounded(1),
+            "inputs": _unbounded(self.observer.memory, signature.n_u, dtype=torch.float32),
+            "measurements": _unbounded(late + 1, signature.n_x, dtype=self.env.float_type),
+        }
+        if self.observer.pushed:
+            held["shift"] = _unbounded(signature.n_x + signature.n_u)
+        return Composite(held, shape=batch)
+
+
+def unveiled(trajectory: TensorDictBase) -> TensorDictBase:
+    """Return a rollout with true states and rewards in the places of the estimated ones, which become `estimate`."""
+    shown: TensorDictBase = trajectory.copy()
+    shown["estimate"], shown["state"] = shown["state"], shown["true_state"]
+    for key in ("state", "reward"):
+        shown["next", key] = shown["next", f"true_{key}"]
+    return shown

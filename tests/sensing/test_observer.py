@@ -1,0 +1,219 @@
+"""The filter against the textbook's on a linear plant, and against the true plant where measurements are exact."""
+
+import math
+
+import pytest
+import torch
+from scipy.linalg import solve_discrete_are
+
+from dynasindy.envs import ControlEnv
+from dynasindy.sensing import Observer, Sensors
+from dynasindy.sensing.observer import CANDIDATES, Belief
+from dynasindy.systems import Signature, System, Tras, integrate
+from dynasindy.tasks import Step, Tracking, TrackingReward
+
+DT = 0.05
+A = torch.tensor([[0.0, 1.0, 0.0], [-4.0, -0.8, 2.0], [0.0, 0.0, -3.0]], dtype=torch.float64)
+B = torch.tensor([[0.0], [0.0], [3.0]], dtype=torch.float64)
+SIGNATURE = Signature(("p", "v", "m"), ("m", "m/s", "-"), ("u",), (1.0, 2.0, 0.5))
+SCALE = torch.tensor(SIGNATURE.x_scale, dtype=torch.float64)
+
+TASK = Tracking(SIGNATURE, Step([[0.0]]), ["p"], ["v"], TrackingReward([1.0]))
+
+
+class Linear(System):
+    def __init__(self, delay=0.0):
+        super().__init__(SIGNATURE)
+        self.delay = delay
+
+    def forward(self, x, u):
+        return x @ A.to(x).T + u @ B.to(x).T
+
+
+def held(seconds, a=A, b=B):
+    """F and G of x+ = F x + G u after some seconds, by the exponential of [[A, B], [0, 0]]."""
+    n, m = b.shape
+    whole = torch.zeros(n + m, n + m, dtype=torch.float64)
+    whole[:n] = torch.cat([a, b], 1)
+    both = torch.linalg.matrix_exp(whole * seconds)
+    return both[:n, :n], both[:n, n:]
+
+
+def observer(q=1e-2, delay=0.0, substeps=10, **sensors):
+    channels = {"p": {"noise": 0.02}, "m": {"noise": 0.01, "resolution": 0.01}}
+    sensors = Sensors(**({"channels": channels} | sensors))
+    made = Observer(Linear(delay), sensors, ControlEnv(Linear(), TASK, DT, substeps))
+    made.q, made.nis = torch.full((3,), q, dtype=torch.float64), 1.0
+    return made
+
+
+def logged(steps, seed=0, lost=0.0, q=0.0):
+    """A noisy log of the linear plant, with process noise q, and its true states."""
+    rng = torch.Generator().manual_seed(seed)
+    f, g = held(DT)
+    u = 2 * torch.rand(steps, 1, generator=rng, dtype=torch.float64) - 1
+    x = [torch.zeros(3, dtype=torch.float64)]
+    for k in range(steps):
+        push = q * SCALE * math.sqrt(DT) * torch.randn(3, generator=rng, dtype=torch.float64)
+        x.append(f @ x[-1] + g @ u[k] + push)
+    x = torch.stack(x)
+    y = x + torch.tensor([0.02, 0.0, 0.01]) * torch.randn(x.shape, generator=rng, dtype=torch.float64)
+    y[torch.rand(len(y), generator=rng) < lost] = math.nan
+    y[:, 1] = math.nan
+    return y, u, x
+
+
+def textbook(y, u, q, first):
+    """The Kalman filter as in any book, one measurement vector after the other, for x+ = F x + G u + w."""
+    f, g = held(DT)
+    noise, x, p = torch.diag((q * SCALE) ** 2 * DT), *first
+    c = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
+    r = torch.diag(torch.tensor([0.02**2, 0.01**2 + 0.01**2 / 12], dtype=torch.float64))
+    means, surprises = [], []
+    for k in range(len(u)):
+        x, p = f @ x + g @ u[k], f @ p @ f.T + noise
+        v = y[k + 1, [0, 2]] - c @ x
+        if not v.isnan().any():
+            s = c @ p @ c.T + r
+            gain = p @ c.T @ torch.linalg.inv(s)
+            x, p = x + gain @ v, p - gain @ s @ gain.T
+            surprises.append((v @ torch.linalg.inv(s) @ v).item() / 2)
+        else:
+            surprises.append(math.nan)
+        means.append(x)
+    return torch.stack(means), p, torch.tensor(surprises, dtype=torch.float64)
+
+
+def test_on_a_linear_plant_it_is_the_textbooks_filter_with_lost_samples_too():
+    ours, (y, u, _) = observer(), logged(80, lost=0.2)
+    first = ours.begin(y[0])
+    means, nis, _ = ours.follow(y, u)
+    theirs, covariance, surprises = textbook(y, u, 1e-2, (first.mean, first.covariance))
+    torch.testing.assert_close(means[1:], theirs, rtol=0, atol=1e-7)
+    torch.testing.assert_close(nis, surprises, rtol=1e-5, atol=0, equal_nan=True)
+    assert nis.isnan().any() and not nis.isnan().all()
+    belief = first
+    padded = torch.cat([torch.zeros(ours.memory, 1, dtype=torch.float64), u])
+    for k in range(80):
+        belief, _, _ = ours.correct(ours.advance(belief, padded[k + 1 : k + 1 + ours.memory]), y[k + 1])
+    torch.testing.assert_close(belief.covariance, covariance, rtol=1e-6, atol=1e-12)
+
+
+def test_the_covariance_settles_where_the_riccati_equation_says():
+    ours, (y, _, _) = observer(), logged(400)
+    belief = ours.begin(y[0])
+    for k in range(400):
+        belief, _, _ = ours.correct(ours.advance(belief, torch.zeros(ours.memory, 1)), y[k])
+    f, _ = held(DT)
+    c = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
+    r = torch.diag(torch.tensor([0.02**2, 0.01**2 + 0.01**2 / 12], dtype=torch.float64))
+    ahead = torch.tensor(solve_discrete_are(f.T, c.T, torch.diag((1e-2 * SCALE) ** 2 * DT), r))
+    after = ahead - ahead @ c.T @ torch.linalg.inv(c @ ahead @ c.T + r) @ c @ ahead
+    torch.testing.assert_close(belief.covariance, after, rtol=1e-6, atol=1e-12)
+
+
+def test_a_batch_is_filtered_row_by_row():
+    ours, logs = observer(), [logged(30, seed, lost=0.3) for seed in (1, 2)]
+    alone = torch.stack([ours.follow(y, u)[0] for y, u, _ in logs])
+    belief = ours.begin(torch.stack([y[0] for y, _, _ in logs]))
+    past = torch.stack([torch.cat([torch.zeros(ours.memory, 1), u]) for _, u, _ in logs])
+    for k in range(30):
+        belief = ours.advance(belief, past[:, k + 1 : k + 1 + ours.memory])
+        belief, _, _ = ours.correct(belief, torch.stack([y[k + 1] for y, _, _ in logs]))
+        torch.testing.assert_close(belief.mean, alone[:, k + 1], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("delay", "late"), [(0.0, 0), (0.05, 0), (0.07, 0), (0.0, 2), (0.07, 2), (0.1, 1)])
+def test_without_noise_it_is_where_the_plant_will_be_when_the_next_input_arrives(delay, late):
+    """The plant gets its inputs `delay` seconds late, the observer its measurements `late` periods later."""
+    rng = torch.Generator().manual_seed(3)
+    u = torch.cat([torch.zeros(10, 1), 2 * torch.rand(60, 1, generator=rng) - 1]).double()
+    pieces, (f, g) = 5, held(DT / 5)
+    shift = round(delay / DT * pieces)
+    x = [torch.zeros(3, dtype=torch.float64)]
+    for k in range(len(u) * pieces):
+        x.append(f @ x[-1] + g @ (u[(k - shift) // pieces] if k >= shift else u[0]))
+    x = torch.stack(x)
+    ours = observer(delay=delay, channels={"p": {}, "v": {}, "m": {}})
+    ours.sensors = Sensors({"p": {}, "v": {}, "m": {}}, delay=late)
+    arrived = torch.cat([x[:1].expand(late, -1), x[::pieces]])[: len(u) + 1]
+    belief = ours.begin(arrived[0])
+    padded = torch.cat([torch.zeros(ours.memory, 1, dtype=torch.float64), u])
+    for k in range(len(u)):
+        inputs = padded[k + 1 : k + 1 + ours.memory]
+        belief, _, _ = ours.correct(ours.advance(belief, inputs), arrived[k + 1])
+        now = (k + 1) * pieces + shift
+        if now < len(x):
+            torch.testing.assert_close(ours.ahead(belief.mean, inputs), x[now], rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("q", [1e-2, 5e-2])
+def test_the_process_noise_is_found_that_the_innovations_show(q):
+    ours, (y, u, x) = observer(), logged(2000, q=q)
+    estimates = ours.learn(y, u)
+    assert 0.5 * q < ours.q[0].item() < 2 * q and ours.nis == pytest.approx(1.0, abs=0.15)
+    assert ours.learnt and ours.system is ours.model and estimates.shape == x.shape
+    assert (estimates - x)[:, 0].std() < 0.75 * 0.02
+
+
+def test_a_given_process_noise_is_taken_and_a_perfect_model_is_doubted_a_little():
+    y, u, _ = logged(200)
+    ours = observer(process_noise=0.3)
+    ours.learn(y, u)
+    assert ours.q.tolist() == [0.3] * 3
+    ours = observer()
+    ours.learn(y, u)
+    assert ours.q.tolist() == [CANDIDATES[0].item()] * 3
+
+
+def test_before_there_is_a_model_rates_are_those_of_the_latest_angles():
+    ours = observer(channels={"p": {"resolution": 0.001}, "m": {}}, rates={"p": "v"})
+    ours.nis = None
+    fresh = Observer(ours.model, ours.sensors, ControlEnv(Linear(), TASK, DT))
+    t = torch.arange(60, dtype=torch.float64) * DT
+    angle, speed = 0.3 * torch.sin(3 * t), 0.9 * torch.cos(3 * t)
+    y = torch.stack([(angle / 0.001).round() * 0.001, torch.full_like(t, math.nan), t], -1)
+    means, _, _ = fresh.follow(y, torch.zeros(59, 1))
+    assert (means[5:, 0] - angle[5:]).abs().max() < 2e-3
+    assert (means[5:, 1] - speed[5:]).abs().max() < 0.25  # a line through angles 0.05 s apart lags by some 0.1
+    assert (means[:, 2] - t).abs().max() < 1e-6
+
+
+def test_a_model_that_explodes_costs_no_estimate():
+    ours = observer()
+    ours.model.forward = lambda x, u: torch.full_like(x, torch.inf)
+    before = ours.begin(torch.tensor([0.3, math.nan, 0.1]))
+    after = ours.advance(before, torch.zeros(ours.memory, 1))
+    assert torch.equal(after.mean, before.mean) and after.covariance.isfinite().all()
+    assert (after.covariance.diagonal() > before.covariance.diagonal()).all()
+    assert torch.equal(ours.ahead(before.mean, torch.zeros(ours.memory, 1)), before.mean)
+
+
+def test_the_slope_of_a_nonlinear_plant_is_that_of_autograd():
+    plant = Tras()
+    sensors = Sensors({name: {} for name in plant.signature.state_names})
+    ours = Observer(plant, sensors, ControlEnv(plant, Tracking(plant.signature, Step([[0.0, 0.0]])), DT, 5))
+    ours.q, ours.nis = torch.zeros(6, dtype=torch.float64), 1.0
+    x = torch.tensor([0.1, -0.2, 0.3, 0.2, 900.0, 1500.0], dtype=torch.float64)
+    u = torch.tensor([0.1, 0.3], dtype=torch.float64)
+    f = torch.autograd.functional.jacobian(lambda x: integrate(plant, x, u, DT, 5)[0][-1], x)
+    eye = torch.eye(6, dtype=torch.float64)
+    moved = ours.advance(Belief(x, eye), u.expand(ours.memory, 2))
+    scaled = torch.diag(1 / ours.scale)
+    torch.testing.assert_close(scaled @ moved.covariance @ scaled, scaled @ f @ f.T @ scaled, rtol=1e-6, atol=1e-9)
+
+
+def test_what_was_learnt_is_restored_and_what_is_none_is_refused():
+    ours, again, (y, u, _) = observer(), observer(), logged(50)
+    again.nis = None
+    ours.learn(y, u)
+    again.load_state_dict(ours.state_dict())
+    assert torch.equal(again.q, ours.q) and again.nis == ours.nis and again.learnt
+    for wrong in ([1.0], [1.0, -1.0, 1.0], [1.0, math.nan, 1.0]):
+        with pytest.raises(ValueError, match="a process noise > 0 for each of 3 states"):
+            again.load_state_dict({"process_noise": wrong, "nis": 1.0})
+
+
+def test_a_delay_beyond_all_memory_is_refused():
+    with pytest.raises(ValueError, match=r"delay is 0\.6 s, the observer allows 0\.5 s"):
+        observer(delay=0.6).ahead(torch.zeros(3), torch.zeros(22, 1))

@@ -1,0 +1,113 @@
+"""What counteracts a push: the solution of the linear equations, and no steady error in flight."""
+
+import math
+from functools import partial
+
+import pytest
+import torch
+
+from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.disturbances import Pushed
+from dynasindy.evaluation.scenarios import Scenario, evaluate
+from dynasindy.sensing import Observer, Sensing, Sensors
+from dynasindy.sensing.offset import correction
+from dynasindy.systems import Signature, System, Tras
+from dynasindy.tasks import Step, Tracking, TrackingReward
+
+A = torch.tensor([[0.0, 1.0, 0.0], [-4.0, -0.8, 2.0], [0.0, 0.0, -3.0]], dtype=torch.float64)
+B = torch.tensor([[0.0], [0.0], [3.0]], dtype=torch.float64)
+SIGNATURE = Signature(("p", "v", "m"), ("m", "m/s", "-"), ("u",), (1.0, 2.0, 0.5))
+
+
+class Linear(System):
+    def __init__(self):
+        super().__init__(SIGNATURE)
+
+    def forward(self, x, u):
+        return x @ A.to(x).T + u @ B.to(x).T
+
+
+def test_on_a_linear_plant_it_solves_the_steady_state_equations():
+    push = torch.tensor([[0.0, 0.3, 0.0], [0.0, -1.0, 0.0]], dtype=torch.float64)
+    shift = torch.zeros(2, 4, dtype=torch.float64)
+    for _ in range(5):
+        shift = correction(Linear(), torch.rand(2, 3).double(), torch.rand(2, 1).double(), push, [0], shift)
+    held = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
+    both = torch.cat([torch.cat([A, B], 1), held])
+    expected = torch.linalg.solve(both, torch.cat([-push, torch.zeros(2, 1)], -1).T).T
+    torch.testing.assert_close(shift, expected, rtol=1e-6, atol=1e-6)
+    assert shift[0, 2].item() == pytest.approx(-0.15) and shift[0, 3].item() == pytest.approx(-0.15)
+
+
+def test_a_thrust_that_goes_with_the_square_of_a_speed_is_found_from_rest():
+    plant = Tras()
+    x = torch.tensor([0.2, 0.1, 0.0, 0.0, 0.0, 1500.0], dtype=torch.float64)
+    u, push = torch.tensor([0.0, 0.2], dtype=torch.float64), torch.tensor([0, 0, 0.3, -0.2, 0, 0], dtype=torch.float64)
+    shift = torch.zeros(8, dtype=torch.float64)
+    for _ in range(40):
+        shift = correction(plant, x, u, push, [0, 1], shift)
+    missing = plant(x - shift[:6], u - shift[6:]) - plant(x, u) - push
+    assert (missing / torch.tensor(plant.signature.x_scale)).abs().max() < 1e-3
+    assert shift[:2].abs().max() < 1e-3 and shift[4] < -1000.0  # more speed against the push
+
+
+def test_before_there_is_a_model_nothing_is_counteracted():
+    _, sensing, env = pushed()
+    sensing.observer.nis = None
+    shown = sensing.begin(env.start_from(torch.ones(2, 3)))
+    assert not shown["observer", "shift"].any()
+
+
+def pushed(disturbance=True):
+    plant = Linear()
+    task = Tracking(SIGNATURE, Step([[0.0]]), ["p"], ["v"], TrackingReward([1.0]))
+    env = ControlEnv(plant, task, dtype=torch.float64)
+    sensors = Sensors({"p": {"resolution": 1e-3}}, {"p": "v"}, disturbance=disturbance)
+    sensing = Sensing(env, Observer(plant, sensors, env), torch.Generator().manual_seed(0))
+    sensing.observer.nis = 1.0
+    sensing.observer.q[:3] = 1e-3
+    return plant, sensing, env
+
+
+def steer(tensordict):
+    """Hold r with u = 2 r, the input of its steady state, and some feedback."""
+    seen = tensordict["observation"]
+    error, speed = 0.5 * seen[..., 3:4], 2.0 * seen[..., 1:2]
+    reference = error + seen[..., :1]
+    return tensordict.set("action", 2 * reference + error - 0.5 * speed)
+
+
+def test_a_constant_push_leaves_no_steady_error_and_without_it_does():
+    scenario = Scenario("s", Step([[0.2], [-0.1]]), 2, 20.0, plant=partial(Pushed, push={"v": 0.3}))
+    errors = {}
+    for disturbance in (True, False):
+        _, sensing, env = pushed(disturbance)
+        result = evaluate(env, steer, scenario, sensing)
+        errors[disturbance] = result.metrics["steady_state_error"].max().item()
+        if disturbance:
+            found = result.trajectory["observer", "mean"][:, -50:, 3].mean().item()
+            assert found == pytest.approx(0.3, abs=0.01)
+    assert errors[True] < 2e-3 and errors[False] > 0.03
+
+
+def test_the_action_stays_within_its_limits_and_observations_are_shifted():
+    _, sensing, env = pushed()
+    start = sensing.begin(env.start_from(torch.zeros(1, 3)))
+    start["observer", "shift"] = torch.tensor([[0.0, 0.0, 0.1, 3.0]], dtype=torch.float64)
+    seen = {}
+
+    def watch(tensordict):
+        seen["observation"] = tensordict["observation"]
+        return tensordict.set("action", torch.zeros(1, 1))
+
+    before = start["observation"].clone()
+    acted = sensing.controller(watch)(start)
+    assert acted["action"].tolist() == [[1.0]]
+    torch.testing.assert_close(seen["observation"][0, 2], before[0, 2] - 0.1 / 0.5)
+    assert torch.equal(acted["observation"], before)
+
+
+def test_a_push_needs_to_know_a_rate():
+    with pytest.raises(ValueError, match=r"name in sensors\.rates"):
+        Sensors({"p": {}}, disturbance=True)
+    assert math.isinf(pushed()[1].observer.variance[-1])
