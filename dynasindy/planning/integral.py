@@ -43,7 +43,7 @@ class IntegralAction:
     ) -> None:
         if not isinstance(env.task, Tracking):
             raise TypeError(f"task {type(env.task).__name__} has no error to integrate; use a tracking task")
-        if not min(gain, band, limit, rate) > 0:
+        if not all(number > 0 for number in (gain, band, limit, rate)):
             raise ValueError(
                 f"integral action needs positive numbers, got gain={gain}, band={band}, limit={limit}, rate={rate}; "
                 "mend them, or leave integral action out"

@@ -124,7 +124,6 @@ class ImaginedReplay(Planner):
     def distrust(self) -> None:
         """Empty the model storage."""
         self.replay.keep_imagined(0)
-        self.made = [0] * len(self.made)  # the phases themselves still count for the horizon
 
     def state_dict(self) -> dict[str, Any]:
         """Return how much each phase imagined, and the generator; horizon and bounds are set anew by each phase."""

@@ -12,8 +12,8 @@ from torch import Tensor
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.regression import Rows, least_squares
 
-Cost = Callable[[Transitions], float]
-"""N/2 times the logarithm of the squared error of a model fitted to a recording, summed over the states."""
+Cost = Callable[[float], float]
+"""Delay [s] to N/2 times the logarithm of the squared error of a model fitted with it, summed over the states."""
 
 
 def delayed(data: Transitions, delay: float) -> Transitions:
@@ -41,28 +41,37 @@ def delayed(data: Transitions, delay: float) -> Transitions:
     return replace(data, u=(1 - part) * late + part * later)
 
 
-def rough_delay(free: Tensor, data: Transitions, longest: float, rows: Callable[[Transitions], Rows]) -> float:
+def known_inputs(data: Transitions, longest: float) -> Tensor:
+    """Return which rows know the input of `longest` seconds before, bool `(N,)`: not the first ones of a segment."""
+    fresh = torch.ones(len(data), dtype=torch.bool)
+    fresh[1:] = data.segment[1:] != data.segment[:-1]
+    places = torch.arange(len(data))
+    return places - torch.where(fresh, places, 0).cummax(0).values >= math.ceil(longest / data.dt - 1e-9)
+
+
+def rough_delay(free: Tensor, rows: Callable[[float], Rows], dt: float, longest: float) -> float:
     """Return the delay of whole samples with which all functions explain the rates of change best [s].
 
     Args:
         free: functions that each equation may have, bool `(n_features, n_x)`.
-        data: the recording.
+        rows: averaged functions and rates of change of the recording under inputs delayed by so much [s].
+        dt: length of a sample [s].
         longest: longest delay that is tried [s].
-        rows: averaged functions and rates of change of a delayed recording.
     """
-    most = math.floor(longest / data.dt + 1e-9)
-    costs = [_regressed(free, *rows(delayed(data, k * data.dt))) for k in range(most + 1)]
-    return min(range(most + 1), key=costs.__getitem__) * data.dt
+    most = math.floor(longest / dt + 1e-9)
+    costs = [_regressed(free, *rows(k * dt)) for k in range(most + 1)]
+    return min(range(most + 1), key=costs.__getitem__) * dt
 
 
-def fine_delay(data: Transitions, rough: float, longest: float, cost: Cost) -> float:
+def fine_delay(rough: float, dt: float, longest: float, worth: float, cost: Cost) -> float:
     """Return the delay that explains a recording best, in fractions of a sample [s]; 0 if none is hardly worse.
 
     Args:
-        data: the recording, NaN where a state was not measured.
-        rough: whole samples to begin with [s].
+        rough: delay to begin with [s].
+        dt: length of a sample [s].
         longest: longest delay [s].
-        cost: what a fit to a delayed recording leaves over.
+        worth: what a delay must lower the cost by.
+        cost: what a fit to the recording under inputs delayed by so much leaves over.
     """
     costs: dict[float, float] = {}
 
@@ -70,19 +79,19 @@ def fine_delay(data: Transitions, rough: float, longest: float, cost: Cost) -> f
         if not 0 <= delay <= longest * (1 + 1e-9):
             return math.inf
         if delay not in costs:
-            costs[delay] = cost(delayed(data, delay))
+            costs[delay] = cost(delay)
         return costs[delay]
 
-    best, step = rough, data.dt
+    best, step = rough, dt
     while True:
         better = min((best - step, best, best + step), key=_at)
         if better != best:
             best = better
-        elif step > data.dt / 4:
+        elif step > dt / 4:
             step /= 2
         else:
             break
-    if best and _at(0.0) - _at(best) < math.log(max(len(data), 2)):
+    if best and _at(0.0) - _at(best) < worth:
         return 0.0
     before, here, after = (_at(best + k * step) for k in (-1, 0, 1))
     bend = before - 2 * here + after

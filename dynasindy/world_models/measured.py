@@ -15,6 +15,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.constraints import Constraints
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.regression import Rows, Theta, simpson_form
+from dynasindy.world_models.selection import DEPENDENT
 from dynasindy.world_models.weak import weak_form
 
 LENGTHS = (5, 7, 9, 13, 17, 25, 35, 51, 71, 101)
@@ -22,6 +23,8 @@ LENGTHS = (5, 7, 9, 13, 17, 25, 35, 51, 71, 101)
 AS_GOOD = 1.1
 """Factor on the smallest error of prediction up to which the longer cubic is taken: rates want a longer one."""
 
+NOISY = 1e-5
+"""Part of a function of measured states that others leave over, below which it depends on them."""
 SHORTEST_BUMP, LONGEST_BUMP = 8, 20
 """Samples in half a bump: fewer leave the noise in, more leave fewer rows than a library has functions."""
 
@@ -54,9 +57,10 @@ class Seen:
             half = min(max(half, SHORTEST_BUMP), LONGEST_BUMP)
         return cls(guess.to(torch.float64), measured.to(torch.float64), rates, half)
 
-    def with_inputs(self, u: Tensor) -> Seen:
-        """Return the same recording under other inputs, `(N, n_u)`."""
-        return replace(self, guess=replace(self.guess, u=u.to(torch.float64)))
+    @property
+    def dependent(self) -> float:
+        """Return the part that other functions leave over of one below which noise cannot tell it from them."""
+        return NOISY if self.half else DEPENDENT
 
     def rows(self, theta: Theta, field: Theta) -> Rows:
         """Average functions and rates of change: by the weak form, or within intervals if all states were measured.

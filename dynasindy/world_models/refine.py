@@ -13,12 +13,12 @@ from dynasindy.limits import Count
 from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.constraints import Constraints
-from dynasindy.world_models.delay import delayed, fine_delay, rough_delay
+from dynasindy.world_models.delay import delayed, fine_delay, known_inputs, rough_delay
 from dynasindy.world_models.fast_field import generate
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.measured import Seen, has_gaps, rates_known
 from dynasindy.world_models.one_step import refine_one_step
-from dynasindy.world_models.regression import Regression, Rows, RunningSums
+from dynasindy.world_models.regression import Regression, RunningSums
 from dynasindy.world_models.shapes import fit_shapes
 from dynasindy.world_models.trajectory import refine_trajectory, trajectory_cost
 
@@ -95,42 +95,49 @@ class Refinement:
             data: transitions to refine on, NaN where a state was not measured.
             guess: the same, the states that were not measured guessed; needed where there are such states.
         """
-        seen = Seen.of(data if guess is None else guess, data, rates_known(library, constraints))
-        free, delay = constraints.free, 0.0
+        guess = data if guess is None else guess
+        rates, free, delay = rates_known(library, constraints), constraints.free, 0.0
         if self.longest_delay:
+            known = known_inputs(data, self.longest_delay)
 
-            def _rows(late: Transitions) -> Rows:
-                return seen.with_inputs(late.u).rows(library, generate(library, coefficients))
+            def _late(delay: float) -> tuple[Transitions, Seen]:
+                """Return the recording under delayed inputs, without the rows whose inputs are not known."""
+                measured, guessed = (delayed(part, delay).select(known) for part in (data, guess))
+                return measured, Seen.of(guessed, measured, rates)
 
-            delay = rough_delay(free, data, self.longest_delay, _rows)
-        late = seen.with_inputs(delayed(data, delay).u)
-        library, coefficients = self._regressed(library, coefficients, constraints, late)
+            field = generate(library, coefficients)
+            delay = rough_delay(free, lambda d: _late(d)[1].rows(library, field), data.dt, self.longest_delay)
+            measured, seen = _late(delay)
+        else:
+            measured, seen = data, Seen.of(guess, data, rates)
+        library, coefficients = self._regressed(library, coefficients, constraints, seen)
         method = self.method
         if bool(has_gaps(data)):
             method = "trajectory"
         elif method == "auto":
-            method = "trajectory" if looks_noisy(library, coefficients, late.guess) else "one_step"
+            method = "trajectory" if looks_noisy(library, coefficients, seen.guess) else "one_step"
         if method == "one_step":
-            return Refined(*refine_one_step(library, coefficients, free, late.guess, self.tolerance), delay)
+            return Refined(*refine_one_step(library, coefficients, free, seen.guess, self.tolerance), delay)
         if method == "trajectory":
-            window, start = min(self.window, len(data)), seen.guess.x
-
-            def _cost(trial: Transitions) -> float:
-                return trajectory_cost(library, coefficients, free, trial, window, STEPS, start)
-
+            window = min(self.window, len(measured))
             if self.longest_delay:
-                delay = fine_delay(data, delay, self.longest_delay, _cost)
-                late = seen.with_inputs(delayed(data, delay).u)
-                library, coefficients = self._regressed(library, coefficients, constraints, late)
-            data = delayed(data, delay)
-            return Refined(*refine_trajectory(library, coefficients, free, data, window, start=start), delay)
+
+                def _cost(delay: float) -> float:
+                    trial, start = _late(delay)
+                    return trajectory_cost(library, coefficients, free, trial, window, STEPS, start.guess.x)
+
+                delay = fine_delay(delay, data.dt, self.longest_delay, math.log(max(len(data), 2)), _cost)
+                measured, seen = _late(delay)
+                library, coefficients = self._regressed(library, coefficients, constraints, seen)
+            found = refine_trajectory(library, coefficients, free, measured, window, start=seen.guess.x)
+            return Refined(*found, delay)
         return Refined(library, coefficients, delay)
 
     def _regressed(
         self, library: Library, coefficients: Tensor, constraints: Constraints, seen: Seen
     ) -> tuple[Library, Tensor]:
         """Repeat the regression with what is known of the states between samples, and fit numbers inside functions."""
-        regression = Regression(method="bic", tolerance=self.tolerance)
+        regression = Regression(method="bic", tolerance=self.tolerance, dependent=seen.dependent)
         for _ in range(self.rounds):
             sums = RunningSums(len(library), library.signature.n_x)
             sums.add(seen.rows(library, generate(library, coefficients)))

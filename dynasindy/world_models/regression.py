@@ -132,6 +132,7 @@ class Regression:
         scale_targets: whether the threshold is relative to the root-mean-square rate of change of each state.
         max_iterations: limit of `stlsq`.
         tolerance: residual, relative to the rate of change, below which `bic` takes a fit as exact.
+        dependent: part of a function that others leave over, below which `bic` takes it as one of them.
     """
 
     method: Literal["stlsq", "bic"] = "stlsq"
@@ -140,6 +141,7 @@ class Regression:
     scale_targets: bool = False
     max_iterations: int = 20
     tolerance: float = 1e-5
+    dependent: float = DEPENDENT
 
     def __post_init__(self) -> None:
         """Check the settings.
@@ -182,6 +184,7 @@ class Regression:
                 support & (norms[: sums.n_features] > 0).unsqueeze(-1),
                 sums.count,
                 self.tolerance,
+                self.dependent,
             )
             return offset + free * rates / columns.unsqueeze(-1)
         threshold = self.threshold / math.sqrt(1000.0)
@@ -227,7 +230,9 @@ def stlsq(theta: Tensor, targets: Tensor, support: Tensor, limits: Tensor, max_i
     return coefficients
 
 
-def eliminate(theta: Tensor, targets: Tensor, support: Tensor, count: int, tolerance: float) -> Tensor:
+def eliminate(
+    theta: Tensor, targets: Tensor, support: Tensor, count: int, tolerance: float, dependent: float = DEPENDENT
+) -> Tensor:
     """Drop, one at a time, the coefficient that is missed least, and keep the set of best Bayesian criterion.
 
     Args:
@@ -236,19 +241,23 @@ def eliminate(theta: Tensor, targets: Tensor, support: Tensor, count: int, toler
         support: coefficients to begin with, bool `(n_features, n_x)`.
         count: number of samples behind the columns.
         tolerance: residual norm below which a fit is exact, so that more terms gain nothing.
+        dependent: part of a column that others leave over, below which it depends on them.
 
     Returns:
         Coefficients, `(n_features, n_x)`.
     """
     coefficients = torch.zeros(theta.shape[1], targets.shape[1], dtype=theta.dtype)
     for i in range(targets.shape[1]):
-        active = _best_subset(theta, targets[:, i], support[:, i].nonzero().squeeze(-1), count, tolerance)
+        mine = support[:, i].nonzero().squeeze(-1)
+        active = _best_subset(theta, targets[:, i], mine, count, tolerance, dependent)
         if len(active):
             coefficients[active, i] = least_squares(theta[:, active], targets[:, i])
     return coefficients
 
 
-def _best_subset(theta: Tensor, target: Tensor, active: Tensor, count: int, tolerance: float) -> Tensor:
+def _best_subset(
+    theta: Tensor, target: Tensor, active: Tensor, count: int, tolerance: float, dependent: float
+) -> Tensor:
     """Walk down from all functions by the growth of the squared residual xi_j^2 / C_jj, C = inv(theta'theta).
 
     The triangle is factored anew after each drop: nearly collinear functions (alpha, sin alpha, alpha cos alpha at
@@ -265,11 +274,11 @@ def _best_subset(theta: Tensor, target: Tensor, active: Tensor, count: int, tole
         squared = float(triangle[n:, n].square().sum())
         score = count * math.log(squared + tolerance**2) + n * math.log(max(count, 2))
         # Dependent columns leave a row of R to nobody, which would count as explained: they go before a set is scored.
-        if score < best_score and (not n or float(triangle[:n, :n].diagonal().abs().min()) >= DEPENDENT):
+        if score < best_score and (not n or float(triangle[:n, :n].diagonal().abs().min()) >= dependent):
             best, best_score = active, score
         if not n:
             return best
-        j, _ = least_missed(triangle, n)
+        j, _ = least_missed(triangle, n, dependent=dependent)
         keep = [k for k in range(n) if k != j]
         triangle = torch.linalg.qr(triangle[:, [*keep, n]], mode="r")[1]
         active = active[keep]

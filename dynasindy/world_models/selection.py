@@ -13,13 +13,16 @@ DEPENDENT = 1e-13
 """Part of a column of unit norm that others leave over, below which it depends on them."""
 
 
-def least_missed(triangle: Tensor, n: int, removable: Tensor | None = None) -> tuple[int, float]:
+def least_missed(
+    triangle: Tensor, n: int, removable: Tensor | None = None, dependent: float = DEPENDENT
+) -> tuple[int, float]:
     """Find the column whose removal lets the squared residual grow least; a dependent column is free to go.
 
     Args:
         triangle: R of [columns, target], `(n + 1, n + 1)` or taller.
         n: number of columns.
         removable: columns to choose from, bool `(n,)`; all by default.
+        dependent: part of a column that others leave over, below which it depends on them.
 
     Returns:
         Position of the column and the growth of the squared residual; -1 where there is nothing to choose.
@@ -30,7 +33,7 @@ def least_missed(triangle: Tensor, n: int, removable: Tensor | None = None) -> t
     pivots = square.diagonal().abs()
     if removable is not None:
         pivots = torch.where(removable, pivots, math.inf)
-    if float(pivots.min()) < DEPENDENT:
+    if float(pivots.min()) < dependent:
         return int(pivots.argmin()), 0.0
     inverse = torch.linalg.solve_triangular(square, torch.eye(n, dtype=square.dtype), upper=True)
     growth = (inverse @ rotated).square() / inverse.square().sum(-1)
@@ -39,13 +42,14 @@ def least_missed(triangle: Tensor, n: int, removable: Tensor | None = None) -> t
     return int(growth.argmin()), float(growth.min())
 
 
-def walk_down(triangle: Tensor, removable: Tensor, limit: float) -> tuple[Tensor, Tensor]:
+def walk_down(triangle: Tensor, removable: Tensor, limit: float, dependent: float = DEPENDENT) -> tuple[Tensor, Tensor]:
     """Drop parameters, least missed first, while each costs less than `limit` of squared weighted error.
 
     Args:
         triangle: R of [columns, target], `(n + 1, n + 1)`.
         removable: parameters that may be dropped, bool `(n,)`.
         limit: growth of the squared error, in units of its variance, that a parameter must be worth.
+        dependent: part of a column that others leave over, below which it depends on them.
 
     Returns:
         Positions of the parameters that stay, and their values, both `(n_kept,)`.
@@ -53,7 +57,7 @@ def walk_down(triangle: Tensor, removable: Tensor, limit: float) -> tuple[Tensor
     active = torch.arange(triangle.shape[1] - 1)
     while True:
         n = len(active)
-        j, growth = least_missed(triangle, n, removable[active])
+        j, growth = least_missed(triangle, n, removable[active], dependent)
         if j < 0 or growth >= limit:
             break
         keep = [k for k in range(n) if k != j]

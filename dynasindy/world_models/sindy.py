@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,9 @@ from dynasindy.world_models.measured import Seen, rates_known, reconstruct
 from dynasindy.world_models.refine import Refinement
 from dynasindy.world_models.regression import Regression, RunningSums, integral_form
 from dynasindy.world_models.report import FitReport
+from dynasindy.world_models.selection import DEPENDENT
 from dynasindy.world_models.tables import equations
+from dynasindy.world_models.trajectory import RunsAway
 
 
 class SindyModel(WorldModel):
@@ -159,7 +162,7 @@ class SindyModel(WorldModel):
         guess = reconstruct(data, rates)
         seen = Seen.of(guess, data, rates)
         self.sums.add(seen.rows(self.library, self) if seen.half else integral_form(self.library, guess))
-        self._solve(self.sums)
+        self._solve(self.sums, seen.dependent)
         notes = self._refine(data, guess)
         seconds = time.perf_counter() - start
         return FitReport.of(self.library, self.coefficients, self.sums, seconds, notes, data.dt)
@@ -229,7 +232,10 @@ class SindyModel(WorldModel):
         """Refine the coefficients and return what is to be said of it."""
         if self.refinement is None:
             return []
-        found = self.refinement.run(self.library, self.coefficients, self.constraints, data, guess)
+        try:
+            found = self.refinement.run(self.library, self.coefficients, self.constraints, data, guess)
+        except RunsAway as error:
+            raise Diverged(f"model learning: {error}") from error
         refined = self._finite(found.coefficients, "refinement")
         if self.coefficients[self.constraints.free].any() and not refined[self.constraints.free].any():
             return ["the refinement dropped every function, so the fit before it stays; collect more or cleaner data"]
@@ -241,8 +247,9 @@ class SindyModel(WorldModel):
             self.sums.add(integral_form(self.library, guess))
         return []
 
-    def _solve(self, sums: RunningSums) -> None:
-        found = self.regression.solve(sums, self.constraints.free, self.constraints.offset)
+    def _solve(self, sums: RunningSums, dependent: float = DEPENDENT) -> None:
+        regression = replace(self.regression, dependent=dependent) if dependent > DEPENDENT else self.regression
+        found = regression.solve(sums, self.constraints.free, self.constraints.offset)
         self.set_coefficients(self._finite(found, "regression"))
 
     def _finite(self, coefficients: Tensor, source: str) -> Tensor:

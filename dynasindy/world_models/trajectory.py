@@ -32,8 +32,14 @@ from dynasindy.world_models.windows import Windows
 
 EXACT = 1e-100
 """Error taken for that of a state that is met exactly, as one that never moves; its inverse has a finite square."""
+NOISY = 1e-7
+"""Part of a coefficient's effect that those of others leave over, below which data cannot tell it from them."""
 LONGEST_STEP = 0.01
 """Longest Runge-Kutta step [s]."""
+
+
+class RunsAway(ValueError):
+    """A model leaves all bounds within the shortest of windows."""
 
 
 @dataclass
@@ -112,7 +118,7 @@ def linearise(
         flow: what was integrated already.
 
     Raises:
-        ValueError: without `sigma`, so at an estimate that is no trial, the model runs away within a window.
+        RunsAway: without `sigma`, so at an estimate that is no trial, the model runs away within a window.
     """
     flow = flow or Flow.of(estimate, parameters, windows)
     if sigma is None:
@@ -157,7 +163,7 @@ def _gap_sigma(sigma: Tensor, estimate: Estimate) -> Tensor:
 
 def _require_bounded(flow: Flow, windows: Windows) -> None:
     if bool((lost := flow.lost()).any()):
-        raise ValueError(
+        raise RunsAway(
             f"refinement.method=trajectory: the model runs away in {int(lost.sum())} of {len(lost)} windows of "
             f"{windows.mask.shape[1]} samples, the first of them number {int(lost.nonzero()[0])}; look for outliers "
             "there, lower refinement.window, or choose another refinement.method"
@@ -213,7 +219,7 @@ def refine_trajectory(
         The library with its shapes, and coefficients, `(n_features, n_x)`.
 
     Raises:
-        ValueError: the model runs away within the shortest of windows.
+        RunsAway: the model runs away within the shortest of windows.
     """
     data, limit = data.to(torch.float64), math.log(max(len(data), 2))
     guess = data.x if start is None else start.to(torch.float64)
@@ -300,7 +306,7 @@ def _descend(
         estimate = _converge(estimate, parameters, windows, limits[1])
         model = linearise(estimate, parameters, windows)
         n_fixed = len(model.scale) - len(parameters)
-        kept, _ = walk_down(model.triangle, torch.arange(len(model.scale)) >= n_fixed, limits[0])
+        kept, _ = walk_down(model.triangle, torch.arange(len(model.scale)) >= n_fixed, limits[0], NOISY)
         if len(kept) == len(model.scale):
             break
         changed = _changed(estimate, model, parameters, kept, windows)
@@ -319,6 +325,8 @@ def _changed(
     """
     n_fixed = len(model.scale) - len(parameters)
     chosen = parameters.take(kept[kept >= n_fixed] - n_fixed)
+    if not len(chosen):
+        return _move(estimate, model, parameters, kept)
     bare = chosen.write(parameters.write(estimate.xi, 0 * parameters.read(estimate.xi)), chosen.read(estimate.xi))
     for trial in (_move(estimate, model, parameters, kept), replace(estimate, xi=bare)):
         if not bool(Flow.of(trial, chosen, windows).lost().any()):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.data.csv import Column, CsvLog, infer
+from dynasindy.data.csv import Column, CsvLog, _stuck, infer
 
 STATES = {"q": Column("angle", "rad"), "v": Column("rate", "rad/s")}
 INPUTS = {"u": "volt"}
@@ -426,3 +426,15 @@ def test_stretches_of_four_samples_are_resampled_and_of_three_left_out(tmp_path)
     expected = np.array([0, 0.01, 0.02, 2, 2.01, 2.02])
     assert np.allclose(data.x[:, 1], expected) and np.allclose(data.x[:, 0], expected**3, atol=1e-9)
     assert np.allclose(data.x_next[:, 1], expected + 0.01)
+
+
+def test_rest_at_the_start_is_no_stop_but_rest_at_the_same_end_later_is():
+    away, rest = [1.0, 2.0, 3.0, 2.0, 1.0], [0.0] * 6
+    notes: list[str] = []
+    assert not _stuck({"q": np.array([*rest, *away])}, notes).any() and notes == []
+    found = _stuck({"q": np.array([*rest, *away, *rest])}, notes)
+    assert found.tolist() == [True] * 6 + [False] * 5 + [True] * 6
+    assert notes == ["12 samples with q at 0, a stop or saturation, were masked"]
+    # Five samples at an end are a stop, four are none; wherever they are, they are the ones masked.
+    assert _stuck({"q": np.array([*away, *[0.0] * 5, 1.0])}, notes).tolist() == [False] * 5 + [True] * 5 + [False]
+    assert not _stuck({"q": np.array([*away, *[0.0] * 4, 1.0])}, notes).any()

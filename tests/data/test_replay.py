@@ -347,3 +347,12 @@ def test_each_size_and_share_is_checked(wrong):
     with pytest.raises(ValueError, match=r"give (positive numbers|a share)"):
         DynaReplay(**{"capacity": 10, "batch_size": 4} | wrong)
     assert DynaReplay(1, 1, 0.0).counts() == (0, 1)
+
+
+def test_columns_are_taken_anew_after_a_write_and_only_then():
+    replay = filled()
+    before = replay._columns(replay.real)
+    assert replay._columns(replay.real) is before
+    replay.extend_real(rows(1, keys=REAL_KEYS))
+    after = replay._columns(replay.real)
+    assert after is not before and [len(column) for column in after] == [201] * len(LEARN_KEYS)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynasindy.data.table import numeric_headings, read_table, seconds_of, split_unit
+from dynasindy.data.table import all_headings, numeric_headings, read_table, seconds_of, split_unit
 
 
 def write(folder: Path, text: str) -> Path:
@@ -26,7 +26,13 @@ def test_the_ends_of_lines_of_all_systems_are_read(tmp_path, ends):
 
 
 def test_a_heading_has_a_number_below_it_or_is_left_out(tmp_path):
-    assert numeric_headings(write(tmp_path, "a,b,c,d\nx,,1,\ny,,2,5\n")) == ["c", "d"]
+    file = write(tmp_path, "a,b,c,d\nx,,1,\ny,,2,5\n")
+    assert numeric_headings(file) == ["c", "d"] and list(all_headings(file)) == ["a", "b", "c", "d"]
+
+
+def test_a_heading_that_stands_twice_is_refused_whatever_its_units(tmp_path):
+    with pytest.raises(ValueError, match="'b' more than once"):
+        numeric_headings(write(tmp_path, "a,b [m],b [s]\n1,2,3\n"))
 
 
 def test_an_index_needs_no_heading_but_other_numbers_do(tmp_path):

@@ -3,6 +3,7 @@ from dynasindy.planning import Planned
 
 
 def test_costs_add_up():
+    assert Cost() == Cost(real_steps=0, imagined=0, updates=0)
     cost = Cost(real_steps=200)
     cost.add(Planned(imagined=10, updates=3))
     cost.add(Planned(imagined=5))

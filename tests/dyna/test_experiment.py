@@ -1,4 +1,4 @@
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 from functools import partial
 
 import pytest
@@ -6,6 +6,7 @@ import torch
 
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
+from dynasindy.dyna import experiment
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import Settings
 from dynasindy.envs import ControlEnv
@@ -108,3 +109,28 @@ def test_the_real_environment_says_what_the_model_predicts():
     rollout = parts.env.rollout(3, parts.agent.explore)
     torch.testing.assert_close(rollout["next", "predicted_state"], rollout["next", "state"], rtol=1e-4, atol=1e-4)
     assert parts.excitation.dt == parts.plant.dt and parts.agent.deployed is not None
+
+
+def test_a_gate_that_was_shut_is_shut_in_the_run_that_goes_on():
+    shut, again = recipe().build(), recipe().build()
+    shut.gate.is_open = False
+    state = shut.state_dict()
+    assert again.gate.is_open
+    again.load_state_dict(state)
+    assert not again.gate.is_open
+
+
+@pytest.mark.parametrize("substeps", [1, 3])
+def test_the_memory_of_the_storages_is_that_of_their_full_rows(monkeypatch, substeps):
+    sizes = []
+    monkeypatch.setattr(experiment, "check_memory", lambda size, what: sizes.append(size))
+    env = partial(ControlEnv, dtype=torch.float64, substeps=substeps)
+    parts = replace(recipe(), env=env, replay=partial(DynaReplay, 1000, 16, model_capacity=300)).build()
+    n_o = parts.plant.task.n_o
+    # Two observations, two inputs and a reward, of four bytes; state, next state and samples of six, of eight bytes.
+    assert sizes == [(1000 + 300 + 16) * 4 * (n_o + n_o + 2 + 1) + 1000 * 8 * 6 * (1 + 1 + substeps)]
+
+
+def test_a_recipe_cannot_change():
+    with pytest.raises(FrozenInstanceError):
+        recipe().seed = 2

@@ -17,3 +17,9 @@ def test_the_bar_shows_return_model_error_steps_and_time_left(capsys):
     shown = capsys.readouterr().err
     for words in ("1/2", "return -6.0", "open-loop reward error 0.0123", "real steps 600", "episode"):
         assert words in shown
+
+
+def test_the_bar_is_shown_unless_it_is_told_not_to(capsys):
+    for shown in ({}, {"shown": False}):
+        ProgressBar(2, **shown).close()
+        assert bool(capsys.readouterr().err) == (not shown)

@@ -7,13 +7,15 @@ import torch
 
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
+from dynasindy.dyna.callback import Cost, Episode
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import Settings, train
 from dynasindy.dyna.recorder import Recorder
+from dynasindy.dyna.refit import Refit
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Chirp
-from dynasindy.planning import Gate, NoPlanning
+from dynasindy.planning import Gate, ModelError, NoPlanning
 from dynasindy.systems import Tras
 from dynasindy.tasks import RandomStep, Step, Tracking
 from dynasindy.world_models import Oracle
@@ -113,3 +115,40 @@ def test_states_are_written_at_the_times_they_were_reached(recorded):
     predicted, excited = (rows(folder / "data" / f"{n}.csv") for n in ("prediction_first_episode", "excitation"))
     assert [float(row["time [s]"]) for row in predicted[:2]] == pytest.approx([0.05, 0.10])
     assert float(excited[0]["time [s]"]) == 0.0 and float(excited[0]["alpha_p [rad]"]) == 0.0
+
+
+def test_a_restored_recorder_writes_its_logs_again(recorded, tmp_path):
+    folder, parts, recorder = recorded
+    again = Recorder(tmp_path, parts, recorder.scenario, every=2, episodes=3)
+    again.load_state_dict(recorder.state_dict())
+    logs = [*(folder / "scalars").rglob("*.csv"), folder / "progress.csv", folder / "gate.csv"]
+    assert len(logs) > 10
+    for log in logs:
+        assert (tmp_path / log.relative_to(folder)).read_text() == log.read_text()
+
+
+@pytest.mark.parametrize("name", ["../escaped", "/tmp/escaped", "a/../../../escaped"])
+def test_no_logged_figure_has_a_file_outside_its_folder(recorded, tmp_path, name):
+    _, parts, recorder = recorded
+    again, state = Recorder(tmp_path / "run", parts, recorder.scenario, 2, 3), recorder.state_dict()
+    state["rows"] = [{"episode": 1, name: 2.0}]
+    with pytest.raises(ValueError, match="is no name of a logged figure"):
+        again.load_state_dict(state)
+    assert not list(tmp_path.iterdir())
+
+
+def test_both_errors_of_the_model_stand_under_their_names(recorded, tmp_path):
+    _, parts, recorder = recorded
+    again = Recorder(tmp_path, parts, recorder.scenario, every=5, episodes=3)
+    again.begin()
+    rollout = parts.env.rollout(4)
+    rollout["next", "predicted_reward"] = rollout["next", "reward"] + 0.5
+    error, tested = (ModelError(a, b, torch.zeros(4, 6)) for a, b in ((0.25, 0.75), (2.0, 3.0)))
+    again.episode(Episode(2, rollout, error, False, Refit(None, 4.0, 5.0, True, tested)), Cost(7, 8, 9))
+    (decided,), (logged,) = rows(tmp_path / "gate.csv"), rows(tmp_path / "progress.csv")
+    assert [float(decided[key]) for key in ("reward_error", "state_error")] == [0.25, 0.75]
+    assert [float(decided[key]) for key in ("judged_reward_error", "judged_state_error")] == [2.0, 3.0]
+    assert [float(logged[key]) for key in ("reward_error", "state_error", "model_trusted")] == [0.25, 0.75, 0.0]
+    assert float(logged["one_step_reward_error"]) == pytest.approx(0.5)
+    spent = [float(logged[key]) for key in ("real_steps", "plant_seconds", "imagined_transitions", "updates")]
+    assert spent == pytest.approx([7, 7 * 0.05, 8, 9])

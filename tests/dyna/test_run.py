@@ -118,6 +118,9 @@ def test_other_seeds_differ_so_that_equality_says_something(tmp_path):
 
 def test_a_finished_run_is_not_repeated(tmp_path):
     metrics = go(tmp_path, "none", episodes=1)
+    # A checkpoint holds whole bytes, here more than ten thousand; to write them took a part of a second or some.
+    assert type(metrics["checkpoint"]["bytes"]) is int and metrics["checkpoint"]["bytes"] > 10_000
+    assert type(metrics["checkpoint"]["seconds"]) is float
     assert go(tmp_path, "none", last=100, episodes=1) == metrics  # but for its check, the plant is not touched
 
 

@@ -1,5 +1,7 @@
 """Weights of a policy that were saved, against those of the network that is to have them."""
 
+import zipfile
+
 import pytest
 import torch
 from torch import nn
@@ -27,3 +29,17 @@ def test_a_damaged_file_gets_one_line(tmp_path, content):
     (tmp_path / "policy.pt").write_bytes(content)
     with pytest.raises(ValueError, match=r"policy\.pt holds no weights of a policy; restore it"):
         read_weights(tmp_path / "policy.pt", {})
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_a_file_may_unpack_to_eight_times_the_weights_and_a_megabyte_and_to_no_more(tmp_path, more):
+    file, network = tmp_path / "policy.pt", nn.Linear(300, 200)
+    torch.save(network.state_dict(), file)
+    with zipfile.ZipFile(file, "a") as archive:
+        held = sum(entry.file_size for entry in archive.infolist())
+        archive.writestr("policy/padding", bytes(8 * 4 * (300 * 200 + 200) + 1_000_000 - held + more))
+    if more:
+        with pytest.raises(ValueError, match=r"unpacks to 2926401 bytes, the agent's weights are 240800; restore it"):
+            read_weights(file, network.state_dict())
+    else:
+        assert read_weights(file, network.state_dict()).keys() == {"weight", "bias"}

@@ -108,6 +108,10 @@ def around(system, **settings):
     return ControlEnv(system, task, **settings)
 
 
+def _two_lines(dx):
+    raise ValueError("first\nsecond")
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -117,6 +121,7 @@ def around(system, **settings):
         (lambda dx: dx.tolist(), r"returned a list; it has to return \(2, 2\)"),
         (lambda dx: dx * torch.tensor([1.0, torch.nan]), r"not finite, of Omega, where episodes begin"),
         (lambda dx: dx[..., 5], r"system Broken failed \(IndexError"),
+        (_two_lines, r"system Broken failed \(ValueError: first\); it has to return"),
     ],
 )
 def test_a_system_that_gives_no_rates_of_change_is_refused_at_once(change, said):

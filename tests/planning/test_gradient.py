@@ -10,7 +10,16 @@ import torch
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.envs import ControlEnv
-from dynasindy.planning import Bounds, GradientPlanning, GradientThenReplay, ImaginedReplay, Planned, Planner, Variation
+from dynasindy.planning import (
+    Bounds,
+    GradientPlanning,
+    GradientThenReplay,
+    ImaginedReplay,
+    Planned,
+    Planner,
+    Variation,
+    gradient,
+)
 from dynasindy.planning.gradient import Episodes, _schedule
 from dynasindy.planning.window import imagine
 from dynasindy.systems import Diverged
@@ -433,3 +442,26 @@ def test_warming_the_critics_waits_for_a_plan():
         both.distrust()
         assert [planner.dropped for planner in both.planners] == [1, 1]
     assert warmed == ["batch"] * 4
+
+
+def test_a_row_that_diverges_in_the_last_period_is_counted_and_begun_anew(monkeypatch):
+    planner = planned()
+    episodes, carried = Episodes(planner), []
+    episodes.carry_on = lambda x, held, alive: carried.append(alive.tolist())
+
+    def lost_at_the_end(*of):
+        window = imagine(*of)
+        window.alive[-1, 3] = False
+        return window
+
+    monkeypatch.setattr(gradient, "imagine", lost_at_the_end)
+    planner._update(episodes, torch.optim.Adam(planner.network.parameters()))
+    assert episodes.diverged == 1 and carried == [[k != 3 for k in range(16)]]
+
+
+def test_the_memory_of_a_window_is_that_of_its_derivatives_and_states(monkeypatch):
+    sizes = []
+    monkeypatch.setattr(gradient, "check_memory", lambda size, what: sizes.append(size))
+    planned()
+    # 16 rows, 20 periods, eight bytes: a matrix of 6 x 6, one of 6 x 2, and four vectors of 6.
+    assert sizes == [16 * 20 * 8 * (36 + 12 + 24)]

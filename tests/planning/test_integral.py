@@ -118,6 +118,8 @@ def test_each_number_must_be_positive(name):
     env, proportional = setting()
     with pytest.raises(ValueError, match=f"{name}=0.0"):
         IntegralAction(proportional, env, **{name: 0.0})
+    with pytest.raises(ValueError, match=f"{name}=nan"):
+        IntegralAction(proportional, env, **{name: math.nan})
     IntegralAction(proportional, env, **{name: 1e-3})
 
 

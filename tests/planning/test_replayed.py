@@ -7,7 +7,7 @@ import torch
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.envs import ControlEnv
-from dynasindy.planning import Bounds, ImaginedReplay, NoPlanning, Planned
+from dynasindy.planning import Bounds, ImaginedReplay, NoPlanning, Planned, replayed
 from dynasindy.planning.replayed import _schedule
 from dynasindy.systems import Diverged, Tras
 from dynasindy.tasks import RandomStep, Tracking
@@ -231,3 +231,13 @@ def test_by_default_four_hundred_rollouts_of_a_hundred_periods_are_kept_for_five
 def test_no_planning_costs_nothing():
     planner = NoPlanning()
     assert planner.plan() == Planned(0, 0) and planner.distrust() is None and planner.learns_by_td3
+
+
+def test_the_memory_of_the_rollouts_is_that_of_what_a_step_writes(monkeypatch):
+    sizes = []
+    monkeypatch.setattr(replayed, "check_memory", lambda size, what: sizes.append(size))
+    make(rollouts=12, horizon=[2, 5, 3])
+    rows = ENV.rollout(60)
+    parts = [rows[key] for key in ("observation", "state", ("next", "observation"), ("next", "state"))]
+    written = sum(part.numel() for part in (*parts, rows["next", "samples"])) / 60
+    assert sizes == [4 * 12 * 5 * written]

@@ -58,6 +58,13 @@ def test_a_silent_input_is_named():
     assert found.advice == ("v was zero all the time: excite it",)
 
 
+def test_every_silent_input_is_named():
+    x, u = samples()
+    found = judge(LIBRARY, x, 0 * u)
+    assert found.rank == 3 and found.weakest == (("u", 1.0), ("v", 1.0))
+    assert found.advice == ("u was zero all the time: excite it", "v was zero all the time: excite it")
+
+
 def test_small_swings_and_speeds_of_one_sign_are_named():
     x, u = samples()
     swing = Library(SIGNATURE, [CONSTANT, variable("a"), of("sin", "a"), of("cos", "a")])
@@ -73,6 +80,12 @@ def test_states_that_move_as_one_are_named():
     x, u = samples()
     (advice,) = judge(LIBRARY, x[:, :1] * torch.tensor([1.0, 2.0]), u).advice
     assert advice.endswith("look alike: excite a, b more and differently")
+
+
+def test_an_input_that_follows_a_state_is_not_said_to_move_with_another_input():
+    x, u = samples()
+    (advice,) = judge(LIBRARY, x, torch.stack([x[:, 0], u[:, 1]], -1)).advice
+    assert advice.endswith("look alike: excite a, u more and differently")
 
 
 def test_standard_errors_are_those_of_least_squares():

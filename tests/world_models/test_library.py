@@ -5,6 +5,7 @@ import torch
 
 from dynasindy.systems import Tras, Xi
 from dynasindy.systems.base import Signature
+from dynasindy.world_models import library as library_module
 from dynasindy.world_models.features import variable
 from dynasindy.world_models.libraries import (
     build_library,
@@ -36,6 +37,14 @@ def test_derivatives_are_those_of_autograd(name):
     expected = torch.func.vmap(torch.func.jacrev(library), (0, 0))(x, u)
     assert torch.equal(theta, library(x, u))
     assert torch.allclose(slopes, expected)
+
+
+def test_a_library_may_be_as_large_as_is_said_and_no_larger(monkeypatch):
+    monkeypatch.setattr(library_module, "LARGEST", 3)
+    features = [variable("a", power) for power in range(1, 5)]
+    assert len(Library(SIGNATURE, features[:3])) == 3
+    with pytest.raises(ValueError, match="more than 3 functions"):
+        Library(SIGNATURE, features)
 
 
 def test_names_that_do_not_exist_are_refused():

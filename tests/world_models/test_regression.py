@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import regression
 from dynasindy.world_models.regression import (
     Regression,
     RunningSums,
@@ -275,6 +276,17 @@ def test_the_number_of_refits_is_limited():
         (stlsq(theta, target, everything, torch.tensor([0.5]), max_iterations=n) != 0).sum().item() for n in (0, 1, 20)
     ]
     assert supports[0] == 4 and supports[1] == supports[2] == 3
+
+
+def test_by_default_a_target_is_refitted_twenty_times_at_most(monkeypatch):
+    # Each fit leaves ones, and one coefficient that is too small: 30 functions lose one per refit.
+    def fit(theta, target):
+        return torch.cat([torch.zeros(1, *target.shape[1:]), torch.ones(theta.shape[1] - 1, *target.shape[1:])])
+
+    monkeypatch.setattr(regression, "least_squares", fit)
+    theta = torch.eye(30)
+    found = stlsq(theta, theta[:, :1], torch.ones(30, 1, dtype=torch.bool), torch.tensor([0.5]))
+    assert found.flatten().nonzero().flatten().tolist() == [*range(21, 30)]
 
 
 def test_simpson_s_rule_takes_its_middle_from_the_hermite_interpolant():

@@ -57,6 +57,16 @@ def test_text_is_aligned_and_may_leave_out_empty_functions():
     assert len(active) == 4 and not any("u^2" in line for line in active)
 
 
+def test_names_stand_left_and_numbers_right():
+    few = Library(SIGNATURE, [variable("b"), of("cos", "alpha_p")])
+    written = to_text(few, torch.tensor([[1.0, 0.0], [-1.5, 12.0]]))
+    assert written.splitlines() == [
+        "function      alpha_p'  b'",
+        "b                    1   0",
+        "cos(alpha_p)      -1.5  12",
+    ]
+
+
 def test_latex_has_the_paper_s_form():
     written = to_latex(LIBRARY, COEFFICIENTS, digits=3)
     assert written.startswith("\\begin{tabular}{|c|c|c|}\n\\hline\n") and written.endswith("\\end{tabular}\n")

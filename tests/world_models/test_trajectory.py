@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import trajectory
 from dynasindy.world_models.constraints import Constraints
 from dynasindy.world_models.features import CONSTANT, variable
 from dynasindy.world_models.library import Library
@@ -61,12 +62,13 @@ def bound() -> np.ndarray:
     return np.sqrt(np.diag(np.linalg.inv(information)))[:2]
 
 
-@pytest.mark.parametrize("window", [10, 37, 200])
-def test_the_estimate_is_scipy_s_minimum_whatever_the_windows(window):
+# From ten times too fast a decay the first step without damping raises the cost.
+@pytest.mark.parametrize(("window", "start"), [(10, -1.5), (37, -1.5), (200, -1.5), (100, -20.0)])
+def test_the_estimate_is_scipy_s_minimum_whatever_the_windows_and_the_start(window, start):
     data = recording(0)
     measured = np.append(data.x[:1, 0].numpy(), data.x_next[:, 0].numpy())
     theirs = least_squares(lambda p: motion(*p) - measured, [A, B, Y0], xtol=1e-12, ftol=1e-12).x
-    found = coefficients_of(refine_trajectory, LIBRARY, column(-1.5, 2.5, 0.0, 0.0), TWO, data, window)
+    found = coefficients_of(refine_trajectory, LIBRARY, column(start, 2.5, 0.0, 0.0), TWO, data, window)
     error = np.abs(found[:2, 0].numpy() - theirs[:2])
     assert np.all(error < 0.02 * bound()), error / bound()
 
@@ -98,6 +100,18 @@ def test_functions_that_noise_suggests_are_dropped_and_those_that_are_missed_com
     assert (dropped != 0).flatten().tolist() == [True, True, False, False]
     added = coefficients_of(refine_trajectory, LIBRARY, column(0.0, 2.8, 0.0, 0.0), free, data, 10)
     assert np.allclose(added, dropped, atol=0.05 * bound().max())
+
+
+def test_what_may_come_in_is_what_is_outside_the_model(monkeypatch):
+    seen = []
+
+    def spy(triangle, n_fixed, active, others, limit):
+        seen.append((triangle.shape[1], n_fixed, active.features.tolist(), others.features.tolist(), limit))
+
+    monkeypatch.setattr(trajectory, "reconsider", spy)
+    refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), torch.ones(4, 1, dtype=torch.bool), recording(1), 10)
+    # One start state, four functions and the error; a function is worth the logarithm of 200 samples.
+    assert seen == [(6, 1, [0, 1], [2, 3], math.log(200))]
 
 
 def test_without_noise_the_plant_is_found():

@@ -78,3 +78,16 @@ def test_impossible_horizons_are_refused(wrong):
     weights = Weights(*(np.ones(1),) * 3, END)
     with pytest.raises(ValueError, match="must have blocks, iterations and substeps of 1 or more"):
         Program(Linear(), 0.05, [0], weights, Horizon(**wrong))
+
+
+@pytest.mark.parametrize(("overshoot", "share"), [(1.5, 1.0), (3, 0.5), (6, 0.25), (15, 0.1), (30, 0.0)])
+def test_the_longest_share_of_a_step_that_lowers_the_cost_is_taken(overshoot, share):
+    # Within the limits the cost is a parabola: it is lower up to twice the way to its least point.
+    made, start = program(), problem(np.array([0.25, 0.1]))
+    best = program(iterations=9).improved(np.zeros((1, 3, 1)), start)
+    plan = best + np.array([0.01, -0.01, 0.005])[None, :, None]
+    step, full = overshoot * (best - plan), made._step
+    made._step = lambda *of: (full(*of)[0], step)
+    found, change = made._stepped(plan, start)
+    np.testing.assert_allclose(found, plan + share * step, atol=1e-12)
+    assert change[0] == pytest.approx(share * overshoot * 0.01, abs=1e-9)
