@@ -64,6 +64,13 @@ _REGISTRY: dict[str, Function] = {
         Function("sqrt", lambda z: z.clamp_min(SMALLEST_ROOT).sqrt(), "sqrt({0})", r"\sqrt{{{0}}}"),
         Function("bell", lambda z: (-z * z).exp(), "exp(-({0})^2)", r"e^{{-({0})^2}}"),
         Function(
+            "root",
+            lambda z, p: (z - p).clamp_min(SMALLEST_ROOT).sqrt(),
+            "sqrt({0} - {1})",
+            r"\sqrt{{{0} - {1}}}",
+            parametric=True,
+        ),
+        Function(
             "hinge", lambda z, p: (z - p).clamp_min(0), "max(0, {0} - {1})", r"\max(0, {0} - {1})", parametric=True
         ),
         Function(

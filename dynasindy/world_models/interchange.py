@@ -104,6 +104,7 @@ def to_sympy(model: SindyModel) -> dict[str, Any]:
         "sign": sympy.sign,
         "sqrt": lambda z: sympy.sqrt(sympy.Max(z, 0)),
         "bell": lambda z: sympy.exp(-(z**2)),
+        "root": lambda z, p: sympy.sqrt(sympy.Max(z - p, 0)),
         "hinge": lambda z, p: sympy.Max(0, z - p),
         "per_cos2": lambda z, p: 1 / (1 + p * sympy.cos(z) ** 2),
     }

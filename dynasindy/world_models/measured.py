@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_coeffs, savgol_filter
 from torch import Tensor
 
+from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.constraints import Constraints
+from dynasindy.world_models.fast_field import generate
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.regression import Rows, Theta, simpson_form
 from dynasindy.world_models.selection import DEPENDENT
@@ -119,6 +121,27 @@ def reconstruct(data: Transitions, rates: Mapping[int, int]) -> Transitions:
             guessed[:, i] = torch.from_numpy(local_cubic(column, lengths[source], data.dt, int(rate_of is not None)))
         x[rows], x_next[rows] = guessed[:-1], guessed[1:]
     return replace(data, x=x, x_next=x_next)
+
+
+def imagined(library: Library, xi: Tensor, data: Transitions, guess: Transitions) -> Transitions:
+    """Guess the states that no sensor sees by a first model, which the measured states lead.
+
+    Args:
+        library: candidate functions.
+        xi: coefficients of the first model, `(n_features, n_x)`.
+        data: the recording, NaN where a state was not measured.
+        guess: the same, as far as it can be guessed without a model.
+    """
+    hidden = data.x.isnan().all(0) & data.x_next.isnan().all(0)
+    if not bool(hidden.any()):
+        return guess
+    field, x, x_next = generate(library, xi), guess.x.clone(), guess.x_next.clone()
+    for k in range(len(guess)):
+        if k and bool(guess.segment[k] == guess.segment[k - 1]):
+            x[k] = torch.where(hidden, x_next[k - 1], x[k])
+        after = rk4(field, x[k], guess.u[k], guess.dt)
+        x_next[k] = torch.where(hidden & after.isfinite(), after, x_next[k])
+    return replace(guess, x=x, x_next=x_next)
 
 
 def filled(column: Array) -> Array | None:

@@ -56,6 +56,8 @@ class Refinement:
         window: sampling intervals between two states that `trajectory` estimates.
         longest_delay: longest delay of the inputs that is looked for [s], in whole samples, by `trajectory` in
             fractions of them; 0 takes the inputs as they are.
+        error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), or of
+            windows that begin anew (`prediction`), for plants that are pushed at random or unstable.
 
     Raises:
         ValueError: a setting is not allowed.
@@ -66,10 +68,13 @@ class Refinement:
     tolerance: float = 1e-6
     window: int = 20
     longest_delay: float = 0.0
+    error: Literal["simulation", "prediction"] = "simulation"
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise ValueError(f"refinement got method {self.method!r}; allowed are {', '.join(METHODS)}: choose one")
+        if self.error not in ("simulation", "prediction"):
+            raise ValueError(f"refinement got error {self.error!r}; allowed are simulation, prediction: choose one")
         if not 0 <= self.longest_delay < math.inf:
             raise ValueError(f"refinement got longest_delay {self.longest_delay} s; allowed is 0 or more")
         if self.rounds < 0 or not self.tolerance > 0 or self.window < 1:
@@ -119,17 +124,17 @@ class Refinement:
         if method == "one_step":
             return Refined(*refine_one_step(library, coefficients, free, seen.guess, self.tolerance), delay)
         if method == "trajectory":
-            window = min(self.window, len(measured))
+            window, joined = min(self.window, len(measured)), self.error == "simulation"
             if self.longest_delay:
 
                 def _cost(delay: float) -> float:
                     trial, start = _late(delay)
-                    return trajectory_cost(library, coefficients, free, trial, window, STEPS, start.guess.x)
+                    return trajectory_cost(library, coefficients, free, trial, window, STEPS, start.guess.x, joined)
 
                 delay = fine_delay(delay, data.dt, self.longest_delay, math.log(max(len(data), 2)), _cost)
                 measured, seen = _late(delay)
                 library, coefficients = self._regressed(library, coefficients, constraints, seen)
-            found = refine_trajectory(library, coefficients, free, measured, window, start=seen.guess.x)
+            found = refine_trajectory(library, coefficients, free, measured, window, start=seen.guess.x, joined=joined)
             return Refined(*found, delay)
         return Refined(library, coefficients, delay)
 

@@ -100,6 +100,10 @@ class Propagator:
         self.jacobian = _summed(self.xi, self.slopes.by_state, self.n_x)
         self.of_shapes = _summed(self.xi, self.slopes.by_shape, len(self.shapes))
 
+    def slopes_by_state(self, x: Tensor, u: Tensor) -> Tensor:
+        """Return the derivatives of the rates by the states, `(N, n_x, n_x)`."""
+        return (self.slopes(x, u)[1] @ self.jacobian).unflatten(-1, (self.n_x, self.n_x))
+
     def start(self, batch: int) -> Tensor:
         """Return the sensitivities of start states by themselves, the shapes and the coefficients."""
         s = torch.zeros(batch, self.n_x, self.n_x + len(self.shapes) + len(self.features), dtype=torch.float64)

@@ -31,7 +31,7 @@ from dynasindy.world_models.fast_field import Field, generate
 from dynasindy.world_models.files import load, save
 from dynasindy.world_models.libraries import LibraryBuilder, build_library
 from dynasindy.world_models.library import Library
-from dynasindy.world_models.measured import Seen, rates_known, reconstruct
+from dynasindy.world_models.measured import Seen, imagined, rates_known, reconstruct
 from dynasindy.world_models.refine import Refinement
 from dynasindy.world_models.regression import Regression, RunningSums, integral_form
 from dynasindy.world_models.report import FitReport
@@ -51,6 +51,8 @@ class SindyModel(WorldModel):
         known: equations that are known, e.g. `{"alpha_a": "Omega_a"}`: the state's rate is that function, nothing else.
         allowed: functions that may occur in an equation, by state; all by default.
         fixed: coefficients that are given, by state and function name.
+        initial: first guess of the equations, by state and function name, instead of a regression: for plants with a
+            state that no sensor sees in any form.
 
     Raises:
         ValueError: a name of a state, an input or a function does not exist.
@@ -67,12 +69,14 @@ class SindyModel(WorldModel):
         known: Mapping[str, str] | None = None,
         allowed: Mapping[str, Sequence[str]] | None = None,
         fixed: Mapping[str, Mapping[str, float]] | None = None,
+        initial: Mapping[str, Mapping[str, float]] | None = None,
     ) -> None:
         super().__init__(signature)
         self.library = build_library(library, signature)
         self.regression = regression or Regression()
         self.refinement = refinement
         self.constraints = Constraints.build(self.library, known or {}, allowed or {}, fixed or {})
+        self.initial = None if initial is None else Constraints.build(self.library, {}, {}, initial).offset
         self.sums = RunningSums(len(self.library), signature.n_x)
         self.register_buffer("coefficients", self.constraints.offset.clone())
         self._field: Field | None = None
@@ -160,9 +164,16 @@ class SindyModel(WorldModel):
         self._check(data)
         rates = rates_known(self.library, self.constraints)
         guess = reconstruct(data, rates)
+        if self.initial is not None:
+            guess = imagined(
+                self.library, torch.where(self.constraints.free, self.initial, self.constraints.offset), data, guess
+            )
         seen = Seen.of(guess, data, rates)
         self.sums.add(seen.rows(self.library, self) if seen.half else integral_form(self.library, guess))
-        self._solve(self.sums, seen.dependent)
+        if self.initial is None:
+            self._solve(self.sums, seen.dependent)
+        else:
+            self.set_coefficients(torch.where(self.constraints.free, self.initial, self.constraints.offset))
         notes = self._refine(data, guess)
         seconds = time.perf_counter() - start
         return FitReport.of(self.library, self.coefficients, self.sums, seconds, notes, data.dt)

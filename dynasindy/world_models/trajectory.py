@@ -34,8 +34,9 @@ EXACT = 1e-100
 """Error taken for that of a state that is met exactly, as one that never moves; its inverse has a finite square."""
 NOISY = 1e-7
 """Part of a coefficient's effect that those of others leave over, below which data cannot tell it from them."""
-LONGEST_STEP = 0.01
-"""Longest Runge-Kutta step [s]."""
+FINE, STABLE, MOST_STEPS = 0.1, 1.5, 10
+"""Runge-Kutta step times the fastest rate of the model: for an error of 1e-7, and the most that is stable; and how many
+steps of an interval the first may ask for."""
 
 
 class RunsAway(ValueError):
@@ -70,7 +71,7 @@ class Flow:
         x, s = estimate.nodes, propagator.start(len(estimate.nodes))
         states, slopes = [], []
         for u in windows.inputs.unbind(1):
-            x, s = propagator.advance(x, s, u, windows.dt, max(1, math.ceil(windows.dt / LONGEST_STEP - 1e-9)))
+            x, s = propagator.advance(x, s, u, windows.dt, windows.substeps)
             states.append(x)
             slopes.append(s)
         return cls(torch.stack(states, 1), torch.stack(slopes, 1))
@@ -224,7 +225,8 @@ def refine_trajectory(
     data, limit = data.to(torch.float64), math.log(max(len(data), 2))
     guess = data.x if start is None else start.to(torch.float64)
     support = (xi != 0) & free
-    estimate, windows = _grown(Estimate(library, xi, guess), support, data, window, joined, max_rounds)
+    start_at = Estimate(library, xi, guess)
+    estimate, windows = _grown(start_at, support, data, (window, joined, max_rounds))
     for _ in range(6):
         estimate, support = _descend(estimate, support, windows, (limit, max_rounds))
         active, others = Parameters.where(support), Parameters.where(free & ~support)
@@ -246,7 +248,14 @@ def refine_trajectory(
 
 
 def trajectory_cost(
-    library: Library, xi: Tensor, free: Tensor, data: Transitions, window: int, rounds: int, start: Tensor
+    library: Library,
+    xi: Tensor,
+    free: Tensor,
+    data: Transitions,
+    window: int,
+    rounds: int,
+    start: Tensor,
+    joined: bool = True,
 ) -> float:
     """Return N/2 times the logarithm of the squared errors that a few steps leave over, summed over measured states.
 
@@ -258,9 +267,10 @@ def trajectory_cost(
         window: sampling intervals in a window.
         rounds: Gauss-Newton steps.
         start: guess of the states before each transition, `(N, n_x)`.
+        joined: whether the windows join to one trajectory.
     """
     support, data = (xi != 0) & free, data.to(torch.float64)
-    estimate, windows = _grown(Estimate(library, xi, start), support, data, window, True, rounds)
+    estimate, windows = _grown(Estimate(library, xi, start), support, data, (window, joined, rounds))
     parameters = Parameters.where(support)
     estimate = _converge(estimate, parameters, windows, rounds)
     sigma = Flow.of(estimate, parameters, windows).sigma(windows)
@@ -268,8 +278,26 @@ def trajectory_cost(
     return float((counts * sigma.log())[seen].sum())
 
 
+def substeps_for(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float) -> int:
+    """Return into how many Runge-Kutta steps an interval is divided, by the fastest rate of a model.
+
+    Args:
+        library: candidate functions.
+        xi: coefficients, `(n_features, n_x)`.
+        x: states that occur, `(N, n_x)`.
+        u: inputs there, `(N, n_u)`.
+        dt: length of an interval [s].
+    """
+    slopes = Propagator(library, xi, Parameters.where(xi != 0)).slopes_by_state(x, u)
+    rates = torch.linalg.eigvals(slopes[slopes.isfinite().all(-1).all(-1)]).abs().amax(-1)
+    if not len(rates):
+        return 1
+    turn = dt * float(torch.quantile(rates[-100_000:], 0.999))
+    return max(1, min(math.ceil(turn / FINE - 1e-6), MOST_STEPS), min(math.ceil(turn / STABLE), 10 * MOST_STEPS))
+
+
 def _grown(
-    estimate: Estimate, support: Tensor, data: Transitions, window: int, joined: bool, max_rounds: int
+    estimate: Estimate, support: Tensor, data: Transitions, limits: tuple[int, bool, int]
 ) -> tuple[Estimate, Windows]:
     """Return windows of the wanted length, and an estimate that does not run away in them.
 
@@ -277,14 +305,14 @@ def _grown(
         estimate: first estimate; its nodes are a guess of the states before each transition, `(N, n_x)`.
         support: coefficients in the model.
         data: the recording.
-        window: wanted length.
-        joined: whether the windows join.
-        max_rounds: limit on Gauss-Newton steps of each length.
+        limits: wanted length, whether the windows join, and the limit on Gauss-Newton steps of each length.
     """
+    window, joined, max_rounds = limits
+    substeps = substeps_for(estimate.library, estimate.xi, estimate.nodes, data.u, data.dt)
     parameters, guess = Parameters.where(support), estimate.nodes
     lengths = [window]
     while True:
-        windows = Windows.of(data, lengths[0], joined)
+        windows = Windows.of(data, lengths[0], joined, substeps)
         trial = replace(estimate, nodes=guess[windows.rows])
         if lengths[0] <= 2 or not bool(Flow.of(trial, parameters, windows).lost().any()):
             break
@@ -292,7 +320,7 @@ def _grown(
     for length in lengths[1:]:
         trial = _converge(trial, parameters, windows, max_rounds)
         guess = guess.index_copy(0, windows.rows, trial.nodes)
-        windows = Windows.of(data, length, joined)
+        windows = Windows.of(data, length, joined, substeps)
         trial = replace(trial, nodes=guess[windows.rows])
     return trial, windows
 
@@ -342,7 +370,7 @@ def _converge(estimate: Estimate, parameters: Parameters, windows: Windows, max_
         candidate = _move(estimate, model, parameters, torch.arange(len(model.scale)), damping)
         flow = Flow.of(candidate, parameters, windows)
         trial = linearise(candidate, parameters, windows, model.sigma, flow)
-        if not trial.cost < model.cost:
+        if not (trial.cost < model.cost and bool(trial.triangle.isfinite().all())):
             if damping > 1e6 or abs(trial.cost - model.cost) < 1e-6 * model.cost:
                 break
             damping = max(10 * damping, 1e-3)

@@ -22,6 +22,7 @@ class Windows:
         mask: 1 where a state was measured at the end of an interval of the recording, else 0, `(W, L, n_x)`.
         joined: whether a window continues the one before, bool `(W,)`.
         dt: length of an interval [s].
+        substeps: Runge-Kutta steps in an interval.
     """
 
     rows: Tensor
@@ -31,15 +32,17 @@ class Windows:
     mask: Tensor
     joined: Tensor
     dt: float
+    substeps: int = 1
 
     @classmethod
-    def of(cls, data: Transitions, length: int, joined: bool = True) -> Windows:
+    def of(cls, data: Transitions, length: int, joined: bool = True, substeps: int = 1) -> Windows:
         """Cut every segment of a recording into windows of `length` intervals; the last one may be shorter.
 
         Args:
             data: the recording; NaN where a state was not measured.
             length: sampling intervals in a window.
             joined: whether a window continues the one before; if not, each begins at a state of its own.
+            substeps: Runge-Kutta steps in an interval.
         """
         starts, rows, inside, follows = [], [], [], []
         for segment in data.segment.unique().tolist():
@@ -59,6 +62,7 @@ class Windows:
             mask=(within.unsqueeze(-1) & ~after.isnan()).to(after.dtype),
             joined=torch.tensor(follows),
             dt=data.dt,
+            substeps=substeps,
         )
 
     def __len__(self) -> int:
