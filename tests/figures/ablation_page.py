@@ -133,6 +133,15 @@ def _tuned_without_model() -> Iterator[Tie]:
         figures = (f" {pair(partial(_number, row), 3, axes=ERRORS)}" if row else "" for row in ends)
         yield Tie(PAGE, "| {} |{} |{} |{} |{} |", (words, *figures))
 
+    names = ("rollouts_0_tuned", "rollouts_0", "sb3_sac_5", "rollouts_800")
+    ends = tuple(_end("xi", name, 3) for name in names)
+    yield Tie(
+        PAGE,
+        "end them at {} rad on the worse axis, where `rollouts_0` stands at {}, SAC with five updates per step, its "
+        "one seed, at {}, and 800 rollouts at {}.",
+        ends,
+    )
+
 
 def _number(row: dict[str, str], column: str) -> float:
     return float(row[column])
