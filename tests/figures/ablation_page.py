@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator
+from functools import partial
 
 from tables import TRIAL, cell, middle, numbers, pair, rows, setting, short, table
 from ties import Tie, Untied
@@ -41,6 +42,16 @@ TUNING = {
     },
 }  # fmt: skip
 """What each row of the table changed, against the first."""
+WIDE = {"learning_rate": 0.001, "policy_noise": 0.03, "noise_min": 0.1, "layer_norm": "False"}
+WIDE_SLOW = {**WIDE, "learning_rate": 0.0003}
+MODEL_FREE = {
+    "nothing": {**WIDE, "noise_min": 0.02},
+    "exploration noise from 0.3 down to 0.1, instead of from 0.15 down to 0.02": WIDE,
+    "that, and learning rates of 3e-4": WIDE_SLOW,
+    "both, and smoothing noise of 0.1, bounded at 0.3": {**WIDE_SLOW, "policy_noise": 0.1},
+    "both, and layer normalisation of the critics": {**WIDE_SLOW, "layer_norm": "True"},
+}
+"""What each trial without a model changed."""
 
 
 def ties(text: str) -> Iterator[Tie]:
@@ -49,6 +60,7 @@ def ties(text: str) -> Iterator[Tie]:
     yield from _controls(text)
     yield from _paper(text)
     yield from _tuning()
+    yield from _tuned_without_model()
     yield from _words()
 
 
@@ -112,6 +124,27 @@ def _tuning() -> Iterator[Tie]:
     for (run, words), changed in TUNING.items():
         figures = tuple(f" {shown}" if (shown := _tuned(changed, n)) else "" for n in (4, 6, 8, 10, 12))
         yield Tie(PAGE, f"| {run} | {{}} |{{}} |{{}} |{{}} |{{}} |{{}} |", (words, *figures))
+
+
+def _tuned_without_model() -> Iterator[Tie]:
+    for words, changed in MODEL_FREE.items():
+        found = {row["episode"]: row for row in rows("tuning.csv", rollouts=0, **changed)}
+        ends = (found.get(str(n)) for n in (2, 4, 6, 8))
+        figures = (f" {pair(partial(_number, row), 3, axes=ERRORS)}" if row else "" for row in ends)
+        yield Tie(PAGE, "| {} |{} |{} |{} |{} |", (words, *figures))
+
+    names = ("rollouts_0_tuned", "rollouts_0", "sb3_sac_5", "rollouts_800")
+    ends = tuple(_end("xi", name, 3) for name in names)
+    yield Tie(
+        PAGE,
+        "end them at {} rad on the worse axis, where `rollouts_0` stands at {}, SAC with five updates per step, its "
+        "one seed, at {}, and 800 rollouts at {}.",
+        ends,
+    )
+
+
+def _number(row: dict[str, str], column: str) -> float:
+    return float(row[column])
 
 
 def _words() -> Iterator[Tie]:

@@ -10,6 +10,7 @@ from tables import middle, numbers, pair, record, rows, short, table
 from ties import Tie, Untied
 
 from dynasindy.benchmarks.gradient import GUST, PLANTS
+from dynasindy.benchmarks.td3 import BEST, SIZES
 from dynasindy.planning.integral import IntegralAction
 
 PAGE = "docs/results/README.md"
@@ -29,6 +30,7 @@ def ties(text: str) -> Iterator[Tie]:
     yield from _gradient_words()
     yield from _friction_words()
     yield from _other_words()
+    yield from _speed()
 
 
 def gradient(case: str, plant: str, seconds: float = 10.0, scenario: str = "step") -> Found:
@@ -152,6 +154,18 @@ def _other_words() -> Iterator[Tie]:
     assert {float(rate) for rate in rates} == {3e-4}
     yield Tie(PAGE, "Layer normalisation in the critics (`xi`, learning rate {})", ("3e-4",))
     yield Tie(PAGE, "the policy ends in a limit cycle, steady-state error {} / {} rad", limit_cycle())
+
+
+def _speed() -> Iterator[Tie]:
+    """Yield the rows of the time of a TD3 update, each ratio in both runs."""
+    contenders = ("Stable-Baselines3 TD3", BEST, "TorchRL TD3Loss loop", "matrix products alone")
+    for size in SIZES:
+        hidden = "-".join(map(str, size.hidden))
+        figures = []
+        for what in contenders:
+            found = [rows(name, what=what, hidden=hidden, batch=size.batch) for name in ("td3.csv", "td3_again.csv")]
+            figures.append(", ".join(f"{ratio:.2f}" for each in found for ratio in numbers(each, "ratio_to_ours")))
+        yield Tie(PAGE, f"| {hidden}, {size.batch} | {{}} | {{}} | {{}} | {{}} |", tuple(figures))
 
 
 PLANTS_HERE = ("xi", "tras")

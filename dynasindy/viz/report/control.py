@@ -34,7 +34,11 @@ def rewards(results: Results) -> Section:
         names = [name for name, words in SETTINGS.items() if words in curves]
         drawn = [row for row in runs if row["setting"] in names]
         to_level = {words: _to_level(runs, name) for name, words in SETTINGS.items() if words in curves}
-        to_level |= {words: seeds for name, words in MODEL_FREE.items() if (seeds := _to_level(runs, name))}
+        to_level |= {
+            f"{words} ({_lengths(runs, name)} episodes)": seeds
+            for name, words in MODEL_FREE.items()
+            if (seeds := _to_level(runs, name))
+        }
         episodes = np.array(sorted({float(row["episode"]) for row in rows if row["evaluated_return"]}))
         title = f"Dyna-style vs. direct TD3, average rewards: plant {plant}, experiment {experiment}"
         return [
@@ -163,6 +167,11 @@ def _curves(rows: Rows, setting: str) -> Array:
 def _to_level(runs: Rows, setting: str) -> list[float]:
     """Return the real episodes to the required level of each seed, infinite where it was never reached."""
     return [float(row["episodes_to_level"] or np.inf) for row in runs if row["setting"] == setting]
+
+
+def _lengths(runs: Rows, setting: str) -> str:
+    """Return after how many episodes the runs of a setting ended, as "never" says little of short ones."""
+    return " or ".join(dict.fromkeys(f"{float(row['episodes']):g}" for row in runs if row["setting"] == setting))
 
 
 def _score_table(scores: Mapping[str, Mapping[str, float | None]], metrics: Mapping[str, str]) -> Table:

@@ -72,8 +72,8 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
         write_run(folder / "runs" / f"xi_dyna_{name}", error)
     key = ["system", "experiment", "setting", "seed"]
     made = {0: "abc1234", 1: "def5678", 2: "abc1234"}
-    rows = [["xi", "dyna", name, seed, steps, made[seed]] for name, steps in EPISODES.items() for seed in made]
-    table(folder / "ablation.csv", [*key, "episodes_to_level", "commit"], rows)
+    rows = [["xi", "dyna", name, seed, 6, steps, made[seed]] for name, steps in EPISODES.items() for seed in made]
+    table(folder / "ablation.csv", [*key, "episodes", "episodes_to_level", "commit"], rows)
     rows = [
         ["xi", "dyna", name, seed, k, -1000 * error / k + seed]
         for name, error in ERRORS.items()

@@ -32,11 +32,11 @@ def test_other_agents_without_a_model_stand_beside_where_the_level_is_compared(r
     more = tmp_path / "results"
     shutil.copytree(results.folder, more)
     with (more / "ablation.csv").open("a") as file:
-        file.write("xi,dyna,sb3_sac_5,0,5,abc1234\r\nxi,dyna,sb3_sac_5,1,5,abc1234\r\n")
+        file.write("xi,dyna,sb3_sac_5,0,7,5,abc1234\r\nxi,dyna,sb3_sac_5,1,7,5,abc1234\r\n")
     section = control.rewards(Results(more, results.settings))
     said = {finding.paper.partition(": ")[2]: finding for finding in section.findings}
     level = said["planning reaches the required level sooner"]
-    assert level.ours.endswith("800 rollouts 4, SAC with five updates per step 5") and not level.agrees
+    assert level.ours.endswith("800 rollouts 4, SAC with five updates per step (7 episodes) 5") and not level.agrees
     (axis,) = pictures(section)["average_rewards_xi_dyna"].axes
     assert not any("SAC" in str(line.get_label()) for line in axis.lines)
 
