@@ -36,7 +36,7 @@ from dynasindy.world_models.diagnosis import Missing, diagnose
 from dynasindy.world_models.libraries import paper_table
 from dynasindy.world_models.prediction import one_step_error
 from dynasindy.world_models.sensitivity import Parameters
-from dynasindy.world_models.trajectory import Estimate, linearise
+from dynasindy.world_models.shooting import Estimate, linearise
 from dynasindy.world_models.windows import Windows
 
 KNOWN = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import torch
@@ -20,7 +20,7 @@ from dynasindy.world_models.measured import Seen, has_gaps, rates_known
 from dynasindy.world_models.one_step import refine_one_step
 from dynasindy.world_models.regression import Regression, RunningSums
 from dynasindy.world_models.shapes import fit_shapes
-from dynasindy.world_models.trajectory import refine_trajectory, trajectory_cost
+from dynasindy.world_models.trajectory import Descent, refine_trajectory, trajectory_cost
 
 STEPS = 6
 """Gauss-Newton steps after which two delays are compared."""
@@ -124,17 +124,18 @@ class Refinement:
         if method == "one_step":
             return Refined(*refine_one_step(library, coefficients, free, seen.guess, self.tolerance), delay)
         if method == "trajectory":
-            window, joined = min(self.window, len(measured)), self.error == "simulation"
+            descent = Descent(min(self.window, len(measured)), self.error == "simulation")
             if self.longest_delay:
 
                 def _cost(delay: float) -> float:
                     trial, start = _late(delay)
-                    return trajectory_cost(library, coefficients, free, trial, window, STEPS, start.guess.x, joined)
+                    few = replace(descent, max_rounds=STEPS)
+                    return trajectory_cost(library, coefficients, free, trial, few, start.guess.x)
 
                 delay = fine_delay(delay, data.dt, self.longest_delay, math.log(max(len(data), 2)), _cost)
                 measured, seen = _late(delay)
                 library, coefficients = self._regressed(library, coefficients, constraints, seen)
-            found = refine_trajectory(library, coefficients, free, measured, window, start=seen.guess.x, joined=joined)
+            found = refine_trajectory(library, coefficients, free, measured, descent, seen.guess.x)
             return Refined(*found, delay)
         return Refined(library, coefficients, delay)
 

@@ -16,7 +16,8 @@ from dynasindy.world_models.library import Library
 from dynasindy.world_models.one_step import refine_one_step
 from dynasindy.world_models.refine import Refinement
 from dynasindy.world_models.sensitivity import Parameters
-from dynasindy.world_models.trajectory import Estimate, _move, linearise, refine_trajectory
+from dynasindy.world_models.shooting import Estimate, linearise, move
+from dynasindy.world_models.trajectory import Descent, refine_trajectory
 from dynasindy.world_models.windows import Windows
 
 SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
@@ -28,6 +29,8 @@ INPUTS = np.random.default_rng(7).uniform(-1, 1, 20).repeat(10)
 
 def coefficients_of(refine, *args):
     """Coefficients that a refinement finds; the library comes back as it was."""
+    if refine is refine_trajectory:
+        args = (*args[:-1], Descent(args[-1]))
     return refine(*args)[1]
 
 
@@ -87,7 +90,7 @@ def test_its_spread_over_recordings_is_the_cramer_rao_bound():
 def test_noise_in_the_states_biases_the_one_step_fit_but_not_this_one():
     estimates = [
         [f(LIBRARY, column(A, B, 0.0, 0.0), TWO, recording(k, 0.1), *more)[1][0, 0].item() for k in range(6)]
-        for f, more in ((refine_one_step, (1e-9,)), (refine_trajectory, (10,)))
+        for f, more in ((refine_one_step, (1e-9,)), (refine_trajectory, (Descent(10),)))
     ]
     spread = 0.1 / NOISE * bound()[0] / math.sqrt(6)
     assert abs(np.mean(estimates[0]) - A) > 8 * spread
@@ -109,7 +112,7 @@ def test_what_may_come_in_is_what_is_outside_the_model(monkeypatch):
         seen.append((triangle.shape[1], n_fixed, active.features.tolist(), others.features.tolist(), limit))
 
     monkeypatch.setattr(trajectory, "reconsider", spy)
-    refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), torch.ones(4, 1, dtype=torch.bool), recording(1), 10)
+    refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), torch.ones(4, 1, dtype=torch.bool), recording(1), Descent(10))
     # One start state, four functions and the error; a function is worth the logarithm of 200 samples.
     assert seen == [(6, 1, [0, 1], [2, 3], math.log(200))]
 
@@ -207,14 +210,14 @@ def test_a_step_solves_the_linear_problem_of_starts_and_coefficients():
     parameters = Parameters.where(torch.tensor([[False], [False], [True], [False]]))
     estimate = Estimate(LIBRARY, column(0.0, 0.0, 3.0, 0.0), torch.from_numpy(generator.normal(size=(3, 1))))
     model = linearise(estimate, parameters, windows, torch.ones(1).double())
-    found = _move(estimate, model, parameters, torch.arange(2))
+    found = move(estimate, model, parameters, torch.arange(2))
     slope, start = np.polyfit(0.5 * np.arange(8), y, 1)
     assert found.xi.flatten().tolist() == pytest.approx([0, 0, slope, 0], abs=1e-9)
     assert found.nodes.flatten().tolist() == pytest.approx([start + 1.5 * k * slope for k in range(3)], abs=1e-9)
     # Without the constant the best start is the mean, and an infinite damping leaves the start where it is.
-    mean = _move(estimate, model, parameters, torch.tensor([0]))
+    mean = move(estimate, model, parameters, torch.tensor([0]))
     assert mean.xi[2, 0] == 0 and mean.nodes[0, 0].item() == pytest.approx(y.mean())
-    still = _move(estimate, model, parameters, torch.arange(2), damping=1e12)
+    still = move(estimate, model, parameters, torch.arange(2), damping=1e12)
     assert still.xi[2, 0].item() == pytest.approx(3.0, rel=1e-6)
     assert still.nodes[0, 0].item() == pytest.approx(estimate.nodes[0, 0].item(), abs=1e-6)
 
