@@ -16,7 +16,7 @@ from dynasindy.world_models.constraints import Constraints
 from dynasindy.world_models.delay import delayed, fine_delay, known_inputs, rough_delay
 from dynasindy.world_models.fast_field import generate
 from dynasindy.world_models.library import Library
-from dynasindy.world_models.measured import Seen, has_gaps, rates_known
+from dynasindy.world_models.measured import Seen, has_gaps, rates_known, reconstruct
 from dynasindy.world_models.one_step import refine_one_step
 from dynasindy.world_models.regression import Regression, RunningSums
 from dynasindy.world_models.shapes import fit_shapes
@@ -114,8 +114,13 @@ class Refinement:
         method = self.method
         if bool(has_gaps(data)):
             method = "trajectory"
+        elif method != "integral" and looks_noisy(library, coefficients, seen.guess):
+            method = "trajectory" if method == "auto" else method
+            if method == "trajectory":
+                seen = Seen.of(reconstruct(measured, rates, True), measured, rates, True)
+                library, coefficients = self._regressed(library, coefficients, constraints, seen)
         elif method == "auto":
-            method = "trajectory" if looks_noisy(library, coefficients, seen.guess) else "one_step"
+            method = "one_step"
         if method == "one_step":
             return Refined(*refine_one_step(library, coefficients, free, seen.guess, self.tolerance), delay)
         if method == "trajectory":
