@@ -7,19 +7,13 @@ trajectory is cut into windows whose start states are unknowns of their own, so 
 side and a poor first model does not run away (multiple shooting, Bock 1981); in each step the conditions that windows
 join are eliminated (condensing). Where windows are not joined, each begins at a state of its own: the error is then
 that of a prediction over one window, which random pushes on the plant spoil less.
-
-| name     | meaning                                             | shape      |
-| -------- | --------------------------------------------------- | ---------- |
-| nodes    | start states of the windows                         | `(W, n_x)` |
-| shapes   | numbers inside the fitted factors of the library    | `(S,)`     |
-| fixed    | unknowns that always stay: first nodes and shapes   | F of them  |
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -27,170 +21,16 @@ from torch import Tensor
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.selection import reconsider, walk_down
-from dynasindy.world_models.sensitivity import Parameters, Propagator
+from dynasindy.world_models.sensitivity import Parameters
+from dynasindy.world_models.shooting import EXACT, Estimate, Flow, Linearised, RunsAway, growth, linearise
 from dynasindy.world_models.windows import Windows
 
-EXACT = 1e-100
-"""Error taken for that of a state that is met exactly, as one that never moves; its inverse has a finite square."""
 NOISY = 1e-7
 """Part of a coefficient's effect that those of others leave over, below which data cannot tell it from them."""
-LONGEST_STEP = 0.01
-"""Longest Runge-Kutta step [s]."""
-
-
-class RunsAway(ValueError):
-    """A model leaves all bounds within the shortest of windows."""
-
-
-@dataclass
-class Estimate:
-    """Hold the unknowns of a fit to trajectories: the library with its shapes, Xi, and the nodes."""
-
-    library: Library
-    xi: Tensor
-    nodes: Tensor
-
-
-@dataclass(frozen=True)
-class Flow:
-    """Hold the trajectories of all windows and their sensitivities.
-
-    Attributes:
-        predicted: states at the ends of the intervals, `(W, L, n_x)`.
-        s: their derivatives by the window's start, the shapes and the coefficients, `(W, L, n_x, n_x + S + P)`.
-    """
-
-    predicted: Tensor
-    s: Tensor
-
-    @classmethod
-    def of(cls, estimate: Estimate, parameters: Parameters, windows: Windows) -> Flow:
-        """Integrate all windows."""
-        propagator = Propagator(estimate.library, estimate.xi, parameters, estimate.library.shapes)
-        x, s = estimate.nodes, propagator.start(len(estimate.nodes))
-        states, slopes = [], []
-        for u in windows.inputs.unbind(1):
-            x, s = propagator.advance(x, s, u, windows.dt, max(1, math.ceil(windows.dt / LONGEST_STEP - 1e-9)))
-            states.append(x)
-            slopes.append(s)
-        return cls(torch.stack(states, 1), torch.stack(slopes, 1))
-
-    def lost(self) -> Tensor:
-        """Return which windows the model runs away in, bool `(W,)`."""
-        finite = self.predicted.square().isfinite().all(-1) & self.s.square().isfinite().all(-1).all(-1)
-        return ~finite.all(-1)
-
-    def sigma(self, windows: Windows) -> Tensor:
-        """Return the error of each state, `(n_x,)`; `EXACT` where none was measured."""
-        error = (windows.measured - self.predicted) * windows.mask
-        return (error.square().sum((0, 1)) / windows.mask.sum((0, 1)).clamp_min(1)).sqrt().clamp_min(EXACT)
-
-
-@dataclass(frozen=True)
-class Linearised:
-    """Hold the condensed linear model at an estimate.
-
-    Attributes:
-        triangle: R of [fixed unknowns, coefficients, target], all weighted and scaled.
-        scale: norms of the columns.
-        cost: sum of squared errors and of squared gaps between windows, both weighted.
-        moves: how the node of each window moves with the unknowns, `(W, n_x, F + P + 1)`.
-        sigma: error of each state, `(n_x,)`.
-    """
-
-    triangle: Tensor
-    scale: Tensor
-    cost: float
-    moves: Tensor
-    sigma: Tensor
-
-
-def linearise(
-    estimate: Estimate, parameters: Parameters, windows: Windows, sigma: Tensor | None = None, flow: Flow | None = None
-) -> Linearised:
-    """Integrate all windows with sensitivities and eliminate the nodes that continue a window.
-
-    Args:
-        estimate: coefficients and nodes.
-        parameters: coefficients to differentiate by, P of them.
-        windows: the recording.
-        sigma: error of each state, the weights; from the errors themselves if omitted.
-        flow: what was integrated already.
-
-    Raises:
-        RunsAway: without `sigma`, so at an estimate that is no trial, the model runs away within a window.
-    """
-    flow = flow or Flow.of(estimate, parameters, windows)
-    if sigma is None:
-        _require_bounded(flow, windows)
-        sigma = flow.sigma(windows)
-    error = (windows.measured - flow.predicted) * windows.mask
-    begun = ~windows.joined
-    start_error = (windows.first - estimate.nodes)[begun]
-    moves, gaps = _condense(estimate.nodes, flow, windows, len(parameters))
-    n_x, n_fixed = estimate.xi.shape[1], moves.shape[-1] - len(parameters) - 1
-    # error - d predicted: the node's move, then shapes and coefficients.
-    columns = flow.s[..., :n_x] @ moves.unsqueeze(1)
-    n_own = flow.s.shape[-1] - n_x
-    columns[..., -1 - n_own : -1] += flow.s[..., n_x:]
-    columns[..., -1] = error - columns[..., -1]
-    columns = columns * (windows.mask / sigma).unsqueeze(-1)
-    starts = moves[begun].clone()
-    starts[..., -1] = start_error
-    starts = torch.where(start_error.isnan().unsqueeze(-1), 0.0, starts / sigma.unsqueeze(-1))
-    rows = torch.cat([columns.reshape(-1, columns.shape[-1]), starts.reshape(-1, columns.shape[-1])])
-    scale = rows[:, :-1].norm(dim=0).clamp_min(1e-300)
-    target = rows[:, -1:] + rows[:, n_fixed:-1] @ parameters.read(estimate.xi).unsqueeze(-1)
-    triangle = torch.linalg.qr(torch.cat([rows[:, :-1] / scale, target], -1), mode="r")[1]
-    # A gap shifts all samples that follow, so closing it is worth more than the errors it hid.
-    gap_weight = 10.0 * windows.mask.shape[1]
-    weighted = (
-        (1.0, error / sigma),
-        (1.0, start_error.nan_to_num() / sigma),
-        (gap_weight, gaps / _gap_sigma(sigma, estimate)),
-    )
-    cost = float(sum((w * e.square().sum() for w, e in weighted), torch.zeros(())))
-    return Linearised(triangle, scale, cost, moves, sigma)
-
-
-def _gap_sigma(sigma: Tensor, estimate: Estimate) -> Tensor:
-    """Return what a gap of each state is weighed against; of one that no sensor sees, by the errors of the others."""
-    spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12)
-    seen = sigma > EXACT
-    relative = (sigma / spread)[seen].median() if bool(seen.any()) else torch.ones(())
-    return torch.where(seen, sigma, relative * spread).clamp_min(EXACT)
-
-
-def _require_bounded(flow: Flow, windows: Windows) -> None:
-    if bool((lost := flow.lost()).any()):
-        raise RunsAway(
-            f"refinement.method=trajectory: the model runs away in {int(lost.sum())} of {len(lost)} windows of "
-            f"{windows.mask.shape[1]} samples, the first of them number {int(lost.nonzero()[0])}; look for outliers "
-            "there, lower refinement.window, or choose another refinement.method"
-        )
-
-
-def _condense(nodes: Tensor, flow: Flow, windows: Windows, n_p: int) -> tuple[Tensor, Tensor]:
-    """Express the move of every node by the moves of the first nodes, of the shapes and of the coefficients.
-
-    A window that continues another one starts where that one ends:
-    d node_j = gap_j + A d node_(j-1) + B d (shapes, xi), A and B the sensitivities at the end of window j - 1.
-    """
-    n_x, s = nodes.shape[1], flow.s
-    n_own, n_start = s.shape[-1] - n_x, n_x * int((~windows.joined).sum())
-    moves = torch.zeros(len(nodes), n_x, n_start + n_own + 1, dtype=nodes.dtype)
-    gaps = torch.zeros_like(nodes)
-    seen = 0
-    for j, joined in enumerate(windows.joined.tolist()):
-        if joined:
-            moves[j] = s[j - 1, -1, :, :n_x] @ moves[j - 1]
-            moves[j, :, n_start : n_start + n_own] += s[j - 1, -1, :, n_x:]
-            gaps[j] = flow.predicted[j - 1, -1] - nodes[j]
-            moves[j, :, -1] += gaps[j]
-        else:
-            moves[j, :, seen : seen + n_x] = torch.eye(n_x, dtype=nodes.dtype)
-            seen += n_x
-    return moves, gaps
+GROWN = 100.0
+"""Factor by which errors grow along a trajectory, beyond which functions are chosen on windows on their own."""
+WORSE = 1.2
+"""Factor on the errors of windows on their own, beyond which a trajectory through all of them does not fit."""
 
 
 def refine_trajectory(
@@ -201,7 +41,7 @@ def refine_trajectory(
     window: int,
     max_rounds: int = 30,
     start: Tensor | None = None,
-    joined: bool = True,
+    joined: bool | None = None,
 ) -> tuple[Library, Tensor]:
     """Minimise the error of whole trajectories over coefficients and start states; drop what does not matter.
 
@@ -213,7 +53,8 @@ def refine_trajectory(
         window: sampling intervals in a window; fewer to begin with where the first estimate runs away.
         max_rounds: limit on Gauss-Newton steps.
         start: guess of the states before each transition, `(N, n_x)`; the measured ones if omitted.
-        joined: whether the windows join to one trajectory.
+        joined: whether the windows join to one trajectory; by default they do in the end, but not while functions are
+            chosen where small errors grow along the trajectory, as in chaos.
 
     Returns:
         The library with its shapes, and coefficients, `(n_features, n_x)`.
@@ -221,11 +62,46 @@ def refine_trajectory(
     Raises:
         RunsAway: the model runs away within the shortest of windows.
     """
-    data, limit = data.to(torch.float64), math.log(max(len(data), 2))
+    data, limit = data.to(torch.float64), price(len(data), free)
     guess = data.x if start is None else start.to(torch.float64)
-    support = (xi != 0) & free
-    estimate, windows = _grown(Estimate(library, xi, guess), support, data, window, joined, max_rounds)
-    for _ in range(6):
+    found, windows = _grown(Estimate(library, xi, guess), (xi != 0) & free, data, window, joined is not False, max_rounds)
+    if joined is None and not bool(data.x_next.isnan().any()) and _sensitive(found, windows):
+        alone = replace(windows, joined=torch.zeros_like(windows.joined))
+        own = _search(found, free, alone, limit, max_rounds)
+        found = _search(own, free, windows, limit, max_rounds)
+        if bool((_sigma(found, windows) > WORSE * _sigma(own, alone)).any()):
+            found = own
+    else:
+        found = _search(found, free, windows, limit, max_rounds)
+    return found.library, found.xi
+
+
+def price(n: int, free: Tensor) -> float:
+    """Return the squared weighted error that a coefficient must be worth: extended Bayesian criterion.
+
+    The more functions there are to choose from, the better is the best one of those that mean nothing (Chen and
+    Chen 2008).
+
+    Args:
+        n: transitions.
+        free: coefficients that may be estimated, bool `(n_features, n_x)`.
+    """
+    return math.log(max(n, 2)) + 2 * math.log(max(int(free.sum(0).max()), 1))
+
+
+def _sensitive(estimate: Estimate, windows: Windows) -> bool:
+    """Tell whether small errors grow so much that the linear model of a whole trajectory is of no use."""
+    return not growth(Flow.of(estimate, Parameters.where(estimate.xi != 0), windows), windows, estimate.nodes) < GROWN
+
+
+def _sigma(estimate: Estimate, windows: Windows) -> Tensor:
+    return Flow.of(estimate, Parameters.where(estimate.xi != 0), windows).sigma(windows)
+
+
+def _search(estimate: Estimate, free: Tensor, windows: Windows, limit: float, max_rounds: int) -> Estimate:
+    """Converge, drop and reconsider until there is nothing better."""
+    support = (estimate.xi != 0) & free
+    for _ in range(10):
         estimate, support = _descend(estimate, support, windows, (limit, max_rounds))
         active, others = Parameters.where(support), Parameters.where(free & ~support)
         if not len(active) or not len(others):
@@ -236,13 +112,12 @@ def refine_trajectory(
         if better is None:
             break
         chosen = (active + others).take(better)
-        changed = _changed(
-            estimate, model, active + others, torch.cat([torch.arange(n_fixed), n_fixed + better]), windows
-        )
+        kept = torch.cat([torch.arange(n_fixed), n_fixed + better])
+        changed = _changed(estimate, model, active + others, kept, windows)
         if changed is None:
             break
         estimate, support = changed, chosen.support(support.shape)
-    return estimate.library, estimate.xi
+    return estimate
 
 
 def trajectory_cost(

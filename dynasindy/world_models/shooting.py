@@ -1,0 +1,208 @@
+"""Trajectories of all windows side by side, and the linear model of their errors with most nodes eliminated.
+
+| name     | meaning                                             | shape      |
+| -------- | --------------------------------------------------- | ---------- |
+| nodes    | start states of the windows                         | `(W, n_x)` |
+| shapes   | numbers inside the fitted factors of the library    | `(S,)`     |
+| fixed    | unknowns that always stay: first nodes and shapes   | F of them  |
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from dynasindy.world_models.library import Library
+from dynasindy.world_models.sensitivity import Parameters, Propagator
+from dynasindy.world_models.windows import Windows
+
+EXACT = 1e-100
+"""Error taken for that of a state that is met exactly, as one that never moves; its inverse has a finite square."""
+LONGEST_STEP = 0.01
+"""Longest Runge-Kutta step [s]."""
+
+
+class RunsAway(ValueError):
+    """A model leaves all bounds within the shortest of windows."""
+
+
+@dataclass
+class Estimate:
+    """Hold the unknowns of a fit to trajectories: the library with its shapes, Xi, and the nodes."""
+
+    library: Library
+    xi: Tensor
+    nodes: Tensor
+
+
+@dataclass(frozen=True)
+class Flow:
+    """Hold the trajectories of all windows and their sensitivities.
+
+    Attributes:
+        predicted: states at the ends of the intervals, `(W, L, n_x)`.
+        s: their derivatives by the window's start, the shapes and the coefficients, `(W, L, n_x, n_x + S + P)`.
+    """
+
+    predicted: Tensor
+    s: Tensor
+
+    @classmethod
+    def of(cls, estimate: Estimate, parameters: Parameters, windows: Windows) -> Flow:
+        """Integrate all windows."""
+        propagator = Propagator(estimate.library, estimate.xi, parameters, estimate.library.shapes)
+        x, s = estimate.nodes, propagator.start(len(estimate.nodes))
+        states, slopes = [], []
+        for u in windows.inputs.unbind(1):
+            x, s = propagator.advance(x, s, u, windows.dt, max(1, math.ceil(windows.dt / LONGEST_STEP - 1e-9)))
+            states.append(x)
+            slopes.append(s)
+        return cls(torch.stack(states, 1), torch.stack(slopes, 1))
+
+    def lost(self) -> Tensor:
+        """Return which windows the model runs away in, bool `(W,)`."""
+        finite = self.predicted.square().isfinite().all(-1) & self.s.square().isfinite().all(-1).all(-1)
+        return ~finite.all(-1)
+
+    def sigma(self, windows: Windows) -> Tensor:
+        """Return the error of each state, `(n_x,)`; `EXACT` where none was measured."""
+        error = (windows.measured - self.predicted) * windows.mask
+        return (error.square().sum((0, 1)) / windows.mask.sum((0, 1)).clamp_min(1)).sqrt().clamp_min(EXACT)
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """Hold the condensed linear model at an estimate.
+
+    Attributes:
+        triangle: R of [fixed unknowns, coefficients, target], all weighted and scaled.
+        scale: norms of the columns.
+        cost: sum of squared errors and of squared gaps between windows, both weighted.
+        moves: how the node of each window moves with the unknowns, `(W, n_x, F + P + 1)`.
+        sigma: error of each state, `(n_x,)`.
+    """
+
+    triangle: Tensor
+    scale: Tensor
+    cost: float
+    moves: Tensor
+    sigma: Tensor
+
+
+def linearise(
+    estimate: Estimate, parameters: Parameters, windows: Windows, sigma: Tensor | None = None, flow: Flow | None = None
+) -> Linearised:
+    """Integrate all windows with sensitivities and eliminate the nodes that continue a window.
+
+    Args:
+        estimate: coefficients and nodes.
+        parameters: coefficients to differentiate by, P of them.
+        windows: the recording.
+        sigma: error of each state, the weights; from the errors themselves if omitted.
+        flow: what was integrated already.
+
+    Raises:
+        RunsAway: without `sigma`, so at an estimate that is no trial, the model runs away within a window.
+    """
+    flow = flow or Flow.of(estimate, parameters, windows)
+    if sigma is None:
+        _require_bounded(flow, windows)
+        sigma = flow.sigma(windows)
+    error = (windows.measured - flow.predicted) * windows.mask
+    begun = ~windows.joined
+    start_error = (windows.first - estimate.nodes)[begun]
+    if bool(begun.all()):
+        moves, gaps = _own(flow, error, start_error, windows.mask, sigma), torch.zeros_like(estimate.nodes)
+    else:
+        moves, gaps = _condense(estimate.nodes, flow, windows, len(parameters))
+    n_x, n_fixed = estimate.xi.shape[1], moves.shape[-1] - len(parameters) - 1
+    # error - d predicted: the node's move, then shapes and coefficients.
+    columns = flow.s[..., :n_x] @ moves.unsqueeze(1)
+    n_own = flow.s.shape[-1] - n_x
+    columns[..., -1 - n_own : -1] += flow.s[..., n_x:]
+    columns[..., -1] = error - columns[..., -1]
+    columns = columns * (windows.mask / sigma).unsqueeze(-1)
+    starts = moves[begun].clone()
+    starts[..., -1] = start_error
+    starts = torch.where(start_error.isnan().unsqueeze(-1), 0.0, starts / sigma.unsqueeze(-1))
+    rows = torch.cat([columns.reshape(-1, columns.shape[-1]), starts.reshape(-1, columns.shape[-1])])
+    scale = rows[:, :-1].norm(dim=0).clamp_min(1e-300)
+    target = rows[:, -1:] + rows[:, n_fixed:-1] @ parameters.read(estimate.xi).unsqueeze(-1)
+    triangle = torch.linalg.qr(torch.cat([rows[:, :-1] / scale, target], -1), mode="r")[1]
+    # A gap shifts all samples that follow, so closing it is worth more than the errors it hid.
+    gap_weight = 10.0 * windows.mask.shape[1]
+    weighted = (
+        (1.0, error / sigma),
+        (1.0, start_error.nan_to_num() / sigma),
+        (gap_weight, gaps / _gap_sigma(sigma, estimate)),
+    )
+    cost = float(sum((w * e.square().sum() for w, e in weighted), torch.zeros(())))
+    return Linearised(triangle, scale, cost, moves, sigma)
+
+
+def _gap_sigma(sigma: Tensor, estimate: Estimate) -> Tensor:
+    """Return what a gap of each state is weighed against; of one that no sensor sees, by the errors of the others."""
+    spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12)
+    seen = sigma > EXACT
+    relative = (sigma / spread)[seen].median() if bool(seen.any()) else torch.ones(())
+    return torch.where(seen, sigma, relative * spread).clamp_min(EXACT)
+
+
+def _require_bounded(flow: Flow, windows: Windows) -> None:
+    if bool((lost := flow.lost()).any()):
+        raise RunsAway(
+            f"refinement.method=trajectory: the model runs away in {int(lost.sum())} of {len(lost)} windows of "
+            f"{windows.mask.shape[1]} samples, the first of them number {int(lost.nonzero()[0])}; look for outliers "
+            "there, lower refinement.window, or choose another refinement.method"
+        )
+
+
+def _condense(nodes: Tensor, flow: Flow, windows: Windows, n_p: int) -> tuple[Tensor, Tensor]:
+    """Express the move of every node by the moves of the first nodes, of the shapes and of the coefficients.
+
+    A window that continues another one starts where that one ends:
+    d node_j = gap_j + A d node_(j-1) + B d (shapes, xi), A and B the sensitivities at the end of window j - 1.
+    """
+    n_x, s = nodes.shape[1], flow.s
+    n_own, n_start = s.shape[-1] - n_x, n_x * int((~windows.joined).sum())
+    moves = torch.zeros(len(nodes), n_x, n_start + n_own + 1, dtype=nodes.dtype)
+    gaps = torch.zeros_like(nodes)
+    seen = 0
+    for j, joined in enumerate(windows.joined.tolist()):
+        if joined:
+            moves[j] = s[j - 1, -1, :, :n_x] @ moves[j - 1]
+            moves[j, :, n_start : n_start + n_own] += s[j - 1, -1, :, n_x:]
+            gaps[j] = flow.predicted[j - 1, -1] - nodes[j]
+            moves[j, :, -1] += gaps[j]
+        else:
+            moves[j, :, seen : seen + n_x] = torch.eye(n_x, dtype=nodes.dtype)
+            seen += n_x
+    return moves, gaps
+
+
+def _own(flow: Flow, error: Tensor, start_error: Tensor, mask: Tensor, sigma: Tensor) -> Tensor:
+    """Express the move of every node, of windows that none continues, by the moves of the shapes and coefficients.
+
+    It is the one that fits the window best, which leaves no unknown of its own (variable projection).
+    """
+    n_x, weight = error.shape[-1], (mask / sigma).unsqueeze(-1)
+    inside = torch.cat([flow.s, error.unsqueeze(-1)], -1) * weight
+    first = torch.cat([torch.eye(n_x).expand(len(error), -1, -1), torch.zeros_like(flow.s[:, 0, :, n_x:])], -1)
+    first = torch.cat([first, start_error.unsqueeze(-1)], -1) / sigma.unsqueeze(-1)
+    first = torch.where(start_error.isnan().unsqueeze(-1), 0.0, first)
+    rows = torch.cat([first, inside.flatten(1, 2)], 1)
+    moves = torch.linalg.lstsq(rows[..., :n_x], rows[..., n_x:], driver="gelsd").solution
+    return torch.cat([-moves[..., :-1], moves[..., -1:]], -1)
+
+
+def growth(flow: Flow, windows: Windows, nodes: Tensor) -> float:
+    """Return how much an error of a start state grows at most until the end of a window, relative to the spreads."""
+    spread = nodes.std(0, correction=0).clamp_min(1e-12)
+    along, largest = torch.eye(len(spread), dtype=nodes.dtype), 0.0
+    for step, follows in zip(flow.s[:, -1, :, : len(spread)], windows.joined.tolist(), strict=True):
+        along = step @ along if follows else step
+        largest = max(largest, float((along * spread / spread.unsqueeze(-1)).norm()))
+    return largest
