@@ -50,10 +50,10 @@ class Seen:
     half: int
 
     @classmethod
-    def of(cls, guess: Transitions, measured: Transitions, rates: Mapping[int, int]) -> Seen:
-        """Choose the bump by the noise of what was measured."""
+    def of(cls, guess: Transitions, measured: Transitions, rates: Mapping[int, int], noisy: bool = False) -> Seen:
+        """Choose the bump by the noise of what was measured; none where all was measured and it is not said noisy."""
         half = 0
-        if bool(has_gaps(measured)):
+        if noisy or bool(has_gaps(measured)):
             columns = (filled(column.numpy()) for column in measured.x_next.double().unbind(-1))
             half = max(best_length(column) for column in columns if column is not None) // 2
             half = min(max(half, SHORTEST_BUMP), LONGEST_BUMP)
@@ -93,7 +93,7 @@ def rates_known(library: Library, constraints: Constraints) -> dict[int, int]:
     return found
 
 
-def reconstruct(data: Transitions, rates: Mapping[int, int]) -> Transitions:
+def reconstruct(data: Transitions, rates: Mapping[int, int], noisy: bool = False) -> Transitions:
     """Guess all states from measurements by local cubics: the measured ones smoothed, their rates differentiated.
 
     A state that was not measured and is no rate of one that was is guessed to be zero.
@@ -101,9 +101,10 @@ def reconstruct(data: Transitions, rates: Mapping[int, int]) -> Transitions:
     Args:
         data: the recording, NaN where a state was not measured.
         rates: which state is the rate of which other one, `{rate: state}`.
+        noisy: whether states that were all measured are smoothed too; if not, they stay as they are.
     """
     data = data.to(torch.float64)
-    if not bool(data.x.isnan().any() | data.x_next.isnan().any()):
+    if not noisy and not bool(has_gaps(data)):
         return data
     x, x_next = torch.zeros_like(data.x), torch.zeros_like(data.x)
     lengths: dict[int, int] = {}

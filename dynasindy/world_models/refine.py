@@ -13,15 +13,17 @@ from dynasindy.limits import Count
 from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.constraints import Constraints
-from dynasindy.world_models.delay import delayed, fine_delay, known_inputs, rough_delay
+from dynasindy.world_models.delay import Cost, delayed, fine_delay, known_inputs, rough_delay
 from dynasindy.world_models.fast_field import generate
 from dynasindy.world_models.library import Library
-from dynasindy.world_models.measured import Seen, has_gaps, rates_known
+from dynasindy.world_models.measured import Seen, has_gaps, rates_known, reconstruct
 from dynasindy.world_models.one_step import refine_one_step
 from dynasindy.world_models.regression import Regression, RunningSums
 from dynasindy.world_models.shapes import fit_shapes
 from dynasindy.world_models.trajectory import Descent, refine_trajectory, trajectory_cost
 
+AGAIN = 3
+"""Rounds at most in which delay and equations are fitted in turn."""
 STEPS = 6
 """Gauss-Newton steps after which two delays are compared."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
@@ -119,25 +121,42 @@ class Refinement:
         method = self.method
         if bool(has_gaps(data)):
             method = "trajectory"
+        elif method != "integral" and looks_noisy(library, coefficients, seen.guess):
+            method = "trajectory" if method == "auto" else method
+            if method == "trajectory":
+                seen = Seen.of(reconstruct(measured, rates, True), measured, rates, True)
+                library, coefficients = self._regressed(library, coefficients, constraints, seen)
         elif method == "auto":
-            method = "trajectory" if looks_noisy(library, coefficients, seen.guess) else "one_step"
+            method = "one_step"
         if method == "one_step":
             return Refined(*refine_one_step(library, coefficients, free, seen.guess, self.tolerance), delay)
         if method == "trajectory":
-            descent = Descent(min(self.window, len(measured)), self.error == "simulation")
+            descent = Descent(min(self.window, len(measured)), None if self.error == "simulation" else False)
+            found = library, coefficients
             if self.longest_delay:
+                few = replace(descent, max_rounds=STEPS)
 
                 def _cost(delay: float) -> float:
                     trial, start = _late(delay)
-                    few = replace(descent, max_rounds=STEPS)
-                    return trajectory_cost(library, coefficients, free, trial, few, start.guess.x)
+                    return trajectory_cost(*found, free, trial, few, start.guess.x)
 
-                delay = fine_delay(delay, data.dt, self.longest_delay, math.log(max(len(data), 2)), _cost)
+                delay = self._fine(delay, len(data), data.dt, _cost)
                 measured, seen = _late(delay)
-                library, coefficients = self._regressed(library, coefficients, constraints, seen)
-            found = refine_trajectory(library, coefficients, free, measured, descent, seen.guess.x)
+                found = self._regressed(library, coefficients, constraints, seen)
+            found = refine_trajectory(*found, free, measured, descent, seen.guess.x)
+            # The equations that were chosen tell the delay better than those they were chosen from.
+            for _ in range(AGAIN if self.longest_delay else 0):
+                last, delay = delay, self._fine(delay, len(data), data.dt, _cost)
+                if abs(delay - last) < 0.02 * data.dt:
+                    break
+                measured, seen = _late(delay)
+                found = refine_trajectory(*found, free, measured, descent, seen.guess.x)
             return Refined(*found, delay)
         return Refined(library, coefficients, delay)
+
+    def _fine(self, delay: float, n: int, dt: float, cost: Cost) -> float:
+        """Return the delay in fractions of a sample [s]."""
+        return fine_delay(delay, dt, self.longest_delay, math.log(max(n, 2)), cost)
 
     def _regressed(
         self, library: Library, coefficients: Tensor, constraints: Constraints, seen: Seen

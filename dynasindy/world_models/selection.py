@@ -11,6 +11,8 @@ from dynasindy.world_models.sensitivity import Parameters
 
 DEPENDENT = 1e-13
 """Part of a column of unit norm that others leave over, below which it depends on them."""
+BETTER = 2.0
+"""Squared weighted error that an exchange of one coefficient for one other must gain."""
 
 
 def least_missed(
@@ -73,7 +75,7 @@ def reconsider(triangle: Tensor, n_fixed: int, active: Parameters, others: Param
 
     First a score test: a function outside the model that would lower the error by more than it costs comes in, the
     best one of each equation. If there is none, an exchange: a function comes in if two or more can go for it, as
-    sin(alpha) for the three functions that imitate it at small angles.
+    sin(alpha) for the three functions that imitate it at small angles. At last the best of the exchanges one for one.
 
     Args:
         triangle: R of [fixed unknowns, active, others, target].
@@ -91,17 +93,20 @@ def reconsider(triangle: Tensor, n_fixed: int, active: Parameters, others: Param
     best = others.best_of_each_state(growth, 2 * limit)
     if len(best):
         return torch.cat([torch.arange(len(active)), len(active) + best])
+    swaps: dict[float, Tensor] = {}
     for k in range(len(others)):
         state = others.states[k]
         mine = (active.states == state).nonzero().flatten()
-        if len(mine) < 3:
-            continue
         chosen = [*range(n), n + k, triangle.shape[1] - 1]
         small = torch.linalg.qr(triangle[:, chosen], mode="r")[1]
         removable = torch.zeros(n + 1, dtype=torch.bool)
         removable[n_fixed + mine] = True
-        kept, _ = walk_down(small, removable, limit)
+        kept, _ = walk_down(small, removable, limit) if len(mine) > 2 else (torch.arange(n + 1), None)
         if len(kept) <= n - 1:
             stay = kept[(kept >= n_fixed) & (kept < n)] - n_fixed
             return torch.cat([stay, torch.tensor([len(active) + k])])
-    return None
+        out, missed = least_missed(small, n + 1, removable)
+        if float(growth[k]) > missed + BETTER:
+            stay = torch.tensor([j for j in range(len(active)) if j != out - n_fixed], dtype=torch.int64)
+            swaps[float(growth[k]) - missed] = torch.cat([stay, torch.tensor([len(active) + k])])
+    return swaps[max(swaps)] if swaps else None

@@ -1,8 +1,4 @@
-"""Multiple shooting: trajectories of all windows, and the linear model of their errors, condensed.
-
-The windows are integrated side by side with their sensitivities. Where a window continues the one before, the
-condition that they join is eliminated, so that the start states of the first windows, the numbers inside functions and
-the coefficients are the only unknowns left (condensing, Bock 1981).
+"""Trajectories of all windows side by side, and the linear model of their errors with most nodes eliminated.
 
 | name     | meaning                                             | shape      |
 | -------- | --------------------------------------------------- | ---------- |
@@ -24,11 +20,11 @@ from dynasindy.world_models.library import Library
 from dynasindy.world_models.sensitivity import Parameters, Propagator
 from dynasindy.world_models.windows import Windows
 
+EXACT = 1e-100
+"""Error taken for that of a state that is met exactly, as one that never moves; its inverse has a finite square."""
 FINE, STABLE, MOST_STEPS = 0.1, 1.5, 10
 """Runge-Kutta step times the fastest rate of the model: for an error of 1e-7, and the most that is stable; and how many
 steps of an interval the first may ask for."""
-EXACT = 1e-100
-"""Error taken for that of a state that is met exactly, as one that never moves; its inverse has a finite square."""
 
 
 class RunsAway(ValueError):
@@ -120,7 +116,10 @@ def linearise(
     error = (windows.measured - flow.predicted) * windows.mask
     begun = ~windows.joined
     start_error = (windows.first - estimate.nodes)[begun]
-    moves, gaps = _condense(estimate.nodes, flow, windows, len(parameters))
+    if bool(begun.all()):
+        moves, gaps = _own(flow, error, start_error, windows.mask, sigma), torch.zeros_like(estimate.nodes)
+    else:
+        moves, gaps = _condense(estimate.nodes, flow, windows, len(parameters))
     n_x, n_fixed = estimate.xi.shape[1], moves.shape[-1] - len(parameters) - 1
     # error - d predicted: the node's move, then shapes and coefficients.
     columns = flow.s[..., :n_x] @ moves.unsqueeze(1)
@@ -186,6 +185,21 @@ def _condense(nodes: Tensor, flow: Flow, windows: Windows, n_p: int) -> tuple[Te
     return moves, gaps
 
 
+def _own(flow: Flow, error: Tensor, start_error: Tensor, mask: Tensor, sigma: Tensor) -> Tensor:
+    """Express the move of every node, of windows that none continues, by the moves of the shapes and coefficients.
+
+    It is the one that fits the window best, which leaves no unknown of its own (variable projection).
+    """
+    n_x, weight = error.shape[-1], (mask / sigma).unsqueeze(-1)
+    inside = torch.cat([flow.s, error.unsqueeze(-1)], -1) * weight
+    first = torch.cat([torch.eye(n_x).expand(len(error), -1, -1), torch.zeros_like(flow.s[:, 0, :, n_x:])], -1)
+    first = torch.cat([first, start_error.unsqueeze(-1)], -1) / sigma.unsqueeze(-1)
+    first = torch.where(start_error.isnan().unsqueeze(-1), 0.0, first)
+    rows = torch.cat([first, inside.flatten(1, 2)], 1)
+    moves = torch.linalg.lstsq(rows[..., :n_x], rows[..., n_x:], driver="gelsd").solution
+    return torch.cat([-moves[..., :-1], moves[..., -1:]], -1)
+
+
 def move(
     estimate: Estimate, model: Linearised, parameters: Parameters, kept: Tensor | Sequence[int], damping: float = 0.0
 ) -> Estimate:
@@ -207,6 +221,16 @@ def move(
         numbers = step[n_fixed - len(shapes) : n_fixed].tolist()
         library = library.with_shapes([shape.frequency + by for shape, by in zip(shapes, numbers, strict=True)])
     return Estimate(library, parameters.write(estimate.xi, values[n_fixed:]), nodes)
+
+
+def growth(flow: Flow, windows: Windows, nodes: Tensor) -> float:
+    """Return how much an error of a start state grows at most until the end of a window, relative to the spreads."""
+    spread = nodes.std(0, correction=0).clamp_min(1e-12)
+    along, largest = torch.eye(len(spread), dtype=nodes.dtype), 0.0
+    for step, follows in zip(flow.s[:, -1, :, : len(spread)], windows.joined.tolist(), strict=True):
+        along = step @ along if follows else step
+        largest = max(largest, float((along * spread / spread.unsqueeze(-1)).norm()))
+    return largest
 
 
 def substeps_for(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float) -> int:

@@ -3,9 +3,10 @@
 Noise in the states makes regression biased (errors in variables), and a state that no sensor sees cannot be put into
 a function at all. Here the states are never put into the functions: the model's own trajectory is, from a start state
 that is estimated with the coefficients, which is the maximum likelihood estimate for white measurement noise. The
-trajectory is cut into windows whose start states are unknowns of their own (`shooting`), so that a poor first model
-does not run away. Where windows are not joined, each begins at a state of its own: the error is then that of a
-prediction over one window, which random pushes on the plant spoil less.
+trajectory is cut into windows whose start states are unknowns of their own, so that windows are integrated side by
+side and a poor first model does not run away (multiple shooting, Bock 1981); in each step the conditions that windows
+join are eliminated (condensing). Where windows are not joined, each begins at a state of its own: the error is then
+that of a prediction over one window, which random pushes on the plant spoil less.
 """
 
 from __future__ import annotations
@@ -20,11 +21,15 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.selection import reconsider, walk_down
 from dynasindy.world_models.sensitivity import Parameters
-from dynasindy.world_models.shooting import EXACT, Estimate, Flow, Linearised, linearise, move, substeps_for
+from dynasindy.world_models.shooting import EXACT, Estimate, Flow, Linearised, growth, linearise, move, substeps_for
 from dynasindy.world_models.windows import Windows
 
 NOISY = 1e-7
 """Part of a coefficient's effect that those of others leave over, below which data cannot tell it from them."""
+GROWN = 100.0
+"""Factor by which errors grow along a trajectory, beyond which functions are chosen on windows on their own."""
+WORSE = 1.2
+"""Factor on the errors of windows on their own, beyond which a trajectory through all of them does not fit."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +38,13 @@ class Descent:
 
     Attributes:
         window: sampling intervals in a window; fewer to begin with where the first estimate runs away.
-        joined: whether the windows join to one trajectory.
+        joined: whether the windows join to one trajectory; by default they do in the end, but not while functions are
+            chosen where small errors grow along the trajectory, as in chaos.
         max_rounds: limit on Gauss-Newton steps between two changes of the equations.
     """
 
     window: int
-    joined: bool = True
+    joined: bool | None = None
     max_rounds: int = 30
 
 
@@ -66,13 +72,48 @@ def refine_trajectory(
     Raises:
         RunsAway: the model runs away within the shortest of windows.
     """
-    data, limit = data.to(torch.float64), math.log(max(len(data), 2))
+    data, limit = data.to(torch.float64), price(len(data), free)
     guess = data.x if start is None else start.to(torch.float64)
-    support = (xi != 0) & free
-    start_at = Estimate(library, xi, guess)
-    estimate, windows = _grown(start_at, support, data, descent)
-    for _ in range(6):
-        estimate, support = _descend(estimate, support, windows, (limit, descent.max_rounds))
+    joined, max_rounds = descent.joined, descent.max_rounds
+    found, windows = _grown(Estimate(library, xi, guess), (xi != 0) & free, data, descent)
+    if joined is None and not bool(data.x_next.isnan().any()) and _sensitive(found, windows):
+        alone = replace(windows, joined=torch.zeros_like(windows.joined))
+        own = _search(found, free, alone, limit, max_rounds)
+        found = _search(own, free, windows, limit, max_rounds)
+        if bool((_sigma(found, windows) > WORSE * _sigma(own, alone)).any()):
+            found = own
+    else:
+        found = _search(found, free, windows, limit, max_rounds)
+    return found.library, found.xi
+
+
+def price(n: int, free: Tensor) -> float:
+    """Return the squared weighted error that a coefficient must be worth: extended Bayesian criterion.
+
+    The more functions there are to choose from, the better is the best one of those that mean nothing (Chen and
+    Chen 2008).
+
+    Args:
+        n: transitions.
+        free: coefficients that may be estimated, bool `(n_features, n_x)`.
+    """
+    return math.log(max(n, 2)) + 2 * math.log(max(int(free.sum(0).max()), 1))
+
+
+def _sensitive(estimate: Estimate, windows: Windows) -> bool:
+    """Tell whether small errors grow so much that the linear model of a whole trajectory is of no use."""
+    return not growth(Flow.of(estimate, Parameters.where(estimate.xi != 0), windows), windows, estimate.nodes) < GROWN
+
+
+def _sigma(estimate: Estimate, windows: Windows) -> Tensor:
+    return Flow.of(estimate, Parameters.where(estimate.xi != 0), windows).sigma(windows)
+
+
+def _search(estimate: Estimate, free: Tensor, windows: Windows, limit: float, max_rounds: int) -> Estimate:
+    """Converge, drop and reconsider until there is nothing better."""
+    support = (estimate.xi != 0) & free
+    for _ in range(10):
+        estimate, support = _descend(estimate, support, windows, (limit, max_rounds))
         active, others = Parameters.where(support), Parameters.where(free & ~support)
         if not len(active) or not len(others):
             break
@@ -82,13 +123,12 @@ def refine_trajectory(
         if better is None:
             break
         chosen = (active + others).take(better)
-        changed = _changed(
-            estimate, model, active + others, torch.cat([torch.arange(n_fixed), n_fixed + better]), windows
-        )
+        kept = torch.cat([torch.arange(n_fixed), n_fixed + better])
+        changed = _changed(estimate, model, active + others, kept, windows)
         if changed is None:
             break
         estimate, support = changed, chosen.support(support.shape)
-    return estimate.library, estimate.xi
+    return estimate
 
 
 def trajectory_cost(
@@ -126,7 +166,7 @@ def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Desc
     parameters, guess = Parameters.where(support), estimate.nodes
     lengths = [descent.window]
     while True:
-        windows = Windows.of(data, lengths[0], descent.joined, substeps)
+        windows = Windows.of(data, lengths[0], descent.joined is not False, substeps)
         trial = replace(estimate, nodes=guess[windows.rows])
         if lengths[0] <= 2 or not bool(Flow.of(trial, parameters, windows).lost().any()):
             break
@@ -134,7 +174,7 @@ def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Desc
     for length in lengths[1:]:
         trial = _converge(trial, parameters, windows, descent.max_rounds)
         guess = guess.index_copy(0, windows.rows, trial.nodes)
-        windows = Windows.of(data, length, descent.joined, substeps)
+        windows = Windows.of(data, length, descent.joined is not False, substeps)
         trial = replace(trial, nodes=guess[windows.rows])
     return trial, windows
 
