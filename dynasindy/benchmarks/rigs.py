@@ -1,0 +1,270 @@
+"""Logs of real plants: models chosen on the training log alone, the test log scored once.
+
+The logs are not part of the project; `--data` names the folder that holds them. Where they come from, and what was
+measured, stands in docs/results/README.md. Beside our models stand a linear model fitted in the same way, PySINDy with
+the same functions at its best threshold, the last value held and, where there is one, the published physics.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dynasindy.benchmarks.instruments.commit import commit
+from dynasindy.benchmarks.instruments.qube import PublishedQube, ahead
+from dynasindy.benchmarks.instruments.rivals import THRESHOLDS, stlsq
+from dynasindy.evaluation.rows import Row, append_rows
+from dynasindy.systems.base import Signature, System
+from dynasindy.systems.integrators import rk4
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.delay import delayed
+from dynasindy.world_models.measured import rates_known, reconstruct
+from dynasindy.world_models.refine import Refinement
+from dynasindy.world_models.regression import Regression
+from dynasindy.world_models.sindy import SindyModel
+
+Array = NDArray[np.float64]
+COLUMNS = ("rig", "model", "metric", "value", "unit", "coefficients", "delay_seconds", "cpu_seconds", "commit")
+FIRST = 20
+"""Samples at the beginning of a log from which its start state is read."""
+
+
+@dataclass(frozen=True)
+class Log:
+    """A log as it was measured, at its own rate.
+
+    Attributes:
+        y: measured states, `(N, n_x)`, NaN where not measured.
+        u: inputs, `(N, n_u)`.
+        dt: sampling time [s].
+    """
+
+    y: Array
+    u: Array
+    dt: float
+
+    def thinned(self, by: int) -> Transitions:
+        """Keep every n-th sample; of the inputs in between the mean."""
+        n = (len(self.y) - 1) // by
+        held = self.u[: n * by].reshape(n, by, -1).mean(1)
+        return Transitions.from_trajectory(
+            torch.from_numpy(self.y[: n * by + 1 : by].copy()), torch.from_numpy(held), self.dt * by
+        )
+
+
+def main(argv: list[str]) -> None:
+    """Fit and score rigs, and append a row per rig, model and metric."""
+    parser = argparse.ArgumentParser(prog="benchmark.py rigs", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True, help="folder of the logs")
+    parser.add_argument("--rigs", nargs="+", choices=RIGS, default=list(RIGS))
+    parser.add_argument("--out", type=Path, default=Path("docs/results/rigs.csv"), help="CSV file to append to")
+    arguments = parser.parse_args(argv)
+    torch.set_num_threads(1)
+    for rig in arguments.rigs:
+        for row in RIGS[rig](arguments.data):
+            append_rows(arguments.out, COLUMNS, [{"rig": rig, **row, "commit": commit()}])
+            print(", ".join(f"{key} {value}" for key, value in row.items()), flush=True)
+
+
+def _columns(path: Path) -> Mapping[str, Array]:
+    with path.open(encoding="utf-8") as file:
+        names = [name.split(" [")[0].strip() for name in file.readline().split(",")]
+    values = np.loadtxt(path, delimiter=",", skiprows=1)
+    return dict(zip(names, values.T, strict=True))
+
+
+def _fitted(model: SindyModel, data: Transitions) -> tuple[SindyModel, Row]:
+    start = time.process_time()
+    model.fit(data)
+    facts: Row = {
+        "coefficients": int((model.coefficients[model.constraints.free] != 0).sum()),
+        "delay_seconds": round(model.delay, 6),
+        "cpu_seconds": round(time.process_time() - start, 1),
+    }
+    print(*model.equations(), sep="\n", flush=True)
+    return model, facts
+
+
+def _simulated(model: System, x0: Tensor, data: Transitions, substeps: int) -> Tensor:
+    """Return the states of an open-loop simulation, `(N + 1, n_x)`, under the inputs as they take effect."""
+    late = delayed(data, float(getattr(model, "delay", 0.0)))
+    states = [x0]
+    with torch.no_grad():
+        for u in late.u:
+            x = states[-1]
+            for _ in range(substeps):
+                x = rk4(model, x, u, data.dt / substeps)
+            states.append(x)
+    return torch.stack(states)
+
+
+def _pysindy(model: SindyModel, data: Transitions, score: Callable[[SindyModel], float]) -> SindyModel:
+    """Return PySINDy's model of the same functions: smoothed states, the threshold that is best on the training log."""
+    import pysindy
+
+    guess = reconstruct(data, rates_known(model.library, model.constraints), True)
+    theta, dx = model.library(guess.x, guess.u), (guess.x_next - guess.x) / data.dt
+    found = []
+    for threshold in (*THRESHOLDS, 0.01, 0.001):
+        norms = dx.norm(dim=0).clamp_min(1e-300)
+        optimizer = pysindy.STLSQ(threshold=threshold / 100, alpha=0, normalize_columns=True)
+        xi = stlsq((theta, dx / norms), optimizer) * norms
+        theirs = SindyModel(model.signature, model.library)
+        theirs.set_coefficients(torch.where(model.constraints.offset.any(0), model.constraints.offset, xi))
+        if bool((theirs.coefficients != 0).any(0).all()):
+            found.append((score(theirs), theirs))
+    return min(found, key=lambda pair: pair[0])[1]
+
+
+def emps(folder: Path) -> list[Row]:
+    """Measure the EMPS axis: position over the whole test log, simulated open loop from its start [mm]."""
+    signature = Signature(("q", "v"), ("m", "m/s"), ("u", "clock"), (0.25, 0.15))
+    words = ["1", "u", "clock", "v", "tanh(1000 v)", "v^2", "|u| tanh(1000 v)"]
+    logs = {}
+    for name in ("train", "test"):
+        columns = _columns(folder / f"emps_{name}.csv")
+        y = np.full((len(columns["q"]), 2), np.nan)
+        y[:, 0] = columns["q"]
+        # The force in 100 N, and the time since the start of the log in 10 s: friction and offset drift as it warms.
+        logs[name] = Log(y, np.stack([columns["u_force"] / 100, columns["time"] / 10], -1), 1e-3)
+
+    def _error(model: System, name: str) -> float:
+        log = logs[name]
+        q = log.y[:, 0]
+        slope, place = np.polyfit(log.dt * np.arange(FIRST), q[:FIRST], 1)
+        data = log.thinned(2)
+        path = _simulated(model, torch.tensor([place, slope]), data, 2)[:, 0].numpy()
+        error = np.sqrt(np.mean((path - q[::2][: len(path)]) ** 2))
+        return float(1e3 * error) if np.isfinite(error) else float("inf")
+
+    def _model(functions: Sequence[str]) -> SindyModel:
+        refinement = Refinement("trajectory", longest_delay=0.0)
+        return SindyModel(signature, functions, Regression("bic"), refinement, known={"q": "v"})
+
+    rows: list[Row] = []
+    data = logs["train"].thinned(5)
+    for name, functions in (("ours", words), ("linear", ["1", "u", "v", "q"])):
+        model, facts = _fitted(_model([*functions, "v"]), data)
+        rows += [
+            {"model": name, "metric": f"{log} simulated, RMSE", "value": _round(_error(model, log)), "unit": "mm"}
+            | facts
+            for log in ("train", "test")
+        ]
+    theirs = _pysindy(_model(words), data, lambda model: _error(model, "train"))
+    rows += [_row("pysindy", f"{log} simulated, RMSE", _error(theirs, log), "mm") for log in ("train", "test")]
+    q = logs["test"].y[:, 0]
+    return [
+        *rows,
+        _row("last value held", "test simulated, RMSE", 1e3 * float(np.sqrt(np.mean((q - q[0]) ** 2))), "mm"),
+    ]
+
+
+def qube(folder: Path) -> list[Row]:
+    """Measure the QUBE pendulum: both angles 0.2, 0.5 and 1 s ahead, from every 0.1 s of the test log [mrad]."""
+    signature = Signature(
+        ("theta", "alpha", "dtheta", "dalpha"), ("rad", "rad", "rad/s", "rad/s"), ("u",), (1, 0.2, 3, 3)
+    )
+    known = {"theta": "dtheta", "alpha": "dalpha"}
+    words = ["1", "u", "theta", "dtheta", "dalpha", "sin(alpha)", "tanh(~20 dtheta)", "tanh(~20 dalpha)"]
+    words += ["dtheta^2 sin(alpha)", "dalpha^2 sin(alpha)"]
+    logs = {}
+    for name in ("train_1", "train_2", "test"):
+        columns = _columns(folder / f"qube_{name}.csv")
+        y = np.full((len(columns["theta"]), 4), np.nan)
+        y[:, 0], y[:, 1] = columns["theta"], columns["alpha"]
+        logs[name] = Log(y, np.clip(columns["u_voltage"], -10, 10)[:, None] / 10, 2e-3).thinned(5)
+    train = Transitions.cat([logs["train_1"], logs["train_2"]])
+
+    def _model(functions: Sequence[str]) -> SindyModel:
+        refinement = Refinement("trajectory", window=20, longest_delay=0.02, error="prediction")
+        return SindyModel(signature, functions, Regression("bic"), refinement, known=known)
+
+    models: dict[str, tuple[System, Row]] = {}
+    linear = ["u", "theta", "alpha", "dtheta", "dalpha"]
+    for name, functions in (("ours", words), ("linear", linear)):
+        models[name] = _fitted(_model(functions), train)
+    models["published physics"] = (PublishedQube(signature), {})
+    models["pysindy"] = (
+        _pysindy(_model(words), train, lambda model: float(ahead(model, logs["train_1"], logs["train_2"])[0][0])),
+        {},
+    )
+    rows: list[Row] = []
+    for name, (model, facts) in models.items():
+        errors, held = ahead(model, logs["train_1"], logs["test"])
+        for seconds, error, still in zip((0.2, 0.5, 1.0), errors, held, strict=True):
+            metric = f"both angles {seconds:g} s ahead, RMSE"
+            rows.append(_row(name, metric, 1e3 * error, "mrad") | facts)
+            if name == "ours":
+                rows.append(_row("last value held", metric, 1e3 * still, "mrad"))
+    return rows
+
+
+def tanks(folder: Path) -> list[Row]:
+    """Measure the cascaded tanks: level of the lower one over the whole test log, simulated from its start [V]."""
+    signature = Signature(("level_1", "level_2"), ("V", "V"), ("u",), (10.0, 10.0))
+    words = ["1", "u", "level_1", "hinge(~12 level_1)", "root(~2.9 level_2)", "hinge(~10 level_2)"]
+    over, root, brim = "max(0, level_1 - 12)", "sqrt(level_2 - 2.9)", "max(0, level_2 - 10)"
+    logs = {}
+    for name in ("train", "test"):
+        columns = _columns(folder / f"tanks_{name}.csv")
+        y = np.full((len(columns["u"]), 2), np.nan)
+        y[:, 1] = np.where(columns["level_2"] < 10, columns["level_2"], np.nan)  # the sensor ends at 10 V
+        logs[name] = (Log(y, columns["u"][:, None], 4.0).thinned(1), columns["level_2"])
+    model, facts = _fitted(
+        SindyModel(
+            signature,
+            words,
+            Regression("bic"),
+            Refinement("trajectory", window=20, rounds=0),
+            allowed={"level_1": ["1", "u", "level_1", over], "level_2": [over, root, brim]},
+            # Level 1 has no unit of its own: what leaves it fills level 2, and this number sets its scale.
+            fixed={"level_2": {"level_1": 0.0069}},
+            initial={
+                "level_1": {"u": 0.06, "1": -0.1, "level_1": -0.0069, over: -0.3},
+                "level_2": {root: -0.035, over: 0.15, brim: -0.3},
+            },
+        ),
+        logs["train"][0],
+    )
+    rows: list[Row] = []
+    for name, (data, level) in logs.items():
+        error = _best_start(model, data, level)
+        rows.append(_row("ours", f"{name} simulated, RMSE", error, "V") | facts)
+    level = logs["test"][1]
+    held = float(np.sqrt(np.mean((level - level[0]) ** 2)))
+    return [*rows, _row("last value held", "test simulated, RMSE", held, "V")]
+
+
+def _best_start(model: SindyModel, data: Transitions, level: Array) -> float:
+    """Return the error of the lower level, its sensor ending at 10 V, from the start that fits the first samples."""
+    from scipy.optimize import least_squares
+
+    def _path(start: Array, n: int) -> Array:
+        part = data.select(torch.arange(len(data)) < n)
+        levels: Array = _simulated(model, torch.from_numpy(start), part, 4)[:, 1].clamp_max(10.0).numpy()
+        return levels
+
+    first = np.array([6.0, level[0]])
+    found = least_squares(lambda start: _path(start, FIRST) - level[: FIRST + 1], first, diff_step=1e-4).x
+    error = np.sqrt(np.mean((_path(found, len(data)) - level) ** 2))
+    return float(error)
+
+
+def _row(model: str, metric: str, value: float, unit: str) -> Row:
+    return {"model": model, "metric": metric, "value": _round(value), "unit": unit}
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.4g}")
+
+
+RIGS: dict[str, Callable[[Path], list[Row]]] = {"emps": emps, "qube": qube, "tanks": tanks}
+"""The rigs by name."""
