@@ -78,6 +78,7 @@ BENCH = Sensors(
         **dict.fromkeys(("omega_a", "omega_p"), Channel(noise=20.0)),  # rpm
     },
     KNOWN,
+    disturbance=True,
 )
 NOISE = (5e-4, 5e-4, 5e-3, 5e-3, 20.0, 20.0)  # rad, rad, rad/s, rad/s, rpm, rpm
 NOISY = Sensors({name: Channel(noise=std) for name, std in zip(SIGNATURE.state_names, NOISE)}, KNOWN)
