@@ -30,7 +30,7 @@ class Function:
         compute: torch function, elementwise in every argument.
         text: format string of its value, e.g. `sin({0})`.
         latex: format string for LaTeX.
-        atomic: whether the value needs no brackets before a power.
+        atomic: whether its LaTeX needs no brackets before a power.
         slope: its derivative, where it is known; found by automatic differentiation where not.
         parametric: whether the number of a factor is the last argument, and not what the others are multiplied by.
     """
@@ -59,10 +59,10 @@ _REGISTRY: dict[str, Function] = {
         Function("cos", torch.cos, "cos({0})", r"\cos {0}", slope=lambda z: -torch.sin(z)),
         Function("abs", torch.abs, "|{0}|", r"|{0}|", slope=torch.sign),
         Function("sign", torch.sign, "sign({0})", r"\operatorname{{sign}} {0}", slope=torch.zeros_like),
-        Function("exp", torch.exp, "exp({0})", r"e^{{{0}}}", slope=torch.exp),
+        Function("exp", torch.exp, "exp({0})", r"e^{{{0}}}", atomic=False, slope=torch.exp),
         Function("tanh", torch.tanh, "tanh({0})", r"\tanh {0}", slope=lambda z: 1 - torch.tanh(z).square()),
         Function("sqrt", lambda z: z.clamp_min(SMALLEST_ROOT).sqrt(), "sqrt({0})", r"\sqrt{{{0}}}"),
-        Function("bell", lambda z: (-z * z).exp(), "exp(-({0})^2)", r"e^{{-({0})^2}}"),
+        Function("bell", lambda z: (-z * z).exp(), "exp(-({0})^2)", r"e^{{-({0})^2}}", atomic=False),
         Function(
             "root",
             lambda z, p: (z - p).clamp_min(SMALLEST_ROOT).sqrt(),
@@ -78,6 +78,7 @@ _REGISTRY: dict[str, Function] = {
             lambda z, p: 1 / (1 + p * z.cos().square()),
             "/(1 + {1} cos({0})^2)",
             r"\frac{{1}}{{1 + {1} \cos^2 {0}}}",
+            atomic=False,
             parametric=True,
         ),
     )
@@ -172,8 +173,10 @@ class Factor:
         written = form.format(", ".join(names), number)
         if self.power == 1:
             return written
-        if latex and self.function in ("sin", "cos", "tanh"):
+        if latex and self.function in ("sin", "cos", "tanh", "sign"):
             return form.replace(" {0}", f"^{{{{{self.power}}}}} {{0}}").format(", ".join(names), number)
+        if latex and not known.atomic:
+            written = rf"\left({written}\right)"
         return f"{written}^{{{self.power}}}" if latex else f"{written}^{self.power}"
 
 
@@ -254,15 +257,18 @@ def variable(name: str, power: int = 1) -> Feature:
 
 def of(function_name: str, *variables: str, power: int = 1, frequency: float = 1.0, fitted: bool = False) -> Feature:
     """Return a function of states or inputs as a feature, e.g. `of("sin", "alpha_p")`."""
-    return Feature((Factor(variables, function(function_name).name, power, frequency, fitted),))
+    guess = frequency if fitted else 0.0
+    return Feature((Factor(variables, function(function_name).name, power, frequency, guess),))
 
 
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _TOKEN = re.compile(
-    r"\s*(?:\|(?P<abs>[^|]+)\||/\(1 \+ (?P<per>[\d.e+-]+) cos\((?P<angle>[^()]+)\)\^2\)|"
-    r"max\(0, (?P<over>[^()]+) - (?P<edge>[\d.e+-]+)\)|exp\(-\((?P<bell>[^()]+)\)\^2\)|"
-    r"(?P<function>[A-Za-z_]\w*)\((?P<args>[^()]*)\)|(?P<name>[A-Za-z_]\w*)|(?P<one>1))"
+    rf"\s*(?:\|(?P<abs>[^|]+)\||/\(1 \+ (?P<per>{_NUMBER}) cos\((?P<angle>[^()]+)\)\^2\)|"
+    rf"max\(0, (?P<over>[^()]+) - (?P<edge>{_NUMBER})\)|sqrt\((?P<under>[^()]+) - (?P<start>{_NUMBER})\)|"
+    r"exp\(-\((?P<bell>[^()]+)\)\^2\)|(?P<function>[A-Za-z_]\w*)\((?P<args>[^()]*)\)|(?P<name>[A-Za-z_]\w*)|(?P<one>1))"
     r"(?:\^(?P<power>\d+))?\s*\*?"
 )
+_ARGUMENT = re.compile(rf"\s*(?:(?P<fitted>~?)(?P<number>{_NUMBER})[ *]+)?(?P<name>[A-Za-z_]\w*)\s*")
 
 
 def parse(text: str) -> Feature:
@@ -285,25 +291,31 @@ def parse(text: str) -> Feature:
             factors.append(Factor((token["angle"].strip(),), "per_cos2", power, float(token["per"])))
         elif token["edge"]:
             factors.append(Factor((token["over"].strip(),), "hinge", power, float(token["edge"])))
+        elif token["start"]:
+            factors.append(Factor((token["under"].strip(),), "root", power, float(token["start"])))
         elif token["bell"]:
-            width, name = _scaled(token["bell"])
-            factors.append(Factor((name,), "bell", power, float(width)))
+            factors.append(_written("bell", token["bell"], power))
         elif token["abs"]:
-            factors.append(Factor((token["abs"].strip(),), "abs", power))
+            factors.append(_written("abs", token["abs"], power))
         elif token["function"]:
-            scales, names = zip(*(_scaled(a) for a in token["args"].split(",")), strict=True)
-            number = float(scales[0].lstrip("~"))
-            guess = number if scales[0].startswith("~") else 0.0
-            factors.append(Factor(names, function(token["function"]).name, power, number, guess))
+            factors.append(_written(token["function"], token["args"], power))
         elif token["name"]:
             factors.append(Factor((token["name"],), "id", power))
     return Feature.of(map(_checked, factors))
 
 
-def _scaled(argument: str) -> tuple[str, str]:
-    """Split `2 alpha_p`, or `~2 alpha_p` whose number is to be fitted, into the number and the name."""
-    parts = argument.replace("*", " ").split()
-    return (parts[0], parts[1]) if len(parts) == 2 else ("1", parts[0])
+def _written(name: str, arguments: str, power: int) -> Factor:
+    """Read the arguments of a function: `alpha_p`, `2 alpha_p`, or `~2 alpha_p` whose number is to be fitted."""
+    read = [_ARGUMENT.fullmatch(argument) for argument in arguments.split(",")]
+    found = [match for match in read if match is not None]
+    numbers = {(bool(match["fitted"]), float(match["number"] or 1)) for match in found}
+    if len(found) < len(read) or len(numbers) > 1 or (True, 0.0) in numbers:
+        raise ValueError(
+            f"{name}({arguments}) cannot be read; allowed are 'name', '2 name', or '~2 name' for a first guess that is "
+            "not 0, the same number before each name: correct it"
+        )
+    fitted, number = numbers.pop()
+    return Factor(tuple(m["name"] for m in found), function(name).name, power, number, number if fitted else 0.0)
 
 
 _GREEK = ("alpha", "beta", "gamma", "delta", "theta", "phi", "psi", "omega", "Omega", "Theta", "Phi", "Psi")

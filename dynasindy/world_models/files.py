@@ -130,7 +130,7 @@ def _model(data: dict[str, Any]) -> tuple[Library, Tensor, Constraints, float]:
 
 def _number(value: Any) -> float:
     if type(value) not in (int, float) or not math.isfinite(value):
-        raise TypeError(f"a coefficient is {str(value)[:40]!r}, no finite number")
+        raise TypeError(f"{str(value)[:40]!r} stands where a finite number belongs")
     return float(value)
 
 
@@ -143,4 +143,4 @@ def _signature(words: dict[str, Any]) -> Signature:
 def _feature(factors: list[list[Any]]) -> Feature:
     if any(len(factor) not in (4, 5) or not isinstance(factor[0], list) for factor in factors):
         raise TypeError("a function has no variables, name, power and frequency")
-    return Feature.from_list(factors)
+    return Feature.from_list([[*factor[:3], *map(_number, factor[3:])] for factor in factors])

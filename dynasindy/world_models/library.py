@@ -111,34 +111,6 @@ class Library:
         ones = torch.ones_like(columns[0])
         return torch.stack([self._product(f.factors, columns, values, ones) for f in self.features], -1)
 
-    def jacobian(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        """Evaluate all features and their derivatives by the states.
-
-        Args:
-            x: states, `(*batch, n_x)`.
-            u: inputs, `(*batch, n_u)`.
-
-        Returns:
-            Theta, `(*batch, n_features)`, and dTheta/dx, `(*batch, n_features, n_x)`.
-        """
-        columns = (*x.unbind(-1), *u.to(x.dtype).unbind(-1))
-        values: dict[Factor, Tensor] = {}
-        ones, zeros = torch.ones_like(columns[0]), torch.zeros_like(columns[0])
-        theta, slopes = [], []
-        for feature in self.features:
-            theta.append(self._product(feature.factors, columns, values, ones))
-            row = [zeros] * self.signature.n_x
-            for k, factor in enumerate(feature.factors):
-                lower = (replace(factor, power=factor.power - 1),) if factor.power != 1 else ()
-                rest = feature.factors[:k] + lower + feature.factors[k + 1 :]
-                others = self._product(rest, columns, values, ones) * factor.power
-                for j, name in enumerate(factor.variables):
-                    if self._index[name] < self.signature.n_x:
-                        slope = self._slope(factor, j, columns) * others
-                        row[self._index[name]] = row[self._index[name]] + slope
-            slopes.append(torch.stack(row, -1))
-        return torch.stack(theta, -1), torch.stack(slopes, -2)
-
     @property
     def shapes(self) -> tuple[Factor, ...]:
         """Return the factors whose number is fitted, each once, to the power of one."""
@@ -197,11 +169,3 @@ class Library:
             else:
                 values[factor] = factor.compute()(*(columns[self._index[v]] for v in factor.variables))
         return values[factor]
-
-    def _slope(self, factor: Factor, argument: int, columns: Sequence[Tensor]) -> Tensor:
-        """Differentiate an elementwise function by one argument: its tangent along ones."""
-        args = tuple(columns[self._index[v]] for v in factor.variables)
-        if factor.function == "id":
-            return torch.full_like(args[0], factor.frequency)
-        tangents = tuple(torch.ones_like(a) if j == argument else torch.zeros_like(a) for j, a in enumerate(args))
-        return torch.func.jvp(factor.compute(), args, tangents)[1]

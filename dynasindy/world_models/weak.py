@@ -32,6 +32,9 @@ def weak_form(theta: Theta, measured: Transitions, guess: Transitions, rates: Ma
 
     Returns:
         Averaged functions, `(M, n_features)`, and averaged rates of change, `(M, n_x)`, M about N over `half / 4`.
+
+    Raises:
+        ValueError: no segment has two transitions.
     """
     functions, changes = [], []
     for segment in guess.segment.unique_consecutive().tolist():
@@ -49,6 +52,11 @@ def weak_form(theta: Theta, measured: Transitions, guess: Transitions, rates: Ma
         )[:, 0].mT
         functions.append(averaged[:, : mean.shape[1]])
         changes.append(averaged[:, mean.shape[1] :])
+    if not functions:
+        raise ValueError(
+            "a recording with states that were not measured has no two samples that follow each other; allowed are "
+            "segments of two transitions or more: give unbroken stretches"
+        )
     return torch.cat(functions), torch.cat(changes)
 
 

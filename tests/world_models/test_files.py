@@ -8,7 +8,7 @@ import torch
 
 from dynasindy.systems import Tras, Xi
 from dynasindy.world_models.constraints import Constraints
-from dynasindy.world_models.features import CONSTANT, of, register_function, variable
+from dynasindy.world_models.features import CONSTANT, of, parse, register_function, variable
 from dynasindy.world_models.files import FORMAT, load, save
 from dynasindy.world_models.libraries import build_library
 from dynasindy.world_models.library import Library
@@ -163,6 +163,8 @@ HOSTILE = {
     "word for a power": put([[["u_p"], "id", CALL, 1.0]], "library", "u_p"),
     "frequency": put([[["u_p"], "sin", 1, float("nan")]], "library", "u_p"),
     "word for a frequency": put([[["u_p"], "sin", 1, CALL]], "library", "u_p"),
+    "first guess": put([[["u_p"], "tanh", 1, 1.0, float("inf")]], "library", "u_p"),
+    "word for a first guess": put([[["u_p"], "tanh", 1, 1.0, ".inf"]], "library", "u_p"),
     "infinite coefficient": put(float("inf"), "coefficients", "omega_p", "u_p"),
     "no number": put(float("nan"), "coefficients", "omega_p", "u_p"),
     "large coefficient": put(10**400, "coefficients", "omega_p", "u_p"),
@@ -187,6 +189,37 @@ def test_a_model_of_a_stranger_is_numbers_and_registered_names_or_is_refused(wri
         load(written)
     assert "\n" not in str(error.value) and len(str(error.value)) < 2000
     assert not (tmp_path / "canary").exists()
+
+
+@pytest.mark.parametrize("place", [3, 4])
+@pytest.mark.parametrize("value", [".inf", "1.0", None, True, [1.0], float("nan")])
+def test_what_is_no_number_inside_a_function_is_said(written, place, value):
+    factor = [["u_p"], "tanh", 1, 1.0, 1.0]
+    factor[place] = value
+    data = json.loads(written.read_text())
+    data["library"]["u_p"] = [factor]
+    written.write_text(json.dumps(data))
+    with pytest.raises(ValueError, match=r"model.json is damaged \(TypeError: .* stands where a finite number belongs"):
+        load(written)
+
+
+def test_fitted_numbers_and_the_delay_come_back_to_the_last_digit(tmp_path):
+    words = ["tanh(~7 Omega_a)", "Omega_p^2 per_cos2(~3 alpha_p)", "root(~0.1 alpha_a)", "tanh(7 Omega_a)"]
+    library = Library(Xi().signature, map(parse, words)).with_shapes([5 + 1 / 3, 10 / 3, np.pi / 30])
+    save(library, coefficients(library), tmp_path / "model.json", delay=0.1 / 3)
+    again, _, _, delay = load(tmp_path / "model.json")
+    assert again.features == library.features and delay == 0.1 / 3
+    numbers = [(shape.frequency, shape.fitted) for shape in again.shapes]
+    assert numbers == [(5 + 1 / 3, 7.0), (10 / 3, 3.0), (np.pi / 30, 0.1)]
+    save(library, coefficients(library), tmp_path / "model.json")
+    assert load(tmp_path / "model.json")[3] == 0.0 and "delay" not in json.loads((tmp_path / "model.json").read_text())
+
+
+@pytest.mark.parametrize("delay", [-0.01, float("nan"), "0.1", [0.1]])
+def test_a_delay_is_no_less_than_nothing(written, delay):
+    written.write_text(json.dumps({**json.loads(written.read_text()), "delay": delay}))
+    with pytest.raises(ValueError, match="is damaged"):
+        load(written)
 
 
 def test_what_cannot_be_read_at_all_costs_a_line(tmp_path):

@@ -6,11 +6,12 @@ import numpy as np
 import pysindy
 import pytest
 import torch
+from scipy.linalg import expm
 from torch import Tensor
 
 from dynasindy.excitation import Chirp, Excitation, HeldRandom, Multisine
-from dynasindy.systems import Diverged, Tras, Xi, integrate, rk4
-from dynasindy.systems.base import System
+from dynasindy.systems import Diverged, Pendulum, Tras, Xi, integrate, rk4
+from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import Refinement, Regression, SindyModel, sindy
 from dynasindy.world_models.fast_field import generate
@@ -256,3 +257,79 @@ def test_coefficients_that_are_not_finite_are_told_and_the_model_stays(stage):
     with pytest.raises(Diverged, match=told):
         model.fit(data)
     assert torch.equal(model.coefficients, before)
+
+
+def _pendulum(seed: int, noise: float, n: int = 400) -> Transitions:
+    """The angle of a pendulum under held inputs, some samples lost, and no rate."""
+    plant, rng = Pendulum(), np.random.default_rng(seed)
+    u = torch.from_numpy(rng.uniform(-1, 1, (n // 8, 1)).repeat(8, 0))
+    x = [torch.zeros(2, dtype=torch.float64)]
+    for held in u:
+        x.append(integrate(plant, x[-1], held, 0.02, 10)[0][-1])
+    seen = torch.stack(x) + noise * torch.from_numpy(rng.normal(size=(n + 1, 2)))
+    seen[:, 1] = torch.nan
+    seen[rng.choice(n, 20, replace=False), 0] = torch.nan
+    return Transitions.from_trajectory(seen, u, 0.02)
+
+
+def test_a_pendulum_is_found_from_its_angle_alone():
+    words = ["Omega", "sin(theta)", "u", "1", "cos(theta)", "theta"]
+    model = SindyModel(Pendulum().signature, words, Regression("bic"), Refinement(), known={"theta": "Omega"})
+    data = Transitions.cat([_pendulum(seed, 1e-3) for seed in (0, 1)])
+    model.fit(data)
+    # Mass 1 kg, length 1 m, damping 0.5 N m s, torque 12 N m.
+    expected = {("theta", "Omega"): 1, ("Omega", "Omega"): -0.5, ("Omega", "sin(theta)"): -9.81, ("Omega", "u"): 12}
+    assert _found(model) == pytest.approx(expected, rel=5e-3)
+    assert model.delay == 0.0
+
+
+FLOW, DRAIN, THROUGH, OUT = 0.8, 1.2, 0.9, 0.4
+
+
+def _tanks(noise: float) -> Transitions:
+    """Exact levels of two tanks, h' = FLOW u - DRAIN h and l' = THROUGH h - OUT l; h is never measured."""
+    field = np.array([[-DRAIN, 0, FLOW], [THROUGH, -OUT, 0], [0, 0, 0]])
+    step, rng = expm(0.1 * field), np.random.default_rng(6)
+    u, x = rng.uniform(0, 2, 30).repeat(10), [np.zeros(2)]
+    for held in u:
+        x.append((step @ [*x[-1], held])[:2])
+    seen = np.array(x) + noise * rng.normal(size=(301, 2))
+    seen[:, 0] = np.nan
+    return Transitions.from_trajectory(torch.from_numpy(seen), torch.from_numpy(u)[:, None], 0.1)
+
+
+@pytest.mark.parametrize(("noise", "error"), [(1e-5, 1e-3), (1e-3, 0.02)])
+def test_a_state_that_nobody_ever_measured_is_found_from_a_first_guess(noise, error):
+    signature = Signature(("h", "l"), ("m", "m"), ("u",), (1.0, 1.0))
+    model = SindyModel(
+        signature,
+        ["h", "l", "u", "1"],
+        refinement=Refinement("trajectory"),
+        allowed={"h": ["h", "1"], "l": ["h", "l", "1"]},
+        fixed={"h": {"u": FLOW}},
+        initial={"h": {"h": -0.9}, "l": {"h": 0.7, "l": -0.6}},
+    )
+    model.fit(_tanks(noise))
+    expected = {("h", "h"): -DRAIN, ("h", "u"): FLOW, ("l", "h"): THROUGH, ("l", "l"): -OUT}
+    assert _found(model) == pytest.approx(expected, rel=error)
+
+
+def test_a_first_guess_is_the_model_before_its_refinement():
+    signature = Signature(("h", "l"), ("m", "m"), ("u",), (1.0, 1.0))
+    given = {"h": {"h": -0.9, "u": 0.5}, "l": {"h": 0.7}}
+    model = SindyModel(signature, ["h", "l", "u"], fixed={"h": {"u": FLOW}}, initial=given)
+    model.fit(_tanks(0.0))
+    assert _found(model) == {("h", "h"): -0.9, ("h", "u"): FLOW, ("l", "h"): 0.7}
+    with pytest.raises(ValueError, match="not in the library"):
+        SindyModel(signature, ["h"], initial={"h": {"h^2": 1.0}})
+
+
+def test_what_a_fit_changes_besides_coefficients_is_kept_in_its_state():
+    signature = Signature(("v",), ("m/s",), ("u",), (1.0,))
+    model, copy = (SindyModel(signature, ["v", "tanh(~3 v)", "u"]) for _ in range(2))
+    model.set_coefficients(torch.tensor([[1.0], [2.0], [3.0]]))
+    model.library, model.delay = model.library.with_shapes([7.0]), 0.03
+    copy.load_state_dict(model.state_dict())
+    x, u = torch.tensor([[0.2]]).double(), torch.tensor([[0.5]]).double()
+    assert copy(x, u).item() == pytest.approx(0.2 + 2 * np.tanh(7 * 0.2) + 1.5)
+    assert copy.delay == 0.03

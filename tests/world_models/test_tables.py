@@ -39,6 +39,25 @@ def test_equations_write_signs_ones_and_empty_rows_as_a_reader_would():
     ]
 
 
+@pytest.mark.parametrize(
+    ("values", "written"),
+    [
+        ((0, 2.0, -3.0, 0, 0), "(2 b - 3 u^2) /(1 + 3 cos(alpha_p)^2)"),
+        ((0.5, 2.0, 0, -1.0, 0), "0.5 + (2 b - 1) /(1 + 3 cos(alpha_p)^2)"),
+        ((0, 2.0, 0, 0, 0), "2 b /(1 + 3 cos(alpha_p)^2)"),
+        ((0, -2.0, 0, 0, 0), "-2 b /(1 + 3 cos(alpha_p)^2)"),
+        ((1.0, 0, 0, -4.0, 0), "1 - 4 /(1 + 3 cos(alpha_p)^2)"),
+        ((0, -2.0, -1.0, 0, 0), "(-2 b - u^2) /(1 + 3 cos(alpha_p)^2)"),
+        ((1.0, 2.0, 1.0, 0, -7.0), "1 + (2 b + u^2) /(1 + 3 cos(alpha_p)^2) - 7 b /(1 + 2 cos(alpha_p)^2)"),
+    ],
+)
+def test_what_is_divided_by_the_same_is_written_over_it_once(values, written):
+    by, other = of("per_cos2", "alpha_p", frequency=3.0, fitted=True), of("per_cos2", "alpha_p", frequency=2.0)
+    b = variable("b")
+    library = Library(SIGNATURE, [CONSTANT, b * by, variable("u", 2) * by, by, other * b])
+    assert equations(library, torch.tensor([values, (0,) * 5]).mT) == [f"alpha_p' = {written}", "b' = 0"]
+
+
 def test_the_paper_s_equations_are_printed():
     lines = published().equations(digits=6)
     assert lines[0] == "alpha_a' = Omega_a"

@@ -15,10 +15,7 @@ from dynasindy.world_models.features import CONSTANT, variable
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.one_step import refine_one_step
 from dynasindy.world_models.refine import Refinement
-from dynasindy.world_models.sensitivity import Parameters
-from dynasindy.world_models.shooting import Estimate, linearise, move
 from dynasindy.world_models.trajectory import Descent, refine_trajectory
-from dynasindy.world_models.windows import Windows
 
 SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
 LIBRARY = Library(SIGNATURE, [variable("y"), variable("u"), CONSTANT, variable("y", 2)])
@@ -123,37 +120,6 @@ def test_without_noise_the_plant_is_found():
     assert found[:2, 0].tolist() == pytest.approx([A, B], rel=1e-6)
 
 
-def test_windows_cut_every_segment_and_mask_what_is_filled_up():
-    x = torch.arange(8.0).unsqueeze(-1)
-    one = Transitions.from_trajectory(x, 10 * x[:7], 0.1)
-    windows = Windows.of(Transitions.cat([one, one.last(2)]), 3)
-    assert windows.first.flatten().tolist() == [0, 3, 6, 5]
-    assert windows.joined.tolist() == [False, True, True, False]
-    assert windows.mask[..., 0].tolist() == [[1, 1, 1], [1, 1, 1], [1, 0, 0], [1, 1, 0]]
-    assert windows.measured[windows.mask.bool()].tolist() == [1, 2, 3, 4, 5, 6, 7, 6, 7]
-    assert windows.inputs[windows.mask.bool()].tolist() == [0, 10, 20, 30, 40, 50, 60, 50, 60]
-
-
-def test_condensing_leaves_the_slopes_of_one_long_trajectory():
-    # Windows that join exactly are one trajectory: the moves of the nodes are the slopes of its closed form.
-    y = motion(A, B, Y0, INPUTS[:40])
-    data = Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.from_numpy(INPUTS[:40])[:, None], DT)
-    windows = Windows.of(data, 10)
-    estimate = Estimate(LIBRARY, column(A, B, 0.0, 0.0), torch.from_numpy(y[:40:10])[:, None])
-    model = linearise(estimate, Parameters.where(TWO), windows, torch.ones(1).double())
-    place, slopes = np.array([Y0, A, B]), []
-    for step in 1e-5 * np.eye(3):
-        up, down = (motion(p[1], p[2], p[0], INPUTS[:40]) for p in (place + step, place - step))
-        slopes.append((up - down) / 2e-5)
-    slopes = np.array(slopes).T
-    assert np.allclose(model.moves[:, 0, :3], slopes[:40:10], atol=1e-6)
-    assert np.allclose(model.moves[:, 0, 3], 0.0, atol=1e-6)
-    # The triangle holds the start's own error and those of all 40 samples.
-    square = (model.triangle[:, :3] * model.scale).numpy()
-    assert np.allclose(square.T @ square, slopes.T @ slopes, rtol=1e-4, atol=1e-6)
-    assert model.cost < 1e-9
-
-
 @pytest.mark.parametrize("outlier", [1e8, -1e30])
 def test_an_outlier_from_which_the_model_runs_away_is_said(outlier):
     data = recording(0)
@@ -180,47 +146,6 @@ def test_a_state_that_never_moves_is_no_reason_to_fail():
         refine_trajectory, LIBRARY, column(A, 1e-3, 0.0, 0.0), torch.ones(4, 1, dtype=torch.bool), still, 20
     )
     assert bool(found.isfinite().all())
-
-
-def test_the_cost_counts_samples_starts_and_gaps_each_by_its_weight():
-    # y' = 0: every state stays where its window begins.
-    x = torch.tensor([1.0, 2.0, 4.0, 8.0, 16.0, 32.0]).double().unsqueeze(-1)
-    data = Transitions.from_trajectory(x, torch.zeros(5, 1).double(), 0.1)
-    windows = Windows.of(data, 2)
-    nodes = torch.tensor([1.5, 5.0, 17.0]).double().unsqueeze(-1)
-    none = torch.zeros(4, 1).double()
-    parameters = Parameters.where(torch.tensor([[False], [False], [True], [False]]))
-    model = linearise(Estimate(LIBRARY, none, nodes), parameters, windows, torch.tensor([2.0]).double())
-    samples = (2 - 1.5) ** 2 + (4 - 1.5) ** 2 + (8 - 5) ** 2 + (16 - 5) ** 2 + (32 - 17) ** 2
-    start = (1 - 1.5) ** 2
-    gaps = (1.5 - 5) ** 2 + (5 - 17) ** 2
-    assert model.cost == pytest.approx((samples + start + 10 * 2 * gaps) / 2.0**2)
-    free = linearise(Estimate(LIBRARY, none, nodes), parameters, windows, None)
-    assert free.sigma.item() == pytest.approx((samples / 5) ** 0.5)
-    # The first node moves by itself; each other one closes its gap and follows: by the start, 0.2 s of the constant.
-    expected = [[1.0, 0.0, 0.0], [1.0, 0.2, -3.5], [1.0, 0.4, -15.5]]
-    torch.testing.assert_close(model.moves[:, 0], torch.tensor(expected).double())
-
-
-def test_a_step_solves_the_linear_problem_of_starts_and_coefficients():
-    # y' = c is linear in all unknowns: one undamped step is the least-squares line, whatever the nodes.
-    generator = np.random.default_rng(0)
-    y = generator.normal(size=8)
-    data = Transitions.from_trajectory(torch.from_numpy(y).unsqueeze(-1), torch.zeros(7, 1).double(), 0.5)
-    windows = Windows.of(data, 3)
-    parameters = Parameters.where(torch.tensor([[False], [False], [True], [False]]))
-    estimate = Estimate(LIBRARY, column(0.0, 0.0, 3.0, 0.0), torch.from_numpy(generator.normal(size=(3, 1))))
-    model = linearise(estimate, parameters, windows, torch.ones(1).double())
-    found = move(estimate, model, parameters, torch.arange(2))
-    slope, start = np.polyfit(0.5 * np.arange(8), y, 1)
-    assert found.xi.flatten().tolist() == pytest.approx([0, 0, slope, 0], abs=1e-9)
-    assert found.nodes.flatten().tolist() == pytest.approx([start + 1.5 * k * slope for k in range(3)], abs=1e-9)
-    # Without the constant the best start is the mean, and an infinite damping leaves the start where it is.
-    mean = move(estimate, model, parameters, torch.tensor([0]))
-    assert mean.xi[2, 0] == 0 and mean.nodes[0, 0].item() == pytest.approx(y.mean())
-    still = move(estimate, model, parameters, torch.arange(2), damping=1e12)
-    assert still.xi[2, 0].item() == pytest.approx(3.0, rel=1e-6)
-    assert still.nodes[0, 0].item() == pytest.approx(estimate.nodes[0, 0].item(), abs=1e-6)
 
 
 def test_two_recordings_have_a_start_each():
