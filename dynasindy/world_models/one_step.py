@@ -12,6 +12,7 @@ from dynasindy.world_models.library import Library
 from dynasindy.world_models.regression import least_squares
 from dynasindy.world_models.selection import reconsider, walk_down
 from dynasindy.world_models.sensitivity import Parameters, Propagator
+from dynasindy.world_models.windows import ENOUGH, spread
 
 LONGEST_STEP = 0.005
 """Longest Runge-Kutta step [s] of a refinement: at rates of 10/s its relative error is below 1e-7."""
@@ -42,8 +43,9 @@ def refine_one_step(
     Returns:
         The library with its shapes, and coefficients, `(n_features, n_x)`.
     """
-    data = data.to(torch.float64)
-    floor = tolerance * (data.x_next - data.x).square().mean(0).sqrt()
+    whole = data.to(torch.float64)
+    data = whole.select(spread(len(whole), ENOUGH))
+    floor = tolerance * (whole.x_next - whole.x).square().mean(0).sqrt()
     limit = math.log(len(data))
     support, held = (xi != 0) & free, torch.where(free, 0.0, xi)
     for _ in range(6):
@@ -60,6 +62,8 @@ def refine_one_step(
         values = least_squares(triangle[:, columns], triangle[:, -1]) / scale[columns]
         xi = chosen.write(held, values[n_shapes:])
         support = chosen.support(support.shape)
+    if len(data) < len(whole):
+        library, xi, _ = _descend(library, xi, support, whole, floor, max_rounds)
     return library, xi
 
 

@@ -23,7 +23,7 @@ from dynasindy.world_models.library import Library
 from dynasindy.world_models.selection import reconsider, walk_down
 from dynasindy.world_models.sensitivity import Parameters
 from dynasindy.world_models.shooting import EXACT, Estimate, Flow, Linearised, RunsAway, growth, linearise
-from dynasindy.world_models.windows import Windows
+from dynasindy.world_models.windows import ENOUGH, Windows, spread
 
 NOISY = 1e-7
 """Part of a coefficient's effect that those of others leave over, below which data cannot tell it from them."""
@@ -62,17 +62,23 @@ def refine_trajectory(
     Raises:
         RunsAway: the model runs away within the shortest of windows.
     """
-    data, limit = data.to(torch.float64), price(len(data), free)
+    data = data.to(torch.float64)
     guess = data.x if start is None else start.to(torch.float64)
-    found, windows = _grown(Estimate(library, xi, guess), (xi != 0) & free, data, window, joined is not False, max_rounds)
+    some = spread(len(data), ENOUGH)
+    part, limits = data.select(some), (price(int(some.sum()), free), max_rounds)
+    found, windows = _grown(Estimate(library, xi, guess[some]), (xi != 0) & free, part, window, joined is not False, max_rounds)
     if joined is None and not bool(data.x_next.isnan().any()) and _sensitive(found, windows):
         alone = replace(windows, joined=torch.zeros_like(windows.joined))
-        own = _search(found, free, alone, limit, max_rounds)
-        found = _search(own, free, windows, limit, max_rounds)
-        if bool((_sigma(found, windows) > WORSE * _sigma(own, alone)).any()):
-            found = own
+        own = _search(found, free, alone, limits)
+        found = _search(own, free, windows, limits)
+        joined = not bool((_sigma(found, windows) > WORSE * _sigma(own, alone)).any())
+        found = found if joined else own
     else:
-        found = _search(found, free, windows, limit, max_rounds)
+        found = _search(found, free, windows, limits)
+    if not bool(some.all()):
+        support = (found.xi != 0) & free
+        whole, windows = _grown(replace(found, nodes=guess), support, data, window, joined is not False, max_rounds)
+        found, _ = _descend(whole, support, windows, (price(len(data), free), max_rounds))
     return found.library, found.xi
 
 
@@ -98,17 +104,17 @@ def _sigma(estimate: Estimate, windows: Windows) -> Tensor:
     return Flow.of(estimate, Parameters.where(estimate.xi != 0), windows).sigma(windows)
 
 
-def _search(estimate: Estimate, free: Tensor, windows: Windows, limit: float, max_rounds: int) -> Estimate:
+def _search(estimate: Estimate, free: Tensor, windows: Windows, limits: tuple[float, int]) -> Estimate:
     """Converge, drop and reconsider until there is nothing better."""
     support = (estimate.xi != 0) & free
     for _ in range(10):
-        estimate, support = _descend(estimate, support, windows, (limit, max_rounds))
+        estimate, support = _descend(estimate, support, windows, limits)
         active, others = Parameters.where(support), Parameters.where(free & ~support)
         if not len(active) or not len(others):
             break
         model = linearise(estimate, active + others, windows)
         n_fixed = len(model.scale) - len(active) - len(others)
-        better = reconsider(model.triangle, n_fixed, active, others, limit)
+        better = reconsider(model.triangle, n_fixed, active, others, limits[0])
         if better is None:
             break
         chosen = (active + others).take(better)

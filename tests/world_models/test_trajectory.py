@@ -110,8 +110,8 @@ def test_what_may_come_in_is_what_is_outside_the_model(monkeypatch):
 
     monkeypatch.setattr(trajectory, "reconsider", spy)
     refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), torch.ones(4, 1, dtype=torch.bool), recording(1), 10)
-    # One start state, four functions and the error; a function is worth the logarithm of 200 samples.
-    assert seen == [(6, 1, [0, 1], [2, 3], math.log(200))]
+    # One start state, four functions and the error; a function is worth the logarithm of 200 samples, and twice that of 4.
+    assert seen == [(6, 1, [0, 1], [2, 3], math.log(200) + 2 * math.log(4))]
 
 
 def test_without_noise_the_plant_is_found():
