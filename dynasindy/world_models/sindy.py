@@ -36,8 +36,8 @@ from dynasindy.world_models.refine import Refinement
 from dynasindy.world_models.regression import Regression, RunningSums, integral_form
 from dynasindy.world_models.report import FitReport
 from dynasindy.world_models.selection import DEPENDENT
+from dynasindy.world_models.shooting import RunsAway
 from dynasindy.world_models.tables import equations
-from dynasindy.world_models.trajectory import RunsAway
 
 
 class SindyModel(WorldModel):

@@ -22,7 +22,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.selection import reconsider, walk_down
 from dynasindy.world_models.sensitivity import Parameters
-from dynasindy.world_models.shooting import EXACT, Estimate, Flow, Linearised, RunsAway, growth, linearise
+from dynasindy.world_models.shooting import EXACT, Estimate, Flow, Linearised, growth, linearise
 from dynasindy.world_models.windows import ENOUGH, Windows, spread
 
 NOISY = 1e-7
@@ -66,7 +66,9 @@ def refine_trajectory(
     guess = data.x if start is None else start.to(torch.float64)
     some = spread(len(data), ENOUGH)
     part, limits = data.select(some), (price(int(some.sum()), free), max_rounds)
-    found, windows = _grown(Estimate(library, xi, guess[some]), (xi != 0) & free, part, window, joined is not False, max_rounds)
+    found, windows = _grown(
+        Estimate(library, xi, guess[some]), (xi != 0) & free, part, window, joined is not False, max_rounds
+    )
     if joined is None and not bool(data.x_next.isnan().any()) and _sensitive(found, windows):
         alone = replace(windows, joined=torch.zeros_like(windows.joined))
         own = _search(found, free, alone, limits)

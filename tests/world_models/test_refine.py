@@ -12,8 +12,8 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.constraints import Constraints
 from dynasindy.world_models.features import CONSTANT, variable
 from dynasindy.world_models.library import Library
-from dynasindy.world_models.one_step import refine_one_step
 from dynasindy.world_models.measured import reconstruct
+from dynasindy.world_models.one_step import refine_one_step
 from dynasindy.world_models.refine import METHODS, Refinement, looks_noisy
 from dynasindy.world_models.regression import Regression, RunningSums, integral_form, simpson_form
 from dynasindy.world_models.trajectory import refine_trajectory

@@ -16,7 +16,8 @@ from dynasindy.world_models.library import Library
 from dynasindy.world_models.one_step import refine_one_step
 from dynasindy.world_models.refine import Refinement
 from dynasindy.world_models.sensitivity import Parameters
-from dynasindy.world_models.trajectory import Estimate, _move, linearise, refine_trajectory
+from dynasindy.world_models.shooting import Estimate, linearise
+from dynasindy.world_models.trajectory import _move, refine_trajectory
 from dynasindy.world_models.windows import Windows
 
 SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
@@ -110,7 +111,7 @@ def test_what_may_come_in_is_what_is_outside_the_model(monkeypatch):
 
     monkeypatch.setattr(trajectory, "reconsider", spy)
     refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), torch.ones(4, 1, dtype=torch.bool), recording(1), 10)
-    # One start state, four functions and the error; a function is worth the logarithm of 200 samples, and twice that of 4.
+    # One start state, four functions and the error; a function is worth log 200, and for the choice among four 2 log 4.
     assert seen == [(6, 1, [0, 1], [2, 3], math.log(200) + 2 * math.log(4))]
 
 
