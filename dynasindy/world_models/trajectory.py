@@ -20,6 +20,7 @@ from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.library import Library
+from dynasindy.world_models.progress import LOG
 from dynasindy.world_models.selection import reconsider, walk_down
 from dynasindy.world_models.sensitivity import Parameters
 from dynasindy.world_models.shooting import EXACT, Estimate, Flow, Linearised, growth, linearise
@@ -114,6 +115,7 @@ def _search(estimate: Estimate, free: Tensor, windows: Windows, limits: tuple[fl
         active, others = Parameters.where(support), Parameters.where(free & ~support)
         if not len(active) or not len(others):
             break
+        LOG.info("choice among %d coefficients that might be missing", len(others))
         model = linearise(estimate, active + others, windows)
         n_fixed = len(model.scale) - len(active) - len(others)
         better = reconsider(model.triangle, n_fixed, active, others, limits[0])
@@ -142,8 +144,9 @@ def trajectory_cost(
         rounds: Gauss-Newton steps.
         start: guess of the states before each transition, `(N, n_x)`.
     """
-    support, data = (xi != 0) & free, data.to(torch.float64)
-    estimate, windows = _grown(Estimate(library, xi, start), support, data, window, True, rounds)
+    some = spread(len(data), ENOUGH)
+    support, data = (xi != 0) & free, data.to(torch.float64).select(some)
+    estimate, windows = _grown(Estimate(library, xi, start[some]), support, data, window, True, rounds)
     parameters = Parameters.where(support)
     estimate = _converge(estimate, parameters, windows, rounds)
     sigma = Flow.of(estimate, parameters, windows).sigma(windows)
@@ -222,6 +225,9 @@ def _converge(estimate: Estimate, parameters: Parameters, windows: Windows, max_
     damping = 0.0
     model = linearise(estimate, parameters, windows)
     for _ in range(max_rounds):
+        LOG.info(
+            "fit of %d coefficients to trajectories, %d rows", len(parameters), len(windows) * windows.mask.shape[1]
+        )
         candidate = _move(estimate, model, parameters, torch.arange(len(model.scale)), damping)
         flow = Flow.of(candidate, parameters, windows)
         trial = linearise(candidate, parameters, windows, model.sigma, flow)
