@@ -9,6 +9,7 @@ from omegaconf import DictConfig
 
 from dynasindy import viz
 from dynasindy.evaluation.identification import Identified, Source, identify, to_words, write
+from dynasindy.world_models.progress import Progress
 
 
 @command("identify")
@@ -17,7 +18,8 @@ def main(cfg: DictConfig) -> None:
     torch.set_num_threads(cfg.threads)
     built = {name: instantiate(cfg[name], _convert_="all") for name in ("data", "system", "excitation", "world_model")}
     source = built["data"].load(built["system"], built["excitation"])
-    found = identify(built["world_model"](signature=source.signature), source)
+    with Progress():
+        found = identify(built["world_model"](signature=source.signature), source)
     folder = Path(cfg.folder)
     write(found, source, folder)
     draw(found, source, folder, list(cfg.formats))

@@ -17,6 +17,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from dynasindy.benchmarks.instruments import textbook
+from dynasindy.benchmarks.instruments.bound import cramer_rao
 from dynasindy.benchmarks.instruments.rivals import (
     Score,
     best_threshold,
@@ -36,8 +38,6 @@ from dynasindy.world_models.diagnosis import Missing, diagnose
 from dynasindy.world_models.libraries import paper_table
 from dynasindy.world_models.prediction import one_step_error
 from dynasindy.world_models.sensitivity import Parameters
-from dynasindy.world_models.shooting import Estimate, linearise
-from dynasindy.world_models.windows import Windows
 
 KNOWN = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
 HOVER = (-0.12, 0.21)
@@ -130,7 +130,7 @@ def noisy(seeds: int) -> list[Row]:
         model = SindyModel(Xi().signature, "paper_table", Regression("bic"), Refinement("auto"))
         model.fit(data)
         scores.append(score(model.coefficients, truth))
-        bound = cramer_rao(truth, parameters, clean, sigma)
+        bound = cramer_rao(paper_table(Xi().signature), truth, clean, sigma)
         z = parameters.read(model.coefficients - truth).abs() / bound
         ratios.append(float(z.square().mean().sqrt()))
         worst.append(float(z.max()))
@@ -152,16 +152,6 @@ def noisy(seeds: int) -> list[Row]:
             "1 is the bound",
         ),
     ]
-
-
-def cramer_rao(truth: Tensor, parameters: Parameters, clean: Transitions, sigma: Tensor) -> Tensor:
-    """Return the smallest standard error of the true terms, start state unknown, white noise of `sigma`, `(P,)`."""
-    windows = Windows.of(clean, 50)
-    estimate = Estimate(paper_table(Xi().signature), truth, windows.first.clone())
-    model = linearise(estimate, parameters, windows, sigma)
-    n = len(model.scale)
-    inverse = torch.linalg.inv(model.triangle[:n, :n])
-    return (inverse.square().sum(-1).sqrt() / model.scale)[n - len(parameters) :]
 
 
 def episodes(plant: System, n: int = 32) -> tuple[Tensor, Tensor]:
@@ -358,6 +348,7 @@ CASES: dict[str, Callable[[int], list[Row]]] = {
     "xi_10s": lambda seeds: noise_free(10.0, 0.01, 1e-6, seeds),
     "xi_control": lambda seeds: noise_free(20.0, 0.05, 1e-4, seeds),
     "xi_noise": noisy,
+    **{name: partial(textbook.measure, case) for name, case in textbook.CASES.items()},
     "tras": tras,
     "trms33": trms33,
     "pysindy": pysindy_rows,

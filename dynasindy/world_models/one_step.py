@@ -9,9 +9,11 @@ from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.library import Library
+from dynasindy.world_models.progress import LOG
 from dynasindy.world_models.regression import least_squares
 from dynasindy.world_models.selection import reconsider, walk_down
 from dynasindy.world_models.sensitivity import Parameters, Propagator
+from dynasindy.world_models.windows import ENOUGH, spread
 
 LONGEST_STEP = 0.005
 """Longest Runge-Kutta step [s] of a refinement: at rates of 10/s its relative error is below 1e-7."""
@@ -42,8 +44,9 @@ def refine_one_step(
     Returns:
         The library with its shapes, and coefficients, `(n_features, n_x)`.
     """
-    data = data.to(torch.float64)
-    floor = tolerance * (data.x_next - data.x).square().mean(0).sqrt()
+    whole = data.to(torch.float64)
+    data = whole.select(spread(len(whole), ENOUGH))
+    floor = tolerance * (whole.x_next - whole.x).square().mean(0).sqrt()
     limit = math.log(len(data))
     support, held = (xi != 0) & free, torch.where(free, 0.0, xi)
     for _ in range(6):
@@ -51,6 +54,7 @@ def refine_one_step(
         active, others = Parameters.where(support), Parameters.where(free & ~support)
         if not len(active) or not len(others):
             break
+        LOG.info("choice among %d coefficients that might be missing", len(others))
         rows, target, scale = linear_model(library, xi, active + others, data, floor)
         triangle, n_shapes = torch.linalg.qr(torch.cat([rows, target], -1), mode="r")[1], len(library.shapes)
         better = reconsider(triangle, n_shapes, active, others, limit)
@@ -60,6 +64,8 @@ def refine_one_step(
         values = least_squares(triangle[:, columns], triangle[:, -1]) / scale[columns]
         xi = chosen.write(held, values[n_shapes:])
         support = chosen.support(support.shape)
+    if len(data) < len(whole):
+        library, xi, _ = _descend(library, xi, support, whole, floor, max_rounds)
     return library, xi
 
 
@@ -72,6 +78,7 @@ def _descend(
         parameters = Parameters.where(support)
         if not len(parameters):
             break
+        LOG.info("fit of %d coefficients to single steps, %d rows", len(parameters), len(data))
         rows, target, scale = linear_model(library, xi, parameters, data, floor)
         triangle = torch.linalg.qr(torch.cat([rows, target], -1), mode="r")[1]
         kept, values = walk_down(triangle, torch.arange(rows.shape[1]) >= n_shapes, math.log(len(data)))

@@ -38,6 +38,7 @@ from dynasindy.world_models.report import FitReport
 from dynasindy.world_models.selection import DEPENDENT
 from dynasindy.world_models.shooting import RunsAway
 from dynasindy.world_models.tables import equations
+from dynasindy.world_models.windows import ENOUGH, STRETCHES
 
 
 class SindyModel(WorldModel):
@@ -256,7 +257,12 @@ class SindyModel(WorldModel):
             # The functions are others now, and so are the sums of their products.
             self.library, self.sums = found.library, RunningSums(len(self.library), self.signature.n_x)
             self.sums.add(integral_form(self.library, guess))
-        return []
+        if self.refinement.method == "integral" or len(data) <= ENOUGH:
+            return []
+        return [
+            f"functions were chosen on {ENOUGH} of {len(data)} rows, in {STRETCHES} stretches spread evenly over them; "
+            "the coefficients were fitted on all rows"
+        ]
 
     def _solve(self, sums: RunningSums, dependent: float = DEPENDENT) -> None:
         regression = replace(self.regression, dependent=dependent) if dependent > DEPENDENT else self.regression

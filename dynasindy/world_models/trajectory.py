@@ -19,10 +19,11 @@ from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.library import Library
+from dynasindy.world_models.progress import LOG
 from dynasindy.world_models.selection import reconsider, walk_down
 from dynasindy.world_models.sensitivity import Parameters
 from dynasindy.world_models.shooting import EXACT, Estimate, Flow, Linearised, growth, linearise, move, substeps_for
-from dynasindy.world_models.windows import Windows
+from dynasindy.world_models.windows import ENOUGH, Windows, spread
 
 NOISY = 1e-7
 """Part of a coefficient's effect that those of others leave over, below which data cannot tell it from them."""
@@ -72,18 +73,24 @@ def refine_trajectory(
     Raises:
         RunsAway: the model runs away within the shortest of windows.
     """
-    data, limit = data.to(torch.float64), price(len(data), free)
+    data = data.to(torch.float64)
     guess = data.x if start is None else start.to(torch.float64)
     joined, max_rounds = descent.joined, descent.max_rounds
-    found, windows = _grown(Estimate(library, xi, guess), (xi != 0) & free, data, descent)
+    some = spread(len(data), ENOUGH)
+    part, limits = data.select(some), (price(int(some.sum()), free), max_rounds)
+    found, windows = _grown(Estimate(library, xi, guess[some]), (xi != 0) & free, part, descent)
     if joined is None and not bool(data.x_next.isnan().any()) and _sensitive(found, windows):
         alone = replace(windows, joined=torch.zeros_like(windows.joined))
-        own = _search(found, free, alone, limit, max_rounds)
-        found = _search(own, free, windows, limit, max_rounds)
-        if bool((_sigma(found, windows) > WORSE * _sigma(own, alone)).any()):
-            found = own
+        own = _search(found, free, alone, limits)
+        found = _search(own, free, windows, limits)
+        joined = not bool((_sigma(found, windows) > WORSE * _sigma(own, alone)).any())
+        found = found if joined else own
     else:
-        found = _search(found, free, windows, limit, max_rounds)
+        found = _search(found, free, windows, limits)
+    if not bool(some.all()):
+        support = (found.xi != 0) & free
+        whole, windows = _grown(replace(found, nodes=guess), support, data, replace(descent, joined=joined))
+        found, _ = _descend(whole, support, windows, (price(len(data), free), max_rounds))
     return found.library, found.xi
 
 
@@ -109,17 +116,18 @@ def _sigma(estimate: Estimate, windows: Windows) -> Tensor:
     return Flow.of(estimate, Parameters.where(estimate.xi != 0), windows).sigma(windows)
 
 
-def _search(estimate: Estimate, free: Tensor, windows: Windows, limit: float, max_rounds: int) -> Estimate:
+def _search(estimate: Estimate, free: Tensor, windows: Windows, limits: tuple[float, int]) -> Estimate:
     """Converge, drop and reconsider until there is nothing better."""
     support = (estimate.xi != 0) & free
     for _ in range(10):
-        estimate, support = _descend(estimate, support, windows, (limit, max_rounds))
+        estimate, support = _descend(estimate, support, windows, limits)
         active, others = Parameters.where(support), Parameters.where(free & ~support)
         if not len(active) or not len(others):
             break
+        LOG.info("choice among %d coefficients that might be missing", len(others))
         model = linearise(estimate, active + others, windows)
         n_fixed = len(model.scale) - len(active) - len(others)
-        better = reconsider(model.triangle, n_fixed, active, others, limit)
+        better = reconsider(model.triangle, n_fixed, active, others, limits[0])
         if better is None:
             break
         chosen = (active + others).take(better)
@@ -144,8 +152,9 @@ def trajectory_cost(
         descent: how many steps, over which windows.
         start: guess of the states before each transition, `(N, n_x)`.
     """
-    support, data = (xi != 0) & free, data.to(torch.float64)
-    estimate, windows = _grown(Estimate(library, xi, start), support, data, descent)
+    some = spread(len(data), ENOUGH)
+    support, data = (xi != 0) & free, data.to(torch.float64).select(some)
+    estimate, windows = _grown(Estimate(library, xi, start[some]), support, data, descent)
     parameters = Parameters.where(support)
     estimate = _converge(estimate, parameters, windows, descent.max_rounds)
     sigma = Flow.of(estimate, parameters, windows).sigma(windows)
@@ -221,6 +230,9 @@ def _converge(estimate: Estimate, parameters: Parameters, windows: Windows, max_
     damping = 0.0
     model = linearise(estimate, parameters, windows)
     for _ in range(max_rounds):
+        LOG.info(
+            "fit of %d coefficients to trajectories, %d rows", len(parameters), len(windows) * windows.mask.shape[1]
+        )
         candidate = move(estimate, model, parameters, torch.arange(len(model.scale)), damping)
         flow = Flow.of(candidate, parameters, windows)
         trial = linearise(candidate, parameters, windows, model.sigma, flow)

@@ -9,6 +9,11 @@ from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
 
+ENOUGH = 10_000
+"""Rows of a recording on which functions are chosen; the coefficients are fitted on all."""
+STRETCHES = 10
+"""Stretches that the rows lie in that are chosen of a long recording."""
+
 
 @dataclass(frozen=True)
 class Windows:
@@ -68,3 +73,20 @@ class Windows:
     def __len__(self) -> int:
         """Count the windows."""
         return len(self.rows)
+
+
+def spread(n: int, wanted: int, stretches: int = STRETCHES) -> Tensor:
+    """Choose rows of a long recording in evenly spread stretches of equal length, bool `(n,)`; all of a short one.
+
+    Args:
+        n: rows of the recording.
+        wanted: rows to choose.
+        stretches: how many stretches they lie in.
+    """
+    if n <= wanted:
+        return torch.ones(n, dtype=torch.bool)
+    length = wanted // stretches
+    begins = torch.linspace(0, n - length, stretches).long()
+    chosen = torch.zeros(n, dtype=torch.bool)
+    chosen[(begins.unsqueeze(-1) + torch.arange(length)).flatten()] = True
+    return chosen

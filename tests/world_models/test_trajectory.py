@@ -15,7 +15,10 @@ from dynasindy.world_models.features import CONSTANT, variable
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.one_step import refine_one_step
 from dynasindy.world_models.refine import Refinement
+from dynasindy.world_models.sensitivity import Parameters
+from dynasindy.world_models.shooting import Estimate, Flow, growth
 from dynasindy.world_models.trajectory import Descent, refine_trajectory
+from dynasindy.world_models.windows import Windows, spread
 
 SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
 LIBRARY = Library(SIGNATURE, [variable("y"), variable("u"), CONSTANT, variable("y", 2)])
@@ -166,3 +169,68 @@ def test_two_recordings_have_a_start_each():
     theirs = least_squares(miss, [A, B, 0.3, -0.8], xtol=1e-12, ftol=1e-12).x
     found = coefficients_of(refine_trajectory, LIBRARY, column(-1.5, 2.5, 0.0, 0.0), TWO, data, 25)
     assert found[:2, 0].tolist() == pytest.approx(theirs[:2].tolist(), rel=5e-3)
+
+
+def test_windows_on_their_own_give_scipy_s_minimum_over_all_their_start_states():
+    data = recording(0)
+    measured = np.append(data.x[:1, 0].numpy(), data.x_next[:, 0].numpy())
+
+    def errors(p: np.ndarray) -> np.ndarray:
+        parts = []
+        for k, start in enumerate(p[2:]):
+            held, seen = INPUTS[50 * k : 50 * (k + 1)], measured[50 * k : 50 * (k + 1) + 1]
+            parts.append(motion(p[0], p[1], start, held) - seen)
+        return np.concatenate(parts)
+
+    theirs = least_squares(errors, [A, B, *measured[:200:50]], xtol=1e-12, ftol=1e-12).x
+    alone = Descent(50, joined=False)
+    found = refine_trajectory(LIBRARY, column(-1.5, 2.5, 0.0, 0.0), TWO, data, alone)[1]
+    assert np.all(np.abs(found[:2, 0].numpy() - theirs[:2]) < 0.02 * bound())
+
+
+@pytest.mark.parametrize(("rate", "joined", "factor"), [(2.0, True, 4.0), (2.0, False, 2.0), (-2.0, True, 0.1)])
+def test_errors_of_a_start_grow_as_the_exact_motion_says(rate, joined, factor):
+    data, xi = recording(0), column(rate, B, 0.0, 0.0)
+    windows = Windows.of(data, 100, joined)
+    estimate = Estimate(LIBRARY, xi, windows.first)
+    grown = growth(Flow.of(estimate, Parameters.where(xi != 0), windows), windows, windows.first)
+    wanted = math.exp(rate * factor / 2) if rate > 0 else math.exp(rate)
+    assert grown == pytest.approx(wanted, rel=1e-6)
+
+
+def test_a_trajectory_along_which_errors_grow_is_fitted_in_windows_on_their_own_first(monkeypatch):
+    seen = []
+
+    def spy(estimate, free, windows, limits):
+        seen.append(windows.joined.any().item())
+        return estimate
+
+    monkeypatch.setattr(trajectory, "_search", spy)
+    for rate in (3.0, A):  # e^6 over the recording
+        refine_trajectory(LIBRARY, column(rate, B, 0.0, 0.0), TWO, recording(0), Descent(20))
+    assert seen == [False, True, True]
+
+
+def test_of_a_long_recording_functions_are_chosen_on_some_rows_and_fitted_on_all(monkeypatch):
+    data = recording(1)
+    every = coefficients_of(refine_trajectory, LIBRARY, column(-1.8, 2.8, 0.0, 0.0), TWO, data, 10)
+    sizes = []
+
+    def spy(estimate, free, windows, limits):
+        sizes.append(int(windows.mask.sum()))
+        return estimate
+
+    monkeypatch.setattr(trajectory, "spread", lambda n, wanted: torch.arange(n) % 100 < 40)
+    monkeypatch.setattr(trajectory, "_search", spy)
+    found = coefficients_of(refine_trajectory, LIBRARY, column(-1.8, 2.8, 0.0, 0.0), TWO, data, 10)
+    assert sizes == [80]
+    assert np.allclose(found, every, atol=0.01 * bound().min())
+
+
+@pytest.mark.parametrize(("n", "wanted", "rows"), [(50, 50, 50), (49, 50, 49), (51, 50, 50), (1000, 50, 50)])
+def test_rows_of_a_long_recording_lie_in_ten_even_stretches(n, wanted, rows):
+    chosen = spread(n, wanted)
+    assert int(chosen.sum()) == rows and bool(chosen[0] and chosen[-1])
+    if n == 1000:
+        begins = (chosen.int().diff(prepend=torch.zeros(1, dtype=torch.int32)) == 1).nonzero().flatten()
+        assert len(begins) == 10 and int(begins.diff().max() - begins.diff().min()) <= 1

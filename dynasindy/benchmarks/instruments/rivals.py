@@ -8,16 +8,20 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.signal import savgol_filter
 from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.library import Library
+from dynasindy.world_models.measured import Seen, reconstruct
 from dynasindy.world_models.regression import Rows, integral_form, simpson_form
 
 Score = tuple[int, int, float]
 THRESHOLDS = (0.1, 0.3, 0.9, 3.0, 10.0, 30.0, 100.0, 300.0)
 SCALED_THRESHOLDS = (1e-4, 3e-4, 1e-3, 3e-3, 5e-3, 1e-2)
-"""That PySINDy is tried with: of coefficients of columns of unit norm, and of those relative to the rates' norm."""
+PLAIN_THRESHOLDS = (0.01, 0.03, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 0.9)
+"""That PySINDy is tried with: of coefficients of columns of unit norm, of those relative to the rates' norm, and of
+coefficients as they are."""
 
 
 def score(found: Tensor, truth: Tensor) -> Score:
@@ -48,25 +52,47 @@ def own_rows(library: Library, data: Transitions, derivative: Any) -> Rows:
     return library(data.x, data.u), torch.from_numpy(derivative._differentiate(x, data.dt)[:-1])
 
 
-def best_threshold(name: str, pairs: list[Rows], truth: Tensor, scaled: bool = False) -> tuple[int, str, list[Score]]:
+def smoothed_rows(library: Library, data: Transitions, length: int) -> Rows:
+    """Return functions and rates of states that a cubic through `length` samples smooths, as PySINDy's option does.
+
+    Its functions would read the states as they were measured; here they read the smoothed ones, which is better.
+    """
+    import pysindy
+
+    x = torch.cat([data.x, data.x_next[-1:]]).numpy()
+    x = savgol_filter(x, length, 3, axis=0) if length else x
+    rate = pysindy.FiniteDifference()._differentiate(x, data.dt)[:-1]
+    return library(torch.from_numpy(x[:-1]), data.u), torch.from_numpy(rate)
+
+
+def weak_rows(library: Library, data: Transitions) -> Rows:
+    """Return our weak form of noisy states."""
+    return Seen.of(reconstruct(data, {}, True), data, {}, True).rows(library, library)
+
+
+def best_threshold(
+    name: str, pairs: list[Rows], truth: Tensor, scaled: bool | None = False
+) -> tuple[int, str, list[Score]]:
     """Return what PySINDy's best threshold is worth, true terms less false ones over all seeds, its words and scores.
 
     Args:
         name: Words for the rows.
         pairs: Functions and rates, of each seed.
         truth: The true coefficients, by which the threshold is chosen.
-        scaled: Whether the rates of each state are divided by their norm, so that one threshold suits all states.
+        scaled: Whether the rates of each state are divided by their norm, so that one threshold suits all states;
+            None leaves the functions as they are too.
     """
     import pysindy
 
     found: list[tuple[int, str, list[Score]]] = []
-    for threshold in SCALED_THRESHOLDS if scaled else THRESHOLDS:
+    for threshold in {None: PLAIN_THRESHOLDS, False: THRESHOLDS, True: SCALED_THRESHOLDS}[scaled]:
         scores = []
         for theta, dx in pairs:
             norms = dx.norm(dim=0) if scaled else torch.ones(dx.shape[1], dtype=dx.dtype)
-            optimizer = pysindy.STLSQ(threshold=threshold, alpha=0, normalize_columns=True)
+            optimizer = pysindy.STLSQ(threshold=threshold, alpha=0, normalize_columns=scaled is not None)
             scores.append(score(stlsq((theta, dx / norms), optimizer) * norms, truth))
-        words = f"threshold={threshold:g}, alpha=0, normalised, {name}"
+        how = "as they are" if scaled is None else "normalised"
+        words = f"threshold={threshold:g}, alpha=0, {how}, {name}"
         found.append((sum(t - f for t, f, _ in scores), words, scores))
     return max(found, key=lambda one: one[0])
 
