@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from torch import Tensor
 
 from dynasindy.data.csv import Column, CsvLog, infer
 from dynasindy.data.simulated import disturb, record
+from dynasindy.data.table import all_headings, split_unit
 from dynasindy.excitation import Excitation, HeldRandom
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
@@ -116,6 +117,8 @@ class Logged:
         time: heading of the time column [s].
         dt: sampling time [s]; the file's own by default.
         missing: `skip` rows with missing values, or `refuse` the file.
+        known: equations that are known, by state. A state that is the rate of another one needs no column: one that
+            has none is estimated with the model.
         validation_share: part of the transitions that is kept for validation.
 
     Raises:
@@ -128,6 +131,7 @@ class Logged:
     time: str = "time"
     dt: float | None = None
     missing: str = "skip"
+    known: dict[str, str] | None = None
     validation_share: float = 0.25
 
     def __post_init__(self) -> None:
@@ -145,7 +149,12 @@ class Logged:
         recording = log.read()
         data, place = recording.transitions, torch.arange(len(recording.transitions))
         cut = int(len(data) * (1 - self.validation_share))
-        return Source(recording.signature, data.select(place < cut), data.select(place >= cut), recording.notes)
+        signature = recording.signature
+        if system is not None and signature.state_names == system.signature.state_names:
+            unseen = data.x.isnan().all(0).tolist()
+            ranges = zip(unseen, system.signature.x_scale, signature.x_scale, strict=True)
+            signature = replace(signature, x_scale=tuple(plant if blind else own for blind, plant, own in ranges))
+        return Source(signature, data.select(place < cut), data.select(place >= cut), recording.notes)
 
     def _columns(self, system: System | None) -> tuple[dict[str, Any], dict[str, Any]]:
         if self.states and self.inputs:
@@ -154,8 +163,12 @@ class Logged:
             states, inputs = infer(str(self.path), self.time)
             states = {n: c for n, c in states.items() if n not in (self.inputs or {})}
         else:
-            plant = system.signature
-            states = {n: Column(n, unit) for n, unit in zip(plant.state_names, plant.state_units, strict=True)}
+            plant, rates = system.signature, set((self.known or {}).values())
+            headings = {split_unit(heading)[0] for heading in all_headings(Path(str(self.path)))}
+            states = {
+                n: Column("" if n in rates and n not in headings else n, unit)
+                for n, unit in zip(plant.state_names, plant.state_units, strict=True)
+            }
             inputs = {n: Column(n) for n in plant.input_names}
         return self.states or dict(states), self.inputs or dict(inputs)
 

@@ -256,7 +256,7 @@ class SindyModel(WorldModel):
             # The functions are others now, and so are the sums of their products.
             self.library, self.sums = found.library, RunningSums(len(self.library), self.signature.n_x)
             self.sums.add(integral_form(self.library, guess))
-        return []
+        return list(found.notes)
 
     def _solve(self, sums: RunningSums, dependent: float = DEPENDENT) -> None:
         regression = replace(self.regression, dependent=dependent) if dependent > DEPENDENT else self.regression
