@@ -441,13 +441,12 @@ def test_rest_at_the_start_is_no_stop_but_rest_at_the_same_end_later_is():
     assert not _stuck({"q": np.array([*away, *[0.0] * 4, 3.0])}, notes).any()
 
 
-@pytest.mark.parametrize("step", [0.0015, 0.01, 0.1])
+@pytest.mark.parametrize("step", [0.0015, 0.005, 0.02])
 @pytest.mark.parametrize("phase", [0.0, 0.3, 0.77])
 def test_the_peak_of_an_overshoot_that_an_encoder_reads_in_steps_is_no_stop_and_a_clipped_one_is(step, phase):
     t = 0.01 * np.arange(600)
     swing = np.exp(-0.3 * t) * np.cos(2 * t + phase)
     read = step * np.round(swing / step)
-    assert read.max() == read[10 * (phase == 0) : 40].max()
     notes: list[str] = []
     assert not _stuck({"q": read}, notes).any() and notes == []
     stopped = step * np.round(np.clip(swing, -0.3, None) / step)
