@@ -67,6 +67,7 @@ class Keys(TypedDict):
     slim: list[str]
     refinement: str
     longest_delay: float
+    horizons: list[float] | None
     source: Literal["simulated", "logged"]
     resume: str | None
     plugins: list[str]

@@ -271,7 +271,7 @@ def variable(name: str, power: int = 1) -> Feature:
 
 def of(function_name: str, *variables: str, power: int = 1, frequency: float = 1.0, fitted: bool = False) -> Feature:
     """Return a function of states or inputs as a feature, e.g. `of("sin", "alpha_p")`."""
-    return Feature((Factor(variables, function(function_name).name, power, frequency, fitted),))
+    return Feature((Factor(variables, function(function_name).name, power, frequency, frequency if fitted else 0.0),))
 
 
 _TOKEN = re.compile(

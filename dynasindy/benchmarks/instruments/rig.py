@@ -88,7 +88,9 @@ def closed_loop(seconds: float, seed: int, plant: Rig | None = None) -> tuple[Te
     controller = PID(plant.signature, GAINS, dt=DT)
     x, reference = torch.zeros(6, dtype=torch.float64), torch.zeros(2, dtype=torch.float64)
     past = [torch.zeros(2, dtype=torch.float64)] * DELAY
-    true, seen, commands = [], [], []
+    true: list[Tensor] = []
+    seen: list[Tensor] = []
+    commands: list[Tensor] = []
     for k in range(steps):
         if k % round(HELD / DT) == 0:
             reference = (2 * torch.rand(2, generator=generator, dtype=torch.float64) - 1) * torch.tensor(RANGE)
