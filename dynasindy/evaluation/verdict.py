@@ -109,9 +109,11 @@ def _short(value: float) -> str:
 
 
 def errors(forecasts: Forecasts, signature: Signature) -> dict[str, dict[str, float]]:
-    """Return the model's errors over each horizon, of the states that were measured, for a file."""
+    """Return the errors over each horizon, of the states that were measured, for a file."""
     seen = [i for i in range(signature.n_x) if not bool(torch.isnan(forecasts.held[:, i]).all())]
+    kinds = {"": forecasts.model, "linear_": forecasts.linear, "held_": forecasts.held}
     return {
-        f"rmse_{h:g}_s": {signature.state_names[i]: float(forecasts.model[k, i]) for i in seen}
+        f"{kind}rmse_{h:g}_s": {signature.state_names[i]: float(found[k, i]) for i in seen}
+        for kind, found in kinds.items()
         for k, h in enumerate(forecasts.horizons)
     }

@@ -25,6 +25,8 @@ RANGE = (0.5, 0.3)
 """Largest reference of azimuth and pitch [rad]."""
 STEP, NOISE = 0.0015, (20.0, 10.0)
 """Step of the encoders [rad]; standard deviation of the speeds of tail and main rotor [rpm]."""
+LASTING = 0.5
+"""Time in which a gust dies down [s]."""
 OLD = 8
 """Samples over which the controller differences the angles."""
 
@@ -72,44 +74,46 @@ class Rig(Tras):
         return dx + torch.stack((zero, zero, push_a / inertia_a, push_p / k.inertia_p, zero, zero), -1)
 
 
-def closed_loop(seconds: float, seed: int, plant: Rig | None = None) -> tuple[Tensor, Tensor, Tensor]:
-    """Fly along random references and return what was logged.
+def closed_loop(seconds: float, logs: int, gust: float = 0.0, plant: Rig | None = None) -> tuple[Tensor, Tensor]:
+    """Fly along random references and return what was logged, several logs side by side.
 
     Args:
-        seconds: Length of the flight [s].
-        seed: Of references and noise.
+        seconds: Length of each flight [s].
+        logs: Flights, which differ in references and noise.
+        gust: Standard deviation of accelerations that nothing explains, on both axes [rad/s^2].
         plant: What flies; the default rig if omitted.
 
     Returns:
-        Measured states `(T, 6)`, their rates NaN, commands `(T, 2)`, and true states `(T, 6)`.
+        Measured states `(T, logs, 6)`, their rates NaN, and commands `(T, logs, 2)`.
     """
-    plant, generator = plant or Rig(), torch.Generator().manual_seed(seed)
-    steps = round(seconds / DT)
+    plant, generator = plant or Rig(), torch.Generator().manual_seed(0)
     controller = PID(plant.signature, GAINS, dt=DT)
-    x, reference = torch.zeros(6, dtype=torch.float64), torch.zeros(2, dtype=torch.float64)
-    past = [torch.zeros(2, dtype=torch.float64)] * DELAY
-    true: list[Tensor] = []
+
+    def _normal(*scale: float) -> Tensor:
+        return torch.tensor(scale) * torch.randn(logs, 2, generator=generator, dtype=torch.float64)
+
+    x, push = torch.zeros(logs, 6, dtype=torch.float64), _normal(gust)
+    reference = rate = torch.zeros(logs, 2, dtype=torch.float64)
+    past = [reference] * DELAY
     seen: list[Tensor] = []
-    commands: list[Tensor] = []
-    for k in range(steps):
+    for k in range(round(seconds / DT)):
         if k % round(HELD / DT) == 0:
-            reference = (2 * torch.rand(2, generator=generator, dtype=torch.float64) - 1) * torch.tensor(RANGE)
+            drawn = torch.rand(logs, 2, generator=generator, dtype=torch.float64)
+            reference = (2 * drawn - 1) * torch.tensor(RANGE)
         y = x.clone()
-        y[:2] = STEP * torch.round(x[:2] / STEP)
-        y[4:] += torch.tensor(NOISE) * torch.randn(2, generator=generator, dtype=torch.float64)
-        older = seen[max(0, k - OLD)] if seen else y
-        y[2:4] = (y[:2] - older[:2]) / (OLD * DT)
-        u = controller.act(y, reference, torch.zeros(2, dtype=torch.float64), torch.tensor([k == 0]))
-        true.append(x)
+        y[:, :2] = STEP * torch.round(x[:, :2] / STEP)
+        y[:, 4:] += _normal(*NOISE)
+        y[:, 2:4] = (y[:, :2] - (seen[max(0, k - OLD)] if seen else y)[:, :2]) / (OLD * DT)
+        u = controller.act(y, reference, rate, torch.full((logs, 1), k == 0))
         seen.append(y)
-        commands.append(u)
         past.append(u)
         with torch.no_grad():
-            samples, _ = integrate(plant, x, past.pop(0), DT, 2, plant.stops)
-        x = samples[-1]
+            x = integrate(plant, x, past[k], DT, 2, plant.stops)[0][:, -1]
+        push = push * (1 - DT / LASTING) + (2 * DT / LASTING) ** 0.5 * _normal(gust)
+        x[:, 2:4] += DT * push
     measured = torch.stack(seen)
-    measured[:, 2:4] = torch.nan
-    return measured, torch.stack(commands), torch.stack(true)
+    measured[..., 2:4] = torch.nan
+    return measured, torch.stack(past[DELAY:])
 
 
 def write_log(path: Path, measured: Tensor, commands: Tensor) -> None:
