@@ -17,7 +17,7 @@ from pathlib import Path
 import torch
 
 from dynasindy.benchmarks.instruments.commit import commit
-from dynasindy.benchmarks.instruments.rig import Rig, closed_loop, write_log
+from dynasindy.benchmarks.instruments.rig import closed_loop, write_log
 from dynasindy.evaluation.rows import Row, write_rows
 
 RESULTS, SECONDS, LOGS = Path("docs/results/standin.csv"), 120.0, 3
@@ -46,9 +46,9 @@ def main(argv: list[str]) -> None:
                 for row in identified(Path(folder)):
                     rows.append({"case": case, "log": str(log), **row, "commit": commit()})
                     print("  ".join(f"{rows[-1][name]:<10}" for name in COLUMNS[:-1]), flush=True)
-    if out is not None:
-        write_rows(out, COLUMNS, rows)
-        print(f"written to {out}")
+            if out is not None:
+                write_rows(out, COLUMNS, rows)
+    print(f"written to {out}" if out else f"written to no file: fewer than {LOGS} logs; name one by --out")
 
 
 def identified(folder: Path) -> Iterator[Row]:
@@ -60,12 +60,12 @@ def identified(folder: Path) -> Iterator[Row]:
         raise RuntimeError(f"identify.py ended with {done.returncode}: {done.stderr.strip()}")
     metrics = json.loads((folder / "metrics.json").read_text())
     model = json.loads((folder / "model.json").read_text())
-    rates, (angle, _) = ("Omega_a", "Omega_p"), Rig().signature.state_names[:2]
+    rates, angle = ("Omega_a", "Omega_p"), "alpha_a"
     terms = {rate: list(model["coefficients"][rate]) for rate in rates}
     found = {
         "delay_ms": f"{1e3 * model.get('delay', 0.0):.2f}",
         "friction": " ".join(rate for rate in rates if any("tanh" in name for name in terms[rate])),
-        "spring": " ".join(r for r in rates if any(name.startswith(f"{angle} ") for name in terms[r])),
+        "spring": " ".join(r for r in rates if any(name.split(" ")[0] == angle for name in terms[r])),
     }
     for method, key in METHODS.items():
         errors = {name: f"{metrics[key][name]:.3g}" for name in TARGETS}
