@@ -19,7 +19,7 @@ def main(cfg: DictConfig) -> None:
     built = {name: instantiate(cfg[name], _convert_="all") for name in ("data", "system", "excitation", "world_model")}
     source = built["data"].load(built["system"], built["excitation"])
     with Progress():
-        found = identify(built["world_model"](signature=source.signature), source)
+        found = identify(built["world_model"](signature=source.signature), source, cfg.horizons)
     folder = Path(cfg.folder)
     write(found, source, folder)
     draw(found, source, folder, list(cfg.formats))

@@ -29,6 +29,7 @@ class Plant(TypedDict):
     low: list[float]
     high: list[float]
     known: dict[str, str]
+    libraries: dict[Literal["simulated", "logged"], str]
     amplitude: float | list[float]
     offset: float | list[float]
     sensors: dict[str, dict[str, float]]
@@ -66,6 +67,8 @@ class Keys(TypedDict):
     slim: list[str]
     refinement: str
     longest_delay: float
+    horizons: list[float] | None
+    source: Literal["simulated", "logged"]
     resume: str | None
     plugins: list[str]
     finish: bool

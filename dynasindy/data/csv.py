@@ -21,7 +21,7 @@ from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
 Array = NDArray[np.float64]
-STUCK = 5  # samples with one value at the end of its range are a stop
+STUCK = 5  # samples with one value at the end of its range may be a stop
 SMOOTH = 7  # samples under the local cubic that gives a rate
 
 
@@ -30,10 +30,11 @@ class Column:
     """Say where a state or an input stands in the file.
 
     Attributes:
-        name: heading of the column; empty for a rate that is reconstructed from its angle.
+        name: heading of the column; empty for a state that has none. Without `derivative_of` no sensor sees it: its
+            samples are NaN, and a fit estimates them with the model.
         unit: unit of the state or input after scaling.
         scale: factor from the file's unit to this one, e.g. 0.0174533 from degrees to rad.
-        derivative_of: state whose derivative this one is, where it was not logged.
+        derivative_of: state that this one is reconstructed from, as its derivative.
     """
 
     name: str = ""
@@ -114,7 +115,8 @@ class CsvLog:
         t, x, u, segment = _even(t, x, u, dt, notes)
         free = ~_stuck(x, notes)
         full = _with_rates(x, states, segment, dt, notes)
-        known = np.isfinite(full).all(1)
+        seen = [bool(c.name or c.derivative_of) for c in states.values()]
+        known = np.isfinite(full[:, seen]).all(1)
         if not known.all():
             notes.append(
                 f"{int((~known).sum())} samples in stretches under {SMOOTH} samples have no rate; they were skipped"
@@ -126,7 +128,7 @@ class CsvLog:
                 "check the notes on what was left out: " + ("; ".join(notes) or "nothing")
             )
         units = tuple(c.unit for c in states.values())
-        scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(full[known]).max(0, initial=0.0))
+        scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(np.nan_to_num(full[known])).max(0, initial=0.0))
         return Recording(data, Signature(tuple(states), units, tuple(inputs), scale), tuple(notes))
 
     def _complete(self, table: Table, notes: list[str]) -> Table:
@@ -202,7 +204,8 @@ def _columns(group: Mapping[str, Column | Mapping[str, object] | str], may_be_ra
     made = {name: _column(given) for name, given in group.items()}
     logged = [name for name, column in made.items() if column.name] if may_be_rates else []
     for name, column in made.items():
-        if not column.name and column.derivative_of not in logged:
+        unseen = may_be_rates and logged and not column.derivative_of  # no sensor sees it
+        if not column.name and column.derivative_of not in logged and not unseen:
             states = f", or to be the derivative of a logged state ({', '.join(logged)})" if may_be_rates else ""
             raise ValueError(
                 f"{name} has no column and is the derivative of {column.derivative_of or 'nothing'!r}; allowed is a "
@@ -293,14 +296,37 @@ def _stuck(x: dict[str, Array], notes: list[str]) -> NDArray[np.bool_]:
         if np.ptp(value) == 0:
             continue
         for end in (value.min(), value.max()):
-            held = value == end
-            run = np.convolve(held, np.ones(STUCK), "valid") == STUCK
-            mine = np.convolve(run, np.ones(STUCK), "full") > 0
-            # The start of a recording at rest is no stop.
-            if mine.any() and not (mine[0] and mine.sum() == np.argmin(mine)):
+            mine = np.zeros_like(mask)
+            # The start of a recording at rest is no stop, unless the state rests there again.
+            rests = [rest for rest in _rests(value, end) if rest.start == 0 or _is_met(value, rest)]
+            for rest in rests if any(rest.start for rest in rests) else []:
+                mine[rest] = True
+            if mine.any():
                 notes.append(f"{int(mine.sum())} samples with {name} at {end:g}, a stop or saturation, were masked")
                 mask |= mine
     return mask
+
+
+def _rests(value: Array, end: float) -> list[slice]:
+    """Return the stretches of `STUCK` samples or more with exactly one value."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], value == end, [False]])))
+    return [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= STUCK]
+
+
+def _is_met(value: Array, rest: slice) -> bool:
+    """Tell a stop that a moving state meets, or leaves at once, from the peak of a swing that a sensor reads in steps.
+
+    A smooth peak that lasts n samples within a step leaves it slowly: it takes a fifth of n for the next step.
+    """
+    step, beside = _smallest_step(value), max(1, (rest.stop - rest.start) // 10)
+    neighbours = [k for k in (rest.start - beside, rest.stop - 1 + beside) if 0 <= k < len(value)]
+    return any(abs(value[k] - value[rest.start]) > 2.5 * step for k in neighbours)
+
+
+def _smallest_step(value: Array) -> float:
+    """Return the smallest difference between neighbouring samples that is none of rounding."""
+    steps = np.abs(np.diff(value))
+    return float(steps[steps > 1e-9 * np.ptp(value)].min())
 
 
 def _with_rates(
@@ -311,11 +337,14 @@ def _with_rates(
     for name, column in states.items():
         if column.name:
             continue
-        rate = np.full(len(segment), np.nan)
+        rate = full[name] = np.full(len(segment), np.nan)
+        if not column.derivative_of:
+            notes.append(f"{name} is seen by no sensor; it is estimated with the model")
+            continue
         for rows in _stretches(segment):
             if len(rate[rows]) >= SMOOTH:
                 rate[rows] = savgol_filter(x[column.derivative_of][rows], SMOOTH, 3, deriv=1, delta=dt)
-        full[name] = rate * column.scale
+        rate *= column.scale
         notes.append(f"{name} was reconstructed from {column.derivative_of}")
     return np.stack([full[name] for name in states], -1)
 

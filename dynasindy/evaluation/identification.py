@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,18 +14,20 @@ from torch import Tensor
 
 from dynasindy.data.csv import Column, CsvLog, infer
 from dynasindy.data.simulated import disturb, record
+from dynasindy.data.table import all_headings, split_unit
+from dynasindy.evaluation import verdict
+from dynasindy.evaluation.horizons import Forecasts, begun, forecast
 from dynasindy.excitation import Excitation, HeldRandom
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import FitReport, SindyModel
+from dynasindy.world_models.delay import delayed
 from dynasindy.world_models.prediction import nrmse, one_step_error, open_loop
 from dynasindy.world_models.tables import to_csv, to_latex, to_text
 
 ExcitationBuilder = Callable[..., Excitation]
 LONGEST = 1e8
 """Steps of a simulated plant, beyond which a recording would take days."""
-UNEXPLAINED = 0.05
-"""Part of a rate of change, and of a state predicted open loop, that may be missed by a model that predicts."""
 
 
 @dataclass(frozen=True)
@@ -116,6 +118,8 @@ class Logged:
         time: heading of the time column [s].
         dt: sampling time [s]; the file's own by default.
         missing: `skip` rows with missing values, or `refuse` the file.
+        known: equations that are known, by state. A state that is the rate of another one needs no column: one that
+            has none is estimated with the model.
         validation_share: part of the transitions that is kept for validation.
 
     Raises:
@@ -128,6 +132,7 @@ class Logged:
     time: str = "time"
     dt: float | None = None
     missing: str = "skip"
+    known: dict[str, str] | None = None
     validation_share: float = 0.25
 
     def __post_init__(self) -> None:
@@ -145,7 +150,12 @@ class Logged:
         recording = log.read()
         data, place = recording.transitions, torch.arange(len(recording.transitions))
         cut = int(len(data) * (1 - self.validation_share))
-        return Source(recording.signature, data.select(place < cut), data.select(place >= cut), recording.notes)
+        signature = recording.signature
+        if system is not None and signature.state_names == system.signature.state_names:
+            unseen = data.x.isnan().all(0).tolist()
+            ranges = zip(unseen, system.signature.x_scale, signature.x_scale, strict=True)
+            signature = replace(signature, x_scale=tuple(plant if blind else own for blind, plant, own in ranges))
+        return Source(signature, data.select(place < cut), data.select(place >= cut), recording.notes)
 
     def _columns(self, system: System | None) -> tuple[dict[str, Any], dict[str, Any]]:
         if self.states and self.inputs:
@@ -154,8 +164,12 @@ class Logged:
             states, inputs = infer(str(self.path), self.time)
             states = {n: c for n, c in states.items() if n not in (self.inputs or {})}
         else:
-            plant = system.signature
-            states = {n: Column(n, unit) for n, unit in zip(plant.state_names, plant.state_units, strict=True)}
+            plant, rates = system.signature, set((self.known or {}).values())
+            headings = {split_unit(heading)[0] for heading in all_headings(Path(str(self.path)))}
+            states = {
+                n: Column("" if n in rates and n not in headings else n, unit)
+                for n, unit in zip(plant.state_names, plant.state_units, strict=True)
+            }
             inputs = {n: Column(n) for n in plant.input_names}
         return self.states or dict(states), self.inputs or dict(inputs)
 
@@ -168,17 +182,24 @@ class Identified:
         model: the model.
         report: of the fit.
         predicted: open-loop prediction of the validation data, `(N, n_x)`.
-        metrics: error of each state, one step ahead and open loop.
+        metrics: error of each measured state, open loop and over each horizon.
+        forecasts: errors from many start times; None where the validation data are too short for them.
     """
 
     model: SindyModel
     report: FitReport
     predicted: Tensor
     metrics: dict[str, dict[str, float]]
+    forecasts: Forecasts | None = None
 
 
-def identify(model: SindyModel, source: Source) -> Identified:
-    """Fit a model and predict the validation data: one step ahead, and open loop over 400 control periods.
+def identify(model: SindyModel, source: Source, horizons: Sequence[float] | None = None) -> Identified:
+    """Fit a model and predict the validation data: open loop, and from many start times.
+
+    Args:
+        model: what to fit.
+        source: the data.
+        horizons: times ahead over which predictions are judged [s]; found from the data if omitted.
 
     Raises:
         TypeError: The model is not sparse.
@@ -190,42 +211,38 @@ def identify(model: SindyModel, source: Source) -> Identified:
             "or another that builds a SindyModel"
         )
     report = model.fit(source.training)
-    predicted = open_loop(model, source.validation)
-    names = source.signature.state_names
-    errors = {
-        "one_step_error": one_step_error(model, source.validation),
-        "open_loop_nrmse": nrmse(predicted, source.validation),
-    }
-    metrics = {what: dict(zip(names, e.tolist(), strict=True)) for what, e in errors.items()}
-    return Identified(model, report, predicted, metrics)
+    validation, names = source.validation, source.signature.state_names
+    predicted = open_loop(model, begun(model, validation))
+    missing = (validation.x.isnan() | validation.x_next.isnan()).any(0).tolist()
+    seen = [(name, i) for i, (name, gaps) in enumerate(zip(names, missing, strict=True)) if not gaps]
+    errors = {"open_loop_nrmse": nrmse(predicted, validation)}
+    if not any(missing):
+        errors["one_step_error"] = one_step_error(model, delayed(validation, model.delay))
+    metrics = {what: {name: float(e[i]) for name, i in seen} for what, e in errors.items()}
+    forecasts = forecast(model, source.training, validation, horizons)
+    if forecasts is not None:
+        metrics |= verdict.errors(forecasts, source.signature)
+    return Identified(model, report, predicted, metrics, forecasts)
 
 
 def to_words(found: Identified, source: Source) -> str:
-    """Write equations, fit, identifiability, errors and notes for a reader."""
-    lines = [*found.model.equations(), "", found.report.to_text(), "", "validation, relative to each state's deviation"]
-    for state in source.signature.state_names:
-        one, free = (found.metrics[k][state] for k in ("one_step_error", "open_loop_nrmse"))
-        lines.append(f"  {state:<10} one step {_percent(one)}, open loop {_percent(free)}")
-    return "\n".join([*lines, *(f"note: {n}" for n in source.notes), *_verdict(found)])
+    """Write equations, fit, identifiability, what the data show, errors, notes and a verdict for a reader."""
+    signature, shown = source.signature, found.forecasts
+    seen = [*verdict.found_in_model(found.model), *(verdict.found_in_data(source.training, signature))]
+    lines = [*found.model.equations(), "", found.report.to_text(), *(f"found: {line}" for line in seen), ""]
+    if shown is not None:
+        lines += verdict.table(shown, signature)
+    free = found.metrics["open_loop_nrmse"]
+    lines.append("validation, open loop, relative to each state's deviation")
+    lines += [f"  {state:<10} {_percent(error)}" for state, error in free.items()]
+    lines += [f"note: {note}" for note in source.notes]
+    if shown is None:
+        return "\n".join([*lines, "the validation data are too short to judge how far ahead the model predicts"])
+    return "\n".join([*lines, *verdict.judge(shown, signature)])
 
 
 def _percent(error: float) -> str:
     return f"{100 * error:.3g} %" if math.isfinite(error) else "runs away"
-
-
-def _verdict(found: Identified) -> list[str]:
-    """Say in a line that a model does not predict, nothing of one that does."""
-    free, rates = found.metrics["open_loop_nrmse"], found.report.residual
-    # Noise of the samples stays unexplained too: a state that is predicted open loop counts for its rate.
-    poor = [s for s, r in rates.items() if r > UNEXPLAINED and not free[s] < UNEXPLAINED]
-    reasons = [f"{s}' is {_percent(rates[s])} unexplained" for s in poor]
-    if not all(math.isfinite(error) for error in free.values()):
-        reasons.insert(0, "open loop it runs away")
-    elif lost := [s for s, error in free.items() if error > 1]:
-        # Either the model is wrong or the state hardly moves there; both want other data to be told apart.
-        reasons.insert(0, f"open loop {', '.join(lost)} is off by more than its own spread in the validation part")
-    advice = "name the plant by system=NAME, choose another library, or excite longer"
-    return [f"this model does not predict: {', '.join(reasons)}; {advice}"] if reasons else []
 
 
 def write(found: Identified, source: Source, folder: Path) -> None:

@@ -109,7 +109,11 @@ class _SlopeWriter(Writer):
                 else "ones"
             )
         arguments = ", ".join(self.variable[v] for v in factor.variables)
-        if slope is None or len(factor.variables) > 1 or function(factor.function).parametric:
+        if slope is not None and len(factor.variables) == 1 and function(factor.function).parametric:
+            self.functions[f"s_{factor.function}"] = slope
+            written = f"s_{factor.function}({arguments}, {factor.frequency!r})"
+            return self._line((base, "slope"), written)
+        if slope is None or len(factor.variables) > 1:
             key = f"d{len(self.functions)}_{factor.function}"
             self.functions[key] = _tangent(base, factor.variables.index(name))
             return self._line((base, "by", name), f"{key}({arguments})")

@@ -33,6 +33,7 @@ class Function:
         atomic: whether its LaTeX needs no brackets before a power.
         slope: its derivative, where it is known; found by automatic differentiation where not.
         parametric: whether the number of a factor is the last argument, and not what the others are multiplied by.
+        by_number: derivative of a parametric function by its number, where it is known.
     """
 
     name: str
@@ -40,8 +41,9 @@ class Function:
     text: str
     latex: str
     atomic: bool = True
-    slope: Callable[[Tensor], Tensor] | None = None
+    slope: Callable[..., Tensor] | None = None
     parametric: bool = False
+    by_number: Callable[..., Tensor] | None = None
 
 
 SMALLEST_ROOT = 1e-9
@@ -68,10 +70,18 @@ _REGISTRY: dict[str, Function] = {
             lambda z, p: (z - p).clamp_min(SMALLEST_ROOT).sqrt(),
             "sqrt({0} - {1})",
             r"\sqrt{{{0} - {1}}}",
+            slope=lambda z, p: 0.5 * (z - p > SMALLEST_ROOT).to(z.dtype) / (z - p).clamp_min(SMALLEST_ROOT).sqrt(),
             parametric=True,
+            by_number=lambda z, p: -0.5 * (z - p > SMALLEST_ROOT).to(z.dtype) / (z - p).clamp_min(SMALLEST_ROOT).sqrt(),
         ),
         Function(
-            "hinge", lambda z, p: (z - p).clamp_min(0), "max(0, {0} - {1})", r"\max(0, {0} - {1})", parametric=True
+            "hinge",
+            lambda z, p: (z - p).clamp_min(0),
+            "max(0, {0} - {1})",
+            r"\max(0, {0} - {1})",
+            slope=lambda z, p: (z > p).to(z.dtype),
+            parametric=True,
+            by_number=lambda z, p: -(z > p).to(z.dtype),
         ),
         Function(
             "per_cos2",
@@ -79,7 +89,9 @@ _REGISTRY: dict[str, Function] = {
             "/(1 + {1} cos({0})^2)",
             r"\frac{{1}}{{1 + {1} \cos^2 {0}}}",
             atomic=False,
+            slope=lambda z, p: p * (2 * z).sin() / (1 + p * z.cos().square()).square(),
             parametric=True,
+            by_number=lambda z, p: -(z.cos() / (1 + p * z.cos().square())).square(),
         ),
     )
 }
@@ -151,7 +163,12 @@ class Factor:
 
     def slope(self, *args: Tensor) -> Tensor:
         """Return the derivative of the function of some variables by the number inside it."""
-        known, p = function(self.function), torch.full_like(args[0], self.frequency)
+        known = function(self.function)
+        if known.parametric and known.by_number is not None:
+            return known.by_number(*args, self.frequency)
+        if not known.parametric and known.slope is not None and len(args) == 1:
+            return args[0] * known.slope(self.frequency * args[0])
+        p = torch.full_like(args[0], self.frequency)
         inside = (
             known.compute if known.parametric else lambda *given: known.compute(*(given[-1] * a for a in given[:-1]))
         )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
+from dynasindy.world_models.features import Feature
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.regression import RunningSums
 
@@ -57,7 +58,7 @@ class Identifiability:
             condition,
             tuple(weakest),
             standard_errors(coefficients, sums),
-            tuple(_advice(library, [n for n, _ in weakest], norms, rank, condition)),
+            tuple(_advice(library, [n for n, _ in weakest], sums, rank, condition)),
         )
 
     def to_text(self) -> str:
@@ -85,24 +86,41 @@ def standard_errors(coefficients: Tensor, sums: RunningSums) -> Tensor:
     return errors
 
 
-def _advice(library: Library, weak: list[str], norms: Tensor, rank: int, condition: float) -> list[str]:
-    """Say what to excite more; nothing where the functions are well apart."""
-    signature = library.signature
+def _advice(library: Library, weak: list[str], sums: RunningSums, rank: int, condition: float) -> list[str]:
+    """Say what these data cannot tell, and what to excite where they show that it was not."""
     if rank == len(library) and condition < 1e6:
         return ["the functions are well apart: the data can tell them from each other"]
-    features = {f.name(): f for f in library.features}
-    silent = [n for n in signature.input_names if n in library.names and float(norms[library.index(n)]) == 0]
+    features, norms = {f.name(): f for f in library.features}, sums.norms()
+    inputs = [n for n in library.signature.input_names if n in library.names]
+    silent = [n for n in inputs if float(norms[library.index(n)]) == 0]
     sentences = [f"{name} was zero all the time: excite it" for name in silent]
     involved = set().union(*(features[n].variables for n in weak)) if weak else set()
-    inputs = [n for n in signature.input_names if n in involved and n not in silent]
-    if len(inputs) > 1:
-        sentences.append(f"{' and '.join(inputs)} move together: give the inputs different signals")
+    moved = [n for n in inputs if n in involved and n not in silent]
+    if len(moved) > 1 and all(_alike(library, sums, moved[0], other) for other in moved[1:]):
+        sentences.append(f"{' and '.join(moved)} move together: give the inputs different signals")
     for name in sorted(involved):
-        one_signed = {"abs"} & {f.function for n in weak for f in features[n].factors if name in f.variables}
-        if one_signed:
-            sentences.append(f"{name} kept its sign, so that |{name}| is no other function: let it change sign")
-        elif any(f.function in ("sin", "cos") for n in weak for f in features[n].factors if name in f.variables):
+        mine = [features[n] for n in weak if name in features[n].variables]
+        if any(_alike(library, sums, f.name(), _without_abs(f, name).name()) for f in mine):
+            sentences.append(
+                f"{name} kept its sign, so that |{name}| is no other function: the model holds for that sign"
+            )
+        elif involved == {name} and any(f.function in ("sin", "cos") for g in mine for f in g.factors):
             sentences.append(f"functions of {name} look alike over its range: let it swing further")
-    if not sentences:
-        sentences.append(f"{', '.join(weak)} look alike: excite {', '.join(sorted(involved))} more and differently")
-    return sentences
+    return sentences or [f"{', '.join(weak)} look alike: these data do not tell them apart"]
+
+
+def _without_abs(feature: Feature, name: str) -> Feature:
+    """Return a function with a variable itself where its size stands."""
+    of_size = [f.function == "abs" and f.variables == (name,) for f in feature.factors]
+    return Feature.of(
+        replace(f, function="id") if size else f for f, size in zip(feature.factors, of_size, strict=True)
+    )
+
+
+def _alike(library: Library, sums: RunningSums, one: str, other: str) -> bool:
+    """Tell whether two functions are multiples of each other on the samples."""
+    if one == other or not {one, other} <= set(library.names):
+        return False
+    columns = sums.theta()
+    a, b = columns[:, library.index(one)], columns[:, library.index(other)]
+    return float((a @ b).abs()) > (1 - 1e-6) * float(a.norm() * b.norm())

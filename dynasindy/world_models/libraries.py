@@ -55,6 +55,7 @@ def rotor(
     rates: Sequence[str] = ("Omega_a", "Omega_p"),
     reaction: bool = False,
     friction: bool = False,
+    cable: bool = False,
 ) -> Library:
     """Build the library of a beam with two rotors, with the functions that each equation may use.
 
@@ -70,6 +71,7 @@ def rotor(
         reaction: whether the angles (a cable), the rotors' torques and their gyroscopic moments act on the beam too,
             as on the Feedback rig.
         friction: whether the beam's bearings have dry friction, tanh(rate / width), whose widths are fitted.
+        cable: whether a cable pulls the azimuth to an angle of its own, as a spring.
     """
     c, s, rate_a, rate_p = of("cos", angle), of("sin", angle), *(variable(n) for n in rates)
     thrust, drag = {}, {}
@@ -85,8 +87,10 @@ def rotor(
     dry_a, dry_p = ([of("tanh", rate, frequency=DRY, fitted=True)] if friction else [] for rate in rates)
     pitch, torques = [*pitch, *dry_p], [*torques, *dry_a]
     inertia = of("per_cos2", angle, frequency=3.0, fitted=True)
+    azimuth_angle = variable(signature.state_names[0])
+    if cable:
+        torques += [azimuth_angle, CONSTANT]
     if reaction:
-        azimuth_angle = variable(signature.state_names[0])
         w_tail, w_main = variable(tail), variable(main)
         torques += [azimuth_angle, w_main * c, thrust[main][0] * c, rate_p * rate_p * c, rate_p * rate_p * s]
         torques += [w_main * rate_p * s, w_tail]
@@ -175,10 +179,16 @@ def rotor_reaction(signature: Signature) -> Library:
     return rotor(signature, reaction=True, friction=True)
 
 
+def rotor_rig(signature: Signature) -> Library:
+    """Build the rotor library with a cable and dry friction, for logs of a real rig; see `rotor`."""
+    return rotor(signature, friction=True, cable=True)
+
+
 NAMED: dict[str, LibraryBuilder] = {
     "paper_table": paper_table,
     "paper_equation": paper_equation,
     "rotor": rotor,
+    "rotor_rig": rotor_rig,
     "rotor_reaction": rotor_reaction,
     "polynomial": polynomial,
     "fourier": fourier,

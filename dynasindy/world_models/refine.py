@@ -16,7 +16,7 @@ from dynasindy.world_models.constraints import Constraints
 from dynasindy.world_models.delay import Cost, delayed, fine_delay, known_inputs, rough_delay
 from dynasindy.world_models.fast_field import generate
 from dynasindy.world_models.library import Library
-from dynasindy.world_models.measured import Seen, has_gaps, rates_known, reconstruct
+from dynasindy.world_models.measured import Seen, rates_known, reconstruct
 from dynasindy.world_models.one_step import refine_one_step
 from dynasindy.world_models.regression import Regression, RunningSums
 from dynasindy.world_models.shapes import fit_shapes
@@ -36,11 +36,13 @@ class Refined(NamedTuple):
         library: candidate functions, with the numbers inside fitted factors.
         coefficients: Xi, `(n_features, n_x)`.
         delay: time between an input and its effect [s].
+        notes: sentences on what was chosen, and by what.
     """
 
     library: Library
     coefficients: Tensor
     delay: float = 0.0
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -118,18 +120,12 @@ class Refinement:
         else:
             measured, seen = data, Seen.of(guess, data, rates)
         library, coefficients = self._regressed(library, coefficients, constraints, seen)
-        method = self.method
-        if bool(has_gaps(data)):
-            method = "trajectory"
-        elif method != "integral" and looks_noisy(library, coefficients, seen.guess):
-            method = "trajectory" if method == "auto" else method
-            if method == "trajectory":
-                seen = Seen.of(reconstruct(measured, rates, True), measured, rates, True)
-                library, coefficients = self._regressed(library, coefficients, constraints, seen)
-        elif method == "auto":
-            method = "one_step"
+        method, noisy, notes = self._chosen(library, coefficients, data, seen.guess)
+        if noisy and method == "trajectory":
+            seen = Seen.of(reconstruct(measured, rates, True), measured, rates, True)
+            library, coefficients = self._regressed(library, coefficients, constraints, seen)
         if method == "one_step":
-            return Refined(*refine_one_step(library, coefficients, free, seen.guess, self.tolerance), delay)
+            return Refined(*refine_one_step(library, coefficients, free, seen.guess, self.tolerance), delay, notes)
         if method == "trajectory":
             descent = Descent(min(self.window, len(measured)), None if self.error == "simulation" else False)
             found = library, coefficients
@@ -151,8 +147,23 @@ class Refinement:
                     break
                 measured, seen = _late(delay)
                 found = refine_trajectory(*found, free, measured, descent, seen.guess.x)
-            return Refined(*found, delay)
-        return Refined(library, coefficients, delay)
+            return Refined(*found, delay, notes)
+        return Refined(library, coefficients, delay, notes)
+
+    def _chosen(
+        self, library: Library, coefficients: Tensor, data: Transitions, guess: Transitions
+    ) -> tuple[str, bool, tuple[str, ...]]:
+        """Return the method for these data, whether samples look noisy, and what is to be said of a choice."""
+        unseen = (data.x.isnan() | data.x_next.isnan()).any(0).tolist()
+        names = [name for name, gaps in zip(library.signature.state_names, unseen, strict=True) if gaps]
+        if names:
+            return "trajectory", False, (f"fitted whole trajectories: not all of {', '.join(names)} was measured",)
+        noisy = self.method != "integral" and looks_noisy(library, coefficients, guess)
+        if self.method != "auto":
+            return self.method, noisy, ()
+        if noisy:
+            return "trajectory", True, ("fitted whole trajectories: one-step errors look like noise of the sensors",)
+        return "one_step", False, ("fitted one step ahead: one-step errors do not look like noise of the sensors",)
 
     def _fine(self, delay: float, n: int, dt: float, cost: Cost) -> float:
         """Return the delay in fractions of a sample [s]."""

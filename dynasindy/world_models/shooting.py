@@ -128,7 +128,7 @@ def linearise(
     columns[..., -1] = error - columns[..., -1]
     columns = columns * (windows.mask / sigma).unsqueeze(-1)
     starts = moves[begun].clone()
-    starts[..., -1] = start_error
+    starts[..., -1] = start_error - starts[..., -1]
     starts = torch.where(start_error.isnan().unsqueeze(-1), 0.0, starts / sigma.unsqueeze(-1))
     rows = torch.cat([columns.reshape(-1, columns.shape[-1]), starts.reshape(-1, columns.shape[-1])])
     scale = rows[:, :-1].norm(dim=0).clamp_min(1e-300)

@@ -258,10 +258,11 @@ class SindyModel(WorldModel):
             self.library, self.sums = found.library, RunningSums(len(self.library), self.signature.n_x)
             self.sums.add(integral_form(self.library, guess))
         if self.refinement.method == "integral" or len(data) <= ENOUGH:
-            return []
+            return list(found.notes)
         return [
+            *found.notes,
             f"functions were chosen on {ENOUGH} of {len(data)} rows, in {STRETCHES} stretches spread evenly over them; "
-            "the coefficients were fitted on all rows"
+            "the coefficients were fitted on all rows",
         ]
 
     def _solve(self, sums: RunningSums, dependent: float = DEPENDENT) -> None:

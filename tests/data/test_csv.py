@@ -186,7 +186,8 @@ def test_stretches_too_short_for_a_rate_are_left_out_not_given_rate_zero(tmp_pat
     ("states", "inputs"),
     [
         ({"q": "angle", "v": Column(derivative_of="w")}, INPUTS),
-        ({"q": "angle", "v": Column()}, INPUTS),
+        ({"q": Column(), "v": Column()}, INPUTS),
+        ({"q": "angle"}, {"u": "volt", "w": Column()}),
         ({"q": "angle", "v": Column(derivative_of="q"), "a": Column(derivative_of="v")}, INPUTS),
         ({"q": "angle"}, {"u": "volt", "w": Column(derivative_of="u")}),
     ],
@@ -429,12 +430,35 @@ def test_stretches_of_four_samples_are_resampled_and_of_three_left_out(tmp_path)
 
 
 def test_rest_at_the_start_is_no_stop_but_rest_at_the_same_end_later_is():
-    away, rest = [1.0, 2.0, 3.0, 2.0, 1.0], [0.0] * 6
+    away, rest = [3.0, 6.0, 9.0, 9.5, 6.0, 3.0], [0.0] * 6
     notes: list[str] = []
     assert not _stuck({"q": np.array([*rest, *away])}, notes).any() and notes == []
     found = _stuck({"q": np.array([*rest, *away, *rest])}, notes)
-    assert found.tolist() == [True] * 6 + [False] * 5 + [True] * 6
+    assert found.tolist() == [True] * 6 + [False] * 6 + [True] * 6
     assert notes == ["12 samples with q at 0, a stop or saturation, were masked"]
     # Five samples at an end are a stop, four are none; wherever they are, they are the ones masked.
-    assert _stuck({"q": np.array([*away, *[0.0] * 5, 1.0])}, notes).tolist() == [False] * 5 + [True] * 5 + [False]
-    assert not _stuck({"q": np.array([*away, *[0.0] * 4, 1.0])}, notes).any()
+    assert _stuck({"q": np.array([*away, *[0.0] * 5, 3.0])}, notes).tolist() == [False] * 6 + [True] * 5 + [False]
+    assert not _stuck({"q": np.array([*away, *[0.0] * 4, 3.0])}, notes).any()
+
+
+@pytest.mark.parametrize("step", [0.0015, 0.005, 0.02])
+@pytest.mark.parametrize("phase", [0.0, 0.3, 0.77])
+def test_the_peak_of_an_overshoot_that_an_encoder_reads_in_steps_is_no_stop_and_a_clipped_one_is(step, phase):
+    t = 0.01 * np.arange(600)
+    swing = np.exp(-0.3 * t) * np.cos(2 * t + phase)
+    read = step * np.round(swing / step)
+    notes: list[str] = []
+    assert not _stuck({"q": read}, notes).any() and notes == []
+    stopped = step * np.round(np.clip(swing, -0.3, None) / step)
+    held = stopped == stopped.min()
+    assert held.sum() > 30 and np.array_equal(_stuck({"q": stopped}, notes), held)
+
+
+def test_a_state_that_no_sensor_sees_is_nan_and_the_rest_is_as_it_was(tmp_path):
+    states = {"q": "angle", "level": {"unit": "V"}, "v": Column("rate", "rad/s")}
+    found = CsvLog(write(tmp_path / "log.csv", log()), states, INPUTS).read()
+    data = found.transitions
+    assert bool(data.x[:, 1].isnan().all() and data.x_next[:, 1].isnan().all()) and len(data) == 79
+    assert np.array_equal(data.x[:, [0, 2]], log()[:-1, 1:3]) and np.array_equal(data.x_next[:, 0], log()[1:, 1])
+    assert found.notes == ("level is seen by no sensor; it is estimated with the model",)
+    assert found.signature.state_units[1] == "V" and found.signature.x_scale[1] == 1.0

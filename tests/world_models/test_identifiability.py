@@ -79,13 +79,22 @@ def test_small_swings_and_speeds_of_one_sign_are_named():
 def test_states_that_move_as_one_are_named():
     x, u = samples()
     (advice,) = judge(LIBRARY, x[:, :1] * torch.tensor([1.0, 2.0]), u).advice
-    assert advice.endswith("look alike: excite a, b more and differently")
+    assert advice.endswith("look alike: these data do not tell them apart") and {"a", "b"} <= set(advice[:4])
 
 
 def test_an_input_that_follows_a_state_is_not_said_to_move_with_another_input():
     x, u = samples()
     (advice,) = judge(LIBRARY, x, torch.stack([x[:, 0], u[:, 1]], -1)).advice
-    assert advice.endswith("look alike: excite a, u more and differently")
+    assert advice.endswith("look alike: these data do not tell them apart") and {"a", "u"} <= set(advice[:4])
+
+
+def test_a_speed_that_changed_its_sign_is_not_said_to_have_kept_it():
+    x, u = samples()
+    drag = Library(SIGNATURE, [variable("a"), variable("b"), variable("b") * of("abs", "b"), variable("b", 2)])
+    both = torch.stack([x[:, 1] * x[:, 1].abs(), x[:, 1]], -1)  # a is b |b|, for a b of both signs
+    (advice,) = judge(drag, both, u).advice
+    assert "sign" not in advice and advice.endswith("look alike: these data do not tell them apart")
+    assert "b kept its sign" in judge(drag, both.abs(), u).to_text()
 
 
 def test_standard_errors_are_those_of_least_squares():

@@ -1,0 +1,123 @@
+"""A stand-in for a bench of `tras`: what its manual does not mention, and a log as its user would have it.
+
+The azimuth turns against its cable, both bearings have dry friction, the motors pull harder than the manual says, a
+command acts 10 ms late, encoders tell angles in steps, tachometers are noisy, and nobody measures the rates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from dynasindy.agents.classical.pid import PID, Gains
+from dynasindy.evaluation.files import write_csv
+from dynasindy.systems import Tras, integrate
+from dynasindy.systems.tras import TrasConstants
+
+DT, DELAY, HELD = 0.01, 1, 4.0
+"""Time between two samples [s], samples until a command acts, and time for which a reference is held [s]."""
+GAINS = Gains(proportional=(0.6, 0.3), integral=(0.1, 0.25), derivative=(0.6, 0.15), bias=(-0.1, 0.25))
+"""Of the controller under which the log is made; the default ones of no benchmark."""
+RANGE = (0.5, 0.3)
+"""Largest reference of azimuth and pitch [rad]."""
+STEP, NOISE = 0.0015, (20.0, 10.0)
+"""Step of the encoders [rad]; standard deviation of the speeds of tail and main rotor [rpm]."""
+LASTING = 0.5
+"""Time in which a gust dies down [s]."""
+OLD = 8
+"""Samples over which the controller differences the angles."""
+
+
+@dataclass(frozen=True)
+class Bearings:
+    """What the manual does not mention.
+
+    Attributes:
+        stiffness: Torque of the cable [N m/rad].
+        rest: Azimuth at which the cable pulls nowhere [rad].
+        dry_a: Dry friction of the azimuth bearing [N m].
+        dry_p: Dry friction of the pitch bearing [N m].
+        width: Rate at which dry friction is at 76 % of its full size [rad/s].
+    """
+
+    stiffness: float = 0.006
+    rest: float = 0.15
+    dry_a: float = 0.0012
+    dry_p: float = 0.0012
+    width: float = 0.03
+
+
+class Rig(Tras):
+    """`tras` with a cable, dry friction and stronger motors.
+
+    Args:
+        bearings: What the manual does not mention.
+    """
+
+    def __init__(self, bearings: Bearings | None = None) -> None:
+        manual = TrasConstants().detuned(0.1, seed=3)
+        # 9660 rpm/s is what a real rig's main rotor had; drag grows with it, so that its speeds stay.
+        super().__init__(constants=replace(manual, motor_a=1.3 * manual.motor_a, motor_p=9660.0))
+        self.bearings = bearings or Bearings()
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Return dx/dt, `(*batch, 6)`, of states `(*batch, 6)` under inputs `(*batch, 2)` in [-1, 1]."""
+        dx, b, k = super().forward(x, u), self.bearings, self.constants
+        azimuth, pitch, rate_a, rate_p, *_ = x.unbind(-1)
+        inertia_a = k.inertia_a[0] * pitch.cos().square() + k.inertia_a[1]
+        push_a = -b.stiffness * (azimuth - b.rest) - b.dry_a * torch.tanh(rate_a / b.width)
+        push_p = -b.dry_p * torch.tanh(rate_p / b.width)
+        zero = torch.zeros_like(azimuth)
+        return dx + torch.stack((zero, zero, push_a / inertia_a, push_p / k.inertia_p, zero, zero), -1)
+
+
+def closed_loop(seconds: float, logs: int, gust: float = 0.0, plant: Rig | None = None) -> tuple[Tensor, Tensor]:
+    """Fly along random references and return what was logged, several logs side by side.
+
+    Args:
+        seconds: Length of each flight [s].
+        logs: Flights, which differ in references and noise.
+        gust: Standard deviation of accelerations that nothing explains, on both axes [rad/s^2].
+        plant: What flies; the default rig if omitted.
+
+    Returns:
+        Measured states `(T, logs, 6)`, their rates NaN, and commands `(T, logs, 2)`.
+    """
+    plant, generator = plant or Rig(), torch.Generator().manual_seed(0)
+    controller = PID(plant.signature, GAINS, dt=DT)
+
+    def _normal(*scale: float) -> Tensor:
+        return torch.tensor(scale) * torch.randn(logs, 2, generator=generator, dtype=torch.float64)
+
+    x, push = torch.zeros(logs, 6, dtype=torch.float64), _normal(gust)
+    reference = rate = torch.zeros(logs, 2, dtype=torch.float64)
+    past = [reference] * DELAY
+    seen: list[Tensor] = []
+    for k in range(round(seconds / DT)):
+        if k % round(HELD / DT) == 0:
+            drawn = torch.rand(logs, 2, generator=generator, dtype=torch.float64)
+            reference = (2 * drawn - 1) * torch.tensor(RANGE)
+        y = x.clone()
+        y[:, :2] = STEP * torch.round(x[:, :2] / STEP)
+        y[:, 4:] += _normal(*NOISE)
+        y[:, 2:4] = (y[:, :2] - (seen[max(0, k - OLD)] if seen else y)[:, :2]) / (OLD * DT)
+        u = controller.act(y, reference, rate, torch.full((logs, 1), k == 0))
+        seen.append(y)
+        past.append(u)
+        with torch.no_grad():
+            x = integrate(plant, x, past[k], DT, 2, plant.stops)[0][:, -1]
+        push = push * (1 - DT / LASTING) + (2 * DT / LASTING) ** 0.5 * _normal(gust)
+        x[:, 2:4] += DT * push
+    measured = torch.stack(seen)
+    measured[..., 2:4] = torch.nan
+    return measured, torch.stack(past[DELAY:])
+
+
+def write_log(path: Path, measured: Tensor, commands: Tensor) -> None:
+    """Write a log with the columns time, alpha_a, alpha_p, omega_a, omega_p, u_a, u_p."""
+    time = DT * torch.arange(len(measured), dtype=torch.float64).unsqueeze(-1)
+    header = ["time", "alpha_a", "alpha_p", "omega_a", "omega_p", "u_a", "u_p"]
+    write_csv(path, header, torch.cat([time, measured[:, [0, 1, 4, 5]], commands], -1).tolist())

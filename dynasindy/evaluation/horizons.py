@@ -1,0 +1,235 @@
+"""How far ahead a model predicts: errors over horizons that matter, from many start times, beside simpler predictions.
+
+Each horizon is judged by the root-mean-square error over all samples up to it. A model starts from states that are
+estimated on the samples before, since what no sensor sees cannot be read off and what sensors see is noisy.
+
+| name    | meaning                                   | shape           |
+| ------- | ----------------------------------------- | --------------- |
+| starts  | rows at which predictions begin           | `(S,)`          |
+| steps   | sampling times in each horizon            | `(H,)`          |
+| errors  | root-mean-square error over each horizon  | `(H, n_x)`      |
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from dynasindy.evaluation.linear import LinearModel
+from dynasindy.evaluation.symptoms import resolution, samples_of
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import SindyModel
+from dynasindy.world_models.delay import delayed
+from dynasindy.world_models.measured import rates_known, reconstruct
+
+STARTS = 200
+"""Start times, at most."""
+SHORTEST_FIT, LONGEST_FIT = 10, 200
+"""Samples before a start on which its states are estimated."""
+LONGEST_STEP, MOST_STEPS = 0.01, 20
+"""Longest Runge-Kutta step [s], unless a sampling time would take more than so many."""
+NUDGE = 1e-6
+"""Step of the differences by which start states are fitted [ranges of the states]."""
+
+
+@dataclass(frozen=True)
+class Forecasts:
+    """Hold what a model and simpler predictions reach on data that no fit has seen.
+
+    Attributes:
+        horizons: times ahead [s].
+        characteristic: time in which the slowest measured state changes by its own spread [s].
+        starts: start times.
+        model: errors of the model, `(H, n_x)`; NaN for a state that was not measured, infinite where it runs away.
+        linear: of a linear model fitted to the same data, on past inputs and outputs.
+        held: of the last measured value.
+        resolution: what the sensors can tell, `(n_x,)`.
+        order: past samples that the linear model reads.
+    """
+
+    horizons: tuple[float, ...]
+    characteristic: float
+    starts: int
+    model: Tensor
+    linear: Tensor
+    held: Tensor
+    resolution: Tensor
+    order: int
+
+    @property
+    def middle(self) -> int:
+        """Return the place of the horizon next to the characteristic time."""
+        return min(range(len(self.horizons)), key=lambda k: abs(math.log(self.horizons[k] / self.characteristic)))
+
+
+def forecast(
+    model: SindyModel, training: Transitions, validation: Transitions, horizons: Sequence[float] | None = None
+) -> Forecasts | None:
+    """Judge a model from many start times; None where the validation data are too short for that.
+
+    Args:
+        model: a fitted model.
+        training: data that a linear model is fitted to.
+        validation: data to judge on, NaN where a state was not measured.
+        horizons: times ahead [s]; from a tenth to three times the characteristic time of the data if omitted.
+    """
+    time = characteristic(training)
+    fit = min(max(round(time / 4 / validation.dt), SHORTEST_FIT), LONGEST_FIT)
+    back, ahead = _beside(validation.segment)
+    while fit > 2 and _reach(back, ahead, fit) < 2 * fit:
+        fit //= 2
+    reach = _reach(back, ahead, fit)
+    steps = [round(h / validation.dt) for h in horizons or _series(time / 10, 3 * time)]
+    steps = [k for k in steps if 1 <= k <= reach]
+    if not steps:
+        return None
+    rows = ((back >= fit) & (ahead >= steps[0])).nonzero().flatten()
+    starts = rows[torch.linspace(0, len(rows) - 1, min(STARTS, len(rows))).round().long().unique()]
+    later = starts.unsqueeze(-1) + torch.arange(steps[-1])
+    inside = torch.arange(steps[-1]) < ahead[starts].unsqueeze(-1)
+    later = later.clamp_max(len(validation) - 1)
+    real = torch.where(inside.unsqueeze(-1), validation.x_next[later], math.nan)
+    late = delayed(validation, model.delay)
+    begin = estimate(model, late, starts - fit, fit)[1]
+    predicted = _simulated(model, begin, late.u[later], validation.dt)
+    linear = LinearModel.fit(training, steps[len(steps) // 2], fit)
+    held = validation.x[starts].unsqueeze(1).expand_as(real)
+    both = (predicted, linear.predict(validation, starts, later), held)
+    ours, simple, last = (_errors(guess, real, steps) for guess in both)
+    return Forecasts(
+        tuple(k * validation.dt for k in steps),
+        time,
+        len(starts),
+        ours,
+        simple,
+        last,
+        torch.tensor([resolution(column) for column in samples_of(training)]),
+        linear.order,
+    )
+
+
+def _reach(back: Tensor, ahead: Tensor, fit: int) -> int:
+    """Return how many rows are ahead of a start with `fit` rows before it, at most."""
+    return int(torch.where(back >= fit, ahead, 0).max())
+
+
+def characteristic(data: Transitions) -> float:
+    """Return the time in which the slowest measured state changes by its own spread [s]; a third of a log at most."""
+    longest = max(2, int(torch.bincount(data.segment - data.segment.min()).max()) // 3)
+    lags = sorted({round(1.15**k) for k in range(200) if round(1.15**k) <= longest})
+    waiting = [i for i in range(data.x.shape[1]) if float(data.x_next[:, i].nan_to_num().std()) > 0]
+    for lag in lags:
+        same = data.segment[lag:] == data.segment[:-lag]
+        change = (data.x_next[lag:] - data.x_next[:-lag])[same].square().nanmean(0).sqrt()
+        spread = (data.x_next - data.x_next.nanmean(0)).square().nanmean(0).sqrt()
+        waiting = [i for i in waiting if not change[i] >= spread[i]]
+        if not waiting:
+            return lag * data.dt
+    return lags[-1] * data.dt
+
+
+def estimate(model: SindyModel, data: Transitions, rows: Tensor, length: int) -> tuple[Tensor, Tensor]:
+    """Fit the states at some rows to what was measured in the samples after them.
+
+    Args:
+        model: a fitted model.
+        data: the recording, its inputs delayed as the model's are; NaN where a state was not measured.
+        rows: rows at which the fits begin, `(S,)`.
+        length: sampling times that each fit covers.
+
+    Returns:
+        States at the beginning and at the end of each fit, `(S, n_x)` both.
+    """
+    after = rows.unsqueeze(-1) + torch.arange(length)
+    measured = torch.cat([data.x[rows].unsqueeze(1), data.x_next[after]], 1)
+    mask, inputs = ~measured.isnan(), data.u[after]
+    guess = reconstruct(data, rates_known(model.library, model.constraints))
+    x = guess.x[rows].double()
+    scale = torch.tensor(model.signature.x_scale, dtype=torch.float64)
+    n, damping = len(scale), torch.full((len(rows),), 1e-3, dtype=torch.float64)
+    path = torch.cat([x.unsqueeze(1), _simulated(model, x, inputs, data.dt)], 1)
+    sigma = _rms(path, measured, mask).clamp_min(1e-9 * scale)
+    for _ in range(8):
+        nudged = x + NUDGE * torch.diag(scale).unsqueeze(1)
+        moved = _simulated(model, nudged, inputs.expand(n, *inputs.shape), data.dt)
+        slopes = (torch.cat([nudged.unsqueeze(2), moved], 2) - path) / NUDGE  # by each state [its range]
+        weight = mask / sigma
+        columns = (slopes * weight).flatten(2).permute(1, 2, 0)
+        error = ((measured - path).nan_to_num(nan=0.0) * weight).flatten(1)
+        sound = columns.isfinite().all(-1).all(-1) & error.isfinite().all(-1)
+        columns, error = torch.where(sound[:, None, None], columns, 0.0), torch.where(sound[:, None], error, 0.0)
+        normal = columns.mT @ columns
+        ridge = damping.unsqueeze(-1) * normal.diagonal(dim1=-2, dim2=-1) + 1e-6
+        step = torch.linalg.solve(normal + torch.diag_embed(ridge), (columns.mT @ error.unsqueeze(-1))).squeeze(-1)
+        trial = x + step * scale
+        tried = torch.cat([trial.unsqueeze(1), _simulated(model, trial, inputs, data.dt)], 1)
+        now, then = (((measured - p).nan_to_num(nan=0.0) * weight).square().sum((1, 2)) for p in (path, tried))
+        # What runs away is worse than anything finite.
+        better = (then < now) | (then.isfinite() & ~now.isfinite())
+        better &= tried.isfinite().all(-1).all(-1)
+        x = torch.where(better[:, None], trial, x)
+        path = torch.where(better[:, None, None], tried, path)
+        damping = torch.where(better, damping / 10, damping * 10)
+        sigma = _rms(path, measured, mask).clamp_min(1e-9 * scale)
+    end = path[:, -1]
+    return x, torch.where(end.isfinite(), end, guess.x[rows + length - 1].double())
+
+
+def begun(model: SindyModel, data: Transitions) -> Transitions:
+    """Return a recording whose segments begin at known states, under inputs delayed as the model's are.
+
+    Args:
+        model: a fitted model.
+        data: the recording; where a state was not measured, the first one of each segment is estimated.
+    """
+    late = delayed(data, model.delay)
+    if not bool(data.x.isnan().any()):
+        return late
+    x, back = late.x.double().clone(), _beside(data.segment)[0]
+    for first in (back == 0).nonzero().flatten().tolist():
+        rest = data.segment[first:] == data.segment[first]
+        length = min(SHORTEST_FIT * 5, int(rest.long().cumprod(0).sum()))
+        x[first] = estimate(model, late, torch.tensor([first]), length)[0][0]
+    return replace(late, x=x)
+
+
+def _rms(path: Tensor, measured: Tensor, mask: Tensor) -> Tensor:
+    """Return the error of each state over the fits that do not run away, `(n_x,)`."""
+    sound = path.isfinite().all(-1).all(-1)
+    error = torch.where(mask, measured - path, 0.0)[sound]
+    return (error.square().sum((0, 1)) / mask[sound].sum((0, 1)).clamp_min(1)).sqrt()
+
+
+def _simulated(model: SindyModel, x: Tensor, u: Tensor, dt: float) -> Tensor:
+    """Predict states after each interval, `(*batch, T, n_x)`."""
+    with torch.no_grad():
+        substeps = min(max(1, math.ceil(dt / LONGEST_STEP - 1e-9)), MOST_STEPS)
+        return model.simulate(x, u.double(), dt, substeps)[..., 1:, :]
+
+
+def _errors(predicted: Tensor, real: Tensor, steps: Sequence[int]) -> Tensor:
+    """Return the root-mean-square error over each horizon, `(H, n_x)`."""
+    squared = (predicted - real).square()
+    squared = torch.where(real.isnan(), math.nan, squared.nan_to_num(math.inf, math.inf))
+    return torch.stack([squared[:, :k].nanmean((0, 1)).sqrt() for k in steps])
+
+
+def _beside(segment: Tensor) -> tuple[Tensor, Tensor]:
+    """Return how many rows of its segment come before each row, and how many from it on, `(N,)` both."""
+    places = torch.arange(len(segment))
+    fresh = torch.ones(len(segment), dtype=torch.bool)
+    fresh[1:] = segment[1:] != segment[:-1]
+    first = torch.where(fresh, places, 0).cummax(0).values
+    lengths = torch.bincount(fresh.long().cumsum(0) - 1)
+    back = places - first
+    return back, lengths[fresh.long().cumsum(0) - 1] - back
+
+
+def _series(low: float, high: float) -> list[float]:
+    """Return the numbers 1, 2, 5, 10 ... between two of them."""
+    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    return [n * 10.0**k for k in decades for n in (1, 2, 5) if low <= n * 10.0**k <= high]

@@ -1,0 +1,120 @@
+"""What recordings show of their sensors and of how they were made: steps, noise, saturation, a controller."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.measured import best_length, filled, local_cubic
+
+Array = NDArray[np.float64]
+LAGS = 10
+"""Past samples that an input is explained by."""
+EXPLAINED = 0.5
+"""Part of what is new in an input that measured states have to explain if it is a controller's."""
+NEW = 1e-3
+"""Part of an input's changes that its own past leaves over, below which nothing is new in it."""
+OFTEN = 0.01
+"""Part of the samples at an end of an input's range that is called saturation."""
+LEVELS = 20
+"""Values of an input up to which it switches between levels, and does not saturate."""
+STAYS = 3
+"""Separate stays at an end of an input's range from which on they are saturation."""
+USUAL = 0.95
+"""Part of an input's changes that is looked at for a controller: the largest ones are steps of its reference."""
+DOUBT = 0.03
+"""Part of a state's changes that is not relied on: exact states remember whatever signal moved the plant."""
+
+
+def samples_of(data: Transitions) -> list[Array]:
+    """Return the samples of each state in its longest unbroken stretch."""
+    labels, counts = data.segment.unique_consecutive(return_counts=True)
+    mine = data.segment == labels[int(counts.argmax())]
+    samples = torch.cat([data.x[mine][:1], data.x_next[mine]]).double()
+    return [column.numpy() for column in samples.unbind(-1)]
+
+
+def resolution(column: Array) -> float:
+    """Return what a sensor can tell: its step where it reads in steps, else the standard deviation of its noise.
+
+    Args:
+        column: samples, `(n,)`; NaN if there are none.
+    """
+    return step_of(column) or _noise(column)
+
+
+def step_of(column: Array) -> float:
+    """Return the step in which a sensor reads, 0 where none is seen.
+
+    Args:
+        column: samples, `(n,)`; lost ones are NaN.
+    """
+    known = column[~np.isnan(column)]
+    moves = np.abs(np.diff(known)) if len(known) else known
+    moves = moves[moves > 1e-9 * np.ptp(known)] if len(moves) else moves
+    if len(moves) < 10:
+        return 0.0
+    step = float(moves.min())
+    whole = np.abs(moves / step - np.round(moves / step)) < 0.01 * np.maximum(1, moves / step) ** 0.5
+    return step if whole.mean() > 0.99 and step > 1.5 * _noise(column) else 0.0
+
+
+def _noise(column: Array) -> float:
+    """Return the standard deviation of what no local cubic follows; NaN where nothing was measured."""
+    known = filled(column)
+    if known is None or len(known) < 8:
+        return float("nan")
+    return float(np.sqrt(np.mean(np.square(known - local_cubic(known, best_length(known), 1.0, 0)))))
+
+
+def saturated(data: Transitions) -> Tensor:
+    """Return the part of the samples with each input at an end of its range, `(n_u,)`; 0 where it is hardly any."""
+    shares = []
+    for u in data.u.double().unbind(-1):
+        share = 0.0
+        for end in (u.min(), u.max()):
+            held = torch.nn.functional.pad((u == end).long(), (1, 0))
+            if int((held.diff() > 0).sum()) >= STAYS and len(u.unique()) > LEVELS:
+                share += float(held.double().sum()) / len(u)
+        shares.append(share if share > OFTEN else 0.0)
+    return torch.tensor(shares)
+
+
+def closed_loop(data: Transitions) -> list[bool]:
+    """Tell which inputs are a controller's: what is new in them is explained by the states measured until then."""
+    changed = torch.zeros(len(data), dtype=torch.bool)
+    changed[1:] = (data.u[1:] != data.u[:-1]).any(-1) & (data.segment[1:] == data.segment[:-1])
+    u, x = data.u[changed].double(), data.x[changed].double()
+    x = x[:, ~x.isnan().any(0)]
+    n = len(u) - 1 - LAGS
+    if n < 20 * LAGS or not x.shape[1]:
+        return [False] * data.u.shape[1]
+    du, dx = u.diff(dim=0), x.diff(dim=0)
+    rows = torch.arange(LAGS, LAGS + n)
+    own = torch.cat([*(du[rows - k] for k in range(1, LAGS + 1)), torch.ones(n, 1).double()], -1)
+    both = torch.cat([own, *(dx[rows - k] for k in range(LAGS))], -1)
+    told = []
+    for i in range(u.shape[1]):
+        size = du[rows, i].abs()
+        usual = size <= torch.quantile(size, USUAL)
+        target = du[rows, i : i + 1][usual]
+        alone, with_states = (_left(columns[usual], target, own.shape[1]) for columns in (own, both))
+        new = alone > NEW * float(target.square().sum())
+        told.append(bool(new and with_states < (1 - EXPLAINED) * alone))
+    return told
+
+
+def _left(columns: Tensor, target: Tensor, certain: int) -> float:
+    """Return the squares that least squares leave over, corrected for the number of columns.
+
+    Columns after the first `certain` ones are relied on but for a part, `DOUBT`.
+    """
+    columns = columns / columns.norm(dim=0).clamp_min(1e-300)
+    n, p = columns.shape
+    doubt = torch.cat([torch.zeros(certain), torch.full((p - certain,), DOUBT)]).double()
+    padded = torch.cat([columns, torch.diag(doubt)]), torch.cat([target, torch.zeros(p, 1).double()])
+    solution = torch.linalg.lstsq(*padded, driver="gelsd").solution
+    return float((target - columns @ solution).square().sum()) * n / max(n - p, 1)

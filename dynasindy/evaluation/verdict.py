@@ -1,0 +1,119 @@
+"""What an engineer wants to hear of a fitted model: how far ahead it predicts, and what the data show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+
+from dynasindy.evaluation.horizons import Forecasts
+from dynasindy.evaluation.symptoms import closed_loop, samples_of, saturated, step_of
+from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import SindyModel
+from dynasindy.world_models.features import Feature
+from dynasindy.world_models.measured import rates_known
+
+RESOLVED = 2.0
+"""Error up to which a prediction is as good as a sensor can tell [what the sensor resolves]."""
+HELPFUL = 0.5
+"""Part of the error of the last value held that a model may have that predicts."""
+
+
+def table(forecasts: Forecasts, signature: Signature) -> list[str]:
+    """Write the errors over all horizons: of the model, of a linear one, and of the last value held."""
+    heads = "".join(f"{f'{h:g} s':>30}" for h in forecasts.horizons)
+    lines = [
+        f"validation: error over the time after {forecasts.starts} starts (RMSE), of the model / of a linear model on "
+        f"{forecasts.order} past samples / of the last value held",
+        f"  {'':<18}{heads}",
+    ]
+    for i, (name, unit) in enumerate(zip(signature.state_names, signature.state_units, strict=True)):
+        if bool(forecasts.held[:, i].isnan().all()):
+            continue
+        cells = (
+            " / ".join(_short(float(kind[k, i])) for kind in (forecasts.model, forecasts.linear, forecasts.held))
+            for k in range(len(forecasts.horizons))
+        )
+        sensor = f"   the sensor resolves {_short(float(forecasts.resolution[i]))}"
+        lines.append(f"  {f'{name} [{unit}]':<18}{''.join(f'{cell:>30}' for cell in cells)}{sensor}")
+    return lines
+
+
+def judge(forecasts: Forecasts, signature: Signature) -> list[str]:
+    """Say whether the model predicts, over the time in which the slowest state changes, and whether it is needed."""
+    k = forecasts.middle
+    ours, simple, held = (kind[k] for kind in (forecasts.model, forecasts.linear, forecasts.held))
+    seen = [i for i in range(signature.n_x) if not math.isnan(float(held[i]))]
+    names, ahead = signature.state_names, f"{forecasts.horizons[k]:g} s"
+    if lost := [i for i in seen if not math.isfinite(float(ours[i]))]:
+        return [f"this model does not predict: within {ahead} {_listed(names, lost)} runs away"]
+    fine = [i for i in seen if float(ours[i]) <= RESOLVED * float(forecasts.resolution[i])]
+    poor = [i for i in seen if i not in fine and not float(ours[i]) <= HELPFUL * float(held[i])]
+    if poor:
+        said = ", ".join(f"{names[i]} by {_short(float(ours[i]))} {signature.state_units[i]}" for i in poor)
+        than = ", ".join(_short(float(held[i])) for i in poor)
+        return [f"this model does not predict: over {ahead} it misses {said}; the last value held misses {than}"]
+    near = f", {_listed(names, fine)} to what the sensors resolve" if fine else ""
+    lines = [f"this model predicts {ahead} ahead{near}"]
+    if behind := [i for i in seen if i not in fine and float(simple[i]) < 0.9 * float(ours[i])]:
+        lines.append(f"a linear model on past samples predicts {_listed(names, behind)} better: a function is missing")
+    return lines
+
+
+def found_in_model(model: SindyModel) -> list[str]:
+    """Say what of delay, dry friction and springs is in the equations."""
+    names, lines = model.signature.state_names, []
+    if model.delay:
+        lines.append(f"the inputs act {1e3 * model.delay:.3g} ms late")
+    of_rate = rates_known(model.library, model.constraints)
+    for i in range(len(names)):
+        terms = [model.library.features[k] for k in model.coefficients[:, i].nonzero().flatten().tolist()]
+        if any(factor.function == "tanh" and names[i] in factor.variables for f in terms for factor in f.factors):
+            lines.append(f"{names[i]}' has dry friction")
+        if i in of_rate and any(_is_spring(f, names[of_rate[i]]) for f in terms):
+            lines.append(f"{names[i]}' has a spring in {names[of_rate[i]]}")
+    return lines
+
+
+def found_in_data(data: Transitions, signature: Signature) -> list[str]:
+    """Say what the sensors and the inputs of a log show: steps, saturation, a controller."""
+    lines = []
+    for name, unit, column in zip(signature.state_names, signature.state_units, samples_of(data), strict=True):
+        if step := step_of(column):
+            lines.append(f"{name} is read in steps of {step:.3g} {unit}")
+    for name, share in zip(signature.input_names, saturated(data).tolist(), strict=True):
+        if share:
+            lines.append(f"{name} is at an end of its range in {100 * share:.0f} % of the samples")
+    if driven := [name for name, told in zip(signature.input_names, closed_loop(data), strict=True) if told]:
+        lines.append(f"a controller made {' and '.join(driven)} out of the measured states (closed loop)")
+    return lines
+
+
+def _is_spring(feature: Feature, angle: str) -> bool:
+    """Tell the angle itself, whatever inertia it is divided by."""
+    return any(f.function == "id" and f.power == 1 and f.variables == (angle,) for f in feature.factors) and all(
+        f.function in ("id", "per_cos2") and (f.function != "id" or f.variables == (angle,)) for f in feature.factors
+    )
+
+
+def _listed(names: Sequence[str], places: Sequence[int]) -> str:
+    return ", ".join(names[i] for i in places)
+
+
+def _short(value: float) -> str:
+    if math.isnan(value):
+        return "-"
+    return f"{value:.2g}" if abs(value) < 100 else (f"{value:.0f}" if math.isfinite(value) else "runs away")
+
+
+def errors(forecasts: Forecasts, signature: Signature) -> dict[str, dict[str, float]]:
+    """Return the errors over each horizon, of the states that were measured, for a file."""
+    seen = [i for i in range(signature.n_x) if not bool(torch.isnan(forecasts.held[:, i]).all())]
+    kinds = {"": forecasts.model, "linear_": forecasts.linear, "held_": forecasts.held}
+    return {
+        f"{kind}rmse_{h:g}_s": {signature.state_names[i]: float(found[k, i]) for i in seen}
+        for kind, found in kinds.items()
+        for k, h in enumerate(forecasts.horizons)
+    }

@@ -1,0 +1,106 @@
+"""Errors over horizons are those of formulas: start states of an oscillator, a random walk held, a linear model."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy.evaluation.horizons import characteristic, estimate, forecast
+from dynasindy.evaluation.linear import LinearModel
+from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import SindyModel
+
+SIGNATURE = Signature(("q", "v"), ("m", "m/s"), ("u",), (1.0, 1.0))
+DT, OMEGA = 0.02, 3.0
+
+
+def oscillator(delay: float = 0.0) -> SindyModel:
+    model = SindyModel(SIGNATURE, ["q", "v", "u"], known={"q": "v"})
+    model.set_coefficients(torch.tensor([[0.0, -(OMEGA**2)], [1.0, 0.0], [0.0, 1.0]]))
+    model.delay = delay
+    return model
+
+
+def recording(n: int = 1500, seed: int = 0, noise: float = 0.0, delay: int = 0) -> tuple[Transitions, np.ndarray]:
+    """q'' = -9 q + u, solved exactly between samples; v is not measured."""
+    generator = np.random.default_rng(seed)
+    u = np.repeat(generator.uniform(-5, 5, n // 10), 10)
+    c, s = math.cos(OMEGA * DT), math.sin(OMEGA * DT)
+    x = np.zeros((n + 1, 2))
+    x[0] = 0.7, -0.4
+    for k in range(n):
+        rest = u[max(0, k - delay)] / OMEGA**2
+        q, v = x[k, 0] - rest, x[k, 1] / OMEGA
+        x[k + 1] = rest + c * q + s * v, OMEGA * (c * v - s * q)
+    seen = torch.tensor(np.stack([x[:, 0] + noise * generator.normal(size=n + 1), np.full(n + 1, np.nan)], -1))
+    return Transitions.from_trajectory(seen, torch.tensor(u[:, None]), DT), x
+
+
+def test_a_state_that_no_sensor_sees_is_estimated_from_the_samples_before():
+    data, x = recording()
+    rows = torch.tensor([100, 400])
+    begin, end = estimate(oscillator(), data, rows, 25)
+    assert np.allclose(begin, x[[100, 400]], atol=1e-5) and np.allclose(end, x[[125, 425]], atol=1e-5)
+
+
+def test_noise_of_the_sensor_is_averaged_over_the_fit():
+    data, x = recording(noise=0.01)
+    rows = torch.arange(50, 1400, 50)
+    begin, _ = estimate(oscillator(), data, rows, 25)
+    # Two unknowns of 26 samples each: a straight line's ends have a standard deviation of about 2 / sqrt(26).
+    assert float((begin[:, 0] - torch.tensor(x[rows, 0])).std()) < 0.01 * 2 / math.sqrt(26) * 1.3
+
+
+@pytest.mark.parametrize("delay", [0, 3])
+def test_the_right_model_has_the_noise_for_its_error_over_all_horizons(delay):
+    data, _ = recording(noise=0.01, delay=delay)
+    found = forecast(oscillator(delay * DT), data, data, [0.1, 1.0, 4.0])
+    assert found is not None and found.horizons == pytest.approx((0.1, 1.0, 4.0)) and found.starts == 200
+    # Noise of the sensor, and that of a start from ten samples, which an undamped swing keeps.
+    assert bool(((found.model[:, 0] > 0.009) & (found.model[:, 0] < 0.017)).all())
+    assert bool(found.model[:, 1].isnan().all())
+    assert float(found.resolution[0]) == pytest.approx(0.01, rel=0.15)
+    if delay:
+        wrong = forecast(oscillator(), data, data, [0.1, 1.0, 4.0])
+        assert wrong is not None and float(wrong.model[1, 0]) > 0.03
+
+
+def test_the_error_of_the_last_value_held_on_a_random_walk_is_that_of_its_steps():
+    walk = torch.from_numpy(np.random.default_rng(0).normal(size=(60_000, 1)).cumsum(0))
+    data = Transitions.from_trajectory(torch.cat([walk, walk * math.nan], -1), torch.zeros(60_000, 1), DT)
+    found = forecast(oscillator(), data, data, [10 * DT, 40 * DT])
+    assert found is not None
+    for k, n in enumerate((10, 40)):  # mean of 1 .. n steps of variance one
+        assert float(found.held[k, 0]) == pytest.approx(math.sqrt((n + 1) / 2), rel=0.15)
+
+
+def test_a_model_that_runs_away_has_an_infinite_error():
+    model, (data, _) = oscillator(), recording(600)
+    model.set_coefficients(torch.tensor([[0.0, 4e4], [1.0, 0.0], [0.0, 1.0]]))
+    found = forecast(model, data, data, [0.1, 4.0])
+    assert found is not None and float(found.model[1, 0]) > 1e6
+
+
+def test_a_sine_changes_by_its_spread_in_a_sixth_of_its_period():
+    t = DT * torch.arange(3001, dtype=torch.float64)
+    x = torch.stack([torch.sin(t), torch.sin(7 * t)], -1)
+    # |sin(t + h) - sin t| is 2 sin(h/2) rms / sqrt 2, the spread 1 / sqrt 2: h = pi / 3.
+    assert characteristic(Transitions.from_trajectory(x, x[:, :1], DT)) == pytest.approx(math.pi / 3, rel=0.15)
+
+
+def test_a_second_order_plant_is_met_exactly_by_a_linear_model_on_two_past_samples():
+    data, x = recording()
+    model = LinearModel.fit(data, 20, 16)
+    starts = torch.tensor([200, 500])
+    later = starts.unsqueeze(-1) + torch.arange(50)
+    predicted = model.predict(data, starts, later)
+    assert np.allclose(predicted[..., 0], x[later + 1, 0], atol=1e-6) and bool(predicted[..., 1].isnan().all())
+    if model.order == 2:  # the recursion of an oscillator: q+ = 2 cos(w dt) q - q-
+        assert model.weights[:2, 0].tolist() == pytest.approx([2 * math.cos(OMEGA * DT), -1.0], abs=1e-6)
+
+
+def test_too_short_validation_data_are_not_judged():
+    data, _ = recording(300)
+    assert forecast(oscillator(), data, data.select(torch.arange(300) < 8), [5.0]) is None

@@ -1,0 +1,61 @@
+"""A verdict follows from the errors over the horizon that matters, whatever the errors of one sample are."""
+
+import math
+
+import pytest
+import torch
+
+from dynasindy.evaluation.horizons import Forecasts
+from dynasindy.evaluation.verdict import errors, found_in_model, judge, table
+from dynasindy.systems import Tras
+from dynasindy.systems.base import Signature
+from dynasindy.world_models import SindyModel
+
+SIGNATURE = Signature(("q", "v", "w"), ("rad", "rad/s", "rpm"), ("u",), (1.0, 1.0, 1.0))
+
+
+def forecasts(q: float, w: float = 20.0, linear: float = 1.0) -> Forecasts:
+    """Errors over 0.2, 2 and 5 s, of which 2 s matters; v is not measured."""
+    ours, simple, held = (
+        torch.tensor([[9.0, math.nan, 9.0], [a, math.nan, b], [9.0, math.nan, 9.0]])
+        for a, b in ((q, w), (linear, 500.0), (0.1, 800.0))
+    )
+    return Forecasts((0.2, 2.0, 5.0), 1.7, 200, ours, simple, held, torch.tensor([0.0015, math.nan, 21.0]), 8)
+
+
+@pytest.mark.parametrize(
+    ("q", "said"),
+    [
+        (0.002, "this model predicts 2 s ahead, q, w to what the sensors resolve"),
+        (0.04, "this model predicts 2 s ahead, w to what the sensors resolve"),
+        (0.06, "this model does not predict: over 2 s it misses q by 0.06 rad; the last value held misses 0.1"),
+        (math.inf, "this model does not predict: within 2 s q runs away"),
+    ],
+)
+def test_a_model_predicts_if_it_halves_the_error_of_the_last_value_held_or_meets_the_sensors(q, said):
+    assert judge(forecasts(q), SIGNATURE) == [said]
+
+
+def test_a_linear_model_that_is_better_is_said_to_be():
+    assert judge(forecasts(0.04, linear=0.03), SIGNATURE)[1].startswith(
+        "a linear model on past samples predicts q better"
+    )
+    assert len(judge(forecasts(0.04, linear=0.039), SIGNATURE)) == 1
+
+
+def test_the_table_and_the_file_hold_measured_states_alone():
+    lines = table(forecasts(0.002), SIGNATURE)
+    assert "0.002 / 1 / 0.1" in lines[2] and "resolves 0.0015" in lines[2] and not any("v [" in line for line in lines)
+    assert errors(forecasts(0.002), SIGNATURE)["rmse_2_s"] == pytest.approx({"q": 0.002, "w": 20.0})
+
+
+def test_delay_friction_and_springs_of_a_model_are_said_in_words():
+    model = SindyModel(Tras().signature, "rotor_rig", known={"alpha_a": "Omega_a", "alpha_p": "Omega_p"})
+    assert found_in_model(model) == []
+    coefficients, model.delay = model.coefficients.clone(), 0.0123
+    rates = {name: model.signature.state_index(name) for name in ("Omega_a", "Omega_p")}
+    for name, state in (("alpha_a /(1 + 3 cos(alpha_p)^2)", "Omega_a"), ("tanh(10 Omega_p)", "Omega_p")):
+        coefficients[model.library.index(name), rates[state]] = -1.0
+    model.set_coefficients(coefficients)
+    expected = ["the inputs act 12.3 ms late", "Omega_a' has a spring in alpha_a", "Omega_p' has dry friction"]
+    assert found_in_model(model) == expected
