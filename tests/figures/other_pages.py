@@ -33,7 +33,11 @@ def readme(text: str) -> Iterator[Tie]:
     edge = max(*numbers(noisy, "azimuth"), *numbers(noisy, "pitch"))
     yield Tie(README, "planning by gradient stands within {} rad after the same 10 s", (f"{edge:.4f}",))
     yield Tie(README, "ends in a limit cycle, steady-state error {} / {} rad", limit_cycle())
-    yield Tie(README, "its predictions are: {} % of the range of the worst state", (_measured("tras", "worst state"),))
+    yield Tie(
+        README,
+        "predicts the worst state over 32 unseen episodes, open loop, to {} % of its range",
+        (_measured("tras", "worst state"),),
+    )
 
 
 def _measured(case: str, words: str, method: str = "ours") -> str:
