@@ -46,7 +46,7 @@ class Function:
     by_number: Callable[..., Tensor] | None = None
 
 
-SMALLEST_ROOT = 1e-9
+SMALLEST_ROOT = 1e-3
 """Number below which `sqrt` is that of this one, so that its slope stays finite at zero and roots of less are none."""
 FARTHEST = 30.0
 """Factor between the first guess of a number inside a function and what is fitted, either way."""

@@ -211,6 +211,11 @@ def move(
     if damping:
         square = torch.cat([square, damping**0.5 * torch.eye(len(kept), dtype=square.dtype)])
         target = torch.cat([target, damping**0.5 * old[kept]])
+    if not bool(square.isfinite().all() & target.isfinite().all()):
+        raise RunsAway(
+            "refinement.method=trajectory: the trajectories leave all finite numbers; give a better first guess, "
+            "lower refinement.window, or choose another refinement.method"
+        )
     solution = torch.linalg.lstsq(square, target.unsqueeze(-1), driver="gelsd").solution.squeeze(-1)
     values = torch.zeros_like(old).index_copy(0, kept, solution) / model.scale
     step = values.clone()

@@ -22,7 +22,17 @@ from dynasindy.world_models.library import Library
 from dynasindy.world_models.progress import LOG
 from dynasindy.world_models.selection import reconsider, walk_down
 from dynasindy.world_models.sensitivity import Parameters
-from dynasindy.world_models.shooting import EXACT, Estimate, Flow, Linearised, growth, linearise, move, substeps_for
+from dynasindy.world_models.shooting import (
+    EXACT,
+    Estimate,
+    Flow,
+    Linearised,
+    RunsAway,
+    growth,
+    linearise,
+    move,
+    substeps_for,
+)
 from dynasindy.world_models.windows import ENOUGH, Windows, spread
 
 NOISY = 1e-7
@@ -157,9 +167,7 @@ def trajectory_cost(
     estimate, windows = _grown(Estimate(library, xi, start[some]), support, data, descent)
     parameters = Parameters.where(support)
     estimate = _converge(estimate, parameters, windows, descent.max_rounds)
-    sigma = Flow.of(estimate, parameters, windows).sigma(windows)
-    counts, seen = windows.mask.sum((0, 1)), sigma > EXACT
-    return float((counts * sigma.log())[seen].sum())
+    return _left_over(Flow.of(estimate, parameters, windows).sigma(windows), windows)
 
 
 def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Descent) -> tuple[Estimate, Windows]:
@@ -191,11 +199,21 @@ def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Desc
 def _descend(
     estimate: Estimate, support: Tensor, windows: Windows, limits: tuple[float, int]
 ) -> tuple[Estimate, Tensor]:
-    """Converge and drop until the support stands still."""
+    """Converge and drop until the support stands still; what turns out worth more than was foreseen comes back."""
+    before: tuple[Estimate, Tensor] | None = None
+    left, allowed = math.inf, 0.0
     while bool(support.any()):
         parameters = Parameters.where(support)
-        estimate = _converge(estimate, parameters, windows, limits[1])
-        model = linearise(estimate, parameters, windows)
+        try:
+            estimate = _converge(estimate, parameters, windows, limits[1])
+            model = linearise(estimate, parameters, windows)
+        except RunsAway:
+            if before is None:
+                raise
+            return before
+        cost = _left_over(model.sigma, windows)
+        if before is not None and 2 * (cost - left) > allowed:
+            return before
         n_fixed = len(model.scale) - len(parameters)
         kept, _ = walk_down(model.triangle, torch.arange(len(model.scale)) >= n_fixed, limits[0], NOISY)
         if len(kept) == len(model.scale):
@@ -203,8 +221,15 @@ def _descend(
         changed = _changed(estimate, model, parameters, kept, windows)
         if changed is None:
             break
+        before, left, allowed = (estimate, support), cost, 2 * limits[0] * (len(model.scale) - len(kept))
         estimate, support = changed, parameters.take(kept[kept >= n_fixed] - n_fixed).support(support.shape)
     return estimate, support
+
+
+def _left_over(sigma: Tensor, windows: Windows) -> float:
+    """Return N/2 times the logarithm of the squared errors, summed over measured states."""
+    counts, seen = windows.mask.sum((0, 1)), sigma > EXACT
+    return float((counts * sigma.log())[seen].sum())
 
 
 def _changed(
