@@ -223,7 +223,7 @@ def tanks(folder: Path) -> list[Row]:
             signature,
             words,
             Regression("bic"),
-            Refinement("trajectory", window=20, rounds=0, longest_delay=8.0),
+            Refinement("trajectory", window=20, rounds=0),
             allowed={"level_1": ["1", "u", "level_1", over], "level_2": [over, root, brim]},
             # Level 1 has no unit of its own: what leaves it fills level 2, and this number sets its scale.
             fixed={"level_2": {"level_1": 0.0069}},
