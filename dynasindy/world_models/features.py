@@ -148,7 +148,12 @@ class Factor:
     fitted: float = 0.0
 
     def with_number(self, number: float) -> Factor:
-        """Return the factor with another number inside, not farther from its first guess than `FARTHEST` allows."""
+        """Return the factor with another number inside, not farther from its first guess than `FARTHEST` allows.
+
+        A number that is not finite, of a step that led nowhere, changes nothing.
+        """
+        if not math.isfinite(number):
+            return self
         low, high = sorted((self.fitted / FARTHEST, self.fitted * FARTHEST))
         return replace(self, frequency=min(max(number, low), high))
 

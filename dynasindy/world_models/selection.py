@@ -13,6 +13,8 @@ DEPENDENT = 1e-13
 """Part of a column of unit norm that others leave over, below which it depends on them."""
 BETTER = 2.0
 """Squared weighted error that an exchange of one coefficient for one other must gain."""
+IDLE = 1e-12
+"""Norm of a column, of those that have norm one, below which a parameter has no effect."""
 
 
 def least_missed(
@@ -57,6 +59,11 @@ def walk_down(triangle: Tensor, removable: Tensor, limit: float, dependent: floa
         Positions of the parameters that stay, and their values, both `(n_kept,)`.
     """
     active = torch.arange(triangle.shape[1] - 1)
+    # What always stays and has no effect, as the number inside a function that is not in the model, stays as it is.
+    idle = (triangle[:, :-1].norm(dim=0) < IDLE) & ~removable
+    if bool(idle.any()):
+        unit = torch.nn.functional.pad(torch.diag(idle.to(triangle.dtype))[idle], (0, 1))
+        triangle = torch.linalg.qr(torch.cat([triangle, unit]), mode="r")[1]
     while True:
         n = len(active)
         j, growth = least_missed(triangle, n, removable[active], dependent)

@@ -125,3 +125,13 @@ def exchange(states: list[int], n_fixed: int = 0) -> list[int] | None:
 def test_an_exchange_needs_three_functions_of_its_own_equation():
     assert exchange([0, 0, 0]) == exchange([0, 0, 0], n_fixed=2) == [3]
     assert exchange([0, 0, 1]) is None
+
+
+def test_a_parameter_that_stays_and_has_no_effect_is_zero_and_changes_nothing_else():
+    columns, target = _problem()
+    with_idle = torch.cat([0 * columns[:, :1], columns], -1)
+    removable = torch.tensor([False, *[True] * 5])
+    kept, values = walk_down(_triangle(with_idle, target), removable, 4.0)
+    alone, expected = walk_down(_triangle(columns, target), removable[1:], 4.0)
+    assert kept.tolist() == [0, *(alone + 1).tolist()] and float(values[0]) == 0
+    torch.testing.assert_close(values[1:], expected)
