@@ -9,7 +9,7 @@ import argparse
 import math
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 
@@ -27,7 +27,7 @@ from dynasindy.benchmarks.instruments.rivals import (
     score,
     stlsq,
 )
-from dynasindy.data.simulated import disturb, record
+from dynasindy.data.simulated import disturb, record, record_all
 from dynasindy.evaluation.rows import Row, read_rows, write_rows
 from dynasindy.excitation import Chirp, Excitation, HeldRandom
 from dynasindy.systems import System, Tras, Xi, integrate
@@ -97,8 +97,13 @@ def true_table() -> Tensor:
 
 def xi_recording(seconds: float, dt: float, seed: int) -> Transitions:
     """Record the plant `xi` under random steps held for 0.5 s, around hover."""
-    excitation = HeldRandom(2, seconds, amplitude=(0.6, 0.45), offset=HOVER, seed=seed)
-    return record(Xi(), excitation.samples(dt), dt, round(dt / 0.001))
+    return xi_recordings(seconds, dt, [seed])[0]
+
+
+def xi_recordings(seconds: float, dt: float, seeds: Iterable[int]) -> list[Transitions]:
+    """Record it for several seeds side by side."""
+    signals = [HeldRandom(2, seconds, amplitude=(0.6, 0.45), offset=HOVER, seed=seed) for seed in seeds]
+    return record_all(Xi(), torch.stack([signal.samples(dt) for signal in signals]), dt, round(dt / 0.001))
 
 
 def noise_free(seconds: float, dt: float, goal: float, seeds: int) -> list[Row]:
@@ -123,8 +128,7 @@ def noisy(seeds: int) -> list[Row]:
     """Identify `xi` from 100 s with noise of 1e-3 of each state's standard deviation."""
     truth, scores, ratios, worst = true_table(), [], [], []
     parameters = Parameters.where(truth != 0)
-    for seed in range(seeds):
-        clean = xi_recording(100.0, 0.01, seed)
+    for seed, clean in enumerate(xi_recordings(100.0, 0.01, range(seeds))):
         sigma = 1e-3 * clean.x_next.std(0)
         data = disturb(clean, 1e-3, 1000 + seed)
         model = SindyModel(Xi().signature, "paper_table", Regression("bic"), Refinement("auto"))

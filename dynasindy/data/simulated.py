@@ -25,15 +25,22 @@ def record(plant: System, u: Tensor, dt: float, substeps: int = 10, x0: Tensor |
     Returns:
         Up to T transitions, float64.
     """
+    return record_all(plant, u.unsqueeze(0), dt, substeps, x0)[0]
+
+
+def record_all(plant: System, u: Tensor, dt: float, substeps: int = 10, x0: Tensor | None = None) -> list[Transitions]:
+    """Record several experiments side by side, `u` `(experiments, T, n_u)`; otherwise as `record`."""
     u = u.to(torch.float64)
     x = torch.zeros(plant.signature.n_x, dtype=torch.float64) if x0 is None else x0.to(torch.float64)
-    states, free = [x], []
+    states, free = [x.expand(len(u), -1)], []
     with torch.no_grad():
-        for held in u:
+        for held in u.unbind(1):
             samples, touched = integrate(plant, states[-1], held, dt, substeps, plant.stops)
-            states.append(samples[-1])
-            free.append(not bool(touched))
-    return Transitions.from_trajectory(torch.stack(states), u, dt).select(torch.tensor(free))
+            states.append(samples[:, -1])
+            free.append(~touched)
+    kept = torch.stack(free, 1)
+    whole = zip(torch.stack(states, 1), u, kept, strict=True)
+    return [Transitions.from_trajectory(x, held, dt).select(mask) for x, held, mask in whole]
 
 
 def disturb(data: Transitions, level: float, seed: int) -> Transitions:

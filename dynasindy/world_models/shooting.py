@@ -228,14 +228,27 @@ def move(
     return Estimate(library, parameters.write(estimate.xi, values[n_fixed:]), nodes)
 
 
-def growth(flow: Flow, windows: Windows, nodes: Tensor) -> float:
-    """Return how much an error of a start state grows at most until the end of a window, relative to the spreads."""
+def growth(flow: Flow, windows: Windows, nodes: Tensor, farthest: float = math.inf) -> tuple[float, Tensor]:
+    """Follow an error of a start state along the windows that join, relative to the spreads of the states.
+
+    Args:
+        flow: what was integrated.
+        windows: the recording.
+        nodes: start states of the windows, `(W, n_x)`.
+        farthest: growth beyond which a window begins at a state of its own.
+
+    Returns:
+        The largest growth without such a beginning, and which windows continue the one before with it, bool `(W,)`.
+    """
     spread = nodes.std(0, correction=0).clamp_min(1e-12)
-    along, largest = torch.eye(len(spread), dtype=nodes.dtype), 0.0
-    for step, follows in zip(flow.s[:, -1, :, : len(spread)], windows.joined.tolist(), strict=True):
-        along = step @ along if follows else step
-        largest = max(largest, float((along * spread / spread.unsqueeze(-1)).norm()))
-    return largest
+    whole, part, largest, joined = torch.eye(len(spread), dtype=nodes.dtype), None, 0.0, windows.joined.clone()
+    for j, step in enumerate((flow.s[:, -1, :, : len(spread)] * spread / spread.unsqueeze(-1)).unbind()):
+        whole = step @ whole if windows.joined[j] else step
+        largest = max(largest, float(whole.norm().nan_to_num(math.inf)))
+        longer = step @ part if part is not None and windows.joined[j] else step
+        joined[j] = bool(windows.joined[j]) and bool(longer.norm() <= farthest)
+        part = longer if joined[j] else step
+    return largest, joined
 
 
 def substeps_for(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float) -> int:

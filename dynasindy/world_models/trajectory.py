@@ -39,6 +39,8 @@ NOISY = 1e-7
 """Part of a coefficient's effect that those of others leave over, below which data cannot tell it from them."""
 GROWN = 100.0
 """Factor by which errors grow along a trajectory, beyond which functions are chosen on windows on their own."""
+FARTHEST = 1e6
+"""The same, beyond which a trajectory begins anew: the effects of all coefficients look alike after such a growth."""
 WORSE = 1.2
 """Factor on the errors of windows on their own, beyond which a trajectory through all of them does not fit."""
 
@@ -89,17 +91,21 @@ def refine_trajectory(
     some = spread(len(data), ENOUGH)
     part, limits = data.select(some), (price(int(some.sum()), free), max_rounds)
     found, windows = _grown(Estimate(library, xi, guess[some]), (xi != 0) & free, part, descent)
-    if joined is None and not bool(data.x_next.isnan().any()) and _sensitive(found, windows):
+    may_begin_anew = joined is None and not bool(data.x_next.isnan().any())
+    if may_begin_anew and _grows(found, windows)[0] > GROWN:
         alone = replace(windows, joined=torch.zeros_like(windows.joined))
         own = _search(found, free, alone, limits)
+        windows = replace(windows, joined=_grows(own, windows)[1])
         found = _search(own, free, windows, limits)
-        joined = not bool((_sigma(found, windows) > WORSE * _sigma(own, alone)).any())
-        found = found if joined else own
+        if not bool((_sigma(found, windows) < WORSE * _sigma(own, alone)).all()):
+            found, joined, may_begin_anew = own, False, False
     else:
         found = _search(found, free, windows, limits)
     if not bool(some.all()):
         support = (found.xi != 0) & free
         whole, windows = _grown(replace(found, nodes=guess), support, data, replace(descent, joined=joined))
+        if may_begin_anew:
+            windows = replace(windows, joined=_grows(whole, windows)[1])
         found, _ = _descend(whole, support, windows, (price(len(data), free), max_rounds))
     return found.library, found.xi
 
@@ -117,12 +123,16 @@ def price(n: int, free: Tensor) -> float:
     return math.log(max(n, 2)) + 2 * math.log(max(int(free.sum(0).max()), 1))
 
 
-def _sensitive(estimate: Estimate, windows: Windows) -> bool:
-    """Tell whether small errors grow so much that the linear model of a whole trajectory is of no use."""
-    return not growth(Flow.of(estimate, Parameters.where(estimate.xi != 0), windows), windows, estimate.nodes) < GROWN
+def _grows(estimate: Estimate, windows: Windows) -> tuple[float, Tensor]:
+    """Return how much small errors grow, and which windows join if they may not grow beyond all measure."""
+    flow = Flow.of(estimate, Parameters.where(estimate.xi != 0), windows)
+    return growth(flow, windows, estimate.nodes, FARTHEST)
 
 
 def _sigma(estimate: Estimate, windows: Windows) -> Tensor:
+    """Return the error of each state; infinite where no coefficient is left."""
+    if not bool(estimate.xi.any()):
+        return torch.full((estimate.xi.shape[1],), math.inf)
     return Flow.of(estimate, Parameters.where(estimate.xi != 0), windows).sigma(windows)
 
 

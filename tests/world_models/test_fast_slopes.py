@@ -14,7 +14,7 @@ from dynasindy.world_models.library import Library
 
 SIGNATURE = Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 1.0))
 OWN = tuple(features._REGISTRY)
-SMALLEST = 1e-9
+SMALLEST = 1e-3
 
 
 def sech2(z: np.ndarray) -> np.ndarray:

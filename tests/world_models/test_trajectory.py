@@ -193,7 +193,7 @@ def test_errors_of_a_start_grow_as_the_exact_motion_says(rate, joined, factor):
     data, xi = recording(0), column(rate, B, 0.0, 0.0)
     windows = Windows.of(data, 100, joined)
     estimate = Estimate(LIBRARY, xi, windows.first)
-    grown = growth(Flow.of(estimate, Parameters.where(xi != 0), windows), windows, windows.first)
+    grown = growth(Flow.of(estimate, Parameters.where(xi != 0), windows), windows, windows.first)[0]
     wanted = math.exp(rate * factor / 2) if rate > 0 else math.exp(rate)
     assert grown == pytest.approx(wanted, rel=1e-6)
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from dynasindy.benchmarks.instruments.bound import cramer_rao
 from dynasindy.benchmarks.instruments.rivals import Score, best_threshold, score, smoothed_rows, stlsq, weak_rows
-from dynasindy.data.simulated import disturb, record
+from dynasindy.data.simulated import disturb, record_all
 from dynasindy.evaluation.rows import Row
 from dynasindy.excitation import HeldRandom
 from dynasindy.systems.base import Signature, System
@@ -94,10 +94,11 @@ class Case:
         """Build the candidate functions."""
         return polynomial(self.plant.signature, self.degree)
 
-    def clean(self, seed: int) -> Transitions:
-        """Record the plant without noise."""
-        u = HeldRandom(1, self.seconds, self.dt, hold=self.hold, amplitude=1.0, seed=seed).samples(self.dt)
-        return record(self.plant, u, self.dt, round(self.dt / 0.001), torch.tensor(self.start, dtype=torch.float64))
+    def clean(self, seeds: int) -> list[Transitions]:
+        """Record the plant without noise, once for each seed."""
+        signals = [HeldRandom(1, self.seconds, self.dt, hold=self.hold, amplitude=1.0, seed=k) for k in range(seeds)]
+        u = torch.stack([signal.samples(self.dt) for signal in signals])
+        return record_all(self.plant, u, self.dt, round(self.dt / 0.001), torch.tensor(self.start))
 
     def truth(self) -> Tensor:
         """Return the plant's coefficients in the library, `(n_features, n_x)`, read off its rates."""
@@ -118,7 +119,7 @@ CASES = {
 def measure(case: Case, seeds: int) -> list[Row]:
     """Identify a textbook system at each level of noise, by ours and by PySINDy's regression on rows of three kinds."""
     library, truth = case.library(), case.truth()
-    recordings, rows = [case.clean(seed) for seed in range(seeds)], []
+    recordings, rows = case.clean(seeds), []
     for level in case.levels:
         data = [disturb(clean, level, 1000 + seed) for seed, clean in enumerate(recordings)]
         where = f"noise {100 * level:g} %"

@@ -35,7 +35,7 @@ def test_ten_percent_of_noise_leave_the_terms_and_the_bound(name):
 
 def test_rows_for_pysindy_obey_the_equations():
     case = textbook.CASES["van_der_pol"]
-    clean, truth = case.clean(0), case.truth()
+    clean, truth = case.clean(1)[0], case.truth()
     smoothed = smoothed_rows(case.library(), clean, 9)  # it rounds off where the input jumps
     for rows, limit in ((smoothed, 0.2), (weak_rows(case.library(), disturb(clean, 1e-4, 0)), 0.05)):
         error = (rows[1] - rows[0] @ truth).norm(dim=0) / rows[1].norm(dim=0)
