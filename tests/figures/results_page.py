@@ -31,6 +31,20 @@ def ties(text: str) -> Iterator[Tie]:
     yield from _friction_words()
     yield from _other_words()
     yield from _speed()
+    yield from _bench()
+    yield from _rigs()
+
+
+def _bench() -> Iterator[Tie]:
+    found = [row for row in table("gradient.csv") if row["scenario"] == "step_inputs"]
+    largest = max(max(numbers(found, axis)) for axis in AXES)
+    yield Tie(PAGE, "The inputs change by at most {} per control period in the steady state", (short(largest),))
+
+
+def _rigs() -> Iterator[Tie]:
+    """Yield the rows of the logs of real plants."""
+    for row in table("rigs.csv"):
+        yield Tie(PAGE, f"| {row['rig']} | {row['model']} | {row['metric']} [{row['unit']}] | {{}} |", (row["value"],))
 
 
 def gradient(case: str, plant: str, seconds: float = 10.0, scenario: str = "step") -> Found:
@@ -178,6 +192,9 @@ UNTIED = [
     Untied(PAGE, "where .05 did as well on those", "tuning seeds, whose rows were not kept; the page says so"),
     Untied(PAGE, "does not control it (.24/.53, a trial", "a trial whose rows were not kept; the page says so"),
     Untied(PAGE, "rows of `policy_average` 0.001 with gamma 0.95", "columns of the table"),
+    Untied(PAGE, "the companion data of arXiv 2303.15318", "the number of a paper"),
+    Untied(PAGE, "(arXiv 2405.10779)", "the number of a paper"),
+    Untied(PAGE, "5.17 of baselines and 2.64 published for EMPS, 0.396 and 0.191 for the tanks", "figures of others"),
     Untied(PAGE, "21.8 s to the controller", "from a clock; the page names commit and command"),
 ]
 SECTIONS = {"What did not help": "trials whose rows were not kept, but for those tied; the section says so"}
