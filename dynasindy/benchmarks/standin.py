@@ -52,7 +52,11 @@ def main(argv: list[str]) -> None:
 
 
 def identified(folder: Path) -> Iterator[Row]:
-    """Run the command as its documents say, and yield what it wrote."""
+    """Run the command as its documents say, and yield what it wrote.
+
+    Raises:
+        RuntimeError: The command failed.
+    """
     words = ["data=csv", f"data.path={folder / 'log.csv'}", "system=tras", "data.validation_share=0.5"]
     places = [f"folder={folder}", f"hydra.run.dir={folder}"]
     done = subprocess.run([sys.executable, "scripts/identify.py", *words, *places], capture_output=True, text=True)

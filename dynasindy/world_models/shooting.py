@@ -203,7 +203,11 @@ def _own(flow: Flow, error: Tensor, start_error: Tensor, mask: Tensor, sigma: Te
 def move(
     estimate: Estimate, model: Linearised, parameters: Parameters, kept: Tensor | Sequence[int], damping: float = 0.0
 ) -> Estimate:
-    """Solve the linear model over the kept unknowns and move coefficients, shapes and nodes accordingly."""
+    """Solve the linear model over the kept unknowns and move coefficients, shapes and nodes accordingly.
+
+    Raises:
+        RunsAway: the linear model is not finite.
+    """
     kept = torch.as_tensor(kept)
     square, n_fixed = model.triangle[:, kept], len(model.scale) - len(parameters)
     old = torch.cat([torch.zeros(n_fixed), parameters.read(estimate.xi)]) * model.scale

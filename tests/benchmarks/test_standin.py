@@ -1,0 +1,24 @@
+"""The stand-in's log is one that a user could have written."""
+
+import csv
+
+import pytest
+
+from dynasindy.benchmarks import standin
+
+
+def test_the_benchmark_has_a_command(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        standin.main(["--help"])
+    assert "--logs" in capsys.readouterr().out
+
+
+def test_its_published_rows_are_of_all_three_methods_on_each_log():
+    with open("docs/results/standin.csv", encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    logs = {(row["case"], row["log"]) for row in rows}
+    assert len(rows) == 3 * len(logs)
+    for case, log in logs:
+        ours, linear, held = [row for row in rows if (row["case"], row["log"]) == (case, log)]
+        for state in ("alpha_a", "alpha_p", "omega_a", "omega_p"):
+            assert float(ours[state]) < float(linear[state]) < float(held[state])

@@ -1,0 +1,34 @@
+"""The linear model against a linear recurrence that is known."""
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy.evaluation.linear import LinearModel
+from dynasindy.systems.transitions import Transitions
+
+
+def recording(n: int = 300) -> Transitions:
+    """y[k+1] = 1.2 y[k] - 0.5 y[k-1] + 0.7 u[k] - 0.2 u[k-1] + 0.1, and a state that nobody measured."""
+    u = np.random.default_rng(0).normal(size=n)
+    y = [0.0, 0.3]
+    for k in range(1, n):
+        y.append(1.2 * y[k] - 0.5 * y[k - 1] + 0.7 * u[k] - 0.2 * u[k - 1] + 0.1)
+    x = torch.full((n + 1, 2), torch.nan, dtype=torch.float64)
+    x[:, 0] = torch.tensor(y)
+    return Transitions.from_trajectory(x, torch.from_numpy(u)[:, None], 0.1)
+
+
+def test_it_is_the_recurrence_of_the_plant():
+    model = LinearModel._of_order(recording(), 2)
+    assert model is not None and model.seen.tolist() == [True, False]
+    assert model.weights.flatten().tolist() == pytest.approx([1.2, -0.5, 0.7, -0.2, 0.1], abs=1e-9)
+
+
+def test_it_predicts_as_far_as_it_is_asked():
+    data = recording()
+    model, starts = LinearModel.fit(data, 10, 4), torch.tensor([20, 50])
+    later = starts.unsqueeze(-1) + torch.arange(10)
+    predicted = model.predict(data, starts, later)
+    assert torch.allclose(predicted[..., 0], data.x_next[later][..., 0], atol=1e-6)
+    assert bool(predicted[..., 1].isnan().all())
