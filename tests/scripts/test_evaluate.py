@@ -57,7 +57,7 @@ def test_a_policy_that_was_trained_behind_sensors_is_evaluated_behind_them(tmp_p
     done = subprocess.run([*script, f"hydra.run.dir={tmp_path / 'run'}"], capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     record = json.loads((tmp_path / "run" / "observer.json").read_text())
-    assert len(record["process_noise"]) == 6 and record["nis"] < 1.5
+    assert len(record["process_noise"]) == 8 and record["nis"] < 1.5
     assert json.loads((tmp_path / "run" / "metrics.json").read_text())["observer"] == record
     results = []
     for change in ("", '{"process_noise": [0.1, 0.1, 0.1, 0.1, 0.1, 0.1], "nis": 1.0}', "{}"):
