@@ -207,8 +207,8 @@ def build_library(library: str | Sequence[str] | Library | LibraryBuilder, signa
     if isinstance(library, str):
         if library not in NAMED:
             raise ValueError(
-                f"library {library!r} does not exist; allowed are {', '.join(NAMED)}: choose one of them in plant.library, "
-                "or in plant.libraries for a source of data"
+                f"library {library!r} does not exist; allowed are {', '.join(NAMED)}: choose one of them in "
+                "plant.library, or in plant.libraries for a source of data"
             )
         return NAMED[library](signature)
     if callable(library):
