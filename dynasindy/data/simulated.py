@@ -59,7 +59,5 @@ def disturb(data: Transitions, level: float, seed: int) -> Transitions:
     generator = torch.Generator().manual_seed(seed)
     scale = level * data.x_next.std(0)
     after, first = (scale * torch.randn(data.x.shape, generator=generator, dtype=data.x.dtype) for _ in range(2))
-    fresh = torch.ones(len(data), dtype=torch.bool)
-    fresh[1:] = data.segment[1:] != data.segment[:-1]
-    before = torch.where(fresh.unsqueeze(-1), first, after.roll(1, 0))
+    before = torch.where(data.begins().unsqueeze(-1), first, after.roll(1, 0))
     return replace(data, x=data.x + before, x_next=data.x_next + after)

@@ -104,6 +104,12 @@ class Transitions:
         """Count the transitions."""
         return self.x.shape[0]
 
+    def begins(self) -> Tensor:
+        """Return which rows begin a segment, bool `(N,)`."""
+        first = torch.ones_like(self.segment, dtype=torch.bool)
+        first[1:] = self.segment[1:] != self.segment[:-1]
+        return first
+
     def select(self, mask: Tensor) -> Transitions:
         """Keep the rows where `mask` `(N,)` bool is true; a gap begins a new segment."""
         keep = mask.nonzero().squeeze(-1)

@@ -33,20 +33,14 @@ def delayed(data: Transitions, delay: float) -> Transitions:
     whole, part = divmod(delay / data.dt, 1.0)
     if delay == 0:
         return data
-    fresh = torch.ones(len(data), dtype=torch.bool)
-    fresh[1:] = data.segment[1:] != data.segment[:-1]
-    places = torch.arange(len(data))
-    begin = torch.where(fresh, places, 0).cummax(0).values
+    places, begin = torch.arange(len(data)), _begin(data)
     late, later = (data.u[torch.maximum(places - int(whole) - more, begin)] for more in (0, 1))
     return replace(data, u=(1 - part) * late + part * later)
 
 
 def known_inputs(data: Transitions, longest: float) -> Tensor:
     """Return which rows know the input of `longest` seconds before, bool `(N,)`: not the first ones of a segment."""
-    fresh = torch.ones(len(data), dtype=torch.bool)
-    fresh[1:] = data.segment[1:] != data.segment[:-1]
-    places = torch.arange(len(data))
-    return places - torch.where(fresh, places, 0).cummax(0).values >= math.ceil(longest / data.dt - 1e-9)
+    return torch.arange(len(data)) - _begin(data) >= math.ceil(longest / data.dt - 1e-9)
 
 
 def rough_delay(free: Tensor, rows: Callable[[float], Rows], dt: float, longest: float) -> float:
@@ -109,3 +103,8 @@ def _regressed(support: Tensor, theta: Tensor, dx: Tensor) -> float:
         error = dx[:, i] - columns @ least_squares(columns, dx[:, i])
         cost += 0.5 * len(dx) * math.log(float(error.square().sum()) + 1e-300)
     return cost
+
+
+def _begin(data: Transitions) -> Tensor:
+    """Return the row at which the segment of each row begins, `(N,)`."""
+    return torch.where(data.begins(), torch.arange(len(data)), 0).cummax(0).values

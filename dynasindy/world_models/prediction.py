@@ -31,8 +31,7 @@ def open_loop(model: System, data: Transitions, substeps: int = 1) -> Tensor:
         States in the place of `data.x_next`, `(N, n_x)`; what runs away is not finite or very large.
     """
     predicted = torch.empty_like(data.x_next)
-    fresh = torch.ones(len(data), dtype=torch.bool)
-    fresh[1:] = data.segment[1:] != data.segment[:-1]
+    fresh = data.begins()
     with torch.no_grad():
         for k in range(len(data)):
             x = data.x[k] if fresh[k] else predicted[k - 1]

@@ -1,10 +1,13 @@
 """The stand-in's log is one that a user could have written."""
 
 import csv
+from pathlib import Path
 
 import pytest
 
 from dynasindy.benchmarks import standin
+
+RESULTS = Path(__file__).parents[2] / "docs" / "results" / "standin.csv"
 
 
 def test_the_benchmark_has_a_command(capsys):
@@ -14,7 +17,7 @@ def test_the_benchmark_has_a_command(capsys):
 
 
 def test_its_published_rows_are_of_all_three_methods_on_each_log():
-    with open("docs/results/standin.csv", encoding="utf-8", newline="") as file:
+    with RESULTS.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     logs = {(row["case"], row["log"]) for row in rows}
     assert len(rows) == 3 * len(logs)
