@@ -146,8 +146,7 @@ def emps(folder: Path) -> list[Row]:
         return float(1e3 * error) if np.isfinite(error) else float("inf")
 
     def _model(functions: Sequence[str]) -> SindyModel:
-        refinement = Refinement("trajectory", longest_delay=0.0)
-        return SindyModel(signature, functions, Regression("bic"), refinement, known={"q": "v"})
+        return SindyModel(signature, functions, Regression("bic"), Refinement("trajectory"), known={"q": "v"})
 
     rows: list[Row] = []
     data = logs["train"].thinned(5)

@@ -79,7 +79,7 @@ def forecast(
     """
     time = characteristic(training)
     fit = min(max(round(time / 4 / validation.dt), SHORTEST_FIT), LONGEST_FIT)
-    back, ahead = _beside(validation.segment)
+    back, ahead = _beside(validation)
     while fit > 2 and _reach(back, ahead, fit) < 2 * fit:
         fit //= 2
     reach = _reach(back, ahead, fit)
@@ -189,7 +189,7 @@ def begun(model: SindyModel, data: Transitions) -> Transitions:
     late = delayed(data, model.delay)
     if not bool(data.x.isnan().any()):
         return late
-    x, back = late.x.double().clone(), _beside(data.segment)[0]
+    x, back = late.x.double().clone(), _beside(data)[0]
     for first in (back == 0).nonzero().flatten().tolist():
         rest = data.segment[first:] == data.segment[first]
         length = min(SHORTEST_FIT * 5, int(rest.long().cumprod(0).sum()))
@@ -218,11 +218,9 @@ def _errors(predicted: Tensor, real: Tensor, steps: Sequence[int]) -> Tensor:
     return torch.stack([squared[:, :k].nanmean((0, 1)).sqrt() for k in steps])
 
 
-def _beside(segment: Tensor) -> tuple[Tensor, Tensor]:
+def _beside(data: Transitions) -> tuple[Tensor, Tensor]:
     """Return how many rows of its segment come before each row, and how many from it on, `(N,)` both."""
-    places = torch.arange(len(segment))
-    fresh = torch.ones(len(segment), dtype=torch.bool)
-    fresh[1:] = segment[1:] != segment[:-1]
+    places, fresh = torch.arange(len(data)), data.begins()
     first = torch.where(fresh, places, 0).cummax(0).values
     lengths = torch.bincount(fresh.long().cumsum(0) - 1)
     back = places - first

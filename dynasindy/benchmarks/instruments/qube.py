@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from types import SimpleNamespace
 from typing import Any, cast
@@ -66,6 +67,7 @@ def ahead(model: System, train: Transitions, test: Transitions) -> tuple[list[fl
     delay = float(getattr(model, "delay", 0.0))
     env = cast(Any, SimpleNamespace(dt=train.dt, substeps=2, stops=None))
     if delay:
+        model = copy.copy(model)
         cast(Any, model).delay = 0.0  # the filter reads inputs as they take effect
     observer = Observer(model, sensors, env)
     known, late = delayed(train, delay), delayed(test, delay)
@@ -82,6 +84,4 @@ def ahead(model: System, train: Transitions, test: Transitions) -> tuple[list[fl
                 after = y[starts + k + 1, :2]
                 errors.append(float((x[:, :2] - after).square().mean().sqrt()))
                 held.append(float((y[starts, :2] - after).square().mean().sqrt()))
-    if delay:
-        cast(Any, model).delay = delay
     return errors, held
