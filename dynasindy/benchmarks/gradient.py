@@ -156,6 +156,7 @@ CASES = {
     "detuned": Case(detuned=True, integral=True, plants=("tras",)),
     "detuned_robust": Case(detuned=True, integral=True, variation=Variation(parameters=0.1), plants=("tras",)),
     "friction": Case(episodes=5, integral=True, plants=("trms33",)),
+    "friction_alone": Case(integral=True, plants=("trms33",)),  # the excitation and nothing else
     "unseen": Case(unseen=True),  # the policies of `step` after 10 s and of `moving`, elsewhere
     "unseen_moving": Case(unseen=True, moving=True, updates=400),
 }
@@ -169,6 +170,7 @@ REPORTED = [
     "bench_delay",
     "detuned",
     "friction",
+    "friction_alone",
     "unseen",
     "unseen_moving",
 ]
