@@ -339,9 +339,9 @@ def _written(name: str, arguments: str, power: int) -> Factor:
 
     A number that multiplies no argument comes last: `a, b; 2` or `a, b; ~2`.
     """
-    arguments, semicolon, number = arguments.partition(";")
+    arguments, semicolon, last = arguments.partition(";")
     if semicolon:
-        arguments = ",".join(f"{number.strip()} {argument}" for argument in arguments.split(","))
+        arguments = ",".join(f"{last.strip()} {argument}" for argument in arguments.split(","))
     read = [_ARGUMENT.fullmatch(argument) for argument in arguments.split(",")]
     found = [match for match in read if match is not None]
     numbers = {(bool(match["fitted"]), float(match["number"] or 1)) for match in found}
