@@ -213,26 +213,24 @@ def qube(folder: Path) -> list[Row]:
 
 def tanks(folder: Path) -> list[Row]:
     """Measure the cascaded tanks: level of the lower one over the whole test log, simulated from its start [V]."""
-    signature = Signature(("level_1", "level_2", "reading"), ("V", "V", "V"), ("u",), (10.0, 10.0, 10.0))
+    signature = Signature(("level_1", "level_2"), ("V", "V"), ("u",), (10.0, 10.0))
     words = ["1", "u", "level_1", "hinge(~12 level_1)", "root(~2.9 level_2)", "hinge(~10 level_2)"]
     over, root, brim = "max(0, level_1 - 12)", "sqrt(level_2 - 2.9)", "max(0, level_2 - 10)"
-    play = "slack(level_2, reading; 0.1)"
     logs = {}
     for name in ("train", "test"):
         columns = _columns(folder / f"tanks_{name}.csv")
-        y = np.full((len(columns["u"]), 3), np.nan)
-        y[:, 2] = np.where(columns["level_2"] < 10, columns["level_2"], np.nan)  # the sensor ends at 10 V
+        y = np.full((len(columns["u"]), 2), np.nan)
+        y[:, 1] = np.where(columns["level_2"] < 10, columns["level_2"], np.nan)  # the sensor ends at 10 V
         logs[name] = (Log(y, columns["u"][:, None], 4.0).thinned(1), columns["level_2"])
     model, facts = _fitted(
         SindyModel(
             signature,
-            [*words, "slack(level_2, reading; ~0.1)"],
+            words,
             Regression("bic"),
             Refinement("trajectory", window=20, rounds=0),
-            allowed={"level_1": ["1", "u", "level_1", over], "level_2": [over, root, brim], "reading": []},
-            # Level 1 has no unit of its own: what leaves it fills level 2, and this number sets its scale. The reading
-            # stands still wherever the level turns, until the level is beyond the play of the sensor.
-            fixed={"level_2": {"level_1": 0.0069}, "reading": {play: 0.5}},
+            allowed={"level_1": ["1", "u", "level_1", over], "level_2": [over, root, brim]},
+            # Level 1 has no unit of its own: what leaves it fills level 2, and this number sets its scale.
+            fixed={"level_2": {"level_1": 0.0069}},
             initial={
                 "level_1": {"u": 0.06, "1": -0.1, "level_1": -0.0069, over: -0.3},
                 "level_2": {root: -0.035, over: 0.15, brim: -0.3},
@@ -250,17 +248,16 @@ def tanks(folder: Path) -> list[Row]:
 
 
 def _best_start(model: SindyModel, data: Transitions, level: Array) -> float:
-    """Return the error of the reading, its sensor ending at 10 V, from the levels that fit the first samples."""
+    """Return the error of the lower level, its sensor ending at 10 V, from the start that fits the first samples."""
     from scipy.optimize import least_squares
 
     def _path(start: Array, n: int) -> Array:
         part = data.select(torch.arange(len(data)) < n)
-        x0 = torch.tensor([*start.tolist(), level[0]], dtype=torch.float64)
-        readings: Array = _simulated(model, x0, part, 4)[:, 2].clamp_max(10.0).numpy()
-        return readings
+        levels: Array = _simulated(model, torch.from_numpy(start), part, 4)[:, 1].clamp_max(10.0).numpy()
+        return levels
 
     first = np.array([6.0, level[0]])
-    found = least_squares(lambda start: _path(start, FIRST) - level[: FIRST + 1], first, diff_step=1e-3).x
+    found = least_squares(lambda start: _path(start, FIRST) - level[: FIRST + 1], first, diff_step=1e-4).x
     error = np.sqrt(np.mean((_path(found, len(data)) - level) ** 2))
     return float(error)
 
