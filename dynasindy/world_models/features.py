@@ -93,6 +93,14 @@ _REGISTRY: dict[str, Function] = {
             parametric=True,
             by_number=lambda z, p: -(z.cos() / (1 + p * z.cos().square())).square(),
         ),
+        Function(
+            "slack",
+            lambda a, b, p: a - b - (a - b).clamp(-p, p),
+            "slack({0}; {1})",
+            r"\operatorname{{slack}}_{{{1}}}({0})",
+            parametric=True,
+            by_number=lambda a, b, p: (b - a > p).to(a.dtype) - (a - b > p).to(a.dtype),
+        ),
     )
 }
 
@@ -327,7 +335,13 @@ def parse(text: str) -> Feature:
 
 
 def _written(name: str, arguments: str, power: int) -> Factor:
-    """Read the arguments of a function: `alpha_p`, `2 alpha_p`, or `~2 alpha_p` whose number is to be fitted."""
+    """Read the arguments of a function: `alpha_p`, `2 alpha_p`, or `~2 alpha_p` whose number is to be fitted.
+
+    A number that multiplies no argument comes last: `a, b; 2` or `a, b; ~2`.
+    """
+    arguments, semicolon, last = arguments.partition(";")
+    if semicolon:
+        arguments = ",".join(f"{last.strip()} {argument}" for argument in arguments.split(","))
     read = [_ARGUMENT.fullmatch(argument) for argument in arguments.split(",")]
     found = [match for match in read if match is not None]
     numbers = {(bool(match["fitted"]), float(match["number"] or 1)) for match in found}

@@ -106,6 +106,7 @@ def to_sympy(model: SindyModel) -> dict[str, Any]:
         "bell": lambda z: sympy.exp(-(z**2)),
         "root": lambda z, p: sympy.sqrt(sympy.Max(z - p, 0)),
         "hinge": lambda z, p: sympy.Max(0, z - p),
+        "slack": lambda a, b, p: sympy.Max(0, a - b - p) - sympy.Max(0, b - a - p),
         "per_cos2": lambda z, p: 1 / (1 + p * sympy.cos(z) ** 2),
     }
     table = model.coefficients.tolist()

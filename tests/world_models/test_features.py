@@ -38,6 +38,7 @@ WRITTEN = {
     "exp(-(a)^2)^2": of("bell", "a", power=2),
     "|2 w|": of("abs", "w", frequency=2.0),
     "tanh(-20 w)": of("tanh", "w", frequency=-20.0),
+    "slack(w, h; 0.25)": of("slack", "w", "h", frequency=0.25),
 }
 
 
@@ -47,7 +48,15 @@ def test_what_is_written_is_read_again(text):
     assert parse(text) == WRITTEN[text]
 
 
-WORDS = ("w /(1 + 3 cos(a)^2)", "max(0, w - 0.5)", "sqrt(w - 0.5)", "exp(-(4 a)^2)", "sqrt(2 a)^3")
+WORDS = (
+    "w /(1 + 3 cos(a)^2)",
+    "max(0, w - 0.5)",
+    "sqrt(w - 0.5)",
+    "exp(-(4 a)^2)",
+    "sqrt(2 a)^3",
+    "slack(w, a; 0.4)",
+    "slack(a, w; 0.4)",
+)
 
 
 def test_the_values_are_those_that_the_words_say():
@@ -61,6 +70,8 @@ def test_the_values_are_those_that_the_words_say():
             math.sqrt(w - 0.5),
             math.exp(-((4 * a) ** 2)),
             math.sqrt(2 * a) ** 3,
+            w - a - 0.4,
+            a - w + 0.4,
         ]
     )
 
@@ -78,12 +89,33 @@ def test_a_first_guess_is_a_number_that_is_fitted(name):
 
 
 @pytest.mark.parametrize(
-    "text", ["sin(x a)", "sin()", "sin(2 3 a)", "tanh(~0 w)", "exp(-(x a)^2)", "atan2(2 a, 3 b)", "sqrt(a - x)"]
+    "text",
+    [
+        "sin(x a)",
+        "sin()",
+        "sin(2 3 a)",
+        "tanh(~0 w)",
+        "exp(-(x a)^2)",
+        "atan2(2 a, 3 b)",
+        "sqrt(a - x)",
+        "slack(a, b; x)",
+    ],
 )
 def test_arguments_that_say_nothing_are_refused_in_a_line(text):
     with pytest.raises(ValueError, match=r"cannot be read; allowed are 'name', '2 name'") as error:
         parse(text)
     assert "\n" not in str(error.value)
+
+
+def test_slack_is_what_is_left_beyond_a_play():
+    feature = parse("slack(a, b; ~0.5)")
+    assert feature.factors[0] == of("slack", "a", "b", frequency=0.5, fitted=True).factors[0]
+    assert feature.latex() == r"\operatorname{slack}_{0.5}(a, b)"
+    a, b = torch.tensor([2.0, 0.3, -2.0, 0.5]), torch.tensor([1.0, 0.0, 0.0, 1.5])
+    factor = feature.factors[0]
+    assert factor.compute()(a, b).tolist() == [0.5, 0.0, -1.5, -0.5]
+    # A wider play leaves less over on either side.
+    assert factor.slope(a, b).tolist() == [-1.0, 0.0, 1.0, 1.0]
 
 
 def test_latex_of_a_power_is_no_double_superscript():

@@ -64,22 +64,32 @@ def test_sympy_evaluates_to_the_same_numbers():
 def test_sympy_knows_the_functions_with_numbers_inside():
     sympy = pytest.importorskip("sympy")
     words = ["tanh(3 a)", "b^2 /(1 + 3 cos(a)^2)", "max(0, a - 0.2)", "sqrt(a - 0.2)", "exp(-(2 a)^2)^2", "sqrt(2 b)",
-             "|a|", "sign(b)"]  # fmt: skip
+             "|a|", "sign(b)", "slack(a, b; 0.2)"]  # fmt: skip
     model = SindyModel(Signature(("a", "b"), ("-", "-"), (), (1.0, 1.0)), words)
-    model.set_coefficients(torch.arange(1.0, 17.0).reshape(8, 2))
+    model.set_coefficients(torch.arange(1.0, 19.0).reshape(9, 2))
     a, b = 0.7, 0.4
     values = [
         *(np.tanh(3 * a), b**2 / (1 + 3 * np.cos(a) ** 2), a - 0.2, np.sqrt(a - 0.2)),
-        *(np.exp(-((2 * a) ** 2)) ** 2, np.sqrt(2 * b), a, 1.0),
+        *(np.exp(-((2 * a) ** 2)) ** 2, np.sqrt(2 * b), a, 1.0, a - b - 0.2),
     ]
-    expected = [np.dot(values, np.arange(k, 17, 2)) for k in (1, 2)]
+    expected = [np.dot(values, np.arange(k, 19, 2)) for k in (1, 2)]
     written = to_sympy(model)
     point = {sympy.Symbol("a", real=True): a, sympy.Symbol("b", real=True): b}
     assert [float(written[state].subs(point)) for state in ("a", "b")] == pytest.approx(expected)
     # Below their number the root and the ramp are nothing.
-    values = [np.tanh(0.3), b**2 / (1 + 3 * np.cos(0.1) ** 2), 0, 0, np.exp(-0.04) ** 2, np.sqrt(2 * b), 0.1, 1.0]
+    values = [
+        np.tanh(0.3),
+        b**2 / (1 + 3 * np.cos(0.1) ** 2),
+        0,
+        0,
+        np.exp(-0.04) ** 2,
+        np.sqrt(2 * b),
+        0.1,
+        1.0,
+        0.1 - b + 0.2,
+    ]
     below = written["a"].subs({**point, sympy.Symbol("a", real=True): 0.1})
-    assert float(below) == pytest.approx(np.dot(values, np.arange(1, 17, 2)))
+    assert float(below) == pytest.approx(np.dot(values, np.arange(1, 19, 2)))
 
 
 def test_names_are_read_as_they_are_written():

@@ -16,6 +16,7 @@ from dynasindy.world_models.measured import reconstruct
 from dynasindy.world_models.one_step import refine_one_step
 from dynasindy.world_models.refine import METHODS, Refinement, looks_noisy
 from dynasindy.world_models.regression import Regression, RunningSums, integral_form, simpson_form
+from dynasindy.world_models.sindy import SindyModel
 from dynasindy.world_models.trajectory import Descent, refine_trajectory
 
 SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
@@ -154,3 +155,29 @@ def test_each_round_is_a_simpson_regression_with_the_model_of_the_round_before()
             coefficients = Regression("bic", tolerance=1e-3).solve(sums, FREE.free, FREE.offset)
         found = Refinement("integral", rounds=rounds, tolerance=1e-3).run(LIBRARY, xi, FREE, data)[1]
         torch.testing.assert_close(found, coefficients, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_the_play_of_a_sensor_is_found_from_what_it_reads():
+    n, dt, fine = 200, 0.1, 20
+    u = np.repeat(np.random.default_rng(0).uniform(-1, 1, n // 10), 10)
+    level, reading, seen = 0.0, 0.0, [0.0]
+    for k in range(n):
+        for _ in range(fine):  # by Euler's steps; the play as it is, without a rate
+            level += dt / fine * (u[k] - 0.5 * level)
+            reading = min(max(reading, level - 0.1), level + 0.1)
+        seen.append(reading)
+    y = torch.full((n + 1, 2), torch.nan, dtype=torch.float64)
+    y[:, 1] = torch.tensor(seen)
+    model = SindyModel(
+        Signature(("level", "reading"), ("-", "-"), ("u",), (1.0, 1.0)),
+        ["u", "level", "slack(level, reading; ~0.2)"],
+        Regression("bic"),
+        Refinement("trajectory", rounds=0),
+        allowed={"level": ["level"], "reading": []},
+        fixed={"level": {"u": 1.0}, "reading": {"slack(level, reading; 0.2)": 60.0}},
+        initial={"level": {"level": -0.3}},
+    )
+    model.fit(Transitions.from_trajectory(y, torch.from_numpy(u)[:, None], dt))
+    assert float(model.coefficients[1, 0]) == pytest.approx(-0.5, rel=0.05)
+    assert model.library.shapes[0].frequency == pytest.approx(0.1, rel=0.1)
