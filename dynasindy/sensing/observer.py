@@ -38,6 +38,8 @@ STRAYING, FOLLOWING = 1.0, 1e-3
 """Process noise before there is a model: of states of which nothing is known, and of those whose rate is a state."""
 CANDIDATES = torch.logspace(-3, -1, 9, dtype=torch.float64)
 """Process noise to choose from. Innovations on the data of its fit flatter a model: all are doubted a little."""
+PUSHED = torch.logspace(-3, 0, 13, dtype=torch.float64)
+"""The same where all that a model misses is a push: states whose rate is a state follow it, the others stray."""
 NUDGE = 1e-4
 """Step of the central differences [ranges of the states]: in float64 they are right to some eight digits."""
 FINEST = 1e-9
@@ -209,7 +211,8 @@ class Observer:
     def learn(self, y: Tensor, u: Tensor) -> Tensor:
         """Rely on the model from now on, as far as its innovations on a log allow.
 
-        The process noise is the one at which they are most likely; `nis` then tells whether they are as large as the
+        The process noise is the one at which they are most likely: the same for all states, or none to speak of for
+        those whose rate is a state, which no push moves at once. `nis` then tells whether they are as large as the
         filter expects.
 
         Args:
@@ -220,10 +223,7 @@ class Observer:
             The estimates on the log, `(T + 1, n_x)`.
         """
         self.nis = math.nan
-        given = self.sensors.process_noise
-        candidates = CANDIDATES if given is None else torch.tensor([given], dtype=torch.float64)
-        self.q = candidates.unsqueeze(-1).repeat(1, len(self.scale))
-        self.q[:, self.n_x :] = DRIFTING
+        self.q = self._candidates()
         means, nis, likelihoods = self.follow(y, u)
         chosen = int(likelihoods.sum(-1).argmax())
         self.q, self.nis = self.q[chosen].clone(), nis[chosen].nanmean().nan_to_num(nan=0.0).item()
@@ -245,6 +245,20 @@ class Observer:
                 f"an observer has a process noise > 0 for each of {len(self.scale)} states, got {q.tolist()}"
             )
         self.q, self.nis = q, None if nis is None else float(nis)
+
+    def _candidates(self) -> Tensor:
+        """Return the process noises to choose from, `(rows, n)`."""
+        given, n = self.sensors.process_noise, len(self.scale)
+        if given is not None:
+            q = torch.full((1, n), given, dtype=torch.float64)
+        else:
+            q = CANDIDATES.unsqueeze(-1).repeat(1, n)
+            if followed := list(self.sensors.rate_indices(self.model.signature)):
+                pushed = PUSHED.unsqueeze(-1).repeat(1, n)
+                pushed[:, followed] = FOLLOWING
+                q = torch.cat([q, pushed])
+        q[:, self.n_x :] = DRIFTING
+        return q
 
     def _late(self) -> tuple[int, float]:
         """Return the model's input delay, in whole control periods and the rest [s]."""

@@ -196,6 +196,8 @@ def _own(flow: Flow, error: Tensor, start_error: Tensor, mask: Tensor, sigma: Te
     first = torch.cat([first, start_error.unsqueeze(-1)], -1) / sigma.unsqueeze(-1)
     first = torch.where(start_error.isnan().unsqueeze(-1), 0.0, first)
     rows = torch.cat([first, inside.flatten(1, 2)], 1)
+    # A trial step may run away: its cost is infinite whatever these are, but the solver takes finite numbers alone.
+    rows = rows.nan_to_num(0.0, 0.0, 0.0)
     moves = torch.linalg.lstsq(rows[..., :n_x], rows[..., n_x:], driver="gelsd").solution
     return torch.cat([-moves[..., :-1], moves[..., -1:]], -1)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.benchmarks.rigs import Log, _columns, _simulated, main
+from dynasindy.benchmarks.rigs import Log, _ahead_rows, _columns, _simulated, main
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.sindy import SindyModel
@@ -32,6 +32,13 @@ def test_a_simulation_takes_inputs_when_they_take_effect():
     data = Transitions.from_trajectory(torch.zeros(5, 1).double(), u, 0.1)
     # y' = u two samples late; before the log its first input held.
     assert _simulated(model, torch.zeros(1).double(), data, 2)[:, 0].tolist() == pytest.approx([0, 0.1, 0.2, 0.3, 0.3])
+
+
+def test_errors_ahead_are_told_together_and_of_each_angle():
+    found = {row["metric"]: row["value"] for row in _ahead_rows("ours", torch.tensor([[0.03, 0.04], [0.3, 0.5]]))}
+    assert found["theta 0.2 s ahead, RMSE"] == 30 and found["alpha 0.2 s ahead, RMSE"] == 40
+    assert found["both angles 0.2 s ahead, RMSE"] == pytest.approx(25 * 2**0.5, rel=1e-3)
+    assert found["both angles 0.5 s ahead, RMSE"] == pytest.approx(1e3 * (0.34 / 2) ** 0.5, rel=1e-3)
 
 
 def test_a_folder_is_asked_for(capsys):

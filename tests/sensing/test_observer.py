@@ -156,6 +156,26 @@ def test_the_process_noise_is_found_that_the_innovations_show(q):
     assert (estimates - x)[:, 0].std() < 0.75 * 0.02
 
 
+def test_a_plant_that_is_pushed_is_believed_to_move_at_its_rates():
+    # Pushes act on v and m alone: p stays the integral of v, and v is seen through p without noise of its own.
+    rng, q = torch.Generator().manual_seed(3), 0.3
+    f, g = held(DT / 10)
+    u = 2 * torch.rand(400, 1, generator=rng, dtype=torch.float64) - 1
+    x = [torch.zeros(3, dtype=torch.float64)]
+    for k in range(400):
+        push = torch.randn(10, 3, generator=rng, dtype=torch.float64) * torch.tensor([0, 1, 1]) * q * SCALE
+        x.append(x[-1])
+        for part in push * math.sqrt(DT / 10):
+            x[-1] = f @ x[-1] + g @ u[k] + part
+    x = torch.stack(x)
+    y = x + torch.tensor([0.02, 0.0, 0.01]) * torch.randn(x.shape, generator=rng, dtype=torch.float64)
+    y[:, 1] = math.nan
+    ours, alike = observer(rates={"p": "v"}), observer()
+    estimates, others = ours.learn(y, u), alike.learn(y, u)
+    assert ours.q[0] < 0.01 * q and 0.5 * q < ours.q[1].item() < 2 * q and ours.q[1] == ours.q[2]
+    assert (estimates - x)[:, 1].std() < 0.9 * (others - x)[:, 1].std()
+
+
 def test_a_given_process_noise_is_taken_and_a_perfect_model_is_doubted_a_little():
     y, u, _ = logged(200)
     ours = observer(process_noise=0.3)

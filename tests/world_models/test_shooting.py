@@ -126,6 +126,16 @@ def test_windows_that_run_away_are_counted_and_the_first_is_named():
         linearise(estimate, parameters, windows)
 
 
+def test_a_trial_that_runs_away_in_windows_on_their_own_costs_more_than_anything():
+    # As above; at a trial, which is given its weights, the descent asks for the cost and turns back.
+    data = Transitions.from_trajectory(torch.ones(61, 1).double(), torch.zeros(60, 1).double(), 0.1)
+    windows = Windows.of(data, 20, joined=False)
+    estimate = Estimate(LIBRARY, column(0.0, 0.0, 0.0, 1.0), column(0.1, 1.0, -1.0))
+    parameters = Parameters.where(torch.tensor([[False], [False], [False], [True]]))
+    trial = linearise(estimate, parameters, windows, torch.ones(1).double())
+    assert not trial.cost < 1e300
+
+
 def test_a_gap_of_a_hidden_state_is_weighed_by_the_errors_of_the_others():
     # Both states stand still; the second is seen by nobody, so its gaps count as those of the first do.
     two = Signature(("y", "h"), ("-", "-"), ("u",), (1.0, 1.0))
