@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import refine
 from dynasindy.world_models.constraints import Constraints
 from dynasindy.world_models.features import CONSTANT, variable
 from dynasindy.world_models.library import Library
@@ -87,6 +88,24 @@ def test_auto_takes_trajectories_for_noise_and_single_steps_without():
     assert torch.equal(auto.run(LIBRARY, start, FREE, noisy)[1], wanted)
     wanted = refine_one_step(LIBRARY, start, FREE.free, clean, auto.tolerance)[1]
     assert torch.equal(auto.run(LIBRARY, start, FREE, clean)[1], wanted)
+
+
+@pytest.mark.parametrize("longest", [0.0, 0.03])
+def test_noisy_samples_are_smoothed_under_every_delay_that_is_tried(longest, monkeypatch):
+    true, noisy, errors = recording(0.01, n=300).x[round(longest / 0.01) :], recording(0.01, 0.03, 300), []
+
+    def kept(function):
+        def called(library, xi, free, data, descent, start):
+            errors.append(float((start - true).square().mean().sqrt()))
+            return function(library, xi, free, data, descent, start)
+
+        return called
+
+    for name in ("refine_trajectory", "trajectory_cost"):
+        monkeypatch.setattr(refine, name, kept(getattr(refine, name)))
+    found = Refinement("trajectory", window=10, longest_delay=longest).run(LIBRARY, column(A, B, 0, 0), FREE, noisy)
+    assert len(errors) >= (5 if longest else 1) and max(errors) < 0.7 * 0.03
+    assert error(found.coefficients) < 0.4 and found.delay == pytest.approx(0, abs=0.01)
 
 
 @pytest.mark.parametrize("wrong", [{"method": "newton"}, {"rounds": -1}, {"tolerance": 0.0}, {"window": 0}])
