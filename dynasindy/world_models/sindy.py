@@ -166,9 +166,8 @@ class SindyModel(WorldModel):
         rates = rates_known(self.library, self.constraints)
         guess = reconstruct(data, rates)
         if self.initial is not None:
-            guess = imagined(
-                self.library, torch.where(self.constraints.free, self.initial, self.constraints.offset), data, guess
-            )
+            first = torch.where(self.constraints.free, self.initial, self.constraints.offset)
+            guess = imagined(self.library, first, data, guess, rates)
         seen = Seen.of(guess, data, rates)
         self.sums.add(seen.rows(self.library, self) if seen.half else integral_form(self.library, guess))
         if self.initial is None:
