@@ -21,13 +21,15 @@ from dynasindy.world_models.measured import Seen, rates_known, reconstruct
 from dynasindy.world_models.one_step import refine_one_step
 from dynasindy.world_models.regression import Regression, RunningSums
 from dynasindy.world_models.shapes import fit_shapes
-from dynasindy.world_models.trajectory import Descent, refine_trajectory, trajectory_cost
+from dynasindy.world_models.shooting import RunsAway
+from dynasindy.world_models.trajectory import WORSE, Descent, refine_trajectory, strain, trajectory_cost
 
 AGAIN = 3
 """Rounds at most in which delay and equations are fitted in turn."""
 STEPS = 6
 """Gauss-Newton steps after which two delays are compared."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
+ERRORS = ("auto", "simulation", "prediction")
 Model = tuple[Library, Tensor]
 """A library with the numbers inside its fitted factors, and coefficients, `(n_features, n_x)`."""
 
@@ -104,7 +106,9 @@ class Refinement:
         longest_delay: longest delay of the inputs that is looked for [s], in whole samples, by `trajectory` in
             fractions of them; 0 takes the inputs as they are.
         error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), or of
-            windows that begin anew (`prediction`), for plants that are pushed at random or unstable.
+            windows that begin anew (`prediction`), for plants that are pushed at random or unstable; `auto` fits such
+            windows too, and takes them if they leave over much less. The default is `auto` for the method `auto`, and
+            `simulation` for others.
 
     Raises:
         ValueError: a setting is not allowed.
@@ -115,13 +119,13 @@ class Refinement:
     tolerance: float = 1e-6
     window: int = 20
     longest_delay: float = 0.0
-    error: Literal["simulation", "prediction"] = "simulation"
+    error: Literal["auto", "simulation", "prediction"] | None = None
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise ValueError(f"refinement got method {self.method!r}; allowed are {', '.join(METHODS)}: choose one")
-        if self.error not in ("simulation", "prediction"):
-            raise ValueError(f"refinement got error {self.error!r}; allowed are simulation, prediction: choose one")
+        if self.error not in (None, *ERRORS):
+            raise ValueError(f"refinement got error {self.error!r}; allowed are {', '.join(ERRORS)}: choose one")
         if not 0 <= self.longest_delay < math.inf:
             raise ValueError(f"refinement got longest_delay {self.longest_delay} s; allowed is 0 or more")
         if self.rounds < 0 or not self.tolerance > 0 or self.window < 1:
@@ -158,7 +162,8 @@ class Refinement:
             if noisy:
                 recording = recording.smoothed()
                 found = self._regressed(*found, constraints, recording.seen(delay))
-            found, delay = self._by_trajectories(found, delay, constraints, recording)
+            found, delay, why = self._by_trajectories(found, delay, constraints, recording)
+            notes += why
         return Refined(*found, delay, notes)
 
     def _rough(self, library: Library, coefficients: Tensor, constraints: Constraints, recording: Recording) -> float:
@@ -169,11 +174,36 @@ class Refinement:
         return rough_delay(constraints.free, lambda d: recording.seen(d).rows(library, field), dt, self.longest_delay)
 
     def _by_trajectories(
-        self, found: Model, delay: float, constraints: Constraints, recording: Recording
+        self, first: Model, rough: float, constraints: Constraints, recording: Recording
+    ) -> tuple[Model, float, tuple[str, ...]]:
+        """Return the model that trajectories tell, the delay, and which error was minimised if that was chosen."""
+        descent = Descent(min(self.window, int(recording.known.sum())))
+        alone = replace(descent, joined=False)
+        error = self.error or ("auto" if self.method == "auto" else "simulation")
+        if error != "auto":
+            kind = alone if error == "prediction" else descent
+            return *self._in_turn(first, rough, constraints, recording, kind), ()
+        try:
+            found, delay = self._in_turn(first, rough, constraints, recording, descent)
+            start = recording.guessed(delay).x
+            ratio = strain(*found, constraints.free, recording.measured(delay), descent, start)
+        except RunsAway:
+            why = "a trajectory through all samples runs away"
+        else:
+            worst = int(ratio.argmax())
+            name = first[0].signature.state_names[worst]
+            why = f"of {name} a trajectory through all has {ratio[worst]:.2f} times the error of such windows"
+            if float(ratio[worst]) <= WORSE:
+                return found, delay, (f"error=simulation: {why}, which noise of the sensors explains",)
+            why += ", so that something pushes the plant, or functions are missing"
+        note = f"error=prediction, over windows of {descent.window} samples: {why}"
+        return *self._in_turn(first, rough, constraints, recording, alone), (note,)
+
+    def _in_turn(
+        self, found: Model, delay: float, constraints: Constraints, recording: Recording, descent: Descent
     ) -> tuple[Model, float]:
-        """Return the model that whole trajectories tell, and the delay, fitted in turn with it."""
-        free, n = constraints.free, int(recording.known.sum())
-        descent = Descent(min(self.window, n), None if self.error == "simulation" else False)
+        """Return the model that trajectories tell, and the delay, fitted in turn with it."""
+        free = constraints.free
 
         def _fitted(found: Model, delay: float) -> Model:
             return refine_trajectory(*found, free, recording.measured(delay), descent, recording.guessed(delay).x)
