@@ -52,6 +52,29 @@ def test_tests_of_the_page_pass(extended):
     assert re.search(r"^4 passed", printed, re.M)
 
 
+@pytest.mark.parametrize(("source", "functions"), [("simulated", 15), ("logged", 6)])
+def test_a_log_gets_the_library_of_the_page_for_logs(extended, source, functions, tmp_path):
+    # Monomials of three states and one input up to the second degree are 1 + 4 + 10.
+    (block,) = re.findall(r"```yaml\nplant:\n(  library: .*?)```", PAGE.read_text(), re.S)
+    file = (extended / "conf/system/servo.yaml").read_text()
+    assert "  library: polynomial\n" in file
+    shutil.copytree(extended / "conf", tmp_path / "conf")
+    (tmp_path / "conf/system/servo.yaml").write_text(file.replace("  library: polynomial\n", block))
+    chosen = ["data=csv", "data.path=log.csv"] if source == "logged" else []
+    printed = run(
+        extended,
+        "-c",
+        "import sys, hydra, hydra.utils\n"
+        f"with hydra.initialize_config_dir({str(tmp_path / 'conf')!r}, version_base='1.3'):\n"
+        "    cfg = hydra.compose('identify', ['system=servo', *sys.argv[1:]])\n"
+        "plant = hydra.utils.instantiate(cfg.system)\n"
+        "model = hydra.utils.instantiate(cfg.world_model, _convert_='all')(signature=plant.signature)\n"
+        "print(len(model.library), 'tanh(10 Omega)' in model.library.names)",
+        *chosen,
+    )
+    assert printed.split() == [str(functions), str(source == "logged")]
+
+
 @pytest.mark.slow
 def test_the_command_of_the_page_trains(extended):
     folder = extended / "run"

@@ -268,8 +268,11 @@ def judge(case: Case, plant: str, parts: Parts, seed: int) -> Iterable[tuple[str
     facts = PLANTS[plant]
     if case.unseen:
         env, policy = parts.plant, parts.agent.deployed
-        box = (facts.low, facts.high, NOISE, seed)
-        for name, metric, result, errors in following(env, policy) if case.moving else holding(env, policy, *box):
+        if case.moving:
+            flights = following(env, policy, parts.sensing)
+        else:
+            flights = holding(env, policy, facts.low, facts.high, NOISE, seed, parts.sensing)
+        for name, metric, result, errors in flights:
             yield name, metric, _numbers(result, errors)
         return
     steps = step_references(facts.low, facts.high, 64)

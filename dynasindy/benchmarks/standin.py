@@ -20,6 +20,7 @@ from dynasindy.benchmarks.instruments.commit import commit
 from dynasindy.benchmarks.instruments.rig import closed_loop, write_log
 from dynasindy.evaluation.rows import Row, write_rows
 
+COMMAND = Path(__file__).resolve().parents[2] / "scripts" / "identify.py"
 RESULTS, SECONDS, LOGS = Path("docs/results/standin.csv"), 120.0, 3
 CASES = {"still": 0.0, "gusts": 0.01}
 """Standard deviation of accelerations that nothing explains [rad/s^2]."""
@@ -59,7 +60,7 @@ def identified(folder: Path) -> Iterator[Row]:
     """
     words = ["data=csv", f"data.path={folder / 'log.csv'}", "system=tras", "data.validation_share=0.5"]
     places = [f"folder={folder}", f"hydra.run.dir={folder}"]
-    done = subprocess.run([sys.executable, "scripts/identify.py", *words, *places], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, str(COMMAND), *words, *places], capture_output=True, text=True)
     if done.returncode:
         raise RuntimeError(f"identify.py ended with {done.returncode}: {done.stderr.strip()}")
     metrics = json.loads((folder / "metrics.json").read_text())

@@ -1,7 +1,8 @@
 """What goes wrong between the laboratory and the model: wind, other parameters, noise, delay.
 
 `Pushed` and `Detuned` are plants made from a plant, for `Scenario.plant`; `SensorNoise` and `DelayedActuator`
-are policies made from a policy, for `Scenario.wrappers`.
+are policies made from a policy, for `Scenario.wrappers`. Where a run has sensors and an observer, `SensorNoise` says
+how much noisier the sensors are.
 """
 
 from collections import deque
@@ -12,8 +13,8 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.scenarios import Policy
 from dynasindy.limits import Count
+from dynasindy.sensing.transform import Policy
 from dynasindy.systems import Signature, System
 
 
@@ -74,6 +75,9 @@ class Detuned(System):
 
 class SensorNoise:
     """A policy that sees the states through noisy sensors.
+
+    A policy that flies by the estimates of an observer is not wrapped: `evaluate` adds the noise to the measurements
+    in front of the observer then, which does not know of it.
 
     Args:
         policy: The policy.

@@ -16,6 +16,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.data.sound import require_finite
 from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.disturbances import SensorNoise
 from dynasindy.evaluation.given import plain_name
 from dynasindy.evaluation.metrics import tracking_metrics
 from dynasindy.limits import Count, check_memory
@@ -165,7 +166,8 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensi
         env: Environment whose plant, task and control period are meant.
         policy: Policy to run; its exploration is off.
         scenario: Situation to run it in.
-        sensing: Sensors and observer through which the policy sees the plant; the metrics see it as it is.
+        sensing: Sensors and observer through which the policy sees the plant; the metrics see it as it is. Noise of the
+            scenario is then added to the measurements.
 
     Raises:
         TypeError: The task does not track a reference.
@@ -177,6 +179,8 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensi
     wrapped = policy if sensing is None else sensing.on(calm, sensing.rng).controller(policy)
     for wrap in scenario.wrappers:
         wrapped = wrap(wrapped, calm)
+        if sensing is not None and isinstance(wrapped, SensorNoise):  # noise is of what the observer reads
+            sensing, wrapped = sensing.noisier(wrapped.std.tolist()), wrapped.policy
     state = task.initial_state(torch.Size((scenario.episodes,)), calm.rng)
     start: TensorDictBase = calm.start_from(state)
     if sensing is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -114,6 +114,19 @@ class Sensors:
             value = x[..., i] + channel.noise * noise[..., i]
             y[..., i] = (value / channel.resolution).round() * channel.resolution if channel.resolution else value
         return torch.where(x.isfinite(), y.masked_fill(lost, torch.nan), torch.inf)
+
+    def noisier(self, std: Mapping[str, float]) -> Sensors:
+        """Return the same sensors with more white noise on what they measure; what is not measured stays unmeasured.
+
+        Args:
+            std: Standard deviation of what is added, by name of a state [unit of the state]; none where not named.
+        """
+        channels = {name: _channel(name, given) for name, given in (self.channels or {}).items()}
+        louder = {
+            name: replace(channel, noise=math.hypot(channel.noise, std.get(name, 0.0)))
+            for name, channel in channels.items()
+        }
+        return replace(self, channels=louder)
 
     def rate_indices(self, signature: Signature) -> dict[int, int]:
         """Return the index of a state to that of its rate."""

@@ -14,7 +14,7 @@ of an evaluation may read them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -26,6 +26,7 @@ from torchrl.envs import Transform, TransformedEnv
 from dynasindy.envs import ControlEnv
 from dynasindy.sensing.observer import Belief, Observer
 from dynasindy.sensing.offset import OffsetFree
+from dynasindy.sensing.sensors import Sensors
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 """Reads `observation` of a tensordict and writes `action`."""
@@ -38,16 +39,33 @@ class Sensing(Transform):
         env: The real environment.
         observer: Observer, with the sensors that it reads.
         rng: Generator of noise and losses.
+        added: Standard deviation of white noise of which the observer does not know, by name of a measured state.
     """
 
-    def __init__(self, env: ControlEnv, observer: Observer, rng: torch.Generator) -> None:
+    def __init__(
+        self, env: ControlEnv, observer: Observer, rng: torch.Generator, added: Mapping[str, float] | None = None
+    ) -> None:
         super().__init__(in_keys=[], out_keys=["true_state", "true_reward", "measurement", "observer"])
         self.__dict__["env"] = env  # transforms have parents, not children
-        self.observer, self.rng = observer, rng
+        self.observer, self.rng, self.added = observer, rng, dict(added or {})
 
     def on(self, env: ControlEnv, rng: torch.Generator) -> Sensing:
         """Return the same sensors and observer for another environment of the same plant, with their own generator."""
-        return Sensing(env, self.observer, rng)
+        return Sensing(env, self.observer, rng, self.added)
+
+    def noisier(self, std: Sequence[float]) -> Sensing:
+        """Return the same sensors with more noise than the observer knows of.
+
+        Args:
+            std: Standard deviation of white noise that is added to the measurement of each state [unit of the state].
+        """
+        names = self.env.system.signature.state_names
+        return Sensing(self.env, self.observer, self.rng, dict(zip(names, std, strict=True)))
+
+    @property
+    def sensors(self) -> Sensors:
+        """What the plant is read by."""
+        return self.observer.sensors.noisier(self.added) if self.added else self.observer.sensors
 
     def around(self, env: ControlEnv) -> TransformedEnv:
         """Return an environment seen through the same sensors and observer, its noise drawn from the same generator."""
@@ -60,7 +78,7 @@ class Sensing(Transform):
     @torch.no_grad()
     def begin(self, start: TensorDictBase) -> TensorDictBase:
         """Hide the true states in which episodes begin; until then the plant was at rest, and inputs zero."""
-        x, sensors = start["state"], self.observer.sensors
+        x, sensors = start["state"], self.sensors
         y = sensors.read(x, self.env.system.signature, self.rng)
         n_u, batch = self.env.system.signature.n_u, x.shape[:-1]
         held = {
@@ -85,14 +103,14 @@ class Sensing(Transform):
         inputs = torch.cat([tensordict["observer", "inputs"][..., 1:, :], commanded], -2)
         tensordict["estimate"], tensordict["state"] = tensordict["state"], tensordict["true_state"]
         tensordict["observer", "inputs"] = inputs
-        tensordict["action"] = inputs[..., -1 - self.observer.sensors.actuator_delay, :]
+        tensordict["action"] = inputs[..., -1 - self.sensors.actuator_delay, :]
         return tensordict
 
     @torch.no_grad()
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         """Measure what the plant did, and estimate where it is."""
         before, after, task = tensordict["observer"], next_tensordict, self.env.task
-        y = self.observer.sensors.read(after["samples"], self.env.system.signature, self.rng)
+        y = self.sensors.read(after["samples"], self.env.system.signature, self.rng)
         measurements = torch.cat([before["measurements"][..., 1:, :], y[..., -1:, :]], -2)
         belief = self.observer.advance(Belief(before["mean"], before["covariance"]), before["inputs"])
         belief, nis, _ = self.observer.correct(belief, measurements[..., 0, :])

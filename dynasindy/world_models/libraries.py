@@ -1,4 +1,4 @@
-"""Named libraries, each built from a signature: the two of the paper, rotor terms, polynomial, fourier.
+"""Named libraries, each built from a signature: the two of the paper, rotor, friction, dead zone, polynomial, fourier.
 
 Source of the first two: the paper's table "SINDY model Xi matrix" (27 functions) and its display equation of
 Theta(X, U) (40 functions).
@@ -17,6 +17,10 @@ from dynasindy.world_models.library import Library
 LIMIT = "the limit is arbitrary: more functions would hardly be told apart"
 DRY = 10.0
 """First guess of the inverse of the rate at which dry friction is full [s/rad]."""
+FULL, SLIPS = 20.0, 4.0
+"""First guesses of the parts of a rate's range at which dry friction is full, and beyond which it no longer sticks."""
+SLACK = 0.1
+"""First guess of the input that a dead zone swallows."""
 LibraryBuilder = Callable[[Signature], Library]
 
 
@@ -148,6 +152,43 @@ def fourier(
     return Library(signature, (of(f, n, frequency=float(k)) for k in harmonics for n in names for f in ("sin", "cos")))
 
 
+def friction(signature: Signature, rates: Iterable[str] | None = None) -> Library:
+    """Build linear functions, and dry friction that may be another in each direction, as Coulomb's and Stribeck's.
+
+    Of a rate v: tanh(v / width), which is full beyond a small rate; the same times exp(-(v / slip)^2), which is gone
+    beyond a larger one; and both times sign(v). The friction of one direction is the sum of a function and of that with
+    the sign, that of the other is their difference. Both widths are fitted.
+
+    Args:
+        signature: names of states and inputs.
+        rates: states that friction opposes; by default those whose unit is one per second, all if there is none.
+    """
+    if rates is None:
+        units = zip(signature.state_names, signature.state_units, strict=True)
+        rates = [name for name, unit in units if unit.endswith("/s")] or signature.state_names
+    functions = [CONSTANT, *(variable(n) for n in _variables(signature))]
+    for rate in rates:
+        scale = signature.x_scale[signature.state_index(rate)]
+        dry = of("tanh", rate, frequency=FULL / scale, fitted=True)
+        sticking = of("bell", rate, frequency=SLIPS / scale, fitted=True) * dry
+        functions += [g * f for g in (CONSTANT, of("sign", rate)) for f in (dry, sticking)]
+    return Library(signature, functions)
+
+
+def dead_zone(signature: Signature, inputs: Iterable[str] | None = None) -> Library:
+    """Build linear functions, and two bends of each input u: max(0, u - p) and max(0, u + q), p and q fitted.
+
+    A dead zone from -q to p is u + q + max(0, u - p) - max(0, u + q); a saturation has the opposite signs.
+
+    Args:
+        signature: names of states and inputs.
+        inputs: inputs with a dead zone, by default all.
+    """
+    names = signature.input_names if inputs is None else tuple(inputs)
+    bends = [of("hinge", u, frequency=edge, fitted=True) for u in names for edge in (SLACK, -SLACK)]
+    return Library(signature, [CONSTANT, *(variable(n) for n in _variables(signature)), *bends])
+
+
 def terms(signature: Signature, functions: Iterable[str], variables: Iterable[str]) -> Library:
     """Build registered functions, user functions included, of each given state or input.
 
@@ -192,6 +233,8 @@ NAMED: dict[str, LibraryBuilder] = {
     "rotor_reaction": rotor_reaction,
     "polynomial": polynomial,
     "fourier": fourier,
+    "friction": friction,
+    "dead_zone": dead_zone,
 }
 """Libraries that a word selects."""
 

@@ -124,16 +124,24 @@ def reconstruct(data: Transitions, rates: Mapping[int, int], noisy: bool = False
     return replace(data, x=x, x_next=x_next)
 
 
-def imagined(library: Library, xi: Tensor, data: Transitions, guess: Transitions) -> Transitions:
-    """Guess the states that no sensor sees by a first model, which the measured states lead.
+def imagined(
+    library: Library, xi: Tensor, data: Transitions, guess: Transitions, rates: Mapping[int, int]
+) -> Transitions:
+    """Guess the states that no sensor sees in any form by a first model, which the measured states lead.
+
+    The rate of a measured state is seen in that state, and stays as it was reconstructed.
 
     Args:
         library: candidate functions.
         xi: coefficients of the first model, `(n_features, n_x)`.
         data: the recording, NaN where a state was not measured.
         guess: the same, as far as it can be guessed without a model.
+        rates: which state is the rate of which other one, `{rate: state}`.
     """
-    hidden = data.x.isnan().all(0) & data.x_next.isnan().all(0)
+    unseen = data.x.isnan().all(0) & data.x_next.isnan().all(0)
+    hidden = unseen.clone()
+    for rate, state in rates.items():
+        hidden[rate] &= unseen[state]
     if not bool(hidden.any()):
         return guess
     field, x, x_next = generate(library, xi), guess.x.clone(), guess.x_next.clone()

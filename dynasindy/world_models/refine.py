@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -13,20 +14,24 @@ from dynasindy.limits import Count
 from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.constraints import Constraints
-from dynasindy.world_models.delay import Cost, delayed, fine_delay, known_inputs, rough_delay
+from dynasindy.world_models.delay import delayed, fine_delay, known_inputs, rough_delay
 from dynasindy.world_models.fast_field import generate
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.measured import Seen, rates_known, reconstruct
 from dynasindy.world_models.one_step import refine_one_step
 from dynasindy.world_models.regression import Regression, RunningSums
 from dynasindy.world_models.shapes import fit_shapes
-from dynasindy.world_models.trajectory import Descent, refine_trajectory, trajectory_cost
+from dynasindy.world_models.shooting import RunsAway
+from dynasindy.world_models.trajectory import WORSE, Descent, refine_trajectory, strain, trajectory_cost
 
 AGAIN = 3
 """Rounds at most in which delay and equations are fitted in turn."""
 STEPS = 6
 """Gauss-Newton steps after which two delays are compared."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
+ERRORS = ("auto", "simulation", "prediction")
+Model = tuple[Library, Tensor]
+"""A library with the numbers inside its fitted factors, and coefficients, `(n_features, n_x)`."""
 
 
 class Refined(NamedTuple):
@@ -46,6 +51,46 @@ class Refined(NamedTuple):
 
 
 @dataclass(frozen=True)
+class Recording:
+    """Hold a recording, to be read under inputs that act later than they were given.
+
+    Attributes:
+        data: transitions, NaN where a state was not measured.
+        guess: the same, the states that were not measured guessed.
+        rates: which state is the rate of which other one, `{rate: state}`.
+        known: rows whose inputs are known however late they act, bool `(N,)`.
+        noisy: whether states that were all measured are noisy: `guess` holds them smoothed then.
+    """
+
+    data: Transitions
+    guess: Transitions
+    rates: Mapping[int, int]
+    known: Tensor
+    noisy: bool = False
+
+    @classmethod
+    def of(cls, data: Transitions, guess: Transitions, rates: Mapping[int, int], longest: float) -> Recording:
+        """Leave out the rows whose inputs of up to `longest` seconds before are not known."""
+        return cls(data, guess, rates, known_inputs(data, longest))
+
+    def smoothed(self) -> Recording:
+        """Return the recording as one whose samples are noisy, wherever it is read from now on."""
+        return replace(self, guess=reconstruct(self.data, self.rates, True), noisy=True)
+
+    def measured(self, delay: float) -> Transitions:
+        """Return what was measured, under inputs that act `delay` seconds later."""
+        return delayed(self.data, delay).select(self.known)
+
+    def guessed(self, delay: float) -> Transitions:
+        """Return the same with a guess of every state."""
+        return delayed(self.guess, delay).select(self.known)
+
+    def seen(self, delay: float) -> Seen:
+        """Return what regressions read, under inputs that act `delay` seconds later."""
+        return Seen.of(self.guessed(delay), self.measured(delay), self.rates, self.noisy)
+
+
+@dataclass(frozen=True)
 class Refinement:
     """Settings of the refinement.
 
@@ -61,7 +106,9 @@ class Refinement:
         longest_delay: longest delay of the inputs that is looked for [s], in whole samples, by `trajectory` in
             fractions of them; 0 takes the inputs as they are.
         error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), or of
-            windows that begin anew (`prediction`), for plants that are pushed at random or unstable.
+            windows that begin anew (`prediction`), for plants that are pushed at random or unstable; `auto` fits such
+            windows too, and takes them if they leave over much less. The default is `auto` for the method `auto`, and
+            `simulation` for others.
 
     Raises:
         ValueError: a setting is not allowed.
@@ -72,13 +119,13 @@ class Refinement:
     tolerance: float = 1e-6
     window: int = 20
     longest_delay: float = 0.0
-    error: Literal["simulation", "prediction"] = "simulation"
+    error: Literal["auto", "simulation", "prediction"] | None = None
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise ValueError(f"refinement got method {self.method!r}; allowed are {', '.join(METHODS)}: choose one")
-        if self.error not in ("simulation", "prediction"):
-            raise ValueError(f"refinement got error {self.error!r}; allowed are simulation, prediction: choose one")
+        if self.error not in (None, *ERRORS):
+            raise ValueError(f"refinement got error {self.error!r}; allowed are {', '.join(ERRORS)}: choose one")
         if not 0 <= self.longest_delay < math.inf:
             raise ValueError(f"refinement got longest_delay {self.longest_delay} s; allowed is 0 or more")
         if self.rounds < 0 or not self.tolerance > 0 or self.window < 1:
@@ -105,50 +152,82 @@ class Refinement:
             guess: the same, the states that were not measured guessed; needed where there are such states.
         """
         guess = data if guess is None else guess
-        rates, free, delay = rates_known(library, constraints), constraints.free, 0.0
-        if self.longest_delay:
-            known = known_inputs(data, self.longest_delay)
-
-            def _late(delay: float) -> tuple[Transitions, Seen]:
-                """Return the recording under delayed inputs, without the rows whose inputs are not known."""
-                measured, guessed = (delayed(part, delay).select(known) for part in (data, guess))
-                return measured, Seen.of(guessed, measured, rates)
-
-            field = generate(library, coefficients)
-            delay = rough_delay(free, lambda d: _late(d)[1].rows(library, field), data.dt, self.longest_delay)
-            measured, seen = _late(delay)
-        else:
-            measured, seen = data, Seen.of(guess, data, rates)
-        library, coefficients = self._regressed(library, coefficients, constraints, seen)
-        method, noisy, notes = self._chosen(library, coefficients, data, seen.guess)
-        if noisy and method == "trajectory":
-            seen = Seen.of(reconstruct(measured, rates, True), measured, rates, True)
-            library, coefficients = self._regressed(library, coefficients, constraints, seen)
+        recording = Recording.of(data, guess, rates_known(library, constraints), self.longest_delay)
+        delay = self._rough(library, coefficients, constraints, recording)
+        found = self._regressed(library, coefficients, constraints, recording.seen(delay))
+        method, noisy, notes = self._chosen(*found, data, recording.guessed(delay))
         if method == "one_step":
-            return Refined(*refine_one_step(library, coefficients, free, seen.guess, self.tolerance), delay, notes)
+            found = refine_one_step(*found, constraints.free, recording.guessed(delay), self.tolerance)
         if method == "trajectory":
-            descent = Descent(min(self.window, len(measured)), None if self.error == "simulation" else False)
-            found = library, coefficients
-            if self.longest_delay:
-                few = replace(descent, max_rounds=STEPS)
+            if noisy:
+                recording = recording.smoothed()
+                found = self._regressed(*found, constraints, recording.seen(delay))
+            found, delay, why = self._by_trajectories(found, delay, constraints, recording)
+            notes += why
+        return Refined(*found, delay, notes)
 
-                def _cost(delay: float) -> float:
-                    trial, start = _late(delay)
-                    return trajectory_cost(*found, free, trial, few, start.guess.x)
+    def _rough(self, library: Library, coefficients: Tensor, constraints: Constraints, recording: Recording) -> float:
+        """Return the delay of whole samples that a regression finds [s]; 0 where none is looked for."""
+        if not self.longest_delay:
+            return 0.0
+        field, dt = generate(library, coefficients), recording.data.dt
+        return rough_delay(constraints.free, lambda d: recording.seen(d).rows(library, field), dt, self.longest_delay)
 
-                delay = self._fine(delay, len(data), data.dt, _cost)
-                measured, seen = _late(delay)
-                found = self._regressed(library, coefficients, constraints, seen)
-            found = refine_trajectory(*found, free, measured, descent, seen.guess.x)
-            # The equations that were chosen tell the delay better than those they were chosen from.
-            for _ in range(AGAIN if self.longest_delay else 0):
-                last, delay = delay, self._fine(delay, len(data), data.dt, _cost)
-                if abs(delay - last) < 0.02 * data.dt:
-                    break
-                measured, seen = _late(delay)
-                found = refine_trajectory(*found, free, measured, descent, seen.guess.x)
-            return Refined(*found, delay, notes)
-        return Refined(library, coefficients, delay, notes)
+    def _by_trajectories(
+        self, first: Model, rough: float, constraints: Constraints, recording: Recording
+    ) -> tuple[Model, float, tuple[str, ...]]:
+        """Return the model that trajectories tell, the delay, and which error was minimised if that was chosen."""
+        descent = Descent(min(self.window, int(recording.known.sum())))
+        alone = replace(descent, joined=False)
+        error = self.error or ("auto" if self.method == "auto" else "simulation")
+        if error != "auto":
+            kind = alone if error == "prediction" else descent
+            return *self._in_turn(first, rough, constraints, recording, kind), ()
+        try:
+            found, delay = self._in_turn(first, rough, constraints, recording, descent)
+            start = recording.guessed(delay).x
+            ratio = strain(*found, constraints.free, recording.measured(delay), descent, start)
+        except RunsAway:
+            why = "a trajectory through all samples runs away"
+        else:
+            worst = int(ratio.argmax())
+            name = first[0].signature.state_names[worst]
+            why = f"of {name} a trajectory through all has {ratio[worst]:.2f} times the error of such windows"
+            if float(ratio[worst]) <= WORSE:
+                return found, delay, (f"error=simulation: {why}, which noise of the sensors explains",)
+            why += ", so that something pushes the plant, or functions are missing"
+        note = f"error=prediction, over windows of {descent.window} samples: {why}"
+        return *self._in_turn(first, rough, constraints, recording, alone), (note,)
+
+    def _in_turn(
+        self, found: Model, delay: float, constraints: Constraints, recording: Recording, descent: Descent
+    ) -> tuple[Model, float]:
+        """Return the model that trajectories tell, and the delay, fitted in turn with it."""
+        free = constraints.free
+
+        def _fitted(found: Model, delay: float) -> Model:
+            return refine_trajectory(*found, free, recording.measured(delay), descent, recording.guessed(delay).x)
+
+        if not self.longest_delay:
+            return _fitted(found, delay), delay
+        delay = self._fine(delay, found, free, recording, descent)
+        found = _fitted(self._regressed(*found, constraints, recording.seen(delay)), delay)
+        # The equations that were chosen tell the delay better than those they were chosen from.
+        for _ in range(AGAIN):
+            last, delay = delay, self._fine(delay, found, free, recording, descent)
+            if abs(delay - last) < 0.02 * recording.data.dt:
+                break
+            found = _fitted(found, delay)
+        return found, delay
+
+    def _fine(self, delay: float, found: Model, free: Tensor, recording: Recording, descent: Descent) -> float:
+        """Return the delay in fractions of a sample that a few steps of the fit to trajectories find [s]."""
+        few, data = replace(descent, max_rounds=STEPS), recording.data
+
+        def _cost(trial: float) -> float:
+            return trajectory_cost(*found, free, recording.measured(trial), few, recording.guessed(trial).x)
+
+        return fine_delay(delay, data.dt, self.longest_delay, math.log(max(len(data), 2)), _cost)
 
     def _chosen(
         self, library: Library, coefficients: Tensor, data: Transitions, guess: Transitions
@@ -165,13 +244,7 @@ class Refinement:
             return "trajectory", True, ("fitted whole trajectories: one-step errors look like noise of the sensors",)
         return "one_step", False, ("fitted one step ahead: one-step errors do not look like noise of the sensors",)
 
-    def _fine(self, delay: float, n: int, dt: float, cost: Cost) -> float:
-        """Return the delay in fractions of a sample [s]."""
-        return fine_delay(delay, dt, self.longest_delay, math.log(max(n, 2)), cost)
-
-    def _regressed(
-        self, library: Library, coefficients: Tensor, constraints: Constraints, seen: Seen
-    ) -> tuple[Library, Tensor]:
+    def _regressed(self, library: Library, coefficients: Tensor, constraints: Constraints, seen: Seen) -> Model:
         """Repeat the regression with what is known of the states between samples, and fit numbers inside functions."""
         regression = Regression(method="bic", tolerance=self.tolerance, dependent=seen.dependent)
         for _ in range(self.rounds):

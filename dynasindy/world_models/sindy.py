@@ -31,9 +31,9 @@ from dynasindy.world_models.fast_field import Field, generate
 from dynasindy.world_models.files import load, save
 from dynasindy.world_models.libraries import LibraryBuilder, build_library
 from dynasindy.world_models.library import Library
-from dynasindy.world_models.measured import Seen, imagined, rates_known, reconstruct
-from dynasindy.world_models.refine import Refinement
-from dynasindy.world_models.regression import Regression, RunningSums, integral_form
+from dynasindy.world_models.measured import imagined, rates_known, reconstruct
+from dynasindy.world_models.refine import Recording, Refinement
+from dynasindy.world_models.regression import Regression, Rows, RunningSums, integral_form
 from dynasindy.world_models.report import FitReport
 from dynasindy.world_models.selection import DEPENDENT
 from dynasindy.world_models.shooting import RunsAway
@@ -147,34 +147,38 @@ class SindyModel(WorldModel):
             ValueError: a sample is not finite.
             Diverged: a coefficient is not finite; the model stays as it was.
         """
-        self.sums = RunningSums(len(self.library), self.signature.n_x)
-        return self.update(transitions)
+        return self._identify(transitions, RunningSums(len(self.library), self.signature.n_x), 0.0)
 
     def update(self, transitions: Transitions) -> FitReport:
         """Identify the model anew from all earlier data and new transitions, at the cost of the new ones.
 
-        The refinement, if any, works on the new transitions.
+        The refinement, if any, works on the new transitions. Where it changes a number inside a function or the delay
+        of the inputs, what was summed of earlier data is of other functions, and left out.
 
         Raises:
             ValueError: there are fewer samples than functions.
             ValueError: a sample is not finite.
             Diverged: a coefficient is not finite; the model stays as it was.
         """
+        return self._identify(transitions, self.sums, self.delay)
+
+    def _identify(self, transitions: Transitions, sums: RunningSums, delay: float) -> FitReport:
+        """Fit to the sums of earlier data and to new transitions, whose inputs act `delay` seconds later."""
         start = time.perf_counter()
-        data = transitions.to(torch.float64)
+        data, self.sums = transitions.to(torch.float64), sums
         self._check(data)
-        rates = rates_known(self.library, self.constraints)
+        rates, first = rates_known(self.library, self.constraints), None
         guess = reconstruct(data, rates)
         if self.initial is not None:
-            guess = imagined(
-                self.library, torch.where(self.constraints.free, self.initial, self.constraints.offset), data, guess
-            )
-        seen = Seen.of(guess, data, rates)
-        self.sums.add(seen.rows(self.library, self) if seen.half else integral_form(self.library, guess))
-        if self.initial is None:
-            self._solve(self.sums, seen.dependent)
+            first = torch.where(self.constraints.free, self.initial, self.constraints.offset)
+            guess = imagined(self.library, first, data, guess, rates)
+        recording = Recording.of(data, guess, rates, delay)
+        self.sums.add(self._rows(recording, delay))
+        if first is None:
+            self._solve(self.sums, recording.seen(delay).dependent)
         else:
-            self.set_coefficients(torch.where(self.constraints.free, self.initial, self.constraints.offset))
+            self.set_coefficients(first)
+        self.delay = delay
         notes = self._refine(data, guess)
         seconds = time.perf_counter() - start
         return FitReport.of(self.library, self.coefficients, self.sums, seconds, notes, data.dt)
@@ -252,11 +256,12 @@ class SindyModel(WorldModel):
         if self.coefficients[self.constraints.free].any() and not refined[self.constraints.free].any():
             return ["the refinement dropped every function, so the fit before it stays; collect more or cleaner data"]
         self.set_coefficients(refined)
-        self.delay = found.delay
-        if found.library is not self.library:
+        if found.library is not self.library or found.delay != self.delay:
             # The functions are others now, and so are the sums of their products.
-            self.library, self.sums = found.library, RunningSums(len(self.library), self.signature.n_x)
-            self.sums.add(integral_form(self.library, guess))
+            self.library, self.delay = found.library, found.delay
+            self.sums = RunningSums(len(self.library), self.signature.n_x)
+            recording = Recording.of(data, guess, rates_known(self.library, self.constraints), self.delay)
+            self.sums.add(self._rows(recording, self.delay))
         if self.refinement.method == "integral" or len(data) <= ENOUGH:
             return list(found.notes)
         return [
@@ -264,6 +269,11 @@ class SindyModel(WorldModel):
             f"functions were chosen on {ENOUGH} of {len(data)} rows, in {STRETCHES} stretches spread evenly over them; "
             "the coefficients were fitted on all rows",
         ]
+
+    def _rows(self, recording: Recording, delay: float) -> Rows:
+        """Return averaged functions and rates of change, under inputs that act `delay` seconds later."""
+        seen = recording.seen(delay)
+        return seen.rows(self.library, self) if seen.half else integral_form(self.library, seen.guess)
 
     def _solve(self, sums: RunningSums, dependent: float = DEPENDENT) -> None:
         regression = replace(self.regression, dependent=dependent) if dependent > DEPENDENT else self.regression

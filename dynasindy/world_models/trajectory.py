@@ -43,6 +43,8 @@ FARTHEST = 1e6
 """The same, beyond which a trajectory begins anew: the effects of all coefficients look alike after such a growth."""
 WORSE = 1.2
 """Factor on the errors of windows on their own, beyond which a trajectory through all of them does not fit."""
+NEGLIGIBLE = 1e-6
+"""Part of the spread of a state below which its error is of the arithmetic, and tells nothing of the plant."""
 
 
 @dataclass(frozen=True)
@@ -178,6 +180,35 @@ def trajectory_cost(
     parameters = Parameters.where(support)
     estimate = _converge(estimate, parameters, windows, descent.max_rounds)
     return _left_over(Flow.of(estimate, parameters, windows).sigma(windows), windows)
+
+
+def strain(library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor) -> Tensor:
+    """Return how many times the error of windows on their own a trajectory has, `(n_x,)`; 0 where none was measured.
+
+    With noise of the sensors alone it is 1, but for the start states of windows on their own, which fit a part of the
+    noise and are allowed for. Where something pushes the plant, or functions are missing, a trajectory strays.
+
+    Args:
+        library: candidate functions.
+        xi: what was found, `(n_features, n_x)`; its support stays.
+        free: coefficients that may be estimated, bool `(n_features, n_x)`.
+        data: the recording, NaN where a state was not measured.
+        descent: how many steps, over which windows.
+        start: guess of the states before each transition, `(N, n_x)`.
+    """
+    some = spread(len(data), ENOUGH)
+    support, data = (xi != 0) & free, data.to(torch.float64).select(some)
+    if not bool(support.any()):
+        return torch.ones(xi.shape[1], dtype=torch.float64)
+    first, windows = _grown(Estimate(library, xi, start[some]), support, data, replace(descent, joined=None))
+    if not bool(data.x_next.isnan().any()):
+        windows = replace(windows, joined=_grows(first, windows)[1])
+    alone, parameters = replace(windows, joined=torch.zeros_like(windows.joined)), Parameters.where(support)
+    error, own = (_sigma(_converge(first, parameters, part, descent.max_rounds), part) for part in (windows, alone))
+    told = float(windows.mask.sum() + (~windows.first.isnan()).sum())
+    allowed = math.sqrt(max(1 - first.nodes.numel() / max(told, 1.0), NEGLIGIBLE))
+    floor = NEGLIGIBLE * first.nodes.std(0, correction=0) + EXACT
+    return torch.where(error > EXACT, (error + floor) / (own / allowed + floor), 0.0)
 
 
 def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Descent) -> tuple[Estimate, Windows]:

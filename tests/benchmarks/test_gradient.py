@@ -104,11 +104,11 @@ def test_what_nothing_was_tuned_on_is_flown_by_the_policies_of_the_tuned_cases(m
     monkeypatch.setattr(gradient, "holding", flown("holding"))
     monkeypatch.setattr(gradient, "following", flown("following"))
     monkeypatch.setattr(gradient, "_numbers", lambda result, errors: {"azimuth": (result, errors)})
-    parts = SimpleNamespace(plant="env", agent=SimpleNamespace(deployed="policy"))
+    parts = SimpleNamespace(plant="env", agent=SimpleNamespace(deployed="policy"), sensing="sensing")
     for case in ("unseen", "unseen_moving"):
         ((_, metric, numbers),) = gradient.judge(gradient.CASES[case], "tras", parts, 3)
         assert metric == "m" and numbers == {"azimuth": ("result", "errors")}
     assert asked == {
-        "holding": ("env", "policy", (-0.5, -0.5), (0.5, 0.4), gradient.NOISE, 3),
-        "following": ("env", "policy"),
+        "holding": ("env", "policy", (-0.5, -0.5), (0.5, 0.4), gradient.NOISE, 3, "sensing"),
+        "following": ("env", "policy", "sensing"),
     }

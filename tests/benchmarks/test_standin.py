@@ -16,6 +16,17 @@ def test_the_benchmark_has_a_command(capsys):
     assert "--logs" in capsys.readouterr().out
 
 
+def test_the_command_is_found_from_any_folder(tmp_path, monkeypatch):
+    (tmp_path / "log.csv").write_text("time,alpha_a\n0,1\n")
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    # What is wrong is the log, which the command has read, and not that there is no command.
+    with pytest.raises(RuntimeError, match=r"identify.py ended with 2: error: .*has no column 'alpha_p'"):
+        list(standin.identified(tmp_path))
+    assert not list(elsewhere.iterdir())
+
+
 def test_its_published_rows_are_of_all_three_methods_on_each_log():
     with RESULTS.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))

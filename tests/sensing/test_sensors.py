@@ -45,6 +45,13 @@ def test_the_variance_is_that_of_noise_and_of_rounding():
     assert spread.tolist() == [pytest.approx(0.03), math.inf, pytest.approx(4.03)]
 
 
+def test_more_noise_is_added_in_squares_to_what_is_measured_and_to_nothing_else():
+    sensors = Sensors({"a": {"resolution": 0.6}, "c": Channel(noise=3.0)}, delay=2, lost=0.1)
+    louder = sensors.noisier({"b": 1.0, "c": 4.0})
+    assert louder.variance(SIGNATURE).tolist() == [pytest.approx(0.03), math.inf, pytest.approx(25.0)]
+    assert sensors.variance(SIGNATURE)[2] == pytest.approx(9.0) and (louder.delay, louder.lost) == (2, 0.1)
+
+
 def test_a_plant_that_left_all_numbers_is_not_taken_for_a_lost_sample():
     y = read(Sensors({"a": {}}), torch.tensor([[math.nan, 0.0, 0.0], [0.0, math.inf, 0.0]]))
     assert y.isinf().tolist() == [[True, False, False], [False, True, False]]

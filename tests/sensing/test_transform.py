@@ -329,3 +329,29 @@ def test_perfect_sensors_fly_as_none_and_the_wrappers_of_a_scenario_see_estimate
     scenario = Scenario("s", Step([[0.3, 0.2]]), 1, 1.0, wrappers=[partial(SensorNoise, std=[0.0] * 6)])
     seen, exact = (evaluate(env, policy(), scenario, each) for each in (sensing, None))
     torch.testing.assert_close(seen.outputs, exact.outputs, rtol=0, atol=1e-6)
+
+
+def test_noise_of_a_scenario_is_of_the_measurement_and_the_observer_filters_it():
+    env, sensing, _ = behind()
+    sensing.observer.q.fill_(1e-2)  # it relies on its model, which is the plant
+    std, saw, believed = [0.02, 0.0, 0.3, 0.3, 150.0, 0.0], [], sensing.observer.variance.clone()
+
+    def keeping(tensordict):
+        saw.append(tensordict["state"].clone())
+        return policy()(tensordict)
+
+    scenario = Scenario("s", Step([[0.3, 0.2]]), 16, 3.0, wrappers=[partial(SensorNoise, std=std)])
+    flown = evaluate(env, keeping, scenario, sensing).trajectory
+    error = (flown["measurement"] - flown["true_state"]).flatten(0, 1)
+    # Independent errors add in squares: what the bench has, and what the scenario adds; rates are not measured.
+    rounding = COUNT / math.sqrt(12)
+    wanted = [math.hypot(rounding, 0.02), rounding, math.nan, math.nan, math.hypot(20.0, 150.0), 20.0]
+    torch.testing.assert_close(error.std(0), torch.tensor(wanted).double(), rtol=0.1, atol=0, equal_nan=True)
+    # The policy sees nothing but the estimate, which is better than what was measured.
+    seen = torch.stack([x for x in saw if len(x) == 16][-60:], 1)
+    assert torch.equal(seen, flown["estimate"]) and torch.equal(sensing.observer.variance, believed)
+    assert 0 < float((seen - flown["true_state"])[:, 20:, 4].std()) < 0.8 * wanted[4]
+    quiet = Scenario("s", Step([[0.3, 0.2]]), 16, 3.0, wrappers=[partial(SensorNoise, std=[0.0] * 6)])
+    without = Scenario("s", Step([[0.3, 0.2]]), 16, 3.0)
+    flights = [evaluate(env, policy(), each, sensing).trajectory["true_state"] for each in (quiet, without)]
+    assert torch.equal(*flights)

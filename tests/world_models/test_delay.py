@@ -120,3 +120,28 @@ def test_a_fit_finds_the_delay_and_the_plant_whatever_was_put_in_before(delay):
     model.fit(Transitions.cat(parts))
     assert model.delay == pytest.approx(delay, abs=0.03 * DT)
     assert model.coefficients[:, 0].tolist() == pytest.approx([A, B], rel=0.01)
+
+
+def unexplained(data: Transitions, xi: list[float], late: int) -> float:
+    """The part of the rate that A y + B u leaves over, u that of `late` samples before, by numpy."""
+    y, u = data.x[:, 0].numpy(), data.u[:, 0].numpy()
+    after, n = data.x_next[:, 0].numpy(), len(y) - late
+    rate, mean = (after - y)[late:] / DT, 0.5 * (y + after)[late:]
+    return float(np.linalg.norm(rate - xi[0] * mean - xi[1] * u[:n]) / np.linalg.norm(rate))
+
+
+def test_the_report_judges_a_model_under_the_inputs_of_its_delay():
+    model = SindyModel(SIGNATURE, LIBRARY, Regression("bic"), Refinement("integral", longest_delay=5 * DT))
+    data = recording(3 * DT)
+    report = model.fit(data)
+    assert model.delay == pytest.approx(3 * DT)
+    # Nothing but the error of the trapezoidal rule is left; without the delay it would be nearly everything.
+    assert report.residual["y"] == pytest.approx(unexplained(data, model.coefficients[:, 0].tolist(), 3), rel=1e-6)
+    assert report.residual["y"] < 0.01 < 0.5 < unexplained(data, model.coefficients[:, 0].tolist(), 0)
+    assert report.samples == 197
+    # What comes later is summed under the same delay, and a fit to a plant without one forgets it.
+    assert model.update(recording(3 * DT, seed=5)).samples == 2 * 197
+    assert model.update(recording(3 * DT, seed=6)).residual["y"] < 0.01
+    model.refinement = None
+    model.fit(recording(0.0))
+    assert model.delay == 0.0 and model.coefficients[:, 0].tolist() == pytest.approx([A, B], rel=0.01)

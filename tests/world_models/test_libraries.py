@@ -6,14 +6,19 @@ import numpy as np
 import pysindy
 import pytest
 import torch
+from scipy.integrate import solve_ivp
 
 from dynasindy.systems import Tras, Xi
 from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.features import of, register_function, variable
 from dynasindy.world_models.libraries import (
     NAMED,
     build_library,
+    dead_zone,
     fourier,
+    friction,
     paper_equation,
     paper_table,
     polynomial,
@@ -176,3 +181,68 @@ def test_what_cannot_be_built_is_refused_in_one_line(build, said):
     with pytest.raises(ValueError, match=r".") as error:
         build()
     assert said in str(error.value) and "\n" not in str(error.value)
+
+
+AXIS = Signature(("a", "w"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
+MOTOR, SPRING, VISCOUS = 8.0, 2.5, 0.6
+COULOMB, EXTRA = {1: 1.5, -1: 0.9}, {1: 1.0, -1: 0.5}
+"""Dry friction that turns one way and the other, and what sticking adds to it [rad/s^2]."""
+WIDTH, SLIP = 30.0, 4.0
+
+
+def axis(t: float, z: np.ndarray, u: float) -> list[float]:
+    """An axis against a spring, written direction by direction."""
+    way = 1 if z[1] > 0 else -1
+    dry = (COULOMB[way] + EXTRA[way] * math.exp(-((SLIP * z[1]) ** 2))) * math.tanh(WIDTH * z[1])
+    return [z[1], MOTOR * u - SPRING * z[0] - VISCOUS * z[1] - dry]
+
+
+def log_of_an_axis(n: int = 1500, dt: float = 0.01) -> Transitions:
+    """Angle and rate under a sum of sines, sampled and held, by scipy."""
+    t = dt * np.arange(n)
+    u = 0.25 * sum(np.sin(2 * np.pi * f * t + phase) for f, phase in ((0.2, 0), (0.5, 1), (0.9, 2), (1.7, 4)))
+    x = [np.zeros(2)]
+    for held in u:
+        x.append(solve_ivp(axis, (0, dt), x[-1], args=(held,), rtol=1e-9, atol=1e-11).y[:, -1])
+    return Transitions.from_trajectory(torch.from_numpy(np.array(x)), torch.from_numpy(u)[:, None], dt)
+
+
+def test_friction_that_differs_by_direction_is_identified_from_a_log():
+    refinement = Refinement("one_step", rounds=4)
+    model = SindyModel(AXIS, "friction", Regression("bic"), refinement, known={"a": "w"})
+    model.fit(log_of_an_axis())
+    width, slip = (shape.frequency for shape in model.library.shapes)
+    assert (width, slip) == (pytest.approx(WIDTH, rel=1e-3), pytest.approx(SLIP, rel=1e-3))
+    found = dict(zip(model.library.names, model.coefficients[:, 1].tolist(), strict=True))
+    dry, stuck = (f"tanh({width:g} w)", f"exp(-({slip:g} w)^2) tanh({width:g} w)")
+    assert found[dry] + found[f"sign(w) {dry}"] == pytest.approx(-COULOMB[1], rel=1e-3)
+    assert found[dry] - found[f"sign(w) {dry}"] == pytest.approx(-COULOMB[-1], rel=1e-3)
+    assert found[stuck] + found[f"sign(w) {stuck}"] == pytest.approx(-EXTRA[1], rel=2e-3)
+    assert found[stuck] - found[f"sign(w) {stuck}"] == pytest.approx(-EXTRA[-1], rel=2e-3)
+    linear = {"a": -SPRING, "w": -VISCOUS, "u": MOTOR, "1": 0.0}
+    assert {name: found[name] for name in linear} == pytest.approx(linear, rel=1e-3, abs=1e-3)
+
+
+def test_a_dead_zone_with_two_edges_is_identified_from_a_noisy_log():
+    signature, rng = Signature(("v",), ("m/s",), ("u",), (1.0,)), np.random.default_rng(1)
+    u, v, phi = rng.uniform(-1, 1, 100).repeat(10), [0.0], math.exp(-1.5 * 0.02)
+    for held in u:  # v' = -1.5 v + 6 d(u), its closed form
+        through = held - 0.25 if held > 0.25 else min(held + 0.14, 0.0)
+        v.append(phi * v[-1] + (1 - phi) / 1.5 * 6 * through)
+    x = torch.tensor(v).double() + 0.01 * torch.from_numpy(rng.normal(size=1001))
+    model = SindyModel(signature, "dead_zone", Regression("bic"), Refinement("auto", rounds=4))
+    model.fit(Transitions.from_trajectory(x[:, None], torch.from_numpy(u)[:, None], 0.02))
+    assert [shape.frequency for shape in model.library.shapes] == pytest.approx([0.25, -0.14], abs=0.01)
+    # 1, v, u, and one bend at either edge; u + 0.14 up to the lower edge and nothing from there to the upper one.
+    expected = [6 * 0.14, -1.5, 6.0, 6.0, -6.0]
+    assert model.coefficients[:, 0].tolist() == pytest.approx(expected, rel=0.03)
+
+
+def test_friction_is_that_of_the_rates_of_a_plant_or_of_the_states_that_are_named():
+    assert {s.variables for s in build_library("friction", Xi().signature).shapes} == {("Omega_a",), ("Omega_p",)}
+    headings = Signature(("y", "z"), ("-", "-"), ("u",), (2.0, 40.0))
+    shapes = {(s.variables[0], s.function): s.frequency for s in build_library("friction", headings).shapes}
+    # Full at a twentieth of the range, no longer sticking beyond a quarter of it.
+    assert shapes == {("y", "tanh"): 10.0, ("y", "bell"): 2.0, ("z", "tanh"): 0.5, ("z", "bell"): 0.1}
+    assert {s.variables for s in friction(headings, ["z"]).shapes} == {("z",)}
+    assert len(dead_zone(Xi().signature, ["u_a"])) == 9 + 2

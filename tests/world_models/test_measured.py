@@ -141,7 +141,7 @@ def test_a_hidden_state_is_led_by_the_states_that_were_measured():
     xi = torch.zeros(5, 3).double()
     xi[[3, 1, 4], 2] = torch.tensor([-2.0, 3.0, 4.0]).double()
     guess = reconstruct(data, {})
-    found = imagined(LIBRARY, xi, data, guess)
+    found = imagined(LIBRARY, xi, data, guess, {})
     phi, expected = math.exp(-2 * DT), []
     for k in (1.0, -2.0):
         h = 0.0
@@ -159,9 +159,24 @@ def test_what_the_model_says_of_measured_states_does_not_lead():
     data = recording(t, 0 * t, lost(40))
     xi = torch.zeros(5, 3).double()
     xi[1, 2], xi[0, 0] = 1.0, -3.0
-    found = imagined(LIBRARY, xi, data, reconstruct(data, {}))
+    found = imagined(LIBRARY, xi, data, reconstruct(data, {}), {})
     expected = np.cumsum(t[:-1] * DT - 1.5 * DT**2)
     np.testing.assert_allclose(found.x_next[:, 2], expected, atol=1e-9)
+
+
+def test_the_rate_of_a_measured_angle_stays_as_it_was_differentiated():
+    # A first model that is wrong of the rate, w' = -9, must not undo what the angle tells; h' = w is led by the rate.
+    t = DT * np.arange(40)
+    data, xi = recording(cubic(t), lost(40), lost(40)), torch.zeros(5, 3).double()
+    xi[0, 1], xi[2, 2] = -9.0, 1.0
+    found = imagined(LIBRARY, xi, data, reconstruct(data, {1: 0}), {1: 0})
+    np.testing.assert_allclose(found.x[:, 1], cubic(t[:-1], 1), atol=1e-8)
+    np.testing.assert_allclose(found.x_next[:, 1], cubic(t[1:], 1), atol=1e-8)
+    expected = np.cumsum(DT * cubic(t[:-1], 1) - 4.5 * DT**2)
+    np.testing.assert_allclose(found.x_next[:, 2], expected, atol=1e-7)
+    # The rate of a state that was not measured either is seen in no form.
+    blind = recording(lost(40), lost(40), t)
+    assert bool(imagined(LIBRARY, xi, blind, reconstruct(blind, {1: 0}), {1: 0}).x_next[:, 1].all())
 
 
 def test_without_a_hidden_state_there_is_nothing_to_imagine_and_a_model_that_runs_away_is_not_followed():
@@ -169,11 +184,11 @@ def test_without_a_hidden_state_there_is_nothing_to_imagine_and_a_model_that_run
     data = recording(t, lost(10), t)
     data.x_next[3, 1] = 1.0
     guess = reconstruct(data, {})
-    assert imagined(LIBRARY, torch.zeros(5, 3).double(), data, guess) is guess
+    assert imagined(LIBRARY, torch.zeros(5, 3).double(), data, guess, {}) is guess
     hidden = recording(1e120 + t, t, lost(10))
     mad = Library(SIGNATURE, [variable("a", 3)])
     xi = torch.tensor([[0.0, 0.0, 1.0]]).double()
-    assert not bool(imagined(mad, xi, hidden, reconstruct(hidden, {})).x_next[:, 2].any())
+    assert not bool(imagined(mad, xi, hidden, reconstruct(hidden, {}), {}).x_next[:, 2].any())
 
 
 def test_rows_are_those_of_the_weak_form_only_where_a_state_was_not_measured():

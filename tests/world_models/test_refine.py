@@ -5,10 +5,12 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import SindyModel, refine
 from dynasindy.world_models.constraints import Constraints
 from dynasindy.world_models.features import CONSTANT, variable
 from dynasindy.world_models.library import Library
@@ -90,7 +92,28 @@ def test_auto_takes_trajectories_for_noise_and_single_steps_without():
     assert torch.equal(auto.run(LIBRARY, start, FREE, clean)[1], wanted)
 
 
-@pytest.mark.parametrize("wrong", [{"method": "newton"}, {"rounds": -1}, {"tolerance": 0.0}, {"window": 0}])
+@pytest.mark.parametrize("longest", [0.0, 0.03])
+def test_noisy_samples_are_smoothed_under_every_delay_that_is_tried(longest, monkeypatch):
+    true, noisy, errors = recording(0.01, n=300).x[round(longest / 0.01) :], recording(0.01, 0.03, 300), []
+
+    def kept(function):
+        def called(library, xi, free, data, descent, start):
+            errors.append(float((start - true).square().mean().sqrt()))
+            return function(library, xi, free, data, descent, start)
+
+        return called
+
+    for name in ("refine_trajectory", "trajectory_cost"):
+        monkeypatch.setattr(refine, name, kept(getattr(refine, name)))
+    refinement = Refinement("trajectory", window=10, longest_delay=longest)
+    found = refinement.run(LIBRARY, column(A, B, 0, 0), FREE, noisy)
+    assert len(errors) >= (5 if longest else 1) and max(errors) < 0.7 * 0.03
+    assert error(found.coefficients) < 0.4 and found.delay == pytest.approx(0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"method": "newton"}, {"rounds": -1}, {"tolerance": 0.0}, {"window": 0}, {"error": "both"}]
+)
 def test_settings_that_are_not_allowed_are_refused(wrong):
     with pytest.raises(ValueError, match="allowed") as refused:
         Refinement(**wrong)
@@ -181,3 +204,47 @@ def test_the_play_of_a_sensor_is_found_from_what_it_reads():
     model.fit(Transitions.from_trajectory(y, torch.from_numpy(u)[:, None], dt))
     assert float(model.coefficients[1, 0]) == pytest.approx(-0.5, rel=0.05)
     assert model.library.shapes[0].frequency == pytest.approx(0.1, rel=0.1)
+
+
+OSCILLATOR = Signature(("y", "w"), ("m", "m/s"), ("u",), (1.0, 1.0))
+WORDS = Library(OSCILLATOR, [variable("y"), variable("w"), variable("u"), variable("y", 2)])
+
+
+def oscillator(push: float, noise: float, hidden: bool, seed: int) -> Transitions:
+    """Exact motion of y'' = -4 y - 0.8 y' + 3 u, a random push on y' in each sample, and noise of the sensors."""
+    step = expm(0.05 * np.array([[0.0, 1.0, 0.0], [-4.0, -0.8, 3.0], [0.0, 0.0, 0.0]]))
+    rng = np.random.default_rng(seed)
+    u, x = rng.uniform(-1, 1, 60).repeat(10), [np.zeros(2)]
+    for held in u:
+        x.append((step @ [*x[-1], held])[:2] + np.array([0.0, push * rng.normal()]))
+    seen = np.array(x) + noise * rng.normal(size=(601, 2))
+    if hidden:
+        seen[:, 1] = np.nan
+    return Transitions.from_trajectory(torch.from_numpy(seen), torch.from_numpy(u)[:, None], 0.05)
+
+
+def fitted(data: Transitions, **settings) -> tuple[SindyModel, str]:
+    refinement = Refinement("trajectory", **settings)
+    model = SindyModel(OSCILLATOR, WORDS, Regression("bic"), refinement, known={"y": "w"})
+    return model, " ".join(model.fit(data).notes)
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+@pytest.mark.parametrize(("push", "noise", "chosen"), [(0.05, 0.01, "prediction"), (0.0, 0.05, "simulation")])
+def test_a_plant_that_is_pushed_is_fitted_by_predictions_and_noise_of_sensors_by_simulation(
+    push, noise, chosen, hidden
+):
+    data = oscillator(push, noise, hidden, 2)
+    model, note = fitted(data, error="auto")
+    assert f"error={chosen}" in note and ("pushes the plant" in note) == (chosen == "prediction")
+    told, _ = fitted(data, error=chosen)
+    assert torch.equal(model.coefficients, told.coefficients)
+    assert model.coefficients[:3, 1].tolist() == pytest.approx([-4.0, -0.8, 3.0], rel=0.15 if push else 0.05)
+
+
+def test_only_the_method_auto_chooses_the_error_unasked():
+    data = oscillator(0.05, 0.01, True, 2)
+    for settings, chosen in (({}, False), ({"error": "simulation"}, False), ({"error": "auto"}, True)):
+        assert ("error=" in fitted(data, **settings)[1]) == chosen
+    model = SindyModel(OSCILLATOR, WORDS, Regression("bic"), Refinement("auto"), known={"y": "w"})
+    assert "error=prediction" in " ".join(model.fit(data).notes)

@@ -234,3 +234,40 @@ def test_rows_of_a_long_recording_lie_in_ten_even_stretches(n, wanted, rows):
     if n == 1000:
         begins = (chosen.int().diff(prepend=torch.zeros(1, dtype=torch.int32)) == 1).nonzero().flatten()
         assert len(begins) == 10 and int(begins.diff().max() - begins.diff().min()) <= 1
+
+
+@pytest.mark.parametrize("push", [0.0, 0.02])
+def test_how_much_a_trajectory_strays_is_the_ratio_of_two_least_squares(push):
+    # y' = c u is linear in c and in the start states: one of them in all, or one in each of ten windows of 20.
+    rng = np.random.default_rng(5)
+    y = np.cumsum([Y0, *(B * DT * INPUTS + push * rng.normal(size=200))]) + NOISE * rng.normal(size=201)
+    data = Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.from_numpy(INPUTS)[:, None], DT)
+    moved = np.concatenate([[0.0], np.cumsum(DT * INPUTS)])
+
+    def left_over(length: int) -> float:
+        """Root mean square error at the ends of all intervals, starts measured too."""
+        rows, target, ends = [], [], []
+        for window, begin in enumerate(range(0, 200, length)):
+            for k in range(begin, begin + length + 1):
+                rows.append([moved[k] - moved[begin], *(np.arange(200 // length) == window)])
+                target.append(y[k])
+                ends.append(k > begin)
+        columns, wanted = np.array(rows, dtype=float), np.array(target)
+        error = wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0]
+        return float(np.sqrt(np.square(error[ends]).mean()))
+
+    library, free = Library(SIGNATURE, [variable("u")]), torch.ones(1, 1, dtype=torch.bool)
+    found = trajectory.strain(library, column(2.0), free, data, Descent(20), data.x)
+    wanted = left_over(200) / (left_over(20) / math.sqrt(1 - 10 / 210))
+    assert found.tolist() == pytest.approx([wanted], rel=1e-5)
+    assert (wanted > 1.5) == (push > 0) and (push or abs(wanted - 1) < 0.05)
+
+
+def test_a_state_that_nobody_measured_does_not_stray_nor_does_one_that_is_met_exactly():
+    exact = Transitions.from_trajectory(torch.from_numpy(motion(A, B, Y0))[:, None], column(*INPUTS), DT)
+    args = (LIBRARY, column(A, B, 0, 0), TWO)
+    assert trajectory.strain(*args, exact, Descent(20), exact.x).tolist() == pytest.approx([1.0], abs=0.2)
+    lost = Transitions(exact.x * math.nan, exact.u, exact.x_next * math.nan, DT, exact.segment)
+    assert trajectory.strain(*args, lost, Descent(20), exact.x).tolist() == [0.0]
+    nothing = (LIBRARY, column(0, 0, 0, 0), TWO)
+    assert trajectory.strain(*nothing, exact, Descent(20), exact.x).tolist() == [1.0]

@@ -12,6 +12,7 @@ from dynasindy.benchmarks.instruments.flight import Flight, chirp, ramps, rim, s
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.disturbances import SensorNoise
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate, step_references
+from dynasindy.sensing import Sensing
 from dynasindy.tasks import Step, Tracking
 
 BEYOND = 0.2
@@ -32,7 +33,13 @@ Judged = tuple[str, str, Evaluation, Tensor]
 
 
 def holding(
-    env: ControlEnv, policy: Policy, low: Sequence[float], high: Sequence[float], noise: Sequence[float], seed: int
+    env: ControlEnv,
+    policy: Policy,
+    low: Sequence[float],
+    high: Sequence[float],
+    noise: Sequence[float],
+    seed: int,
+    sensing: Sensing | None = None,
 ) -> Iterable[Judged]:
     """Yield name, metric, flights and errors `(rows, n_r)` of a policy that was trained to hold targets.
 
@@ -42,7 +49,8 @@ def holding(
         low: Lower ends of the targets it was trained on [rad].
         high: Upper ends [rad].
         noise: Standard deviation of the measurement of each state in flight; the training data were exact.
-        seed: Of the noise.
+        seed: Of the noise on states that are seen as they are.
+        sensing: Sensors and observer through which the policy sees the plant, the noise on what they measure.
     """
     steps = step_references(low, high, 64)
     noisy = [partial(SensorNoise, std=noise, seed=seed)]
@@ -54,23 +62,23 @@ def holding(
         "noise_in_flight": (env, Scenario("noise_in_flight", steps, 64, wrappers=noisy)),
     }
     for name, (plant, scenario) in flights.items():
-        result = evaluate(plant, policy, scenario)
+        result = evaluate(plant, policy, scenario, sensing)
         yield name, "mean_abs_error_last_5s", result, result.metrics["steady_state_error"]
-    yield _stairs(env, policy)
+    yield _stairs(env, policy, sensing)
 
 
-def following(env: ControlEnv, policy: Policy) -> Iterable[Judged]:
+def following(env: ControlEnv, policy: Policy, sensing: Sensing | None = None) -> Iterable[Judged]:
     """Yield the same of a policy that was trained to follow steps, sines and squares."""
     for name, course, seconds in (("ramp", ramps(TIMES, TARGETS), TIMES[-1]), ("chirp", chirp(*SWEEP), SWEEP[2])):
-        result = evaluate(env.with_task(Flight(_task(env), course)), policy, Scenario(name, seconds=seconds))
+        result = evaluate(env.with_task(Flight(_task(env), course)), policy, Scenario(name, seconds=seconds), sensing)
         yield name, "rmse", result, result.metrics["rmse"]
-    yield _stairs(env, policy)
+    yield _stairs(env, policy, sensing)
 
 
-def _stairs(env: ControlEnv, policy: Policy) -> Judged:
+def _stairs(env: ControlEnv, policy: Policy, sensing: Sensing | None) -> Judged:
     """Return the errors at the ends of the stairs, one row per stair."""
     flight = Flight(_task(env), stairs(LEVELS, STAIR))
-    result = evaluate(env.with_task(flight), policy, Scenario("staircase", seconds=STAIR * len(LEVELS)))
+    result = evaluate(env.with_task(flight), policy, Scenario("staircase", seconds=STAIR * len(LEVELS)), sensing)
     error = (result.references - result.outputs).abs()[0]
     ends = torch.chunk(error, len(LEVELS))
     return (

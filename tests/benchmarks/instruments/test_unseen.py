@@ -4,6 +4,7 @@ import torch
 
 from dynasindy.benchmarks.instruments import unseen
 from dynasindy.envs import ControlEnv
+from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.systems import Xi
 from dynasindy.tasks import Step, Tracking
 
@@ -28,6 +29,20 @@ def test_holding_flies_every_situation_within_and_beyond_its_box():
     torch.testing.assert_close(flown["edges"].references.amax((0, 1)), torch.tensor([0.4, 0.3]))
     torch.testing.assert_close(flown["beyond"].references.amin((0, 1)), torch.tensor([-0.48, -0.25]))
     assert not flown["step"].trajectory["state"][:, 0].any() and flown["away"].trajectory["state"][:, 0].all()
+
+
+def test_with_sensors_the_noise_is_what_the_observer_has_to_filter():
+    env = plant()
+    names = env.system.signature.state_names
+    observer = Observer(Xi(), Sensors({name: {} for name in names[:2]}, rates={"alpha_a": "Omega_a"}), env)
+    sensing, noise = Sensing(env, observer, torch.Generator().manual_seed(0)), (0.01, 0.03, 9.0, 9.0, 9.0, 9.0)
+    flown = {
+        name: result.trajectory
+        for name, _, result, _ in unseen.holding(env, still, (-0.4, -0.2), (0.4, 0.3), noise, 0, sensing)
+    }
+    errors = {name: (t["measurement"] - t["state"]).flatten(0, 1) for name, t in flown.items()}
+    torch.testing.assert_close(errors["noise_in_flight"].std(0)[:2], torch.tensor(noise[:2]), rtol=0.05, atol=0)
+    assert not errors["away"][:, :2].any() and errors["noise_in_flight"][:, 2:].isnan().all()
 
 
 def test_each_stair_is_judged_by_its_end():
