@@ -99,7 +99,7 @@ def test_sensors_need_a_log(model):
 
 
 def test_a_control_period_fits_the_log(log, model):
-    with pytest.raises(ValueError, match="no multiple of the log's sampling time 0.01 s"):
+    with pytest.raises(ValueError, match=r"no multiple of the log's sampling time 0.01 s"):
         dynasindy.plan(model, {"theta": (-0.6, 0.6)}, log, dt=0.025)
 
 
