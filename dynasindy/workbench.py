@@ -29,6 +29,7 @@ from dynasindy.sensing import Channel, Observer, Sensors
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 from dynasindy.world_models import Refinement, Regression, SindyModel
+from dynasindy.world_models.libraries import LibraryBuilder
 from dynasindy.world_models.measured import rates_known
 
 PERIOD = 0.05
@@ -67,7 +68,7 @@ def read(
 
 def identify(
     log: Recording,
-    library: str | Sequence[str] = "polynomial",
+    library: str | Sequence[str] | LibraryBuilder = "polynomial",
     known: Mapping[str, str] | None = None,
     method: Literal["integral", "one_step", "trajectory", "auto"] = "auto",
     longest_delay: float = LONGEST_DELAY,

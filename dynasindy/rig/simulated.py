@@ -6,22 +6,28 @@ a second one ends in the safe input. Faults are switched on to try what a flight
 
 from __future__ import annotations
 
+import multiprocessing
+import signal
 import socket
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
 import torch
 
 from dynasindy.rig.base import Array
-from dynasindy.rig.udp import REST, pack, unpack
+from dynasindy.rig.udp import REST, UdpRig, connect, pack, unpack
 from dynasindy.sensing import Sensors
 from dynasindy.systems import System, integrate
 
 BRIDGED = 1
 """Periods without inputs that are bridged with the last ones."""
+FOREVER = 10**9
+"""Periods of a rig that is ended from outside."""
 FAULTS = ("silent", "old", "garbage", "nan", "range", "slow", "gone")
 
 
@@ -91,7 +97,7 @@ class SimulatedRig:
         Returns:
             What it saw and did.
         """
-        self._socket.settimeout(30.0)
+        self._socket.settimeout(300.0)
         if ready is not None:
             ready()
         caller = self._socket.recvfrom(65536)[1]
@@ -107,9 +113,10 @@ class SimulatedRig:
             found = self._inputs(k, begun + (k + 1) * self.dt)
             missed = 0 if found is not None else missed + 1
             u = found if found is not None else u if missed <= BRIDGED else self.safe
-            self.record.states.append(x.numpy().copy())
-            self.record.applied.append(u)
-            self.record.answered.append(found is not None)
+            if periods < FOREVER:
+                self.record.states.append(x.numpy().copy())
+                self.record.applied.append(u)
+                self.record.answered.append(found is not None)
             x = integrate(self.system, x, torch.from_numpy(u), self.dt, 5, self.system.stops)[0][-1]
         self._socket.close()
         return self.record
@@ -155,3 +162,62 @@ class SimulatedRig:
                 found = self.safe if answer[0] == REST else answer[1]
                 if self.lockstep or quiet:
                     return found
+
+
+@dataclass
+class Served:
+    """A simulated rig in another process.
+
+    Attributes:
+        port: Where it listens.
+        record: What it saw and did, once it has ended; None before, and if it was ended by force.
+    """
+
+    port: int
+    record: Record | None = None
+
+
+@contextmanager
+def in_process(periods: int, settings: Mapping[str, Any]) -> Iterator[Served]:
+    """Serve a simulated rig from another process; what it saw is read at the end, if it has run all its periods.
+
+    Args:
+        periods: How many it runs.
+        settings: Arguments of `SimulatedRig`.
+    """
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    process = context.Process(target=_serve, args=(there, periods, dict(settings)), daemon=True)
+    process.start()
+    served = Served(here.recv())
+    try:
+        yield served
+        if periods < FOREVER and here.poll(periods * settings.get("dt", 0.05) + 10.0):
+            served.record = here.recv()
+    finally:
+        process.terminate()
+        process.join()
+
+
+@contextmanager
+def rehearsal(system: System, dt: float, sensors: Sensors | None = None, seed: int = 0) -> Iterator[UdpRig]:
+    """Talk to a simulated rig in another process, which ends with the conversation.
+
+    Args:
+        system: The plant.
+        dt: Control period [s].
+        sensors: What is measured; all states as they are if omitted.
+        seed: Seed of the sensors' noise.
+    """
+    settings = {"system": system, "dt": dt, "sensors": sensors, "seed": seed}
+    with in_process(FOREVER, settings) as served, connect(system, dt, port=served.port) as rig:
+        yield rig
+
+
+def _serve(pipe: Connection, periods: int, settings: dict[str, Any]) -> None:
+    torch.set_num_threads(1)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a script's own handlers came with its module
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the flight; this end notices its silence
+    rig = SimulatedRig(**settings)
+    pipe.send(rig.port)
+    pipe.send(rig.serve(periods))

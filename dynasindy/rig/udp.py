@@ -13,10 +13,13 @@ from __future__ import annotations
 import socket
 import struct
 import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 
 import numpy as np
 
 from dynasindy.rig.base import Array, Fault
+from dynasindy.systems import System
 
 MAGIC = b"DYN1"
 REST = 0xFFFFFFFF
@@ -102,3 +105,17 @@ class UdpRig:
         """Ask for the safe input and let go of the network."""
         self.rest()
         self._socket.close()
+
+
+@contextmanager
+def connect(system: System, dt: float, host: str = "127.0.0.1", port: int = 9870) -> Iterator[UdpRig]:
+    """Talk to a rig, and leave it at its safe input.
+
+    Args:
+        system: Plant whose states and inputs it has.
+        dt: Control period [s], which the rig keeps by itself.
+        host: Address of the rig.
+        port: Its port.
+    """
+    with closing(UdpRig(system.signature.n_x, system.signature.n_u, host, port)) as rig:
+        yield rig
