@@ -14,10 +14,11 @@ from dynasindy.dyna.experiment import Recipe
 from dynasindy.evaluation.ablation import Level
 from dynasindy.evaluation.identification import Logged, Simulated
 from dynasindy.evaluation.scenarios import Scenario
+from dynasindy.rig import Guard
 from dynasindy.systems import System
 
 HYDRA = {"_target_", "_partial_", "_args_", "_convert_", "_recursive_"}
-GIVEN = {"signature", "system", "task", "n_u", "n_obs", "env", "agent", "replay", "policy"}
+GIVEN = {"signature", "dt", "system", "task", "n_u", "n_obs", "env", "agent", "replay", "policy"}
 """Arguments that an experiment hands to what a config builds with `_partial_`."""
 
 
@@ -77,6 +78,14 @@ class Keys(TypedDict):
     scenario: Scenario
     data: Logged | Simulated
     level: Level
+    dt: Annotated[float, "a time > 0"]
+    targets: list[list[float]]
+    seconds: float
+    flights: int
+    controller: str | None
+    guard: Guard
+    rig: Any
+    planner: Any
 
 
 EXPERIMENT = {"task", "env", "agent", "replay", "planning", "gate"}

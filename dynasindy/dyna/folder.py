@@ -16,7 +16,7 @@ import torch
 FREE = ("folder:", "threads:", "results:", "resume:", "finish:", "plugins:")
 """Keys of a configuration, as its lines begin, that do not change a result."""
 MADE = (
-    *("metrics.json", "policy.pt", "model.json", "observer.json"),
+    *("metrics.json", "policy.pt", "model.json", "observer.json", "controller.json"),
     *("progress.csv", "gate.csv", "identification.txt", "error.txt"),
 )
 """Files that a run makes besides its `config.yaml`."""

@@ -14,13 +14,17 @@ from tensordict import TensorDict
 from torch import Tensor
 from torchrl.record import CSVLogger
 
+from dynasindy.control import Controller, save
+from dynasindy.control.controller import Pace
+from dynasindy.control.files import NAME
 from dynasindy.dyna.callback import Callback, Cost, Episode
 from dynasindy.dyna.parts import Parts
 from dynasindy.dyna.verdict import judge
 from dynasindy.evaluation.files import whole, with_units, write_csv, write_json, write_text
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, summarise
-from dynasindy.world_models import FitReport
+from dynasindy.tasks import Tracking
+from dynasindy.world_models import FitReport, SindyModel
 
 GATE_COLUMNS = (
     "episode",
@@ -133,8 +137,18 @@ class Recorder(Callback):
             self.parts.world_model.save(path)
         with whole(self.folder / "policy.pt") as path:
             torch.save(self.parts.agent.deployed.state_dict(), path)
+        self._write_controller()
         write_json(self.folder / "metrics.json", metrics)
         return metrics
+
+    def _write_controller(self) -> None:
+        """Write the policy with all that it needs outside of Python, unless task or model is of a kind apart."""
+        plant, sensing = self.plant, self.parts.sensing
+        if not isinstance(plant.task, Tracking) or not isinstance(self.parts.world_model, SindyModel):
+            return
+        pace = Pace(plant.task, plant.dt, plant.substeps, plant.stops)
+        observer = None if sensing is None else sensing.observer
+        save(Controller(self.parts.agent.deployed, pace, observer), self.folder / NAME)
 
     def state_dict(self) -> dict[str, Any]:
         """Return what was logged so far."""

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from dynasindy.data.csv import Column, CsvLog, infer
+from dynasindy.data.csv import Column, CsvLog, Recording, infer
 from dynasindy.data.simulated import disturb, record
 from dynasindy.data.table import all_headings, split_unit
 from dynasindy.evaluation import verdict
@@ -145,17 +145,22 @@ class Logged:
 
     def load(self, system: System | None, excitation: ExcitationBuilder) -> Source:
         """Read the file; of the plant the names are used at most, and nothing of the excitation."""
+        recording = self.recording(system)
+        data, place = recording.transitions, torch.arange(len(recording.transitions))
+        cut = int(len(data) * (1 - self.validation_share))
+        return Source(recording.signature, data.select(place < cut), data.select(place >= cut), recording.notes)
+
+    def recording(self, system: System | None) -> Recording:
+        """Read the file, all of it; of the plant the names are used at most."""
         states, inputs = self._columns(system)
         log = CsvLog(str(self.path), states, inputs, self.time, self.dt, self.missing)  # type: ignore[arg-type]
         recording = log.read()
-        data, place = recording.transitions, torch.arange(len(recording.transitions))
-        cut = int(len(data) * (1 - self.validation_share))
-        signature = recording.signature
+        data, signature = recording.transitions, recording.signature
         if system is not None and signature.state_names == system.signature.state_names:
             unseen = data.x.isnan().all(0).tolist()
             ranges = zip(unseen, system.signature.x_scale, signature.x_scale, strict=True)
             signature = replace(signature, x_scale=tuple(plant if blind else own for blind, plant, own in ranges))
-        return Source(signature, data.select(place < cut), data.select(place >= cut), recording.notes)
+        return replace(recording, signature=signature)
 
     def _columns(self, system: System | None) -> tuple[dict[str, Any], dict[str, Any]]:
         if self.states and self.inputs:

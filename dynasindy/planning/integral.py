@@ -8,8 +8,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from dynasindy.envs import ControlEnv
-from dynasindy.tasks import Tracking, references
+from dynasindy.tasks import Sampled, Tracking, references
 
 
 class IntegralAction:
@@ -21,7 +20,7 @@ class IntegralAction:
 
     Args:
         policy: Reads `observation`, writes `action`.
-        env: Environment of a `Tracking` task.
+        env: Where it acts, with a `Tracking` task.
         gain: Integral gain [1/s].
         band: Largest error that is integrated [of the outputs].
         limit: Largest integral [of the outputs].
@@ -35,7 +34,7 @@ class IntegralAction:
     def __init__(
         self,
         policy: Callable[[TensorDictBase], TensorDictBase],
-        env: ControlEnv,
+        env: Sampled,
         gain: float = 0.7,
         band: float = 0.06,
         limit: float = 0.3,

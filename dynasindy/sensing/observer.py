@@ -19,16 +19,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
-from dynasindy.envs import ControlEnv
 from dynasindy.sensing.kinematic import Kinematic
 from dynasindy.sensing.offset import correction
 from dynasindy.sensing.sensors import LONGEST, Sensors
-from dynasindy.systems import System, integrate
+from dynasindy.systems import Stops, System, integrate
 
 DRIFTING = 0.01
 """Process noise of a push [ranges of the rate per second, in a second]."""
@@ -44,6 +43,20 @@ NUDGE = 1e-4
 """Step of the central differences [ranges of the states]: in float64 they are right to some eight digits."""
 FINEST = 1e-9
 """Least standard deviation of a measurement [ranges of the state]: a perfect one would leave a singular matrix."""
+
+
+class Pace(Protocol):
+    """What an observer has to know of time and travel; a `ControlEnv` is one, and so is a controller out of a file.
+
+    Attributes:
+        dt: Control period [s].
+        substeps: Runge-Kutta steps per control period.
+        stops: Mechanical stops of the plant, if any.
+    """
+
+    dt: float
+    substeps: int
+    stops: Stops | None
 
 
 @dataclass(frozen=True)
@@ -68,10 +81,10 @@ class Observer:
     Args:
         model: World model of the plant; the observer reads it as it is at any time.
         sensors: What is measured.
-        env: Environment: control period, sub-steps and stops.
+        env: Control period, sub-steps and stops.
     """
 
-    def __init__(self, model: System, sensors: Sensors, env: ControlEnv) -> None:
+    def __init__(self, model: System, sensors: Sensors, env: Pace) -> None:
         self.model, self.sensors = model, sensors
         self.dt, self.substeps, self.stops = env.dt, env.substeps, env.stops
         self.n_x = model.signature.n_x

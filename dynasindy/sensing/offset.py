@@ -8,8 +8,8 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from dynasindy.envs import ControlEnv
 from dynasindy.systems import System
+from dynasindy.tasks import Sampled
 
 NUDGE = 1e-4
 """Step of the central differences [ranges of the states, and of the inputs]."""
@@ -59,16 +59,16 @@ class OffsetFree:
 
     Args:
         policy: Reads `observation`, writes `action`.
-        env: Environment whose task makes the observation.
+        env: Where it acts; the task makes the observation.
     """
 
-    def __init__(self, policy: Callable[[TensorDictBase], TensorDictBase], env: ControlEnv) -> None:
+    def __init__(self, policy: Callable[[TensorDictBase], TensorDictBase], env: Sampled) -> None:
         self.policy, self.env = policy, env
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the action for the shifted state, as far as inputs reach."""
         x, t = tensordict["state"], tensordict["step_count"] * self.env.dt
-        dx, du = tensordict["observer", "shift"].split([x.shape[-1], self.env.system.signature.n_u], -1)
+        dx, du = tensordict["observer", "shift"].split([x.shape[-1], self.env.task.signature.n_u], -1)
         seen = tensordict.copy().set("state", x - dx)
         observation = self.env.task.observation(x - dx, tensordict["task_params"], t.to(x))
         action = self.policy(seen.set("observation", observation.float()))["action"]

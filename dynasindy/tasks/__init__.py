@@ -1,8 +1,8 @@
 """What is wanted: references, reward, initial states."""
 
-from dynasindy.tasks.base import Task
+from dynasindy.tasks.base import Sampled, Task
 from dynasindy.tasks.references import Mixture, RandomStep, Reference, Step, Wave
 from dynasindy.tasks.reward import TrackingReward
 from dynasindy.tasks.tracking import Tracking
 
-__all__ = ["Mixture", "RandomStep", "Reference", "Step", "Task", "Tracking", "TrackingReward", "Wave"]
+__all__ = ["Mixture", "RandomStep", "Reference", "Sampled", "Step", "Task", "Tracking", "TrackingReward", "Wave"]

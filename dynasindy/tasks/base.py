@@ -3,11 +3,24 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from dynasindy.systems import Signature
+
+
+class Sampled(Protocol):
+    """What a policy has to know of where it acts; a `ControlEnv` is one, and so is a controller out of a file."""
+
+    @property
+    def task(self) -> Task:
+        """What is wanted."""
+
+    @property
+    def dt(self) -> float:
+        """Control period [s]."""
 
 
 class Task(ABC):

@@ -40,6 +40,14 @@ def save(
         constraints: what is known of the equations; nothing by default.
         delay: time between an input and its effect [s].
     """
+    data = record(library, coefficients, constraints, delay)
+    Path(path).write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+
+
+def record(
+    library: Library, coefficients: Tensor, constraints: Constraints | None = None, delay: float = 0.0
+) -> dict[str, Any]:
+    """Return what `save` writes, as keys and values."""
     signature, table = library.signature, coefficients.tolist()
     states = signature.state_names
     data: dict[str, Any] = {
@@ -55,7 +63,7 @@ def save(
         data["delay"] = delay
     if constraints is not None and not bool(constraints.free.all()):
         data["constraints"] = {s: _constraint(library, constraints, i) for i, s in enumerate(states)}
-    Path(path).write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+    return data
 
 
 def load(path: str | Path) -> tuple[Library, Tensor, Constraints, float]:
@@ -81,6 +89,20 @@ def load(path: str | Path) -> tuple[Library, Tensor, Constraints, float]:
         raise
     except (OSError, ValueError, RecursionError) as error:
         raise ValueError(f"{path} is not JSON ({error}); allowed is a file that SindyModel.save wrote") from error
+    return understand(data, path)
+
+
+def understand(data: object, path: str | Path) -> tuple[Library, Tensor, Constraints, float]:
+    """Return what `load` does, from keys and values.
+
+    Args:
+        data: what `record` returned.
+        path: where it is from, for the message.
+
+    Raises:
+        ValueError: it is not of this format, or damaged.
+        ValueError: the library uses a function that is not registered.
+    """
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise ValueError(f"{path} is not of the format {FORMAT!r}; allowed is a file that SindyModel.save wrote")
     try:

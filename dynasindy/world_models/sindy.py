@@ -28,7 +28,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.base import WorldModel
 from dynasindy.world_models.constraints import Constraints
 from dynasindy.world_models.fast_field import Field, generate
-from dynasindy.world_models.files import load, save
+from dynasindy.world_models.files import load, record, save, understand
 from dynasindy.world_models.libraries import LibraryBuilder, build_library
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.measured import imagined, rates_known, reconstruct
@@ -225,7 +225,33 @@ class SindyModel(WorldModel):
         Raises:
             ValueError: the file is not such a model, or needs a function that is not registered.
         """
-        library, coefficients, constraints, delay = load(path)
+        return cls._of(load(path), regression, refinement)
+
+    def record(self) -> dict[str, Any]:
+        """Return what `save` writes, as keys and values."""
+        return record(self.library, self.coefficients, self.constraints, self.delay)
+
+    @classmethod
+    def of_record(cls, given: object, source: str | Path) -> SindyModel:
+        """Return the model whose `record` is given.
+
+        Args:
+            given: the record.
+            source: where it is from, for the message.
+
+        Raises:
+            ValueError: it is none, or needs a function that is not registered.
+        """
+        return cls._of(understand(given, source))
+
+    @classmethod
+    def _of(
+        cls,
+        found: tuple[Library, Tensor, Constraints, float],
+        regression: Regression | None = None,
+        refinement: Refinement | None = None,
+    ) -> SindyModel:
+        library, coefficients, constraints, delay = found
         model = cls(library.signature, library, regression, refinement)
         model.constraints, model.delay = constraints, delay
         model.set_coefficients(coefficients)

@@ -1,0 +1,188 @@
+"""A controller: state observer, integral action and policy, stepped once per control period.
+
+It does what an evaluation does to a policy, but for one plant, without a simulation of it: the measurements come from
+outside. `dynasindy.control.files` keeps it in one file, which has all that it is made of.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from dynasindy.planning.integral import IntegralAction
+from dynasindy.sensing import Observer
+from dynasindy.sensing.observer import Belief
+from dynasindy.sensing.offset import OffsetFree
+from dynasindy.systems import Signature, Stops
+from dynasindy.tasks import Tracking
+from dynasindy.tasks.references import N_PARAMS
+
+Policy = Callable[[TensorDictBase], TensorDictBase]
+Values = float | Sequence[float] | NDArray[np.float64] | Tensor | Mapping[str, float]
+"""Numbers in the order of the signature, or by name."""
+
+
+@dataclass
+class Pace:
+    """Where a controller acts, without a plant.
+
+    Attributes:
+        task: What is wanted.
+        dt: Control period [s].
+        substeps: Runge-Kutta steps of its observer per control period.
+        stops: Mechanical stops of the plant, if any.
+    """
+
+    task: Tracking
+    dt: float
+    substeps: int = 1
+    stops: Stops | None = None
+
+
+class Controller:
+    """Hold a plant at references, one control period at a time.
+
+    Args:
+        policy: Reads `observation`, writes `action`.
+        pace: Task, control period and stops.
+        observer: Estimates the states from what is measured; None takes all states as they are given.
+        integral: Settings of `IntegralAction`, `{}` for its own; None for a policy that is not shown the integral of
+            its error.
+
+    Raises:
+        ValueError: The observer has not learnt from data.
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        pace: Pace,
+        observer: Observer | None = None,
+        integral: Mapping[str, float] | None = None,
+    ) -> None:
+        if observer is not None and not observer.learnt:
+            raise ValueError("a controller got an observer that has not learnt from data; call its `learn` first")
+        self.policy, self.pace, self.observer, self.integral = policy, pace, observer, integral
+        self.reset()
+
+    @property
+    def signature(self) -> Signature:
+        """Names, units and ranges of the plant's states and inputs."""
+        return self.pace.task.signature
+
+    @property
+    def dt(self) -> float:
+        """Control period [s]; `act` is to be called once in each."""
+        return self.pace.dt
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the tracked states, in the order of the references."""
+        return self.pace.task.output_names
+
+    def reset(self) -> None:
+        """Forget what was measured; the next call of `act` takes the plant as at rest, its inputs zero."""
+        whole = self.policy if self.integral is None else IntegralAction(self.policy, self.pace, **self.integral)
+        pushed = self.observer is not None and bool(self.observer.pushed)
+        self._act = OffsetFree(whole, self.pace) if pushed else whole
+        self._belief: Belief | None = None
+        self._periods = 0
+        if self.observer is not None:
+            n_u = self.signature.n_u
+            self._inputs = torch.zeros(self.observer.memory, n_u)
+            self._shift = torch.zeros(self.signature.n_x + n_u, dtype=torch.float64)
+
+    @property
+    def estimate(self) -> NDArray[np.float64] | None:
+        """State of the plant at the last call of `act`, as far as the observer knows, `(n_x,)`; None without it."""
+        if self._belief is None:
+            return None
+        mean: NDArray[np.float64] = self._belief.mean[: self.signature.n_x].numpy().copy()
+        return mean
+
+    @torch.no_grad()
+    def act(self, measurement: Values, reference: Values, rate: Values | None = None) -> NDArray[np.float64]:
+        """Return the inputs of the control period that begins now, `(n_u,)`, in [-1, 1].
+
+        Args:
+            measurement: What was measured now: states in the order of the signature, or by name. NaN, or a name that is
+                left out, is not measured, which only a controller with an observer takes.
+            reference: Where the outputs are to be, in the order of `outputs`, or by name [units of the outputs].
+            rate: How fast the reference moves [per second]; 0 if omitted.
+
+        Raises:
+            ValueError: A number is missing, infinite or of a name that does not exist.
+        """
+        y = self._numbers("measurement", measurement, self.signature.state_names, math.nan)
+        self._require("measurement", y, self.signature.state_names, gaps=self.observer is not None)
+        r = self._numbers("reference", reference, self.outputs, math.nan)
+        slope = self._numbers("rate", {} if rate is None else rate, self.outputs, 0.0)
+        for name, values in (("reference", r), ("rate", slope)):
+            self._require(name, values, self.outputs, gaps=False)
+        seen = self._seen(y, r, slope)
+        action = self._act(seen)["action"]
+        self._periods = 1
+        if self.observer is not None:
+            self._inputs = torch.cat([self._inputs[1:], action.unsqueeze(0)])
+        found: NDArray[np.float64] = action.double().numpy().copy()
+        return found
+
+    def _seen(self, y: Tensor, r: Tensor, slope: Tensor) -> TensorDict:
+        """Return what the policy is shown."""
+        x, held = (y, {}) if self.observer is None else self._estimated(self.observer, y)
+        steps = torch.tensor([self._periods])  # 0 begins, whatever comes later goes on
+        t = steps.to(x) * self.dt
+        params = _line(r, slope, float(t))
+        observation = self.pace.task.observation(x, params, t).float()
+        shown = {"observation": observation, "state": x, "task_params": params, "step_count": steps, "observer": held}
+        return TensorDict(shown if held else {k: v for k, v in shown.items() if k != "observer"})
+
+    def _estimated(self, observer: Observer, y: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return the state for the time at which the next action arrives, and what counteracts the push."""
+        if self._belief is None:
+            self._belief = observer.begin(y)
+        else:
+            self._belief, _, _ = observer.correct(observer.advance(self._belief, self._inputs), y)
+        mean = observer.ahead(self._belief.mean, self._inputs)
+        if observer.pushed:
+            self._shift = observer.correction(mean, self._inputs, self.pace.task.outputs, self._shift)
+        return mean[: self.signature.n_x], {"shift": self._shift}
+
+    @staticmethod
+    def _numbers(what: str, given: Values, names: Sequence[str], missing: float) -> Tensor:
+        """Return numbers in the order of names, float64."""
+        if isinstance(given, Mapping):
+            if unknown := [name for name in given if name not in names]:
+                raise ValueError(f"{what} has '{unknown[0]}', which does not exist; allowed are {', '.join(names)}")
+            given = [float(given.get(name, missing)) for name in names]
+        values = torch.as_tensor(given, dtype=torch.float64).flatten()
+        if values.numel() != len(names):
+            raise ValueError(f"{what} has {values.numel()} numbers; give one for each of {', '.join(names)}")
+        return values.clone()
+
+    @staticmethod
+    def _require(what: str, values: Tensor, names: Sequence[str], gaps: bool) -> None:
+        wrong = values.isinf() if gaps else ~values.isfinite()
+        if bool(wrong.any()):
+            place = int(wrong.nonzero()[0])
+            more = (
+                "; only a controller with sensors and an observer does without a state" if what == "measurement" else ""
+            )
+            raise ValueError(f"{what} of {names[place]} is {values[place].item()}; give a finite number{more}")
+
+
+def _line(r: Tensor, slope: Tensor, t: float) -> Tensor:
+    """Return the parameters of a reference that is at `r` at time t and moves by `slope`, `(n_r, 5)`.
+
+    A sine of 1 rad/s at its zero has its amplitude as slope.
+    """
+    params = torch.zeros(len(r), N_PARAMS, dtype=r.dtype)
+    params[:, 0], params[:, 1], params[:, 2], params[:, 3] = r, slope, 1 / (2 * math.pi), -t
+    return params

@@ -1,0 +1,192 @@
+"""A controller in one file, of plain numbers and names: nothing in it is run when it is read.
+
+| key         | what it holds                                                                                        |
+| ----------- | ---------------------------------------------------------------------------------------------------- |
+| `signature` | names, units and ranges of the states, names of the inputs                                           |
+| `task`      | control period [s], tracked states, and how the observation is made                                  |
+| `policy`    | weights of each layer, float32 in base 64, `(n_out, n_in)` row by row, and biases                    |
+| `integral`  | numbers of the integral action, or null                                                              |
+| `observer`  | sensors, process noise, Runge-Kutta steps, mechanical stops, and the model, as in model.json; or null |
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict.nn import TensorDictModule
+from torch import Tensor
+
+from dynasindy.agents.networks import MLP
+from dynasindy.control.controller import Controller, Pace
+from dynasindy.evaluation.files import write_json
+from dynasindy.evaluation.given import DamagedFileError, read_record, understood
+from dynasindy.planning.integral import IntegralAction
+from dynasindy.sensing import Observer, Sensors
+from dynasindy.systems import Signature, Stops
+from dynasindy.tasks import Step, Tracking, TrackingReward
+from dynasindy.world_models import SindyModel
+
+FORMAT = "dynasindy controller 1"
+NAME = "controller.json"
+"""Its name in a run folder."""
+WIDEST, DEEPEST = 4096, 20
+"""Largest layer and number of layers that are read."""
+
+
+def save(controller: Controller, path: str | Path) -> None:
+    """Write a controller, with all that it is made of.
+
+    Args:
+        controller: Its policy is an actor of `dynasindy.agents`, and the model of its observer a sparse one.
+        path: File to write.
+
+    Raises:
+        ValueError: The policy or the observer's model is of another kind, which no file holds.
+    """
+    task, integral = controller.pace.task, controller.integral
+    numbers = None if integral is None else IntegralAction(controller.policy, controller.pace, **integral)
+    record = {
+        "format": FORMAT,
+        "signature": asdict(controller.signature),
+        "task": {
+            "dt": controller.dt,
+            "outputs": list(task.output_names),
+            "rates": [controller.signature.state_names[i] for i in task.rates],
+            "observe_rate": task.observe_rate,
+            "error_scale": task.error_scale,
+        },
+        "policy": _layers(network(controller)),
+        "integral": numbers and {name: getattr(numbers, name) for name in ("gain", "band", "limit", "rate")},
+        "observer": _observer(controller),
+    }
+    write_json(Path(path), record)
+
+
+def load(path: str | Path) -> Controller:
+    """Read a controller that `save` wrote, from its file or from the run folder that holds it.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        DamagedFileError: The file is damaged, or not of this format.
+    """
+    file = Path(path) / NAME if Path(path).is_dir() else Path(path)
+    if not file.is_file():
+        raise FileNotFoundError(
+            f"{file} does not exist; give a controller that was saved, or the folder of a run that has ended"
+        )
+    record = read_record(file)
+    if record.get("format") != FORMAT:
+        raise DamagedFileError(f"{file} is not of the format {FORMAT!r}; give a {NAME} of a run folder")
+    with understood(file):
+        signature = Signature(**record["signature"])
+        pace = Pace(_task(signature, record["task"]), _positive(record["task"]["dt"]))
+        policy = TensorDictModule(_network(record["policy"], pace.task), in_keys=["observation"], out_keys=["action"])
+        observer = _loaded_observer(record["observer"], pace, file)
+        integral = record["integral"]
+        return Controller(policy, pace, observer, None if integral is None else dict(integral))
+
+
+def network(controller: Controller) -> MLP:
+    """Return the network of a controller's policy.
+
+    Raises:
+        ValueError: The policy is of another kind.
+    """
+    module = getattr(controller.policy, "module", controller.policy)
+    if not isinstance(module, MLP) or module.norms:
+        raise ValueError(
+            f"the policy is a {type(module).__name__}, which no file holds; allowed is the actor of one of our agents"
+        )
+    return module
+
+
+def _layers(network: MLP) -> list[dict[str, Any]]:
+    return [
+        {"in": w.shape[1], "out": w.shape[0], "weight": _packed(w), "bias": _packed(b)}
+        for w, b in ((layer.weight, layer.bias) for layer in network.layers())
+    ]
+
+
+def _network(layers: list[dict[str, Any]], task: Tracking) -> MLP:
+    widths = [int(layers[0]["in"]), *(int(layer["out"]) for layer in layers)]
+    if len(layers) > DEEPEST or not all(0 < width <= WIDEST for width in widths):
+        raise ValueError(f"its policy has layers of {widths}; at most {DEEPEST} of 1 to {WIDEST} are read")
+    if (widths[0], widths[-1]) != (task.n_o, task.signature.n_u):
+        raise ValueError(
+            f"its policy maps {widths[0]} numbers to {widths[-1]}, its task {task.n_o} to {task.signature.n_u}"
+        )
+    found = MLP(widths[0], widths[-1], widths[1:-1], squash=True).requires_grad_(False)
+    for own, layer, n_in in zip(found.layers(), layers, widths, strict=False):
+        own.weight.copy_(_unpacked(layer["weight"], int(layer["out"]), n_in))
+        own.bias.copy_(_unpacked(layer["bias"], int(layer["out"])))
+    return found
+
+
+def _packed(values: Tensor) -> str:
+    return base64.b64encode(values.detach().to(torch.float32).cpu().numpy().astype("<f4").tobytes()).decode()
+
+
+def _unpacked(text: str, *shape: int) -> Tensor:
+    packed = base64.b64decode(text, validate=True)
+    values = np.frombuffer(packed[: len(packed) // 4 * 4], "<f4")
+    if values.size != math.prod(shape) or not np.isfinite(values).all():
+        raise ValueError(f"its policy has {values.size} weights where {math.prod(shape)} finite ones belong")
+    return torch.from_numpy(values.astype(np.float32)).reshape(shape)
+
+
+def _task(signature: Signature, given: Mapping[str, Any]) -> Tracking:
+    outputs = list(given["outputs"])
+    return Tracking(
+        signature,
+        Step([[0.0] * len(outputs)]),
+        outputs,
+        list(given["rates"]),
+        TrackingReward(error_weights=(1.0,) * len(outputs)),
+        observe_rate=bool(given["observe_rate"]),
+        error_scale=_positive(given["error_scale"]),
+    )
+
+
+def _positive(value: object) -> float:
+    if not isinstance(value, int | float) or not 0 < value < math.inf:
+        raise ValueError(f"{str(value)[:40]!r} stands where a positive number belongs")
+    return float(value)
+
+
+def _observer(controller: Controller) -> dict[str, Any] | None:
+    """Return the record of the observer."""
+    if (observer := controller.observer) is None:
+        return None
+    if not isinstance(observer.model, SindyModel):
+        raise ValueError(
+            f"the observer works on a {type(observer.model).__name__}, which no file holds; fit a SindyModel"
+        )
+    stops = observer.stops
+    return {
+        "sensors": asdict(observer.sensors),
+        "state": observer.state_dict(),
+        "substeps": observer.substeps,
+        "stops": None if stops is None else asdict(stops),
+        "model": observer.model.record(),
+    }
+
+
+def _loaded_observer(record: Mapping[str, Any] | None, pace: Pace, file: Path) -> Observer | None:
+    if record is None:
+        return None
+    stops = record["stops"]
+    pace.stops = None if stops is None else Stops(**stops)
+    pace.substeps = int(_positive(record["substeps"]))
+    model = SindyModel.of_record(record["model"], file)
+    if model.signature != pace.task.signature:
+        raise ValueError("the model of its observer has other states than the controller")
+    observer = Observer(model, Sensors(**record["sensors"]), pace)
+    observer.load_state_dict(record["state"])
+    return observer

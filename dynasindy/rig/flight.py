@@ -1,0 +1,198 @@
+"""A flight: measure, act, apply, once per control period, until it is over or something is wrong.
+
+Whatever ends it, its length, a fault, Ctrl-C or an error of a program: the rig gets its safe input first, then the log
+is closed, and what was wrong is said in one line.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from dynasindy.rig.base import Array, Fault, Rig, Wiring
+from dynasindy.rig.log import Log
+from dynasindy.rig.watchdog import Watchdog
+
+Act = Callable[[Array, float], Array]
+"""What was measured `(n_x,)` and the time since the start [s], to inputs `(n_u,)` in [-1, 1]."""
+
+
+@dataclass(frozen=True)
+class Guard:
+    """What a flight goes on with.
+
+    Attributes:
+        low: Lower end of each state's range, by name [unit of the state]; not guarded if it has none.
+        high: Upper end, likewise.
+        late: Share of a control period by which inputs may be late.
+        lost: Samples in a row that may be lost; the controller is then shown NaN, which needs an observer.
+
+    Raises:
+        ValueError: A number is negative.
+    """
+
+    low: dict[str, float] = field(default_factory=dict)
+    high: dict[str, float] = field(default_factory=dict)
+    late: float = 0.5
+    lost: int = 1
+
+    def __post_init__(self) -> None:
+        if not self.late >= 0 or self.lost < 0:
+            raise ValueError(f"a guard has late={self.late} periods, lost={self.lost} samples; give numbers >= 0")
+
+    def check(self, y: Array, wiring: Wiring) -> None:
+        """Look at a sample, `(n_x,)`.
+
+        Raises:
+            Fault: A measured state is not a finite number, or outside of its range.
+        """
+        for name, value, known in zip(wiring.signature.state_names, y.tolist(), wiring.seen, strict=True):
+            if not known:
+                continue
+            if not np.isfinite(value):
+                raise Fault("invalid", f"{name} was measured as {value}")
+            low, high = self.low.get(name, -np.inf), self.high.get(name, np.inf)
+            if not low <= value <= high:
+                raise Fault("range", f"{name} is {value:.6g}, outside of {low:.6g} to {high:.6g}")
+
+
+@dataclass(frozen=True)
+class Flown:
+    """What came of a flight.
+
+    Attributes:
+        periods: Control periods that were flown.
+        fault: What ended it early; None if nothing did.
+        computing: Time from a sample to its inputs, in each period [s].
+        jitter: How much later than due each period began, for a rig that is asked; for one that streams, how much
+            longer than a period its samples were apart [s].
+    """
+
+    periods: int
+    fault: Fault | None
+    computing: Array
+    jitter: Array
+
+    def __str__(self) -> str:
+        """Say it in one line."""
+        slowest, latest = (1e3 * float(np.max(t, initial=0.0)) for t in (self.computing, self.jitter))
+        line = f"{self.periods} periods, inputs after {slowest:.2f} ms at most, jitter {latest:.2f} ms at most"
+        return line if self.fault is None else f"{line}; ended by {self.fault.kind}: {self.fault}; the rig is at rest"
+
+
+def fly(
+    rig: Rig,
+    act: Act,
+    wiring: Wiring,
+    periods: int,
+    path: Path,
+    guard: Guard | None = None,
+) -> Flown:
+    """Fly a rig, and leave it at its safe input.
+
+    Args:
+        rig: The plant.
+        act: The controller, or an excitation.
+        wiring: What is measured, and how often.
+        periods: How many of them.
+        path: Log to write.
+        guard: What it goes on with.
+
+    Raises:
+        KeyboardInterrupt: It was asked to stop; the rig is at rest and the log is closed.
+    """
+    loop = Loop(rig, act, wiring, guard or Guard())
+    fault: Fault | None = None
+    try:
+        with Log(path, wiring) as log:
+            try:
+                loop.run(periods, log)
+            finally:
+                rig.rest()  # before anything else, the closing of the log included
+                loop.watchdog.close()
+    except Fault as error:
+        fault = error
+    except OSError as error:
+        fault = Fault("connection", f"{type(error).__name__}: {error}")
+    return Flown(loop.flown, fault, np.array(loop.computing), np.array(loop.jitter))
+
+
+FIRST = 10
+"""Times longer that the first sample may take: a rig has to begin."""
+
+
+class Loop:
+    """The periods of one flight; see `fly` for the arguments."""
+
+    def __init__(self, rig: Rig, act: Act, wiring: Wiring, guard: Guard) -> None:
+        self.rig, self.act, self.wiring, self.guard, self.dt = rig, act, wiring, guard, wiring.dt
+        self.computing: list[float] = []
+        self.jitter: list[float] = []
+        self.flown = self.missed = 0
+        self.watchdog = Watchdog(rig.rest)
+
+    def run(self, periods: int, log: Log) -> None:
+        """Fly so many periods.
+
+        Raises:
+            Fault: Something is wrong.
+            OSError: The connection is broken.
+        """
+        patience = (1 + self.guard.late) * self.dt
+        start = begun = time.monotonic()
+        for k in range(periods):
+            if not self.rig.streams:
+                time.sleep(max(0.0, start + k * self.dt - time.monotonic()))
+            allowed = patience if k else FIRST * patience
+            self.watchdog.within(2 * allowed)  # the rig may hang in a call that does not keep to its time
+            y = self.rig.read(allowed)
+            arrived = time.monotonic()
+            self.watchdog.within(self.guard.late * self.dt)
+            if k == 0:
+                start = arrived  # the clock starts with the first sample
+            else:
+                due = begun + self.dt if self.rig.streams else start + k * self.dt
+                self.jitter.append(max(0.0, arrived - due))
+            begun = arrived
+            u = self._inputs(self._sample(y), k * self.dt)
+            took = time.monotonic() - arrived
+            self._on_time(took)
+            self.rig.write(u)
+            self.watchdog.within(2 * patience)  # what follows, the log too, is not what the rig waits for
+            self.computing.append(took)
+            log.add(k * self.dt, np.full(self.wiring.signature.n_x, np.nan) if y is None else y, u)
+            self.flown += 1
+
+    def _sample(self, y: Array | None) -> Array:
+        """Return what the controller is shown."""
+        if y is None:
+            self.missed += 1
+            if self.missed > self.guard.lost:
+                raise Fault("lost", f"{self.missed} samples in a row did not come")
+            return np.full(self.wiring.signature.n_x, np.nan)
+        self.missed = 0
+        if np.shape(y) != (self.wiring.signature.n_x,):
+            raise Fault(
+                "invalid", f"a sample has the shape {np.shape(y)}, the plant {self.wiring.signature.n_x} states"
+            )
+        self.guard.check(y, self.wiring)
+        return y
+
+    def _inputs(self, y: Array, t: float) -> Array:
+        try:
+            u = np.asarray(self.act(y, t), dtype=np.float64)
+        except Exception as error:  # any: whatever the controller does, it costs one line and the rig comes to rest
+            why = " ".join(str(error).split())
+            raise Fault("controller", f"it failed with {type(error).__name__}: {why}") from error
+        if u.shape != (self.wiring.signature.n_u,) or not np.isfinite(u).all() or np.abs(u).max() > 1 + 1e-6:
+            raise Fault("controller", f"it gave {u.tolist()}, not {self.wiring.signature.n_u} numbers in [-1, 1]")
+        return u
+
+    def _on_time(self, took: float) -> None:
+        allowed = self.guard.late * self.dt
+        if self.watchdog.barked or took > allowed:
+            raise Fault("late", f"inputs took {1e3 * took:.1f} ms, {1e3 * allowed:.1f} ms are allowed")

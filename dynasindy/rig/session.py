@@ -1,0 +1,132 @@
+"""An afternoon with a rig: excite it, identify it, plan while it rests, fly it, refine the model by what it flew."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dynasindy import workbench
+from dynasindy.control import Controller, save
+from dynasindy.control.files import NAME
+from dynasindy.data.csv import Recording
+from dynasindy.excitation import Excitation
+from dynasindy.rig.base import Array, Rig, Wiring
+from dynasindy.rig.flight import Flown, Guard, fly
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.libraries import LibraryBuilder
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What is known of a plant before it moves.
+
+    Attributes:
+        library: Candidate functions of its equations.
+        known: Equations that are known, by state.
+        targets: Lower and upper end of the targets of each output [unit of the output].
+        longest_delay: Longest delay of the inputs that is looked for [s].
+        planning: Settings of `GradientPlanning`.
+    """
+
+    library: str | Sequence[str] | LibraryBuilder
+    known: Mapping[str, str]
+    targets: Mapping[str, tuple[float, float]]
+    longest_delay: float = 0.1
+    planning: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class Session:
+    """A rig, and what was learnt of it so far.
+
+    Attributes:
+        rig: The plant.
+        wiring: What of it is measured, and how often.
+        guard: What a flight goes on with.
+        folder: Where logs, model and controller are written.
+        tell: Says where it is, a line at a time.
+        flights: What came of each flight.
+    """
+
+    rig: Rig
+    wiring: Wiring
+    guard: Guard
+    folder: Path
+    tell: Tell = print
+    flights: list[Flown] = field(default_factory=list)
+
+    @property
+    def failed(self) -> bool:
+        """Whether a flight was ended by a fault."""
+        return any(flown.fault is not None for flown in self.flights)
+
+    def excite(self, signal: Excitation) -> Flown:
+        """Move the rig by a signal, open loop, and log it to `excitation.csv`."""
+        levels = signal.samples(self.wiring.dt).double().numpy()
+
+        def act(y: Array, t: float) -> Array:
+            level: Array = levels[round(t / self.wiring.dt)]
+            return level
+
+        return self._fly("excitation", act, len(levels))
+
+    def learn(self, knowledge: Knowledge, seed: int = 0) -> Controller:
+        """Identify the rig from all logs so far and plan a controller, while it rests.
+
+        Returns:
+            The controller, which also stands in the folder, beside the model.
+
+        Raises:
+            ValueError: The logs do not allow a fit.
+            Diverged: The model explodes.
+        """
+        log = self._logs()
+        model = workbench.identify(log, knowledge.library, knowledge.known, longest_delay=knowledge.longest_delay)
+        model.save(self.folder / "model.json")
+        for line in model.equations():
+            self.tell(f"  {line}")
+        self.tell("planning while the rig rests")
+        controller = workbench.plan(
+            model, knowledge.targets, log, dt=self.wiring.dt, seed=seed, **dict(knowledge.planning)
+        )
+        save(controller, self.folder / NAME)
+        return controller
+
+    def fly(self, controller: Controller, targets: Sequence[Sequence[float]], seconds: float) -> Flown:
+        """Hold one target after the other, so many seconds each, and log it to `flight_N.csv`."""
+        controller.act(np.zeros(self.wiring.signature.n_x), targets[0])  # the first call takes longer than all others
+        controller.reset()
+        held = max(1, round(seconds / self.wiring.dt))
+
+        def act(y: Array, t: float) -> Array:
+            target = targets[min(round(t / self.wiring.dt) // held, len(targets) - 1)]
+            return controller.act(y, target)
+
+        return self._fly(f"flight_{len(self.flights)}", act, held * len(targets))
+
+    def _fly(self, name: str, act: Callable[[Array, float], Array], periods: int) -> Flown:
+        self.tell(f"{name.replace('_', ' ')}: {periods * self.wiring.dt:g} s")
+        flown = fly(self.rig, act, self.wiring, periods, self.folder / f"{name}.csv", self.guard)
+        self.flights.append(flown)
+        self.tell(f"  {flown}")
+        return flown
+
+    def _logs(self) -> Recording:
+        """Return all logs as one recording, in segments of their own."""
+        signature = self.wiring.signature
+        columns = {
+            name: {"name": name if known else "", "unit": unit}
+            for name, unit, known in zip(signature.state_names, signature.state_units, self.wiring.seen, strict=True)
+        }
+        inputs = {name: name for name in signature.input_names}
+        paths = sorted([*self.folder.glob("excitation.csv"), *self.folder.glob("flight_*.csv")])
+        logs = [workbench.read(path, columns, inputs, dt=self.wiring.dt) for path in paths]
+        data = Transitions.cat([log.transitions for log in logs])
+        notes = tuple(f"{path.name}: {note}" for path, log in zip(paths, logs, strict=True) for note in log.notes)
+        return replace(logs[0], transitions=data, signature=signature, notes=notes)

@@ -1,0 +1,223 @@
+"""A simulated rig: a plant in a process of its own that streams samples over UDP and keeps a watch of its own.
+
+It applies the inputs that arrived since its last sample. A period without any is bridged with the inputs as they were,
+a second one ends in the safe input. Faults are switched on to try what a flight does about them.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+import socket
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+import torch
+
+from dynasindy.rig.base import Array
+from dynasindy.rig.udp import REST, UdpRig, connect, pack, unpack
+from dynasindy.sensing import Sensors
+from dynasindy.systems import System, integrate
+
+BRIDGED = 1
+"""Periods without inputs that are bridged with the last ones."""
+FOREVER = 10**9
+"""Periods of a rig that is ended from outside."""
+FAULTS = ("silent", "old", "garbage", "nan", "range", "slow", "gone")
+
+
+@dataclass
+class Record:
+    """What a simulated rig saw and did.
+
+    Attributes:
+        applied: Inputs of each period, `(n_u,)` each.
+        answered: Whether new inputs had arrived for it.
+        states: True states at the beginning of each period.
+    """
+
+    applied: list[Array] = field(default_factory=list)
+    answered: list[bool] = field(default_factory=list)
+    states: list[Array] = field(default_factory=list)
+
+
+class SimulatedRig:
+    """Serve a plant over UDP.
+
+    Args:
+        system: The plant.
+        dt: Control period [s].
+        sensors: What is measured; all states as they are if omitted.
+        safe: Safe input, `(n_u,)`; zeros if omitted.
+        port: Port to listen on; 0 takes a free one.
+        seed: Seed of the sensors' noise.
+        lockstep: Wait for the answer to each sample, however long it takes, instead of a clock: for tests, in which a
+            busy computer is no fault of the flight.
+        faults: What goes wrong from which sample on: silent (no samples), old (the same again), garbage, nan, range (a
+            state of 1e9), slow (samples two periods late), gone (the socket is closed).
+
+    Raises:
+        ValueError: A fault is unknown.
+        OSError: The port is taken.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        dt: float = 0.05,
+        sensors: Sensors | None = None,
+        safe: Array | None = None,
+        port: int = 0,
+        seed: int = 0,
+        lockstep: bool = False,
+        faults: Mapping[str, int] | None = None,
+    ) -> None:
+        if unknown := [name for name in faults or {} if name not in FAULTS]:
+            raise ValueError(f"fault '{unknown[0]}' is unknown; use some of {', '.join(FAULTS)}")
+        self.system, self.dt, self.sensors, self.lockstep = system, dt, sensors, lockstep
+        self.safe = np.zeros(system.signature.n_u) if safe is None else np.asarray(safe, dtype=np.float64)
+        self.faults, self.rng = dict(faults or {}), torch.Generator().manual_seed(seed)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", port))
+        self.port: int = self._socket.getsockname()[1]
+        self.record = Record()
+
+    def serve(self, periods: int, ready: Callable[[], Any] | None = None) -> Record:
+        """Wait for a caller, then run so many periods.
+
+        Args:
+            periods: How many.
+            ready: Called before the first one.
+
+        Returns:
+            What it saw and did.
+        """
+        self._socket.settimeout(300.0)
+        if ready is not None:
+            ready()
+        caller = self._socket.recvfrom(65536)[1]
+        x, u, missed, begun = (
+            torch.zeros(self.system.signature.n_x, dtype=torch.float64),
+            self.safe,
+            0,
+            time.monotonic(),
+        )
+        for k in range(periods):
+            if not self._send(k, x, caller):
+                break
+            found = self._inputs(k, begun + (k + 1) * self.dt)
+            missed = 0 if found is not None else missed + 1
+            u = found if found is not None else u if missed <= BRIDGED else self.safe
+            if periods < FOREVER:
+                self.record.states.append(x.numpy().copy())
+                self.record.applied.append(u)
+                self.record.answered.append(found is not None)
+            x = integrate(self.system, x, torch.from_numpy(u), self.dt, 5, self.system.stops)[0][-1]
+        self._socket.close()
+        return self.record
+
+    def _wrong(self, fault: str, k: int) -> bool:
+        return fault in self.faults and k >= self.faults[fault]
+
+    def _send(self, k: int, x: torch.Tensor, caller: Any) -> bool:
+        """Send a sample; False if the rig is gone."""
+        if self._wrong("gone", k):
+            return False
+        y = x if self.sensors is None else self.sensors.read(x, self.system.signature, self.rng)
+        values = y.numpy().copy()
+        if self._wrong("nan", k):
+            values[0] = np.nan
+        if self._wrong("range", k):
+            values[0] = 1e9
+        if self._wrong("slow", k):
+            time.sleep(2 * self.dt)
+        if not self._wrong("silent", k):
+            number = min(k, self.faults["old"]) if self._wrong("old", k) else k
+            datagram = b"DYN1 of no sense" if self._wrong("garbage", k) else pack(number, values)
+            self._socket.sendto(datagram, caller)
+        return True
+
+    def _inputs(self, k: int, end: float) -> Array | None:
+        """Return the newest inputs that arrive before a period is over; the safe ones if those are asked for."""
+        found: Array | None = None
+        quiet = any(self._wrong(name, k) for name in FAULTS)
+        while True:
+            waiting = self.lockstep and not quiet
+            left = 10.0 if waiting else end - time.monotonic() if not quiet else 2 * self.dt
+            if left <= 0:
+                return found
+            self._socket.settimeout(left)
+            try:
+                answer = unpack(self._socket.recv(65536), len(self.safe))
+            except (TimeoutError, BlockingIOError):
+                return found
+            except ConnectionError:  # the caller is gone: its own silence tells
+                return found
+            if answer is not None:
+                found = self.safe if answer[0] == REST else answer[1]
+                if self.lockstep or quiet:
+                    return found
+
+
+@dataclass
+class Served:
+    """A simulated rig in another process.
+
+    Attributes:
+        port: Where it listens.
+        record: What it saw and did, once it has ended; None before, and if it was ended by force.
+    """
+
+    port: int
+    record: Record | None = None
+
+
+@contextmanager
+def in_process(periods: int, settings: Mapping[str, Any]) -> Iterator[Served]:
+    """Serve a simulated rig from another process; what it saw is read at the end, if it has run all its periods.
+
+    Args:
+        periods: How many it runs.
+        settings: Arguments of `SimulatedRig`.
+    """
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    process = context.Process(target=_serve, args=(there, periods, dict(settings)), daemon=True)
+    process.start()
+    served = Served(here.recv())
+    try:
+        yield served
+        if periods < FOREVER and here.poll(periods * settings.get("dt", 0.05) + 10.0):
+            served.record = here.recv()
+    finally:
+        process.terminate()
+        process.join()
+
+
+@contextmanager
+def rehearsal(system: System, dt: float, sensors: Sensors | None = None, seed: int = 0) -> Iterator[UdpRig]:
+    """Talk to a simulated rig in another process, which ends with the conversation.
+
+    Args:
+        system: The plant.
+        dt: Control period [s].
+        sensors: What is measured; all states as they are if omitted.
+        seed: Seed of the sensors' noise.
+    """
+    settings = {"system": system, "dt": dt, "sensors": sensors, "seed": seed}
+    with in_process(FOREVER, settings) as served, connect(system, dt, port=served.port) as rig:
+        yield rig
+
+
+def _serve(pipe: Connection, periods: int, settings: dict[str, Any]) -> None:
+    torch.set_num_threads(1)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a script's own handlers came with its module
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the flight; this end notices its silence
+    rig = SimulatedRig(**settings)
+    pipe.send(rig.port)
+    pipe.send(rig.serve(periods))

@@ -1,0 +1,121 @@
+"""A rig at the other end of a network: samples and inputs as datagrams of little-endian doubles.
+
+| datagram | bytes                                                                      |
+| -------- | -------------------------------------------------------------------------- |
+| sample   | `DYN1`, number of the sample (uint32), measured states (n_x doubles)        |
+| inputs   | `DYN1`, number of the sample that they answer (uint32), inputs (n_u doubles) |
+
+The number 0xffffffff asks for the safe input; so does silence, which the far end has to notice by itself.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+
+import numpy as np
+
+from dynasindy.rig.base import Array, Fault
+from dynasindy.systems import System
+
+MAGIC = b"DYN1"
+REST = 0xFFFFFFFF
+"""Number of a datagram that asks for the safe input."""
+
+
+def pack(number: int, values: Array) -> bytes:
+    """Return a datagram."""
+    return MAGIC + struct.pack(f"<I{len(values)}d", number, *values)
+
+
+def unpack(datagram: bytes, n: int) -> tuple[int, Array] | None:
+    """Return number and values, None if it is no datagram of n values."""
+    if len(datagram) != 8 + 8 * n or datagram[:4] != MAGIC:
+        return None
+    number, *values = struct.unpack(f"<I{n}d", datagram[4:])
+    return number, np.array(values)
+
+
+class UdpRig:
+    """A rig that streams samples over UDP and takes inputs the same way.
+
+    Args:
+        n_x: Number of states in a sample.
+        n_u: Number of inputs.
+        host: Address of the rig.
+        port: Its port.
+
+    Raises:
+        OSError: There is no such address.
+    """
+
+    streams = True
+
+    def __init__(self, n_x: int, n_u: int, host: str = "127.0.0.1", port: int = 9870) -> None:
+        self.n_x, self.n_u = n_x, n_u
+        self.last = -1
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.connect((host, port))
+        self.rest()  # the rig learns whom to send samples to
+
+    def read(self, seconds: float) -> Array | None:
+        """Return the newest sample that is newer than the last one, `(n_x,)`; None if none came in time.
+
+        What is no sample of this rig, or an old one, is left out.
+
+        Raises:
+            OSError: The connection is broken.
+        """
+        end = time.monotonic() + seconds
+        newest: Array | None = None
+        while True:
+            left = 0.0 if newest is not None else max(0.0, end - time.monotonic())
+            self._socket.settimeout(left or 1e-6)
+            try:
+                found = unpack(self._socket.recv(65536), self.n_x)
+            except (TimeoutError, BlockingIOError):
+                if newest is not None or time.monotonic() >= end:
+                    return newest
+                continue
+            if found is not None and found[0] > self.last:
+                self.last, newest = found
+
+    def write(self, u: Array) -> None:
+        """Send inputs, `(n_u,)`, as the answer to the last sample.
+
+        Raises:
+            Fault: There are not as many as the rig has.
+            OSError: The connection is broken.
+        """
+        if len(u) != self.n_u:
+            raise Fault("controller", f"{len(u)} inputs for a rig with {self.n_u}")
+        self._socket.send(pack(max(self.last, 0), u))
+
+    def rest(self) -> None:
+        """Ask for the safe input; an answer is not waited for."""
+        try:
+            self._socket.send(pack(REST, np.zeros(self.n_u)))
+        except OSError:  # nobody is there any more: the far end has noticed the silence
+            return
+
+    def close(self) -> None:
+        """Ask for the safe input and let go of the network."""
+        self.rest()
+        self._socket.close()
+
+
+@contextmanager
+def connect(system: System, dt: float, host: str = "127.0.0.1", port: int = 9870) -> Iterator[UdpRig]:
+    """Talk to a rig, and leave it at its safe input.
+
+    Args:
+        system: Plant whose states and inputs it has.
+        dt: Control period [s], which the rig keeps by itself.
+        host: Address of the rig.
+        port: Its port.
+    """
+    with closing(UdpRig(system.signature.n_x, system.signature.n_u, host, port)) as rig:
+        yield rig

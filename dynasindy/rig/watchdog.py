@@ -1,0 +1,50 @@
+"""A thread that gives a rig its safe input when the loop does not come round in time."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+
+class Watchdog:
+    """Call a function once a deadline has passed that was not renewed.
+
+    The loop that it watches may hang in a computation or in a call to the system: the thread does not.
+
+    Args:
+        bark: What to call; once.
+    """
+
+    def __init__(self, bark: Callable[[], None]) -> None:
+        self.bark, self.barked = bark, False
+        self._deadline: float | None = None
+        self._changed = threading.Condition()
+        self._closed = False
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread.start()
+
+    def within(self, seconds: float) -> None:
+        """Ask for the next call of `within` or `close` in so many seconds."""
+        with self._changed:
+            self._deadline = time.monotonic() + seconds
+            self._changed.notify()
+
+    def close(self) -> None:
+        """Stop watching; the function is not called any more."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def _watch(self) -> None:
+        with self._changed:
+            while not self._closed:
+                left = None if self._deadline is None else self._deadline - time.monotonic()
+                if left is None or left > 0:
+                    self._changed.wait(left)
+                else:
+                    self.barked = True
+                    self.bark()
+                    return

@@ -1,0 +1,192 @@
+"""From a log to a controller in three calls: `read`, `identify`, `plan`; a saved controller by `load`.
+
+    log = dynasindy.read("log.csv")
+    model = dynasindy.identify(log)
+    controller = dynasindy.plan(model, {"angle": (-0.5, 0.5)}, log=log)
+
+The scripts do the same with a plant in the loop, and write down everything on the way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+
+from dynasindy.agents import TD3
+from dynasindy.control import Controller
+from dynasindy.control.controller import Pace
+from dynasindy.data import DynaReplay
+from dynasindy.data.csv import Recording
+from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.identification import Logged
+from dynasindy.evaluation.symptoms import resolution as resolution_of
+from dynasindy.evaluation.symptoms import samples_of, step_of
+from dynasindy.planning import GradientPlanning
+from dynasindy.sensing import Channel, Observer, Sensors
+from dynasindy.systems.transitions import Transitions
+from dynasindy.tasks import RandomStep, Tracking, TrackingReward
+from dynasindy.world_models import Refinement, Regression, SindyModel
+from dynasindy.world_models.libraries import LibraryBuilder
+from dynasindy.world_models.measured import rates_known
+
+PERIOD = 0.05
+"""Control period unless another is given [s]; a log with longer intervals sets its own."""
+LONGEST_DELAY = 0.05
+"""Longest delay of the inputs that is looked for unless another is given [s]."""
+
+
+def read(
+    path: str | Path,
+    states: Mapping[str, Any] | None = None,
+    inputs: Mapping[str, Any] | None = None,
+    time: str = "time",
+    dt: float | None = None,
+) -> Recording:
+    """Read a log of a plant from a CSV file.
+
+    Args:
+        path: The file, with a line of headings such as `angle [rad]`.
+        states: Columns of the states by name: the heading, or keys of `dynasindy.data.csv.Column`; all columns but
+            time and inputs if omitted.
+        inputs: Columns of the inputs; those that are called `u`, `u_...` or `input_...` if omitted.
+        time: Heading of the time column [s].
+        dt: Sampling time [s]; the file's own if omitted.
+
+    Returns:
+        Transitions, signature and notes on what was skipped or resampled.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: The file is no log of a plant.
+    """
+    states, inputs = (None if given is None else dict(given) for given in (states, inputs))
+    return Logged(str(path), states, inputs, time, dt).recording(None)
+
+
+def identify(
+    log: Recording,
+    library: str | Sequence[str] | LibraryBuilder = "polynomial",
+    known: Mapping[str, str] | None = None,
+    method: Literal["integral", "one_step", "trajectory", "auto"] = "auto",
+    longest_delay: float = LONGEST_DELAY,
+) -> SindyModel:
+    """Identify sparse equations from a log.
+
+    Args:
+        log: What `read` returned.
+        library: Candidate functions: a name of `dynasindy.world_models.libraries.NAMED`, or functions in words.
+        known: Equations that are known, such as `{"angle": "rate"}`: the state's rate is that function.
+        method: How the fit is refined; `auto` chooses by the noise of the data.
+        longest_delay: Longest delay of the inputs that is looked for [s].
+
+    Returns:
+        The model; `equations()` shows it, `save` keeps it.
+
+    Raises:
+        ValueError: The data or the library do not allow a fit.
+        Diverged: A coefficient is not finite.
+    """
+    refinement = Refinement(method, longest_delay=longest_delay)
+    model = SindyModel(log.signature, library, Regression("bic", tolerance=1e-4), refinement, known=known)
+    model.fit(log.transitions)
+    return model
+
+
+def plan(
+    model: SindyModel,
+    task: Tracking | Mapping[str, tuple[float, float]],
+    log: Recording | None = None,
+    sensors: Sensors | None = None,
+    dt: float | None = None,
+    seed: int = 0,
+    **settings: Any,
+) -> Controller:
+    """Train a controller by the gradient through a model; no plant is moved.
+
+    Args:
+        model: Model of the plant.
+        task: Outputs to hold, each with the lower and upper end of its targets; or a task.
+        log: Log of the plant, from which the controller's observer learns its noise levels; needed with sensors.
+        sensors: What will be measured in flight; if omitted, what the log shows. Without a log all states.
+        dt: Control period [s]; 0.05 s, or the sampling time of the log if that is longer.
+        seed: Seed of networks, references and starts.
+        **settings: Settings of `GradientPlanning`, such as `updates`.
+
+    Raises:
+        ValueError: The task does not fit the model, or an observer has no log to learn from.
+        Diverged: The model explodes, or no policy has a finite imagined return.
+    """
+    if not isinstance(task, Tracking):
+        task = tracking(model, task)
+    step = 0.0 if log is None else log.transitions.dt
+    pace = Pace(task, dt or max(PERIOD, step), stops=model.stops)
+    if log is not None and sensors is None:
+        sensors = sensors_of(log, model)
+    observer = None if sensors is None else watching(model, sensors, pace, log)
+    env = ControlEnv(model, task, pace.dt, pace.substeps, seed=seed)
+    agent = TD3(task.n_o, model.signature.n_u, hidden=(128, 128), seed=seed)
+    GradientPlanning(env, agent, DynaReplay(capacity=1, batch_size=1), seed=seed, **settings).plan()
+    return Controller(agent.deployed, pace, observer)
+
+
+def tracking(model: SindyModel, targets: Mapping[str, tuple[float, float]]) -> Tracking:
+    """Return the task to hold outputs at targets within their ranges.
+
+    Args:
+        model: Model of the plant; states whose rate is another state are damped.
+        targets: Lower and upper end of the targets of each output [unit of the output].
+
+    Raises:
+        ValueError: There is no target, or an output does not exist or has no state that is its rate.
+    """
+    rates, (low, high) = rates_of(model), ([float(ends[k]) for ends in targets.values()] for k in (0, 1))
+    damped = [rates[name] for name in targets if name in rates]
+    reward = TrackingReward(error_weights=(4.0,) * len(targets))
+    return Tracking(model.signature, RandomStep(low, high), list(targets), damped, reward)
+
+
+def rates_of(model: SindyModel) -> dict[str, str]:
+    """Return the name of each state whose rate is known to be another state, and that state's name."""
+    names = model.signature.state_names
+    return {names[state]: names[rate] for rate, state in rates_known(model.library, model.constraints).items()}
+
+
+def sensors_of(log: Recording, model: SindyModel) -> Sensors | None:
+    """Return the sensors that a log shows: what was measured, in which steps, how noisily; None for exact states."""
+    data, names = log.transitions, log.signature.state_names
+    channels, exact = {}, True
+    for name, column in zip(names, samples_of(data), strict=True):
+        step, finest = step_of(column), resolution_of(column)
+        seen = finest == finest  # NaN where nothing was measured
+        exact &= seen and finest < 1e-6 * model.signature.x_scale[names.index(name)]
+        if seen:
+            channels[name] = Channel(resolution=step) if step else Channel(noise=finest)
+    rates = rates_of(model)
+    return None if exact else Sensors(channels, rates, disturbance=bool(rates))
+
+
+def watching(model: SindyModel, sensors: Sensors, pace: Pace, log: Recording | None) -> Observer:
+    """Return an observer that has learnt its process noise from a log.
+
+    Raises:
+        ValueError: There is no log, or its longest stretch has no two control periods.
+    """
+    if log is None:
+        raise ValueError("sensors need an observer, and it learns its noise levels from a log; give log=")
+    data = log.transitions
+    stride = round(pace.dt / data.dt)
+    if stride < 1 or abs(stride * data.dt - pace.dt) > 1e-6 * pace.dt:
+        raise ValueError(f"dt is {pace.dt} s, no multiple of the log's sampling time {data.dt:.6g} s; give another")
+    labels, counts = data.segment.unique_consecutive(return_counts=True)
+    part: Transitions = data.select(data.segment == labels[int(counts.argmax())])
+    periods = len(part) // stride
+    if periods < 2:
+        raise ValueError(f"the longest stretch of the log has {len(part)} samples; give one of two periods or more")
+    y = torch.cat([part.x[:1], part.x_next])[: periods * stride + 1 : stride]
+    u = part.u[: periods * stride].reshape(periods, stride, -1).mean(1)
+    observer = Observer(model, sensors, pace)
+    observer.learn(y, u)
+    return observer

@@ -1,0 +1,172 @@
+"""A controller flies a plant exactly as the evaluation of its policy does, and refuses what is no measurement."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy.agents.networks import actor
+from dynasindy.control import Controller
+from dynasindy.control.controller import Pace
+from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.scenarios import Scenario, evaluate
+from dynasindy.planning.integral import IntegralAction
+from dynasindy.sensing import Observer, Sensing, Sensors
+from dynasindy.systems import Pendulum
+from dynasindy.tasks import Step, Tracking, TrackingReward, Wave
+from dynasindy.world_models import SindyModel
+
+WORDS = ["u", "Omega", "sin(theta)"]
+COUNT = 2 * math.pi / 4096
+
+
+def pendulum_model():
+    model = SindyModel(Pendulum().signature, WORDS, known={"theta": "Omega"})
+    coefficients = torch.zeros(3, 2, dtype=torch.float64)
+    for name, i, value in (("Omega", 0, 1.0), ("u", 1, 11.0), ("Omega", 1, -0.6), ("sin(theta)", 1, -9.5)):
+        coefficients[model.library.index(name), i] = value
+    model.set_coefficients(coefficients)
+    return model
+
+
+def setting(reference=None, observe_rate=False):
+    plant = Pendulum()
+    task = Tracking(
+        plant.signature,
+        reference or Step([[0.3]]),
+        ("theta",),
+        ("Omega",),
+        TrackingReward((4.0,)),
+        observe_rate=observe_rate,
+    )
+    with torch.random.fork_rng():
+        torch.manual_seed(3)
+        policy = actor(task.n_o, 1, (16, 16)).requires_grad_(False)
+    return ControlEnv(plant, task, dtype=torch.float64), policy
+
+
+def watching(env, disturbance=True, **settings):
+    channels = {"theta": {"resolution": COUNT}}
+    sensors = Sensors(channels, rates={"theta": "Omega"}, disturbance=disturbance, **settings)
+    observer = Observer(pendulum_model(), sensors, env)
+    observer.load_state_dict({"process_noise": [0.01, 0.02] + [0.01] * disturbance, "nis": 1.0})
+    return observer
+
+
+def flown(controller, plant, references, rates=None, measured=None):
+    """Fly a plant with a controller, all in plain loops; returns states and inputs."""
+    x, states, inputs = torch.zeros(2, dtype=torch.float64), [], []
+    for k, r in enumerate(references):
+        y = x.numpy() if measured is None else measured[k]
+        u = controller.act(y, r, None if rates is None else rates[k])
+        states.append(x.numpy().copy())
+        inputs.append(u)
+        x = plant.advance(x, torch.from_numpy(u).float().double())[0][-1]
+    return np.array(states), np.array(inputs)
+
+
+@pytest.mark.parametrize("integral", [None, {"gain": 0.4, "band": 0.5}])
+def test_it_flies_as_the_evaluation_does_where_all_states_are_seen(integral):
+    env, policy = setting()
+    wrapped = policy if integral is None else IntegralAction(policy, env, **integral)
+    expected = evaluate(env, wrapped, Scenario("step", seconds=4.0)).trajectory[0]
+    controller = Controller(policy, Pace(env.task, env.dt), integral=integral)
+    states, inputs = flown(controller, env, [[0.3]] * 80)
+    np.testing.assert_allclose(inputs, expected["action"], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(states, expected["state"], rtol=0, atol=1e-6)
+
+
+def test_it_is_shown_how_fast_the_reference_moves():
+    env, policy = setting(Wave([0.3], [0.4]), observe_rate=True)
+    expected = evaluate(env, policy, Scenario("sine", seconds=4.0)).trajectory[0]
+    t = 0.05 * np.arange(80)
+    references, rates = 0.3 * np.sin(0.8 * math.pi * t), 0.24 * math.pi * np.cos(0.8 * math.pi * t)
+    _, inputs = flown(Controller(policy, Pace(env.task, env.dt)), env, references[:, None], rates[:, None])
+    np.testing.assert_allclose(inputs, expected["action"], rtol=0, atol=1e-6)
+    _, blind = flown(Controller(policy, Pace(env.task, env.dt)), env, references[:, None])
+    assert np.abs(blind - inputs).max() > 1e-3
+
+
+@pytest.mark.parametrize("disturbance", [False, True])
+@pytest.mark.parametrize("integral", [None, {"band": 0.5}])
+def test_it_flies_as_the_evaluation_does_behind_sensors(disturbance, integral):
+    env, policy = setting()
+    observer = watching(env, disturbance)
+    sensing = Sensing(env, observer, torch.Generator().manual_seed(0))
+    wrapped = policy if integral is None else IntegralAction(policy, env, **integral)
+    expected = evaluate(env, wrapped, Scenario("step", seconds=4.0), sensing).trajectory[0]
+    controller = Controller(policy, Pace(env.task, env.dt, env.substeps), observer, integral)
+    measured = expected["measurement"].numpy()
+    assert np.isnan(measured[:, 1]).all()
+    _, inputs = flown(controller, env, [[0.3]] * 80, measured=measured)
+    np.testing.assert_allclose(inputs, expected["action"], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(controller.estimate, expected["observer", "mean"][-1, :2], rtol=0, atol=1e-6)
+
+
+def test_a_reset_forgets_everything():
+    env, policy = setting()
+    controller = Controller(policy, Pace(env.task, env.dt, env.substeps), watching(env), {"band": 0.5})
+    assert controller.estimate is None
+    first = [controller.act([0.1 * k, math.nan], [0.3]) for k in range(5)]
+    again = [controller.act([0.1 * k, math.nan], [0.3]) for k in range(5)]
+    assert not np.allclose(first, again)
+    controller.reset()
+    np.testing.assert_array_equal(first, [controller.act([0.1 * k, math.nan], [0.3]) for k in range(5)])
+
+
+def test_a_lost_sample_is_bridged_by_the_model():
+    env, policy = setting()
+    controller = Controller(policy, Pace(env.task, env.dt, env.substeps), watching(env, disturbance=False))
+    model, x = pendulum_model(), torch.tensor([0.4, 0.0], dtype=torch.float64)
+    for _ in range(10):
+        u = controller.act({"theta": float(x[0])}, [0.3])
+        x = env.with_system(model).advance(x, torch.from_numpy(u))[0][-1]
+    controller.act({}, [0.3])
+    np.testing.assert_allclose(controller.estimate, x, atol=2e-2)
+
+
+def test_numbers_may_be_given_by_name():
+    env, policy = setting()
+    controller = Controller(policy, Pace(env.task, env.dt))
+    by_place = controller.act([0.1, -0.2], [0.3])
+    controller.reset()
+    np.testing.assert_array_equal(by_place, controller.act({"Omega": -0.2, "theta": 0.1}, {"theta": 0.3}))
+    assert controller.signature.input_names == ("u",)
+    assert (controller.dt, controller.outputs) == (0.05, ("theta",))
+
+
+@pytest.mark.parametrize(
+    ("measurement", "reference", "words"),
+    [
+        ([0.1], [0.3], "measurement has 1 numbers; give one for each of theta, Omega"),
+        ([0.1, math.nan], [0.3], "measurement of Omega is nan"),
+        ([0.1, math.inf], [0.3], "measurement of Omega is inf"),
+        (
+            {"theta": 0.1, "speed": 0.0},
+            [0.3],
+            "measurement has 'speed', which does not exist; allowed are theta, Omega",
+        ),
+        ([0.1, 0.0], [math.nan], "reference of theta is nan"),
+        ([0.1, 0.0], [0.3, 0.1], "reference has 2 numbers; give one for each of theta"),
+        ([0.1, 0.0], {}, "reference of theta is nan"),
+    ],
+)
+def test_what_is_no_number_of_the_plant_is_refused(measurement, reference, words):
+    env, policy = setting()
+    with pytest.raises(ValueError, match=words):
+        Controller(policy, Pace(env.task, env.dt)).act(measurement, reference)
+
+
+def test_an_infinite_measurement_is_refused_behind_sensors_too():
+    env, policy = setting()
+    controller = Controller(policy, Pace(env.task, env.dt, env.substeps), watching(env))
+    with pytest.raises(ValueError, match="measurement of theta is inf"):
+        controller.act([math.inf, math.nan], [0.3])
+
+
+def test_an_observer_that_has_not_learnt_is_refused():
+    env, policy = setting()
+    observer = Observer(pendulum_model(), Sensors({"theta": {}}, rates={"theta": "Omega"}), env)
+    with pytest.raises(ValueError, match="has not learnt from data"):
+        Controller(policy, Pace(env.task, env.dt), observer)

@@ -1,0 +1,236 @@
+"""Flights of a simulated rig over UDP: what is flown is right, and whatever goes wrong ends in the safe input."""
+
+import csv
+import math
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy.data.csv import CsvLog
+from dynasindy.rig import Fault, Guard, UdpRig, Wiring, fly
+from dynasindy.rig.simulated import SimulatedRig
+from dynasindy.sensing import Sensors
+from dynasindy.systems import Pendulum, rk4
+
+WIRING = Wiring(Pendulum().signature, (True, True), 0.05)
+SAFE = np.array([0.25])
+PATIENT = Guard(late=10.0, lost=1)
+"""Half a second at a period of 50 ms: this computer may be busy."""
+
+
+def swing(y, t):
+    return np.array([0.5 * math.sin(3 * t) - 0.1 * np.nan_to_num(y[1])])
+
+
+def flown(tmp_path, act=swing, periods=12, guard=PATIENT, served=None, **settings):
+    """Fly, and return what came of it and what the rig saw."""
+    server = SimulatedRig(Pendulum(), 0.05, safe=SAFE, lockstep=True, **settings)
+    thread = threading.Thread(target=server.serve, args=(served or periods + 1,))
+    thread.start()
+    rig = UdpRig(2, 1, port=server.port)
+    try:
+        return fly(rig, act, WIRING, periods, tmp_path / "log.csv", guard), server.record
+    finally:
+        rig.close()
+        thread.join()
+
+
+def test_the_plant_moves_as_the_controller_says(tmp_path):
+    """An independent simulation, sample by sample."""
+    result, record = flown(tmp_path)
+    assert (result.periods, result.fault) == (12, None)
+    plant, x = Pendulum(), torch.zeros(2, dtype=torch.float64)
+    for k in range(12):
+        np.testing.assert_allclose(record.states[k], x, atol=1e-9)
+        u = swing(x.numpy(), 0.05 * k)
+        np.testing.assert_allclose(record.applied[k], u, atol=1e-9)
+        for _ in range(5):
+            x = rk4(plant, x, torch.from_numpy(u), 0.01)
+    np.testing.assert_array_equal(record.applied[12], SAFE)
+    assert len(result.computing) == 12
+    assert len(result.jitter) == 11
+    assert str(result).startswith("12 periods, inputs after ")
+
+
+def test_the_log_is_read_back_by_identification(tmp_path):
+    _, record = flown(tmp_path, periods=60)
+    units = {"theta": {"name": "theta", "unit": "rad"}, "Omega": {"name": "Omega", "unit": "rad/s"}}
+    data = CsvLog(str(tmp_path / "log.csv"), units, {"u": "u"}).read().transitions
+    np.testing.assert_allclose(data.x, np.array(record.states[:59]), atol=1e-7)
+    np.testing.assert_allclose(data.u, np.array(record.applied[:59]), atol=1e-7)
+    assert data.dt == pytest.approx(0.05)
+
+
+def test_a_state_without_a_sensor_has_no_column(tmp_path):
+    sensors = Sensors({"theta": {"resolution": 0.01}})
+    server = SimulatedRig(Pendulum(), 0.05, sensors, lockstep=True)
+    thread = threading.Thread(target=server.serve, args=(4,))
+    thread.start()
+    rig, shown = UdpRig(2, 1, port=server.port), []
+
+    def act(y, t):
+        shown.append(y)
+        return np.array([0.5])
+
+    fly(rig, act, replace(WIRING, seen=(True, False)), 4, tmp_path / "log.csv", PATIENT)
+    rig.close()
+    thread.join()
+    assert np.isnan(np.array(shown)[:, 1]).all()
+    np.testing.assert_allclose(np.array(shown)[:, 0] / 0.01, np.round(np.array(shown)[:, 0] / 0.01), atol=1e-9)
+    with (tmp_path / "log.csv").open() as file:
+        assert next(csv.reader(file)) == ["time [s]", "theta [rad]", "u [-]"]
+
+
+def failing(kind, at):
+    def act(y, t):
+        if round(t / 0.05) < at:
+            return swing(y, t)
+        if kind == "raises":
+            raise RuntimeError("no\nidea")
+        if kind == "hangs":
+            time.sleep(1.5)
+        return {"nan": [math.nan], "shape": [0.1, 0.2], "large": [1.5]}.get(kind, [0.0])
+
+    return act
+
+
+RIG_FAULTS = [("nan", "invalid"), ("range", "range"), ("silent", "lost"), ("old", "lost"), ("garbage", "lost")]
+OWN_FAULTS = [(kind, "controller") for kind in ("raises", "nan", "shape", "large")]
+
+
+@pytest.mark.parametrize("at", [1, 5])
+@pytest.mark.parametrize(("fault", "kind"), [*RIG_FAULTS, ("gone", "lost")])
+def test_a_rig_that_fails_ends_in_its_safe_input(tmp_path, fault, kind, at):
+    guard = Guard({"theta": -2.0}, {"theta": 2.0}, late=10.0, lost=0)
+    result, record = flown(tmp_path, guard=guard, served=at + 5, faults={fault: at})
+    at += fault == "old"  # the first of those that are all alike is new
+    assert result.fault is not None
+    assert result.fault.kind in (kind, "connection")
+    assert result.periods == at
+    assert "\n" not in str(result)
+    for u in record.applied[at + 1 :]:  # one period is bridged by the rig itself
+        np.testing.assert_array_equal(u, SAFE)
+    if fault in ("nan", "range"):
+        np.testing.assert_array_equal(record.applied[at], SAFE)
+    with (tmp_path / "log.csv").open() as file:
+        assert len(list(csv.reader(file))) == 1 + result.periods
+
+
+@pytest.mark.parametrize("at", [0, 5])
+@pytest.mark.parametrize(("own", "kind"), OWN_FAULTS)
+def test_a_controller_that_fails_ends_in_the_safe_input_of_the_same_period(tmp_path, own, kind, at):
+    result, record = flown(tmp_path, failing(own, at), served=at + 1)
+    assert result.fault.kind == kind
+    assert result.periods == at
+    assert "\n" not in str(result)
+    for u in record.applied[at:]:
+        np.testing.assert_array_equal(u, SAFE)
+
+
+def test_a_controller_that_hangs_is_overtaken_by_the_watchdog(tmp_path):
+    """The safe input is sent while the controller still computes."""
+    guard = Guard(late=6.0)
+    before = time.monotonic()
+    server = SimulatedRig(Pendulum(), 0.05, safe=SAFE, lockstep=True)
+    thread = threading.Thread(target=server.serve, args=(5,))
+    thread.start()
+    rig = UdpRig(2, 1, port=server.port)
+    result = fly(rig, failing("hangs", 4), WIRING, 9, tmp_path / "log.csv", guard)
+    thread.join()
+    rig.close()
+    assert result.fault.kind == "late"
+    np.testing.assert_array_equal(server.record.applied[4], SAFE)
+    assert time.monotonic() > before
+
+
+def test_ctrl_c_brings_the_rig_to_rest_and_goes_on(tmp_path):
+    def act(y, t):
+        if t > 0.2:
+            raise KeyboardInterrupt
+        return swing(y, t)
+
+    server = SimulatedRig(Pendulum(), 0.05, safe=SAFE, lockstep=True)
+    thread = threading.Thread(target=server.serve, args=(6,))
+    thread.start()
+    rig = UdpRig(2, 1, port=server.port)
+    with pytest.raises(KeyboardInterrupt):
+        fly(rig, act, WIRING, 9, tmp_path / "log.csv", PATIENT)
+    rig.close()
+    thread.join()
+    for u in server.record.applied[5:]:
+        np.testing.assert_array_equal(u, SAFE)
+
+
+def test_one_lost_sample_is_shown_as_nan_and_bridged(tmp_path):
+    class Polled:
+        streams, written, rested = False, (), 0
+
+        def __init__(self, samples):
+            self.samples, self.written = list(samples), []
+
+        def read(self, seconds):
+            return self.samples.pop(0)
+
+        def write(self, u):
+            self.written.append(u)
+
+        def rest(self):
+            self.rested += 1
+
+    shown = []
+
+    def act(y, t):
+        shown.append(y)
+        return np.array([0.1])
+
+    y = np.array([0.1, 0.2])
+    rig = Polled([y, None, y, None, None, y])
+    result = fly(rig, act, replace(WIRING, dt=0.01), 6, tmp_path / "log.csv", Guard(late=50.0, lost=1))
+    assert [np.isnan(v).all() for v in shown] == [False, True, False, True]
+    assert (result.fault.kind, result.periods, rig.rested, len(rig.written)) == ("lost", 4, 1, 4)
+    rows = (tmp_path / "log.csv").read_text().splitlines()
+    assert rows[2] == "0.010000,,,0.1"
+
+
+def test_a_period_that_begins_late_is_told(tmp_path):
+    class Slow:
+        streams = False
+
+        def read(self, seconds):
+            return np.zeros(2)
+
+        def write(self, u):
+            time.sleep(0.03)
+
+        def rest(self):
+            pass
+
+    result = fly(Slow(), swing, replace(WIRING, dt=0.01), 4, tmp_path / "log.csv", Guard(late=100.0))
+    assert (result.jitter >= np.array([0.019, 0.038, 0.057])).all()
+
+
+def test_a_broken_connection_is_one_line(tmp_path):
+    class Broken:
+        streams, rested = False, 0
+
+        def read(self, seconds):
+            raise OSError("the cable is out")
+
+        def rest(self):
+            self.rested += 1
+
+    rig = Broken()
+    result = fly(rig, swing, replace(WIRING, dt=0.01), 4, tmp_path / "log.csv", PATIENT)
+    assert (result.fault.kind, rig.rested, result.periods) == ("connection", 1, 0)
+    assert "the cable is out" in str(result)
+
+
+def test_a_guard_of_negative_numbers_is_refused():
+    with pytest.raises(ValueError, match="give numbers >= 0"):
+        Guard(late=-0.1)
+    with pytest.raises(Fault, match="theta is 3, outside of -1 to 2"):
+        Guard({"theta": -1.0}, {"theta": 2.0}).check(np.array([3.0, 0.0]), WIRING)

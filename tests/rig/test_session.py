@@ -1,0 +1,69 @@
+"""An afternoon with a simulated rig: from nothing to a controller that holds it."""
+
+import csv
+import threading
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy import load
+from dynasindy.excitation import Multisine
+from dynasindy.rig import Guard, UdpRig, Wiring
+from dynasindy.rig.session import Knowledge, Session
+from dynasindy.rig.simulated import SimulatedRig
+from dynasindy.sensing import Sensors
+from dynasindy.systems import Pendulum
+from dynasindy.world_models import SindyModel
+
+COUNT = 2 * np.pi / 4096
+KNOWLEDGE = Knowledge(
+    ["1", "u", "theta", "Omega", "sin(theta)"],
+    {"theta": "Omega"},
+    {"theta": (-0.6, 0.6)},
+    longest_delay=0.0,
+    planning={"updates": 60, "rollouts": 32, "window": 30},
+)
+
+
+@pytest.fixture
+def session(tmp_path):
+    server = SimulatedRig(Pendulum(), 0.05, Sensors({"theta": {"resolution": COUNT}}), lockstep=True)
+    thread = threading.Thread(target=partial(server.serve, 10_000), daemon=True)
+    thread.start()
+    rig = UdpRig(2, 1, port=server.port)
+    wiring = Wiring(Pendulum().signature, (True, False), 0.05)
+    session = Session(rig, wiring, Guard(late=100.0), tmp_path, tell=lambda line: None)
+    session.server = server
+    yield session
+    rig.close()
+
+
+@pytest.mark.slow
+def test_from_nothing_to_a_controller_that_holds_the_rig(session):
+    session.excite(Multisine(1, duration=8, dt=0.05, amplitude=[0.8], seed=0))
+    controller = session.learn(KNOWLEDGE)
+    model = SindyModel.load(session.folder / "model.json")
+    torch.testing.assert_close(
+        model.coefficients[model.library.index("sin(theta)"), 1], torch.tensor(-9.81).double(), rtol=0.05, atol=0
+    )
+    session.fly(controller, [[0.4], [-0.2]], 6.0)
+    assert not session.failed
+    states = np.array(session.server.record.states)[-240:, 0]
+    assert np.abs(states[80:118] - 0.4).max() < 0.03
+    assert np.abs(states[200:] + 0.2).max() < 0.03
+    rows = len(session._logs().transitions)
+    assert rows == 159 + 239  # both logs, a transition less than samples each
+    assert load(session.folder).outputs == ("theta",)
+
+
+def test_a_fault_is_kept_and_told(session):
+    told = []
+    session.tell, session.guard = told.append, Guard(low={"theta": -1.0}, high={"theta": 0.05}, late=100.0)
+    session.excite(Multisine(1, duration=8, dt=0.05, amplitude=[0.8], seed=0))
+    assert session.failed
+    assert "ended by range: theta is" in told[-1]
+    with (session.folder / "excitation.csv").open() as file:
+        rows = list(csv.reader(file))[1:]
+    assert max(float(row[1]) for row in rows) <= 0.05

@@ -1,0 +1,55 @@
+"""A simulated rig keeps a watch of its own: a flight that falls silent ends in the safe input."""
+
+import socket
+import threading
+
+import numpy as np
+import pytest
+
+from dynasindy.rig.simulated import SimulatedRig
+from dynasindy.rig.udp import REST, pack
+from dynasindy.systems import Pendulum
+
+SAFE = np.array([0.25])
+
+
+def talked(answers, periods):
+    """Return the record of a rig whose caller answers as given, None for nothing."""
+    server = SimulatedRig(Pendulum(), 0.05, safe=SAFE)
+    thread = threading.Thread(target=server.serve, args=(periods,))
+    thread.start()
+    caller = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    caller.connect(("127.0.0.1", server.port))
+    caller.send(pack(REST, np.zeros(1)))
+    caller.settimeout(10.0)
+    for answer in answers:
+        caller.recv(100)
+        if answer is not None:
+            caller.send(answer)
+    thread.join()
+    caller.close()
+    return server.record
+
+
+def test_silence_is_bridged_once():
+    """What this busy computer answers late counts as silence too, so that the first input is looked for."""
+    record = talked([pack(0, np.array([0.5]))], 8)
+    inputs = [float(u[0]) for u in record.applied]
+    first = next((k for k, u in enumerate(inputs) if u == 0.5), None)
+    assert first is not None
+    assert inputs[first : first + 2] == [0.5, 0.5]
+    assert set(inputs[first + 2 :]) == {0.25}
+    assert record.answered.count(True) == 1
+
+
+def test_rest_is_the_safe_input_and_not_what_stands_beside_it():
+    assert {float(u[0]) for u in talked([pack(REST, np.array([0.9]))], 4).applied} == {0.25}
+
+
+def test_what_is_no_datagram_changes_nothing():
+    assert {float(u[0]) for u in talked([b"up!"], 4).applied} == {0.25}
+
+
+def test_an_unknown_fault_is_refused():
+    with pytest.raises(ValueError, match="use some of silent, old"):
+        SimulatedRig(Pendulum(), faults={"fire": 3})

@@ -1,0 +1,67 @@
+"""Datagrams byte by byte, and what a rig over UDP believes."""
+
+import socket
+import struct
+
+import numpy as np
+import pytest
+
+from dynasindy.rig import Fault, UdpRig
+from dynasindy.rig.udp import REST, pack, unpack
+
+
+@pytest.fixture
+def ends():
+    far = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    far.bind(("127.0.0.1", 0))
+    far.settimeout(5.0)
+    rig = UdpRig(2, 1, port=far.getsockname()[1])
+    hello, caller = far.recvfrom(100)
+    yield rig, far, caller, hello
+    far.close()
+    rig._socket.close()
+
+
+def test_a_datagram_is_magic_number_and_doubles():
+    assert pack(7, np.array([1.0, -2.5])) == b"DYN1" + struct.pack("<I", 7) + struct.pack("<dd", 1.0, -2.5)
+    number, values = unpack(b"DYN1" + struct.pack("<Idd", 7, 1.0, -2.5), 2)
+    assert (number, values.tolist()) == (7, [1.0, -2.5])
+
+
+@pytest.mark.parametrize("datagram", [b"", b"DYN1", b"DYN2" + bytes(20), b"DYN1" + bytes(12), b"DYN1" + bytes(28)])
+def test_what_is_no_datagram_is_left_out(datagram):
+    assert unpack(datagram, 2) is None
+
+
+def test_the_first_word_asks_for_the_safe_input(ends):
+    assert unpack(ends[3], 1)[0] == REST
+
+
+def test_the_newest_sample_counts_and_old_ones_do_not(ends):
+    rig, far, caller, _ = ends
+    for number in (3, 5, 4):
+        far.sendto(pack(number, np.array([number, 0.5])), caller)
+    assert rig.read(2.0).tolist() == [5.0, 0.5]
+    far.sendto(pack(5, np.array([9.0, 9.0])), caller)
+    far.sendto(b"nonsense", caller)
+    assert rig.read(0.05) is None
+    far.sendto(pack(6, np.array([6.0, 6.0])), caller)
+    assert rig.read(2.0).tolist() == [6.0, 6.0]
+
+
+def test_inputs_answer_the_last_sample(ends):
+    rig, far, caller, _ = ends
+    far.sendto(pack(11, np.array([0.0, 0.0])), caller)
+    rig.read(2.0)
+    rig.write(np.array([0.75]))
+    number, values = unpack(far.recv(100), 1)
+    assert (number, values.tolist()) == (11, [0.75])
+    with pytest.raises(Fault, match="2 inputs for a rig with 1"):
+        rig.write(np.array([0.1, 0.2]))
+
+
+def test_the_end_asks_for_the_safe_input(ends):
+    rig, far, _, _ = ends
+    rig.close()
+    assert unpack(far.recv(100), 1)[0] == REST
+    rig.rest()  # nothing to send it with any more, and no error

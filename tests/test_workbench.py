@@ -1,0 +1,108 @@
+"""From a log to a controller in three calls, tried on the plant that the log is of."""
+
+import csv
+import math
+
+import numpy as np
+import pytest
+import torch
+
+import dynasindy
+from dynasindy.data.simulated import record
+from dynasindy.envs import ControlEnv
+from dynasindy.excitation import Multisine
+from dynasindy.sensing import Sensors
+from dynasindy.systems import Pendulum
+from dynasindy.tasks import RandomStep, Tracking, TrackingReward
+
+COUNT = 2 * math.pi / 4096
+WORDS = ["1", "u", "theta", "Omega", "sin(theta)", "Omega^2"]
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    """Write a log of the pendulum, whose angle is read by an encoder and whose rate by nobody."""
+    data = record(Pendulum(), Multisine(1, duration=8, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
+    file = tmp_path_factory.mktemp("log") / "log.csv"
+    with file.open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["time [s]", "theta [rad]", "u"])
+        for k in range(len(data)):
+            writer.writerow([0.01 * k, round(float(data.x[k, 0]) / COUNT) * COUNT, float(data.u[k, 0])])
+    return file
+
+
+@pytest.fixture(scope="module")
+def log(path):
+    return dynasindy.read(path, {"theta": {"name": "theta", "unit": "rad"}, "Omega": {"unit": "rad/s"}})
+
+
+@pytest.fixture(scope="module")
+def model(log):
+    return dynasindy.identify(log, WORDS, known={"theta": "Omega"}, longest_delay=0.0)
+
+
+def test_a_log_is_read_with_its_units_and_gaps(log):
+    assert log.signature.state_units == ("rad", "rad/s")
+    assert log.signature.input_names == ("u",)
+    assert log.transitions.dt == pytest.approx(0.01)
+    assert log.transitions.x[:, 1].isnan().all()
+
+
+def test_the_equations_are_those_of_the_pendulum(model):
+    """l = 1 m, m = 1 kg: theta'' = 12 u - 9.81 sin(theta) - 0.5 theta'."""
+    found = dict(zip(model.library.names, model.coefficients[:, 1].tolist(), strict=True))
+    present = {name: value for name, value in found.items() if value}
+    assert present == pytest.approx({"u": 12.0, "Omega": -0.5, "sin(theta)": -9.81}, rel=0.02)
+
+
+def test_the_controller_holds_the_plant_that_the_log_is_of(log, model, tmp_path):
+    controller = dynasindy.plan(model, {"theta": (-0.6, 0.6)}, log, updates=60, rollouts=32, window=30)
+    assert controller.outputs == ("theta",)
+    assert controller.observer.sensors.channels["theta"].resolution == pytest.approx(COUNT, rel=1e-3)
+    dynasindy.control.save(controller, tmp_path / "controller.json")
+    loaded = dynasindy.load(tmp_path)
+    plant, x = ControlEnv(Pendulum(), controller.pace.task, controller.dt, dtype=torch.float64), torch.zeros(2).double()
+    for k in range(200):
+        y = {"theta": round(float(x[0]) / COUNT) * COUNT}
+        u = controller.act(y, [0.4])
+        np.testing.assert_array_equal(u, loaded.act(y, [0.4]))
+        x = plant.advance(x, torch.from_numpy(u))[0][-1]
+        if k > 150:
+            assert abs(float(x[0]) - 0.4) < 0.03
+
+
+def test_without_a_log_all_states_are_to_be_measured(model):
+    controller = dynasindy.plan(model, {"theta": (-0.6, 0.6)}, updates=1, rollouts=4, window=5)
+    assert controller.observer is None
+    assert controller.dt == 0.05
+    with pytest.raises(ValueError, match="measurement of Omega is nan"):
+        controller.act({"theta": 0.1}, [0.3])
+
+
+def test_a_task_of_ones_own_is_taken_as_it_is(model):
+    own = Tracking(model.signature, RandomStep([0.0], [0.2]), ("Omega",), ("Omega",), TrackingReward((1.0,)))
+    assert dynasindy.plan(model, own, dt=0.1, updates=1, rollouts=4, window=5).pace.task is own
+
+
+def test_the_seed_decides(model):
+    def act(seed):
+        controller = dynasindy.plan(model, {"theta": (-0.6, 0.6)}, seed=seed, updates=1, rollouts=4, window=5)
+        return float(controller.act([0.1, 0.0], [0.3])[0])
+
+    assert act(1) == act(1) != act(2)
+
+
+def test_sensors_need_a_log(model):
+    with pytest.raises(ValueError, match="give log="):
+        dynasindy.plan(model, {"theta": (-0.6, 0.6)}, sensors=Sensors({"theta": {}}))
+
+
+def test_a_control_period_fits_the_log(log, model):
+    with pytest.raises(ValueError, match=r"no multiple of the log's sampling time 0.01 s"):
+        dynasindy.plan(model, {"theta": (-0.6, 0.6)}, log, dt=0.025)
+
+
+def test_the_package_says_what_it_has():
+    with pytest.raises(AttributeError, match=r"it has Controller, .*, identify, load, plan, read"):
+        dynasindy.train  # noqa: B018
