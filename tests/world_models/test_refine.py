@@ -18,7 +18,6 @@ from dynasindy.world_models.measured import reconstruct
 from dynasindy.world_models.one_step import refine_one_step
 from dynasindy.world_models.refine import METHODS, Refinement, looks_noisy
 from dynasindy.world_models.regression import Regression, RunningSums, integral_form, simpson_form
-from dynasindy.world_models.sindy import SindyModel
 from dynasindy.world_models.trajectory import Descent, refine_trajectory
 
 SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
