@@ -27,6 +27,7 @@ from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.base import WorldModel
 from dynasindy.world_models.constraints import Constraints
+from dynasindy.world_models.delay import known_inputs
 from dynasindy.world_models.fast_field import Field, generate
 from dynasindy.world_models.files import load, record, save, understand
 from dynasindy.world_models.libraries import LibraryBuilder, build_library
@@ -165,7 +166,7 @@ class SindyModel(WorldModel):
     def _identify(self, transitions: Transitions, sums: RunningSums, delay: float) -> FitReport:
         """Fit to the sums of earlier data and to new transitions, whose inputs act `delay` seconds later."""
         start = time.perf_counter()
-        data, self.sums = transitions.to(torch.float64), sums
+        data, self.sums, earlier = transitions.to(torch.float64), sums, sums.count
         self._check(data)
         rates, first = rates_known(self.library, self.constraints), None
         guess = reconstruct(data, rates)
@@ -181,7 +182,10 @@ class SindyModel(WorldModel):
         self.delay = delay
         notes = self._refine(data, guess)
         seconds = time.perf_counter() - start
-        return FitReport.of(self.library, self.coefficients, self.sums, seconds, notes, data.dt)
+        report = FitReport.of(self.library, self.coefficients, self.sums, seconds, notes, data.dt)
+        # The sums may be of fewer rows than that, each of them the average of many transitions.
+        samples = int(known_inputs(data, self.delay).sum()) + (earlier if self.sums is sums else 0)
+        return replace(report, samples=samples)
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
         """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`."""
