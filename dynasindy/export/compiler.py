@@ -1,0 +1,105 @@
+"""The C compiler of this computer: C text in, a shared library out."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynasindy.export.c_controller import ControllerSources
+
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
+"""Under these settings what is written here compiles."""
+SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+"""How the name of a shared library ends."""
+
+
+def compiler() -> str | None:
+    """Return the C compiler: the environment's CC, or cc, gcc or clang; None if there is none."""
+    names = [os.environ.get("CC", ""), "cc", "gcc", "clang"]
+    return next((path for path in map(shutil.which, filter(None, names)) if path), None)
+
+
+def build(sources: Sequence[Path], library: Path, options: Sequence[str] = ("-O2", *STRICT)) -> Path:
+    """Compile C sources to a shared library.
+
+    Args:
+        sources: Files of C.
+        library: File to write.
+        options: Settings of the compiler.
+
+    Raises:
+        FileNotFoundError: There is no compiler.
+        ValueError: The compiler refuses the sources.
+    """
+    if (found := compiler()) is None:
+        raise FileNotFoundError("no C compiler was found; install gcc or clang, or leave out what is compiled")
+    library.parent.mkdir(parents=True, exist_ok=True)
+    command = [found, *options, "-fPIC", "-shared", *map(str, sources), "-o", str(library), "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise ValueError(f"the C compiler refused {sources[0].name}: {' '.join(done.stderr.split())[:300]}")
+    return library
+
+
+class Native:
+    """A controller in C that this computer has compiled, called as the one in Python.
+
+    Args:
+        sources: The controller.
+
+    Raises:
+        FileNotFoundError: There is no compiler.
+        ValueError: The compiler refuses the sources.
+    """
+
+    def __init__(self, sources: ControllerSources) -> None:
+        # A folder of its own each time: a library that is loaded must not be overwritten.
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place:
+            folder = Path(place)
+            for name, text in sources.files().items():
+                (folder / name).write_text(text, encoding="utf-8")
+            loaded = ctypes.CDLL(str(build([folder / f"{sources.name}.c"], folder / f"{sources.name}{SUFFIX}")))
+        self.n_u = sources.n_u
+        self._reset, self._act = (getattr(loaded, f"{sources.name}_{name}") for name in ("reset", "act"))
+        numbers = ctypes.POINTER(ctypes.c_double)
+        self._reset.argtypes, self._reset.restype = [ctypes.c_void_p], None
+        self._act.argtypes, self._act.restype = [ctypes.c_void_p, *[numbers] * 4], ctypes.c_int
+        self.state = ctypes.create_string_buffer(sources.cost.state)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was measured."""
+        self._reset(self.state)
+
+    def act(self, y: Sequence[float], r: Sequence[float], rate: Sequence[float] | None = None) -> NDArray[np.float64]:
+        """Return the inputs of the control period that begins now, `(n_u,)`.
+
+        Args:
+            y: What was measured now, NaN where nothing was.
+            r: Where the outputs are to be.
+            rate: How fast the reference moves; 0 if omitted.
+
+        Raises:
+            ValueError: A number is not finite that has to be.
+        """
+        u = np.empty(self.n_u)
+        if self._act(self.state, _numbers(y), _numbers(r), None if rate is None else _numbers(rate), _pointer(u)):
+            raise ValueError("a measurement, a reference or an input is not finite; give finite numbers")
+        return u
+
+
+def _numbers(values: Sequence[float]) -> object:
+    return _pointer(np.ascontiguousarray(values, dtype=np.float64))
+
+
+def _pointer(values: NDArray[np.float64]) -> object:
+    return values.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
