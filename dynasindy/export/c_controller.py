@@ -6,7 +6,7 @@ does not have left out. It allocates nothing and keeps everything that changes i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from dynasindy.agents.networks import MLP
@@ -65,7 +65,7 @@ def controller_sources(controller: Controller, name: str = "controller") -> Cont
         flags |= watching.flags
         words |= watching.words
         text += "\n/* ---- The model ---- */\n\n" + field(watching.model, found) + fill("solve.c", {})
-        text += fill("observer.c", words, flags)
+        text += fill("flow.c", words, flags) + fill("observer.c", words, flags)
         text += fill("push.c", words, flags) if "pushed" in flags else ""
     words |= _policy(mlp, flags) | {"widest": sizes.widest}
     text += fill("policy.c", words, flags) + fill("controller.c", words, flags)
@@ -128,17 +128,25 @@ def _sizes(s: Sizes, name: str) -> str:
     sizes = {"NX": f"{name}_NX", "NU": f"{name}_NU", "NR": f"{name}_NR"}
     if s.n:
         sizes |= {"N": f"{name}_N", "M": str(s.m), "MEMORY": f"{name}_MEMORY", "LATE": str(s.memory - 2)}
-    return f"enum {{ {', '.join(f'{key} = {value}' for key, value in sizes.items())} }};\n"
+    return enumerators(sizes)
+
+
+def enumerators(sizes: Mapping[str, object]) -> str:
+    """Return numbers that are known when C is compiled."""
+    lines = rows([f"{key} = {value}" for key, value in sizes.items()])
+    return f"enum {{\n{lines}\n}};\n"
 
 
 def _tables(controller: Controller) -> str:
     task = controller.pace.task
     tables = [
-        f"static const double scale[NX] = {{{joined(controller.signature.x_scale)}}}; /* ranges of the states */",
-        f"static const int output[NR] = {{{', '.join(map(str, task.outputs))}}};    /* places of the tracked states */",
+        f"/* Ranges of the states. */\nstatic const double scale[NX] = {{{joined(controller.signature.x_scale)}}};",
+        f"/* Places of the tracked states. */\nstatic const int output[NR] = {{{', '.join(map(str, task.outputs))}}};",
     ]
     if controller.integral is not None:
-        tables.append(f"static const int output_rate[NR] = {{{', '.join(map(str, task.rates))}}}; /* and their rates */")
+        tables.append(
+            f"static const int output_rate[NR] = {{{', '.join(map(str, task.rates))}}}; /* and their rates */"
+        )
     return "\n".join(tables) + "\n"
 
 
@@ -174,6 +182,6 @@ def _told(controller: Controller, whole: Cost) -> list[str]:
         "r: references",
         *(f"    {i}  {n} [{units[n]}]" for i, n in enumerate(controller.outputs)),
         "",
-        f"Period: {seconds} s. {whole.flops} floating-point operations per call, a function of <math.h> counted as "
-        f"one. Bytes: {whole.state} of state, {whole.constants} of constants, about {whole.stack} of stack.",
+        f"Period: {seconds} s. {whole.flops} floating-point operations per call, one of <math.h> counted as one.",
+        f"Bytes: {whole.state} of state, {whole.constants} of constants, about {whole.stack} of stack.",
     ]

@@ -54,7 +54,7 @@ def model_sources(model: SindyModel, name: str = "model") -> Sources:
     arguments = f"const double x[{signature.n_x}], const double u[{max(1, signature.n_u)}], double dx[{signature.n_x}]"
     header = (
         f"/* The identified model, dx/dt = f(x, u).\n *\n{told}\n */\n#ifndef {name.upper()}_H\n"
-        f"#define {name.upper()}_H\n\n#ifdef __cplusplus\nextern \"C\" {{\n#endif\n\n"
+        f'#define {name.upper()}_H\n\n#ifdef __cplusplus\nextern "C" {{\n#endif\n\n'
         f"/* Places in the arrays, by name. */\nenum {{\n{places(signature, name)}\n}};\n\n"
         f"void {name}_dx({arguments});\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n"
     )

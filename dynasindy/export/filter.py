@@ -48,7 +48,7 @@ class Filter:
         late, dt = observer.sensors.delay + whole, observer.dt
         sensed = tuple(i for i, r in enumerate(observer.variance.tolist()) if r < torch.inf)
         rest_steps, part_steps = (max(1, round(observer.substeps * s / dt)) for s in (dt - part, part))
-        stops, n_stops = _stops(observer.stops, observer.n_x)
+        stops, n_stops = stop_words(observer.stops, observer.n_x)
         n = len(observer.scale)
         scale = observer.scale
         words: dict[str, object] = {
@@ -75,7 +75,7 @@ class Filter:
         return cls(observer.model, sensed, words, flags, (n, len(sensed), late + 2, *steps), n_stops)
 
 
-def _stops(stops: Stops | None, n_x: int) -> tuple[dict[str, object], int]:
+def stop_words(stops: Stops | None, n_x: int) -> tuple[dict[str, object], int]:
     """Return the words for stops and how many they are.
 
     Raises:

@@ -8,15 +8,15 @@ import torch
 from dynasindy.agents.networks import actor
 from dynasindy.control import Controller
 from dynasindy.control.controller import Pace
-from dynasindy.export.compiler import compiler
 from dynasindy.sensing import Observer, Sensors
 from dynasindy.systems import Signature, Stops, Tras
 from dynasindy.tasks import Step, Tracking, TrackingReward
 from dynasindy.world_models import SindyModel
+from dynasindy.world_models.features import of, variable
 from dynasindy.world_models.libraries import rotor
+from dynasindy.world_models.library import Library
 
 PENDULUM = Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.5, 3.0))
-needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 
 
 def policy_of(task, hidden=(8, 5), seed=1):
@@ -25,18 +25,18 @@ def policy_of(task, hidden=(8, 5), seed=1):
         return actor(task.n_o, task.signature.n_u, hidden).requires_grad_(False)
 
 
-def pendulum_model(signature=PENDULUM, delay=0.0):
+def model_of(signature=PENDULUM, delay=0.0):
     angle, rate = signature.state_names
-    words = [signature.input_names[0], rate, f"tanh(~4 {angle})", f"sin({angle})", f"{rate} |{rate}|"]
-    model = SindyModel(signature, words, known={angle: rate})
-    model.library = model.library.with_shapes([3.7])
+    push, omega = variable(signature.input_names[0]), variable(rate)
+    words = [push, omega, of("tanh", angle, frequency=3.7), of("sin", angle), omega * of("abs", rate)]
+    model = SindyModel(signature, Library(signature, words))
     table = [[0.0, 8.0], [1.0, -0.6], [0.0, -2.5], [0.0, -6.0], [0.0, -0.04]]
     model.set_coefficients(torch.tensor(table, dtype=torch.float64))
     model.delay = delay
     return model
 
 
-def pendulum(observer=True, integral=None, delay=0.07, stops=True, disturbance=True, signature=PENDULUM):
+def pendulum_controller(observer=True, integral=None, delay=0.07, stops=True, disturbance=True, signature=PENDULUM):
     """Return a controller of a pendulum whose angle is measured."""
     angle, rate = signature.state_names
     task = Tracking(
@@ -48,12 +48,12 @@ def pendulum(observer=True, integral=None, delay=0.07, stops=True, disturbance=T
     sensors = Sensors(
         {angle: {"resolution": 0.01, "noise": 0.002}}, rates={angle: rate}, delay=1, disturbance=disturbance
     )
-    watching = Observer(pendulum_model(signature, delay), sensors, pace)
+    watching = Observer(model_of(signature, delay), sensors, pace)
     watching.load_state_dict({"process_noise": [0.013, 0.021, 0.4][: 2 + disturbance], "nis": 1.1})
     return Controller(policy_of(task), pace, watching, integral)
 
 
-def rotors(integral=None, delay=0.03, lost=()):
+def rotor_controller(integral=None, delay=0.03):
     """Return a controller of two rotors on a beam, of which angles and rotor speeds are measured."""
     signature = Tras().signature
     task = Tracking(signature, Step([[0.0, 0.0]]), reward=TrackingReward((1.0, 1.0)))
@@ -72,3 +72,24 @@ def rotors(integral=None, delay=0.03, lost=()):
     observer = Observer(model, Sensors(channels, rates=rates, disturbance=True), pace)
     observer.load_state_dict({"process_noise": [0.01] * 6 + [0.05] * 2, "nis": 1.0})
     return Controller(policy_of(task, (24, 16), 2), pace, observer, integral)
+
+
+@pytest.fixture
+def pendulum():
+    return pendulum_controller
+
+
+@pytest.fixture(scope="session")
+def rotors():
+    return rotor_controller
+
+
+@pytest.fixture
+def pendulum_model():
+    return model_of
+
+
+@pytest.fixture
+def hostile():
+    """Names and units that mean something in C, Python, XML and LaTeX."""
+    return Signature(("int", "x y.z'-"), ("*/ int f() /*", "%/°*/"), ("_u",), (1.5, 3.0))
