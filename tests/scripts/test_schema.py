@@ -13,7 +13,7 @@ sys.path.append(str(SCRIPTS))
 from mistakes import in_words  # noqa: E402
 from schema import check  # noqa: E402
 
-ALL = ("train", "ablation", "identify", "evaluate", "report")
+ALL = ("train", "ablation", "identify", "evaluate", "report", "export")
 NUMBER = "allowed is a finite number"
 
 
