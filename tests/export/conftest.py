@@ -1,7 +1,5 @@
 """Controllers of a pendulum and of a rotor plant, as small as they may be, with numbers that are no defaults."""
 
-import math
-
 import pytest
 import torch
 
@@ -42,7 +40,7 @@ def pendulum_controller(observer=True, integral=None, delay=0.07, stops=True, di
     task = Tracking(
         signature, Step([[0.0]]), (angle,), (rate,), TrackingReward((1.0,)), observe_rate=True, error_scale=0.7
     )
-    pace = Pace(task, 0.04, 3, Stops((0,), (1,), (-0.6,), (math.inf,)) if stops else None)
+    pace = Pace(task, 0.04, 3, Stops((0,), (1,), (-0.6,), (0.25,)) if stops else None)
     if not observer:
         return Controller(policy_of(task), pace, None, integral)
     sensors = Sensors(

@@ -43,7 +43,8 @@ def test_it_computes_what_the_library_computes(tmp_path):
     assert "Inputs act 0.25 s after they are given" in " ".join(sources.header.split())
     for special in (-np.inf, np.nan):
         ours = np.array(field([0.1, special], [0.0], 2))
-        theirs = (model.library(torch.tensor([0.1, special]), torch.zeros(1)).numpy() @ table)[:2]
+        with np.errstate(invalid="ignore"):
+            theirs = model.library(torch.tensor([0.1, special]), torch.zeros(1)).numpy() @ table
         assert (np.isfinite(ours) == np.isfinite(theirs)).all()
 
 
