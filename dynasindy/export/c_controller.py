@@ -28,12 +28,12 @@ class ControllerSources(Sources):
     Attributes:
         cost: What a call takes.
         measured: Names of the states that are read in `y`.
-        n_u: Number of inputs of the plant.
+        shape: Numbers of states, of inputs and of tracked states.
     """
 
     cost: Cost
     measured: tuple[str, ...]
-    n_u: int
+    shape: tuple[int, int, int]
 
 
 def controller_sources(controller: Controller, name: str = "controller") -> ControllerSources:
@@ -69,9 +69,9 @@ def controller_sources(controller: Controller, name: str = "controller") -> Cont
         text += fill("push.c", words, flags) if "pushed" in flags else ""
     words |= _policy(mlp, flags) | {"widest": sizes.widest}
     text += fill("policy.c", words, flags) + fill("controller.c", words, flags)
-    whole = cost(sizes)
+    whole, shape = cost(sizes), (signature.n_x, signature.n_u, task.n_r)
     words |= {"words": block(_told(controller, whole)), **watching_words(controller)}
-    return ControllerSources(name, fill("controller.h", words, flags), text, whole, measured(controller), signature.n_u)
+    return ControllerSources(name, fill("controller.h", words, flags), text, whole, measured(controller), shape)
 
 
 def measured(controller: Controller) -> tuple[str, ...]:

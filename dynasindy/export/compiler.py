@@ -21,8 +21,6 @@ STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
 """Under these settings what is written here compiles."""
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 """How the name of a shared library ends."""
-WIDEST = 4096
-"""Largest number of states of a controller that is timed."""
 
 
 def compiler() -> str | None:
@@ -71,7 +69,7 @@ class Native:
             for name, text in sources.files().items():
                 (folder / name).write_text(text, encoding="utf-8")
             loaded = ctypes.CDLL(str(build([folder / f"{sources.name}.c"], folder / f"{sources.name}{SUFFIX}")))
-        self.n_u = sources.n_u
+        self.shape = sources.shape
         self._reset, self._act = (getattr(loaded, f"{sources.name}_{name}") for name in ("reset", "act"))
         numbers = ctypes.POINTER(ctypes.c_double)
         self._reset.argtypes, self._reset.restype = [ctypes.c_void_p], None
@@ -92,10 +90,12 @@ class Native:
             rate: How fast the reference moves; 0 if omitted.
 
         Raises:
-            ValueError: A number is not finite that has to be.
+            ValueError: There are more or fewer numbers than there have to be, or one is not finite.
         """
-        u = np.empty(self.n_u)
-        if self._act(self.state, _numbers(y), _numbers(r), None if rate is None else _numbers(rate), _pointer(u)):
+        n_x, n_u, n_r = self.shape
+        u = np.empty(n_u)
+        slope = None if rate is None else _numbers(rate, n_r)
+        if self._act(self.state, _numbers(y, n_x), _numbers(r, n_r), slope, _pointer(u)):
             raise ValueError("a measurement, a reference or an input is not finite; give finite numbers")
         return u
 
@@ -118,8 +118,8 @@ def microseconds(sources: ControllerSources) -> float:
         units = [Path(place) / f"{sources.name}.c", Path(place) / "many.c"]
         call = ctypes.CDLL(str(build(units, Path(place) / f"many{SUFFIX}"))).many
     # One array serves as measurements, references and rates: all zero, at rest.
-    state, rest = ctypes.create_string_buffer(sources.cost.state), (ctypes.c_double * WIDEST)()
-    u, calls, best = (ctypes.c_double * sources.n_u)(), 1, 0.0
+    state, rest = ctypes.create_string_buffer(sources.cost.state), (ctypes.c_double * max(sources.shape))()
+    u, calls, best = (ctypes.c_double * sources.shape[1])(), 1, 0.0
     while best < 0.02:
         calls *= 4
         best = min(_timed(call, state, rest, u, ctypes.c_int(calls)) for _ in range(5))
@@ -132,8 +132,11 @@ def _timed(call: Callable[..., object], *arguments: object) -> float:
     return time.perf_counter() - start
 
 
-def _numbers(values: Sequence[float]) -> object:
-    return _pointer(np.ascontiguousarray(values, dtype=np.float64))
+def _numbers(values: Sequence[float], count: int) -> object:
+    array = np.ascontiguousarray(values, dtype=np.float64)
+    if array.shape != (count,):
+        raise ValueError(f"{array.size} numbers are given where {count} belong")
+    return _pointer(array)
 
 
 def _pointer(values: NDArray[np.float64]) -> object:

@@ -260,7 +260,11 @@ class Observer:
         self.q, self.nis = q, None if nis is None else float(nis)
 
     def late(self) -> tuple[int, float]:
-        """Return the model's input delay, in whole control periods and the rest [s]."""
+        """Return the model's input delay, in whole control periods and the rest [s].
+
+        Raises:
+            ValueError: It is longer than an observer remembers.
+        """
         delay = float(getattr(self.system, "delay", 0.0))
         whole = int(delay / self.dt + 1e-6)
         if whole > LONGEST:

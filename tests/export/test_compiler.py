@@ -32,6 +32,8 @@ def test_two_controllers_of_one_name_live_side_by_side(pendulum):
     assert first[0] == first[1]
     assert one.act([0.1, 0.0], [0.12])[0] == first[0]
     assert other.act([0.1, 0.0], [0.12])[0] != first[1]
+    with pytest.raises(ValueError, match="1 numbers are given where 2 belong"):
+        one.act([0.1], [0.12])
 
 
 @needs_compiler

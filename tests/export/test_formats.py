@@ -46,7 +46,7 @@ def test_names_of_a_file_are_strings_and_words_in_the_file_for_casadi(pendulum_m
 
 
 def test_python_control_computes_the_equations(pendulum_model):
-    control = pytest.importorskip("control", reason="python-control is not installed: pip install -e '.[export]'")
+    pytest.importorskip("control", reason="python-control is not installed: pip install -e '.[export]'")
     system = control_system(pendulum_model())
     assert (system.ninputs, system.nstates, system.input_labels) == (1, 2, ["u_u"])
     for *x, u in POINTS:
