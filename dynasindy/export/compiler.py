@@ -117,8 +117,9 @@ def microseconds(sources: ControllerSources) -> float:
             (Path(place) / name).write_text(text, encoding="utf-8")
         units = [Path(place) / f"{sources.name}.c", Path(place) / "many.c"]
         call = ctypes.CDLL(str(build(units, Path(place) / f"many{SUFFIX}"))).many
-    # One array serves as measurements, references and rates: all zero, at rest.
-    state, rest = ctypes.create_string_buffer(sources.cost.state), (ctypes.c_double * max(sources.shape))()
+    # One array serves as measurements, references and rates. Zeros would end in numbers too small to be added fast.
+    n = max(sources.shape)
+    state, rest = ctypes.create_string_buffer(sources.cost.state), (ctypes.c_double * n)(*[0.1] * n)
     u, calls, best = (ctypes.c_double * sources.shape[1])(), 1, 0.0
     while best < 0.02:
         calls *= 4

@@ -77,7 +77,7 @@ def cost(sizes: Sizes) -> Cost:
 
 def _flops(s: Sizes) -> int:
     policy = s.n_x + (4 if s.integral else 2) * s.n_r + s.n_u
-    policy += sum(2 * n_in * n_out for n_in, n_out in s.layers) + sum(n_out for _, n_out in s.layers[:-1])
+    policy += sum((2 * n_in + 3) * n_out for n_in, n_out in s.layers) + sum(n_out for _, n_out in s.layers[:-1])
     if s.integral:
         policy += 8 * s.n_r
     if not s.n:
