@@ -96,10 +96,12 @@ def write(what: Exported, folder: Path, formats: Collection[str], fmi: int = 3) 
             )
     if "model" in formats and model is not None:
         found += _model(model, folder)
+    if controller is None:
+        missing.append("nothing of a controller is written: a model was given, and no controller.json is there")
     if model is None:
         missing.append("nothing of the plant is written: the controller has no observer, and no model.json is there")
     if not found:
-        raise ValueError("; ".join(missing) or f"nothing is written: a model alone has no {' or '.join(formats)}")
+        raise ValueError("; ".join(missing) or "nothing is written: formats is empty; give some of c, onnx, fmu, model")
     return found + missing
 
 

@@ -11,7 +11,8 @@ import torch
 from dynasindy.export import fmu
 from dynasindy.export.compiler import compiler
 from dynasindy.export.fmu import controller_fmu, plant_fmu
-from dynasindy.systems import integrate
+from dynasindy.systems import Signature, integrate
+from dynasindy.world_models import SindyModel
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 
@@ -52,6 +53,10 @@ def test_what_is_no_version_or_has_no_inputs_is_refused(pendulum, pendulum_model
         controller_fmu(pendulum(), tmp_path / "c.fmu", version=1)
     with pytest.raises(ValueError, match="name is 'a/b'"):
         plant_fmu(pendulum_model(), tmp_path / "p.fmu", 0.01, name="a/b")
+    alone = SindyModel(Signature(("a",), ("-",), (), (1.0,)), ["a"])
+    with pytest.raises(ValueError, match="this model has none"):
+        plant_fmu(alone, tmp_path / "p.fmu", 0.01)
+    assert not list(tmp_path.iterdir())
 
 
 class Unit:

@@ -41,13 +41,15 @@ def test_formats_that_were_not_asked_for_are_not_written(pendulum, tmp_path):
     assert names(tmp_path / "out") == MODEL
 
 
-def test_a_model_alone_gives_its_own_files(pendulum_model, tmp_path):
+def test_a_model_alone_gives_its_own_files(pendulum, pendulum_model, tmp_path):
     pendulum_model().save(tmp_path / "model.json")
     for source in (tmp_path, tmp_path / "model.json"):
         write.write(Exported.read(source), tmp_path / "out", ["c", "onnx", "fmu", "model"])
         assert names(tmp_path / "out") == MODEL | {"plant.fmu"}
-    with pytest.raises(ValueError, match="nothing is written: a model alone has no c"):
+    with pytest.raises(ValueError, match="nothing of a controller is written: a model was given"):
         write.write(Exported.read(tmp_path), tmp_path / "none", ["c"])
+    with pytest.raises(ValueError, match="formats is empty"):
+        write.write(Exported(pendulum(), pendulum_model()), tmp_path / "none", [])
 
 
 def test_without_an_observer_the_model_of_the_run_is_taken_or_missed(pendulum, pendulum_model, tmp_path):
