@@ -20,6 +20,17 @@ from dynasindy.export.names import identifiers, module_name, number, rows, singl
 from dynasindy.export.templates import fill
 from dynasindy.planning.integral import IntegralAction
 
+_HEAD = """/* Written from a controller, not by hand. In each period, in this order:
+ *
+ *   advance, correct   the observer predicts to the time of the measurement, and takes it in
+ *   ahead              it predicts to the time at which the next input arrives at the plant
+ *   counteract         what the estimated push would do is taken out of the state, and added to the input
+ *   policy             u = tanh(W LeakyReLU(...) + b) of the scaled state and error, shifted by the integral
+ *   integrate          the integral takes in the error
+ *
+ * as far as the controller has them. */
+"""
+
 
 @dataclass(frozen=True)
 class ControllerSources(Sources):
@@ -60,7 +71,7 @@ def controller_sources(controller: Controller, name: str = "controller") -> Cont
         0 if watching is None else watching.n_stops,
     )  # fmt: skip
     flags, words = _flags(controller), _words(controller, name)
-    text = f'#include "{name}.h"\n\n#include <math.h>\n\n{_sizes(sizes, name)}\n{_tables(controller)}'
+    text = f'{_HEAD}#include "{name}.h"\n\n#include <math.h>\n\n{_sizes(sizes, name)}\n{_tables(controller)}'
     if watching is not None and found is not None:
         flags |= watching.flags
         words |= watching.words
