@@ -88,6 +88,14 @@ class Keys(TypedDict):
     planner: Any
 
 
+class Exporting(TypedDict):
+    """Keys of the command `export`, which other commands have with other values, or not at all."""
+
+    formats: list[Literal["c", "onnx", "fmu", "model"]]
+    folder: str | None
+    fmi: Literal[2, 3]
+
+
 EXPERIMENT = {"task", "env", "agent", "replay", "planning", "gate"}
 TOP = get_type_hints(Keys, include_extras=True) | get_type_hints(Recipe)
 TOP |= {"seed": Annotated[int, range(2**63)], "system": System | None}
@@ -115,7 +123,8 @@ def check(cfg: DictConfig, file: str = "") -> None:
             raise ValueError(f"'{name}' is not given; restore it, or train again")
         # A plant has words for the task of an experiment, which a command without one does not build.
         spare = set() if "train" in tree or file else EXPERIMENT
-        _arguments({name: value for name, value in tree.items() if name not in spare}, TOP, "", found)
+        keys = TOP | (get_type_hints(Exporting) if "fmi" in tree else {})
+        _arguments({name: value for name, value in tree.items() if name not in spare}, keys, "", found)
         _nodes(tree, "", found)
     except ValueError as error:
         raise ValueError(f"{file}: {error}" if file else str(error)) from error

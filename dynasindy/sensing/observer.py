@@ -175,7 +175,7 @@ class Observer:
             mean: Estimate at the time of the last measurement that has arrived, `(*batch, n)`.
             inputs: Commands so far, `(*batch, memory, n_u)`.
         """
-        whole, part = self._late()
+        whole, part = self.late()
         late = self.sensors.delay + whole
         x = self._flow(mean, inputs[..., -1 - late, :], part) if part else mean
         for k in range(late, 0, -1):
@@ -273,8 +273,12 @@ class Observer:
         q[:, self.n_x :] = DRIFTING
         return q
 
-    def _late(self) -> tuple[int, float]:
-        """Return the model's input delay, in whole control periods and the rest [s]."""
+    def late(self) -> tuple[int, float]:
+        """Return the model's input delay, in whole control periods and the rest [s].
+
+        Raises:
+            ValueError: It is longer than an observer remembers.
+        """
         delay = float(getattr(self.system, "delay", 0.0))
         whole = int(delay / self.dt + 1e-6)
         if whole > LONGEST:
@@ -284,7 +288,7 @@ class Observer:
 
     def _period(self, x: Tensor, inputs: Tensor) -> Tensor:
         """Move states `(*batch, n, n_x)` on by the control period whose measurement has just arrived."""
-        whole, part = self._late()
+        whole, part = self.late()
         k = self.sensors.delay + whole + 1
         if part:
             x = self._flow(x, inputs[..., -k - 1, :].unsqueeze(-2), part)
@@ -312,5 +316,6 @@ class Observer:
         return push
 
     def _padded(self, y: Tensor) -> Tensor:
-        """Return measurements with a NaN for each push, which nothing measures."""
-        return torch.nn.functional.pad(y, (0, len(self.pushed)), value=torch.nan)
+        """Return measurements with a NaN for each push, and for each state that has no sensor, whatever was given."""
+        padded = torch.nn.functional.pad(y, (0, len(self.pushed)), value=torch.nan)
+        return padded.masked_fill(self.variance.isinf(), torch.nan)

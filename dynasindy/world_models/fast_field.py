@@ -41,7 +41,7 @@ def generate(library: Library, coefficients: Tensor) -> Field:
             "leave it out of the library"
         )
     try:
-        writer = _FieldWriter(library, coefficients)
+        writer = FieldWriter(library, coefficients)
     except RecursionError as error:
         raise ValueError(f"the model has too many terms of {len(library)}; remove some: raise the threshold") from error
     scope: dict[str, object] = {"torch": torch, "constants": Constants(writer.constants), **writer.functions}
@@ -81,7 +81,11 @@ class Writer:
         self.written: dict[object, str] = {}
         self.functions: dict[str, object] = {}
         self.constants: list[float] = []
-        self.variable = {n: f"z[{i}]" for i, n in enumerate((*signature.state_names, *signature.input_names))}
+        names = (*signature.state_names, *signature.input_names)
+        self.variable = {name: self._variable(place) for place, name in enumerate(names)}
+
+    def _variable(self, place: int) -> str:
+        return f"z[{place}]"
 
     def _line(self, key: object, expression: str) -> str:
         if key not in self.written:
@@ -113,8 +117,12 @@ class Writer:
         args = self._scaled(factor)
         if factor.function == "id":
             return args[0]
-        self.functions[f"f_{factor.function}"] = function(factor.function).compute
-        return self._line(factor, f"f_{factor.function}({', '.join(args)})")
+        return self._line(factor, self._call(factor.function, args))
+
+    def _call(self, name: str, args: list[str]) -> str:
+        """Write an elementary function of arguments that are written."""
+        self.functions[f"f_{name}"] = function(name).compute
+        return f"f_{name}({', '.join(args)})"
 
     def _scaled(self, factor: Factor) -> list[str]:
         """Write the arguments of a factor's function."""
@@ -127,8 +135,19 @@ class Writer:
         return [self._line((a, factor.frequency), f"{a} * {frequency}") for a in args]
 
 
-class _FieldWriter(Writer):
-    """Write the sums of a sparse model."""
+class FieldWriter(Writer):
+    """Write the sums of a sparse model.
+
+    Another language overrides how numbers, functions and sums of two are written, see `dynasindy.export.expressions`.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`; zeros cost nothing.
+
+    Attributes:
+        lines: values, each written once, in the order in which they are computed.
+        results: dx/dt of each state, in terms of these.
+    """
 
     def __init__(self, library: Library, coefficients: Tensor) -> None:
         super().__init__(library.signature)
@@ -136,7 +155,7 @@ class _FieldWriter(Writer):
         table = coefficients.tolist()
         powers = [{f.base: f.power for f in feature.factors} for feature in library.features]
         rows = [[(p, table[k][i]) for k, p in enumerate(powers) if table[k][i]] for i in range(signature.n_x)]
-        self.results = [self._sum(row) if row else "torch.zeros_like(z[0])" for row in rows]
+        self.results = [self._sum(row) if row else self._zero() for row in rows]
 
     def source(self) -> str:
         """Return the text of the function."""
@@ -159,7 +178,7 @@ class _FieldWriter(Writer):
         if not rest:
             return self._line((inner, "*", factor), f"{inner} * {factor}")
         total = self._sum(rest)
-        return self._line((total, inner, factor), f"torch.addcmul({total}, {inner}, {factor})")
+        return self._line((total, inner, factor), self._plus_product(total, inner, factor))
 
     @staticmethod
     def _shared(terms: list[Term]) -> Factor | None:
@@ -179,13 +198,22 @@ class _FieldWriter(Writer):
         if constant or not products:
             total = self._constant(constant)
             if not products:
-                return self._line(("constant", constant), f"torch.zeros_like(z[0]) + {total}")
+                return self._line(("constant", constant), f"{self._zero()} + {total}")
         else:
             value, c = products.pop(0)
             total = value if c == 1 else self._line((value, c), f"{value} * {self._constant(c)}")
         for value, c in products:
-            total = self._line((total, value, c), f"torch.add({total}, {value}, alpha={c!r})")
+            total = self._line((total, value, c), self._plus_scaled(total, value, c))
         return total
+
+    def _zero(self) -> str:
+        return "torch.zeros_like(z[0])"
+
+    def _plus_product(self, total: str, a: str, b: str) -> str:
+        return f"torch.addcmul({total}, {a}, {b})"
+
+    def _plus_scaled(self, total: str, value: str, c: float) -> str:
+        return f"torch.add({total}, {value}, alpha={c!r})"
 
 
 def _divided(powers: dict[Factor, int], factor: Factor, power: int) -> dict[Factor, int]:

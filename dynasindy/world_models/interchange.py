@@ -98,17 +98,8 @@ def to_sympy(model: SindyModel) -> dict[str, Any]:
     """
     import sympy
 
-    known = {
-        "id": lambda z: z,
-        "abs": sympy.Abs,
-        "sign": sympy.sign,
-        "sqrt": lambda z: sympy.sqrt(sympy.Max(z, 0)),
-        "bell": lambda z: sympy.exp(-(z**2)),
-        "root": lambda z, p: sympy.sqrt(sympy.Max(z - p, 0)),
-        "hinge": lambda z, p: sympy.Max(0, z - p),
-        "slack": lambda a, b, p: sympy.Max(0, a - b - p) - sympy.Max(0, b - a - p),
-        "per_cos2": lambda z, p: 1 / (1 + p * sympy.cos(z) ** 2),
-    }
+    names = {name: getattr(sympy, name) for name in ("sin", "cos", "exp", "tanh", "sqrt", "sign")}
+    names |= {"fabs": sympy.Abs, "square": lambda z: z**2, "larger": sympy.Max}
     table = model.coefficients.tolist()
 
     def _expression(feature: Feature) -> Any:
@@ -119,10 +110,13 @@ def to_sympy(model: SindyModel) -> dict[str, Any]:
                 symbols.append(sympy.Float(factor.frequency))
             elif factor.frequency != 1:
                 symbols = [sympy.Float(factor.frequency) * symbol for symbol in symbols]
-            call = (
-                known.get(factor.function) or getattr(sympy, factor.function, None) or sympy.Function(factor.function)
-            )
-            product *= call(*symbols) ** factor.power
+            if formula := function(factor.function).formula:
+                # The formula is of our own code, never of a file, and what it reads are symbols.
+                places = {f"z{i}": symbol for i, symbol in enumerate(symbols)}
+                value = eval(formula.format(*places), names | places)
+            else:
+                value = (getattr(sympy, factor.function, None) or sympy.Function(factor.function))(*symbols)
+            product *= value**factor.power
         return product
 
     return {

@@ -113,6 +113,30 @@ def to_latex(library: Library, coefficients: Tensor, digits: int = 5, active_onl
     return "\n".join([*lines, r"\end{tabular}"]) + "\n"
 
 
+def equations_to_latex(library: Library, coefficients: Tensor, digits: int = 5) -> str:
+    """Write one equation per state as LaTeX, an `align*` of amsmath, three terms to a line.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`.
+        digits: significant digits.
+    """
+    written = []
+    for i, state in enumerate(library.signature.state_names):
+        terms = []
+        for feature, value in zip(library.features, coefficients[:, i].tolist(), strict=True):
+            if value:
+                size = _number(abs(value), digits, True).strip("$")
+                name = feature.latex()
+                terms.append(
+                    ("-" if value < 0 else "+", size if name == "1" else name if size == "1" else rf"{size} \, {name}")
+                )
+        lines = [" ".join(f"{sign} {term}" for sign, term in terms[k : k + 3]) for k in range(0, len(terms), 3)]
+        right = " \\\\\n    &\\quad ".join(lines).removeprefix("+ ") or "0"
+        written.append(rf"    \dot{{{latex_name(state)}}} &= {right}")
+    return "\\begin{align*}\n" + " \\\\\n".join(written) + "\n\\end{align*}\n"
+
+
 def to_csv(library: Library, coefficients: Tensor) -> str:
     """Write the Xi table as CSV at full precision: one row per function, one column per state."""
     out = io.StringIO()

@@ -126,6 +126,14 @@ def test_a_lost_sample_is_bridged_by_the_model():
     np.testing.assert_allclose(controller.estimate, x, atol=2e-2)
 
 
+def test_a_number_for_a_state_without_a_sensor_is_not_read():
+    env, policy = setting()
+    controller = Controller(policy, Pace(env.task, env.dt, env.substeps), watching(env))
+    expected = [controller.act([0.1 * k, math.nan], [0.3]) for k in range(5)]
+    controller.reset()
+    np.testing.assert_array_equal(expected, [controller.act([0.1 * k, 0.7], [0.3]) for k in range(5)])
+
+
 def test_numbers_may_be_given_by_name():
     env, policy = setting()
     controller = Controller(policy, Pace(env.task, env.dt))

@@ -13,7 +13,7 @@ sys.path.append(str(SCRIPTS))
 from mistakes import in_words  # noqa: E402
 from schema import check  # noqa: E402
 
-ALL = ("train", "ablation", "identify", "evaluate", "report")
+ALL = ("train", "ablation", "identify", "evaluate", "report", "export")
 NUMBER = "allowed is a finite number"
 
 
@@ -96,6 +96,20 @@ def test_text_that_is_a_number_becomes_one(key, given, taken):
     check(cfg)
     found = OmegaConf.select(cfg, key)
     assert repr(found) == repr(taken)
+
+
+@pytest.mark.parametrize(
+    ("command", "words", "said"),
+    [
+        ("export", "formats=[png]", "formats[0] is 'png'; allowed is c, onnx, fmu, model"),
+        ("export", "fmi=1", "fmi is 1; allowed is 2, 3"),
+        ("evaluate", "formats=[onnx]", "formats[0] is 'onnx'; allowed is png, svg"),
+    ],
+)
+def test_formats_are_those_of_the_command(command, words, said):
+    with pytest.raises(ValueError, match=r".") as error:
+        check(composed(command, words))
+    assert said in str(error.value)
 
 
 def test_what_is_not_given_is_missed():

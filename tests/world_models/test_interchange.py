@@ -76,12 +76,13 @@ def test_sympy_knows_the_functions_with_numbers_inside():
     written = to_sympy(model)
     point = {sympy.Symbol("a", real=True): a, sympy.Symbol("b", real=True): b}
     assert [float(written[state].subs(point)) for state in ("a", "b")] == pytest.approx(expected)
-    # Below their number the root and the ramp are nothing.
+    # Below their number the ramp is nothing, and the root that of a thousandth, as in the model.
+    low = np.sqrt(1e-3)
     values = [
         np.tanh(0.3),
         b**2 / (1 + 3 * np.cos(0.1) ** 2),
         0,
-        0,
+        low,
         np.exp(-0.04) ** 2,
         np.sqrt(2 * b),
         0.1,

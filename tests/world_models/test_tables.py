@@ -12,7 +12,7 @@ from dynasindy.systems.base import Signature
 from dynasindy.world_models.features import CONSTANT, of, variable
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.sindy import SindyModel
-from dynasindy.world_models.tables import equations, to_csv, to_latex, to_text
+from dynasindy.world_models.tables import equations, equations_to_latex, to_csv, to_latex, to_text
 
 SIGNATURE = Signature(("alpha_p", "b"), ("rad", "m"), ("u",), (1.0, 1.0))
 LIBRARY = Library(SIGNATURE, [CONSTANT, variable("b"), variable("u", 2) * of("sin", "alpha_p"), of("cos", "alpha_p")])
@@ -120,3 +120,16 @@ def test_all_forms_hold_the_19_published_numbers():
         for v in row[1:]
     ]
     assert sorted(n for n in numbers if n)[-2:] == pytest.approx([6.1e3, 3.7e4])
+
+
+def test_equations_as_latex_break_after_three_terms():
+    signature = Signature(("x", "y"), ("-", "-"), ("u",), (1.0, 1.0))
+    library = Library(signature, [CONSTANT, variable("x"), variable("y"), of("sin", "x", power=2), variable("u")])
+    table = torch.tensor([[-2.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [3e-7, 0.0], [0.5, 0.0]], dtype=torch.float64)
+    assert equations_to_latex(library, table).splitlines() == [
+        r"\begin{align*}",
+        r"    \dot{x} &= - 2 + x - y \\",
+        r"    &\quad + 3\times10^{-7} \, \sin^{2} x + 0.5 \, u \\",
+        r"    \dot{y} &= 0",
+        r"\end{align*}",
+    ]

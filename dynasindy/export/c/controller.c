@@ -1,0 +1,90 @@
+
+/* ---- The controller ---- */
+
+@if integral
+/* I += gain dt e where e is a steady error: none beyond the band, and of one that moves less. */
+static void integrate(@name@_state *s, const double x[NX], const double r[NR], const double rate[NR])
+{
+    int i;
+    for (i = 0; i < NR; i++) {
+        const double error = r[i] - x[output[i]];
+        const double moving = (rate[i] - x[output_rate[i]]) / @integral_rate@;
+        if (fabs(error) < @integral_band@)
+            s->integral[i] += @integral_gain@ * @dt@ * error / (1.0 + moving * moving);
+        if (s->integral[i] > @integral_limit@)
+            s->integral[i] = @integral_limit@;
+        else if (s->integral[i] < -@integral_limit@)
+            s->integral[i] = -@integral_limit@;
+    }
+}
+
+@end
+void @name@_reset(@name@_state *s)
+{
+    const @name@_state nothing = {0};
+    *s = nothing;
+}
+
+int @name@_act(@name@_state *s, const double y[NX], const double r[NR], const double rate[NR], double u[NU])
+{
+@if observer
+    double x[N], slope[NR], found[NU];
+    int i, j, fine = 1;
+@end
+@if !observer
+    double x[NX], slope[NR], found[NU];
+    int i, fine = 1;
+@end
+    for (i = 0; i < NR; i++) {
+        slope[i] = rate ? rate[i] : 0.0;
+        fine = fine && isfinite(r[i]) && isfinite(slope[i]);
+    }
+@if !observer
+    for (i = 0; i < NX; i++) {
+        x[i] = y[i];
+        fine = fine && isfinite(x[i]);
+    }
+@end
+    for (i = 0; i < NU; i++)
+        u[i] = s->u[i];
+    if (!fine)
+        return @name@_REFUSED;
+@if observer
+    if (s->begun) {
+        advance(s);
+        correct(s, y);
+    } else
+        begin(s, y);
+    s->begun = 1;
+    ahead(s, x);
+@end
+@if pushed
+    counteract(s, x);
+    for (i = 0; i < NX; i++)
+        x[i] -= s->shift[i];
+@end
+    policy(@give_state@x, r, @give_rate@found);
+@if integral
+    integrate(s, x, r, slope);
+@end
+    for (i = 0; i < NU; i++) {
+@if pushed
+        found[i] += s->shift[NX + i];
+        if (found[i] > 1.0)
+            found[i] = 1.0;
+        else if (found[i] < -1.0)
+            found[i] = -1.0;
+@end
+        fine = fine && isfinite(found[i]);
+    }
+    for (i = 0; i < NU && fine; i++)
+        u[i] = s->u[i] = found[i];
+@if observer
+    for (i = 0; i < NU; i++) {
+        for (j = 1; j < MEMORY; j++)
+            s->inputs[j - 1][i] = s->inputs[j][i];
+        s->inputs[MEMORY - 1][i] = u[i];
+    }
+@end
+    return fine ? @name@_OK : @name@_REFUSED;
+}

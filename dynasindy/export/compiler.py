@@ -1,0 +1,144 @@
+"""The C compiler of this computer: C text in, a shared library out."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynasindy.export.c_controller import ControllerSources
+
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
+"""Under these settings what is written here compiles."""
+SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+"""How the name of a shared library ends."""
+
+
+def compiler() -> str | None:
+    """Return the C compiler: the environment's CC, or cc, gcc or clang; None if there is none."""
+    names = [os.environ.get("CC", ""), "cc", "gcc", "clang"]
+    return next((path for path in map(shutil.which, filter(None, names)) if path), None)
+
+
+def build(sources: Sequence[Path], library: Path, options: Sequence[str] = ("-O2", *STRICT)) -> Path:
+    """Compile C sources to a shared library.
+
+    Args:
+        sources: Files of C.
+        library: File to write.
+        options: Settings of the compiler.
+
+    Raises:
+        FileNotFoundError: There is no compiler.
+        ValueError: The compiler refuses the sources.
+    """
+    if (found := compiler()) is None:
+        raise FileNotFoundError("no C compiler was found; install gcc or clang, or leave out what is compiled")
+    library.parent.mkdir(parents=True, exist_ok=True)
+    command = [found, *options, "-fPIC", "-shared", *map(str, sources), "-o", str(library), "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise ValueError(f"the C compiler refused {sources[0].name}: {' '.join(done.stderr.split())[:300]}")
+    return library
+
+
+class Native:
+    """A controller in C that this computer has compiled, called as the one in Python.
+
+    Args:
+        sources: The controller.
+
+    Raises:
+        FileNotFoundError: There is no compiler.
+        ValueError: The compiler refuses the sources.
+    """
+
+    def __init__(self, sources: ControllerSources) -> None:
+        # A folder of its own each time: a library that is loaded must not be overwritten.
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place:
+            folder = Path(place)
+            for name, text in sources.files().items():
+                (folder / name).write_text(text, encoding="utf-8")
+            loaded = ctypes.CDLL(str(build([folder / f"{sources.name}.c"], folder / f"{sources.name}{SUFFIX}")))
+        self.shape = sources.shape
+        self._reset, self._act = (getattr(loaded, f"{sources.name}_{name}") for name in ("reset", "act"))
+        numbers = ctypes.POINTER(ctypes.c_double)
+        self._reset.argtypes, self._reset.restype = [ctypes.c_void_p], None
+        self._act.argtypes, self._act.restype = [ctypes.c_void_p, *[numbers] * 4], ctypes.c_int
+        self.state = ctypes.create_string_buffer(sources.cost.state)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was measured."""
+        self._reset(self.state)
+
+    def act(self, y: Sequence[float], r: Sequence[float], rate: Sequence[float] | None = None) -> NDArray[np.float64]:
+        """Return the inputs of the control period that begins now, `(n_u,)`.
+
+        Args:
+            y: What was measured now, NaN where nothing was.
+            r: Where the outputs are to be.
+            rate: How fast the reference moves; 0 if omitted.
+
+        Raises:
+            ValueError: There are more or fewer numbers than there have to be, or one is not finite.
+        """
+        n_x, n_u, n_r = self.shape
+        u = np.empty(n_u)
+        slope = None if rate is None else _numbers(rate, n_r)
+        if self._act(self.state, _numbers(y, n_x), _numbers(r, n_r), slope, _pointer(u)):
+            raise ValueError("a measurement, a reference or an input is not finite; give finite numbers")
+        return u
+
+
+def microseconds(sources: ControllerSources) -> float:
+    """Return the time that a call of a controller takes on this computer, the best of five [us].
+
+    Raises:
+        FileNotFoundError: There is no compiler.
+        ValueError: The compiler refuses the sources.
+    """
+    many = (
+        f'#include "{sources.name}.h"\n\nvoid many(void *s, const double *y, double *u, int n);\n\n'
+        "void many(void *s, const double *y, double *u, int n)\n{\n    while (n--)\n"
+        f"        {sources.name}_act(({sources.name}_state *)s, y, y, y, u);\n}}\n"
+    )
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place:
+        for name, text in {**sources.files(), "many.c": many}.items():
+            (Path(place) / name).write_text(text, encoding="utf-8")
+        units = [Path(place) / f"{sources.name}.c", Path(place) / "many.c"]
+        call = ctypes.CDLL(str(build(units, Path(place) / f"many{SUFFIX}"))).many
+    # One array serves as measurements, references and rates. Zeros would end in numbers too small to be added fast.
+    n = max(sources.shape)
+    state, rest = ctypes.create_string_buffer(sources.cost.state), (ctypes.c_double * n)(*[0.1] * n)
+    u, calls, best = (ctypes.c_double * sources.shape[1])(), 1, 0.0
+    while best < 0.02:
+        calls *= 4
+        best = min(_timed(call, state, rest, u, ctypes.c_int(calls)) for _ in range(5))
+    return 1e6 * best / calls
+
+
+def _timed(call: Callable[..., object], *arguments: object) -> float:
+    start = time.perf_counter()
+    call(*arguments)
+    return time.perf_counter() - start
+
+
+def _numbers(values: Sequence[float], count: int) -> object:
+    array = np.ascontiguousarray(values, dtype=np.float64)
+    if array.shape != (count,):
+        raise ValueError(f"{array.size} numbers are given where {count} belong")
+    return _pointer(array)
+
+
+def _pointer(values: NDArray[np.float64]) -> object:
+    return values.ctypes.data_as(ctypes.POINTER(ctypes.c_double))

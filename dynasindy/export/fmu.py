@@ -1,0 +1,241 @@
+"""Functional mock-up units of a controller and of the plant as the model knows it: co-simulation, C inside, no Python.
+
+Sources: FMI 3.0.2 and 2.0.4, https://fmi-standard.org.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import sys
+import tempfile
+import uuid
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+from dynasindy import __version__
+from dynasindy.control import Controller
+from dynasindy.evaluation.files import whole
+from dynasindy.export.c_controller import controller_sources, enumerators, measured
+from dynasindy.export.c_model import field
+from dynasindy.export.compiler import SUFFIX, build, compiler
+from dynasindy.export.expressions import formulas
+from dynasindy.export.filter import stop_words
+from dynasindy.export.fmi_names import answers
+from dynasindy.export.names import module_name, number
+from dynasindy.export.templates import fill
+from dynasindy.systems import Stops
+from dynasindy.world_models import SindyModel
+
+VERSIONS = (2, 3)
+PAST = 1024
+"""Largest number of inputs that are on their way to a plant with a delay."""
+_GAP = "TOKEN-OF-THIS-FMU"
+
+
+@dataclass(frozen=True)
+class _Variable:
+    """A variable of an FMU.
+
+    Attributes:
+        name: Its name.
+        unit: Its unit.
+        output: Whether it is an output, or an input.
+    """
+
+    name: str
+    unit: str
+    output: bool = False
+
+
+@dataclass(frozen=True)
+class _Unit:
+    """What an FMU is made of: its name, its period or step [s], its variables in order, its sources by name."""
+
+    name: str
+    step: float
+    variables: tuple[_Variable, ...]
+    sources: Mapping[str, str]
+
+
+def controller_fmu(controller: Controller, path: Path, name: str = "controller", version: int = 3) -> bool:
+    """Write an FMU of a controller: measurements `y_`, references `r_` and their rates `rate_` in, inputs `u_` out.
+
+    Args:
+        controller: The controller.
+        path: File to write.
+        name: Its model identifier.
+        version: Of FMI, 2 or 3.
+
+    Returns:
+        Whether it holds a library for this computer; without a compiler it holds sources alone.
+
+    Raises:
+        ValueError: The controller cannot be written in C, or the version is another.
+    """
+    sources = controller_sources(controller, name)
+    signature, seen = controller.signature, measured(controller)
+    units = dict(zip(signature.state_names, signature.state_units, strict=True))
+    variables = (
+        *(_Variable(f"y_{state}", units[state]) for state in seen),
+        *(_Variable(f"r_{state}", units[state]) for state in controller.outputs),
+        *(_Variable(f"rate_{state}", f"{units[state]}/s") for state in controller.outputs),
+        *(_Variable(f"u_{word}", "1", True) for word in signature.input_names),
+    )
+    words = {
+        "name": name,
+        "dt": number(controller.dt),
+        "m": len(seen),
+        "measured": ", ".join(str(signature.state_index(state)) for state in seen),
+        "inputs": len(variables) - signature.n_u,
+        "values": len(variables),
+    }
+    text = fill("fmu_controller.c", words) + _interface(version)
+    return _write(_Unit(name, controller.dt, variables, {**sources.files(), f"{name}_fmi.c": text}), path, version)
+
+
+def plant_fmu(
+    model: SindyModel, path: Path, step: float, stops: Stops | None = None, name: str = "plant", version: int = 3
+) -> bool:
+    """Write an FMU of a plant as its model knows it: inputs `u_` in, states `x_` out, which may be set at the start.
+
+    Inputs act as late as the model says.
+
+    Args:
+        model: The model.
+        path: File to write.
+        step: Longest step of the Runge-Kutta method [s].
+        stops: Mechanical stops, if any.
+        name: Its model identifier.
+        version: Of FMI, 2 or 3.
+
+    Returns:
+        Whether it holds a library for this computer; without a compiler it holds sources alone.
+
+    Raises:
+        ValueError: The model cannot be written in C, has no inputs, or the version is another.
+    """
+    name, signature, found = module_name(name), model.signature, formulas(model)
+    if not signature.n_u:
+        raise ValueError("an FMU of a plant has inputs, and this model has none; export it as C instead")
+    stopped, n_stops = stop_words(stops, signature.n_x)
+    flags = {*(["stops"] if n_stops else []), *(["late"] if model.delay else [])}
+    sizes = {"NX": signature.n_x, "NU": signature.n_u, "N": signature.n_x, "VALUES": signature.n_x + signature.n_u}
+    sizes |= {"PAST": PAST} if model.delay else {}
+    words = {**stopped, "pushes_word": "", "step": number(step), "delay": number(model.delay)}
+    headers = ("math", "stdbool", "stddef", "stdint", "stdlib", "string")
+    text = "/* The plant as its model knows it, as an FMU. */\n"
+    text += "".join(f"#include <{header}.h>\n" for header in headers) + "\n" + enumerators(sizes) + "\n"
+    text += field(model, found) + fill("flow.c", words, flags) + fill("fmu_plant.c", words, flags) + _interface(version)
+    units = zip(signature.state_names, signature.state_units, strict=True)
+    variables = (
+        *(_Variable(f"u_{word}", "1") for word in signature.input_names),
+        *(_Variable(f"x_{state}", unit, True) for state, unit in units),
+    )
+    return _write(_Unit(name, step, variables, {f"{name}.c": text}), path, version)
+
+
+def _interface(version: int) -> str:
+    if version not in VERSIONS:
+        raise ValueError(f"FMI {version} is not written; allowed are 2 and 3")
+    return fill(f"fmi{version}.c", {"token": _GAP, "answers": answers(version)})
+
+
+def _write(unit: _Unit, path: Path, version: int) -> bool:
+    """Write the archive."""
+    digest = hashlib.sha256("".join(unit.sources.values()).encode()).hexdigest()
+    token = "{" + str(uuid.uuid5(uuid.NAMESPACE_OID, digest)) + "}"
+    sources = {name: text.replace(_GAP, token) for name, text in unit.sources.items()}
+    files = {"modelDescription.xml": _described(unit, token, version)}
+    files |= {f"sources/{name}": text.encode() for name, text in sources.items()}
+    if version == 3:
+        files["sources/buildDescription.xml"] = _built(unit)
+    built = compiler() is not None
+    if built:
+        files[f"binaries/{_platform(version)}/{unit.name}{SUFFIX}"] = _compiled(sources)
+    with whole(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(zipfile.ZipInfo(name, (2000, 1, 1, 0, 0, 0)), content, zipfile.ZIP_DEFLATED)
+    return built
+
+
+def _compiled(sources: Mapping[str, str]) -> bytes:
+    with tempfile.TemporaryDirectory() as place:
+        for name, text in sources.items():
+            (Path(place) / name).write_text(text, encoding="utf-8")
+        units = [Path(place) / name for name in sources if name.endswith(".c")]
+        return build(units, Path(place) / f"unit{SUFFIX}").read_bytes()
+
+
+def _platform(version: int) -> str:
+    """Return the folder of libraries for this computer."""
+    system = {"win32": "windows", "darwin": "darwin"}.get(sys.platform, "linux")
+    if version == 2:
+        return f"{system.replace('dows', '')}64"
+    machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(platform.machine().lower(), platform.machine().lower())
+    return f"{machine}-{system}"
+
+
+def _described(unit: _Unit, token: str, version: int) -> bytes:
+    """Return the description of the model."""
+    root = ElementTree.Element("fmiModelDescription", fmiVersion=f"{version}.0", modelName=unit.name)
+    root.set("instantiationToken" if version == 3 else "guid", token)
+    root.set("generationTool", f"dynasindy {__version__}")
+    root.set("variableNamingConvention", "flat")
+    able = "canGetAndSetFMUState" if version == 3 else "canNotUseMemoryManagementFunctions"
+    simulation = ElementTree.SubElement(root, "CoSimulation", modelIdentifier=unit.name)
+    simulation.set("canHandleVariableCommunicationStepSize", "true")
+    simulation.set(able, "true")
+    if version == 2:
+        listed = ElementTree.SubElement(simulation, "SourceFiles")
+        for name in (n for n in unit.sources if n.endswith(".c")):
+            ElementTree.SubElement(listed, "File", name=name)
+    units = ElementTree.SubElement(root, "UnitDefinitions")
+    for name in sorted({variable.unit for variable in unit.variables}):
+        ElementTree.SubElement(units, "Unit", name=name)
+    ElementTree.SubElement(root, "DefaultExperiment", startTime="0.0", stepSize=repr(unit.step))
+    variables = ElementTree.SubElement(root, "ModelVariables")
+    structure = ElementTree.SubElement(root, "ModelStructure")
+    if version == 3:
+        time = ElementTree.SubElement(variables, "Float64", name="time", valueReference="0", causality="independent")
+        time.set("variability", "continuous")
+    else:
+        structure = ElementTree.SubElement(structure, "Outputs")
+    for place, variable in enumerate(unit.variables, 1):
+        _variable(variables, variable, place, version)
+        if variable.output and version == 3:
+            ElementTree.SubElement(structure, "Output", valueReference=str(place))
+        elif variable.output:
+            ElementTree.SubElement(structure, "Unknown", index=str(place))
+    return _xml(root)
+
+
+def _variable(parent: ElementTree.Element, variable: _Variable, place: int, version: int) -> None:
+    tag = "Float64" if version == 3 else "ScalarVariable"
+    element = ElementTree.SubElement(parent, tag, name=variable.name, valueReference=str(place))
+    element.set("causality", "output" if variable.output else "input")
+    element.set("variability", "continuous")
+    if variable.output:
+        element.set("initial", "exact")
+    typed = element if version == 3 else ElementTree.SubElement(element, "Real")
+    typed.set("start", "0.0")
+    typed.set("unit", variable.unit)
+
+
+def _built(unit: _Unit) -> bytes:
+    """Return the description of how the sources are compiled."""
+    root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=unit.name)
+    files = ElementTree.SubElement(configuration, "SourceFileSet", language="C99")
+    for name in (n for n in unit.sources if n.endswith(".c")):
+        ElementTree.SubElement(files, "SourceFile", name=name)
+    ElementTree.SubElement(configuration, "Library", name="m", external="true")
+    return _xml(root)
+
+
+def _xml(root: ElementTree.Element) -> bytes:
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)

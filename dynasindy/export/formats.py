@@ -1,0 +1,102 @@
+"""The model for other tools: Python source for CasADi, LaTeX, a NumPy function and a system of python-control.
+
+SymPy expressions are in `dynasindy.world_models.interchange.to_sympy`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynasindy.export.expressions import formulas
+from dynasindy.export.names import comment, identifiers, module_name
+from dynasindy.world_models import SindyModel
+from dynasindy.world_models.tables import equations_to_latex
+
+NumpyField = Callable[[Any, Any], NDArray[np.float64]]
+
+
+def casadi_source(model: SindyModel, name: str = "model") -> str:
+    """Write a model as a Python file that needs CasADi alone: `field(x, u)`, and `function()` of CasADi.
+
+    Args:
+        model: The model.
+        name: Name of the function in CasADi.
+
+    Raises:
+        ValueError: The name is none, or the model has a function without a formula.
+    """
+    name, signature = module_name(name), model.signature
+    equations = "\n".join(comment(line) for line in model.equations())
+    return (
+        f'"""The identified model, dx/dt = f(x, u), for CasADi.\n\n{equations}\n"""\n\n'
+        "import casadi\nfrom casadi import cos, exp, fabs, sign, sin, sqrt, tanh\nfrom casadi import fmax as larger\n\n"
+        f"STATES = {signature.state_names!a}\nSTATE_UNITS = {signature.state_units!a}\n"
+        f"INPUTS = {signature.input_names!a}\nDELAY = {model.delay!r}  # seconds from an input to its effect\n\n\n"
+        "def square(a):\n    return a * a\n\n\n"
+        f'{_python(model)}\n\ndef function():\n    """Return dx/dt as a casadi.Function of x and u."""\n'
+        f'    x, u = casadi.SX.sym("x", {signature.n_x}), casadi.SX.sym("u", {signature.n_u})\n'
+        f'    return casadi.Function("{name}", [x, u], [casadi.vertcat(*field(x, u))], ["x", "u"], ["dx"])\n'
+    )
+
+
+def latex_source(model: SindyModel, digits: int = 5) -> str:
+    """Write the equations of a model as LaTeX, for a document with amsmath.
+
+    Args:
+        model: The model.
+        digits: Significant digits.
+    """
+    late = f"% Inputs act {model.delay!r} s after they are given.\n" if model.delay else ""
+    return late + equations_to_latex(model.library, model.coefficients, digits)
+
+
+def numpy_field(model: SindyModel) -> NumpyField:
+    """Return dx/dt of a model as a function of arrays `x` `(n_x,)` and `u` `(n_u,)`, in NumPy alone.
+
+    Raises:
+        ValueError: The model has a function without a formula.
+    """
+    scope: dict[str, Any] = {name: getattr(np, name) for name in ("cos", "exp", "fabs", "sign", "sin", "sqrt", "tanh")}
+    scope |= {"square": np.square, "larger": np.maximum}
+    # The text is made of numbers, places and the formulas of the library's functions: no word of a file is in it.
+    exec(compile(_python(model), "<exported model>", "exec"), scope)
+    field = scope["field"]
+    return lambda x, u: np.array(field(x, u), dtype=np.float64)
+
+
+def control_system(model: SindyModel) -> Any:
+    """Return a model as a nonlinear system of python-control, whose outputs are its states.
+
+    Its inputs are those that act: a delay of the model is not in it.
+
+    Raises:
+        ModuleNotFoundError: python-control is not installed.
+        ValueError: The model has a function without a formula.
+    """
+    try:
+        import control
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            "this needs python-control, which is not installed; install the extra: pip install -e '.[export]'"
+        ) from error
+    field, states = numpy_field(model), identifiers(model.signature.state_names)
+    return control.nlsys(
+        lambda t, x, u, params: field(x, np.atleast_1d(u)),
+        None,
+        inputs=[f"u_{word}" for word in identifiers(model.signature.input_names)],
+        states=[f"x_{word}" for word in states],
+        outputs=[f"y_{word}" for word in states],
+        name="model",
+    )
+
+
+def _python(model: SindyModel) -> str:
+    """Return the text of `field(x, u)`."""
+    found = formulas(model)
+    body = "".join(f"    {name} = {formula}\n" for name, formula in found.lines)
+    head = 'def field(x, u):\n    """Return dx/dt of the states as a list."""\n'
+    return f"{head}{body}    return [{', '.join(found.results)}]\n"

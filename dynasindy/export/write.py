@@ -1,0 +1,136 @@
+"""All files of an export, and what is to be said of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+from dynasindy.control import Controller, load
+from dynasindy.control.files import FORMAT, NAME
+from dynasindy.evaluation.files import write_text
+from dynasindy.evaluation.given import read_record
+from dynasindy.export.c_controller import ControllerSources, controller_sources
+from dynasindy.export.c_model import model_sources
+from dynasindy.export.compiler import compiler, microseconds
+from dynasindy.export.fmu import controller_fmu, plant_fmu
+from dynasindy.export.formats import casadi_source, latex_source
+from dynasindy.export.onnx_policy import policy_onnx
+from dynasindy.systems import Stops
+from dynasindy.world_models import SindyModel
+
+STEP = 0.01
+"""Longest step of the plant's FMU where only a model is given [s]."""
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What is exported: a controller, a model, or both.
+
+    Attributes:
+        controller: The controller, if any.
+        model: The identified model, if any.
+        step: Longest Runge-Kutta step of the model [s].
+        stops: Mechanical stops of the plant, if any.
+    """
+
+    controller: Controller | None
+    model: SindyModel | None
+    step: float = STEP
+    stops: Stops | None = None
+
+    @classmethod
+    def read(cls, path: str | Path) -> Exported:
+        """Read a controller or a model from its file, or both from a run folder.
+
+        Raises:
+            FileNotFoundError: There is neither.
+            DamagedFileError: A file is damaged.
+            ValueError: A model cannot be read.
+        """
+        given = Path(path)
+        file = given / NAME if given.is_dir() else given
+        model = given / "model.json" if given.is_dir() else given
+        alone = given.is_dir() and not file.is_file() and model.is_file()
+        if alone or (given.is_file() and read_record(given).get("format") != FORMAT):
+            return cls(None, SindyModel.load(model))
+        controller = load(given)
+        pace, observer = controller.pace, controller.observer
+        if observer is not None and isinstance(observer.model, SindyModel):
+            return cls(controller, observer.model, pace.dt / max(1, pace.substeps), observer.stops)
+        return cls(controller, SindyModel.load(model) if given.is_dir() and model.is_file() else None, pace.dt)
+
+
+def write(what: Exported, folder: Path, formats: Collection[str], fmi: int = 3) -> list[str]:
+    """Write an export.
+
+    Args:
+        what: Controller and model.
+        folder: Where the files go; made if missing.
+        formats: Some of `c`, `onnx`, `fmu` and `model`.
+        fmi: Version of FMI, 2 or 3.
+
+    Returns:
+        One line per file, or about a file that was not written.
+
+    Raises:
+        ValueError: Nothing could be written, or the controller or its model has no form in C.
+    """
+    controller, model = what.controller, what.model
+    found: list[str] = []
+    missing: list[str] = []
+    if controller is not None and "c" in formats:
+        found += _c(controller_sources(controller), folder)
+    if controller is not None and "onnx" in formats:
+        try:
+            policy_onnx(controller, folder / "policy.onnx")
+            found.append(_size(folder / "policy.onnx", "the policy, observation to action"))
+        except ModuleNotFoundError as error:
+            missing.append(f"policy.onnx is not written: {error}")
+    if "fmu" in formats:
+        if controller is not None:
+            found.append(_fmu(folder / "controller.fmu", lambda path: controller_fmu(controller, path, version=fmi)))
+        if model is not None and model.signature.n_u:
+            found.append(
+                _fmu(folder / "plant.fmu", lambda path: plant_fmu(model, path, what.step, what.stops, version=fmi))
+            )
+    if "model" in formats and model is not None:
+        found += _model(model, folder)
+    if controller is None:
+        missing.append("nothing of a controller is written: a model was given, and no controller.json is there")
+    if model is None:
+        missing.append("nothing of the plant is written: the controller has no observer, and no model.json is there")
+    if not found:
+        raise ValueError("; ".join(missing) or "nothing is written: formats is empty; give some of c, onnx, fmu, model")
+    return found + missing
+
+
+def _c(sources: ControllerSources, folder: Path) -> list[str]:
+    for name, text in sources.files().items():
+        write_text(folder / name, text)
+    cost = sources.cost
+    size = (
+        f"{cost.flops} floating-point operations per call; bytes: {cost.state} of state, {cost.constants} of "
+        f"constants, about {cost.stack} of stack"
+    )
+    timed = f"{microseconds(sources):.3g} us per call on this computer, compiled with -O2" if compiler() else ""
+    untimed = "not timed, as there is no C compiler on this computer"
+    return [f"{' and '.join(sources.files())}: {size}; {timed or untimed}"]
+
+
+def _model(model: SindyModel, folder: Path) -> list[str]:
+    files = model_sources(model).files() | {"model.tex": latex_source(model), "model.py": casadi_source(model)}
+    told = {"model.tex": "the equations as LaTeX", "model.py": "the equations for CasADi"}
+    for name, text in files.items():
+        write_text(folder / name, text)
+    return [_size(folder / name, told.get(name, "dx/dt = f(x, u) in C")) for name in files]
+
+
+def _fmu(path: Path, written: Callable[[Path], bool]) -> str:
+    built = written(path)
+    more = "with a library for this computer" if built else "sources alone, as there is no C compiler on this computer"
+    return _size(path, f"an FMU, {more}")
+
+
+def _size(path: Path, what: str) -> str:
+    return f"{path.name}: {what}, {path.stat().st_size} bytes"

@@ -1,0 +1,93 @@
+"""Controllers of a pendulum and of a rotor plant, as small as they may be, with numbers that are no defaults."""
+
+import pytest
+import torch
+
+from dynasindy.agents.networks import actor
+from dynasindy.control import Controller
+from dynasindy.control.controller import Pace
+from dynasindy.sensing import Observer, Sensors
+from dynasindy.systems import Signature, Stops, Tras
+from dynasindy.tasks import Step, Tracking, TrackingReward
+from dynasindy.world_models import SindyModel
+from dynasindy.world_models.features import of, variable
+from dynasindy.world_models.libraries import rotor
+from dynasindy.world_models.library import Library
+
+PENDULUM = Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.5, 3.0))
+
+
+def policy_of(task, hidden=(8, 5), seed=1):
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        return actor(task.n_o, task.signature.n_u, hidden).requires_grad_(False)
+
+
+def model_of(signature=PENDULUM, delay=0.0):
+    angle, rate = signature.state_names
+    push, omega = variable(signature.input_names[0]), variable(rate)
+    words = [push, omega, of("tanh", angle, frequency=3.7), of("sin", angle), omega * of("abs", rate)]
+    model = SindyModel(signature, Library(signature, words))
+    table = [[0.0, 8.0], [1.0, -0.6], [0.0, -2.5], [0.0, -6.0], [0.0, -0.04]]
+    model.set_coefficients(torch.tensor(table, dtype=torch.float64))
+    model.delay = delay
+    return model
+
+
+def pendulum_controller(observer=True, integral=None, delay=0.07, stops=True, disturbance=True, signature=PENDULUM):
+    """Return a controller of a pendulum whose angle is measured."""
+    angle, rate = signature.state_names
+    task = Tracking(
+        signature, Step([[0.0]]), (angle,), (rate,), TrackingReward((1.0,)), observe_rate=True, error_scale=0.7
+    )
+    pace = Pace(task, 0.04, 3, Stops((0,), (1,), (-0.6,), (0.25,)) if stops else None)
+    if not observer:
+        return Controller(policy_of(task), pace, None, integral)
+    sensors = Sensors(
+        {angle: {"resolution": 0.01, "noise": 0.002}}, rates={angle: rate}, delay=1, disturbance=disturbance
+    )
+    watching = Observer(model_of(signature, delay), sensors, pace)
+    watching.load_state_dict({"process_noise": [0.013, 0.021, 0.4][: 2 + disturbance], "nis": 1.1})
+    return Controller(policy_of(task), pace, watching, integral)
+
+
+def rotor_controller(integral=None, delay=0.03):
+    """Return a controller of two rotors on a beam, of which angles and rotor speeds are measured."""
+    signature = Tras().signature
+    task = Tracking(signature, Step([[0.0, 0.0]]), reward=TrackingReward((1.0, 1.0)))
+    pace = Pace(task, 0.05, 2, Tras().stops)
+    model = SindyModel(signature, rotor(signature))
+    with torch.random.fork_rng():
+        torch.manual_seed(5)
+        scale = torch.tensor(signature.x_scale, dtype=torch.float64)
+        x = (2 * torch.rand(3000, 6, dtype=torch.float64) - 1) * scale * 0.6
+        u = 2 * torch.rand(3000, 2, dtype=torch.float64) - 1
+    model.fit_derivatives(x, u, Tras()(x, u))
+    model.delay = delay
+    channels = {"alpha_a": {"resolution": 0.0015}, "alpha_p": {"resolution": 0.0015}}
+    channels |= {name: {"noise": 30.0} for name in ("omega_a", "omega_p")}
+    rates = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
+    observer = Observer(model, Sensors(channels, rates=rates, disturbance=True), pace)
+    observer.load_state_dict({"process_noise": [0.01] * 6 + [0.05] * 2, "nis": 1.0})
+    return Controller(policy_of(task, (24, 16), 2), pace, observer, integral)
+
+
+@pytest.fixture
+def pendulum():
+    return pendulum_controller
+
+
+@pytest.fixture(scope="session")
+def rotors():
+    return rotor_controller
+
+
+@pytest.fixture
+def pendulum_model():
+    return model_of
+
+
+@pytest.fixture
+def hostile():
+    """Names and units that mean something in C, Python, XML and LaTeX."""
+    return Signature(("int", "x y.z'-"), ("*/ int f() /*", "%/°*/"), ("_u",), (1.5, 3.0))

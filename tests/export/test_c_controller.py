@@ -1,0 +1,124 @@
+"""The controller in C flies plants behind sensors as the one in Python does, and costs what it says."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy.export import controller_sources
+from dynasindy.export.compiler import Native, compiler
+from dynasindy.systems import Pendulum, Stops, Tras, integrate
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
+
+
+def flown(act, plant, controller, r, rate, periods=100):
+    """Fly a plant behind noisy encoders that lose samples; every state that has no sensor is NaN."""
+    rng = np.random.default_rng(4)
+    names = controller.signature.state_names
+    seen = [controller.observer is None or n in controller.observer.sensors.channels for n in names]
+    scale = np.array(controller.signature.x_scale)
+    x, inputs = torch.zeros(len(names), dtype=torch.float64), []
+    for k in range(periods):
+        y = x.numpy() + 0.002 * scale * rng.standard_normal(len(names)) * (controller.observer is not None)
+        if controller.observer is not None:
+            y = np.where(seen, np.round(y / scale / 0.0015) * 0.0015 * scale, math.nan)
+            y = np.full_like(y, math.nan) if k % 9 == 4 else np.where(rng.random(len(y)) < 0.1, math.nan, y)
+        inputs.append(act(y, r(k), rate(k)))
+        # What arrives is late, as the model says, and pushed by half of the input.
+        u = inputs[-2] if controller.observer is not None and k else inputs[-1]
+        x = integrate(plant, x, torch.as_tensor(0.8 * u + 0.05), controller.dt, 4, plant.stops)[0][-1]
+    return np.array(inputs)
+
+
+def difference(controller, plant, n_r):
+    native = Native(controller_sources(controller))
+    amplitude, omega = 0.3, 2.0
+
+    def r(k):
+        return [amplitude * math.sin(omega * k * controller.dt)] * n_r
+
+    def rate(k):
+        return [amplitude * omega * math.cos(omega * k * controller.dt)] * n_r
+
+    controller.reset()
+    expected = flown(controller.act, plant, controller, r, rate)
+    assert expected.std() > 0.005
+    return np.abs(flown(native.act, plant, controller, r, rate) - expected).max()
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"integral": {"gain": 3.0, "band": 0.9, "rate": 0.4, "limit": 0.05}},
+        {"delay": 0.0, "disturbance": False},
+        {"delay": 0.04, "stops": False},
+        {"observer": False},
+        {"observer": False, "integral": {"band": 0.9}},
+    ],
+    ids=str,
+)
+def test_it_flies_a_pendulum_as_python_does(pendulum, settings):
+    assert difference(pendulum(**settings), Pendulum(), 1) < 1e-6
+
+
+@needs_compiler
+@pytest.mark.parametrize("integral", [None, {"band": 0.5, "gain": 2.0}])
+def test_it_flies_two_rotors_as_python_does(rotors, integral):
+    assert difference(rotors(integral), Tras(), 2) < 1e-6
+
+
+@needs_compiler
+def test_a_reset_forgets_everything_and_what_is_no_number_changes_nothing(pendulum):
+    native = Native(controller_sources(pendulum(integral={})))
+    first = [native.act([0.1 * k, math.nan], [0.3])[0] for k in range(5)]
+    with pytest.raises(ValueError, match="not finite"):
+        native.act([0.1, math.nan], [math.nan])
+    with pytest.raises(ValueError, match="not finite"):
+        native.act([0.1, math.nan], [0.3], [math.inf])
+    later = native.act([0.5, math.nan], [0.3])[0]
+    native.reset()
+    again = [native.act([0.1 * k, math.inf], [0.3], [0.0])[0] for k in range(5)]
+    assert again == first and native.act([0.5, math.nan], [0.3])[0] == later
+
+
+@needs_compiler
+def test_without_an_observer_every_state_has_to_be_a_number(pendulum):
+    native = Native(controller_sources(pendulum(observer=False)))
+    with pytest.raises(ValueError, match="not finite"):
+        native.act([0.1, math.nan], [0.3])
+
+
+@needs_compiler
+def test_a_model_that_explodes_leaves_a_finite_input(pendulum):
+    controller = pendulum(delay=0.07)
+    controller.observer.stops = Stops((0,), (1,), (-0.6,), (math.inf,))
+    controller.observer.model.set_coefficients(controller.observer.model.coefficients * -400.0)
+    native = Native(controller_sources(controller))
+    expected = [controller.act([0.4 * math.sin(k), math.nan], [0.3])[0] for k in range(30)]
+    found = [native.act([0.4 * math.sin(k), math.nan], [0.3])[0] for k in range(30)]
+    assert np.isfinite(found).all()
+    np.testing.assert_allclose(found[:3], expected[:3], atol=1e-6)
+
+
+def test_a_policy_or_a_model_of_another_kind_is_refused(pendulum):
+    controller = pendulum()
+    controller.policy = lambda tensordict: tensordict
+    with pytest.raises(ValueError, match="allowed is the actor"):
+        controller_sources(controller)
+    with pytest.raises(ValueError, match="name is '1 a'; allowed are a letter"):
+        controller_sources(pendulum(), "1 a")
+
+
+@needs_compiler
+def test_names_of_a_file_become_no_code(pendulum, hostile):
+    sources = controller_sources(pendulum(signature=hostile))
+    for text in (sources.header, sources.source):
+        bare = re.sub(r"/\*.*?\*/", "", text, flags=re.S)
+        assert "int f()" not in bare and "°" not in text and "*/" not in bare
+    assert "controller_x_int = 0" in sources.header and "controller_x_x_y_z__ = 1" in sources.header
+    Native(sources)

@@ -1,0 +1,50 @@
+"""The compiler is found where it is, and what it refuses costs one line."""
+
+import pytest
+
+from dynasindy.export import compiler as module
+from dynasindy.export import controller_sources
+from dynasindy.export.compiler import Native, build, compiler, microseconds
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
+
+
+def test_without_a_compiler_one_line_says_so(pendulum, monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    assert compiler() is None
+    with pytest.raises(FileNotFoundError, match="no C compiler was found; install gcc or clang"):
+        Native(controller_sources(pendulum(observer=False)))
+
+
+@needs_compiler
+def test_what_the_compiler_refuses_costs_one_line(tmp_path):
+    (tmp_path / "bad.c").write_text("int f(void) { return g(); }\n")
+    with pytest.raises(ValueError, match=r"the C compiler refused bad\.c: .*") as error:
+        build([tmp_path / "bad.c"], tmp_path / "bad.so")
+    assert "\n" not in str(error.value)
+
+
+@needs_compiler
+def test_two_controllers_of_one_name_live_side_by_side(pendulum):
+    one, other = (Native(controller_sources(pendulum(observer=False, integral=i))) for i in (None, {"gain": 5.0}))
+    first = [one.act([0.1, 0.0], [0.12])[0], other.act([0.1, 0.0], [0.12])[0]]
+    assert first[0] == first[1]
+    assert one.act([0.1, 0.0], [0.12])[0] == first[0]
+    assert other.act([0.1, 0.0], [0.12])[0] != first[1]
+    with pytest.raises(ValueError, match="1 numbers are given where 2 belong"):
+        one.act([0.1], [0.12])
+
+
+@needs_compiler
+def test_the_time_of_a_call_goes_with_the_number_of_calls(pendulum, monkeypatch):
+    sources, asked = controller_sources(pendulum(observer=False)), []
+
+    def timed(call, *arguments):
+        call(*arguments)
+        asked.append(arguments[-1].value)
+        return 2e-6 * asked[-1]
+
+    monkeypatch.setattr(module, "_timed", timed)
+    assert microseconds(sources) == pytest.approx(2.0)
+    assert max(asked) * 2e-6 >= 0.02

@@ -1,0 +1,74 @@
+"""The model in CasADi, NumPy, SymPy, LaTeX and python-control is the model."""
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy.export.formats import casadi_source, control_system, latex_source, numpy_field
+from dynasindy.world_models.interchange import to_sympy
+
+POINTS = np.random.default_rng(3).uniform(-1, 1, (10, 3))
+
+
+def by_hand(x, u):
+    """dx/dt of the pendulum of conftest."""
+    theta, omega = x
+    return [omega, 8 * u - 0.6 * omega - 2.5 * np.tanh(3.7 * theta) - 6 * np.sin(theta) - 0.04 * omega * abs(omega)]
+
+
+def test_numpy_computes_the_equations(pendulum_model):
+    field = numpy_field(pendulum_model())
+    for *x, u in POINTS:
+        np.testing.assert_allclose(field(x, [u]), by_hand(x, u), rtol=1e-12)
+
+
+def test_numpy_takes_all_functions_of_the_rotors(rotors):
+    model = rotors().observer.model
+    x = np.array([0.1, -0.4, 0.3, 0.2, -2000.0, 1500.0])
+    expected = model(torch.from_numpy(x), torch.tensor([0.2, -0.3], dtype=torch.float64))
+    np.testing.assert_allclose(numpy_field(model)(x, [0.2, -0.3]), expected, rtol=1e-10)
+
+
+def test_the_file_for_casadi_runs_and_computes_the_equations(pendulum_model):
+    pytest.importorskip("casadi", reason="CasADi is not installed: pip install -e '.[export]'")
+    scope = {}
+    exec(compile(casadi_source(pendulum_model(delay=0.1), "pendulum"), "model.py", "exec"), scope)
+    function = scope["function"]()
+    assert function.name() == "pendulum" and scope["DELAY"] == 0.1 and scope["STATES"] == ("theta", "Omega")
+    for *x, u in POINTS:
+        np.testing.assert_allclose(np.array(function(x, u)).ravel(), by_hand(x, u), rtol=1e-12)
+
+
+def test_names_of_a_file_are_strings_and_words_in_the_file_for_casadi(pendulum_model, hostile):
+    text = casadi_source(pendulum_model(hostile))
+    tree = compile(text, "model.py", "exec")
+    assert "f" not in tree.co_names and ("int", "x y.z'-") in tree.co_consts and text.isascii()
+
+
+def test_python_control_computes_the_equations(pendulum_model):
+    pytest.importorskip("control", reason="python-control is not installed: pip install -e '.[export]'")
+    system = control_system(pendulum_model())
+    assert (system.ninputs, system.nstates, system.input_labels) == (1, 2, ["u_u"])
+    for *x, u in POINTS:
+        np.testing.assert_allclose(system.dynamics(0.0, x, [u]), by_hand(x, u), rtol=1e-12)
+    # About rest the pendulum swings with a stiffness of 2.5 * 3.7 + 6 per second squared.
+    np.testing.assert_allclose(system.linearize([0, 0], [0]).A, [[0, 1], [-15.25, -0.6]], atol=1e-4)
+
+
+def test_sympy_reads_the_same_formulas(pendulum_model):
+    sympy = pytest.importorskip("sympy")
+    written = to_sympy(pendulum_model())
+    theta, omega, u = (sympy.Symbol(name, real=True) for name in ("theta", "Omega", "u"))
+    slope = sympy.diff(written["Omega"], theta).subs({theta: 0, omega: 0, u: 0})
+    assert float(slope) == pytest.approx(-15.25)
+
+
+def test_latex_shows_every_term_once(pendulum_model):
+    assert latex_source(pendulum_model(delay=0.1)) == (
+        "% Inputs act 0.1 s after they are given.\n"
+        "\\begin{align*}\n"
+        "    \\dot{\\theta} &= \\Omega \\\\\n"
+        "    \\dot{\\Omega} &= 8 \\, u - 0.6 \\, \\Omega - 2.5 \\, \\tanh 3.7 \\theta \\\\\n"
+        "    &\\quad - 6 \\, \\sin \\theta - 0.04 \\, \\Omega \\, |\\Omega|\n"
+        "\\end{align*}\n"
+    )

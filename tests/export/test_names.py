@@ -1,0 +1,58 @@
+"""Names, words and numbers of files stay names, words and numbers."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from dynasindy.export.names import comment, identifiers, module_name, number, reach, rows, single
+
+
+def test_identifiers_are_of_ascii_letters_and_differ():
+    found = identifiers(["a b", "a_b", "a.b", "a_b_2", "Ωmega", "int"])
+    assert found[0] == "a_b" and found[-1] == "int"
+    assert len(set(found)) == 6
+    assert all(re.fullmatch(r"[A-Za-z0-9_]+", word) for word in found)
+
+
+@pytest.mark.parametrize(
+    "words", ["*/ int f() /*", "/*/", "*/*/*", "*°/", "a\\", "a\nb", "a??/", "·/", "/·", "\x00", "³·/²"]
+)
+def test_no_words_end_a_comment_or_begin_one(words):
+    shown = comment(words)
+    assert "*/" not in shown and "/*" not in shown and not set("\\\n?\x00") & set(shown)
+    assert shown.isascii() and comment(shown) == shown
+
+
+def test_a_number_is_exact_and_finite():
+    for value in (0.1, -1e-300, 3, 1 / 3, 5e22):
+        assert float(number(value).strip("()")) == value
+    assert number(-2.5) == "(-2.5)"
+    with pytest.raises(ValueError, match="inf stands where a finite number belongs"):
+        number(math.inf)
+    with pytest.raises(ValueError, match="nan stands"):
+        number(math.nan)
+    with pytest.raises(ValueError, match="could not convert"):
+        number("system()")
+    assert (reach(math.inf), reach(-math.inf), reach(-1)) == ("INFINITY", "-INFINITY", "(-1.0)")
+
+
+def test_a_single_is_the_same_float_again():
+    values = np.random.default_rng(0).standard_normal(200).astype(np.float32) * np.float32(1e-3)
+    for value in (*values, np.float32(0), np.float32(1), np.float32(-1e-42)):
+        written = single(float(value))
+        assert re.fullmatch(r"-?\d+\.\d+e[+-]\d+f", written)
+        assert np.float32(written[:-1]) == value
+
+
+@pytest.mark.parametrize("name", ["", "1a", "a-b", "a b", "a" * 32, "é", "a\n"])
+def test_what_begins_no_name_of_c_is_refused(name):
+    with pytest.raises(ValueError, match="allowed are a letter, then"):
+        module_name(name)
+
+
+def test_rows_hold_every_element_once():
+    lines = rows([str(k) for k in range(100)], width=30)
+    assert [int(word) for word in lines.replace(",", " ").split()] == list(range(100))
+    assert max(map(len, lines.splitlines())) <= 36 and not lines.endswith(",")

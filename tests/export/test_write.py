@@ -1,0 +1,85 @@
+"""An export holds the files that were asked for, of what there is."""
+
+import json
+import sys
+
+import pytest
+
+from dynasindy.control import save
+from dynasindy.evaluation.given import DamagedFileError
+from dynasindy.export import fmu, write
+from dynasindy.export.write import Exported
+
+MODEL = {"model.c", "model.h", "model.tex", "model.py"}
+
+
+@pytest.fixture(autouse=True)
+def _no_compiler(monkeypatch):
+    """What is compiled is tested elsewhere, and takes seconds."""
+    for module in (write, fmu):
+        monkeypatch.setattr(module, "compiler", lambda: None)
+
+
+def names(folder):
+    return {path.name for path in folder.iterdir()}
+
+
+def test_a_run_folder_gives_everything(pendulum, tmp_path):
+    controller = pendulum()
+    save(controller, tmp_path / "controller.json")
+    lines = write.write(Exported.read(tmp_path), tmp_path / "out", ["c", "fmu", "model"])
+    assert names(tmp_path / "out") == MODEL | {"controller.c", "controller.h", "controller.fmu", "plant.fmu"}
+    assert "168 of state" in lines[0] and "not timed, as there is no C compiler" in lines[0]
+    assert f"{(tmp_path / 'out' / 'plant.fmu').stat().st_size} bytes" in lines[2] and "sources alone" in lines[2]
+    what = Exported.read(tmp_path / "controller.json")
+    assert what.step == pytest.approx(0.04 / 3) and what.stops == controller.observer.stops
+
+
+def test_formats_that_were_not_asked_for_are_not_written(pendulum, tmp_path):
+    save(pendulum(), tmp_path / "controller.json")
+    write.write(Exported.read(tmp_path), tmp_path / "out", ["model"])
+    assert names(tmp_path / "out") == MODEL
+
+
+def test_a_model_alone_gives_its_own_files(pendulum, pendulum_model, tmp_path):
+    pendulum_model().save(tmp_path / "model.json")
+    for source in (tmp_path, tmp_path / "model.json"):
+        write.write(Exported.read(source), tmp_path / "out", ["c", "onnx", "fmu", "model"])
+        assert names(tmp_path / "out") == MODEL | {"plant.fmu"}
+    with pytest.raises(ValueError, match="nothing of a controller is written: a model was given"):
+        write.write(Exported.read(tmp_path), tmp_path / "none", ["c"])
+    with pytest.raises(ValueError, match="formats is empty"):
+        write.write(Exported(pendulum(), pendulum_model()), tmp_path / "none", [])
+
+
+def test_without_an_observer_the_model_of_the_run_is_taken_or_missed(pendulum, pendulum_model, tmp_path):
+    save(pendulum(observer=False), tmp_path / "controller.json")
+    lines = write.write(Exported.read(tmp_path), tmp_path / "out", ["fmu", "model"])
+    assert names(tmp_path / "out") == {"controller.fmu"} and "nothing of the plant is written" in lines[-1]
+    pendulum_model().save(tmp_path / "model.json")
+    write.write(Exported.read(tmp_path), tmp_path / "out", ["fmu", "model"])
+    assert names(tmp_path / "out") == MODEL | {"controller.fmu", "plant.fmu"}
+
+
+def test_a_package_that_is_missing_is_named_and_the_rest_is_written(pendulum, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    save(pendulum(), tmp_path / "controller.json")
+    lines = write.write(Exported.read(tmp_path), tmp_path / "out", ["c", "onnx"])
+    assert "policy.onnx is not written: ONNX needs the package onnx" in lines[-1]
+    with pytest.raises(ValueError, match=r"policy\.onnx is not written"):
+        write.write(Exported.read(tmp_path), tmp_path / "none", ["onnx"])
+
+
+def test_what_is_no_controller_is_refused_in_one_line(pendulum, tmp_path):
+    with pytest.raises(FileNotFoundError, match="give a controller that was saved"):
+        Exported.read(tmp_path)
+    save(pendulum(), tmp_path / "controller.json")
+    record = json.loads((tmp_path / "controller.json").read_text())
+    record["observer"]["stops"]["positions"] = [99]
+    (tmp_path / "controller.json").write_text(json.dumps(record))
+    with pytest.raises(ValueError, match="stops are at state '99'"):
+        write.write(Exported.read(tmp_path), tmp_path / "out", ["c"])
+    record["observer"]["stops"]["low"] = ["system()"]
+    (tmp_path / "controller.json").write_text(json.dumps(record))
+    with pytest.raises(DamagedFileError, match="is damaged"):
+        Exported.read(tmp_path)
