@@ -5,7 +5,6 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
-
 RESULTS = ":(top,exclude)docs/results"
 """Tables that a benchmark appends to: its first row does not change the code that measures the second."""
 
