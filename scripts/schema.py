@@ -46,6 +46,8 @@ class Evaluating(Every):
     """Keys of `evaluation`."""
 
     must_improve: bool
+    must_control: bool
+    within: float
 
 
 class Keys(TypedDict):

@@ -94,7 +94,8 @@ class Settings:
         episodes: Real episodes after the excitation.
         updates_per_step: Gradient updates per real step (update-to-data ratio).
         recent_steps: Newest real steps that a refit reads; all if None.
-        held_out: Every n-th second of the newest episode tests the refit instead of entering it; 0 tests nothing.
+        held_out: Every n-th window of 20 periods of the newest episode tests the refit instead of entering it; 0 tests
+            nothing.
 
     Raises:
         ValueError: A number is negative, updates_per_step above 10000, recent_steps is not positive, or held_out is 1.

@@ -180,6 +180,10 @@ class GradientPlanning(Planner):
     def distrust(self) -> None:
         """Do nothing: no imagined data are kept."""
 
+    def words(self) -> str:
+        """Return the settings of the latest phase and why they are so, in one line."""
+        return f"{self.pace}" if self.phase and self.rollouts else ""
+
     def state_dict(self) -> dict[str, Any]:
         """Return the number of phases so far and the generator; episodes and optimiser begin anew in each phase."""
         return {"phase": self.phase, "generator": self.rng.get_state()}

@@ -67,8 +67,9 @@ class Pace:
 
     def __str__(self) -> str:
         """Return the settings in one line."""
+        begun = "begun as a regulator, " if self.held else ""
         return (
-            f"window {self.window} periods, lr {self.lr:g}, {self.updates} updates, patience {self.patience}, "
+            f"{begun}window {self.window} periods, lr {self.lr:g}, {self.updates} updates, patience {self.patience}, "
             f"{self.substeps} Runge-Kutta step{'s' * (self.substeps > 1)} a period: {self.why}"
         )
 

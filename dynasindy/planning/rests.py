@@ -109,6 +109,24 @@ def growth(a: Tensor, scale: Tensor, seconds: float) -> float:
     return float(torch.linalg.matrix_norm(torch.as_tensor(expm((scaled * seconds).numpy())), 2))
 
 
+def states_that_matter(system: System, outputs: Sequence[int], start: Tensor) -> Tensor:
+    """Return which states are tracked or change a rate of change, bool `(n_x,)`; a mileage is neither, and never rests.
+
+    Args:
+        system: Vector field.
+        outputs: Places of the tracked states.
+        start: State around which derivatives are taken, `(n_x,)`.
+    """
+    n_x, n_u, start = system.signature.n_x, system.signature.n_u, start.double()
+    generator = torch.Generator().manual_seed(1)
+    scale = torch.tensor(system.signature.x_scale, dtype=torch.float64)
+    x = start + scale * torch.randn(16, n_x, generator=generator, dtype=torch.float64)
+    u = 2 * torch.rand(16, n_u, generator=generator, dtype=torch.float64) - 1
+    matter = slopes(system, x, u)[0].abs().amax((0, 1)) > 1e-9
+    matter[list(outputs)] = True
+    return matter
+
+
 class _Search:
     """Levenberg and Marquardt's method on f(x, u) = 0, many references at once, in ranges of the states."""
 
@@ -117,7 +135,7 @@ class _Search:
         self.system, self.outputs, self.start = system, outputs, start
         self.scale = torch.tensor(signature.x_scale, dtype=torch.float64)
         self.free = [i for i in range(signature.n_x) if i not in outputs]
-        self.moved = self._moved()
+        self.moved = states_that_matter(system, outputs, start)
         self.guess = torch.cat([start[self.free] / self.scale[self.free], torch.zeros(signature.n_u).double()])
 
     def guesses(self) -> Tensor:
@@ -166,13 +184,3 @@ class _Search:
             return self.residual(v.unsqueeze(1) + steps, targets.unsqueeze(1).expand(-1, len(steps), -1))
 
         return _slope(around, v.shape[-1], v.dtype)
-
-    def _moved(self) -> Tensor:
-        """Return which states are tracked or change a rate of change; a mileage is neither, and never rests."""
-        n_x, n_u = self.system.signature.n_x, self.system.signature.n_u
-        generator = torch.Generator().manual_seed(1)
-        x = self.start + self.scale * torch.randn(16, n_x, generator=generator, dtype=torch.float64)
-        u = 2 * torch.rand(16, n_u, generator=generator, dtype=torch.float64) - 1
-        moved = slopes(self.system, x, u)[0].abs().amax((0, 1)) > 1e-9
-        moved[self.outputs] = True
-        return moved
