@@ -27,6 +27,7 @@ class Plant(TypedDict):
     outputs: list[str]
     rates: list[str]
     start: dict[str, float | list[float]]
+    bounds: dict[str, float | list[float]]
     low: list[float]
     high: list[float]
     known: dict[str, str]

@@ -30,8 +30,8 @@ from tensordict import TensorDict, TensorDictBase
 
 from dynasindy.benchmarks.gradient import PLANTS, Plant
 from dynasindy.benchmarks.instruments.commit import commit
+from dynasindy.dyna.excite import interact
 from dynasindy.dyna.folder import check_settings, claimed, clear
-from dynasindy.dyna.loop import interact
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.gym import GymControl
 from dynasindy.evaluation.ablation import Level, gather, read_rows

@@ -75,7 +75,7 @@ def to_text(
     told = [units.get(axis, "rad") for axis in axes]
     shared = told[0] if len(set(told)) == 1 else ""
     heads = axes if shared else [f"{axis} [{unit}]" for axis, unit in zip(axes, told, strict=True)]
-    lines.append(f"{'':38s}" + "".join(f"{name:>12s}" for name in heads))
+    lines.append(f"{'':38s}" + "".join(f" {name:>11s}" for name in heads))
     stepped = any(summary[f"settled/{axis}"] is not None for axis in axes)
     for name in (*TRACKING, *((*STEP, "settled") if stepped else ())):
         unit = shared if name in TRACKING else UNITS.get(name, "%")

@@ -81,7 +81,7 @@ class Regulator:
         q = weights.states / scale.square()
         q[task.outputs] = weights.outputs / task.boxes().double().square()
         a, b = zero_order_hold(rests.a[k][moved][:, moved], rests.b[k][moved], env.dt)
-        found = _riccati(a, b, q[moved], weights.inputs)
+        found = riccati(a, b, q[moved], weights.inputs)
         if found is None:
             return None
         gain = torch.zeros(b.shape[1], len(scale), dtype=torch.float64)
@@ -185,8 +185,15 @@ def _trembling(law: Regulator, rng: torch.Generator) -> Network:
     return act
 
 
-def _riccati(a: Tensor, b: Tensor, q: Tensor, r: float) -> tuple[Tensor, float] | None:
-    """Return gain and slowest time constant [periods] of the least quadratic cost, or None where there is none."""
+def riccati(a: Tensor, b: Tensor, q: Tensor, r: float) -> tuple[Tensor, float] | None:
+    """Return gain and slowest time constant [periods] of the least quadratic cost, or None where there is none.
+
+    Args:
+        a: Of x[k+1] = a x[k] + b u[k], `(n_x, n_x)`.
+        b: `(n_x, n_u)`.
+        q: Weight of each squared state, `(n_x,)`.
+        r: Weight of each squared input.
+    """
     f, g, cost = a.numpy(), b.numpy(), r * np.eye(b.shape[1])
     try:
         p = solve_discrete_are(f, g, np.diag(q.numpy()), cost)

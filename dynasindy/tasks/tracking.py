@@ -36,6 +36,8 @@ class Tracking(Task):
         high: Upper end of the box, per output.
         start: Where episodes begin: state to value, or to the two ends of a range from which it is drawn; zero for the
             others.
+        bounds: Limits of the plant that end an excitation or a real episode: state to a value, for both sides of zero,
+            or to two ends.
 
     Raises:
         ValueError: A named state does not exist, the numbers of outputs, rates, references and error weights
@@ -58,6 +60,7 @@ class Tracking(Task):
         low: Sequence[float] | None = None,
         high: Sequence[float] | None = None,
         start: Mapping[str, float | Sequence[float]] | None = None,
+        bounds: Mapping[str, float | Sequence[float]] | None = None,
     ) -> None:
         super().__init__(signature, max_steps)
         reward = TrackingReward() if reward is None else reward
@@ -86,7 +89,10 @@ class Tracking(Task):
         self.n_r = reference.n_r
         self.n_o = signature.n_x + (2 if observe_rate else 1) * self.n_r
         self._box = _boxes(signature, self.outputs, low, high)
-        self.start = _start(signature, start or {})
+        self.start = _ends(signature, "start", start or {}, torch.zeros(2, signature.n_x))
+        unbounded = torch.tensor([[-math.inf], [math.inf]], dtype=torch.float64).expand(-1, signature.n_x)
+        both = {name: [-v, v] if isinstance(v, int | float) else v for name, v in (bounds or {}).items()}
+        self.bounds = _ends(signature, "bounds", both, unbounded.clone())
 
     @property
     def params_shape(self) -> torch.Size:
@@ -176,15 +182,14 @@ def _boxes(
     return torch.tensor(extents, dtype=torch.float64)
 
 
-def _start(signature: Signature, start: Mapping[str, float | Sequence[float]]) -> Tensor:
-    """Return the lower and the upper ends of initial states, `(2, n_x)`."""
-    ends = torch.zeros(2, signature.n_x)
-    for name, given in start.items():
-        pair = [given, given] if isinstance(given, int | float) else list(given)
+def _ends(signature: Signature, key: str, given: Mapping[str, float | Sequence[float]], ends: Tensor) -> Tensor:
+    """Return the lower and the upper ends of states, `(2, n_x)`, with those that are given put in."""
+    for name, value in given.items():
+        pair = [value, value] if isinstance(value, int | float) else list(value)
         if name not in signature.state_names or len(pair) != 2 or not -math.inf < pair[0] <= pair[1] < math.inf:
             raise ValueError(
-                f"task.start has {name}: {given}; name one of the states {', '.join(signature.state_names)}, with a "
+                f"task.{key} has {name}: {value}; name one of the states {', '.join(signature.state_names)}, with a "
                 "value or the two ends of a range"
             )
-        ends[:, signature.state_index(name)] = torch.tensor(pair)
+        ends[:, signature.state_index(name)] = torch.tensor(pair).to(ends)
     return ends
