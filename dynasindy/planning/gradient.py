@@ -32,6 +32,8 @@ from dynasindy.planning.window import Network, Rows, backward, imagine
 from dynasindy.systems import Diverged, System
 from dynasindy.tasks import Tracking
 
+FOLLOWING = ("window", "lr", "updates", "patience", "substeps", "held")
+"""Settings that follow the plant where they are not given."""
 DIVERGED = 100.0
 """Multiple of the largest value of each state on the plant beyond which an imagined episode has diverged."""
 
@@ -100,19 +102,10 @@ class GradientPlanning(Planner):
         seed: int = 0,
     ) -> None:
         super().__init__(every)
-        given = {
-            "window": window,
-            "lr": lr,
-            "updates": updates,
-            "patience": patience,
-            "substeps": substeps,
-            "held": held,
-        }
-        self.given: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+        given = zip(FOLLOWING, (window, lr, updates, patience, substeps, held), strict=True)
+        self.given: dict[str, Any] = {name: value for name, value in given if value is not None}
         sizes = {"check_every": check_every, "more_lr": more_lr, "max_grad_norm": max_grad_norm, "width": width}
-        positive = {**{k: v for k, v in self.given.items() if k not in ("updates", "held")}, **sizes}
-        if bad := [f"{name}={value}" for name, value in positive.items() if value is not None and not value > 0]:
-            raise ValueError(f"gradient planning got {', '.join(bad)}; these must be positive: mend planning")
+        _require_positive({**{k: v for k, v in self.given.items() if k not in ("updates", "held")}, **sizes})
         least = min(rollouts, updates or 0, more_updates, terminal_updates, real_starts, jumps)
         if least < 0 or real_starts + jumps > 1:
             raise ValueError(
@@ -130,8 +123,7 @@ class GradientPlanning(Planner):
         self.rollouts, self.max_grad_norm = rollouts, max_grad_norm
         # TD3's critics know nothing of the imagined windows and would pull the actor away.
         self.learns_by_td3 = rollouts == 0
-        self.real_starts, self.jumps = real_starts, jumps
-        self.check_every = check_every
+        self.real_starts, self.jumps, self.check_every = real_starts, jumps, check_every
         self.variation = variation or Variation()
         self.variation.deviations(env.system.signature.n_x)  # refuses a wrong number of them
         self.rng = torch.Generator().manual_seed(seed)
@@ -148,7 +140,7 @@ class GradientPlanning(Planner):
             Diverged: The phase trained nothing, or no policy of it has a finite return; the actor is as it was.
         """
         first, self.phase = self.phase == 0, self.phase + 1
-        if not self.rollouts or self.given.get("updates" if first else "", self.more_updates) == 0:
+        if not self.rollouts or not (self.given.get("updates", 1) if first else self.more_updates):
             return Planned()
         rests = rests_of(self.env)
         self.pace = pace = dataclasses.replace(pace_of(self.env, rests), **self.given)
@@ -360,6 +352,12 @@ class Episodes:
         starts = planner.env.task.initial_state(lost.shape, planner.rng).to(x)
         starts = torch.where(chance < planner.real_starts, self.real_states[pick], starts)
         return torch.where((chance > 1 - planner.jumps) & ~lost.unsqueeze(-1), x, starts)
+
+
+def _require_positive(sizes: dict[str, Any]) -> None:
+    """Refuse sizes that are given and not positive."""
+    if bad := [f"{name}={value}" for name, value in sizes.items() if value is not None and not value > 0]:
+        raise ValueError(f"gradient planning got {', '.join(bad)}; these must be positive: mend planning")
 
 
 def _network(agent: TD3) -> nn.Module:

@@ -178,11 +178,11 @@ def _visited(pilot: Network, law: Regulator, env: ControlEnv, rng: torch.Generat
 def _trembling(law: Regulator, rng: torch.Generator) -> Network:
     """Return the law with noise on its inputs, which shows more of the plant."""
 
-    def act(observation: Tensor) -> Tensor:
+    def _act(observation: Tensor) -> Tensor:
         u = law(observation)
         return (u + 0.1 * torch.randn(u.shape, generator=rng)).clamp(-1.0, 1.0)
 
-    return act
+    return _act
 
 
 def riccati(a: Tensor, b: Tensor, q: Tensor, r: float) -> tuple[Tensor, float] | None:

@@ -82,13 +82,13 @@ def slopes(system: System, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
     """Return df/dx, `(n, n_x, n_x)`, and df/du, `(n, n_x, n_u)`, by central differences [1/s]."""
     scale = torch.tensor(system.signature.x_scale, dtype=x.dtype)
 
-    def along_x(step: Tensor) -> Tensor:
+    def _along_x(step: Tensor) -> Tensor:
         return system(x.unsqueeze(1) + step * scale, u.unsqueeze(1).expand(-1, len(step), -1))
 
-    def along_u(step: Tensor) -> Tensor:
+    def _along_u(step: Tensor) -> Tensor:
         return system(x.unsqueeze(1).expand(-1, len(step), -1), u.unsqueeze(1) + step)
 
-    return _slope(along_x, x.shape[-1], x.dtype) / scale, _slope(along_u, u.shape[-1], x.dtype)
+    return _slope(_along_x, x.shape[-1], x.dtype) / scale, _slope(_along_u, u.shape[-1], x.dtype)
 
 
 @torch.no_grad()
@@ -180,7 +180,7 @@ class _Search:
         return v
 
     def _slope(self, v: Tensor, targets: Tensor) -> Tensor:
-        def around(steps: Tensor) -> Tensor:
+        def _around(steps: Tensor) -> Tensor:
             return self.residual(v.unsqueeze(1) + steps, targets.unsqueeze(1).expand(-1, len(steps), -1))
 
-        return _slope(around, v.shape[-1], v.dtype)
+        return _slope(_around, v.shape[-1], v.dtype)
