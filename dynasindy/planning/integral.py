@@ -65,7 +65,9 @@ class IntegralAction:
         shift = (self.integral / task.error_scale).to(observation)
         observation[..., task.error_columns] += shift
         seen["observation"] = observation
-        moving = (references.rate(params, t) - x[..., task.rates]) / self.rate
+        moving = torch.zeros_like(error)  # a plant without rates tells nothing of its motion
+        if task.rates:
+            moving = (references.rate(params, t) - x[..., task.rates]) / self.rate
         steady = (error.abs() < self.band) / (1 + moving.square())
         self.integral = (self.integral + self.gain * self.dt * steady * error).clamp(-self.limit, self.limit)
         return tensordict.set("action", self.policy(seen)["action"])
