@@ -140,12 +140,14 @@ def tracking(model: SindyModel, targets: Mapping[str, tuple[float, float]]) -> T
         targets: Lower and upper end of the targets of each output [unit of the output].
 
     Raises:
-        ValueError: There is no target, or an output does not exist or has no state that is its rate.
+        ValueError: There is no target, or an output does not exist.
     """
     rates, (low, high) = rates_of(model), ([float(ends[k]) for ends in targets.values()] for k in (0, 1))
     damped = [rates[name] for name in targets if name in rates]
-    reward = TrackingReward(error_weights=(4.0,) * len(targets))
-    return Tracking(model.signature, RandomStep(low, high), list(targets), damped, reward)
+    if len(damped) < len(targets):
+        damped = []
+    reward = TrackingReward(error_weights=(4.0,))
+    return Tracking(model.signature, RandomStep(low, high), list(targets), damped, reward, low=low, high=high)
 
 
 def rates_of(model: SindyModel) -> dict[str, str]:
