@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -64,6 +64,7 @@ class GradientPlanning(Planner):
         patience: Tests in a row without improvement after which a phase ends early.
         terminal_updates: Critic updates per window; the critics then value what follows a window. 0 for no such value.
         variation: How imagined plants stray from the model; none by default.
+        others: Other models of the same plant, each of which moves as many imagined episodes as the model.
         every: Episodes between two planning phases.
         seed: Seed of references, starts and variations.
 
@@ -98,6 +99,7 @@ class GradientPlanning(Planner):
         held: bool | None = None,
         terminal_updates: Count = 0,
         variation: Variation | None = None,
+        others: Sequence[System] = (),
         every: int = 1,
         seed: int = 0,
     ) -> None:
@@ -124,7 +126,7 @@ class GradientPlanning(Planner):
         # TD3's critics know nothing of the imagined windows and would pull the actor away.
         self.learns_by_td3 = rollouts == 0
         self.real_starts, self.jumps, self.check_every = real_starts, jumps, check_every
-        self.variation = variation or Variation()
+        self.variation, self.others = variation or Variation(), list(others)
         self.variation.deviations(env.system.signature.n_x)  # refuses a wrong number of them
         self.rng = torch.Generator().manual_seed(seed)
         self.env = ControlEnv(env.system, _imagined_task(env.task, width), env.dt, substeps or 1)
@@ -314,6 +316,8 @@ class Episodes:
         self.rows = _references(planner.env, planner.rollouts, planner.rng)
         self.rows.noise = planner.variation.deviations(planner.env.system.signature.n_x)
         self.system: System = planner.env.system
+        if planner.others:
+            self.system = Members([self.system, *planner.others])
         if planner.variation.members:
             data = transitions(planner.replay.real_in_order(), planner.log_dt)
             self.system = Members.of(self.system, data, planner.variation.members)
