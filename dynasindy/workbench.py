@@ -10,6 +10,7 @@ The scripts do the same with a plant in the loop, and write down everything on t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -144,14 +145,14 @@ def plan(
 
 
 def foretell(
-    controller: Controller, model: SindyModel, unseen: Transitions, scenario: Scenario, seed: int = 0
+    controller: Controller, model: SindyModel, unseen: Transitions | None, scenario: Scenario, seed: int = 0
 ) -> Prediction:
     """Predict what a controller will do, on models fitted to data that neither it nor its model has seen.
 
     Args:
         controller: The controller.
         model: The model that it was planned on, whose functions are fitted again.
-        unseen: Data of the same plant.
+        unseen: Data of the same plant; None flies the model itself, which promises nothing.
         scenario: What to fly.
         seed: Seed of the sensors' noise.
 
@@ -163,6 +164,8 @@ def foretell(
     sensing = None
     if controller.observer is not None:
         sensing = Sensing(env, controller.observer, torch.Generator().manual_seed(seed))
+    if unseen is None:
+        return replace(predict([model], env, controller.policy, scenario, sensing), own=True)
     models = [*refits(model, unseen, 1), *refits(model, unseen, HALVES)]
     return predict(models, env, controller.policy, scenario, sensing)
 

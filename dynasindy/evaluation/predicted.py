@@ -25,21 +25,26 @@ class Prediction:
     Attributes:
         flights: What each model shows, see `dynasindy.evaluation.held`; None for one that ran away.
         shown: The evaluation on the first model that did not run away, for figures; None if all did.
+        own: Whether the model is the one that was planned on, which promises nothing of the plant.
     """
 
     flights: tuple[Held | None, ...]
     shown: Evaluation | None = None
+    own: bool = False
 
     @property
     def promised(self) -> bool:
         """Whether the controller holds every model, to 1 % of the box, and nothing else of it runs away."""
-        return all(flight is not None and not flight.away and _largest(flight) <= WITHIN for flight in self.flights)
+        sound = (flight is not None and not flight.away and _largest(flight) <= WITHIN for flight in self.flights)
+        return not self.own and all(sound)
 
     def words(self) -> str:
         """Return the prediction in one line."""
         n = len(self.flights)
         flown = [flight for flight in self.flights if flight is not None]
         start = f"PREDICTED on {n} models fitted to data that the plan never saw (no plant was moved)"
+        if self.own:
+            start = "PREDICTED on the model of the plan itself, which promises nothing of the plant"
         if not flown:
             return f"{start}: NOT promised, all of them run away"
         told = []
