@@ -67,12 +67,12 @@ def injected(end: FarEnd, hertz: float, fault: str, at: int) -> Row:
     """Fly, and have something go wrong at a period."""
     theirs = {fault: at} if fault in ("silent", "old", "garbage", "nan", "range", "gone") else {}
 
-    def act(y: Array, t: float) -> Array:
+    def _act(y: Array, t: float) -> Array:
         if theirs or round(t * hertz) < at:
             return np.array([0.3 * math.sin(t) + 0.1])
         return _go_wrong(fault, 20 / hertz)
 
-    flown, record, rows = _flown(end, hertz, theirs, act, PERIODS)
+    flown, record, rows = _flown(end, hertz, theirs, _act, PERIODS)
     begins = at + (fault == "old")  # the first of those that are all alike is new
     unsafe = [k for k, u in enumerate(record.applied) if k >= begins and not np.array_equal(u, SAFE)]
     last = unsafe[-1] - begins + 1 if unsafe else 0

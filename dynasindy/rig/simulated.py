@@ -56,8 +56,8 @@ class SimulatedRig:
         safe: Safe input, `(n_u,)`; zeros if omitted.
         port: Port to listen on; 0 takes a free one.
         seed: Seed of the sensors' noise.
-        lockstep: Wait for the answer to each sample, however long it takes, instead of a clock: for tests, in which a
-            busy computer is no fault of the flight.
+        lockstep: Wait so long for the answer to each sample instead of keeping a clock [s]: for tests, in which a busy
+            computer is no fault of the flight; 0 keeps the clock.
         faults: What goes wrong from which sample on: silent (no samples), old (the same again), garbage, nan, range (a
             state of 1e9), slow (samples two periods late), gone (the socket is closed).
 
@@ -74,7 +74,7 @@ class SimulatedRig:
         safe: Array | None = None,
         port: int = 0,
         seed: int = 0,
-        lockstep: bool = False,
+        lockstep: float = 0.0,
         faults: Mapping[str, int] | None = None,
     ) -> None:
         if unknown := [name for name in faults or {} if name not in FAULTS]:
@@ -147,7 +147,7 @@ class SimulatedRig:
         found: Array | None = None
         quiet = any(self._wrong(name, k) for name in FAULTS)
         while True:
-            left = end - time.monotonic() if not self.lockstep else 2 * self.dt if quiet else 10.0
+            left = end - time.monotonic() if not self.lockstep else 2 * self.dt if quiet else self.lockstep
             if left <= 0:
                 return found
             self._socket.settimeout(left)
