@@ -17,7 +17,7 @@ from dynasindy.viz.run import draw_run
 @command("train")
 def main(cfg: DictConfig) -> None:
     """Build the experiment, run it, draw its figures and print what came of it."""
-    if cfg.data is not None or cfg.model is not None:
+    if cfg.get("data") is not None or cfg.model is not None:
         if not plan_from_log(cfg).promised and cfg.evaluation.must_improve:
             sys.exit(1)
         return
