@@ -17,7 +17,7 @@ class Fault(Exception):
     """Something that no flight goes on with; the rig gets its safe input.
 
     Args:
-        kind: One word: late, lost, invalid, range, connection, controller or stopped.
+        kind: One word: late, lost, invalid, range, connection, log, controller or stopped.
         message: What was seen, in one line.
     """
 
@@ -60,6 +60,17 @@ class Rig(Protocol):
     """
 
     streams: bool
+
+    @property
+    def number(self) -> int | None:
+        """Control periods from the first sample after `begin` to the last one; None if samples have no numbers."""
+
+    def begin(self) -> None:
+        """Forget samples that came before; the next one that is read is fresh, and the first of a flight.
+
+        Raises:
+            OSError: The connection is broken.
+        """
 
     def read(self, seconds: float) -> Array | None:
         """Return what was measured, `(n_x,)`, NaN for states without a sensor.

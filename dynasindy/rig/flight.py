@@ -33,7 +33,7 @@ class Guard:
         lost: Samples in a row that may be lost; the controller is then shown NaN, which needs an observer.
 
     Raises:
-        ValueError: A number is negative.
+        ValueError: A number is negative, or a lower end is not below its upper end.
     """
 
     low: dict[str, float] = field(default_factory=dict)
@@ -44,6 +44,22 @@ class Guard:
     def __post_init__(self) -> None:
         if not self.late >= 0 or self.lost < 0:
             raise ValueError(f"a guard has late={self.late} periods, lost={self.lost} samples; give numbers >= 0")
+        for name in {**self.low, **self.high}:
+            low, high = self.low.get(name, -np.inf), self.high.get(name, np.inf)
+            if not low < high:
+                raise ValueError(f"a guard keeps {name} within {low} to {high}; give a lower and a higher end")
+
+    def require(self, wiring: Wiring) -> None:
+        """Make sure that every range is one of a measured state.
+
+        Raises:
+            ValueError: It is not.
+        """
+        measured = [name for name, seen in zip(wiring.signature.state_names, wiring.seen, strict=True) if seen]
+        if unknown := [name for name in {**self.low, **self.high} if name not in measured]:
+            raise ValueError(
+                f"a guard has a range of '{unknown[0]}', which is not measured; allowed are {', '.join(measured)}"
+            )
 
     def check(self, y: Array, wiring: Wiring) -> None:
         """Look at a sample, `(n_x,)`.
@@ -82,7 +98,11 @@ class Flown:
         """Say it in one line."""
         slowest, latest = (1e3 * float(np.max(t, initial=0.0)) for t in (self.computing, self.jitter))
         line = f"{self.periods} periods, inputs after {slowest:.2f} ms at most, jitter {latest:.2f} ms at most"
-        return line if self.fault is None else f"{line}; ended by {self.fault.kind}: {self.fault}; the rig is at rest"
+        return (
+            line
+            if self.fault is None
+            else f"{line}; ended by {self.fault.kind}: {self.fault}; the rig was asked for its safe input"
+        )
 
 
 def fly(
@@ -104,21 +124,26 @@ def fly(
         guard: What it goes on with.
 
     Raises:
-        KeyboardInterrupt: It was asked to stop; the rig is at rest and the log is closed.
+        ValueError: A range is that of no measured state, or the log exists already; nothing has moved.
+        OSError: The log cannot be written; nothing has moved.
+        KeyboardInterrupt: It was asked to stop; the rig is at its safe input and the log is closed.
     """
-    loop = Loop(rig, act, wiring, guard or Guard())
+    guard = guard or Guard()
+    guard.require(wiring)
     fault: Fault | None = None
-    try:
-        with Log(path, wiring) as log:
+    with Log(path, wiring) as log:
+        loop = Loop(rig, act, wiring, guard)
+        try:
+            loop.run(periods, log)
+        except Fault as error:
+            fault = error
+        except OSError as error:
+            fault = Fault("connection", f"{type(error).__name__}: {error}")
+        finally:
             try:
-                loop.run(periods, log)
-            finally:
                 rig.rest()  # before anything else, the closing of the log included
+            finally:
                 loop.watchdog.close()
-    except Fault as error:
-        fault = error
-    except OSError as error:
-        fault = Fault("connection", f"{type(error).__name__}: {error}")
     return Flown(loop.flown, fault, np.array(loop.computing), np.array(loop.jitter))
 
 
@@ -143,31 +168,61 @@ class Loop:
             Fault: Something is wrong.
             OSError: The connection is broken.
         """
-        patience = (1 + self.guard.late) * self.dt
-        start = begun = time.monotonic()
-        for k in range(periods):
-            if not self.rig.streams:
-                time.sleep(max(0.0, start + k * self.dt - time.monotonic()))
-            allowed = patience if k else FIRST * patience
-            self.watchdog.within(2 * allowed)  # the rig may hang in a call that does not keep to its time
-            y = self.rig.read(allowed)
-            arrived = time.monotonic()
-            self.watchdog.within(self.guard.late * self.dt)
-            if k == 0:
-                start = arrived  # the clock starts with the first sample
-            else:
-                due = begun + self.dt if self.rig.streams else start + k * self.dt
-                self.jitter.append(max(0.0, arrived - due))
-            begun = arrived
+        self.rig.begin()
+        self.start = self.begun = time.monotonic()
+        k, u = 0, np.zeros(self.wiring.signature.n_u)
+        while k < periods:
+            y = self._read(k)
+            if y is not None and self.rig.number is not None:
+                for gone in range(k, min(self.rig.number, periods)):  # samples that never came
+                    self._sample(None)
+                    self._write_down(log, gone, None, u)
+                k = max(k, self.rig.number)
+            if k >= periods:
+                return
             given = self._asked(self._sample(y), k * self.dt)
-            took = time.monotonic() - arrived
+            took = time.monotonic() - self.begun
             self._on_time(took)
             u = self._inputs(given)
             self.rig.write(u)
-            self.watchdog.within(2 * patience)  # what follows, the log too, is not what the rig waits for
+            self._on_time(took)  # the watchdog may have barked meanwhile, and its safe input been overruled
+            self.watchdog.within(2 * self.patience)  # what follows, the log too, is not what the rig waits for
             self.computing.append(took)
+            self._write_down(log, k, y, u)
+            k += 1
+
+    @property
+    def patience(self) -> float:
+        """Time within which the next sample has to come [s]."""
+        return (1 + self.guard.late) * self.dt
+
+    def _read(self, k: int) -> Array | None:
+        """Return the sample of a period, None if it is lost, and note when it came."""
+        if not self.rig.streams:
+            time.sleep(max(0.0, self.start + k * self.dt - time.monotonic()))
+        allowed = self.patience if k else FIRST * self.patience
+        self.watchdog.within(2 * allowed)  # the rig may hang in a call that does not keep to its time
+        end = time.monotonic() + allowed
+        y = self.rig.read(allowed)
+        # One that comes so late that its period was bridged is not taken for that of the next one.
+        while y is not None and self.rig.number is not None and self.rig.number < k:
+            y = self.rig.read(max(0.0, end - time.monotonic()))
+        arrived = time.monotonic()
+        self.watchdog.within(self.guard.late * self.dt)
+        if k == 0:
+            self.start = arrived  # the clock starts with the first sample
+        else:
+            due = self.begun + self.dt if self.rig.streams else self.start + k * self.dt
+            self.jitter.append(max(0.0, arrived - due))
+        self.begun = arrived
+        return y
+
+    def _write_down(self, log: Log, k: int, y: Array | None, u: Array) -> None:
+        try:
             log.add(k * self.dt, np.full(self.wiring.signature.n_x, np.nan) if y is None else y, u)
-            self.flown += 1
+        except OSError as error:
+            raise Fault("log", f"the log cannot be written: {error.strerror or error}") from error
+        self.flown += 1
 
     def _sample(self, y: Array | None) -> Array:
         """Return what the controller is shown."""
@@ -199,5 +254,7 @@ class Loop:
 
     def _on_time(self, took: float) -> None:
         allowed = self.guard.late * self.dt
-        if self.watchdog.barked or took > allowed:
+        if self.watchdog.barked:
+            raise Fault("late", f"controller and rig did not come round within {1e3 * allowed:.1f} ms")
+        if took > allowed:
             raise Fault("late", f"inputs took {1e3 * took:.1f} ms, {1e3 * allowed:.1f} ms are allowed")

@@ -18,6 +18,7 @@ class Log:
         wiring: Names, units, and which states are measured.
 
     Raises:
+        ValueError: The file exists already; what it holds would be lost.
         OSError: The file cannot be written.
     """
 
@@ -25,7 +26,10 @@ class Log:
         path.parent.mkdir(parents=True, exist_ok=True)
         self.path, self.rows = path, 0
         self._places = [i for i, known in enumerate(wiring.seen) if known]
-        self._file = path.open("w", newline="", encoding="utf-8", buffering=1)  # a line at a time reaches the file
+        try:
+            self._file = path.open("x", newline="", encoding="utf-8", buffering=1)  # a line at a time reaches the file
+        except FileExistsError as error:
+            raise ValueError(f"{path} exists already; give another folder, so that no log is lost") from error
         self._writer = csv.writer(self._file)
         signature = wiring.signature
         states = [f"{signature.state_names[i]} [{signature.state_units[i]}]" for i in self._places]

@@ -20,6 +20,8 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries import LibraryBuilder
 
 Tell = Callable[[str], None]
+WARM = 3
+"""Calls of a controller before it flies."""
 
 
 @dataclass(frozen=True)
@@ -99,8 +101,14 @@ class Session:
         return controller
 
     def fly(self, controller: Controller, targets: Sequence[Sequence[float]], seconds: float) -> Flown:
-        """Hold one target after the other, so many seconds each, and log it to `flight_N.csv`."""
-        controller.act(np.zeros(self.wiring.signature.n_x), targets[0])  # the first call takes longer than all others
+        """Hold one target after the other, so many seconds each, and log it to `flight_N.csv`.
+
+        Raises:
+            ValueError: The controller is one for another plant, period or sensors; nothing has moved.
+        """
+        self._require(controller)
+        for _ in range(WARM):  # the first calls take longer than all others, the first correction among them
+            controller.act(np.zeros(self.wiring.signature.n_x), targets[0])
         controller.reset()
         held = max(1, round(seconds / self.wiring.dt))
 
@@ -109,6 +117,30 @@ class Session:
             return controller.act(y, target)
 
         return self._fly(f"flight_{len(self.flights)}", _act, held * len(targets))
+
+    def _require(self, controller: Controller) -> None:
+        """Make sure that a controller is one for this rig.
+
+        Raises:
+            ValueError: It is not.
+        """
+        wiring, names = self.wiring, self.wiring.signature.state_names
+        measured = {name for name, seen in zip(names, wiring.seen, strict=True) if seen}
+        sensors = controller.observer and controller.observer.sensors.channels
+        wanted = set(sensors) if sensors else set(names)
+        theirs = controller.signature
+        if (theirs.state_names, theirs.input_names) != (names, wiring.signature.input_names):
+            raise ValueError(
+                f"the controller is one for states {', '.join(theirs.state_names)} and inputs "
+                f"{', '.join(theirs.input_names)}, the rig has {', '.join(names)} and "
+                f"{', '.join(wiring.signature.input_names)}; give another"
+            )
+        if abs(controller.dt - wiring.dt) > 1e-9 * wiring.dt:
+            raise ValueError(f"the controller has a period of {controller.dt:g} s, the rig {wiring.dt:g} s; give dt=")
+        if missing := sorted(wanted - measured):
+            raise ValueError(
+                f"the controller reads {missing[0]}, which the rig does not measure; plan one for its sensors"
+            )
 
     def _fly(self, name: str, act: Callable[[Array, float], Array], periods: int) -> Flown:
         self.tell(f"{name.replace('_', ' ')}: {periods * self.wiring.dt:g} s")

@@ -38,11 +38,13 @@ class Record:
     Attributes:
         applied: Inputs of each period, `(n_u,)` each.
         answered: Whether new inputs had arrived for it.
+        asked: Whether the safe input was asked for in it.
         states: True states at the beginning of each period.
     """
 
     applied: list[Array] = field(default_factory=list)
     answered: list[bool] = field(default_factory=list)
+    asked: list[bool] = field(default_factory=list)
     states: list[Array] = field(default_factory=list)
 
 
@@ -117,6 +119,7 @@ class SimulatedRig:
                 self.record.states.append(x.numpy().copy())
                 self.record.applied.append(u)
                 self.record.answered.append(found is not None)
+                self.record.asked.append(found is self.safe)
             x = integrate(self.system, x, torch.from_numpy(u), self.dt, 5, self.system.stops)[0][-1]
         self._socket.close()
         return self.record

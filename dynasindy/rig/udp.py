@@ -14,7 +14,7 @@ import socket
 import struct
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 
 import numpy as np
 
@@ -24,6 +24,10 @@ from dynasindy.systems import System
 MAGIC = b"DYN1"
 REST = 0xFFFFFFFF
 """Number of a datagram that asks for the safe input."""
+TIMES = 3
+"""How often it is sent."""
+MOST = 100_000
+"""Datagrams that are thrown away before a flight; more are a flood."""
 
 
 def pack(number: int, values: Array) -> bytes:
@@ -57,9 +61,31 @@ class UdpRig:
     def __init__(self, n_x: int, n_u: int, host: str = "127.0.0.1", port: int = 9870) -> None:
         self.n_x, self.n_u = n_x, n_u
         self.last = -1
+        self.first: int | None = None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.connect((host, port))
-        self.rest()  # the rig learns whom to send samples to
+
+    @property
+    def number(self) -> int | None:
+        """Periods from the first sample after `begin` to the last one."""
+        return None if self.first is None else self.last - self.first
+
+    def begin(self) -> None:
+        """Forget what has arrived so far, and tell the far end whom to send samples to; it may have been started anew.
+
+        Raises:
+            OSError: The connection is broken.
+        """
+        self.last, self.first = -1, None
+        self._socket.settimeout(0.0)
+        for _ in range(MOST):
+            try:
+                self._socket.recv(65536)
+            except ConnectionError:  # of a datagram that was sent before
+                continue
+            except (TimeoutError, BlockingIOError):
+                break
+        self._socket.send(pack(REST, np.zeros(self.n_u)))
 
     def read(self, seconds: float) -> Array | None:
         """Return the newest sample that is newer than the last one, `(n_x,)`; None if none came in time.
@@ -72,16 +98,19 @@ class UdpRig:
         end = time.monotonic() + seconds
         newest: Array | None = None
         while True:
-            left = 0.0 if newest is not None else max(0.0, end - time.monotonic())
-            self._socket.settimeout(left or 1e-6)
+            left = 0.0 if newest is not None else end - time.monotonic()
+            if newest is None and left <= 0:
+                return None
+            self._socket.settimeout(max(left, 1e-6))
             try:
                 found = unpack(self._socket.recv(65536), self.n_x)
             except (TimeoutError, BlockingIOError):
-                if newest is not None or time.monotonic() >= end:
+                if newest is not None:
                     return newest
                 continue
             if found is not None and found[0] > self.last:
                 self.last, newest = found
+                self.first = self.last if self.first is None else self.first
 
     def write(self, u: Array) -> None:
         """Send inputs, `(n_u,)`, as the answer to the last sample.
@@ -95,11 +124,12 @@ class UdpRig:
         self._socket.send(pack(max(self.last, 0), u))
 
     def rest(self) -> None:
-        """Ask for the safe input; an answer is not waited for."""
-        try:
-            self._socket.send(pack(REST, np.zeros(self.n_u)))
-        except OSError:  # nobody is there any more: the far end has noticed the silence
-            return
+        """Ask for the safe input, several times, as datagrams get lost; an answer is not waited for."""
+        for _ in range(TIMES):
+            # An error may be that of an earlier datagram, and the next one go through. If nobody is there any more, the
+            # far end has noticed the silence.
+            with suppress(OSError):
+                self._socket.send(pack(REST, np.zeros(self.n_u)))
 
     def close(self) -> None:
         """Ask for the safe input and let go of the network."""

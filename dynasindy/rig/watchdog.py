@@ -5,15 +5,19 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
 
 class Watchdog:
-    """Call a function once a deadline has passed that was not renewed.
+    """Call a function whenever a deadline has passed that was not renewed.
 
     The loop that it watches may hang in a computation or in a call to the system: the thread does not.
 
+    Attributes:
+        barked: Whether a deadline has passed.
+
     Args:
-        bark: What to call; once.
+        bark: What to call; an error of it is taken for an answer that did not come.
     """
 
     def __init__(self, bark: Callable[[], None]) -> None:
@@ -45,6 +49,6 @@ class Watchdog:
                 if left is None or left > 0:
                     self._changed.wait(left)
                 else:
-                    self.barked = True
-                    self.bark()
-                    return
+                    self.barked, self._deadline = True, None
+                    with suppress(Exception):  # any: the thread has to go on watching
+                        self.bark()

@@ -41,7 +41,8 @@ def rig_guard(low, high, lost):
 
 def test_a_fault_of_the_controller_is_counted():
     row = rig.injected(Here(), 20.0, "raises", 3)
-    assert (row["ended_by"], row["periods_to_safe"], row["rows_lost"]) == ("controller", 0, 0)
+    assert (row["ended_by"], row["periods_to_request"], row["periods_to_safe"]) == ("controller", 0, 0)
+    assert rig.is_safe(row)
 
 
 def test_a_sample_that_is_no_number_is_counted():
@@ -63,3 +64,11 @@ def test_a_flight_without_a_fault_tells_how_late_it_was():
     row = rig.calm(Here(), 20.0, 6)
     assert (row["fault"], row["ended_by"]) == ("none", "nothing")
     assert row["milliseconds"] >= 0
+
+
+def test_a_flight_that_does_not_ask_is_no_success():
+    """The far end comes to rest by its own watch, which is not the flight's merit."""
+    assert not rig.is_safe({"fault": "nan", "periods_to_request": rig.NEVER, "periods_to_safe": 1, "rows_lost": 0})
+    assert rig.is_safe({"fault": "gone", "periods_to_request": rig.NEVER, "periods_to_safe": 1, "rows_lost": 0})
+    assert not rig.is_safe({"fault": "nan", "periods_to_request": 0, "periods_to_safe": 2, "rows_lost": 0})
+    assert not rig.is_safe({"fault": "nan", "periods_to_request": 0, "periods_to_safe": 0, "rows_lost": 1})

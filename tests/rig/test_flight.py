@@ -22,6 +22,18 @@ PATIENT = Guard(late=10.0, lost=1)
 """Half a second at a period of 50 ms: this computer may be busy."""
 
 
+class Still:
+    """A rig that is asked, whose samples have no numbers."""
+
+    streams, number = False, None
+
+    def begin(self):
+        pass
+
+    def rest(self):
+        pass
+
+
 def swing(y, t):
     return np.array([0.5 * math.sin(3 * t) - 0.1 * np.nan_to_num(y[1])])
 
@@ -131,20 +143,104 @@ def test_a_controller_that_fails_ends_in_the_safe_input_of_the_same_period(tmp_p
         np.testing.assert_array_equal(u, SAFE)
 
 
+class Noticing(Still):
+    """A rig that notes what it is told, and when."""
+
+    def __init__(self, hang=None):
+        self.told, self.hang, self.resting = [], hang, threading.Event()
+
+    def read(self, seconds):
+        if self.hang == "read" and len(self.told) >= 2:
+            assert self.resting.wait(20.0), "nobody asked for the safe input while the rig hung"
+        return np.zeros(2)
+
+    def write(self, u):
+        if self.hang == "write" and len(self.told) == 2:
+            assert self.resting.wait(20.0), "nobody asked for the safe input while the rig hung"
+        self.told.append("inputs")
+
+    def rest(self):
+        self.told.append("rest")
+        self.resting.set()
+
+
 def test_a_controller_that_hangs_is_overtaken_by_the_watchdog(tmp_path):
-    """The safe input is sent while the controller still computes."""
-    guard = Guard(late=6.0)
-    before = time.monotonic()
-    server = SimulatedRig(Pendulum(), 0.05, safe=SAFE, lockstep=10.0)
-    thread = threading.Thread(target=server.serve, args=(5,))
-    thread.start()
-    rig = UdpRig(2, 1, port=server.port)
-    result = fly(rig, failing("hangs", 4), WIRING, 9, tmp_path / "log.csv", guard)
-    thread.join()
-    rig.close()
+    """It goes on only once the safe input was asked for, by another thread than its own."""
+    rig = Noticing()
+
+    def act(y, t):
+        if t > 0.1:
+            assert rig.resting.wait(20.0), "nobody asked for the safe input while the controller hung"
+        return np.array([0.1])
+
+    result = fly(rig, act, WIRING, 9, tmp_path / "log.csv", Guard(late=6.0))
+    assert (result.fault.kind, result.periods) == ("late", 3)
+    assert rig.told == ["inputs"] * 3 + ["rest"] * 2
+
+
+@pytest.mark.parametrize("hang", ["read", "write"])
+def test_a_rig_that_hangs_is_asked_for_its_safe_input_last(tmp_path, hang):
+    """Inputs that were applied after the watchdog had barked are overruled again."""
+    rig = Noticing(hang)
+    result = fly(
+        rig, lambda y, t: np.array([0.1]), WIRING, 3 if hang == "write" else 9, tmp_path / "log.csv", Guard(late=3.0)
+    )
     assert result.fault.kind == "late"
-    np.testing.assert_array_equal(server.record.applied[4], SAFE)
-    assert time.monotonic() > before
+    assert rig.told[-1] == "rest"
+    assert rig.told.count("rest") == 2
+    assert "did not come round" in str(result)
+
+
+def test_a_sample_that_comes_late_is_not_taken_for_the_next_one(tmp_path):
+    class Numbered(Noticing):
+        streams = True
+
+        def __init__(self, samples):
+            super().__init__()
+            self.samples, self.number = samples, None
+
+        def read(self, seconds):
+            self.number, y = self.samples.pop(0)
+            return y
+
+    a, shown = [np.full(2, float(k)) for k in range(8)], []
+
+    def act(y, t):
+        shown.append((round(t / 0.05), y[0]))
+        return np.zeros(1)
+
+    # Sample 2 is late: its period is bridged, and it is thrown away when it comes. Sample 5 never comes.
+    samples = [(0, a[0]), (1, a[1]), (1, None), (2, a[2]), (3, a[3]), (4, a[4]), (6, a[6]), (7, a[7])]
+    result = fly(Numbered(samples), act, WIRING, 8, tmp_path / "log.csv", Guard(late=50.0))
+    assert result.fault is None
+    np.testing.assert_equal(shown, [(0, 0), (1, 1), (2, np.nan), (3, 3), (4, 4), (6, 6), (7, 7)])
+    rows = [row.split(",")[:2] for row in (tmp_path / "log.csv").read_text().splitlines()[1:]]
+    assert rows == [[f"{0.05 * k:.6f}", "" if k in (2, 5) else str(k)] for k in range(8)]
+
+
+def test_an_error_of_the_rig_at_the_end_does_not_leave_the_watchdog_alone(tmp_path):
+    class Cut(Noticing):
+        def rest(self):
+            super().rest()
+            raise OSError("cut")
+
+    before = threading.active_count()
+    with pytest.raises(OSError, match="cut"):
+        fly(Cut(), swing, WIRING, 2, tmp_path / "log.csv", PATIENT)
+    assert threading.active_count() == before
+
+
+def test_what_cannot_be_logged_or_guarded_is_found_before_anything_moves(tmp_path):
+    rig = Noticing()
+    (tmp_path / "log.csv").write_text("mine")
+    with pytest.raises(ValueError, match=r"exists already; give another folder"):
+        fly(rig, swing, WIRING, 2, tmp_path / "log.csv", PATIENT)
+    with pytest.raises(ValueError, match=r"'thta', which is not measured; allowed are theta, Omega"):
+        fly(rig, swing, WIRING, 2, tmp_path / "other.csv", Guard(low={"thta": -1.0}))
+    with pytest.raises(ValueError, match=r"keeps theta within 1\.0 to 0\.5"):
+        Guard(low={"theta": 1.0}, high={"theta": 0.5})
+    assert rig.told == []
+    assert (tmp_path / "log.csv").read_text() == "mine"
 
 
 def test_ctrl_c_brings_the_rig_to_rest_and_goes_on(tmp_path):
@@ -166,8 +262,8 @@ def test_ctrl_c_brings_the_rig_to_rest_and_goes_on(tmp_path):
 
 
 def test_one_lost_sample_is_shown_as_nan_and_bridged(tmp_path):
-    class Polled:
-        streams, written, rested = False, (), 0
+    class Polled(Still):
+        rested = 0
 
         def __init__(self, samples):
             self.samples, self.written = list(samples), []
@@ -197,9 +293,7 @@ def test_one_lost_sample_is_shown_as_nan_and_bridged(tmp_path):
 
 
 def test_a_period_that_begins_late_is_told(tmp_path):
-    class Slow:
-        streams = False
-
+    class Slow(Still):
         def read(self, seconds):
             return np.zeros(2)
 
@@ -214,8 +308,8 @@ def test_a_period_that_begins_late_is_told(tmp_path):
 
 
 def test_a_broken_connection_is_one_line(tmp_path):
-    class Broken:
-        streams, rested = False, 0
+    class Broken(Still):
+        rested = 0
 
         def read(self, seconds):
             raise OSError("the cable is out")

@@ -2,19 +2,23 @@
 
 import csv
 import threading
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 import torch
 
-from dynasindy import load
+from dynasindy import Controller, load
+from dynasindy.agents.networks import actor
+from dynasindy.control.controller import Pace
 from dynasindy.excitation import Multisine
 from dynasindy.rig import Guard, UdpRig, Wiring
 from dynasindy.rig.session import Knowledge, Session
 from dynasindy.rig.simulated import SimulatedRig
 from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum
+from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 from dynasindy.world_models import SindyModel
 
 COUNT = 2 * np.pi / 4096
@@ -56,6 +60,20 @@ def test_from_nothing_to_a_controller_that_holds_the_rig(session):
     rows = len(session._logs().transitions)
     assert rows == 159 + 239  # both logs, a transition less than samples each
     assert load(session.folder).outputs == ("theta",)
+
+
+def test_a_controller_of_another_plant_is_refused_before_anything_moves(session):
+    signature = session.wiring.signature
+    task = Tracking(signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), TrackingReward((1.0,)))
+    policy = actor(task.n_o, 1, (4,))
+    with pytest.raises(ValueError, match=r"a period of 0\.02 s, the rig 0\.05 s"):
+        session.fly(Controller(policy, Pace(task, 0.02)), [[0.1]], 1.0)
+    with pytest.raises(ValueError, match="reads Omega, which the rig does not measure"):
+        session.fly(Controller(policy, Pace(task, 0.05)), [[0.1]], 1.0)
+    session.wiring = replace(session.wiring, signature=replace(signature, input_names=("torque",)))
+    with pytest.raises(ValueError, match="the rig has theta, Omega and torque"):
+        session.fly(Controller(policy, Pace(task, 0.05)), [[0.1]], 1.0)
+    assert session.flights == []
 
 
 def test_a_fault_is_kept_and_told(session):

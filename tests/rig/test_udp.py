@@ -2,6 +2,7 @@
 
 import socket
 import struct
+import threading
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ def ends():
     far.bind(("127.0.0.1", 0))
     far.settimeout(5.0)
     rig = UdpRig(2, 1, port=far.getsockname()[1])
+    rig.begin()
     hello, caller = far.recvfrom(100)
     yield rig, far, caller, hello
     far.close()
@@ -63,5 +65,38 @@ def test_inputs_answer_the_last_sample(ends):
 def test_the_end_asks_for_the_safe_input(ends):
     rig, far, _, _ = ends
     rig.close()
-    assert unpack(far.recv(100), 1)[0] == REST
+    assert [unpack(far.recv(100), 1)[0] for _ in range(3)] == [REST] * 3  # datagrams get lost
     rig.rest()  # nothing to send it with any more, and no error
+
+
+def test_a_flight_begins_with_a_fresh_sample_even_of_a_far_end_that_began_anew(ends):
+    rig, far, caller, _ = ends
+    far.sendto(pack(900, np.zeros(2)), caller)
+    assert rig.read(2.0) is not None
+    for number in range(901, 2000):
+        far.sendto(pack(number, np.ones(2)), caller)
+    rig.begin()
+    assert unpack(far.recv(100), 1)[0] == REST  # the far end learns anew whom to talk to
+    assert rig.number is None
+    assert rig.read(0.02) is None
+    for number, expected in ((4, 0), (5, 1), (8, 4)):
+        far.sendto(pack(number, np.array([number, 0.0])), caller)
+        assert rig.read(2.0)[0] == number
+        assert rig.number == expected
+
+
+def test_a_flood_of_garbage_does_not_hold_a_flight(ends):
+    rig, far, caller, _ = ends
+    stop = threading.Event()
+
+    def flood():
+        while not stop.is_set():
+            far.sendto(b"nonsense", caller)
+
+    thread = threading.Thread(target=flood)
+    thread.start()
+    try:
+        assert rig.read(0.2) is None
+    finally:
+        stop.set()
+        thread.join()

@@ -44,3 +44,18 @@ def test_it_may_be_closed_by_what_it_calls():
     watchdog = Watchdog(bark)
     watchdog.within(0.0)
     assert done.wait(10.0)
+
+
+def test_it_goes_on_watching_after_it_has_barked_and_after_an_error():
+    barks = threading.Semaphore(0)
+
+    def bark():
+        barks.release()
+        raise OSError("cut")
+
+    watchdog = Watchdog(bark)
+    for _ in range(3):
+        watchdog.within(0.01)
+        assert barks.acquire(timeout=10.0)
+    watchdog.close()
+    assert not barks.acquire(timeout=0.05)
