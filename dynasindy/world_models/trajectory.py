@@ -302,9 +302,10 @@ def _converge(estimate: Estimate, parameters: Parameters, windows: Windows, max_
         )
         candidate = move(estimate, model, parameters, torch.arange(len(model.scale)), damping)
         flow = Flow.of(candidate, parameters, windows)
-        trial = linearise(candidate, parameters, windows, model.sigma, flow)
+        lost = bool(flow.lost().any())
+        trial = model if lost else linearise(candidate, parameters, windows, model.sigma, flow)
         if not (trial.cost < model.cost and bool(trial.triangle.isfinite().all())):
-            if damping > 1e6 or abs(trial.cost - model.cost) < 1e-6 * model.cost:
+            if damping > 1e6 or (not lost and abs(trial.cost - model.cost) < 1e-6 * model.cost):
                 break
             damping = max(10 * damping, 1e-3)
             continue
