@@ -193,9 +193,12 @@ class Refinement:
             worst = int(ratio.argmax())
             name = first[0].signature.state_names[worst]
             why = f"of {name} a trajectory through all has {ratio[worst]:.2f} times the error of such windows"
-            if float(ratio[worst]) <= WORSE:
+            if not math.isfinite(ratio[worst]):
+                why = "of a trajectory through all no function is left"
+            elif float(ratio[worst]) <= WORSE:
                 return found, delay, (f"error=simulation: {why}, which noise of the sensors explains",)
-            why += ", so that something pushes the plant, or functions are missing"
+            else:
+                why += ", so that something pushes the plant, or functions are missing"
         note = f"error=prediction, over windows of {descent.window} samples: {why}"
         return *self._in_turn(first, rough, constraints, recording, alone), (note,)
 

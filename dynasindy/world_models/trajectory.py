@@ -183,10 +183,11 @@ def trajectory_cost(
 
 
 def strain(library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor) -> Tensor:
-    """Return how many times the error of windows on their own a trajectory has, `(n_x,)`; 0 where none was measured.
+    """Return how many times the error of windows on their own a trajectory has, `(n_x,)`; 0 of unmeasured states.
 
     With noise of the sensors alone it is 1, but for the start states of windows on their own, which fit a part of the
-    noise and are allowed for. Where something pushes the plant, or functions are missing, a trajectory strays.
+    noise and are allowed for. Where something pushes the plant, or functions are missing, a trajectory strays; it is
+    infinite where no function is left.
 
     Args:
         library: candidate functions.
@@ -199,7 +200,7 @@ def strain(library: Library, xi: Tensor, free: Tensor, data: Transitions, descen
     some = spread(len(data), ENOUGH)
     support, data = (xi != 0) & free, data.to(torch.float64).select(some)
     if not bool(support.any()):
-        return torch.ones(xi.shape[1], dtype=torch.float64)
+        return torch.full(xi.shape[1:], math.inf, dtype=torch.float64)
     first, windows = _grown(Estimate(library, xi, start[some]), support, data, replace(descent, joined=None))
     if not bool(data.x_next.isnan().any()):
         windows = replace(windows, joined=_grows(first, windows)[1])
@@ -301,9 +302,10 @@ def _converge(estimate: Estimate, parameters: Parameters, windows: Windows, max_
         )
         candidate = move(estimate, model, parameters, torch.arange(len(model.scale)), damping)
         flow = Flow.of(candidate, parameters, windows)
-        trial = linearise(candidate, parameters, windows, model.sigma, flow)
+        lost = bool(flow.lost().any())
+        trial = model if lost else linearise(candidate, parameters, windows, model.sigma, flow)
         if not (trial.cost < model.cost and bool(trial.triangle.isfinite().all())):
-            if damping > 1e6 or abs(trial.cost - model.cost) < 1e-6 * model.cost:
+            if damping > 1e6 or (not lost and abs(trial.cost - model.cost) < 1e-6 * model.cost):
                 break
             damping = max(10 * damping, 1e-3)
             continue

@@ -18,6 +18,7 @@ from dynasindy.world_models.measured import reconstruct
 from dynasindy.world_models.one_step import refine_one_step
 from dynasindy.world_models.refine import METHODS, Refinement, looks_noisy
 from dynasindy.world_models.regression import Regression, RunningSums, integral_form, simpson_form
+from dynasindy.world_models.shooting import RunsAway
 from dynasindy.world_models.trajectory import Descent, refine_trajectory
 
 SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
@@ -239,6 +240,25 @@ def test_a_plant_that_is_pushed_is_fitted_by_predictions_and_noise_of_sensors_by
     told, _ = fitted(data, error=chosen)
     assert torch.equal(model.coefficients, told.coefficients)
     assert model.coefficients[:3, 1].tolist() == pytest.approx([-4.0, -0.8, 3.0], rel=0.15 if push else 0.05)
+
+
+def test_a_trajectory_that_no_function_or_no_number_survives_is_no_choice(monkeypatch):
+    data, through = oscillator(0.0, 0.05, False, 2), refine.refine_trajectory
+
+    def emptied(library, xi, free, data, descent, start):
+        found = through(library, xi, free, data, descent, start)
+        return (found[0], torch.where(free, 0.0, found[1])) if descent.joined is None else found
+
+    def lost(library, xi, free, data, descent, start):
+        if descent.joined is None:
+            raise RunsAway("it runs away")
+        return through(library, xi, free, data, descent, start)
+
+    told = fitted(data, error="prediction")[0].coefficients
+    for spoilt, said in ((emptied, "no function is left"), (lost, "runs away")):
+        monkeypatch.setattr(refine, "refine_trajectory", spoilt)
+        model, note = fitted(data, error="auto")
+        assert torch.equal(model.coefficients, told) and "error=prediction" in note and said in note
 
 
 def test_only_the_method_auto_chooses_the_error_unasked():

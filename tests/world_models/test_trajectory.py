@@ -1,6 +1,7 @@
 """The fit to whole trajectories is the maximum likelihood estimate: scipy's minimum, and the Cramer-Rao bound."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -270,4 +271,18 @@ def test_a_state_that_nobody_measured_does_not_stray_nor_does_one_that_is_met_ex
     lost = Transitions(exact.x * math.nan, exact.u, exact.x_next * math.nan, DT, exact.segment)
     assert trajectory.strain(*args, lost, Descent(20), exact.x).tolist() == [0.0]
     nothing = (LIBRARY, column(0, 0, 0, 0), TWO)
-    assert trajectory.strain(*nothing, exact, Descent(20), exact.x).tolist() == [1.0]
+    assert trajectory.strain(*nothing, exact, Descent(20), exact.x).tolist() == [math.inf]
+
+
+def test_a_step_that_runs_away_in_windows_on_their_own_is_made_shorter(monkeypatch):
+    # Whole steps lead nowhere; steps that were damped are let through, and the least of squares is the same.
+    bent, free = column(-1.5, 2.5, 0, 0.1), torch.ones(4, 1, dtype=torch.bool)
+    data, moved, args = recording(0), trajectory.move, (LIBRARY, bent, free)
+    wanted = refine_trajectory(*args, data, Descent(20, False))[1]
+
+    def too_far(estimate, model, parameters, kept, damping=0.0):
+        found = moved(estimate, model, parameters, kept, damping)
+        return replace(found, nodes=1e200 * found.nodes) if damping == 0 else found
+
+    monkeypatch.setattr(trajectory, "move", too_far)
+    assert torch.allclose(refine_trajectory(*args, data, Descent(20, False))[1], wanted, rtol=1e-2)
