@@ -9,6 +9,7 @@ The scripts do the same with a plant in the loop, and write down everything on t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,11 +24,12 @@ from dynasindy.data import DynaReplay
 from dynasindy.data.csv import Recording
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.identification import Logged
-from dynasindy.evaluation.predicted import Prediction, predict
+from dynasindy.evaluation.predicted import WITHIN, Prediction, predict
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.symptoms import resolution as resolution_of
 from dynasindy.evaluation.symptoms import samples_of, step_of
 from dynasindy.planning import GradientPlanning
+from dynasindy.planning.integral import IntegralAction
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
@@ -37,7 +39,7 @@ from dynasindy.world_models.libraries import LibraryBuilder
 from dynasindy.world_models.measured import rates_known
 
 PERIOD = 0.05
-"""Control period unless another is given [s]; a log with longer intervals sets its own."""
+"""Control period unless another is given [s]; with a log the multiple of its sampling time that is nearest."""
 FINE = 5
 """Runge-Kutta steps of a predicted control period."""
 HALVES = 2
@@ -122,18 +124,22 @@ def plan(
         task: Outputs to hold, each with the lower and upper end of its targets; or a task.
         log: Log of the plant, from which the controller's observer learns its noise levels; needed with sensors.
         sensors: What will be measured in flight; if omitted, what the log shows. Without a log all states.
-        dt: Control period [s]; 0.05 s, or the sampling time of the log if that is longer.
+        dt: Control period [s]; 0.05 s, or the multiple of the log's sampling time nearest to it, of two the shorter.
         seed: Seed of networks, references and starts.
         **settings: Settings of `GradientPlanning`, such as `updates`.
 
     Raises:
-        ValueError: The task does not fit the model, or an observer has no log to learn from.
+        ValueError: The task does not fit the model, or an observer has no log to learn from, which a model whose
+            inputs act late needs.
         Diverged: The model explodes, or no policy has a finite imagined return.
     """
     if not isinstance(task, Tracking):
         task = tracking(model, task)
-    step = 0.0 if log is None else log.transitions.dt
-    pace = Pace(task, dt or max(PERIOD, step), stops=model.stops)
+    if log is None and model.delay:
+        raise ValueError(
+            f"the model's inputs act {model.delay:.3g} s late, which only an observer makes up for; give log="
+        )
+    pace = Pace(task, dt or _period(log), stops=model.stops)
     if log is not None and sensors is None:
         sensors = sensors_of(log, model)
     observer = None if sensors is None else watching(model, sensors, pace, log)
@@ -145,9 +151,16 @@ def plan(
 
 
 def foretell(
-    controller: Controller, model: SindyModel, unseen: Transitions | None, scenario: Scenario, seed: int = 0
+    controller: Controller,
+    model: SindyModel,
+    unseen: Transitions | None,
+    scenario: Scenario,
+    seed: int = 0,
+    within: float = WITHIN,
 ) -> Prediction:
     """Predict what a controller will do, on models fitted to data that neither it nor its model has seen.
+
+    The models get their inputs as late as the data say, and the policy has its integral action if the controller does.
 
     Args:
         controller: The controller.
@@ -155,19 +168,22 @@ def foretell(
         unseen: Data of the same plant; None flies the model itself, which promises nothing.
         scenario: What to fly.
         seed: Seed of the sensors' noise.
+        within: Mean absolute error at the end that is asked for, in boxes of targets.
 
     Raises:
         ValueError: There are too few data for a fit.
     """
-    pace = controller.pace
+    pace, policy = controller.pace, controller.policy
+    if controller.integral is not None:
+        policy = IntegralAction(policy, pace, **controller.integral)
     env = ControlEnv(model, pace.task, pace.dt, FINE, dtype=torch.float64, seed=seed)
     sensing = None
     if controller.observer is not None:
         sensing = Sensing(env, controller.observer, torch.Generator().manual_seed(seed))
     if unseen is None:
-        return replace(predict([model], env, controller.policy, scenario, sensing), own=True)
+        return replace(predict([model], env, policy, scenario, sensing, within), own=True)
     models = [*refits(model, unseen, 1), *refits(model, unseen, HALVES)]
-    return predict(models, env, controller.policy, scenario, sensing)
+    return predict(models, env, policy, scenario, sensing, within)
 
 
 def tracking(model: SindyModel, targets: Mapping[str, tuple[float, float]]) -> Tracking:
@@ -195,7 +211,10 @@ def rates_of(model: SindyModel) -> dict[str, str]:
 
 
 def sensors_of(log: Recording, model: SindyModel) -> Sensors | None:
-    """Return the sensors that a log shows: what was measured, in which steps, how noisily; None for exact states."""
+    """Return the sensors that a log shows: what was measured, in which steps, how noisily.
+
+    For exact states it is None, as no observer is needed, unless the model's inputs act late, which one makes up for.
+    """
     data, names = log.transitions, log.signature.state_names
     channels, exact = {}, True
     for name, column in zip(names, samples_of(data), strict=True):
@@ -205,7 +224,7 @@ def sensors_of(log: Recording, model: SindyModel) -> Sensors | None:
         if seen:
             channels[name] = Channel(resolution=step) if step else Channel(noise=finest)
     rates = rates_of(model)
-    return None if exact else Sensors(channels, rates, disturbance=bool(rates))
+    return None if exact and not model.delay else Sensors(channels, rates, disturbance=bool(rates))
 
 
 def watching(model: SindyModel, sensors: Sensors, pace: Pace, log: Recording | None) -> Observer:
@@ -230,3 +249,12 @@ def watching(model: SindyModel, sensors: Sensors, pace: Pace, log: Recording | N
     observer = Observer(model, sensors, pace)
     observer.learn(y, u)
     return observer
+
+
+def _period(log: Recording | None) -> float:
+    """Return the control period that suits a log: the multiple of its sampling time nearest to `PERIOD` [s]."""
+    if log is None:
+        return PERIOD
+    step = log.transitions.dt
+    period = step * max(1, math.ceil(PERIOD / step - 0.5 - 1e-6))
+    return PERIOD if math.isclose(period, PERIOD, rel_tol=1e-6) else period

@@ -1,18 +1,21 @@
 """A prediction is as good as the worst of the models that it was made on."""
 
+import numpy as np
 import pytest
 import torch
+from scipy.integrate import solve_ivp
 
+from dynasindy.dyna.verdict import judge
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.held import Held
-from dynasindy.evaluation.predicted import Prediction, predict
+from dynasindy.evaluation.predicted import LateEnv, Prediction, predict
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.systems import Pendulum, System
 from dynasindy.tasks import Step, Tracking, TrackingReward
 
 
-def seen(share, away=None):
-    return Held({"theta": share}, {"theta": 3 * share}, away or {}, {})
+def seen(share, away=None, worst=None, idle=None):
+    return Held({"theta": share}, {"theta": 3 * share if worst is None else worst}, away or {}, idle or {})
 
 
 def test_it_is_promised_where_every_model_is_held():
@@ -25,10 +28,14 @@ def test_it_is_promised_where_every_model_is_held():
 @pytest.mark.parametrize(
     ("flights", "words"),
     [
-        ((seen(0.001), seen(0.02)), "NOT promised, 1 % is asked for: theta to 0.1 to 2 %"),
+        (
+            (seen(0.001), seen(0.02)),
+            "NOT promised, 1 % is asked for, and 10 % at worst: theta to 0.1 to 2 %",
+        ),
+        ((seen(0.001, worst=0.2),), "NOT promised, 1 % is asked for.*20 % at worst"),
         ((seen(0.001), None), "NOT promised.*1 of 2 models run away"),
         ((None, None), "NOT promised, all of them run away"),
-        ((seen(0.001, {"cart": 0.5}),), "cart, which is not tracked, runs away"),
+        ((seen(0.001, {"cart": 0.5}),), "NOT promised: .*cart, which is not tracked, runs away"),
     ],
 )
 def test_one_model_that_is_not_held_breaks_it(flights, words):
@@ -42,8 +49,38 @@ def test_one_model_that_is_not_held_breaks_it(flights, words):
 
 def test_a_model_promises_nothing_of_itself():
     found = Prediction((seen(0.001),), own=True)
+    assert found.controlled
     assert not found.promised
-    assert "promises nothing of the plant" in found.words()
+    assert "promises nothing of the plant: CONTROLLED: theta" in found.words()
+    assert "asked for" not in found.words()
+    far = Prediction((seen(0.02),), own=True)
+    assert not far.controlled
+    assert "NOT CONTROLLED, 1 % is asked for" in far.words()
+
+
+def test_what_is_asked_for_is_an_argument():
+    assert Prediction((seen(0.02),), within=0.03).promised
+    assert not Prediction((seen(0.02),), within=0.015).promised
+
+
+def test_a_share_of_zero_is_zero():
+    assert "theta to 0 to 0.1 % of its box" in Prediction((seen(0.0), seen(0.001))).words()
+
+
+def test_a_mileage_breaks_no_promise():
+    found = Prediction((seen(0.001, idle={"mileage": 1.0}),))
+    assert found.promised
+    assert "mileage runs on, which nothing depends on" in found.words()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.009, 0.011])
+@pytest.mark.parametrize("worst", [0.02, 0.099, 0.101])
+@pytest.mark.parametrize("away", [{}, {"cart": 0.1}])
+def test_it_is_judged_as_a_run_is(share, worst, away):
+    flight = seen(share, away, worst, {"mileage": 1.0})
+    returns = {"untrained": {"return": 0.0}, "evaluation": {"return": 1.0}}
+    verdict = judge({"scenario": "step", "held": vars(flight), **returns})
+    assert Prediction((flight,)).promised == verdict.controlled
 
 
 class Exploding(System):
@@ -71,3 +108,66 @@ def test_each_model_is_flown_in_the_place_of_the_plant():
     off = target - float(torch.asin(torch.tensor(10 * 0.2 / 9.81)))
     assert found.flights[2].share["theta"] == pytest.approx(off, rel=0.02)
     assert found.shown is not None
+
+
+class Car(System):
+    """Its place is driven by its speed, and nothing depends on it: v' = u - v."""
+
+    def __init__(self):
+        super().__init__(Pendulum().signature)
+
+    def forward(self, x, u):
+        return torch.stack([x[..., 1], u[..., 0] - x[..., 1]], -1)
+
+
+def test_a_state_that_nothing_depends_on_may_run_on():
+    car = Car()
+    task = Tracking(car.signature, Step([[0.5]]), ("Omega",), ("Omega",), TrackingReward((1.0,)), max_steps=600)
+    env = ControlEnv(car, task, dtype=torch.float64)
+
+    def constant(tensordict):
+        return tensordict.set("action", torch.full((*tensordict.batch_size, 1), 0.5))
+
+    found = predict([car], env, constant, Scenario("step", episodes=1, seconds=30.0))
+    assert found.promised
+    assert list(found.flights[0].idle) == ["theta"]
+
+
+def flown(delay, inputs):
+    """Return the pendulum's states under inputs that are delayed by hand: 12 u - 9.81 sin(theta) - 0.5 theta'."""
+    whole, part = int(delay / 0.05 + 1e-9), delay / 0.05 - int(delay / 0.05 + 1e-9)
+    late = [0.0] * (whole + 1) + list(inputs)
+    x, states = np.zeros(2), [np.zeros(2)]
+    for k in range(len(inputs)):
+        u = (1 - part) * late[k + 1] + part * late[k]
+        x = solve_ivp(
+            lambda t, x, u=u: [x[1], 12 * u - 9.81 * np.sin(x[0]) - 0.5 * x[1]], (0, 0.05), x, rtol=1e-9, atol=1e-11
+        ).y[:, -1]
+        states.append(x)
+    return np.array(states[:-1])
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.05, 0.02, 0.13])
+def test_the_inputs_of_a_model_act_as_late_as_it_says(delay):
+    plant = Pendulum()
+    plant.delay = delay
+    inputs = np.sin(0.7 * np.arange(40))
+    task = Tracking(plant.signature, Step([[0.3]]), ("theta",), ("Omega",), TrackingReward((4.0,)), max_steps=40)
+    env = ControlEnv(plant, task, dtype=torch.float64)
+
+    def policy(tensordict):
+        return tensordict.set("action", torch.from_numpy(inputs)[tensordict["step_count"]].float())
+
+    still = Scenario("step", Step([[0.3]]), seconds=2.0)
+    shown = predict([plant], env, policy, still).shown
+    begin = shown.trajectory["state"][0, 0].numpy()
+    np.testing.assert_allclose(begin, 0.0, atol=1e-12)
+    np.testing.assert_allclose(shown.trajectory["state"][0].numpy(), flown(delay, inputs), atol=1e-4)
+    np.testing.assert_allclose(shown.inputs[0, :, 0].numpy(), inputs, atol=1e-6)
+
+
+def test_a_delay_is_not_negative():
+    plant = Pendulum()
+    task = Tracking(plant.signature, Step([[0.3]]), ("theta",), ("Omega",), TrackingReward((4.0,)))
+    with pytest.raises(ValueError, match="allowed is 0 or more"):
+        LateEnv(ControlEnv(plant, task), -0.1)
