@@ -89,11 +89,13 @@ class Controller:
 
     def reset(self) -> None:
         """Forget what was measured; the next call of `act` takes the plant as at rest, its inputs zero."""
-        whole = self.policy if self.integral is None else IntegralAction(self.policy, self.pace, **self.integral)
+        self._integral = None if self.integral is None else IntegralAction(self.policy, self.pace, **self.integral)
+        whole = self._integral or self.policy
         pushed = self.observer is not None and bool(self.observer.pushed)
         self._act = OffsetFree(whole, self.pace) if pushed else whole
         self._belief: Belief | None = None
         self._periods = 0
+        self._shift = torch.zeros(0, dtype=torch.float64)
         if self.observer is not None:
             n_u = self.signature.n_u
             self._inputs = torch.zeros(self.observer.memory, n_u)
@@ -118,7 +120,8 @@ class Controller:
             rate: How fast the reference moves [per second]; 0 if omitted.
 
         Raises:
-            ValueError: A number is missing, infinite or of a name that does not exist.
+            ValueError: A number is missing, infinite, of a name that does not exist, or so large that no action
+                follows from it; the controller is then as it was before the call.
         """
         y = self._numbers("measurement", measurement, self.signature.state_names, math.nan)
         self._require("measurement", y, self.signature.state_names, gaps=self.observer is not None)
@@ -126,13 +129,37 @@ class Controller:
         slope = self._numbers("rate", {} if rate is None else rate, self.outputs, 0.0)
         for name, values in (("reference", r), ("rate", slope)):
             self._require(name, values, self.outputs, gaps=False)
-        seen = self._seen(y, r, slope)
-        action = self._act(seen)["action"]
+        action = self._answer(y, r, slope)
         self._periods = 1
         if self.observer is not None:
             self._inputs = torch.cat([self._inputs[1:], action.unsqueeze(0)])
         found: NDArray[np.float64] = action.double().numpy().copy()
         return found
+
+    def _answer(self, y: Tensor, r: Tensor, slope: Tensor) -> Tensor:
+        """Return the action, `(n_u,)`; estimate and integral stay as they were where it is no number.
+
+        Raises:
+            ValueError: The action, the estimate or the integral is no number.
+        """
+        belief, shift = self._belief, self._shift
+        integral = None if self._integral is None else self._integral.integral
+        try:
+            action: Tensor = self._act(self._seen(y, r, slope))["action"]
+            kept = [action, self._shift]
+            kept += [] if self._belief is None else [self._belief.mean, self._belief.covariance]
+            kept += [] if self._integral is None or self._integral.integral is None else [self._integral.integral]
+            if not all(bool(values.isfinite().all()) for values in kept):
+                raise ArithmeticError
+        except (ArithmeticError, torch.linalg.LinAlgError) as error:  # type: ignore[attr-defined]
+            self._belief, self._shift = belief, shift
+            if self._integral is not None:
+                self._integral.integral = integral
+            raise ValueError(
+                f"no action follows from measurement {y.tolist()} and reference {r.tolist()}, as numbers grow beyond "
+                "all limits; the controller is as before: give values of the plant's range, or call its reset"
+            ) from error
+        return action
 
     def _seen(self, y: Tensor, r: Tensor, slope: Tensor) -> TensorDict:
         """Return what the policy is shown."""

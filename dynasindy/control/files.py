@@ -1,12 +1,15 @@
 """A controller in one file, of plain numbers and names: nothing in it is run when it is read.
 
-| key         | what it holds                                                                                        |
-| ----------- | ---------------------------------------------------------------------------------------------------- |
-| `signature` | names, units and ranges of the states, names of the inputs                                           |
-| `task`      | control period [s], tracked states, and how the observation is made                                  |
-| `policy`    | weights of each layer, float32 in base 64, `(n_out, n_in)` row by row, and biases                    |
-| `integral`  | numbers of the integral action, or null                                                              |
-| `observer`  | sensors, process noise, Runge-Kutta steps, mechanical stops, and the model, as in model.json; or null |
+| key         | what it holds                                                                                         |
+| ----------- | ----------------------------------------------------------------------------------------------------- |
+| `signature` | names, units and ranges of the states, names of the inputs                                            |
+| `task`      | control period [s], Runge-Kutta steps in it, mechanical stops, tracked states, and how the observation |
+|             | is made; an end of a stop that is null is not there                                                   |
+| `policy`    | weights of each layer, float32 in base 64, `(n_out, n_in)` row by row, and biases                     |
+| `integral`  | numbers of the integral action, or null                                                               |
+| `observer`  | sensors, process noise, and the model, as in model.json; or null                                      |
+
+Files of earlier versions have steps and stops in `observer`, and are read too.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ import base64
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +42,10 @@ NAME = "controller.json"
 """Its name in a run folder."""
 WIDEST, DEEPEST = 4096, 20
 """Largest layer and number of layers that are read."""
+HEAVIEST = 5_000_000
+"""Weights and biases that are read, all layers together."""
+FINEST = 1000
+"""Runge-Kutta steps per control period that are read."""
 
 
 def save(controller: Controller, path: str | Path) -> None:
@@ -51,12 +59,15 @@ def save(controller: Controller, path: str | Path) -> None:
         ValueError: The policy or the observer's model is of another kind, which no file holds.
     """
     task, integral = controller.pace.task, controller.integral
+    moved = controller.observer or controller.pace
     numbers = None if integral is None else IntegralAction(controller.policy, controller.pace, **integral)
     record = {
         "format": FORMAT,
         "signature": asdict(controller.signature),
         "task": {
             "dt": controller.dt,
+            "substeps": moved.substeps,
+            "stops": _ends(moved.stops),
             "outputs": list(task.output_names),
             "rates": [controller.signature.state_names[i] for i in task.rates],
             "observe_rate": task.observe_rate,
@@ -87,11 +98,12 @@ def load(path: str | Path) -> Controller:
         raise DamagedFileError(f"{file} is not of the format {FORMAT!r}; give a {NAME} of a run folder")
     with understood(file):
         signature = Signature(**record["signature"])
-        pace = Pace(_task(signature, record["task"]), _positive(record["task"]["dt"]))
+        pace = _pace(signature, record)
         policy = TensorDictModule(_network(record["policy"], pace.task), in_keys=["observation"], out_keys=["action"])
         observer = _loaded_observer(record["observer"], pace, file)
         integral = record["integral"]
-        return Controller(policy, pace, observer, None if integral is None else dict(integral))
+        numbers = None if integral is None else {name: _positive(value) for name, value in integral.items()}
+        return Controller(policy, pace, observer, numbers)
 
 
 def network(controller: Controller) -> MLP:
@@ -123,10 +135,17 @@ def _network(layers: list[dict[str, Any]], task: Tracking) -> MLP:
         raise ValueError(
             f"its policy maps {widths[0]} numbers to {widths[-1]}, its task {task.n_o} to {task.signature.n_u}"
         )
+    pairs = list(pairwise(widths))
+    if (weights := sum((n_in + 1) * n_out for n_in, n_out in pairs)) > HEAVIEST:
+        raise ValueError(f"its policy has {weights} weights; at most {HEAVIEST} are read")
+    values = [
+        (_unpacked(layer["weight"], n_out, n_in), _unpacked(layer["bias"], n_out))
+        for layer, (n_in, n_out) in zip(layers, pairs, strict=True)
+    ]
     found = MLP(widths[0], widths[-1], widths[1:-1], squash=True).requires_grad_(False)
-    for own, layer, n_in in zip(found.layers(), layers, widths, strict=False):
-        own.weight.copy_(_unpacked(layer["weight"], int(layer["out"]), n_in))
-        own.bias.copy_(_unpacked(layer["bias"], int(layer["out"])))
+    for own, (weight, bias) in zip(found.layers(), values, strict=True):
+        own.weight.copy_(weight)
+        own.bias.copy_(bias)
     return found
 
 
@@ -135,16 +154,29 @@ def _packed(values: Tensor) -> str:
 
 
 def _unpacked(text: str, *shape: int) -> Tensor:
-    packed = base64.b64decode(text, validate=True)
+    wanted = math.prod(shape)
+    # Four letters hold three bytes; the length alone tells how many weights there are, before any is decoded.
+    count = (len(text) // 4 * 3 - text[-2:].count("=")) // 4
+    packed = base64.b64decode(text, validate=True) if count == wanted else b""
     values = np.frombuffer(packed[: len(packed) // 4 * 4], "<f4")
-    if values.size != math.prod(shape) or not np.isfinite(values).all():
-        raise ValueError(f"its policy has {values.size} weights where {math.prod(shape)} finite ones belong")
+    if values.size != wanted or not np.isfinite(values).all():
+        raise ValueError(f"its policy has {count} weights where {wanted} finite ones belong")
     return torch.from_numpy(values.astype(np.float32)).reshape(shape)
+
+
+def _pace(signature: Signature, record: Mapping[str, Any]) -> Pace:
+    """Return task, control period, Runge-Kutta steps and stops."""
+    task = record["task"]
+    moved = task if "substeps" in task else record["observer"] or {"substeps": 1, "stops": None}
+    substeps = moved["substeps"]
+    if type(substeps) is not int or not 1 <= substeps <= FINEST:
+        raise ValueError(f"substeps is {str(substeps)[:40]!r}; allowed are whole numbers from 1 to {FINEST}")
+    return Pace(_task(signature, task), _positive(task["dt"]), substeps, _stops(moved["stops"], signature.n_x))
 
 
 def _task(signature: Signature, given: Mapping[str, Any]) -> Tracking:
     outputs = list(given["outputs"])
-    return Tracking(
+    task = Tracking(
         signature,
         Step([[0.0] * len(outputs)]),
         outputs,
@@ -152,15 +184,53 @@ def _task(signature: Signature, given: Mapping[str, Any]) -> Tracking:
         TrackingReward(error_weights=(1.0,)),
         observe_rate=bool(given["observe_rate"]),
         error_scale=_positive(given["error_scale"]),
-        low=[0.0] * len(outputs),
-        high=[_positive(extent) for extent in given["box"]],
     )
+    return task.with_box([_positive(extent) for extent in given["box"]])
 
 
 def _positive(value: object) -> float:
-    if not isinstance(value, int | float) or not 0 < value < math.inf:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
         raise ValueError(f"{str(value)[:40]!r} stands where a positive number belongs")
     return float(value)
+
+
+def _ends(stops: Stops | None) -> dict[str, Any] | None:
+    """Return the record of stops; JSON has no infinite numbers, and an end that is not there is null."""
+    if stops is None:
+        return None
+    record = asdict(stops)
+    for key in ("low", "high"):
+        record[key] = [float(end) if math.isfinite(end) else None for end in record[key]]
+    return record
+
+
+def _stops(record: Mapping[str, Any] | None, n_x: int) -> Stops | None:
+    """Return the stops of a record."""
+    if record is None:
+        return None
+    ends = {key: [_end(end, none) for end in record[key]] for key, none in (("low", -math.inf), ("high", math.inf))}
+    stops = Stops(tuple(record["positions"]), tuple(record["rates"]), tuple(ends["low"]), tuple(ends["high"]))
+    require_states(stops, n_x)
+    return stops
+
+
+def _end(value: object, none: float) -> float:
+    if value is None:
+        return none
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"a stop is at {str(value)[:40]!r}; give a number, or null for none")
+    return float(value)
+
+
+def require_states(stops: Stops, n_x: int) -> None:
+    """Make sure that stops are at states that exist.
+
+    Raises:
+        ValueError: They are not.
+    """
+    places = [*stops.positions, *stops.rates]
+    if wrong := [place for place in places if type(place) is not int or not 0 <= place < n_x]:
+        raise ValueError(f"stops are at state {str(wrong[0])[:40]!r}; allowed are whole numbers from 0 to {n_x - 1}")
 
 
 def _observer(controller: Controller) -> dict[str, Any] | None:
@@ -171,12 +241,9 @@ def _observer(controller: Controller) -> dict[str, Any] | None:
         raise ValueError(
             f"the observer works on a {type(observer.model).__name__}, which no file holds; fit a SindyModel"
         )
-    stops = observer.stops
     return {
         "sensors": asdict(observer.sensors),
         "state": observer.state_dict(),
-        "substeps": observer.substeps,
-        "stops": None if stops is None else asdict(stops),
         "model": observer.model.record(),
     }
 
@@ -184,12 +251,10 @@ def _observer(controller: Controller) -> dict[str, Any] | None:
 def _loaded_observer(record: Mapping[str, Any] | None, pace: Pace, file: Path) -> Observer | None:
     if record is None:
         return None
-    stops = record["stops"]
-    pace.stops = None if stops is None else Stops(**stops)
-    pace.substeps = int(_positive(record["substeps"]))
     model = SindyModel.of_record(record["model"], file)
     if model.signature != pace.task.signature:
         raise ValueError("the model of its observer has other states than the controller")
     observer = Observer(model, Sensors(**record["sensors"]), pace)
     observer.load_state_dict(record["state"])
+    observer.late()  # refuses a delay that is too long, before the first measurement does
     return observer

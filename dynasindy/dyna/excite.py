@@ -48,7 +48,10 @@ def excite(parts: Parts) -> TensorDict:
     while (done := sum(len(rows) for rows in tries)) < steps:
         pilot.begun = done
         tries.append(interact(parts.env, pilot, steps - done, (low, high)))
-        if not bool(within(tries[-1]["next", "state"][-1], low, high)):
+        last = tries[-1]["next"][-1]
+        # A state that is no number any more leaves no row: then the try is short, and the task has not ended it.
+        short = done + len(tries[-1]) < steps and not bool(last["done"].any())
+        if short or not bool(within(last["state"], low, high)):
             pilot.strength *= 1.0 if pilot.gain is None else 0.5
             pilot.close(torch.cat(tries), parts)
     return torch.cat(tries)

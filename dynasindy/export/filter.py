@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import torch
 
+from dynasindy.control.files import require_states
 from dynasindy.export.names import number, reach
 from dynasindy.sensing import Observer
 from dynasindy.sensing.observer import NUDGE, UNKNOWN
@@ -83,9 +84,7 @@ def stop_words(stops: Stops | None, n_x: int) -> tuple[dict[str, object], int]:
     """
     if stops is None or not stops.positions:
         return {}, 0
-    places = [*stops.positions, *stops.rates]
-    if wrong := [place for place in places if type(place) is not int or not 0 <= place < n_x]:
-        raise ValueError(f"stops are at state {str(wrong[0])[:40]!r}; allowed are whole numbers from 0 to {n_x - 1}")
+    require_states(stops, n_x)
     return {
         "n_stops": len(stops.positions),
         "stop_position": ", ".join(map(str, stops.positions)),

@@ -20,7 +20,7 @@ from dynasindy.systems import Stops
 from dynasindy.world_models import SindyModel
 
 STEP = 0.01
-"""Longest step of the plant's FMU where only a model is given [s]."""
+"""Longest Runge-Kutta step of the plant's FMU, whatever the steps of a controller [s]."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,10 @@ class Exported:
             return cls(None, SindyModel.load(model))
         controller = load(given)
         pace, observer = controller.pace, controller.observer
+        found = SindyModel.load(model) if observer is None and given.is_dir() and model.is_file() else None
         if observer is not None and isinstance(observer.model, SindyModel):
-            return cls(controller, observer.model, pace.dt / max(1, pace.substeps), observer.stops)
-        return cls(controller, SindyModel.load(model) if given.is_dir() and model.is_file() else None, pace.dt)
+            found = observer.model
+        return cls(controller, found, min(STEP, pace.dt / max(1, pace.substeps)), pace.stops)
 
 
 def write(what: Exported, folder: Path, formats: Collection[str], fmi: int = 3) -> list[str]:

@@ -72,7 +72,9 @@ class Regulator:
 
     @classmethod
     def of(cls, env: ControlEnv, rests: Rests, weights: Weights) -> Regulator | None:
-        """Return the regulator of the model at the middle of its rests, or None where none stabilises it."""
+        """Return the regulator of the model at the middle of its rests; None without a rest, or where none stabilises."""
+        if not len(rests):
+            return None
         task, k, moved = env.task, rests.middle(), rests.moved
         assert isinstance(task, Tracking)
         scale = torch.tensor(task.signature.x_scale, dtype=torch.float64)

@@ -31,8 +31,8 @@ class Tracking(Task):
         max_steps: Control periods per episode (paper: 400).
         observe_rate: Append the rates of the reference to the observation, for moving references.
         error_scale: Error that counts as 1 in the observation [boxes].
-        low: Lower end of the box of targets, per output; with `high` it is the unit of errors and rates. None takes the
-            units of the outputs as they are.
+        low: Lower end of the box of targets, per output; with `high` it is the unit of errors and rates. None for both
+            takes the units of the outputs as they are.
         high: Upper end of the box, per output.
         start: Where episodes begin: state to value, or to the two ends of a range from which it is drawn; zero for the
             others.
@@ -72,7 +72,7 @@ class Tracking(Task):
                 "may be none, and weights, one of which serves all; complete the task"
             )
         if not error_scale > 0:
-            raise ValueError(f"error_scale must be positive, got {error_scale}; give it in the unit of the outputs")
+            raise ValueError(f"error_scale must be positive, got {error_scale}; give it in boxes of targets")
         for key, names in (("outputs", outputs), ("rates", rates)):
             if absent := [name for name in names if name not in signature.state_names]:
                 raise ValueError(
@@ -117,6 +117,24 @@ class Tracking(Task):
             )
         other = copy.copy(self)
         other.references = reference
+        return other
+
+    def with_box(self, extents: Sequence[float]) -> Tracking:
+        """Return the same task with another box of targets, whose extents are taken as they are.
+
+        Args:
+            extents: Extent of the box, per output [units of the outputs].
+
+        Raises:
+            ValueError: An extent is missing, or is no positive number.
+        """
+        if len(extents) != self.n_r or not all(0 < extent < math.inf for extent in extents):
+            raise ValueError(
+                f"a box of extents {list(extents)} does not fit the outputs {', '.join(self.output_names)}; give one "
+                "positive number for each"
+            )
+        other = copy.copy(self)
+        other._box = torch.tensor([float(extent) for extent in extents], dtype=torch.float64)
         return other
 
     def boxes(self) -> Tensor:
@@ -172,6 +190,9 @@ def _boxes(
     signature: Signature, outputs: Sequence[int], low: Sequence[float] | None, high: Sequence[float] | None
 ) -> Tensor:
     """Return the extent of each output's targets; that of its range where the targets of a unit are one value each."""
+    if (low is None) != (high is None):
+        given, absent = ("low", "high") if high is None else ("high", "low")
+        raise ValueError(f"the box of targets has {given} and no {absent}; give both, or neither")
     if low is None or high is None:
         return torch.ones(len(outputs), dtype=torch.float64)
     if not len(low) == len(high) == len(outputs) or not all(a <= b for a, b in zip(low, high, strict=True)):

@@ -180,3 +180,26 @@ def test_an_observer_that_has_not_learnt_is_refused():
     observer = Observer(pendulum_model(), Sensors({"theta": {}}, rates={"theta": "Omega"}), env)
     with pytest.raises(ValueError, match="has not learnt from data"):
         Controller(policy, Pace(env.task, env.dt), observer)
+
+
+@pytest.mark.parametrize("observed", [False, True])
+@pytest.mark.parametrize("integral", [None, {"band": 0.5}])
+def test_a_number_beyond_all_limits_is_refused_and_changes_nothing(observed, integral):
+    env, policy = setting()
+    pace = Pace(env.task, env.dt, env.substeps)
+    controller = Controller(policy, pace, watching(env) if observed else None, integral)
+
+    def later():
+        return [controller.act([0.1 * k, 0.2], [0.3]) for k in range(2, 6)]
+
+    begin = [controller.act([0.1 * k, 0.2], [0.3]) for k in range(2)]
+    expected = later()
+    controller.reset()
+    for wrong in ([1e300, 1e300], [1e300, -1e300]):
+        with pytest.raises(ValueError, match="no action follows from measurement") as caught:
+            controller.act(wrong, [-1e300])
+        assert "\n" not in str(caught.value)
+    np.testing.assert_array_equal([controller.act([0.1 * k, 0.2], [0.3]) for k in range(2)], begin)
+    with pytest.raises(ValueError, match="no action follows"):
+        controller.act([1e300, 1e300], [-1e300])
+    np.testing.assert_array_equal(later(), expected)

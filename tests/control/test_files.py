@@ -10,6 +10,7 @@ import torch
 from dynasindy.agents.networks import actor
 from dynasindy.control import Controller, load, save
 from dynasindy.control.controller import Pace
+from dynasindy.evaluation.given import DamagedFileError
 from dynasindy.sensing import Observer, Sensors
 from dynasindy.systems import Signature, Stops
 from dynasindy.tasks import Step, Tracking, TrackingReward
@@ -83,6 +84,8 @@ def test_the_file_tells_names_units_and_period_to_a_reader(tmp_path):
     assert record["signature"]["state_units"] == ["rad", "rad/s"]
     assert record["task"] == {
         "dt": 0.04,
+        "substeps": 3,
+        "stops": {"positions": [0], "rates": [1], "low": [-0.6], "high": [0.6]},
         "outputs": ["theta"],
         "rates": ["Omega"],
         "observe_rate": True,
@@ -90,7 +93,6 @@ def test_the_file_tells_names_units_and_period_to_a_reader(tmp_path):
         "box": [pytest.approx(1.8)],
     }
     assert record["observer"]["model"]["delay"] == 0.07
-    assert record["observer"]["stops"]["low"] == [-0.6]
     assert record["integral"] is None
 
 
@@ -119,7 +121,22 @@ def damaged(tmp_path, change):
         (lambda r: r["observer"]["model"]["signature"].update(x_scale=[1.0, 1.0]), "other states than the controller"),
         (lambda r: r["observer"]["state"].update(process_noise=[1.0]), "process noise"),
         (lambda r: r["observer"]["sensors"].update(lost=2), "probability"),
-        (lambda r: r["observer"]["stops"].update(low=[5.0]), "stops need low < high"),
+        (lambda r: r["task"]["stops"].update(low=[5.0]), "stops need low < high"),
+        (lambda r: r["task"]["stops"].update(low=["a"], high=["b"]), "a stop is at 'a'"),
+        (lambda r: r["task"]["stops"].update(high=[math.inf]), "a stop is at 'inf'; give a number, or null"),
+        (
+            lambda r: r["task"]["stops"].update(rates=[2]),
+            "stops are at state '2'; allowed are whole numbers from 0 to 1",
+        ),
+        (lambda r: r["task"]["stops"].update(positions=[-1]), "stops are at state '-1'"),
+        (lambda r: r["task"].update(substeps=0), "substeps is '0'; allowed are whole numbers from 1 to 1000"),
+        (lambda r: r["task"].update(substeps=1001), "whole numbers from 1 to 1000"),
+        (lambda r: r["task"].update(substeps=2.5), "whole numbers from 1 to 1000"),
+        (lambda r: r["task"].update(box=[1.0, 1.0]), "does not fit the outputs theta"),
+        (lambda r: r.update(integral={"gain": math.nan}), "'nan' stands where a positive number belongs"),
+        (lambda r: r.update(integral={"limit": math.inf}), "'inf' stands where a positive number belongs"),
+        (lambda r: r.update(integral={"band": "0.1"}), "'0.1' stands where a positive number belongs"),
+        (lambda r: r["observer"]["model"].update(delay=0.5), r"delay is 0\.5 s, the observer allows 0\.4 s"),
     ],
 )
 def test_a_damaged_file_costs_one_line(tmp_path, change, words):
@@ -148,3 +165,54 @@ def test_an_observer_on_another_kind_of_model_is_refused(tmp_path):
     controller.observer.model = Oracle(SIGNATURE, system=controller.observer.model)
     with pytest.raises(ValueError, match="works on a Oracle, which no file holds"):
         save(controller, tmp_path / "c.json")
+
+
+def test_boxes_of_outputs_of_one_unit_stay_as_they_are(tmp_path):
+    signature = Signature(("a", "b"), ("m", "m"), ("u",), (3.0, 0.5))
+    # One value each, so that the errors count in the ranges of the states.
+    task = Tracking(signature, Step([[0.0, 0.0]]), ("a", "b"), (), low=[0.0, 0.0], high=[0.0, 0.0])
+    policy = actor(task.n_o, 1, (3,)).requires_grad_(False)
+    save(Controller(policy, Pace(task, 0.1)), tmp_path / "controller.json")
+    found = load(tmp_path).pace.task
+    assert found.boxes().tolist() == [3.0, 0.5]
+    seen = found.observation(torch.zeros(2), torch.tensor([[0.3, 0, 0, 0, 0], [0.3, 0, 0, 0, 0]]), torch.zeros(1))
+    assert seen[2:].tolist() == pytest.approx([0.3 / (0.5 * 3.0), 0.3 / (0.5 * 0.5)])
+
+
+def test_steps_and_stops_are_kept_without_an_observer_and_with_one_open_end(tmp_path):
+    controller = built(observer=False, stops=Stops((0,), (1,), (-math.inf,), (0.6,)))
+    save(controller, tmp_path / "c.json")
+    record = json.loads((tmp_path / "c.json").read_text())
+    assert record["task"]["stops"]["low"] == [None]
+    pace = load(tmp_path / "c.json").pace
+    assert (pace.substeps, pace.stops) == (3, Stops((0,), (1,), (-math.inf,), (0.6,)))
+
+
+def test_steps_and_stops_are_found_where_earlier_versions_have_them(tmp_path):
+    def earlier(record):
+        record["observer"].update({key: record["task"].pop(key) for key in ("substeps", "stops")})
+
+    expected = acts(built())
+    found = load(damaged(tmp_path, earlier))
+    assert (found.pace.substeps, found.observer.substeps, found.observer.stops.high) == (3, 3, (0.6,))
+    np.testing.assert_array_equal(acts(found), expected)
+
+
+def test_no_network_is_built_before_its_weights_are_there(tmp_path, monkeypatch):
+    def claimed(record, *widths):
+        first, last = record["policy"][0], record["policy"][-1]
+        middle = [{**first, "in": n_in, "out": n_out} for n_in, n_out in zip(widths, widths[1:], strict=False)]
+        record["policy"] = [{**first, "out": widths[0]}, *middle, {**last, "in": widths[-1]}]
+
+    def built_at_all(*args, **kwargs):
+        raise AssertionError("the network is built")
+
+    large = damaged(tmp_path, lambda record: claimed(record, 4096, 1000))
+    monkeypatch.setattr("dynasindy.control.files.MLP", built_at_all)
+    with pytest.raises(DamagedFileError, match=f"32 weights where {4 * 4096} finite ones belong"):
+        load(large)
+    monkeypatch.undo()
+    larger = damaged(tmp_path, lambda record: claimed(record, 4096, 4096))
+    total = (4 + 1) * 4096 + 4097 * 4096 + 4097
+    with pytest.raises(DamagedFileError, match=f"has {total} weights; at most 5000000 are read"):
+        load(larger)

@@ -95,3 +95,25 @@ def test_limits_are_those_of_the_task_or_ten_ranges():
     assert within(x, low, high).tolist() == [True, False, False, False]
     excited = excite(parts(Inverted()))  # falls to ten ranges of 1 rad and 3 rad/s
     assert excited["next", "state"].abs().amax(0)[1] < 40.0
+
+
+class Bursting(Inverted):
+    """The same pendulum, no number any more where it leaves its limits, all within one period."""
+
+    def forward(self, x, u):
+        dx = super().forward(x, u)
+        return torch.where(x[..., :1].abs() > 0.5, torch.nan, dx)
+
+
+def test_a_plant_that_blows_up_within_one_period_is_caught_too():
+    excited = excite(parts(Bursting(), bounds={"theta": 0.9}))
+    assert len(excited) == 200 and excited["next", "state"].isfinite().all()
+    begins = [*(excited["step_count"].flatten() == 0).nonzero().flatten().tolist(), 200]
+    lengths = [b - a for a, b in zip(begins, begins[1:], strict=False)]
+    assert lengths[0] < 40 and max(lengths) > 100  # the first try falls, and a later one is held
+
+
+def test_an_episode_that_the_task_ends_closes_no_loop(monkeypatch):
+    monkeypatch.setattr(Loop, "close", lambda *_: pytest.fail("the loop is closed"))
+    excited = excite(parts(Xi(), 2, 2.0, max_steps=15))
+    assert excited["step_count"].flatten().tolist() == [*range(15), *range(15), *range(10)]

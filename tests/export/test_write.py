@@ -2,6 +2,7 @@
 
 import json
 import sys
+import zipfile
 
 import pytest
 
@@ -9,6 +10,7 @@ from dynasindy.control import save
 from dynasindy.evaluation.given import DamagedFileError
 from dynasindy.export import fmu, write
 from dynasindy.export.write import Exported
+from dynasindy.systems import Stops
 
 MODEL = {"model.c", "model.h", "model.tex", "model.py"}
 
@@ -32,7 +34,7 @@ def test_a_run_folder_gives_everything(pendulum, tmp_path):
     assert "168 of state" in lines[0] and "not timed, as there is no C compiler" in lines[0]
     assert f"{(tmp_path / 'out' / 'plant.fmu').stat().st_size} bytes" in lines[2] and "sources alone" in lines[2]
     what = Exported.read(tmp_path / "controller.json")
-    assert what.step == pytest.approx(0.04 / 3) and what.stops == controller.observer.stops
+    assert what.step == 0.01 and what.stops == controller.observer.stops  # a third of 0.04 s would be longer
 
 
 def test_formats_that_were_not_asked_for_are_not_written(pendulum, tmp_path):
@@ -61,6 +63,22 @@ def test_without_an_observer_the_model_of_the_run_is_taken_or_missed(pendulum, p
     assert names(tmp_path / "out") == MODEL | {"controller.fmu", "plant.fmu"}
 
 
+@pytest.mark.parametrize(("substeps", "step"), [(1, 0.01), (3, 0.01), (8, 0.005)])
+def test_without_an_observer_the_plant_keeps_its_stops_and_its_steps(
+    pendulum, pendulum_model, tmp_path, substeps, step
+):
+    controller = pendulum(observer=False)
+    controller.pace.substeps = substeps
+    save(controller, tmp_path / "controller.json")
+    pendulum_model().save(tmp_path / "model.json")
+    what = Exported.read(tmp_path)
+    assert what.step == pytest.approx(step) and what.stops == Stops((0,), (1,), (-0.6,), (0.25,))
+    write.write(what, tmp_path / "out", ["fmu"])
+    with zipfile.ZipFile(tmp_path / "out" / "plant.fmu") as packed:
+        text = packed.read("sources/plant.c").decode()
+    assert "{(-0.6)}" in text and "{0.25}" in text
+
+
 def test_a_package_that_is_missing_is_named_and_the_rest_is_written(pendulum, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnx", None)
     save(pendulum(), tmp_path / "controller.json")
@@ -75,11 +93,11 @@ def test_what_is_no_controller_is_refused_in_one_line(pendulum, tmp_path):
         Exported.read(tmp_path)
     save(pendulum(), tmp_path / "controller.json")
     record = json.loads((tmp_path / "controller.json").read_text())
-    record["observer"]["stops"]["positions"] = [99]
+    record["task"]["stops"]["positions"] = [99]
     (tmp_path / "controller.json").write_text(json.dumps(record))
-    with pytest.raises(ValueError, match="stops are at state '99'"):
-        write.write(Exported.read(tmp_path), tmp_path / "out", ["c"])
-    record["observer"]["stops"]["low"] = ["system()"]
+    with pytest.raises(DamagedFileError, match="stops are at state '99'"):
+        Exported.read(tmp_path)
+    record["task"]["stops"]["low"] = ["system()"]
     (tmp_path / "controller.json").write_text(json.dumps(record))
     with pytest.raises(DamagedFileError, match="is damaged"):
         Exported.read(tmp_path)

@@ -1,5 +1,6 @@
 """The regulator of the linearisation against its Riccati equation, and what a policy makes of it."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -94,3 +95,15 @@ def test_a_policy_begins_as_the_law_only_if_that_earns_more():
     assert held(lambda network: lambda policy: next(scores)) == (6.5, False)
     scores = iter([0.0, 5.0, 7.0, 6.0, 5.0, -1.0])  # imitation fails
     assert held(lambda network: lambda policy: next(scores)) == (0.0, True)
+
+
+def test_without_a_rest_there_is_no_regulator_and_the_policy_stays_as_it_is():
+    env, rests = setting(pull=0.01)  # far too weak to hold any target off the top
+    none = torch.zeros(len(rests), dtype=torch.bool)
+    fields = ("targets", "x", "u", "a", "b")
+    rests = dataclasses.replace(rests, **{name: getattr(rests, name)[none] for name in fields})
+    assert not len(rests) and Regulator.of(env, rests, Weights()) is None
+    network = nn.Linear(3, 1)
+    before = network.weight.clone()
+    assert hold(network, env, rests, lambda policy: -1.5, torch.Generator()) == -1.5
+    assert torch.equal(network.weight, before)

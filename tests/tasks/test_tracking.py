@@ -193,3 +193,24 @@ def test_episodes_begin_where_start_says():
 def test_a_start_that_is_none_is_refused(start):
     with pytest.raises(ValueError, match=r"task\.start has"):
         Tracking(CART, Step([[1.0]]), ("p",), ("v",), TrackingReward((1.0,)), start=start)
+
+
+@pytest.mark.parametrize(
+    ("ends", "words"), [({"low": [0, 0]}, "low and no high"), ({"high": [1, 1]}, "high and no low")]
+)
+def test_half_a_box_is_refused(ends, words):
+    with pytest.raises(ValueError, match=f"has {words}; give both, or neither"):
+        Tracking(SIGNATURE, Step([[0.0, 0.0]]), **ends)
+
+
+def test_a_box_is_taken_as_it_is_given():
+    task = Tracking(SIGNATURE, Step([[0.0, 0.0]]), low=[-1.0, -0.5], high=[1.0, 0.5])
+    other = task.with_box([3.0, 0.5])
+    assert other.boxes().tolist() == [3.0, 0.5] and task.boxes().tolist() == [2.0, 2.0]
+
+
+@pytest.mark.parametrize("extents", [[1.0], [1.0, 0.0], [1.0, math.inf], [math.nan, 1.0]])
+def test_a_box_without_extent_is_refused(extents):
+    task = Tracking(SIGNATURE, Step([[0.0, 0.0]]))
+    with pytest.raises(ValueError, match="give one positive number for each"):
+        task.with_box(extents)
