@@ -83,7 +83,7 @@ class Check:
         sensors: Standard deviation of the noise of each state's measurement, as the controller's file has it, `(n_x,)`.
         steps: Flights from the origin to each target.
         drawn: Flights from the origin to the farthest target with each plant that was drawn.
-        spread: What becomes of the loop with other plants; None where it is stable nowhere.
+        spread: What becomes of the loop with other plants, at the targets where it is stable with the model.
         planes: From which errors around the middle target the plant comes back.
     """
 
@@ -122,7 +122,8 @@ def check(loop: Loop, settings: Settings, errors: Tensor | None = None) -> Check
         )
     targets = settings.targets
     found = rest(loop, targets, seconds=settings.seconds)
-    stable = (found.still & torch.from_numpy(found.linear.radius < 1)).tolist()
+    good = found.still & torch.from_numpy(found.linear.radius < 1)
+    stable = good.tolist()
     rows = [found.linear.row(k) for k in range(len(targets))]
     others = variants(loop.plant.model, settings.draws, settings.seed, errors)
     middle = int((targets - targets.mean(0)).square().sum(-1).argmin())
@@ -137,7 +138,7 @@ def check(loop: Loop, settings: Settings, errors: Tensor | None = None) -> Check
         _stated(loop),
         steps,
         _drawn(loop, targets, others, settings.seconds),
-        spread(loop, targets, found, others),
+        spread(loop, targets[good], found.select(good), others, settings.seconds),
         recovery(
             loop,
             found.z[middle, loop.parts["x"]],
@@ -198,7 +199,7 @@ def record(found: Check) -> dict[str, Any]:
         {
             "change": label,
             "spectral_radius": number(float(others.worst[k])),
-            "steady_error": _named(outputs, others.error[:, k].amax(0)),
+            "steady_error": _named(outputs, others.farthest[k]),
         }
         for k, label in enumerate(others.labels)
     ]

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from dynasindy.checking.linear import LAST
 from dynasindy.checking.loop import Loop
 
-LAST = 2.0
-"""Length of the end of a flight in which its steady error is read [s]."""
 FULL = 0.99
 """Size of an input that counts as saturated."""
 TOLERANCE = 0.05

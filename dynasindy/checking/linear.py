@@ -19,12 +19,14 @@ from dynasindy.checking.loop import Loop
 
 NUDGE = 1e-5
 """Step of the differences [ranges]."""
-NEWTON = 25
+NEWTON = 15
 """Newton steps at most."""
 LARGEST = 0.3
 """Longest Newton step [ranges]."""
 STILL = 1e-8
 """What a loop at rest may move in a control period [ranges]."""
+LAST = 2.0
+"""Length of the end of a run in which its steady error is read [s]."""
 SETTLED = 600
 """Control periods after which the covariance of the observer is taken as steady."""
 
@@ -60,7 +62,7 @@ class Linear:
         return np.abs(np.linalg.eigvals(self.a)).max(-1)
 
     def row(self, k: int) -> Linear:
-        """Return one loop, its matrices without a leading dimension."""
+        """Return one loop, its matrices without the dimension of rows."""
         return Linear(self.a[k], self.b[k], self.c[k], self.e[k], self.f[k], self.dt)
 
 
@@ -73,6 +75,8 @@ class Rest:
         covariance: Of the observer, `(rows, n_o, n_o)`.
         u: Commands, `(rows, n_u)`.
         still: Whether a point of rest was found, bool `(rows,)`.
+        error: Absolute error of the outputs there, `(rows, n_r)`; where there is none, its mean in the last seconds of
+            a run.
         linear: The loops linearised there.
     """
 
@@ -80,7 +84,14 @@ class Rest:
     covariance: Tensor
     u: Tensor
     still: Tensor
+    error: Tensor
     linear: Linear
+
+    def select(self, rows: Tensor) -> Rest:
+        """Return some rows, bool `(rows,)`."""
+        parts, chosen = vars(self.linear), rows.numpy()
+        linear = Linear(**{name: part if name == "dt" else part[chosen] for name, part in parts.items()})
+        return Rest(*(part[rows] for part in (self.z, self.covariance, self.u, self.still, self.error)), linear)
 
 
 def guess(loop: Loop, r: Tensor) -> Tensor:
@@ -151,35 +162,48 @@ def rest(loop: Loop, r: Tensor, start: Rest | None = None, seconds: float = 20.0
         seconds: How long the loop may run [s].
     """
     r = r.double()
-    if start is None:
-        z = guess(loop, r)
-        covariance = covariance_at(loop, z)
-    else:
-        z, covariance = start.z, start.covariance
-    found = _newton(loop, z, covariance, r)
-    if bool(found.still.all()) or start is not None:
-        return found
-    steps = math.ceil(seconds / loop.dt)
+    z = guess(loop, r) if start is None else start.z
+    covariance = covariance_at(loop, z) if start is None else start.covariance
+    found, still = _newton(loop, z, covariance, r)
+    lost = (~still).nonzero().flatten()
+    ran = torch.zeros(len(r), loop.task.n_r, dtype=torch.float64)
+    if len(lost):
+        moved, spread, ran[lost] = _run(loop.rows(lost), z[lost], covariance[lost], r[lost], seconds)
+        again, calm = _newton(loop.rows(lost), moved, spread, r[lost])
+        found, covariance = found.index_copy(0, lost, again), covariance.index_copy(0, lost, spread)
+        still = still.index_copy(0, lost, calm)
+    linear, _, u = linearise(loop, found, covariance, r)
+    clean = [np.nan_to_num(m, posinf=0.0, neginf=0.0) for m in (linear.a, linear.b, linear.c, linear.e, linear.f)]
+    error = (r - found[:, loop.parts["x"]][:, loop.task.outputs]).abs().where(still.unsqueeze(-1), ran)
+    return Rest(found, covariance, u, still, error, Linear(*clean, linear.dt))
+
+
+def _run(loop: Loop, z: Tensor, covariance: Tensor, r: Tensor, seconds: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Let loops run; return vectors, covariances, and the mean absolute error over the last seconds, `(rows, n_r)`."""
+    steps, last, errors = math.ceil(seconds / loop.dt), math.ceil(LAST / loop.dt), []
     for _ in range(steps):
         z, covariance, _ = loop.step(z, covariance, r)
-    later = _newton(loop, torch.where(found.still.unsqueeze(-1), found.z, z), covariance, r)
-    return later if int(later.still.sum()) >= int(found.still.sum()) else found
+        errors = [*errors[1 - last :], (r - z[:, loop.parts["x"]][:, loop.task.outputs]).abs()]
+    return z, covariance, torch.stack(errors).mean(0).nan_to_num(torch.inf, torch.inf)
 
 
-def _newton(loop: Loop, z: Tensor, covariance: Tensor, r: Tensor) -> Rest:
+def _newton(loop: Loop, z: Tensor, covariance: Tensor, r: Tensor) -> tuple[Tensor, Tensor]:
+    """Return vectors at rest, as far as they are found, and whether they are, bool `(rows,)`."""
     scale, unit = loop.scale, np.eye(loop.size)
+    z, still, left = z.clone(), torch.zeros(len(z), dtype=torch.bool), torch.arange(len(z))
     for _ in range(NEWTON):
-        linear, moved, u = linearise(loop, z, covariance, r)
-        still = ((moved / scale).abs() < STILL).all(-1)
+        linear, moved, _ = linearise(loop.rows(left), z[left], covariance[left], r[left])
+        calm = ((moved / scale).abs() < STILL).all(-1)
+        still[left] = calm
         sound = moved.isfinite().all(-1) & torch.from_numpy(np.isfinite(linear.a).all((-2, -1)))
-        if bool((still | ~sound).all()):
+        on = (~calm & sound).nonzero().flatten()
+        if not len(on):
             break
-        step = torch.zeros_like(z)
-        for k in (~still & sound).nonzero().flatten().tolist():
-            # In ranges of z, so that least squares weigh what is alike; a loop may be free to rest anywhere.
-            ranged = (unit - linear.a[k]) * scale.numpy() / scale.numpy()[:, None]
-            step[k] = torch.from_numpy(np.linalg.lstsq(ranged, (moved[k] / scale).numpy(), rcond=1e-12)[0])
+        # In ranges of z, so that least squares weigh what is alike; a loop may be free to rest anywhere.
+        ranged = (unit - linear.a[on.numpy()]) * scale.numpy() / scale.numpy()[:, None]
+        wanted = (moved[on] / scale).numpy()
+        solved = [np.linalg.lstsq(a, b, rcond=1e-12)[0] for a, b in zip(ranged, wanted, strict=True)]
+        step, left = torch.from_numpy(np.stack(solved)), left[on]
         longest = step.abs().amax(-1, keepdim=True).clamp_min(LARGEST)
-        z = z + step * LARGEST / longest * scale
-    clean = [np.nan_to_num(m) for m in (linear.a, linear.b, linear.c, linear.e, linear.f)]
-    return Rest(z, covariance, u, still & sound, Linear(*clean, linear.dt))
+        z[left] += step * LARGEST / longest * scale
+    return z, still

@@ -97,6 +97,11 @@ class Loop:
         other.plant = replace(self.plant, coefficients=coefficients)
         return other
 
+    def rows(self, index: Tensor) -> Loop:
+        """Return the loop with some of its plants, if it has several."""
+        xi = self.plant.coefficients
+        return self if xi is None else self.varied(xi[index])
+
     def at(self, x: Tensor, u: Tensor) -> Tensor:
         """Return the vector of a loop that has been in a state under an input for long, and knows it, `(*batch, n)`."""
         z = torch.zeros(*x.shape[:-1], self.size, dtype=torch.float64)

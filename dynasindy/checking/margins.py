@@ -90,8 +90,11 @@ def _of(linear: Linear, omega: Array, s: Complex, place: int) -> Margins:
         return complex(broken(linear, np.array([w]))[0, place])
 
     values = 1 / s - 1
-    real = [(w, _loop(w)) for w in _crossings(omega, values.imag, lambda w: _loop(w).imag)]
-    factors = [-1 / value.real for _, value in [*real, (omega[-1], values[-1])] if value.real < -1e-9]
+    # The loop is real at the ends of the grid, too; under integral action it has no end below.
+    still = sensitivity(linear, np.zeros(1))[0, place]
+    ends = [values[-1]] if abs(still) < 1e-7 else [1 / still - 1, values[-1]]
+    real = [*ends, *(_loop(w) for w in _crossings(omega, values.imag, lambda w: _loop(w).imag))]
+    factors = [float(-1 / value.real) for value in real if value.real < -1e-9]
     unit = _crossings(omega, np.abs(values) - 1, lambda w: abs(_loop(w)) - 1)
     # The lag after which the loop is at -1, from 0 to one turn.
     lags = [(w, (math.pi + math.atan2(_loop(w).imag, _loop(w).real)) % (2 * math.pi)) for w in unit]

@@ -75,7 +75,7 @@ class Spread:
     Attributes:
         labels: What is changed in each.
         radius: Spectral radius, `(n_targets, n)`, infinite where no point of rest was found.
-        error: Steady error of the outputs, `(n_targets, n, n_r)`, infinite likewise.
+        error: Steady error of the outputs, `(n_targets, n, n_r)`, infinite where they run away.
         draws: How many, the first ones, are drawn at random.
     """
 
@@ -87,10 +87,15 @@ class Spread:
     @property
     def worst(self) -> Tensor:
         """Largest spectral radius of each change over the targets, `(n,)`."""
-        return self.radius.amax(0)
+        return self.radius.amax(0) if len(self.radius) else self.radius.new_zeros(len(self.labels))
+
+    @property
+    def farthest(self) -> Tensor:
+        """Largest steady error with each change over the targets, `(n, n_r)`."""
+        return self.error.amax(0) if len(self.error) else self.error.new_zeros(self.error.shape[1:])
 
 
-def spread(loop: Loop, r: Tensor, nominal: Rest, changed: Variants) -> Spread:
+def spread(loop: Loop, r: Tensor, nominal: Rest, changed: Variants, seconds: float = 20.0) -> Spread:
     """Let loops with other plants, and the same controller, rest at each target.
 
     Args:
@@ -98,17 +103,17 @@ def spread(loop: Loop, r: Tensor, nominal: Rest, changed: Variants) -> Spread:
         r: Targets, `(n_targets, n_r)`.
         nominal: Where that loop rests at them.
         changed: The other plants.
+        seconds: How long a loop may run to come to rest [s].
     """
-    count, radii, errors = len(changed.labels), [], []
-    for k, target in enumerate(r.double()):
-        start = Rest(*(part[k].expand(count, *part[k].shape) for part in _parts(nominal)), nominal.linear)
-        wanted = target.expand(count, -1)
-        found = rest(loop.varied(changed.coefficients), wanted, start)
-        outputs = found.z[:, loop.parts["x"]][:, loop.task.outputs]
-        radii.append(torch.from_numpy(found.linear.radius).where(found.still, torch.inf))
-        errors.append((outputs - wanted).abs().where(found.still.unsqueeze(-1), torch.inf))
-    return Spread(changed.labels, torch.stack(radii), torch.stack(errors), changed.draws)
-
-
-def _parts(found: Rest) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    return found.z, found.covariance, found.u, found.still
+    count = len(changed.labels)
+    radii, errors = (
+        torch.zeros(len(r), count, dtype=torch.float64),
+        torch.zeros(len(r), count, r.shape[-1], dtype=torch.float64),
+    )
+    for k, target in enumerate(r.double() if count else []):
+        parts = (nominal.z, nominal.covariance, nominal.u, nominal.still, nominal.error)
+        start = Rest(*(part[k].expand(count, *part[k].shape) for part in parts), nominal.linear)
+        found = rest(loop.varied(changed.coefficients), target.expand(count, -1), start, seconds)
+        radii[k] = torch.from_numpy(found.linear.radius).where(found.still, torch.inf)
+        errors[k] = found.error
+    return Spread(changed.labels, radii, errors, changed.draws)

@@ -73,10 +73,15 @@ def verdict(found: Check, thresholds: Thresholds | None = None) -> list[Finding]
 def _stability(found: Check) -> Finding:
     count, good, dt = len(found.targets), int(found.stable.sum()), found.loop.dt
     if good < count:
-        where = [_place(found, k) for k in (~found.stable).nonzero().flatten().tolist()]
+        bad = ~found.stable
+        k = int(bad.nonzero()[0])
         restless = int((~found.rest.still).sum())
-        more = f"; at {restless} of them it never comes to rest" if restless else ""
-        words = f"NOT stable at {count - good} of {count} targets, such as {where[0]}{more}"
+        more = f"; at {restless} of them there is no rest" if restless else ""
+        _, error, name = _error(found, found.steps.steady_error[bad])
+        words = (
+            f"NOT stable at {count - good} of {count} targets, such as {_place(found, k)}{more}; flown there, {name} "
+            f"ends within {error}"
+        )
         return Finding("stability", False, f"{words}; threshold: spectral radius < 1 at all")
     k = int(np.argmax(found.rest.linear.radius))
     radius = float(found.rest.linear.radius[k])
@@ -178,17 +183,17 @@ def _changes(found: Check, limits: Thresholds) -> list[Finding]:
         ("all coefficients", slice(0, others.draws), f"{others.draws} draws of all coefficients"),
     ):
         radius, labels = others.worst[rows], others.labels[rows]
-        if not len(labels):
+        if not len(labels) or not len(others.radius):
             continue
         unstable, k = int((radius >= 1).sum()), int(radius.argmax())
-        error, word, where = _error(found, others.error[:, rows].amax(1))
+        error, word, where = _error(found, others.farthest[rows])
         stays = "stable with all" if not unstable else f"NOT stable with {unstable} of {len(labels)}"
         far = "no rest" if radius[k].isinf() else f"spectral radius {radius[k]:.4f}"
         lines.append(
             Finding(
                 name,
                 not unstable and error <= limits.error,
-                f"{words}: {stays}, worst {labels[k]} ({far}), steady error at most {word} of {where}; threshold: "
+                f"{words}, where the model itself is stable: {stays}, worst {labels[k]} ({far}), steady error at most {word} of {where}; threshold: "
                 f"stable, {limits.error:g} ranges",
             )
         )

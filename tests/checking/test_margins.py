@@ -78,12 +78,19 @@ def test_python_control_finds_the_same(a, b, k):
     for i, found in enumerate(margins(linear)):
         opened = a - b @ k + b[:, i : i + 1] @ k[i : i + 1]
         loop = control.ss(opened, b[:, i : i + 1], k[i : i + 1], 0, DT)
-        gain, phase, _, _, _, _ = control.stability_margins(loop)
+        gains, phases, *_ = control.stability_margins(loop, returnall=True)
         disk, _, _ = control.disk_margins(loop, np.linspace(1e-3, math.pi / DT, 4000))
-        upper = found.gain if found.gain < math.inf else found.lower
-        assert upper == pytest.approx(gain, rel=1e-4) or found.lower == pytest.approx(gain, rel=1e-4)
-        assert found.phase == pytest.approx(abs(phase), rel=1e-4)
+        # It leaves out half the sampling rate, and finds a gain of 1e-10 in the rounding of a double integrator.
+        theirs = [gain for gain in gains if 1e-6 < gain < 1e6]
+        assert all(pytest.approx(gain, rel=1e-4) in (found.gain, found.lower) for gain in theirs)
+        assert found.phase == pytest.approx(min(abs(phases)), rel=1e-4)
         assert found.disk == pytest.approx(disk, rel=1e-3)
+
+
+def test_an_unstable_plant_must_not_lose_the_input():
+    # x+ = 1.2 x + 0.1 u, u = -4 x: 1.2 - 0.4 k = 1 at k = 0.5, and = -1 at k = 5.5.
+    (found,) = margins(closed(np.array([[1.2]]), np.array([[DT]]), np.array([[4.0]])))
+    assert found.lower == pytest.approx(0.5) and found.gain == pytest.approx(5.5)
 
 
 def test_the_loop_is_that_which_is_open_at_one_input_alone():
