@@ -193,8 +193,8 @@ def _changes(found: Check, limits: Thresholds) -> list[Finding]:
             Finding(
                 name,
                 not unstable and error <= limits.error,
-                f"{words}, where the model itself is stable: {stays}, worst {labels[k]} ({far}), steady error at most {word} of {where}; threshold: "
-                f"stable, {limits.error:g} ranges",
+                f"{words}, where the model itself is stable: {stays}, worst {labels[k]} ({far}), steady error at most "
+                f"{word} of {where}; threshold: stable, {limits.error:g} ranges",
             )
         )
     return lines
@@ -218,7 +218,7 @@ def _error(found: Check, error: torch.Tensor) -> tuple[float, str, str]:
     ranged = (error / scale).amax(0)
     i = int(ranged.argmax())
     value = float(error[:, i].amax())
-    word = "without bound" if value == math.inf else f"{value:.3g} {signature.state_units[outputs[i]]}"
+    word = "no bound" if value == math.inf else f"{value:.3g} {signature.state_units[outputs[i]]}"
     return float(ranged[i]), word, signature.state_names[outputs[i]]
 
 
