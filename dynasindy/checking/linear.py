@@ -61,8 +61,13 @@ class Linear:
         """Spectral radius of each loop, `(rows,)`; below 1 it is stable."""
         return np.abs(np.linalg.eigvals(self.a)).max(-1)
 
-    def row(self, k: int) -> Linear:
-        """Return one loop, its matrices without the dimension of rows."""
+    def finite(self) -> Linear:
+        """Return the same with 0 for what is not finite: a plant that runs away has no slope."""
+        a, b, c, e, f = (np.nan_to_num(m, posinf=0.0, neginf=0.0) for m in (self.a, self.b, self.c, self.e, self.f))
+        return Linear(a, b, c, e, f, self.dt)
+
+    def row(self, k: int | NDArray[np.bool_] | NDArray[np.int64]) -> Linear:
+        """Return one loop, its matrices without the dimension of rows, or several, by places or bool."""
         return Linear(self.a[k], self.b[k], self.c[k], self.e[k], self.f[k], self.dt)
 
 
@@ -88,10 +93,9 @@ class Rest:
     linear: Linear
 
     def select(self, rows: Tensor) -> Rest:
-        """Return some rows, bool `(rows,)`."""
-        parts, chosen = vars(self.linear), rows.numpy()
-        linear = Linear(**{name: part if name == "dt" else part[chosen] for name, part in parts.items()})
-        return Rest(*(part[rows] for part in (self.z, self.covariance, self.u, self.still, self.error)), linear)
+        """Return some rows, by their places or bool `(rows,)`."""
+        picked = self.linear.row(rows.numpy())
+        return Rest(self.z[rows], self.covariance[rows], self.u[rows], self.still[rows], self.error[rows], picked)
 
 
 def guess(loop: Loop, r: Tensor) -> Tensor:
@@ -173,14 +177,14 @@ def rest(loop: Loop, r: Tensor, start: Rest | None = None, seconds: float = 20.0
         found, covariance = found.index_copy(0, lost, again), covariance.index_copy(0, lost, spread)
         still = still.index_copy(0, lost, calm)
     linear, _, u = linearise(loop, found, covariance, r)
-    clean = [np.nan_to_num(m, posinf=0.0, neginf=0.0) for m in (linear.a, linear.b, linear.c, linear.e, linear.f)]
     error = (r - found[:, loop.parts["x"]][:, loop.task.outputs]).abs().where(still.unsqueeze(-1), ran)
-    return Rest(found, covariance, u, still, error, Linear(*clean, linear.dt))
+    return Rest(found, covariance, u, still, error, linear.finite())
 
 
 def _run(loop: Loop, z: Tensor, covariance: Tensor, r: Tensor, seconds: float) -> tuple[Tensor, Tensor, Tensor]:
     """Let loops run; return vectors, covariances, and the mean absolute error over the last seconds, `(rows, n_r)`."""
-    steps, last, errors = math.ceil(seconds / loop.dt), math.ceil(LAST / loop.dt), []
+    steps, last = math.ceil(seconds / loop.dt), math.ceil(LAST / loop.dt)
+    errors: list[Tensor] = []
     for _ in range(steps):
         z, covariance, _ = loop.step(z, covariance, r)
         errors = [*errors[1 - last :], (r - z[:, loop.parts["x"]][:, loop.task.outputs]).abs()]

@@ -111,8 +111,7 @@ def spread(loop: Loop, r: Tensor, nominal: Rest, changed: Variants, seconds: flo
         torch.zeros(len(r), count, r.shape[-1], dtype=torch.float64),
     )
     for k, target in enumerate(r.double() if count else []):
-        parts = (nominal.z, nominal.covariance, nominal.u, nominal.still, nominal.error)
-        start = Rest(*(part[k].expand(count, *part[k].shape) for part in parts), nominal.linear)
+        start = nominal.select(torch.full((count,), k))
         found = rest(loop.varied(changed.coefficients), target.expand(count, -1), start, seconds)
         radii[k] = torch.from_numpy(found.linear.radius).where(found.still, torch.inf)
         errors[k] = found.error
