@@ -10,6 +10,7 @@ The scripts do the same with a plant in the loop, and write down everything on t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,18 +23,25 @@ from dynasindy.data import DynaReplay
 from dynasindy.data.csv import Recording
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.identification import Logged
+from dynasindy.evaluation.predicted import Prediction, predict
+from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.symptoms import resolution as resolution_of
 from dynasindy.evaluation.symptoms import samples_of, step_of
 from dynasindy.planning import GradientPlanning
-from dynasindy.sensing import Channel, Observer, Sensors
+from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 from dynasindy.world_models import Refinement, Regression, SindyModel
+from dynasindy.world_models.ensemble import refits
 from dynasindy.world_models.libraries import LibraryBuilder
 from dynasindy.world_models.measured import rates_known
 
 PERIOD = 0.05
 """Control period unless another is given [s]; a log with longer intervals sets its own."""
+FINE = 5
+"""Runge-Kutta steps of a predicted control period."""
+HALVES = 2
+"""Stretches of a log that a model is fitted to again, to see what the log leaves open."""
 LONGEST_DELAY = 0.05
 """Longest delay of the inputs that is looked for unless another is given [s]."""
 
@@ -106,6 +114,9 @@ def plan(
 ) -> Controller:
     """Train a controller by the gradient through a model; no plant is moved.
 
+    With a log, the functions of the model are fitted to each half of it, too, and the controller is planned on all
+    three models, which spans what the log leaves open.
+
     Args:
         model: Model of the plant.
         task: Outputs to hold, each with the lower and upper end of its targets; or a task.
@@ -127,9 +138,36 @@ def plan(
         sensors = sensors_of(log, model)
     observer = None if sensors is None else watching(model, sensors, pace, log)
     env = ControlEnv(model, task, pace.dt, pace.substeps, seed=seed)
+    others = [] if log is None else refits(model, log.transitions, HALVES)
     agent = TD3(task.n_o, model.signature.n_u, hidden=(128, 128), seed=seed)
-    GradientPlanning(env, agent, DynaReplay(capacity=1, batch_size=1), seed=seed, **settings).plan()
+    GradientPlanning(env, agent, DynaReplay(capacity=1, batch_size=1), others=others, seed=seed, **settings).plan()
     return Controller(agent.deployed, pace, observer)
+
+
+def foretell(
+    controller: Controller, model: SindyModel, unseen: Transitions | None, scenario: Scenario, seed: int = 0
+) -> Prediction:
+    """Predict what a controller will do, on models fitted to data that neither it nor its model has seen.
+
+    Args:
+        controller: The controller.
+        model: The model that it was planned on, whose functions are fitted again.
+        unseen: Data of the same plant; None flies the model itself, which promises nothing.
+        scenario: What to fly.
+        seed: Seed of the sensors' noise.
+
+    Raises:
+        ValueError: There are too few data for a fit.
+    """
+    pace = controller.pace
+    env = ControlEnv(model, pace.task, pace.dt, FINE, dtype=torch.float64, seed=seed)
+    sensing = None
+    if controller.observer is not None:
+        sensing = Sensing(env, controller.observer, torch.Generator().manual_seed(seed))
+    if unseen is None:
+        return replace(predict([model], env, controller.policy, scenario, sensing), own=True)
+    models = [*refits(model, unseen, 1), *refits(model, unseen, HALVES)]
+    return predict(models, env, controller.policy, scenario, sensing)
 
 
 def tracking(model: SindyModel, targets: Mapping[str, tuple[float, float]]) -> Tracking:
@@ -140,12 +178,14 @@ def tracking(model: SindyModel, targets: Mapping[str, tuple[float, float]]) -> T
         targets: Lower and upper end of the targets of each output [unit of the output].
 
     Raises:
-        ValueError: There is no target, or an output does not exist or has no state that is its rate.
+        ValueError: There is no target, or an output does not exist.
     """
     rates, (low, high) = rates_of(model), ([float(ends[k]) for ends in targets.values()] for k in (0, 1))
     damped = [rates[name] for name in targets if name in rates]
-    reward = TrackingReward(error_weights=(4.0,) * len(targets))
-    return Tracking(model.signature, RandomStep(low, high), list(targets), damped, reward)
+    if len(damped) < len(targets):
+        damped = []
+    reward = TrackingReward(error_weights=(4.0,))
+    return Tracking(model.signature, RandomStep(low, high), list(targets), damped, reward, low=low, high=high)
 
 
 def rates_of(model: SindyModel) -> dict[str, str]:

@@ -38,7 +38,7 @@ def main(cfg: DictConfig) -> None:
         draw_evaluation(result, out, formats=cfg.formats)
         if cfg.animate:
             animate(result, out / f"{scenario.name}.{cfg.animation}")
-        print(to_text(summarise(result), heading(result)), end="\n\n")
+        print(to_text(summarise(result), heading(result), result.units, result.steady_seconds), end="\n\n")
     print(f"Figures, tables and trajectories: {out}")
 
 

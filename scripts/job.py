@@ -27,7 +27,7 @@ class Done:
         recipe: The experiment.
         metrics: What its `metrics.json` holds.
         before: Whether it had ended before.
-        enough: Whether the policy is better than the untrained one, or need not be.
+        enough: Whether the policy is better than the untrained one and controls the plant, or need not.
     """
 
     recipe: Recipe
@@ -47,12 +47,16 @@ def run_job(cfg: DictConfig, progress: bool = True) -> Done:
     names = [field.name for field in fields(Recipe) if field.name != "seed"]
     parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
     recipe = Recipe(**parts, seed=cfg.seed)
-    evaluating = Evaluating(instantiate(cfg.scenario, _convert_="all"), cfg.evaluation.every)
+    evaluating = Evaluating(
+        instantiate(cfg.scenario, _convert_="all"), cfg.evaluation.every, cfg.evaluation.get("within", 0.01)
+    )
     if progress:
         print(f"Run folder: {cfg.folder}", flush=True)
     known = result(Path(cfg.folder), recipe.train.episodes) is not None
     metrics = run(recipe, evaluating, Path(cfg.folder), provenance, Saving(**cfg.checkpoint), progress, cfg.finish)
-    return Done(recipe, metrics, known, metrics["verdict"]["usable"] or not cfg.evaluation.must_improve)
+    usable = metrics["verdict"]["usable"] or not cfg.evaluation.must_improve
+    controlled = metrics["verdict"].get("controlled", True) or not cfg.evaluation.get("must_control", False)
+    return Done(recipe, metrics, known, usable and controlled)
 
 
 def _resumed(cfg: DictConfig) -> DictConfig:

@@ -27,6 +27,8 @@ class Plant(TypedDict):
 
     outputs: list[str]
     rates: list[str]
+    start: dict[str, float | list[float]]
+    bounds: dict[str, float | list[float]]
     low: list[float]
     high: list[float]
     known: dict[str, str]
@@ -46,6 +48,8 @@ class Evaluating(Every):
     """Keys of `evaluation`."""
 
     must_improve: bool
+    must_control: bool
+    within: float
 
 
 class Keys(TypedDict):

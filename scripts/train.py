@@ -1,4 +1,4 @@
-"""Train a controller: `python scripts/train.py [system=xi] [planning.rollouts=800] [-m seed=0,1]`."""
+"""Train a controller: `python scripts/train.py [system=xi] [-m seed=0,1]`, or from a log alone: `data=csv`."""
 
 import sys
 from pathlib import Path
@@ -7,6 +7,7 @@ from command import command
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from job import run_job
+from logged import plan_from_log
 from omegaconf import DictConfig
 
 from dynasindy.dyna.run import report
@@ -16,6 +17,10 @@ from dynasindy.viz.run import draw_run
 @command("train")
 def main(cfg: DictConfig) -> None:
     """Build the experiment, run it, draw its figures and print what came of it."""
+    if cfg.get("data") is not None or cfg.model is not None:
+        if not plan_from_log(cfg).promised and cfg.evaluation.must_improve:
+            sys.exit(1)
+        return
     folder = Path(cfg.folder)
     done, swept = run_job(cfg), HydraConfig.get().mode == RunMode.MULTIRUN
     if done.before and swept:

@@ -30,8 +30,8 @@ from tensordict import TensorDict, TensorDictBase
 
 from dynasindy.benchmarks.gradient import PLANTS, Plant
 from dynasindy.benchmarks.instruments.commit import commit
+from dynasindy.dyna.excite import interact
 from dynasindy.dyna.folder import check_settings, claimed, clear
-from dynasindy.dyna.loop import interact
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.gym import GymControl
 from dynasindy.evaluation.ablation import Level, gather, read_rows
@@ -175,7 +175,8 @@ def learn(job: Job, folder: Path) -> dict[str, Any]:
         }
         rows.append(progress(episode, agent, cost, latest))
         write_csv(folder / "progress.csv", list(rows[0]), [list(row.values()) for row in rows])
-    spent = cost | {"evaluation_steps": (job.episodes + 1) * scenario.episodes * round(scenario.seconds / env.dt)}
+    steps = env.task.max_steps if scenario.seconds is None else round(scenario.seconds / env.dt)
+    spent = cost | {"evaluation_steps": (job.episodes + 1) * scenario.episodes * steps}
     head = {"seed": job.seed, "system": job.plant, "episodes": job.episodes, "cost": spent, "scenario": scenario.name}
     return {**head, "evaluation": latest, "untrained": untrained}
 

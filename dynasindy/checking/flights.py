@@ -99,11 +99,17 @@ def recovery(loop: Loop, x: Tensor, r: Tensor, reach: float, points: int, second
         seconds: Length of a flight [s].
 
     Returns:
-        A plane of each output and its rate, and of each two outputs.
+        A plane of each output and its rate, and of each two outputs; where there is neither, of the output and another
+        state, and none of a plant with one state.
     """
     task, signature = loop.task, loop.signature
-    pairs = [(a, b) for a, b in zip(task.outputs, task.rates, strict=True) if a != b]
+    # A plant of the first order has no rates.
+    pairs = list(zip(task.outputs, task.rates, strict=True)) if task.rates else []
     pairs += [(a, b) for k, a in enumerate(task.outputs) for b in task.outputs[k + 1 :]]
+    if not pairs:
+        pairs = [(a, b) for a in task.outputs for b in range(signature.n_x) if a != b][:1]
+    if not pairs:
+        return []
     scale = torch.tensor(signature.x_scale, dtype=torch.float64)
     axis = reach * torch.linspace(-1.0, 1.0, points, dtype=torch.float64)
     starts = x.double().repeat(len(pairs), points, points, 1)

@@ -67,7 +67,8 @@ def verdict(found: Check, thresholds: Thresholds | None = None) -> list[Finding]
     lines = [_stability(found)]
     if any(found.margins):
         lines += [*_margins(found, limits), _noise(found, limits)]
-    return [*lines, *_flights(found, limits), *_changes(found, limits), _recovery(found, limits)]
+    lines += [*_flights(found, limits), *_changes(found, limits)]
+    return [*lines, _recovery(found, limits)] if found.planes else lines
 
 
 def _stability(found: Check) -> Finding:
@@ -203,7 +204,7 @@ def _changes(found: Check, limits: Thresholds) -> list[Finding]:
 def _recovery(found: Check, limits: Thresholds) -> Finding:
     shares = [plane.share for plane in found.planes]
     words = ", ".join(f"{plane.share:.0%} in {plane.names[0]} and {plane.names[1]}" for plane in found.planes)
-    least = min(shares, default=0.0)
+    least = min(shares)
     return Finding(
         "recovery",
         least >= limits.recovered,

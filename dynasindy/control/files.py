@@ -61,6 +61,7 @@ def save(controller: Controller, path: str | Path) -> None:
             "rates": [controller.signature.state_names[i] for i in task.rates],
             "observe_rate": task.observe_rate,
             "error_scale": task.error_scale,
+            "box": task.boxes().tolist(),
         },
         "policy": _layers(network(controller)),
         "integral": numbers and {name: getattr(numbers, name) for name in ("gain", "band", "limit", "rate")},
@@ -148,9 +149,11 @@ def _task(signature: Signature, given: Mapping[str, Any]) -> Tracking:
         Step([[0.0] * len(outputs)]),
         outputs,
         list(given["rates"]),
-        TrackingReward(error_weights=(1.0,) * len(outputs)),
+        TrackingReward(error_weights=(1.0,)),
         observe_rate=bool(given["observe_rate"]),
         error_scale=_positive(given["error_scale"]),
+        low=[0.0] * len(outputs),
+        high=[_positive(extent) for extent in given["box"]],
     )
 
 

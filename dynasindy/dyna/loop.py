@@ -12,15 +12,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-import torch
-from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torchrl.envs import EnvBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.dyna.callback import Callback, Episode, Place
+from dynasindy.dyna.excite import excite, interact
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.dyna.refit import first_fit, refit
 from dynasindy.planning import replay_error
@@ -43,7 +38,7 @@ def train(parts: Parts, settings: Settings, callback: Callback, place: Place | N
     cost = place.cost
     if not place.excited:
         # Data collection: excite the real system.
-        excited = interact(env, parts.excitation, parts.excitation.n_steps)
+        excited = excite(parts)
         # Initialization: B <- D_real; the actor and the critics were drawn with the agent.
         replay.extend_real(excited)
         cost.real_steps += excited.numel()
@@ -56,7 +51,7 @@ def train(parts: Parts, settings: Settings, callback: Callback, place: Place | N
         callback.reached(place.past_planning())
     for number in range(place.episodes + 1, settings.episodes + 1):
         # Real interaction.
-        rollout = interact(env, parts.explore, parts.model_env.task.max_steps)
+        rollout = interact(env, parts.explore, parts.model_env.task.max_steps, parts.bounds)
         replay.extend_real(rollout)
         cost.real_steps += rollout.numel()
         # Policy learning.
@@ -73,9 +68,3 @@ def train(parts: Parts, settings: Settings, callback: Callback, place: Place | N
         callback.reached(place.past_episode(number))
     # Deployment.
     return agent.deployed
-
-
-def interact(env: EnvBase, policy: Callable[[TensorDictBase], TensorDictBase], steps: int) -> TensorDict:
-    """Run a policy, exploring, on the real system for at most one episode, `(T,)`."""
-    with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
-        return env.rollout(steps, policy)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.envs import EnvBase
 
@@ -17,6 +18,7 @@ from dynasindy.excitation import Excitation
 from dynasindy.limits import Count
 from dynasindy.planning import Gate, Planner
 from dynasindy.sensing import Sensing
+from dynasindy.tasks import Tracking
 from dynasindy.world_models import WorldModel
 
 
@@ -52,6 +54,13 @@ class Parts:
     def explore(self) -> Callable[[TensorDictBase], TensorDictBase]:
         """The agent's policy with noise, as it acts on the real plant."""
         return self.agent.explore if self.sensing is None else self.sensing.controller(self.agent.explore)
+
+    @property
+    def bounds(self) -> tuple[Tensor, Tensor] | None:
+        """Limits of the states that end an episode, where the task names any and the states are seen."""
+        task = self.plant.task
+        named = isinstance(task, Tracking) and bool(task.bounds.isfinite().any()) and self.sensing is None
+        return (task.bounds[0], task.bounds[1]) if named and isinstance(task, Tracking) else None
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that a resumed run needs to equal an uninterrupted one, between two phases.
@@ -94,7 +103,8 @@ class Settings:
         episodes: Real episodes after the excitation.
         updates_per_step: Gradient updates per real step (update-to-data ratio).
         recent_steps: Newest real steps that a refit reads; all if None.
-        held_out: Every n-th second of the newest episode tests the refit instead of entering it; 0 tests nothing.
+        held_out: Every n-th window of 20 periods of the newest episode tests the refit instead of entering it; 0 tests
+            nothing.
 
     Raises:
         ValueError: A number is negative, updates_per_step above 10000, recent_steps is not positive, or held_out is 1.

@@ -21,8 +21,10 @@ from dynasindy.dyna.callback import Callback, Cost, Episode
 from dynasindy.dyna.parts import Parts
 from dynasindy.dyna.verdict import judge
 from dynasindy.evaluation.files import whole, with_units, write_csv, write_json, write_text
+from dynasindy.evaluation.held import Held, held
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, summarise
+from dynasindy.planning.rests import states_that_matter
 from dynasindy.tasks import Tracking
 from dynasindy.world_models import FitReport, SindyModel
 
@@ -54,11 +56,14 @@ class Recorder(Callback):
         scenario: Situation in which the policy is evaluated.
         every: Episodes between two evaluations; the last episode is evaluated in any case.
         episodes: Episodes of the run.
+        within: Error at the end that counts as controlled [boxes of targets].
     """
 
-    def __init__(self, folder: Path, parts: Parts, scenario: Scenario, every: int, episodes: int) -> None:
+    def __init__(
+        self, folder: Path, parts: Parts, scenario: Scenario, every: int, episodes: int, within: float = 0.01
+    ) -> None:
         self.folder, self.parts, self.plant, self.scenario = folder, parts, parts.plant, scenario
-        self.every, self.episodes = every, episodes
+        self.every, self.episodes, self.within = every, episodes, within
         self.rows: list[dict[str, float | None]] = []
         self.decisions: list[list[float | None]] = []
         self.start, self.seconds_before = time.perf_counter(), 0.0
@@ -125,13 +130,17 @@ class Recorder(Callback):
             "cost": self._spent(self.cost) | {"evaluation_steps": self.evaluation_steps},
             "scenario": final.scenario,
             "evaluation": summarise(final),
+            "held": asdict(self._held(final)),
+            "units": final.units,
+            "steady_seconds": final.steady_seconds,
+            "planning": self.parts.planner.words(),
             "untrained": self.untrained,
             "equations": self.parts.world_model.equations(),
         }
         if self.parts.sensing is not None:
             metrics["observer"] = self.parts.sensing.observer.state_dict()
             write_json(self.folder / "observer.json", metrics["observer"])
-        metrics["verdict"] = asdict(judge(metrics))
+        metrics["verdict"] = asdict(judge(metrics, self.within))
         self._write_rollout("step_response", final.trajectory[0])
         with whole(self.folder / "model.json") as path:
             self.parts.world_model.save(path)
@@ -149,6 +158,10 @@ class Recorder(Callback):
         pace = Pace(plant.task, plant.dt, plant.substeps, plant.stops)
         observer = None if sensing is None else sensing.observer
         save(Controller(self.parts.agent.deployed, pace, observer), self.folder / NAME)
+
+    def _held(self, final: Evaluation) -> Held:
+        start = final.trajectory["state"][0, 0]
+        return held(final, states_that_matter(self.plant.system, final.columns, start))
 
     def state_dict(self) -> dict[str, Any]:
         """Return what was logged so far."""

@@ -14,8 +14,8 @@ from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.planning import ModelError, replay_error
 from dynasindy.systems import Diverged
 
-WINDOW_SECONDS = 1.0
-"""Length of a held-out window: that of an imagined rollout of 20 control periods."""
+WINDOW = 20
+"""Control periods of a held-out window: an imagined rollout."""
 WORSE = 1.1
 """A refit is worse if its held-out error is larger by this factor: equally good models differ by less."""
 NEGLIGIBLE = 1e-5
@@ -94,7 +94,7 @@ def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
     Raises:
         Diverged: The refit is not finite, and no window is held out that would tell the earlier model's error.
     """
-    length = round(WINDOW_SECONDS / parts.model_env.dt)
+    length = WINDOW
     starts = held_out_windows(rollout.numel(), length, settings.held_out)
     if not len(starts):
         unseen = replay_error(parts.model_env, rollout)

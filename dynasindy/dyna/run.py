@@ -40,15 +40,21 @@ class Evaluating:
     Attributes:
         scenario: Situation, without disturbances.
         every: Episodes between two evaluations; the last one is always evaluated.
+        within: Mean absolute error at the end at which an output counts as controlled [boxes of targets].
 
     Raises:
-        ValueError: `every` is not positive.
+        ValueError: A number is not positive.
     """
 
     scenario: Scenario
     every: int = 1
+    within: float = 0.01
 
     def __post_init__(self) -> None:
+        if not self.within > 0:
+            raise ValueError(
+                f"evaluation.within must be positive, got {self.within}; give a share of the box of targets"
+            )
         if self.every < 1:
             raise ValueError(f"evaluation.every must be at least 1 episode, got {self.every}; give 1 or more")
 
@@ -114,7 +120,7 @@ def run(
         OSError: The folder cannot be written.
     """
     parts, place, checkpoints = recipe.build(), Place(), Checkpoints(folder / "checkpoints")
-    recorder = Recorder(folder, parts, evaluating.scenario, evaluating.every, recipe.train.episodes)
+    recorder = Recorder(folder, parts, evaluating.scenario, evaluating.every, recipe.train.episodes, evaluating.within)
     kept: dict[str, Kept] = {"place": place, "parts": parts, "recorder": recorder}
     with claimed(folder):
         check_settings(folder, provenance.settings)
@@ -198,14 +204,16 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
         lines[-1:] = [f"What the excitation alone could tell, the first fit: {folder / 'identification.txt'}", ""]
     untrained = metrics["untrained"]["return"]
     title = f"Policy on the real plant, scenario '{metrics['scenario']}' (untrained return {untrained:.1f})"
-    lines.append(to_text(metrics["evaluation"], title))
+    lines.append(to_text(metrics["evaluation"], title, metrics.get("units"), metrics.get("steady_seconds", 5.0)))
     lines += [
         "",
         f"Cost: {cost['real_steps']} real steps = {cost['plant_seconds']:.0f} s of plant time, "
         f"{cost['imagined_transitions']} imagined transitions, {cost['updates']} gradient updates, "
         f"{cost['wall_seconds']:.0f} s wall time; apart from these {cost['evaluation_steps']} real steps of evaluation",
         *_kept(metrics["checkpoint"]),
+        *([f"Planning: {metrics['planning']}"] if metrics.get("planning") else []),
         metrics["verdict"]["sentence"],
+        *([metrics["verdict"]["held"]] if metrics["verdict"].get("held") else []),
         f"Run folder: {folder}",
     ]
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""Whether a run has left a usable result, from the figures that it ended with."""
+"""Whether a run has left a usable result and holds its plant, from the figures that it ended with."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
+
+LOST = 10.0
+"""Multiple of the error asked for beyond which the worst reference counts as not held."""
 
 
 @dataclass(frozen=True)
@@ -15,36 +18,70 @@ class Verdict:
     Attributes:
         usable: Whether the trained policy is better than the untrained one.
         sentence: Why, in words and with both returns.
+        controlled: Whether every output stays as near to its targets as was asked for, and nothing else runs away.
+        held: How near, and what runs away, in words.
     """
 
     usable: bool
     sentence: str
+    controlled: bool = False
+    held: str = ""
 
 
-def judge(metrics: Mapping[str, Any]) -> Verdict:
-    """Compare the trained policy with the untrained one in the scenario in which both were evaluated.
+def judge(metrics: Mapping[str, Any], within: float = 0.01) -> Verdict:
+    """Compare the trained policy with the untrained one, and with what was asked for, in the scenario of both.
 
     Args:
-        metrics: What a run ends with: `scenario`, and the summaries `untrained` and `evaluation`, each with a
-            `return`, None where it is not finite.
+        metrics: What a run ends with: `scenario`, the summaries `untrained` and `evaluation`, each with a
+            `return`, None where it is not finite, and `held`, see `dynasindy.evaluation.held`.
+        within: Mean absolute error at the end that is asked for, in boxes of targets.
     """
+    controlled, held = _held(metrics["held"], within)
+    usable, sentence = _compared(metrics)
+    return Verdict(usable, sentence, controlled, held)
+
+
+def _compared(metrics: Mapping[str, Any]) -> tuple[bool, str]:
     untrained, trained = (_number(metrics[key]["return"]) for key in ("untrained", "evaluation"))
     where = f"in scenario '{metrics['scenario']}'"
     if not (math.isfinite(trained) and math.isfinite(untrained)):
-        return Verdict(
-            False,
+        return False, (
             f"There is no usable result: the return {where} is not finite (trained {trained}, untrained "
-            f"{untrained}); check the plant and the task's reward.",
+            f"{untrained}); check the plant and the task's reward."
         )
     returns = f"its return {where} is {trained:.6g}, the untrained policy's {untrained:.6g}"
     if trained > untrained:
-        return Verdict(True, f"The trained policy is better than the untrained one: {returns}.")
+        return True, f"The trained policy is better than the untrained one: {returns}."
     how = "worse than" if trained < untrained else "no better than"
-    return Verdict(
-        False,
+    return False, (
         f"There is no usable result: the trained policy is {how} the untrained one: {returns}; train for more "
-        "episodes, or look in gate.csv whether the model was trusted.",
+        "episodes, or look in gate.csv whether the model was trusted."
     )
+
+
+def _held(held: Mapping[str, Mapping[str, float | None]], within: float) -> tuple[bool, str]:
+    told, missed = [], False
+    for name, given in held["share"].items():
+        share, worst = _number(given), _number(held["worst"][name])
+        missed |= not (share <= within and worst <= LOST * within)
+        told.append(f"{name} to {_percent(share)} of its box, {_percent(worst)} at worst")
+    lines = [f"errors at the end: {'; '.join(told)} ({_percent(within)} is asked for)"]
+    lines += [
+        f"{name}, which is not tracked, runs away or does not come to rest in {_percent(_number(share))} of the runs"
+        for name, share in held["away"].items()
+    ]
+    lines += [
+        f"{name} runs on in {_percent(_number(share))} of the runs, which nothing depends on"
+        for name, share in held["idle"].items()
+    ]
+    controlled = not missed and not held["away"]
+    return controlled, f"{'CONTROLLED' if controlled else 'NOT CONTROLLED'}: {'; '.join(lines)}."
+
+
+def _percent(share: float) -> str:
+    if not math.isfinite(share):
+        return "no number"
+    return f"{float(f'{100 * share:.2g}'):g} %" if share < 10 else f"{float(f'{share:.2g}'):g} times"
 
 
 def _number(value: float | None) -> float:

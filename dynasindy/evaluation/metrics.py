@@ -2,9 +2,9 @@
 
 | name                | meaning                                                                  | unit |
 | ------------------- | ------------------------------------------------------------------------ | ---- |
-| rmse                | root mean square error over the record                                   | rad  |
-| mean_abs_error      | mean absolute error over the record                                      | rad  |
-| steady_state_error  | mean absolute error over the last 5 s                                    | rad  |
+| rmse                | root mean square error over the record                                   | that of the output |
+| mean_abs_error      | mean absolute error over the record                                      | that of the output |
+| steady_state_error  | mean absolute error over the last `steady_seconds` (5 s of 20 s)         | that of the output |
 | overshoot           | largest excursion beyond the reference, in percent of the step           | %    |
 | rise_time           | from 10 % to 90 % of the step                                            | s    |
 | settling_time       | from the step until the error stays within 5 % of the step               | s    |
@@ -12,7 +12,7 @@
 | control_variation   | mean absolute change of the input per second                             | 1/s  |
 
 The first six are per tracked axis, the last two per input. Overshoot, rise and settling time belong to
-steps: they are NaN where the reference moves during the record or the step is smaller than `MIN_STEP`. A
+steps: they are NaN where the reference moves during the record or the step is smaller than `MIN_STEP` boxes. A
 step that never rises or never settles has an infinite time, so that a failure is never averaged away.
 """
 
@@ -23,27 +23,46 @@ TRACKING = ("rmse", "mean_abs_error", "steady_state_error")
 STEP = ("overshoot", "rise_time", "settling_time")
 CONTROL = ("control_effort", "control_variation")
 UNITS = {
-    **dict.fromkeys(TRACKING, "rad"),
+    **dict.fromkeys(TRACKING, "rad"),  # of the twin rotor; a plant's own where it is known
     **dict(zip(STEP, ("%", "s", "s"), strict=True)),
     **dict(zip(CONTROL, ("-", "1/s"), strict=True)),
 }
 
 STEADY_SECONDS = 5.0
-"""Length of the final part of a record that counts as steady state [s]."""
+"""Length of the final part of a record that counts as steady state [s], where the record allows it."""
+STEADY_PERIODS = 20
+"""Fewest samples of that part."""
+STEADY_SHARE = 0.25
+"""Largest share of the record that it takes."""
 SETTLING_BAND = 0.05
 """Half width of the settling band, as a share of the step."""
 MIN_STEP = 0.05
-"""Smallest step whose overshoot, rise and settling time are meaningful [rad]."""
+"""Smallest step whose overshoot, rise and settling time are meaningful [boxes of targets]."""
 
 
-def tracking_metrics(time: Tensor, y: Tensor, r: Tensor, u: Tensor) -> dict[str, Tensor]:
+Smallest = Tensor | float
+"""Smallest step, of each output or of all."""
+
+
+def steady_seconds(dt: float, samples: int) -> float:
+    """Return the length of the final part of a record that counts as steady state [s].
+
+    Args:
+        dt: Time between samples [s].
+        samples: Their number.
+    """
+    return max(dt, min(max(STEADY_SECONDS, STEADY_PERIODS * dt), STEADY_SHARE * dt * samples))
+
+
+def tracking_metrics(time: Tensor, y: Tensor, r: Tensor, u: Tensor, boxes: Tensor | None = None) -> dict[str, Tensor]:
     """Compute every metric of the module's table.
 
     Args:
         time: `(T,)` sample times, evenly spaced, the first one is the moment of the step [s].
-        y: `(*batch, T, n_r)` measured outputs [rad].
-        r: `(*batch, T, n_r)` references at the same times [rad].
+        y: `(*batch, T, n_r)` measured outputs, in their units.
+        r: `(*batch, T, n_r)` references at the same times.
         u: `(*batch, T, n_u)` inputs held from each sample on, in [-1, 1].
+        boxes: `(n_r,)` extents of the targets, of which a step is a share; one of each unit if omitted.
 
     Returns:
         `rmse` to `settling_time` of shape `(*batch, n_r)`, `control_*` of shape `(*batch, n_u)`.
@@ -53,39 +72,45 @@ def tracking_metrics(time: Tensor, y: Tensor, r: Tensor, u: Tensor) -> dict[str,
     """
     _check(time, y, r, u)
     error, dt = (y - r).abs(), time[1] - time[0]
-    steady = time > time[-1] - STEADY_SECONDS + 0.5 * dt  # exactly the last STEADY_SECONDS / dt samples
+    # Exactly the last steady_seconds / dt samples.
+    steady = time > time[-1] - steady_seconds(float(dt), len(time)) + 0.5 * dt
+    smallest = MIN_STEP * (torch.ones(y.shape[-1]) if boxes is None else boxes).to(y)
     return {
         "rmse": error.square().mean(-2).sqrt(),
         "mean_abs_error": error.mean(-2),
         "steady_state_error": error[..., steady, :].mean(-2),
-        "overshoot": overshoot(y, r),
-        "rise_time": rise_time(time, y, r),
-        "settling_time": settling_time(time, y, r),
+        "overshoot": overshoot(y, r, smallest),
+        "rise_time": rise_time(time, y, r, smallest=smallest),
+        "settling_time": settling_time(time, y, r, smallest=smallest),
         "control_effort": u.square().mean(-2),
         "control_variation": u.diff(dim=-2).abs().mean(-2) / dt,
     }
 
 
-def overshoot(y: Tensor, r: Tensor) -> Tensor:
+def overshoot(y: Tensor, r: Tensor, smallest: Smallest = MIN_STEP) -> Tensor:
     """Return the largest excursion beyond a step reference, `(*batch, n_r)` [% of the step]."""
-    progress, valid = _progress(y, r)
+    progress, valid = _progress(y, r, smallest)
     return torch.where(valid, 100.0 * (progress.amax(-2) - 1.0).clamp_min(0.0), torch.nan)
 
 
-def rise_time(time: Tensor, y: Tensor, r: Tensor, low: float = 0.1, high: float = 0.9) -> Tensor:
+def rise_time(
+    time: Tensor, y: Tensor, r: Tensor, low: float = 0.1, high: float = 0.9, smallest: Smallest = MIN_STEP
+) -> Tensor:
     """Return the time from `low` to `high` of the step, `(*batch, n_r)` [s], inf where never reached."""
-    progress, valid = _progress(y, r)
+    progress, valid = _progress(y, r, smallest)
     # inf - inf would be NaN, which is reserved for "not a step".
     start, end = _first_crossing(time, progress, low), _first_crossing(time, progress, high)
     return torch.where(valid, torch.where(end.isinf(), end, end - start), torch.nan)
 
 
-def settling_time(time: Tensor, y: Tensor, r: Tensor, band: float = SETTLING_BAND) -> Tensor:
+def settling_time(
+    time: Tensor, y: Tensor, r: Tensor, band: float = SETTLING_BAND, smallest: Smallest = MIN_STEP
+) -> Tensor:
     """Return the time after which the error stays within `band` of the step, `(*batch, n_r)` [s].
 
     Infinite where the last sample is still outside the band.
     """
-    progress, valid = _progress(y, r)
+    progress, valid = _progress(y, r, smallest)
     outside = (progress - 1.0).abs() > band
     # Index of the first sample that is inside together with all that follow it.
     index = torch.where(outside, torch.arange(1, len(time) + 1, device=y.device).unsqueeze(-1), 0).amax(-2)
@@ -94,11 +119,11 @@ def settling_time(time: Tensor, y: Tensor, r: Tensor, band: float = SETTLING_BAN
     return torch.where(valid, torch.where(never, torch.inf, elapsed), torch.nan)
 
 
-def _progress(y: Tensor, r: Tensor) -> tuple[Tensor, Tensor]:
+def _progress(y: Tensor, r: Tensor, smallest: Smallest) -> tuple[Tensor, Tensor]:
     """Return the share of the step done so far, 1 on the reference, and which rows are steps."""
     start, target = y[..., :1, :], r[..., -1:, :]
     size = target - start
-    valid = (size.abs() >= MIN_STEP) & (r == target).all(-2, keepdim=True)
+    valid = (size.abs() >= smallest) & (r == target).all(-2, keepdim=True)
     return (y - start) / torch.where(valid, size, 1.0), valid.squeeze(-2)
 
 

@@ -5,8 +5,9 @@ replace the plant, for the whole run or within windows of time, and what lies be
 `dynasindy.evaluation.disturbances` has wind, detuned parameters, sensor noise and a delayed actuator.
 """
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import torch
@@ -18,7 +19,7 @@ from dynasindy.data.sound import require_finite
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.disturbances import SensorNoise
 from dynasindy.evaluation.given import plain_name
-from dynasindy.evaluation.metrics import tracking_metrics
+from dynasindy.evaluation.metrics import steady_seconds, tracking_metrics
 from dynasindy.limits import Count, check_memory
 from dynasindy.sensing import Sensing, unveiled
 from dynasindy.systems import Signature, System
@@ -38,7 +39,7 @@ class Scenario:
         name: Short name, also of its files and rows in tables.
         reference: What to track; None draws from the environment's own task, always the same for a seed.
         episodes: Rows of the batch, one reference each.
-        seconds: Length of the run [s].
+        seconds: Length of the run [s]; None is that of an episode of the task.
         plant: Makes the disturbed plant from the nominal one; None leaves it as it is.
         windows: Times `(start, end)` at which the disturbed plant holds [s]; None is the whole run.
         wrappers: What lies between policy and plant, in order; each gets the policy and the environment.
@@ -52,7 +53,7 @@ class Scenario:
     name: str
     reference: Reference | None = None
     episodes: int = 1
-    seconds: float = 20.0
+    seconds: float | None = 20.0
     plant: Callable[[System], System] | None = None
     windows: Sequence[Window] | None = None
     wrappers: Sequence[PolicyWrapper] = ()
@@ -60,15 +61,16 @@ class Scenario:
 
     def __post_init__(self) -> None:
         plain_name(self.name, "scenario")
-        if self.episodes < 1 or not self.seconds > 0:
+        if self.episodes < 1 or (self.seconds is not None and not self.seconds > 0):
             raise ValueError(
                 f"scenario '{self.name}' has episodes={self.episodes}, seconds={self.seconds}; both must be positive"
             )
-        edges = [0.0, *(edge for window in self.windows or () for edge in window), self.seconds]
+        end = math.inf if self.seconds is None else self.seconds
+        edges = [0.0, *(edge for window in self.windows or () for edge in window), end]
         if any(start > end for start, end in pairwise(edges)):
             raise ValueError(
                 f"windows {list(self.windows or ())} of scenario '{self.name}' must be (start, end) pairs "
-                f"in order within 0 and {self.seconds} s; sort or shorten them"
+                f"in order within 0 and {end} s; sort or shorten them"
             )
 
 
@@ -84,6 +86,7 @@ class Evaluation:
         trajectory: `[episodes, T]` as `ControlEnv.rollout` writes it; behind sensors, `estimate` is what was seen.
         metrics: Per row, see `dynasindy.evaluation.metrics`.
         windows: Times `(start, end)` at which the plant was disturbed [s], where that was not all the time.
+        boxes: Extents of the outputs' targets, `(n_r,)`; one of each unit if empty.
     """
 
     scenario: str
@@ -93,6 +96,17 @@ class Evaluation:
     trajectory: TensorDictBase
     metrics: dict[str, Tensor]
     windows: tuple[Window, ...] = ()
+    boxes: tuple[float, ...] = ()
+
+    @property
+    def steady_seconds(self) -> float:
+        """Length of its final part, which counts as steady state [s]."""
+        return steady_seconds(self.seconds / len(self.time), len(self.time))
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each tracked state."""
+        return {self.signature.state_names[i]: self.signature.state_units[i] for i in self.columns}
 
     @property
     def seconds(self) -> float:
@@ -136,8 +150,8 @@ def step_references(low: Sequence[float], high: Sequence[float], number: Count =
     The first, which figures show, is the one nearest to three quarters of the upper ends.
 
     Args:
-        low: Lower end per output; keep to angles that the plant can hold [rad].
-        high: Upper end per output [rad].
+        low: Lower end per output; keep to what the plant can hold [unit of the output].
+        high: Upper end per output [unit of the output].
         number: How many; a power of two fills the box best.
         seed: Of the scrambling; the same seed gives the same references.
 
@@ -175,6 +189,7 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensi
         Diverged: The policy gives an action that is not finite, the plant leaves all finite states, or the task gives
             a reward that is not finite.
     """
+    scenario = replace(scenario, seconds=scenario.seconds or env.task.max_steps * env.dt)
     calm, task = _prepare(env, scenario, 0 if sensing is None else sensing.observer.width)
     wrapped = policy if sensing is None else sensing.on(calm, sensing.rng).controller(policy)
     for wrap in scenario.wrappers:
@@ -197,14 +212,15 @@ def _prepare(env: ControlEnv, scenario: Scenario, width: int) -> tuple[ControlEn
     if not isinstance(env.task, Tracking):
         raise TypeError(f"task {type(env.task).__name__} tracks no reference; give an environment with a Tracking task")
     task = env.task.with_reference(scenario.reference or env.task.references)
-    task.max_steps, n_x = round(scenario.seconds / env.dt), env.system.signature.n_x
+    task.max_steps, n_x = round((scenario.seconds or 0.0) / env.dt), env.system.signature.n_x
     if task.max_steps < 1:
         raise ValueError(
             f"scenario.seconds is {scenario.seconds} s, less than a control period of {env.dt} s; give one or more"
         )
     check_memory(
         4.0 * scenario.episodes * task.max_steps * (2 * task.n_o + (2 + env.substeps) * n_x + width),
-        f"scenario.episodes={scenario.episodes} of scenario.seconds={scenario.seconds} in periods of {env.dt} s",
+        f"scenario.episodes={scenario.episodes} of {task.max_steps * env.dt:g} s (scenario.seconds) in periods of "
+        f"{env.dt} s",
     )
     return env.with_task(task, seed=scenario.seed), task
 
@@ -228,8 +244,9 @@ def _run(
 
 def _phases(scenario: Scenario, dt: float) -> list[tuple[int, bool]]:
     """Return the control periods of each phase and whether the disturbed plant holds in it."""
-    windows = [(0.0, scenario.seconds)] if scenario.windows is None else scenario.windows
-    edges = [0.0, *(edge for window in windows for edge in window), scenario.seconds]
+    end = scenario.seconds or 0.0
+    windows = [(0.0, end)] if scenario.windows is None else scenario.windows
+    edges = [0.0, *(edge for window in windows for edge in window), end]
     steps = [round(edge / dt) for edge in edges]
     return [(end - start, k % 2 == 1) for k, (start, end) in enumerate(pairwise(steps)) if end > start]
 
@@ -252,6 +269,9 @@ def _measure(env: ControlEnv, task: Tracking, scenario: Scenario, trajectory: Te
     # Root entries: state and reference at the moment an action is chosen, so that a step begins at time zero.
     time = torch.arange(trajectory.shape[-1]) * env.dt
     y, r, u = trajectory["state"][..., task.outputs], trajectory["reference"], trajectory["action"]
-    metrics = tracking_metrics(time, y, r, u)
+    metrics = tracking_metrics(time, y, r, u, task.boxes())
     windows = tuple((start, end) for start, end in scenario.windows or ()) if scenario.plant else ()
-    return Evaluation(scenario.name, env.system.signature, tuple(task.outputs), time, trajectory, metrics, windows)
+    boxes = tuple(task.boxes().tolist())
+    return Evaluation(
+        scenario.name, env.system.signature, tuple(task.outputs), time, trajectory, metrics, windows, boxes
+    )

@@ -55,34 +55,47 @@ def heading(evaluation: Evaluation) -> str:
     return f"Scenario '{evaluation.scenario}' ({', '.join(facts)})"
 
 
-def to_text(summary: Mapping[str, float | None], title: str = "") -> str:
+def to_text(
+    summary: Mapping[str, float | None], title: str = "", units: Mapping[str, str] | None = None, steady: float = 5.0
+) -> str:
     """Return a table of a summary, metrics down and axes across, aligned for a terminal.
 
     Where the scenario has no steps, their metrics are left out.
+
+    Args:
+        summary: The figures.
+        title: First line.
+        units: Unit of each axis; rad if omitted.
+        steady: Length of the part that counts as steady state [s].
     """
+    units, words = units or {}, {**WORDS, "steady_state_error": f"steady-state error (last {steady:g} s)"}
     axes = _columns(summary, "rmse")
     inputs = _columns(summary, "control_effort")
     lines = [title] if title else []
-    lines.append(f"{'':38s}" + "".join(f"{name:>12s}" for name in axes))
+    told = [units.get(axis, "rad") for axis in axes]
+    shared = told[0] if len(set(told)) == 1 else ""
+    heads = axes if shared else [f"{axis} [{unit}]" for axis, unit in zip(axes, told, strict=True)]
+    lines.append(f"{'':38s}" + "".join(f" {name:>11s}" for name in heads))
     stepped = any(summary[f"settled/{axis}"] is not None for axis in axes)
     for name in (*TRACKING, *((*STEP, "settled") if stepped else ())):
-        lines.append(_row(name, summary, axes))
+        unit = shared if name in TRACKING else UNITS.get(name, "%")
+        lines.append(_row(name, f"{words[name]} [{unit}]" if unit else words[name], summary, axes))
     lines.append(f"{'':38s}" + "".join(f"{name:>12s}" for name in inputs))
     for name in CONTROL:
-        lines.append(_row(name, summary, inputs))
+        lines.append(_row(name, f"{words[name]} [{UNITS[name]}]", summary, inputs))
     total, stops = summary["return"], summary["stop_share"]
     lines.append(f"{'return':38s}{_cell(total):>12s}")
     lines.append(f"{'share of time at a stop [%]':38s}{_cell(stops, 100.0):>12s}")
     return "\n".join(lines)
 
 
-def _row(metric: str, summary: Mapping[str, float | None], columns: Sequence[str]) -> str:
-    unit, factor = ("%", 100.0) if metric == "settled" else (UNITS[metric], 1.0)
+def _row(metric: str, words: str, summary: Mapping[str, float | None], columns: Sequence[str]) -> str:
+    factor = 100.0 if metric == "settled" else 1.0
     cells = [summary[f"{metric}/{column}"] for column in columns]
     # Among steps, a time without a number is one that most of them never reach.
     never = [metric.endswith("_time") and summary[f"settled/{column}"] is not None for column in columns]
     values = "".join(f"{_cell(v, factor, 'never' if n else '-'):>12s}" for v, n in zip(cells, never, strict=True))
-    return f"{f'{WORDS[metric]} [{unit}]':38s}" + values
+    return f"{words:38s}" + values
 
 
 def _columns(summary: Mapping[str, float | None], metric: str) -> list[str]:

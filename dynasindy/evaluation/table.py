@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,8 @@ SWEEP = (
     "real steps (plant time)",
     "return, untrained",
     "return, trained",
-    "steady-state error, per axis [rad]",
-    "RMSE, per axis [rad]",
+    "steady-state error, per axis [{}]",
+    "RMSE, per axis [{}]",
     "wall time [s]",
 )
 
@@ -50,7 +50,10 @@ def sweep_table(folder: Path) -> str:
     if not groups:
         raise FileNotFoundError(f"{folder} holds no finished run; give the folder of a sweep, which it prints")
     with understood(folder):  # whose runs may not have the same figures
-        return markdown(SWEEP, [_row(setting, runs) for setting, runs in sorted(groups.items())])
+        return markdown(
+            [head.format(_units(groups)) for head in SWEEP],
+            [_row(setting, runs) for setting, runs in sorted(groups.items())],
+        )
 
 
 def overrides(name: str) -> list[str]:
@@ -103,6 +106,12 @@ def _row(setting: str, runs: Sequence[dict[str, Any]]) -> list[str]:
         _axes(runs, "rmse"),
         _finite([run["cost"]["wall_seconds"] for run in runs]),
     ]
+
+
+def _units(groups: Mapping[str, Sequence[dict[str, Any]]]) -> str:
+    """Return the unit of all axes, or one for each."""
+    units = [*next(iter(groups.values()))[0].get("units", {"": "rad"}).values()]
+    return " / ".join(units if len(set(units)) > 1 else units[:1])
 
 
 def _axes(runs: Sequence[dict[str, Any]], metric: str) -> str:

@@ -14,6 +14,8 @@ from torch import Tensor
 from dynasindy.limits import check_memory
 
 Levels = float | Sequence[float]
+PERIODS = 200
+"""Control periods of an experiment whose length is not given."""
 
 
 class Common(TypedDict, total=False):
@@ -31,7 +33,7 @@ class Excitation(TensorDictModuleBase, ABC):
 
     Args:
         n_u: number of inputs.
-        duration: length of the experiment [s].
+        duration: length of the experiment [s]; None is 200 control periods.
         dt: control period [s].
         amplitude: half range of each input, or one for all [normalised].
         offset: mean of each input, or one for all: the input that holds the plant where it is to be excited.
@@ -48,14 +50,14 @@ class Excitation(TensorDictModuleBase, ABC):
     def __init__(
         self,
         n_u: int,
-        duration: float = 10.0,
+        duration: float | None = 10.0,
         dt: float = 0.05,
         amplitude: Levels = 0.3,
         offset: Levels = 0.0,
         seed: int = 0,
     ) -> None:
         super().__init__()
-        self.seed = seed
+        self.seed, duration = seed, PERIODS * dt if duration is None else duration
         if n_u < 1 or not duration > 0 or not dt > 0:
             raise ValueError(
                 f"excitation got {n_u} inputs, duration {duration} s, dt {dt} s; "

@@ -11,6 +11,9 @@ from torch import Tensor
 
 from dynasindy.excitation.base import Common, Excitation
 
+TURNS = 0.05
+"""Highest frequency of a sweep without a band, in turns per control period."""
+
 
 class Chirp(Excitation):
     """Sweep the frequency linearly, differently on each input.
@@ -24,9 +27,9 @@ class Chirp(Excitation):
 
     Args:
         n_u: number of inputs.
-        duration: length of the experiment [s].
+        duration: length of the experiment [s]; None is 200 control periods.
         dt: control period [s].
-        band: frequency at the beginning and at the end [Hz].
+        band: frequency at the beginning and at the end [Hz]; None ends at a twentieth of the control rate.
         **common: amplitude, offset and seed, see `Excitation`.
 
     Raises:
@@ -36,13 +39,14 @@ class Chirp(Excitation):
     def __init__(
         self,
         n_u: int,
-        duration: float = 10.0,
+        duration: float | None = 10.0,
         dt: float = 0.05,
         *,
-        band: Sequence[float] = (0.0, 1.0),
+        band: Sequence[float] | None = (0.0, 1.0),
         **common: Unpack[Common],
     ) -> None:
         super().__init__(n_u, duration, dt, **common)
+        band = (0.0, TURNS / dt) if band is None else band
         if len(band) != 2 or min(band) < 0:
             raise ValueError(f"chirp got the band {list(band)} Hz; allowed are two frequencies of 0 or more: from, to")
         self.start = float(band[0])

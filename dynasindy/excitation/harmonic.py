@@ -20,7 +20,7 @@ class Sphs(Excitation):
 
     Args:
         n_u: number of inputs.
-        duration: length of the experiment [s].
+        duration: length of the experiment [s]; None is 200 control periods.
         dt: control period [s].
         harmonics: number K of harmonics of each input.
         **common: amplitude, offset and seed, see `Excitation`.
@@ -32,7 +32,7 @@ class Sphs(Excitation):
     def __init__(
         self,
         n_u: int,
-        duration: float = 10.0,
+        duration: float | None = 10.0,
         dt: float = 0.05,
         *,
         harmonics: int = 8,

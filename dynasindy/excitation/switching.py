@@ -10,15 +10,18 @@ from torch import Tensor
 
 from dynasindy.excitation.base import Common, Excitation
 
+HELD = 10
+"""Control periods for which a level is held where no time is given."""
+
 
 class Switching(Excitation):
     """Hold random levels; each input jumps at its own times.
 
     Args:
         n_u: number of inputs.
-        duration: length of the experiment [s].
+        duration: length of the experiment [s]; None is 200 control periods.
         dt: control period [s].
-        hold: time for which a level is held [s].
+        hold: time for which a level is held [s]; None is ten control periods.
         **common: amplitude, offset and seed, see `Excitation`.
 
     Raises:
@@ -28,13 +31,14 @@ class Switching(Excitation):
     def __init__(
         self,
         n_u: int,
-        duration: float = 10.0,
+        duration: float | None = 10.0,
         dt: float = 0.05,
         *,
-        hold: float = 0.5,
+        hold: float | None = 0.5,
         **common: Unpack[Common],
     ) -> None:
         super().__init__(n_u, duration, dt, **common)
+        hold = HELD * dt if hold is None else hold
         if not hold > 0:
             raise ValueError(f"excitation got hold {hold} s; allowed is a positive time: 0.5 s suits the twin rotor")
         self.hold = float(hold)

@@ -105,6 +105,7 @@ def _flags(controller: Controller) -> set[str]:
     return {
         *(["integral"] if controller.integral is not None else []),
         *(["observe_rate"] if task.observe_rate else []),
+        *(["rates"] if task.rates else []),
     }
 
 
@@ -153,8 +154,9 @@ def _tables(controller: Controller) -> str:
     tables = [
         f"/* Ranges of the states. */\nstatic const double scale[NX] = {{{joined(controller.signature.x_scale)}}};",
         f"/* Places of the tracked states. */\nstatic const int output[NR] = {{{', '.join(map(str, task.outputs))}}};",
+        f"/* Extents of their targets. */\nstatic const double box[NR] = {{{joined(task.boxes().tolist())}}};",
     ]
-    if controller.integral is not None:
+    if controller.integral is not None and task.rates:
         tables.append(
             f"static const int output_rate[NR] = {{{', '.join(map(str, task.rates))}}}; /* and their rates */"
         )

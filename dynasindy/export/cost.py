@@ -76,10 +76,10 @@ def cost(sizes: Sizes) -> Cost:
 
 
 def _flops(s: Sizes) -> int:
-    policy = s.n_x + (4 if s.integral else 2) * s.n_r + s.n_u
+    policy = s.n_x + (5 if s.integral else 3) * s.n_r + s.n_u
     policy += sum((2 * n_in + 3) * n_out for n_in, n_out in s.layers) + sum(n_out for _, n_out in s.layers[:-1])
     if s.integral:
-        policy += 8 * s.n_r
+        policy += 10 * s.n_r
     if not s.n:
         return policy
     whole = policy + _advance(s) + _correct(s) + s.ahead * _step(s)
@@ -118,7 +118,7 @@ def _state(s: Sizes) -> int:
 
 def _constants(s: Sizes) -> int:
     weights = FLOAT * sum((n_in + 1) * n_out for n_in, n_out in s.layers)
-    tables = DOUBLE * s.n_x + INTEGER * s.n_r * (2 if s.integral else 1)
+    tables = DOUBLE * (s.n_x + s.n_r) + INTEGER * s.n_r * (2 if s.integral else 1)
     if s.n:
         tables += (3 * s.n + s.m) * DOUBLE + INTEGER * (s.m + s.n_p) + s.n_stops * 2 * (DOUBLE + INTEGER)
         tables += DOUBLE * (s.n_x + s.n_u) if s.n_p else 0

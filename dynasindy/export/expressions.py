@@ -1,7 +1,7 @@
 """The equations of a sparse model as plain formulas, which C, NumPy and CasADi read alike.
 
 They are written by the very code that writes them for torch, `dynasindy.world_models.fast_field`: what several terms
-share is computed once. Operators are infix, and what is called are `features.FORMULA_FUNCTIONS` alone.
+share is computed once. Operators are infix, and what is called are `functions.FORMULA_FUNCTIONS` alone.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from torch import Tensor
 from dynasindy.export.names import number
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.fast_field import FieldWriter
-from dynasindy.world_models.features import FORMULA_FUNCTIONS, function
+from dynasindy.world_models.functions import FORMULA_FUNCTIONS, function
 from dynasindy.world_models.library import Library
 
 _OPERATOR = re.compile(r" [-+*/] |-(?=square)")

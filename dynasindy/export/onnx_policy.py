@@ -64,7 +64,8 @@ def columns(controller: Controller) -> dict[str, list[str]]:
     signature, task = controller.signature, controller.pace.task
     scaled = zip(signature.state_names, signature.x_scale, strict=True)
     observation = [f"{name} / {scale!r}" for name, scale in scaled]
-    observation += [f"({name} wanted - {name}) / {task.error_scale!r}" for name in controller.outputs]
+    boxes = dict(zip(controller.outputs, task.boxes().tolist(), strict=True))
+    observation += [f"({name} wanted - {name}) / {task.error_scale * box!r}" for name, box in boxes.items()]
     if task.observe_rate:
-        observation += [f"rate of {name} wanted" for name in controller.outputs]
+        observation += [f"rate of {name} wanted / {box!r}" for name, box in boxes.items()]
     return {"observation": observation, "action": list(signature.input_names)}

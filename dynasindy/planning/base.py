@@ -50,6 +50,10 @@ class Planner(ABC):
     def distrust(self) -> None:
         """Drop what came from a model that is no longer trusted."""
 
+    def words(self) -> str:
+        """Return in one line which settings it chose itself; nothing for most planners."""
+        return ""
+
     def state_dict(self) -> dict[str, Any]:
         """Return what a resumed run needs between two planning phases, apart from agent, model and storages.
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -23,13 +23,17 @@ from dynasindy.data.recording import transitions
 from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count, check_memory
 from dynasindy.planning.base import Planned, Planner
+from dynasindy.planning.pace import LONGEST, Pace, pace_of, rests_of
+from dynasindy.planning.regulator import hold
 from dynasindy.planning.terminal import TerminalValue
 from dynasindy.planning.trust import Bound
 from dynasindy.planning.variation import Members, Variation, Varied
-from dynasindy.planning.window import Rows, backward, imagine
+from dynasindy.planning.window import Network, Rows, backward, imagine
 from dynasindy.systems import Diverged, System
 from dynasindy.tasks import Tracking
 
+FOLLOWING = ("window", "lr", "updates", "patience", "substeps", "held")
+"""Settings that follow the plant where they are not given."""
 DIVERGED = 100.0
 """Multiple of the largest value of each state on the plant beyond which an imagined episode has diverged."""
 
@@ -41,15 +45,17 @@ class GradientPlanning(Planner):
         env: Imagined environment, `real.with_system(world_model)`.
         agent: Agent whose actor learns.
         replay: Storages; imagined episodes may begin at real states.
-        updates: Gradient updates of the first planning phase.
+        updates: Gradient updates of the first planning phase. This, `window`, `lr`, `patience`, `substeps` and `held`
+            follow the plant where they are None, see `dynasindy.planning.pace`.
         more_updates: Gradient updates of each later phase, which goes on from the policy as it is.
         rollouts: Imagined episodes side by side; 0 plans nothing and leaves the actor to TD3.
         window: Control periods that a gradient reaches back.
         lr: Learning rate of the first phase at its start; it falls along a half cosine to 1 % of that.
-        more_lr: Learning rate of each later phase at its start.
+        more_lr: Learning rate of each later phase at its start; None for 0.3 of `lr`.
         max_grad_norm: Bound of each gradient's norm.
-        width: Error at which the imagined cost turns from quadratic to linear [of the outputs]; None plans on the
+        width: Error at which the imagined cost turns from quadratic to linear [boxes of targets]; None plans on the
             task's own reward.
+        held: Whether the policy begins as a linear-quadratic regulator of the model, where that earns more.
         real_starts: Share of imagined episodes that begin at real states.
         jumps: Share that begin where the last episode ended, so that the reference jumps; the rest begin as the
             task does.
@@ -58,6 +64,7 @@ class GradientPlanning(Planner):
         patience: Tests in a row without improvement after which a phase ends early.
         terminal_updates: Critic updates per window; the critics then value what follows a window. 0 for no such value.
         variation: How imagined plants stray from the model; none by default.
+        others: Other models of the same plant, each of which moves as many imagined episodes as the model.
         every: Episodes between two planning phases.
         seed: Seed of references, starts and variations.
 
@@ -76,58 +83,57 @@ class GradientPlanning(Planner):
         agent: TD3,
         replay: DynaReplay,
         *,
-        updates: Count = 200,
+        updates: Count | None = None,
         more_updates: Count = 80,
         rollouts: int = 128,
-        window: int = 60,
-        lr: float = 1e-2,
-        more_lr: float = 3e-3,
+        window: int | None = None,
+        lr: float | None = None,
+        more_lr: float | None = None,
         max_grad_norm: Bound = 0.3,
         width: float | None = 0.02,
         real_starts: float = 0.25,
         jumps: float = 0.25,
-        substeps: Count = 1,
+        substeps: Count | None = None,
         check_every: int = 50,
-        patience: int = 3,
+        patience: int | None = None,
+        held: bool | None = None,
         terminal_updates: Count = 0,
         variation: Variation | None = None,
+        others: Sequence[System] = (),
         every: int = 1,
         seed: int = 0,
     ) -> None:
         super().__init__(every)
-        counts = {"window": window, "check_every": check_every, "patience": patience}
-        sizes = {"lr": lr, "more_lr": more_lr, "max_grad_norm": max_grad_norm}
-        if width is not None:
-            sizes["width"] = width
-        if bad := [f"{name}={value}" for name, value in {**counts, **sizes}.items() if not value > 0]:
-            raise ValueError(f"gradient planning got {', '.join(bad)}; these must be positive: mend planning")
-        least = min(rollouts, updates, more_updates, terminal_updates, real_starts, jumps)
+        given = zip(FOLLOWING, (window, lr, updates, patience, substeps, held), strict=True)
+        self.given: dict[str, Any] = {name: value for name, value in given if value is not None}
+        sizes = {"check_every": check_every, "more_lr": more_lr, "max_grad_norm": max_grad_norm, "width": width}
+        _require_positive({**{k: v for k, v in self.given.items() if k not in ("updates", "held")}, **sizes})
+        least = min(rollouts, updates or 0, more_updates, terminal_updates, real_starts, jumps)
         if least < 0 or real_starts + jumps > 1:
             raise ValueError(
                 f"gradient planning got rollouts={rollouts}, updates={updates}, more_updates={more_updates}, "
                 f"terminal_updates={terminal_updates}, real_starts={real_starts}, jumps={jumps}; rollouts and updates "
                 "must be >= 0 and the shares at most 1 together: mend planning"
             )
-        signature = env.system.signature
+        signature, longest = env.system.signature, window or LONGEST
         check_memory(
-            8.0 * rollouts * window * signature.n_x * (signature.n_x + signature.n_u + 4),
-            f"planning.rollouts={rollouts} of planning.window={window} periods",
+            8.0 * rollouts * longest * signature.n_x * (signature.n_x + signature.n_u + 4),
+            f"planning.rollouts={rollouts} of planning.window={longest} periods",
         )
         self.agent, self.replay, self.network = agent, replay, _network(agent)
-        self.phases = ((updates, lr), (more_updates, more_lr))
-        self.rollouts, self.window, self.max_grad_norm = rollouts, window, max_grad_norm
+        self.more_updates, self.more_lr = more_updates, more_lr
+        self.rollouts, self.max_grad_norm = rollouts, max_grad_norm
         # TD3's critics know nothing of the imagined windows and would pull the actor away.
         self.learns_by_td3 = rollouts == 0
-        self.real_starts, self.jumps = real_starts, jumps
-        self.check_every, self.patience = check_every, patience
-        self.variation = variation or Variation()
+        self.real_starts, self.jumps, self.check_every = real_starts, jumps, check_every
+        self.variation, self.others = variation or Variation(), list(others)
         self.variation.deviations(env.system.signature.n_x)  # refuses a wrong number of them
         self.rng = torch.Generator().manual_seed(seed)
-        self.env = ControlEnv(env.system, _imagined_task(env.task, width), env.dt, substeps)
+        self.env = ControlEnv(env.system, _imagined_task(env.task, width), env.dt, substeps or 1)
         self.env.stops = env.stops
         self.terminal = TerminalValue(self.env, agent, terminal_updates, self.rng) if terminal_updates else None
         self.held_out = _references(self.env, 64, torch.Generator().manual_seed(seed + 1))
-        self.log_dt, self.phase = env.log_dt, 0
+        self.log_dt, self.phase, self.pace = env.log_dt, 0, dataclasses.replace(Pace(), **self.given)
 
     def plan(self) -> Planned:
         """Improve the actor with the model as it is now.
@@ -135,14 +141,18 @@ class GradientPlanning(Planner):
         Raises:
             Diverged: The phase trained nothing, or no policy of it has a finite return; the actor is as it was.
         """
-        updates, lr = self.phases[min(self.phase, 1)]
-        self.phase += 1
-        if not updates or not self.rollouts:
+        first, self.phase = self.phase == 0, self.phase + 1
+        if not self.rollouts or not (self.given.get("updates", 1) if first else self.more_updates):
             return Planned()
+        rests = rests_of(self.env)
+        self.pace = pace = dataclasses.replace(pace_of(self.env, rests), **self.given)
+        self.env.substeps = pace.substeps
+        updates, lr = (pace.updates, pace.lr) if first else (self.more_updates, self.more_lr or 0.3 * pace.lr)
         episodes = Episodes(self)
         self.held_out.reach = episodes.rows.reach
+        best = hold(self.network, self.env, rests, self.test, self.rng) if pace.held else -math.inf
         optimizer = torch.optim.Adam(self.network.parameters(), lr=lr, betas=(0.9, 0.99), fused=True)
-        best, best_weights, failures, done, made = -math.inf, self._weights(), 0, 0, 0
+        best_weights, failures, done, made = self._weights(), 0, 0, 0
         for done in range(1, updates + 1):
             optimizer.param_groups[0]["lr"] = lr * _schedule(done - 1, updates)
             made += self._update(episodes, optimizer)
@@ -152,17 +162,21 @@ class GradientPlanning(Planner):
                 failures = 0 if score > best else failures + 1
                 if score > best:
                     best, best_weights = score, self._weights()
-                if failures >= self.patience or not made:
+                if failures >= pace.patience or not made:
                     break
         finite = self._finite()
         self.network.load_state_dict(best_weights)
         if best == -math.inf:
             raise self._diverged(done, made, episodes.diverged, finite, lr)
         self._deploy()
-        return Planned(imagined=done * self.rollouts * self.window, updates=made)
+        return Planned(imagined=done * self.rollouts * pace.window, updates=made)
 
     def distrust(self) -> None:
         """Do nothing: no imagined data are kept."""
+
+    def words(self) -> str:
+        """Return the settings of the latest phase and why they are so, in one line."""
+        return f"{self.pace}" if self.phase and self.rollouts else ""
 
     def state_dict(self) -> dict[str, Any]:
         """Return the number of phases so far and the generator; episodes and optimiser begin anew in each phase."""
@@ -173,10 +187,12 @@ class GradientPlanning(Planner):
         self.phase = state["phase"]
         self.rng.set_state(state["generator"])
 
-    def test(self) -> float:
+    def test(self, network: Network | None = None) -> float:
         """Return the policy's mean reward per control period over held-out imagined references."""
         rows = self.held_out
-        whole = imagine(self.env, self.env.system, self.network, rows, self.env.task.max_steps, False, self.rng)
+        whole = imagine(
+            self.env, self.env.system, network or self.network, rows, self.env.task.max_steps, False, self.rng
+        )
         free = torch.zeros(whole.applied.shape[:-1], dtype=torch.bool)
         params = rows.params.expand(len(free), *rows.params.shape)
         reward = self.env.task.reward(whole.states[:-1], whole.states[1:], params, whole.times[1:], free)
@@ -188,7 +204,7 @@ class GradientPlanning(Planner):
         """Take a gradient step, and return whether it was one: an explosion in the model is no direction."""
         late = self.variation.late
         rows, system = episodes.rows, episodes.system
-        window = imagine(self.env, system, self.network, rows, self.window, late, self.rng)
+        window = imagine(self.env, system, self.network, rows, self.pace.window, late, self.rng)
         optimizer.zero_grad()
         terminal = None
         if self.terminal is not None:
@@ -300,6 +316,8 @@ class Episodes:
         self.rows = _references(planner.env, planner.rollouts, planner.rng)
         self.rows.noise = planner.variation.deviations(planner.env.system.signature.n_x)
         self.system: System = planner.env.system
+        if planner.others:
+            self.system = Members([self.system, *planner.others])
         if planner.variation.members:
             data = transitions(planner.replay.real_in_order(), planner.log_dt)
             self.system = Members.of(self.system, data, planner.variation.members)
@@ -318,7 +336,7 @@ class Episodes:
     def carry_on(self, x: Tensor, held: Tensor, alive: Tensor) -> None:
         """Go on from the end of a window; episodes that are over, or that diverged, begin anew."""
         planner, rows = self.planner, self.rows
-        rows.t = rows.t + planner.window * planner.env.dt
+        rows.t = rows.t + planner.pace.window * planner.env.dt
         lost = ~alive
         new = (rows.t >= self.end - 1e-6).squeeze(-1) | lost
         rows.x = torch.where(new.unsqueeze(-1), self._starts(x, lost), x)
@@ -338,6 +356,12 @@ class Episodes:
         starts = planner.env.task.initial_state(lost.shape, planner.rng).to(x)
         starts = torch.where(chance < planner.real_starts, self.real_states[pick], starts)
         return torch.where((chance > 1 - planner.jumps) & ~lost.unsqueeze(-1), x, starts)
+
+
+def _require_positive(sizes: dict[str, Any]) -> None:
+    """Refuse sizes that are given and not positive."""
+    if bad := [f"{name}={value}" for name, value in sizes.items() if value is not None and not value > 0]:
+        raise ValueError(f"gradient planning got {', '.join(bad)}; these must be positive: mend planning")
 
 
 def _network(agent: TD3) -> nn.Module:

@@ -22,9 +22,9 @@ class IntegralAction:
         policy: Reads `observation`, writes `action`.
         env: Where it acts, with a `Tracking` task.
         gain: Integral gain [1/s].
-        band: Largest error that is integrated [of the outputs].
-        limit: Largest integral [of the outputs].
-        rate: Rate of change of an error at which half of it is integrated [of the outputs per second].
+        band: Largest error that is integrated [boxes of targets].
+        limit: Largest integral [boxes].
+        rate: Rate of change of an error at which half of it is integrated [boxes per second].
 
     Raises:
         TypeError: The task tracks no reference.
@@ -56,7 +56,8 @@ class IntegralAction:
         task, x, params = self.task, tensordict["state"], tensordict["task_params"]
         steps = tensordict["step_count"]
         t = steps.to(x.dtype) * self.dt
-        error = task.error(x, params, t)
+        box = task.boxes().to(x)
+        error = task.error(x, params, t) / box
         if self.integral is None or self.integral.shape != error.shape:
             self.integral = torch.zeros_like(error)
         self.integral = self.integral.masked_fill(steps == 0, 0.0)
@@ -65,7 +66,9 @@ class IntegralAction:
         shift = (self.integral / task.error_scale).to(observation)
         observation[..., task.error_columns] += shift
         seen["observation"] = observation
-        moving = (references.rate(params, t) - x[..., task.rates]) / self.rate
+        moving = torch.zeros_like(error)  # a plant without rates tells nothing of its motion
+        if task.rates:
+            moving = (references.rate(params, t) - x[..., task.rates]) / box / self.rate
         steady = (error.abs() < self.band) / (1 + moving.square())
         self.integral = (self.integral + self.gain * self.dt * steady * error).clamp(-self.limit, self.limit)
         return tensordict.set("action", self.policy(seen)["action"])

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -158,9 +159,10 @@ class Loop:
                 due = begun + self.dt if self.rig.streams else start + k * self.dt
                 self.jitter.append(max(0.0, arrived - due))
             begun = arrived
-            u = self._inputs(self._sample(y), k * self.dt)
+            given = self._asked(self._sample(y), k * self.dt)
             took = time.monotonic() - arrived
             self._on_time(took)
+            u = self._inputs(given)
             self.rig.write(u)
             self.watchdog.within(2 * patience)  # what follows, the log too, is not what the rig waits for
             self.computing.append(took)
@@ -182,14 +184,17 @@ class Loop:
         self.guard.check(y, self.wiring)
         return y
 
-    def _inputs(self, y: Array, t: float) -> Array:
+    def _asked(self, y: Array, t: float) -> Any:
         try:
-            u = np.asarray(self.act(y, t), dtype=np.float64)
+            return self.act(y, t)
         except Exception as error:  # any: whatever the controller does, it costs one line and the rig comes to rest
             why = " ".join(str(error).split())
             raise Fault("controller", f"it failed with {type(error).__name__}: {why}") from error
-        if u.shape != (self.wiring.signature.n_u,) or not np.isfinite(u).all() or np.abs(u).max() > 1 + 1e-6:
-            raise Fault("controller", f"it gave {u.tolist()}, not {self.wiring.signature.n_u} numbers in [-1, 1]")
+
+    def _inputs(self, given: Any) -> Array:
+        u, n_u = np.asarray(given, dtype=np.float64), self.wiring.signature.n_u
+        if u.shape != (n_u,) or not np.isfinite(u).all() or np.abs(u).max() > 1 + 1e-6:
+            raise Fault("controller", f"it gave {u.tolist()}, not {n_u} numbers in [-1, 1]")
         return u
 
     def _on_time(self, took: float) -> None:

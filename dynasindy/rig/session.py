@@ -70,11 +70,11 @@ class Session:
         """Move the rig by a signal, open loop, and log it to `excitation.csv`."""
         levels = signal.samples(self.wiring.dt).double().numpy()
 
-        def act(y: Array, t: float) -> Array:
+        def _act(y: Array, t: float) -> Array:
             level: Array = levels[round(t / self.wiring.dt)]
             return level
 
-        return self._fly("excitation", act, len(levels))
+        return self._fly("excitation", _act, len(levels))
 
     def learn(self, knowledge: Knowledge, seed: int = 0) -> Controller:
         """Identify the rig from all logs so far and plan a controller, while it rests.
@@ -104,11 +104,11 @@ class Session:
         controller.reset()
         held = max(1, round(seconds / self.wiring.dt))
 
-        def act(y: Array, t: float) -> Array:
+        def _act(y: Array, t: float) -> Array:
             target = targets[min(round(t / self.wiring.dt) // held, len(targets) - 1)]
             return controller.act(y, target)
 
-        return self._fly(f"flight_{len(self.flights)}", act, held * len(targets))
+        return self._fly(f"flight_{len(self.flights)}", _act, held * len(targets))
 
     def _fly(self, name: str, act: Callable[[Array, float], Array], periods: int) -> Flown:
         self.tell(f"{name.replace('_', ' ')}: {periods * self.wiring.dt:g} s")

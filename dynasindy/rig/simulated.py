@@ -56,8 +56,8 @@ class SimulatedRig:
         safe: Safe input, `(n_u,)`; zeros if omitted.
         port: Port to listen on; 0 takes a free one.
         seed: Seed of the sensors' noise.
-        lockstep: Wait for the answer to each sample, however long it takes, instead of a clock: for tests, in which a
-            busy computer is no fault of the flight.
+        lockstep: Wait so long for the answer to each sample instead of keeping a clock [s]: for tests, in which a busy
+            computer is no fault of the flight; 0 keeps the clock.
         faults: What goes wrong from which sample on: silent (no samples), old (the same again), garbage, nan, range (a
             state of 1e9), slow (samples two periods late), gone (the socket is closed).
 
@@ -74,7 +74,7 @@ class SimulatedRig:
         safe: Array | None = None,
         port: int = 0,
         seed: int = 0,
-        lockstep: bool = False,
+        lockstep: float = 0.0,
         faults: Mapping[str, int] | None = None,
     ) -> None:
         if unknown := [name for name in faults or {} if name not in FAULTS]:
@@ -147,8 +147,7 @@ class SimulatedRig:
         found: Array | None = None
         quiet = any(self._wrong(name, k) for name in FAULTS)
         while True:
-            waiting = self.lockstep and not quiet
-            left = 10.0 if waiting else end - time.monotonic() if not quiet else 2 * self.dt
+            left = end - time.monotonic() if not self.lockstep else 2 * self.dt if quiet else self.lockstep
             if left <= 0:
                 return found
             self._socket.settimeout(left)
@@ -160,43 +159,43 @@ class SimulatedRig:
                 return found
             if answer is not None:
                 found = self.safe if answer[0] == REST else answer[1]
-                if self.lockstep or quiet:
+                if self.lockstep:
                     return found
 
 
-@dataclass
-class Served:
-    """A simulated rig in another process.
+class FarEnd:
+    """Another process, which serves one simulated rig after the other; leaving it ends it."""
 
-    Attributes:
-        port: Where it listens.
-        record: What it saw and did, once it has ended; None before, and if it was ended by force.
-    """
+    def __init__(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._here, there = context.Pipe()
+        self._process = context.Process(target=_serve, args=(there,), daemon=True)
+        self._process.start()
 
-    port: int
-    record: Record | None = None
+    def __enter__(self) -> FarEnd:
+        """Return it."""
+        return self
 
+    def __exit__(self, *error: object) -> None:
+        """End the process."""
+        self._process.terminate()
+        self._process.join()
 
-@contextmanager
-def in_process(periods: int, settings: Mapping[str, Any]) -> Iterator[Served]:
-    """Serve a simulated rig from another process; what it saw is read at the end, if it has run all its periods.
+    def begin(self, periods: int, **settings: Any) -> int:
+        """Serve a rig for so many periods, and return its port.
 
-    Args:
-        periods: How many it runs.
-        settings: Arguments of `SimulatedRig`.
-    """
-    context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe()
-    process = context.Process(target=_serve, args=(there, periods, dict(settings)), daemon=True)
-    process.start()
-    served = Served(here.recv())
-    try:
-        yield served
-        if periods < FOREVER and here.poll(periods * settings.get("dt", 0.05) + 10.0):
-            served.record = here.recv()
-    finally:
-        process.terminate()
-        process.join()
+        Args:
+            periods: How many.
+            **settings: Arguments of `SimulatedRig`.
+        """
+        self._here.send((periods, settings))
+        port: int = self._here.recv()
+        return port
+
+    def end(self) -> Record:
+        """Return what the rig saw, once it has run all its periods."""
+        record: Record = self._here.recv()
+        return record
 
 
 @contextmanager
@@ -209,15 +208,18 @@ def rehearsal(system: System, dt: float, sensors: Sensors | None = None, seed: i
         sensors: What is measured; all states as they are if omitted.
         seed: Seed of the sensors' noise.
     """
-    settings = {"system": system, "dt": dt, "sensors": sensors, "seed": seed}
-    with in_process(FOREVER, settings) as served, connect(system, dt, port=served.port) as rig:
-        yield rig
+    with FarEnd() as end:
+        port = end.begin(FOREVER, system=system, dt=dt, sensors=sensors, seed=seed)
+        with connect(system, dt, port=port) as rig:
+            yield rig
 
 
-def _serve(pipe: Connection, periods: int, settings: dict[str, Any]) -> None:
+def _serve(pipe: Connection) -> None:
     torch.set_num_threads(1)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a script's own handlers came with its module
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the flight; this end notices its silence
-    rig = SimulatedRig(**settings)
-    pipe.send(rig.port)
-    pipe.send(rig.serve(periods))
+    while True:
+        periods, settings = pipe.recv()
+        rig = SimulatedRig(**settings)
+        pipe.send(rig.port)
+        pipe.send(rig.serve(periods))

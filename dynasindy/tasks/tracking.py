@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import copy
+import math
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
@@ -24,15 +26,22 @@ class Tracking(Task):
         signature: Names and ranges of the system's states and inputs.
         reference: Distribution of references.
         outputs: Names of the tracked states.
-        rates: Names of their rates, whose changes the reward damps.
+        rates: Names of their rates, whose changes the reward damps; none for a first-order plant.
         reward: Reward of a control period.
         max_steps: Control periods per episode (paper: 400).
         observe_rate: Append the rates of the reference to the observation, for moving references.
-        error_scale: Error that counts as 1 in the observation [rad].
+        error_scale: Error that counts as 1 in the observation [boxes].
+        low: Lower end of the box of targets, per output; with `high` it is the unit of errors and rates. None takes the
+            units of the outputs as they are.
+        high: Upper end of the box, per output.
+        start: Where episodes begin: state to value, or to the two ends of a range from which it is drawn; zero for the
+            others.
+        bounds: Limits of the plant that end an excitation or a real episode: state to a value, for both sides of zero,
+            or to two ends.
 
     Raises:
         ValueError: A named state does not exist, the numbers of outputs, rates, references and error weights
-            differ, or error_scale or max_steps is not positive.
+            differ, error_scale or max_steps is not positive, or a box or a start is none.
     """
 
     # Departure: the paper's S_tt lists the six states alone; without the errors no policy could know where
@@ -48,14 +57,19 @@ class Tracking(Task):
         max_steps: int = 400,
         observe_rate: bool = False,
         error_scale: float = 0.5,
+        low: Sequence[float] | None = None,
+        high: Sequence[float] | None = None,
+        start: Mapping[str, float | Sequence[float]] | None = None,
+        bounds: Mapping[str, float | Sequence[float]] | None = None,
     ) -> None:
         super().__init__(signature, max_steps)
         reward = TrackingReward() if reward is None else reward
-        counts = {len(outputs), len(rates), reference.n_r, len(reward.error_weights)}
-        if len(counts) != 1:
+        counts = {len(outputs), len(rates) or len(outputs), reference.n_r}
+        if len(counts | {len(reward.error_weights)} - {1}) != 1:
             raise ValueError(
                 f"outputs {list(outputs)}, rates {list(rates)}, {reference.n_r} references and "
-                f"{len(reward.error_weights)} reward.error_weights must be equally many; complete the task"
+                f"{len(reward.error_weights)} reward.error_weights must be equally many, but for rates, of which there "
+                "may be none, and weights, one of which serves all; complete the task"
             )
         if not error_scale > 0:
             raise ValueError(f"error_scale must be positive, got {error_scale}; give it in the unit of the outputs")
@@ -74,6 +88,11 @@ class Tracking(Task):
         self.error_scale = error_scale
         self.n_r = reference.n_r
         self.n_o = signature.n_x + (2 if observe_rate else 1) * self.n_r
+        self._box = _boxes(signature, self.outputs, low, high)
+        self.start = _ends(signature, "start", start or {}, torch.zeros(2, signature.n_x))
+        unbounded = torch.tensor([[-math.inf], [math.inf]], dtype=torch.float64).expand(-1, signature.n_x)
+        both = {name: [-v, v] if isinstance(v, int | float) else v for name, v in (bounds or {}).items()}
+        self.bounds = _ends(signature, "bounds", both, unbounded.clone())
 
     @property
     def params_shape(self) -> torch.Size:
@@ -91,25 +110,29 @@ class Tracking(Task):
         Raises:
             ValueError: The number of outputs differs.
         """
-        names = self.signature.state_names
-        return Tracking(
-            self.signature,
-            reference,
-            self.output_names,
-            [names[i] for i in self.rates],
-            self.reward_function,
-            max_steps=self.max_steps,
-            observe_rate=self.observe_rate,
-            error_scale=self.error_scale,
-        )
+        if reference.n_r != self.n_r:
+            raise ValueError(
+                f"references of {reference.n_r} outputs do not fit a task of {self.n_r} outputs, "
+                f"{', '.join(self.output_names)}; give one value per output"
+            )
+        other = copy.copy(self)
+        other.references = reference
+        return other
+
+    def boxes(self) -> Tensor:
+        """Return the extent of the box of targets, `(n_r,)`: the largest among the outputs of the same unit."""
+        return self._box
 
     def sample(self, batch: torch.Size, generator: torch.Generator) -> Tensor:
         """Draw reference parameters of new episodes, `(*batch, n_r, 5)`."""
         return self.references.sample(batch, generator)
 
     def initial_state(self, batch: torch.Size, generator: torch.Generator) -> Tensor:
-        """Return the origin, rotors stopped, `(*batch, n_x)`: the paper starts every episode there."""
-        return torch.zeros(*batch, self.signature.n_x)
+        """Return the state in which episodes begin, `(*batch, n_x)`: the origin, unless `start` says otherwise."""
+        low, high = self.start
+        if torch.equal(low, high):
+            return low.expand(*batch, -1).clone()
+        return low + (high - low) * torch.rand(*batch, self.signature.n_x, generator=generator)
 
     def reference(self, params: Tensor, t: Tensor) -> Tensor:
         """Return the reference, `(*batch, n_r)`, at times `t` `(*batch, 1)` [s]."""
@@ -120,14 +143,53 @@ class Tracking(Task):
         return references.value(params, t) - x[..., self.outputs]
 
     def observation(self, x: Tensor, params: Tensor, t: Tensor) -> Tensor:
-        """Return scaled states, scaled errors and, if asked, reference rates, `(*batch, n_o)`."""
+        """Return scaled states, scaled errors and, if asked, reference rates [boxes per second], `(*batch, n_o)`."""
         scale = torch.tensor(self.signature.x_scale, dtype=x.dtype, device=x.device)
-        parts = [x / scale, self.error(x, params, t) / self.error_scale]
+        parts = [x / scale, self.error(x, params, t) / self._unit(x, self.error_scale)]
         if self.observe_rate:
-            parts.append(references.rate(params, t))
+            parts.append(references.rate(params, t) / self._unit(x, 1.0))
         return torch.cat(parts, -1)
+
+    def seen(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the states `(*batch, n_x)` and the references `(*batch, n_r)` of observations."""
+        scale = torch.tensor(self.signature.x_scale, dtype=observation.dtype, device=observation.device)
+        x = observation[..., : self.signature.n_x] * scale
+        error = observation[..., self.error_columns] * self._unit(x, self.error_scale)
+        return x, x[..., self.outputs] + error
 
     def reward(self, x: Tensor, x_next: Tensor, params: Tensor, t_next: Tensor, at_stop: Tensor) -> Tensor:
         """Return the reward of a control period, `(*batch,)`, from the states at its ends."""
-        change = x_next[..., self.rates] - x[..., self.rates]  # dOmega = Omega_current - Omega_previous
-        return self.reward_function(self.error(x_next, params, t_next), change, at_stop)
+        # dOmega = Omega_current - Omega_previous
+        change = x_next[..., self.rates] - x[..., self.rates] if self.rates else torch.zeros_like(x[..., :1])
+        unit = self._unit(x, 1.0)
+        return self.reward_function(self.error(x_next, params, t_next) / unit, change / unit, at_stop)
+
+    def _unit(self, like: Tensor, share: float) -> Tensor:
+        return (share * self._box).to(like)
+
+
+def _boxes(
+    signature: Signature, outputs: Sequence[int], low: Sequence[float] | None, high: Sequence[float] | None
+) -> Tensor:
+    """Return the extent of each output's targets; that of its range where the targets of a unit are one value each."""
+    if low is None or high is None:
+        return torch.ones(len(outputs), dtype=torch.float64)
+    if not len(low) == len(high) == len(outputs) or not all(a <= b for a, b in zip(low, high, strict=True)):
+        raise ValueError(f"the box low={list(low)}, high={list(high)} needs low <= high for each output; mend plant")
+    units = [signature.state_units[i] for i in outputs]
+    widest = {unit: max(b - a for a, b, u in zip(low, high, units, strict=True) if u == unit) for unit in units}
+    extents = [widest[unit] or signature.x_scale[i] for unit, i in zip(units, outputs, strict=True)]
+    return torch.tensor(extents, dtype=torch.float64)
+
+
+def _ends(signature: Signature, key: str, given: Mapping[str, float | Sequence[float]], ends: Tensor) -> Tensor:
+    """Return the lower and the upper ends of states, `(2, n_x)`, with those that are given put in."""
+    for name, value in given.items():
+        pair = [value, value] if isinstance(value, int | float) else list(value)
+        if name not in signature.state_names or len(pair) != 2 or not -math.inf < pair[0] <= pair[1] < math.inf:
+            raise ValueError(
+                f"task.{key} has {name}: {value}; name one of the states {', '.join(signature.state_names)}, with a "
+                "value or the two ends of a range"
+            )
+        ends[:, signature.state_index(name)] = torch.tensor(pair).to(ends)
+    return ends

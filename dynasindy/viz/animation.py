@@ -37,6 +37,7 @@ class Chart:
 
     def __init__(self, evaluation: Evaluation, row: int) -> None:
         self.names, self.time = evaluation.output_names, evaluation.time.numpy()
+        self.units = tuple(evaluation.units.values())
         self.y, self.r = evaluation.outputs[row].numpy(), evaluation.references[row].numpy()
         inch = HEIGHT / 100
         with matplotlib.rc_context(STYLE):
@@ -62,7 +63,7 @@ class Chart:
             (u, v), size = past[-1], 4 * self.ZOOM
             pen.ellipse([u - size, v - size, u + size, v + size], fill=BLUE)
             error = self.r[moment, k] - self.y[moment, k]
-            words = f"{WORDS.get(self.names[k], self.names[k])} error {error:+.3f} rad"
+            words = f"{WORDS.get(self.names[k], self.names[k])} error {error:+.3f} {self.units[k]}"
             pen.text((0.96 * image.width, top - 5 * self.ZOOM), words, fill=BLACK, font=font, anchor="rs")
         return np.asarray(image.resize((HEIGHT, HEIGHT), Image.Resampling.LANCZOS))
 
@@ -74,7 +75,7 @@ class Chart:
         margin = 0.08 * max(float(np.ptp(values)), 0.02)
         axis.set_ylim(values.min() - margin, values.max() + margin)
         axis.set_xlim(self.time[0], self.time[-1])
-        axis.set_ylabel(label(self.names[k], "rad"))
+        axis.set_ylabel(label(self.names[k], self.units[k]))
 
     def _pixels(self, axis: Axes, values: Array) -> list[tuple[float, float]]:
         points = axis.transData.transform(np.stack([self.time, values], -1))

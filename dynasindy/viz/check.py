@@ -22,12 +22,9 @@ SHOWN = 15
 def draw(found: Check) -> dict[str, Figure]:
     """Return all figures of a check by name."""
     signature, outputs = found.loop.signature, found.loop.task.outputs
-    figures = {
-        "recovery": recovery(
-            [(p.names, p.units, p.first, p.second, p.back) for p in found.planes],
-            "Comes back from these errors, on the model",
-        )
-    }
+    figures: dict[str, Figure] = {}
+    if planes := [(p.names, p.units, p.first, p.second, p.back) for p in found.planes]:
+        figures["recovery"] = recovery(planes, "Comes back from these errors, on the model")
     stable = [k for k, ok in enumerate(found.stable.tolist()) if ok]
     if stable and signature.n_u:
         rows = [found.rest.linear.row(k) for k in stable]

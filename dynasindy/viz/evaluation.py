@@ -33,6 +33,7 @@ def draw_evaluation(
 def figures(evaluation: Evaluation, label: str = "policy", row: int = 0) -> dict[str, Figure]:
     """Return the figures by name of file: one row over time and, of several rows, the spread of the error."""
     name, reference = evaluation.scenario, evaluation.references[row]
+    names = [f"{output} [{unit}]" for output, unit in evaluation.units.items()]
     # A constant reference is a step; what moves has no settling band.
     draw = step_response if bool((reference == reference[0]).all()) else tracking
     drawn = {
@@ -41,7 +42,7 @@ def figures(evaluation: Evaluation, label: str = "policy", row: int = 0) -> dict
             reference,
             {label: evaluation.outputs[row]},
             {label: evaluation.inputs[row]},
-            evaluation.output_names,
+            names,
             evaluation.signature.input_names,
             title=f"Scenario '{name}'",
         )
@@ -50,7 +51,12 @@ def figures(evaluation: Evaluation, label: str = "policy", row: int = 0) -> dict
     if len(evaluation.outputs) > 1:
         title = f"Scenario '{name}': error over all references"
         drawn[f"{name}_errors"] = error_fan(
-            evaluation.time, evaluation.outputs, evaluation.references, evaluation.output_names, title
+            evaluation.time,
+            evaluation.outputs,
+            evaluation.references,
+            names,
+            title,
+            [0.01 * box for box in evaluation.boxes] or [0.01],
         )
         _shade(drawn[f"{name}_errors"], evaluation)
     return drawn

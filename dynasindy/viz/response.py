@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from dynasindy.evaluation.metrics import SETTLING_BAND, STEADY_SECONDS
+from dynasindy.evaluation.metrics import SETTLING_BAND, steady_seconds
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.style import BLACK, BLUE, CYCLE, GREY, Array, array, label, panels, styled
 
@@ -29,10 +29,10 @@ def tracking(
 
     Args:
         time: `(T,)` [s].
-        reference: `(T, n_r)` [rad].
-        outputs: `(T, n_r)` per controller [rad].
+        reference: `(T, n_r)`.
+        outputs: `(T, n_r)` per controller.
         inputs: `(T, n_u)` per controller, in [-1, 1]; adds one panel per input.
-        names: tracked states.
+        names: tracked states, with their units unless these are rad: `height [m]`.
         input_names: inputs.
         title: of the figure.
     """
@@ -43,7 +43,7 @@ def tracking(
     for i, name in enumerate(names):
         axes[i].plot(seconds, target[:, i], color=BLACK, linestyle="--", linewidth=1.2, label="reference")
         _lines(axes[i], seconds, outputs, i)
-        axes[i].set_ylabel(label(name, "rad"))
+        axes[i].set_ylabel(label(*_with_unit(name)))
     for i, name in enumerate(input_names[:n_u]):
         _inputs(axes[len(names) + i], seconds, inputs, i, name)
     _legend(axes[0])
@@ -65,12 +65,13 @@ def step_response(
     """Draw `tracking` with what the step metrics use: the settling band and the final seconds."""
     figure = tracking(time, reference, outputs, inputs, names, input_names, title)
     seconds, target = array(time), array(reference)
+    steady = steady_seconds(float(seconds[1] - seconds[0]), len(seconds)) if len(seconds) > 1 else 0.0
     for i, axis in enumerate(figure.axes[: len(names)]):
         starts = [array(y)[0, i] for y in outputs.values()]
         half = SETTLING_BAND * max((abs(target[-1, i] - start) for start in starts), default=0.0)
         band = f"{100 * SETTLING_BAND:g} % band"
         axis.axhspan(target[-1, i] - half, target[-1, i] + half, color=GREY, alpha=0.2, lw=0, label=band)
-        axis.axvspan(seconds[-1] - STEADY_SECONDS, seconds[-1], color=GREY, alpha=0.08, lw=0, label="steady state")
+        axis.axvspan(seconds[-1] - steady, seconds[-1], color=GREY, alpha=0.08, lw=0, label="steady state")
     _legend(figure.axes[0])
     return figure
 
@@ -82,32 +83,42 @@ def error_fan(
     references: ArrayLike,
     names: Sequence[str] = AXES,
     title: str = "Tracking error over all references",
+    band: Sequence[float] = (0.01,),
 ) -> Figure:
     """Draw the absolute error over a batch of references: median, middle half and 5 to 95 %.
 
     Args:
         time: `(T,)` [s].
-        outputs: `(N, T, n_r)` [rad].
-        references: `(N, T, n_r)` [rad].
-        names: tracked states.
+        outputs: `(N, T, n_r)`.
+        references: `(N, T, n_r)`.
+        names: tracked states, with their units unless these are rad.
         title: of the figure.
+        band: half width of the band that is paid for, of each output or of all.
     """
     seconds = array(time)
     error = np.abs(array(outputs) - array(references))
-    # A log axis needs a floor; a tenth of a milliradian is below what the bench's encoders see.
-    p05, p25, p50, p75, p95 = np.maximum(np.quantile(error, (0.05, 0.25, 0.5, 0.75, 0.95), axis=0), 1e-4)
+    # A log axis needs a floor; for the twin rotor a tenth of a milliradian, below what the bench's encoders see.
+    bands = np.broadcast_to(np.asarray(band, dtype=np.float64), len(names))
+    p05, p25, p50, p75, p95 = np.maximum(np.quantile(error, (0.05, 0.25, 0.5, 0.75, 0.95), axis=0), 0.01 * bands)
     figure, axes = panels(len(names), 1, (7.0, 2.2 * len(names) + 0.5), f"{title} ({len(error)})")
     for i, (axis, name) in enumerate(zip(axes, names, strict=True)):
         axis.fill_between(seconds, p05[:, i], p95[:, i], color=BLUE, alpha=0.15, lw=0, label="5 to 95 %")
         axis.fill_between(seconds, p25[:, i], p75[:, i], color=BLUE, alpha=0.3, lw=0, label="middle half")
         axis.plot(seconds, p50[:, i], color=BLUE, label="median")
-        axis.axhline(0.01, color=BLACK, linestyle=":", linewidth=1.0, label="0.01 rad (bonus band)")
+        told = f"{bands[i]:.3g} {_with_unit(name)[1]} (bonus band)"
+        axis.axhline(bands[i], color=BLACK, linestyle=":", linewidth=1.0, label=told)
         axis.set_yscale("log")
-        axis.set_ylabel(f"|error| of {label(name, 'rad')}")
+        axis.set_ylabel(f"|error| of {label(*_with_unit(name))}")
     axes[0].legend(loc="upper right", ncols=2)
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(*_span(seconds))
     return figure
+
+
+def _with_unit(name: str) -> tuple[str, str]:
+    """Return the name and the unit of `name [unit]`."""
+    bare, _, unit = name.partition(" [")
+    return bare, unit.removesuffix("]") or "rad"
 
 
 def _legend(axis: Axes) -> None:

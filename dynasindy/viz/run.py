@@ -89,7 +89,7 @@ def _response(table: Table, signature: Signature) -> Figure:
         stacked(table, [f"reference_{name}" for name in outputs]),
         {"policy": stacked(table, outputs)},
         {"policy": stacked(table, signature.input_names)},
-        outputs,
+        [f"{name} [{signature.state_units[signature.state_index(name)]}]" for name in outputs],
         signature.input_names,
     )
 

@@ -1,7 +1,7 @@
 """Sparse models of controlled systems, identified from transitions."""
 
 from dynasindy.world_models.base import WorldModel
-from dynasindy.world_models.features import register_function
+from dynasindy.world_models.functions import register_function
 from dynasindy.world_models.libraries import build_library
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.oracle import Oracle

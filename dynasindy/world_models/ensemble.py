@@ -1,13 +1,15 @@
-"""Bagging: the spread of each coefficient over fits to resampled blocks of the data."""
+"""The spread of a model: fits to resampled blocks of its data, and fits to stretches of them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import copy
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.delay import delayed
 from dynasindy.world_models.regression import Regression, RunningSums, simpson_form
 from dynasindy.world_models.sindy import SindyModel
 
@@ -81,3 +83,33 @@ def bag(model: SindyModel, data: Transitions, n_members: int = 50, blocks: int =
         total.count = sum(factors[k].count for k in drawn)
         members.append(regression.solve(total, model.constraints.free, model.constraints.offset))
     return Ensemble(torch.stack(members))
+
+
+def refits(model: SindyModel, data: Transitions, stretches: int) -> list[SindyModel]:
+    """Fit the functions that a model uses to stretches of data, each on its own.
+
+    In contrast to `bag` it needs no measured rates: each fit is refined as the model was, from its coefficients on.
+
+    Args:
+        model: a fitted model, which is not changed.
+        data: transitions, NaN where a state was not measured.
+        stretches: number of stretches of equal length; each gives a model.
+
+    Raises:
+        ValueError: a stretch has fewer transitions than the library has functions.
+        Diverged: a coefficient is not finite.
+    """
+    late, places = delayed(data, model.delay), torch.arange(len(data))
+    length, found = len(data) // stretches, []
+    for k in range(stretches):
+        member = copy.deepcopy(model)
+        used = model.constraints.free & (model.coefficients != 0)
+        given = torch.where(model.constraints.free, 0.0, model.constraints.offset)
+        member.constraints = replace(model.constraints, free=used, offset=given)
+        member.initial = model.coefficients.clone()
+        if member.refinement is not None:
+            member.refinement = replace(member.refinement, longest_delay=0.0)
+        member.fit(late.select((places >= k * length) & (places < (k + 1) * length)))
+        member.delay = model.delay
+        found.append(member)
+    return found

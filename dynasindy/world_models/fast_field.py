@@ -14,7 +14,8 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.base import Signature
-from dynasindy.world_models.features import Factor, function
+from dynasindy.world_models.features import Factor
+from dynasindy.world_models.functions import function
 from dynasindy.world_models.library import Library
 
 Field = Callable[[Tensor, Tensor], Tensor]

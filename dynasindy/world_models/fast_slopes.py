@@ -13,7 +13,8 @@ import torch
 from torch import Tensor
 
 from dynasindy.world_models.fast_field import Constants, Writer
-from dynasindy.world_models.features import Factor, Feature, function
+from dynasindy.world_models.features import Factor, Feature
+from dynasindy.world_models.functions import function
 from dynasindy.world_models.library import Library
 
 Values = tuple[Tensor, Tensor, Tensor]

@@ -4,7 +4,6 @@ A feature that is data can be named, printed as LaTeX, saved, multiplied, differ
 
 | name              | meaning                                         | example                         |
 | ----------------- | ----------------------------------------------- | ------------------------------- |
-| Function          | elementary function of one variable or more      | `sin`                           |
 | Factor            | function of `frequency * variable`, to a power   | `cos(2 alpha_p)^3`              |
 | shape             | a factor whose frequency is fitted with the rest | `tanh(~20 Omega_a)`             |
 | Feature           | product of factors; `1` is the empty product      | `omega_a |omega_a| cos(alpha_p)` |
@@ -20,161 +19,12 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from dynasindy.world_models.functions import function
 
-@dataclass(frozen=True)
-class Function:
-    """Describe an elementary function.
-
-    Attributes:
-        name: name in tables and files, e.g. `sin`.
-        compute: torch function, elementwise in every argument.
-        text: format string of its value, e.g. `sin({0})`.
-        latex: format string for LaTeX.
-        atomic: whether its LaTeX needs no brackets before a power.
-        slope: its derivative, where it is known; found by automatic differentiation where not.
-        parametric: whether the number of a factor is the last argument, and not what the others are multiplied by.
-        by_number: derivative of a parametric function by its number, where it is known.
-        formula: format string of its value in operators, numbers and `FORMULA_FUNCTIONS`, which other languages than
-            torch are written from; empty where there is none.
-    """
-
-    name: str
-    compute: Callable[..., Tensor]
-    text: str
-    latex: str
-    atomic: bool = True
-    slope: Callable[..., Tensor] | None = None
-    parametric: bool = False
-    by_number: Callable[..., Tensor] | None = None
-    formula: str = ""
-
-
-FORMULA_FUNCTIONS = ("sin", "cos", "exp", "tanh", "sqrt", "fabs", "sign", "square", "larger")
-"""What a formula may call: functions of C's <math.h>, and the sign, the square, and the larger one of two."""
-SMALLEST_ROOT = 1e-3
-"""Number below which `sqrt` is that of this one, so that its slope stays finite at zero and roots of less are none."""
 FARTHEST = 30.0
 """Factor between the first guess of a number inside a function and what is fitted, either way."""
 LARGEST_POWER = 100
 """Power beyond which a function of a file or of words is taken for a mistake."""
-
-_REGISTRY: dict[str, Function] = {
-    f.name: f
-    for f in (
-        Function("id", lambda z: z, "{0}", "{0}", formula="{0}"),
-        Function("sin", torch.sin, "sin({0})", r"\sin {0}", slope=torch.cos, formula="sin({0})"),
-        Function("cos", torch.cos, "cos({0})", r"\cos {0}", slope=lambda z: -torch.sin(z), formula="cos({0})"),
-        Function("abs", torch.abs, "|{0}|", r"|{0}|", slope=torch.sign, formula="fabs({0})"),
-        Function(
-            "sign", torch.sign, "sign({0})", r"\operatorname{{sign}} {0}", slope=torch.zeros_like, formula="sign({0})"
-        ),
-        Function("exp", torch.exp, "exp({0})", r"e^{{{0}}}", atomic=False, slope=torch.exp, formula="exp({0})"),
-        Function(
-            "tanh",
-            torch.tanh,
-            "tanh({0})",
-            r"\tanh {0}",
-            slope=lambda z: 1 - torch.tanh(z).square(),
-            formula="tanh({0})",
-        ),
-        Function(
-            "sqrt",
-            lambda z: z.clamp_min(SMALLEST_ROOT).sqrt(),
-            "sqrt({0})",
-            r"\sqrt{{{0}}}",
-            formula=f"sqrt(larger({{0}}, {SMALLEST_ROOT!r}))",
-        ),
-        Function(
-            "bell",
-            lambda z: (-z * z).exp(),
-            "exp(-({0})^2)",
-            r"e^{{-({0})^2}}",
-            atomic=False,
-            formula="exp(-square({0}))",
-        ),
-        Function(
-            "root",
-            lambda z, p: (z - p).clamp_min(SMALLEST_ROOT).sqrt(),
-            "sqrt({0} - {1})",
-            r"\sqrt{{{0} - {1}}}",
-            slope=lambda z, p: 0.5 * (z - p > SMALLEST_ROOT).to(z.dtype) / (z - p).clamp_min(SMALLEST_ROOT).sqrt(),
-            parametric=True,
-            by_number=lambda z, p: -0.5 * (z - p > SMALLEST_ROOT).to(z.dtype) / (z - p).clamp_min(SMALLEST_ROOT).sqrt(),
-            formula=f"sqrt(larger({{0}} - {{1}}, {SMALLEST_ROOT!r}))",
-        ),
-        Function(
-            "hinge",
-            lambda z, p: (z - p).clamp_min(0),
-            "max(0, {0} - {1})",
-            r"\max(0, {0} - {1})",
-            slope=lambda z, p: (z > p).to(z.dtype),
-            parametric=True,
-            by_number=lambda z, p: -(z > p).to(z.dtype),
-            formula="larger({0} - {1}, 0)",
-        ),
-        Function(
-            "per_cos2",
-            lambda z, p: 1 / (1 + p * z.cos().square()),
-            "/(1 + {1} cos({0})^2)",
-            r"\frac{{1}}{{1 + {1} \cos^2 {0}}}",
-            atomic=False,
-            slope=lambda z, p: p * (2 * z).sin() / (1 + p * z.cos().square()).square(),
-            parametric=True,
-            by_number=lambda z, p: -(z.cos() / (1 + p * z.cos().square())).square(),
-            formula="1 / (1 + {1} * square(cos({0})))",
-        ),
-        Function(
-            "slack",
-            lambda a, b, p: a - b - (a - b).clamp(-p, p),
-            "slack({0}; {1})",
-            r"\operatorname{{slack}}_{{{1}}}({0})",
-            parametric=True,
-            by_number=lambda a, b, p: (b - a > p).to(a.dtype) - (a - b > p).to(a.dtype),
-            formula="larger({0} - {1} - {2}, 0) - larger({1} - {0} - {2}, 0)",
-        ),
-    )
-}
-
-
-def register_function(
-    name: str, compute: Callable[..., Tensor], latex: str | None = None, formula: str = ""
-) -> Function:
-    """Make a torch function available to libraries, saved models and printed equations under a name.
-
-    Args:
-        name: a Python identifier; registering a name again replaces it.
-        compute: torch function, elementwise in each argument, differentiable by autograd.
-        latex: format string, `{0}` standing for the first argument; by default the name in roman type.
-        formula: format string in operators and `FORMULA_FUNCTIONS`, e.g. `1 / (1 + square({0}))`, with which the
-            model can be exported to C and other languages.
-
-    Raises:
-        ValueError: the name is not an identifier, or the formula calls another function.
-    """
-    if not name.isidentifier():
-        raise ValueError(f"register_function got the name {name!r}; allowed is a Python identifier: rename it")
-    default = r"\operatorname{{" + name.replace("_", r"\_") + r"}}({0})"
-    if other := sorted(set(re.findall(r"[A-Za-z_]\w*", re.sub(r"\d[\w.]*", "", formula))) - {*FORMULA_FUNCTIONS}):
-        raise ValueError(
-            f"register_function got a formula with {other[0]!r}; allowed are {{0}}, operators, numbers and "
-            f"{', '.join(FORMULA_FUNCTIONS)}: write it with these, or leave it out"
-        )
-    _REGISTRY[name] = Function(name, compute, name + "({0})", latex or default, formula=formula)
-    return _REGISTRY[name]
-
-
-def function(name: str) -> Function:
-    """Look up an elementary function.
-
-    Raises:
-        ValueError: no function has that name.
-    """
-    if name not in _REGISTRY:
-        raise ValueError(
-            f"function {name!r} is not known; allowed are {', '.join(sorted(_REGISTRY))}: "
-            "call register_function for your own before building or loading"
-        )
-    return _REGISTRY[name]
 
 
 @dataclass(frozen=True, order=True)

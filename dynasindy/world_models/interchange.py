@@ -10,7 +10,8 @@ import numpy as np
 import torch
 
 from dynasindy.systems.base import Signature
-from dynasindy.world_models.features import Feature, function, parse
+from dynasindy.world_models.features import Feature, parse
+from dynasindy.world_models.functions import function
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.sindy import SindyModel
 

@@ -11,7 +11,7 @@ from hydra.utils import instantiate
 from dynasindy.benchmarks import model_free
 from dynasindy.benchmarks.gradient import PLANTS
 from dynasindy.benchmarks.model_free import AGENTS, Job
-from dynasindy.dyna.loop import interact
+from dynasindy.dyna.excite import interact
 from dynasindy.evaluation.ablation import read_rows
 from dynasindy.tasks import Tracking
 

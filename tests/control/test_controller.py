@@ -39,6 +39,8 @@ def setting(reference=None, observe_rate=False):
         ("Omega",),
         TrackingReward((4.0,)),
         observe_rate=observe_rate,
+        low=[-0.2],
+        high=[0.6],
     )
     with torch.random.fork_rng():
         torch.manual_seed(3)

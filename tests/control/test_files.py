@@ -28,6 +28,8 @@ def built(observer=True, integral=None, delay=0.07, stops=None):
         TrackingReward((1.0,)),
         observe_rate=True,
         error_scale=0.7,
+        low=[-0.5],
+        high=[1.3],
     )
     pace = Pace(task, 0.04, 3, stops or Stops((0,), (1,), (-0.6,), (0.6,)))
     with torch.random.fork_rng():
@@ -85,6 +87,7 @@ def test_the_file_tells_names_units_and_period_to_a_reader(tmp_path):
         "rates": ["Omega"],
         "observe_rate": True,
         "error_scale": 0.7,
+        "box": [pytest.approx(1.8)],
     }
     assert record["observer"]["model"]["delay"] == 0.07
     assert record["observer"]["stops"]["low"] == [-0.6]
@@ -105,6 +108,7 @@ def damaged(tmp_path, change):
         (lambda r: r.update(format="other"), "is not of the format"),
         (lambda r: r.pop("policy"), "it lacks 'policy'"),
         (lambda r: r["task"].update(dt=-1), "a positive number belongs"),
+        (lambda r: r["task"].update(box=[0.0]), "a positive number belongs"),
         (lambda r: r["task"].update(outputs=["phi"]), "state 'phi' does not exist"),
         (lambda r: r["policy"][0].update(weight="AAAA"), "0 weights where 32 finite ones belong"),
         (lambda r: r["policy"][0].update(weight="AAAAAA=="), "1 weights where 32 finite ones belong"),

@@ -99,6 +99,11 @@ def test_the_end_leaves_policy_model_and_metrics(recorded):
     saved = torch.load(folder / "policy.pt", weights_only=True)
     assert all(torch.equal(saved[name], value) for name, value in parts.agent.deployed.state_dict().items())
     assert (folder / "model.json").is_file()
+    final = metrics["evaluation"]
+    assert metrics["units"] == {"alpha_a": "rad", "alpha_p": "rad"} and metrics["steady_seconds"] == pytest.approx(1.5)
+    for axis in ("alpha_a", "alpha_p"):  # without a box, errors count in their unit
+        assert metrics["held"]["share"][axis] == pytest.approx(final[f"steady_state_error/{axis}"], rel=1e-5)
+    assert not metrics["verdict"]["controlled"] and metrics["verdict"]["held"].startswith("NOT CONTROLLED: ")
     assert len(rows(folder / "data" / "step_response.csv")) == 120
 
 

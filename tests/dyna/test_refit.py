@@ -8,8 +8,8 @@ import torch
 
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
+from dynasindy.dyna.excite import interact
 from dynasindy.dyna.experiment import Recipe
-from dynasindy.dyna.loop import interact
 from dynasindy.dyna.parts import Settings
 from dynasindy.dyna.refit import fit, held_out_windows, refit
 from dynasindy.envs import ControlEnv

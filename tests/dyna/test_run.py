@@ -204,7 +204,9 @@ def test_the_report_says_equations_metrics_costs_and_folder(tmp_path):
             "evaluation": evaluation,
             "untrained": {"return": -99.0},
             "checkpoint": {"bytes": 2_300_000, "seconds": 0.4},
-            "verdict": {"usable": True, "sentence": "It is better."},
+            "verdict": {"usable": True, "sentence": "It is better.", "held": "CONTROLLED: x."},
+            "units": {"alpha_a": "m"},
+            "planning": "window 60 periods",
         },
         tmp_path,
     )
@@ -217,6 +219,9 @@ def test_the_report_says_equations_metrics_costs_and_folder(tmp_path):
         "25600 real steps of evaluation",
         "the last of 2.3 MB, all of them 0.4 s",
         "It is better.",
+        "CONTROLLED: x.",
+        "Planning: window 60 periods",
+        "RMSE [m]",
         str(tmp_path),
     ):
         assert words in text

@@ -7,9 +7,12 @@ import pytest
 
 from dynasindy.dyna.verdict import judge
 
+HELD = {"share": {"x": 0.004}, "worst": {"x": 0.02}, "away": {}, "idle": {}}
 
-def metrics(untrained, trained):
-    return {"scenario": "step", "untrained": {"return": untrained}, "evaluation": {"return": trained}}
+
+def metrics(untrained, trained, **held):
+    returns = {"untrained": {"return": untrained}, "evaluation": {"return": trained}}
+    return {"scenario": "step", **returns, "held": HELD | held}
 
 
 @pytest.mark.parametrize(
@@ -28,4 +31,32 @@ def test_the_trained_policy_has_to_be_better_than_the_untrained_one(untrained, t
     assert verdict.usable is usable
     assert re.search(words, verdict.sentence)
     assert "\n" not in verdict.sentence
-    assert asdict(verdict) == {"usable": usable, "sentence": verdict.sentence}
+    told = {"usable": usable, "sentence": verdict.sentence, "controlled": True, "held": verdict.held}
+    assert asdict(verdict) == told
+
+
+def test_an_output_within_what_is_asked_for_is_controlled():
+    verdict = judge(metrics(-2.0, -1.0))
+    assert verdict.controlled and verdict.held.startswith("CONTROLLED: ")
+    assert "x to 0.4 % of its box, 2 % at worst (1 % is asked for)" in verdict.held
+
+
+@pytest.mark.parametrize(
+    ("held", "within", "words"),
+    [
+        ({}, 0.003, "x to 0.4 % of its box"),
+        ({"share": {"x": None}}, 0.01, "x to no number of its box"),
+        ({"worst": {"x": 0.11}}, 0.01, "11 % at worst"),
+        ({"share": {"x": 0.004, "y": 700.0}, "worst": {"x": 0.0, "y": 700.0}}, 0.01, "y to 700 times of its box"),
+        ({"away": {"theta": 0.5}}, 0.01, "theta, which is not tracked, runs away or does not .* in 50 % of the runs"),
+    ],
+)
+def test_a_large_error_a_lost_reference_and_a_state_that_runs_away_are_no_control(held, within, words):
+    verdict = judge(metrics(-2.0, -1.0, **held), within)
+    assert not verdict.controlled and verdict.usable
+    assert verdict.held.startswith("NOT CONTROLLED: ") and re.search(words, verdict.held)
+
+
+def test_a_mileage_that_runs_on_is_named_and_no_failure():
+    verdict = judge(metrics(-2.0, -1.0, idle={"way": 1.0}))
+    assert verdict.controlled and "way runs on in 100 % of the runs" in verdict.held

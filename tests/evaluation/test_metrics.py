@@ -11,6 +11,7 @@ from dynasindy.evaluation.metrics import (
     overshoot,
     rise_time,
     settling_time,
+    steady_seconds,
     tracking_metrics,
 )
 
@@ -121,13 +122,34 @@ def record(y: list[float], target: float, dt: float = 0.5, start: float = 0.0) -
     return time, column, torch.full_like(column, target)
 
 
+@pytest.mark.parametrize(
+    ("dt", "samples", "seconds"),
+    [(0.05, 400, 5.0), (0.01, 10_000, 5.0), (2.0, 400, 40.0), (0.05, 100, 1.25), (2.0, 10, 5.0), (10.0, 2, 10.0)],
+)
+def test_the_steady_state_is_of_five_seconds_or_twenty_samples_or_a_quarter(dt: float, samples: int, seconds: float):
+    assert steady_seconds(dt, samples) == pytest.approx(seconds)
+
+
+def test_a_record_sampled_every_two_seconds_has_a_steady_state() -> None:
+    time, y, r = record([0.0, 0.5, 0.9, 0.9], 1.0, dt=2.0)
+    assert tracking_metrics(time, y, r, torch.zeros_like(y))["steady_state_error"].item() == pytest.approx(0.1)
+
+
+def test_a_step_is_a_step_by_the_size_of_the_box() -> None:
+    time, y, r = record([0.0, 0.001, 0.002, 0.002], 0.002)
+    u = torch.zeros_like(y)
+    assert tracking_metrics(time, y, r, u)["rise_time"].isnan().all()
+    assert tracking_metrics(time, y, r, u, torch.tensor([0.01]))["rise_time"].isfinite().all()
+
+
 def test_every_figure_of_a_short_record_by_hand() -> None:
     time, y, r = record([0.0, 0.05, 0.3, 0.9, 1.2, 0.97, 1.04, 1.0], 1.0, start=7.0)
     u = torch.tensor([0.0, 0.5, -0.5, 1.0, 1.0, 0.0, 0.0, 0.0]).double().unsqueeze(-1)
     found = {name: value.item() for name, value in tracking_metrics(time, y, r, u).items()}
     errors = [1.0, 0.95, 0.7, 0.1, 0.2, 0.03, 0.04, 0.0]
     assert found["rmse"] == pytest.approx((sum(e * e for e in errors) / 8) ** 0.5)
-    assert found["mean_abs_error"] == found["steady_state_error"] == pytest.approx(sum(errors) / 8)  # under 5 s long
+    assert found["mean_abs_error"] == pytest.approx(sum(errors) / 8)
+    assert found["steady_state_error"] == pytest.approx((0.04 + 0.0) / 2)  # the last quarter of a short record
     assert found["overshoot"] == pytest.approx(20.0)
     # 10 % a fifth of the way from 0.05 to 0.3 (t = 0.6 s), 90 % at t = 1.5 s.
     assert found["rise_time"] == pytest.approx(0.9)

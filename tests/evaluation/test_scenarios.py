@@ -247,3 +247,13 @@ def test_scenarios_that_cannot_be_run_are_refused(wrong) -> None:
     with pytest.raises(ValueError, match="scenario 'odd'"):
         Scenario("odd", **wrong)
     assert Scenario("one", episodes=1, seconds=0.1, windows=[(0.0, 0.1)]).seconds == 0.1
+
+
+def test_without_a_length_a_run_is_an_episode_of_the_task() -> None:
+    env = make()
+    env.task.max_steps = 30
+    result = evaluate(env, constant(0.0, 0.2), Scenario("short", Step([[0.1, 0.2]]), seconds=None))
+    assert len(result.time) == 30 and result.seconds == pytest.approx(1.5)
+    assert result.steady_seconds == pytest.approx(0.375) and result.units == {"alpha_a": "rad", "alpha_p": "rad"}
+    gust = Scenario("gust", Step([[0.1, 0.2]]), seconds=None, plant=lambda plant: plant, windows=[(0.5, 1.0)])
+    assert evaluate(env, constant(0.0, 0.2), gust).windows == ((0.5, 1.0),)

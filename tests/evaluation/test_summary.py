@@ -98,3 +98,10 @@ def test_the_heading_says_how_long_and_when_the_plant_was_disturbed() -> None:
     assert heading(result) == "Scenario 'wind' (2 references, 3 s, disturbed from 0.5 to 1.5 s)"
     calm = evaluate(ControlEnv(system, task, substeps=1), still, Scenario("step", seconds=1.5))
     assert heading(calm) == "Scenario 'step' (1 reference, 1.5 s)"
+
+
+def test_the_table_carries_the_units_of_the_outputs() -> None:
+    one = to_text(summarise(evaluation()), units={"alpha_a": "m", "alpha_p": "m"}, steady=40.0)
+    assert "RMSE [m]" in one and "steady-state error (last 40 s) [m]" in one and "rad" not in one
+    two = to_text(summarise(evaluation()), units={"alpha_a": "m", "alpha_p": "rad"}).splitlines()
+    assert two[0].split() == ["alpha_a", "[m]", "alpha_p", "[rad]"] and two[1].startswith("RMSE  ")

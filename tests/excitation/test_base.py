@@ -141,3 +141,12 @@ def test_a_range_may_reach_the_limit_and_must_not_lie_beyond_it():
     with pytest.raises(ValueError, match="move the offset towards 0"):
         Chirp(1, amplitude=0.5, offset=1.5)
     assert Chirp(1, amplitude=-0.5, offset=1.2).samples().min() < 1.0  # a negative amplitude turns the wave round
+
+
+@pytest.mark.parametrize("dt", [0.05, 2.0])
+def test_times_that_are_not_given_follow_the_control_period(dt):
+    assert [kind(1, None, dt).n_steps for kind in (Chirp, Multisine, HeldRandom)] == [200] * 3
+    held = HeldRandom(1, None, dt, hold=None).samples()
+    assert (held[:10] == held[0]).all() and (held[10:20] == held[10]).all() and held[10] != held[9]
+    swept = Chirp(1, None, dt, band=None, amplitude=1.0).samples()
+    torch.testing.assert_close(swept, Chirp(1, 200 * dt, dt, band=(0.0, 0.05 / dt), amplitude=1.0).samples())

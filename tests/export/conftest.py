@@ -38,7 +38,15 @@ def pendulum_controller(observer=True, integral=None, delay=0.07, stops=True, di
     """Return a controller of a pendulum whose angle is measured."""
     angle, rate = signature.state_names
     task = Tracking(
-        signature, Step([[0.0]]), (angle,), (rate,), TrackingReward((1.0,)), observe_rate=True, error_scale=0.7
+        signature,
+        Step([[0.0]]),
+        (angle,),
+        (rate,),
+        TrackingReward((1.0,)),
+        observe_rate=True,
+        error_scale=0.5,
+        low=[-0.4],
+        high=[1.0],
     )
     pace = Pace(task, 0.04, 3, Stops((0,), (1,), (-0.6,), (0.25,)) if stops else None)
     if not observer:

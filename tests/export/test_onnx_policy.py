@@ -31,7 +31,7 @@ def test_the_columns_of_the_observation_are_told(pendulum):
         "theta / 1.5",
         "Omega / 3.0",
         "(theta wanted - theta) / 0.7",
-        "rate of theta wanted",
+        "rate of theta wanted / 1.4",
     ]
 
 

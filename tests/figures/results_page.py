@@ -33,6 +33,7 @@ def ties(text: str) -> Iterator[Tie]:
     yield from _speed()
     yield from _bench()
     yield from _rigs()
+    yield from _from_log()
 
 
 def _bench() -> Iterator[Tie]:
@@ -73,7 +74,7 @@ def _table(text: str) -> Iterator[Tie]:
     for case, words, plant, seconds in re.findall(pattern, part, re.M):
         found = gradient(case, plant, float(seconds), _scenario(case, words))
         figures = worst(found)
-        if case in ("detuned", "friction"):
+        if case in ("detuned", "friction_alone"):
             figures += f" ({worst(found, WORST)})"
         head = f"| `{case}`{', ' * bool(words)}{words} | `{plant}` | {seconds} s | {{}} | {{}} | {{}} |"
         yield Tie(PAGE, head, (str(len(found)), figures, f"{max(numbers(found, 'cpu_seconds')):.0f}"))
@@ -150,16 +151,32 @@ def _shares(plant: str) -> tuple[float, float]:
 def _friction_words() -> Iterator[Tie]:
     lost = [row for row in gradient("friction", "trms33") if float(row["pitch"]) > 0.1]
     assert len(lost) == 2
-    first = pair(partial(_number, lost[0]), 1, "/", AXES)
-    words = f"{float(lost[1]['azimuth']):.1f}/{float(lost[1]['pitch']):.1f}"
-    yield Tie(PAGE, "enough on two seeds of three ({} and {} rad)", (first, words))
-    places = {30: 3, 50: 3, 70: 4, 90: 4, 110: 4}
-    later = [worst(gradient("friction", "trms33", s), between="/", places=n) for s, n in places.items()]
-    held = worst(gradient("friction", "trms33", 110, "step_integral"), between="/")
-    words = (
-        "each episode and refit helps: {}, {}, {}, {}, {} after one to five, the worst seed; with integral action {}."
+    assert len(gradient("friction_alone", "trms33")) == 10
+    words = [pair(partial(_number, row), 1, "/", AXES) for row in lost]
+    held = worst(gradient("friction", "trms33", 110), between="/")
+    yield Tie(
+        PAGE,
+        "no policy after 10 s ({} and {} rad), and it took five episodes and refits to come to {}.",
+        (*words, held),
     )
-    yield Tie(PAGE, words, (*later, held))
+
+
+def _from_log() -> Iterator[Tie]:
+    """Yield what is said of the C file out of a log, and of the rig."""
+    found = table("from_log.csv")
+    assert [int(row["seed"]) for row in found] == list(range(10))
+    flops = f"{max(numbers(found, 'flops')) / 1000:.0f}"
+    yield Tie(
+        PAGE,
+        "Worst of ten seeds: {} rad (worst single reference {}), some {}",
+        (worst(found, between="/"), worst(found, WORST, "/"), flops),
+    )
+    faults = [row for row in table("rig.csv") if row["fault"] != "none"]
+    safe = [row for row in faults if int(row["periods_to_safe"]) <= 1 and int(row["rows_lost"]) == 0]
+    yield Tie(PAGE, "Of {} faults, ten kinds", (str(len(faults)),))
+    yield Tie(PAGE, "{} ended in the safe input within one period", (str(len(safe)),))
+    calm = {row["hertz"]: row["milliseconds"] for row in table("rig.csv") if row["fault"] == "none"}
+    yield Tie(PAGE, "within {} ms (20 Hz) and {} ms (100 Hz) of their time", (calm["20.0"], calm["100.0"]))
 
 
 def _other_words() -> Iterator[Tie]:

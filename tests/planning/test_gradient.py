@@ -465,3 +465,23 @@ def test_the_memory_of_a_window_is_that_of_its_derivatives_and_states(monkeypatc
     planned()
     # 16 rows, 20 periods, eight bytes: a matrix of 6 x 6, one of 6 x 2, and four vectors of 6.
     assert sizes == [16 * 20 * 8 * (36 + 12 + 24)]
+
+
+def test_what_is_not_given_follows_the_plant_and_what_is_given_stays():
+    env, agent, replay = setting()
+    planner = GradientPlanning(env, agent, replay, updates=1, rollouts=4, lr=0.02)
+    assert planner.plan().imagined == 4 * 60  # the window of the twin rotor
+    assert (planner.pace.window, planner.pace.updates, planner.pace.lr) == (60, 1, 0.02)
+    planner = GradientPlanning(env, agent, replay, updates=1, substeps=3, patience=7, **SMALL)
+    planner.plan()
+    assert (planner.pace.window, planner.pace.patience, planner.env.substeps) == (20, 7, 3)
+
+
+def test_a_policy_that_is_told_to_begins_as_a_regulator():
+    earned = {}
+    for held in (False, True):
+        env, agent, replay = setting()
+        planner = GradientPlanning(env, agent, replay, updates=1, lr=1e-6, held=held, **SMALL)
+        planner.plan()
+        earned[held] = planner.test()
+    assert earned[True] > 0.2 * earned[False]  # costs are negative: four fifths of them are gone

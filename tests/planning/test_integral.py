@@ -128,3 +128,29 @@ def test_a_task_without_a_reference_is_refused():
     env.task = object()
     with pytest.raises(TypeError, match="task object has no error to integrate"):
         IntegralAction(proportional, env)
+
+
+def test_band_limit_and_rate_count_in_boxes_of_targets():
+    """Half the box and twice the numbers are the same controller."""
+    plant, states = Pendulum(), []
+    for box, factor in ((0.5, 2.0), (1.0, 1.0)):
+        task = Tracking(
+            plant.signature,
+            Step([[0.2]]),
+            ("theta",),
+            ("Omega",),
+            TrackingReward((4.0,)),
+            max_steps=100,
+            error_scale=0.5 * factor,
+            low=[0.0],
+            high=[box],
+        )
+        env = ControlEnv(plant, task)
+
+        def proportional(tensordict):
+            return tensordict.set("action", (0.5 * tensordict["observation"][..., 2:3]).clamp(-1, 1))
+
+        numbers = {"band": 0.15 * factor, "limit": 0.06 * factor, "rate": 0.3 * factor}
+        states.append(env.rollout(100, IntegralAction(proportional, env, gain=2.0, **numbers))["next", "state"])
+        assert not torch.allclose(states[-1], env.rollout(100, proportional)["next", "state"], atol=1e-2)
+    torch.testing.assert_close(*states)

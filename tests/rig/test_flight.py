@@ -28,7 +28,7 @@ def swing(y, t):
 
 def flown(tmp_path, act=swing, periods=12, guard=PATIENT, served=None, **settings):
     """Fly, and return what came of it and what the rig saw."""
-    server = SimulatedRig(Pendulum(), 0.05, safe=SAFE, lockstep=True, **settings)
+    server = SimulatedRig(Pendulum(), 0.05, safe=SAFE, lockstep=10.0, **settings)
     thread = threading.Thread(target=server.serve, args=(served or periods + 1,))
     thread.start()
     rig = UdpRig(2, 1, port=server.port)
@@ -67,7 +67,7 @@ def test_the_log_is_read_back_by_identification(tmp_path):
 
 def test_a_state_without_a_sensor_has_no_column(tmp_path):
     sensors = Sensors({"theta": {"resolution": 0.01}})
-    server = SimulatedRig(Pendulum(), 0.05, sensors, lockstep=True)
+    server = SimulatedRig(Pendulum(), 0.05, sensors, lockstep=10.0)
     thread = threading.Thread(target=server.serve, args=(4,))
     thread.start()
     rig, shown = UdpRig(2, 1, port=server.port), []
@@ -135,7 +135,7 @@ def test_a_controller_that_hangs_is_overtaken_by_the_watchdog(tmp_path):
     """The safe input is sent while the controller still computes."""
     guard = Guard(late=6.0)
     before = time.monotonic()
-    server = SimulatedRig(Pendulum(), 0.05, safe=SAFE, lockstep=True)
+    server = SimulatedRig(Pendulum(), 0.05, safe=SAFE, lockstep=10.0)
     thread = threading.Thread(target=server.serve, args=(5,))
     thread.start()
     rig = UdpRig(2, 1, port=server.port)
@@ -153,7 +153,7 @@ def test_ctrl_c_brings_the_rig_to_rest_and_goes_on(tmp_path):
             raise KeyboardInterrupt
         return swing(y, t)
 
-    server = SimulatedRig(Pendulum(), 0.05, safe=SAFE, lockstep=True)
+    server = SimulatedRig(Pendulum(), 0.05, safe=SAFE, lockstep=10.0)
     thread = threading.Thread(target=server.serve, args=(6,))
     thread.start()
     rig = UdpRig(2, 1, port=server.port)

@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from dynasindy.systems import Tras
+from dynasindy.systems import Signature, Tras
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward, Wave
 
 SIGNATURE = Tras().signature
@@ -114,7 +114,7 @@ def test_a_scale_that_is_not_positive_is_refused(settings):
 
 @pytest.mark.parametrize(
     "settings",
-    [{"outputs": ("alpha_a",)}, {"rates": ("Omega_a",)}, {"reward": TrackingReward((1.0,))}, {"outputs": ()}],
+    [{"outputs": ("alpha_a",)}, {"rates": ("Omega_a",)}, {"reward": TrackingReward((1.0,) * 3)}, {"outputs": ()}],
 )
 def test_every_count_is_compared(settings):
     with pytest.raises(ValueError, match="equally many"):
@@ -132,3 +132,64 @@ def test_any_batch_is_seen_and_paid_as_its_rows_are():
         torch.testing.assert_close(seen[i, j], task.observation(x[i, j], params[i, j], t[i, j]))
         single = task.reward(x[i, j], x_next[i, j], params[i, j], t[i, j], stopped[i, j])
         torch.testing.assert_close(paid[i, j], single)
+
+
+CART = Signature(("p", "theta", "v"), ("m", "rad", "m/s"), ("u",), (2.0, 0.3, 1.0))
+
+
+def test_errors_and_rates_are_paid_and_seen_in_boxes_of_targets():
+    def task(box):
+        ends = {"low": [-1.0, 0.0], "high": [3.0, 0.0]} if box else {}
+        reward = TrackingReward((4.0,), 0.5, 0.1, 0.01, width=0.05, error_shape="linear")
+        return Tracking(CART, Step([[2.0, 0.0]]), ("p", "theta"), ("v", "v"), reward, **ends)
+
+    x, x_next = torch.zeros(1, 3), torch.tensor([[1.6, 0.03, 0.2]])
+    plain, boxed = task(False), task(True)
+    params, t, free = boxed.sample(torch.Size((1,)), torch.Generator()), torch.zeros(1, 1), torch.zeros(1) > 0
+    assert plain.boxes().tolist() == [1.0, 1.0]
+    assert boxed.boxes().tolist() == [4.0, pytest.approx(0.3)]  # one target of its unit: the range of the state
+    e = (0.4 / 4, 0.03 / 0.3)  # the error in shares of the box
+    paid = -4 * sum(v * v / (0.05 + v) for v in e) - 0.5 * ((0.2 / 4) ** 2 + (0.2 / 0.3) ** 2)
+    assert boxed.reward(x, x_next, params, t, free).item() == pytest.approx(paid, rel=1e-5)
+    assert boxed.observation(x_next, params, t)[0, 3:].tolist() == pytest.approx([0.1 / 0.5, -0.1 / 0.5])
+
+
+def test_outputs_of_one_unit_share_the_widest_box():
+    task = Tracking(SIGNATURE, WAVE, low=[-0.5, -0.5], high=[0.5, 0.4])
+    assert task.boxes().tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize("ends", [([0.0], [1.0]), ([1.0, 0.0], [0.5, 1.0])])
+def test_a_box_that_is_none_is_refused(ends):
+    with pytest.raises(ValueError, match="low <= high for each output"):
+        Tracking(SIGNATURE, WAVE, low=ends[0], high=ends[1])
+
+
+def test_states_and_references_are_read_back_from_observations():
+    task = Tracking(SIGNATURE, WAVE, observe_rate=True, low=[-1.0, -1.0], high=[2.0, 0.5])
+    rng = torch.Generator().manual_seed(0)
+    x, t, params = torch.randn(5, 6, generator=rng), torch.rand(5, 1), task.sample(torch.Size((5,)), rng)
+    seen, wanted = task.seen(task.observation(x, params, t))
+    torch.testing.assert_close(seen, x)
+    torch.testing.assert_close(wanted, task.reference(params, t), atol=1e-6, rtol=1e-5)
+
+
+def test_a_plant_without_rates_pays_for_errors_alone():
+    task = Tracking(CART, Step([[1.0]]), ("p",), (), TrackingReward((1.0,), 5.0, 0.0))
+    params = task.sample(torch.Size((1,)), torch.Generator())
+    x, x_next = torch.zeros(1, 3), torch.tensor([[0.5, 9.0, 9.0]])
+    assert task.reward(x, x_next, params, torch.zeros(1, 1), torch.zeros(1) > 0).item() == pytest.approx(-0.25)
+
+
+def test_episodes_begin_where_start_says():
+    start = {"p": 0.5, "theta": [-0.1, 0.1]}
+    task = Tracking(CART, Step([[1.0]]), ("p",), ("v",), TrackingReward((1.0,)), start=start)
+    x = task.with_reference(Step([[2.0]])).initial_state(torch.Size((400,)), torch.Generator().manual_seed(0))
+    assert (x[:, 0] == 0.5).all() and not x[:, 2].any()
+    assert -0.1 <= x[:, 1].min() < -0.09 and 0.09 < x[:, 1].max() <= 0.1
+
+
+@pytest.mark.parametrize("start", [{"q": 1.0}, {"p": [1.0, 0.0]}, {"p": math.inf}, {"p": [0.0, 1.0, 2.0]}])
+def test_a_start_that_is_none_is_refused(start):
+    with pytest.raises(ValueError, match=r"task\.start has"):
+        Tracking(CART, Step([[1.0]]), ("p",), ("v",), TrackingReward((1.0,)), start=start)

@@ -6,7 +6,8 @@ import torch
 from dynasindy.systems import Tras
 from dynasindy.systems.base import Signature
 from dynasindy.world_models.fast_field import generate
-from dynasindy.world_models.features import CONSTANT, of, register_function, variable
+from dynasindy.world_models.features import CONSTANT, of, variable
+from dynasindy.world_models.functions import register_function
 from dynasindy.world_models.libraries import build_library
 from dynasindy.world_models.library import Library
 

@@ -6,14 +6,15 @@ import torch
 
 from dynasindy.systems import Tras
 from dynasindy.systems.base import Signature
-from dynasindy.world_models import features
+from dynasindy.world_models import functions
 from dynasindy.world_models.fast_slopes import Slopes
-from dynasindy.world_models.features import CONSTANT, Function, of, parse, register_function, variable
+from dynasindy.world_models.features import CONSTANT, of, parse, variable
+from dynasindy.world_models.functions import Function, register_function
 from dynasindy.world_models.libraries import build_library
 from dynasindy.world_models.library import Library
 
 SIGNATURE = Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 1.0))
-OWN = tuple(features._REGISTRY)
+OWN = tuple(functions._REGISTRY)
 SMALLEST = 1e-3
 
 
@@ -123,9 +124,9 @@ def test_slopes_of_products_and_powers_by_states_and_by_the_numbers_inside():
 
 
 def test_negative_powers_and_functions_of_two_variables(monkeypatch):
-    monkeypatch.setattr(features, "_REGISTRY", dict(features._REGISTRY))
+    monkeypatch.setattr(functions, "_REGISTRY", dict(functions._REGISTRY))
     register_function("angle_of", torch.atan2)
-    features._REGISTRY["arc"] = Function("arc", lambda z, p: torch.atan(z / p), "arc({0})", "", parametric=True)
+    functions._REGISTRY["arc"] = Function("arc", lambda z, p: torch.atan(z / p), "arc({0})", "", parametric=True)
     library = Library(SIGNATURE, [variable("b", -2) * variable("a"), of("angle_of", "a", "b"), of("arc", "a")])
     x, u = points()
     a, b = x.numpy().T

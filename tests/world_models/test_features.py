@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from dynasindy.systems.base import Signature
-from dynasindy.world_models.features import CONSTANT, Feature, latex_name, of, parse, register_function, variable
+from dynasindy.world_models.features import CONSTANT, Feature, latex_name, of, parse, variable
+from dynasindy.world_models.functions import register_function
 from dynasindy.world_models.library import Library
 
 

@@ -8,8 +8,9 @@ import torch
 
 from dynasindy.systems import Tras, Xi
 from dynasindy.world_models.constraints import Constraints
-from dynasindy.world_models.features import CONSTANT, of, parse, register_function, variable
+from dynasindy.world_models.features import CONSTANT, of, parse, variable
 from dynasindy.world_models.files import FORMAT, load, save
+from dynasindy.world_models.functions import register_function
 from dynasindy.world_models.libraries import build_library
 from dynasindy.world_models.library import Library
 
@@ -246,15 +247,15 @@ def test_a_coefficient_of_no_function_is_refused(written):
 
 
 def test_a_user_s_function_must_be_registered_before_loading(tmp_path, monkeypatch):
-    from dynasindy.world_models import features
+    from dynasindy.world_models import functions
 
-    monkeypatch.setattr(features, "_REGISTRY", dict(features._REGISTRY))
+    monkeypatch.setattr(functions, "_REGISTRY", dict(functions._REGISTRY))
     register_function("cube_of_file_test", lambda z: z**3)
     library = Library(Xi().signature, [of("cube_of_file_test", "Omega_a")])
     save(library, torch.ones(1, 6), tmp_path / "model.json")
     x, u = torch.full((1, 6), 2.0), torch.zeros(1, 2)
     assert load(tmp_path / "model.json")[0](x, u).item() == 8.0
-    del features._REGISTRY["cube_of_file_test"]
+    del functions._REGISTRY["cube_of_file_test"]
     with pytest.raises(ValueError, match=r"'cube_of_file_test' is not known.*register_function"):
         load(tmp_path / "model.json")
 

@@ -12,7 +12,8 @@ from dynasindy.systems import Tras, Xi
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import Refinement, Regression, SindyModel
-from dynasindy.world_models.features import of, register_function, variable
+from dynasindy.world_models.features import of, variable
+from dynasindy.world_models.functions import register_function
 from dynasindy.world_models.libraries import (
     NAMED,
     build_library,

@@ -7,8 +7,13 @@ static void integrate(@name@_state *s, const double x[NX], const double r[NR], c
 {
     int i;
     for (i = 0; i < NR; i++) {
-        const double error = r[i] - x[output[i]];
-        const double moving = (rate[i] - x[output_rate[i]]) / @integral_rate@;
+        const double error = (r[i] - x[output[i]]) / box[i];
+@if rates
+        const double moving = (rate[i] - x[output_rate[i]]) / box[i] / @integral_rate@;
+@end
+@if !rates
+        const double moving = 0.0; /* a plant without rates tells nothing of its motion */
+@end
         if (fabs(error) < @integral_band@)
             s->integral[i] += @integral_gain@ * @dt@ * error / (1.0 + moving * moving);
         if (s->integral[i] > @integral_limit@)

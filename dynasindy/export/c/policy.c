@@ -31,12 +31,12 @@ static void policy(@of_state@const double x[NX], const double r[NR], @of_rate@do
     for (i = 0; i < NX; i++)
         a[i] = (float)(x[i] / scale[i]);
     for (i = 0; i < NR; i++) {
-        a[NX + i] = (float)((r[i] - x[output[i]]) / @error_scale@);
+        a[NX + i] = (float)((r[i] - x[output[i]]) / (@error_scale@ * box[i]));
 @if integral
         a[NX + i] += (float)(s->integral[i] / @error_scale@);
 @end
 @if observe_rate
-        a[NX + NR + i] = (float)rate[i];
+        a[NX + NR + i] = (float)(rate[i] / box[i]);
 @end
     }
 @layers@

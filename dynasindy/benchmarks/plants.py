@@ -1,0 +1,96 @@
+"""Plants of a stranger, all settings at their defaults: those of docs/examples, by the command of a new user."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from dynasindy.benchmarks.instruments.commit import commit
+from dynasindy.evaluation.rows import Row, append_rows, read_rows
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = ROOT / "docs" / "examples"
+PLANTS = ("van_der_pol", "cart_pole", "quadrotor", "tanks")
+COLUMNS = (
+    *("plant", "seed", "verdict", "output", "error_percent", "worst_percent"),
+    *("plant_seconds", "periods", "cpu_seconds", "commit"),
+)
+
+
+def main(argv: list[str]) -> None:
+    """Train, and append a row per output."""
+    parser = argparse.ArgumentParser(prog="benchmark.py plants", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--plants", nargs="+", choices=PLANTS, default=list(PLANTS))
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(5)))
+    parser.add_argument("--out", type=Path, default=Path("docs/results/plants.csv"), help="CSV file to append to")
+    arguments = parser.parse_args(argv)
+    done = {(row["plant"], int(row["seed"])) for row in read_rows(arguments.out)}
+    for seed in arguments.seeds:
+        for plant in [name for name in arguments.plants if (name, seed) not in done]:
+            rows = trained(plant, seed)
+            append_rows(arguments.out, COLUMNS, rows)
+            for row in rows:
+                print(", ".join(f"{key} {value}" for key, value in row.items()), flush=True)
+
+
+def trained(plant: str, seed: int) -> list[Row]:
+    """Run the command of a new user and return what its `metrics.json` holds.
+
+    Raises:
+        RuntimeError: The command left none.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder) / "run"
+        words = ["--config-dir", str(EXAMPLES / "conf"), f"system={plant}", f"seed={seed}", f"folder={place}"]
+        paths = os.pathsep.join(filter(None, [str(EXAMPLES), str(ROOT), os.environ.get("PYTHONPATH")]))
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        done = subprocess.run(
+            [sys.executable, str(ROOT / "scripts" / "train.py"), *words],
+            cwd=folder,
+            env={**os.environ, "PYTHONPATH": paths},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        file = place / "metrics.json"
+        if not file.is_file():
+            raise RuntimeError(f"train.py left no metrics.json for {plant}, seed {seed}: {done.stderr[-500:]}")
+        spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        return rows_of(plant, seed, json.loads(file.read_text()), spent)
+
+
+def rows_of(plant: str, seed: int, metrics: dict[str, Any], seconds: float) -> list[Row]:
+    """Return a row per output.
+
+    Args:
+        plant: Name of the plant.
+        seed: Seed of the run.
+        metrics: What `metrics.json` holds.
+        seconds: CPU time of the command [s].
+    """
+    held, cost = metrics["held"], metrics["cost"]
+    verdict = "CONTROLLED" if metrics["verdict"]["controlled"] else "NOT CONTROLLED"
+    return [
+        {
+            **{"plant": plant, "seed": seed, "verdict": verdict, "output": name},
+            "error_percent": _percent(share),
+            "worst_percent": _percent(held["worst"][name]),
+            "plant_seconds": cost["plant_seconds"],
+            "periods": cost["real_steps"],
+            "cpu_seconds": round(seconds, 1),
+            "commit": commit(),
+        }
+        for name, share in held["share"].items()
+    ]
+
+
+def _percent(share: float | None) -> float:
+    return float("inf") if share is None else float(f"{100 * share:.3g}")

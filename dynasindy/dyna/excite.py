@@ -1,0 +1,160 @@
+"""The data collection: excite the real system, and hold it where it would leave its limits.
+
+The signal begins open loop. Where a state leaves its limits, the try ends and the next one begins where episodes do,
+with the rest of the signal; from then on the signal lies on top of a linear-quadratic regulator of a linear model,
+
+    u = u_e - K (x - x_0) + strength * (signal - its mean),        dx/dt = A (x - x_0) + B u + c,   c + B u_e = 0,
+
+fitted by least squares to the tries so far, near the start x_0. Each try that leaves the limits all the same halves the
+strength.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.envs import EnvBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from dynasindy.agents.classical.linearise import zero_order_hold
+from dynasindy.data.recording import transitions
+from dynasindy.dyna.parts import Parts
+from dynasindy.excitation import Excitation
+from dynasindy.planning.regulator import riccati
+from dynasindy.tasks import Tracking
+
+BEYOND = 10.0
+"""Ranges of a state that limit the excitation where the plant names no bounds."""
+NEAR = 1.0
+"""Ranges around the start within which the linear model is fitted."""
+MARGIN = 0.9
+"""Largest mean input of the loop."""
+
+
+def excite(parts: Parts) -> TensorDict:
+    """Return the excitation's control periods on the real system, try after try, `(T,)`.
+
+    Behind sensors the plant is excited open loop and without limits, as its states are not seen.
+    """
+    signal, steps = parts.excitation, parts.excitation.n_steps
+    if parts.sensing is not None:
+        return interact(parts.env, signal, steps)
+    low, high = limits(parts)
+    tries: list[TensorDict] = []
+    pilot = Loop(signal)
+    while (done := sum(len(rows) for rows in tries)) < steps:
+        pilot.begun = done
+        tries.append(interact(parts.env, pilot, steps - done, (low, high)))
+        if not bool(within(tries[-1]["next", "state"][-1], low, high)):
+            pilot.strength *= 1.0 if pilot.gain is None else 0.5
+            pilot.close(torch.cat(tries), parts)
+    return torch.cat(tries)
+
+
+def limits(parts: Parts) -> tuple[Tensor, Tensor]:
+    """Return the ends of the states within which the plant is excited, `(n_x,)` each."""
+    far = BEYOND * torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)
+    task = parts.plant.task
+    if not isinstance(task, Tracking):
+        return -far, far
+    low, high = task.bounds
+    return torch.where(low.isfinite(), low, -far), torch.where(high.isfinite(), high, far)
+
+
+def within(x: Tensor, low: Tensor, high: Tensor) -> Tensor:
+    """Return whether states `(*batch, n_x)` lie within their limits, bool `(*batch,)`."""
+    return ((x >= low) & (x <= high)).all(-1)
+
+
+def interact(
+    env: EnvBase,
+    policy: Callable[[TensorDictBase], TensorDictBase],
+    steps: int,
+    ends: tuple[Tensor, Tensor] | None = None,
+) -> TensorDict:
+    """Run a policy, exploring, on the real system for at most one episode, `(T,)`.
+
+    Args:
+        env: The real system.
+        policy: What acts.
+        steps: Most control periods.
+        ends: Limits of the states, beyond which the run ends; none if omitted.
+    """
+    with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+        if ends is None:
+            return env.rollout(steps, policy)
+        rows: list[TensorDictBase] = []
+        now = env.reset()
+        while len(rows) < steps:
+            rows.append(env.step(policy(now)))
+            x = rows[-1]["next", "state"]
+            if not bool(x.isfinite().all()) and len(rows) > 1:
+                rows.pop()
+            if not bool(within(x, *ends)) or bool(rows[-1]["next", "done"].any()):
+                break
+            now = env.step_mdp(rows[-1])
+        return torch.stack(rows).contiguous()
+
+
+class Loop:
+    """The signal, and the regulator under it once there is one.
+
+    Attributes:
+        begun: Control periods of the signal that earlier tries have used.
+        strength: Factor on the signal.
+        gain: K, `(n_u, n_x)`; None as long as the signal acts alone.
+
+    Args:
+        signal: The excitation.
+    """
+
+    def __init__(self, signal: Excitation) -> None:
+        self.signal, self.begun, self.strength = signal, 0, 1.0
+        self.gain: Tensor | None = None
+        self.home = self.mean = torch.zeros(0)
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write `action`."""
+        later = tensordict.select("step_count").set("step_count", tensordict["step_count"] + self.begun)
+        u: Tensor = self.signal(later)["action"]
+        if self.gain is not None:
+            added = self.strength * (u - self.signal.offset.to(u))
+            back = (tensordict["state"].double() - self.home) @ self.gain.mT
+            u = (self.mean - back).clamp(-1.0, 1.0).to(u) + added
+        return tensordict.set("action", u.clamp(-1.0, 1.0))
+
+    def close(self, rows: TensorDict, parts: Parts) -> None:
+        """Fit a linear model to what was seen and regulate it; the loop stays as it is where nothing holds the model.
+
+        Args:
+            rows: The tries so far, `(T,)`.
+            parts: The plant, its period and the ranges of its states.
+        """
+        scale = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)
+        home = rows["state"][0].double()
+        data = transitions(rows, parts.plant.log_dt)
+        middle = 0.5 * (data.x + data.x_next) - home
+        near = (middle.abs() <= NEAR * scale).all(-1)
+        a, b, c = _linear(middle[near] / scale, data.u[near], ((data.x_next - data.x) / data.dt)[near] / scale)
+        if not bool(near.any()):
+            return
+        a, b, c = a * scale.unsqueeze(-1) / scale, b * scale.unsqueeze(-1), c * scale
+        found = riccati(*zero_order_hold(a, b, parts.plant.dt), 1.0 / scale.square(), 1.0)
+        if found is None:
+            return
+        self.home, self.gain = home, found[0]
+        self.mean = torch.linalg.lstsq(b / scale.unsqueeze(-1), -c / scale, driver="gelsd").solution
+        self.mean = self.mean.clamp(-MARGIN, MARGIN)
+
+
+def _linear(x: Tensor, u: Tensor, dx: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return A, B and c of dx = A x + B u + c by least squares; the smallest where the data leave a choice."""
+    rows = torch.cat([x, u, torch.ones_like(x[:, :1])], -1)
+    n_x, n_u = x.shape[-1], u.shape[-1]
+    if not len(rows):
+        return torch.zeros(n_x, n_x).double(), torch.zeros(n_x, n_u).double(), torch.zeros(n_x).double()
+    a, b, c = torch.linalg.lstsq(rows, dx, driver="gelsd").solution.split([n_x, n_u, 1])
+    return a.mT, b.mT, c[0]

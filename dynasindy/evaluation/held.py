@@ -1,0 +1,64 @@
+"""Whether a plant is held: how near its outputs stay to their targets, and whether its other states come to rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from dynasindy.evaluation.scenarios import Evaluation
+
+FAR = 20.0
+"""Ranges beyond which a state has run away, whatever the reference does."""
+UNREST = 0.5
+"""Ranges that a state may move by at the end of a run whose references stand still."""
+
+
+@dataclass(frozen=True)
+class Held:
+    """What an evaluation shows of the plant; `dataclasses.asdict` gives what `metrics.json` holds.
+
+    Attributes:
+        share: Mean absolute error at the end, of each output, in boxes of targets; None where it is not finite.
+        worst: The same of the worst reference.
+        away: States that run away or do not come to rest though they are not tracked, with the share of runs.
+        idle: Those of them that nothing depends on, as a mileage.
+    """
+
+    share: dict[str, float | None]
+    worst: dict[str, float | None]
+    away: dict[str, float]
+    idle: dict[str, float]
+
+
+def held(evaluation: Evaluation, matter: Tensor) -> Held:
+    """Judge the final part of an evaluation.
+
+    Args:
+        evaluation: Runs of a policy.
+        matter: States that are tracked or that a rate of change depends on, bool `(n_x,)`.
+    """
+    last = round(evaluation.steady_seconds / (evaluation.seconds / len(evaluation.time)))
+    boxes = torch.tensor(evaluation.boxes or (1.0,) * len(evaluation.columns), dtype=torch.float64)
+    errors = (evaluation.outputs - evaluation.references)[:, -last:].double().abs().mean(1) / boxes
+    scale = torch.tensor(evaluation.signature.x_scale, dtype=torch.float64)
+    x = evaluation.trajectory["state"][:, -last:].double() / scale
+    lost = ~(x.abs() <= FAR).all(1)
+    references = evaluation.references
+    still = (references[:, -last:] == references[:, -1:]).all(-1).all(-1)
+    lost |= still.unsqueeze(-1) & ~(x.amax(1) - x.amin(1) <= UNREST)
+    shares = lost.double().mean(0).tolist()
+    names = evaluation.signature.state_names
+    gone = {i: share for i, share in enumerate(shares) if share and i not in evaluation.columns}
+    return Held(
+        share=_named(evaluation, errors.mean(0)),
+        worst=_named(evaluation, errors.amax(0)),
+        away={names[i]: share for i, share in gone.items() if bool(matter[i])},
+        idle={names[i]: share for i, share in gone.items() if not bool(matter[i])},
+    )
+
+
+def _named(evaluation: Evaluation, values: Tensor) -> dict[str, float | None]:
+    finite = [value if value < float("inf") else None for value in values.tolist()]
+    return dict(zip(evaluation.output_names, finite, strict=True))

@@ -1,0 +1,123 @@
+"""What suits a plant: settings of planning by gradient that follow from the model's linearisation.
+
+| setting        | follows                                                                                    |
+| -------------- | ------------------------------------------------------------------------------------------ |
+| window         | the slowest mode of the closed loop that a linear-quadratic regulator makes                |
+| lr, updates    | whether deviations grow without control: then smaller and more steps, from a held plant   |
+| patience       | likewise                                                                                   |
+| substeps       | the fastest mode of the model                                                              |
+
+Times are counted in control periods and lengths in ranges, so that a tank sampled every 2 s and a beam sampled every
+0.05 s are treated alike.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.quasirandom import SobolEngine
+
+from dynasindy.envs import ControlEnv
+from dynasindy.planning.regulator import Regulator, Weights
+from dynasindy.planning.rests import Rests, find_rests, growth
+from dynasindy.tasks import Tracking
+
+GROWN = 30.0
+"""Growth of a deviation within an episode beyond which a plant has to be held. Of the twin rotor it is 5."""
+REFERENCES = 64
+"""References at which rests are looked for."""
+LOOKED_AT = 8
+"""Rests at which the growth of deviations is computed."""
+TIME_CONSTANTS = 7.0
+"""Time constants of the regulated plant in a window."""
+WINDOW = 20
+"""Windows are multiples of so many control periods."""
+LONGEST = 80
+"""Longest window that follows from a model."""
+STEP = 1.0
+"""Largest product of a Runge-Kutta step and a mode's rate; the method itself is stable up to 2.8."""
+SUBSTEPS = 10
+"""Most Runge-Kutta steps; a mode that would take more is of a model that is wrong, or over within the period."""
+
+
+@dataclass(frozen=True)
+class Pace:
+    """Settings of planning by gradient that suit a plant; the defaults are those of the twin rotor.
+
+    Attributes:
+        window: Control periods that a gradient reaches back.
+        lr: Learning rate of the first phase.
+        updates: Gradient updates of the first phase.
+        patience: Tests in a row without improvement after which a phase ends.
+        substeps: Runge-Kutta steps per imagined control period.
+        held: Whether the policy begins as a regulator that holds the plant.
+        why: What of the plant they follow, in words.
+    """
+
+    window: int = 60
+    lr: float = 1e-2
+    updates: int = 200
+    patience: int = 3
+    substeps: int = 1
+    held: bool = False
+    why: str = "as for the twin rotor"
+
+    def __str__(self) -> str:
+        """Return the settings in one line."""
+        begun = "begun as a regulator, " if self.held else ""
+        return (
+            f"{begun}window {self.window} periods, lr {self.lr:g}, {self.updates} updates, patience {self.patience}, "
+            f"{self.substeps} Runge-Kutta step{'s' * (self.substeps > 1)} a period: {self.why}"
+        )
+
+
+def rests_of(env: ControlEnv) -> Rests:
+    """Return the rests of a model over the references of its task.
+
+    Raises:
+        TypeError: The task tracks no reference.
+    """
+    task = env.task
+    if not isinstance(task, Tracking):
+        raise TypeError(f"task {type(task).__name__} tracks no reference; use planning=dyna, which any task allows")
+    generator = torch.Generator().manual_seed(0)
+    start = task.initial_state(torch.Size((16,)), generator).double().mean(0)
+    return find_rests(env.system, task.outputs, _targets(task, generator), start)
+
+
+def pace_of(env: ControlEnv, rests: Rests) -> Pace:
+    """Return the settings that suit a model.
+
+    Args:
+        env: Imagined environment.
+        rests: Rests of the model.
+    """
+    if not len(rests):
+        return Pace(why="the model has no rest in the box of targets")
+    moved, seconds = rests.moved, env.task.max_steps * env.dt
+    scale = torch.tensor(env.system.signature.x_scale, dtype=torch.float64)[moved]
+    places = torch.linspace(0, len(rests) - 1, min(LOOKED_AT, len(rests))).long()
+    slopes = [rests.a[k][moved][:, moved] for k in places.tolist()]
+    grown = max(growth(a, scale, seconds) for a in slopes)
+    fastest = max(float(torch.linalg.eigvals(a).abs().max()) for a in slopes)
+    substeps = max(1, min(math.ceil(fastest * env.dt / STEP - 1e-9), SUBSTEPS))
+    regulator = Regulator.of(env, rests, Weights())
+    slowest = regulator.slowest if regulator else math.nan
+    window = 60 if math.isnan(slowest) else WINDOW * round(TIME_CONSTANTS * slowest / WINDOW)
+    window = max(2 * WINDOW, min(window, LONGEST))
+    loop = "no regulator holds it" if regulator is None else f"slowest regulated mode {slowest:.3g} periods"
+    if not grown > GROWN:
+        return Pace(window=window, substeps=substeps, why=f"a deviation grows {grown:.2g}-fold in an episode; {loop}")
+    return Pace(window, 3e-3, 200, 3, substeps, regulator is not None, f"a deviation grows {grown:.2g}-fold; {loop}")
+
+
+def _targets(task: Tracking, generator: torch.Generator) -> Tensor:
+    """Return references that fill the task's: what it draws at the start of an episode."""
+    drawn = task.sample(torch.Size((8 * REFERENCES,)), generator)
+    values = task.reference(drawn, torch.zeros(len(drawn), 1)).double()
+    low, high = values.amin(0), values.amax(0)
+    points = SobolEngine(values.shape[-1], scramble=True, seed=0).draw(REFERENCES).double()
+    return low + (high - low) * points

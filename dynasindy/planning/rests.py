@@ -1,0 +1,186 @@
+"""Where a model rests with its tracked states at given values, and what it is like there.
+
+A rest is a state and an input with f(x, u) = 0. There may be fewer inputs than tracked states (a cart with a pole) or
+more (two pumps of one tank), and a reference may have no rest; so each is the least-squares solution, and is counted
+as found if little is left of f.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from scipy.linalg import expm
+from torch import Tensor
+
+from dynasindy.systems import System
+
+STARTS = 64
+"""Guesses from which the first rest is searched."""
+ITERATIONS = 60
+"""Steps of Levenberg and Marquardt's method."""
+LEFT = 1e-3
+"""Rate of change, in ranges of the states per second or in the model's own rates if faster, that counts as none."""
+_STEP = 1e-5
+
+
+@dataclass(frozen=True)
+class Rests:
+    """Rests of a model, one per reference, and its linearisation there.
+
+    Attributes:
+        targets: Values of the tracked states, `(n, n_r)`.
+        x: States, `(n, n_x)`.
+        u: Inputs, `(n, n_u)`.
+        a: df/dx, `(n, n_x, n_x)` [1/s].
+        b: df/du, `(n, n_x, n_u)` [1/s].
+        moved: States that take part: those tracked and those that anything depends on, bool `(n_x,)`.
+    """
+
+    targets: Tensor
+    x: Tensor
+    u: Tensor
+    a: Tensor
+    b: Tensor
+    moved: Tensor
+
+    def __len__(self) -> int:
+        """Count the references that have a rest."""
+        return len(self.targets)
+
+    def middle(self) -> int:
+        """Return the place of the rest whose targets are nearest to the mean of all."""
+        return int((self.targets - self.targets.mean(0)).square().sum(-1).argmin())
+
+
+def find_rests(system: System, outputs: Sequence[int], targets: Tensor, start: Tensor) -> Rests:
+    """Return the rests that some references have; those without one, or with inputs beyond their range, are left out.
+
+    Args:
+        system: Vector field.
+        outputs: Places of the tracked states.
+        targets: References, `(n, n_r)`.
+        start: State near which rests are searched, `(n_x,)`.
+    """
+    targets, start = targets.double(), start.double()
+    search = _Search(system, list(outputs), start)
+    centre = targets[(targets - targets.mean(0)).square().sum(-1).argmin()]
+    first = search.solve(centre.expand(STARTS, -1), search.guesses())
+    good = search.left(first, centre.expand(STARTS, -1)) < LEFT
+    size = (first - search.guess).square().sum(-1).where(good, torch.inf)
+    begin = first[size.argmin()] if bool(good.any()) else search.guess
+    found = search.solve(targets, begin.expand(len(targets), -1))
+    x, u = search.parts(found, targets)
+    good = (search.left(found, targets) < LEFT) & (u.abs() <= 1 + 1e-6).all(-1)
+    a, b = slopes(system, x, u)
+    good &= a.isfinite().all(-1).all(-1) & b.isfinite().all(-1).all(-1)
+    return Rests(targets[good], x[good], u[good], a[good], b[good], search.moved)
+
+
+def slopes(system: System, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+    """Return df/dx, `(n, n_x, n_x)`, and df/du, `(n, n_x, n_u)`, by central differences [1/s]."""
+    scale = torch.tensor(system.signature.x_scale, dtype=x.dtype)
+
+    def _along_x(step: Tensor) -> Tensor:
+        return system(x.unsqueeze(1) + step * scale, u.unsqueeze(1).expand(-1, len(step), -1))
+
+    def _along_u(step: Tensor) -> Tensor:
+        return system(x.unsqueeze(1).expand(-1, len(step), -1), u.unsqueeze(1) + step)
+
+    return _slope(_along_x, x.shape[-1], x.dtype) / scale, _slope(_along_u, u.shape[-1], x.dtype)
+
+
+@torch.no_grad()
+def _slope(f: Callable[[Tensor], Tensor], n: int, dtype: torch.dtype) -> Tensor:
+    steps = _STEP * torch.eye(n, dtype=dtype)
+    return ((f(steps) - f(-steps)) / (2 * _STEP)).mT
+
+
+def growth(a: Tensor, scale: Tensor, seconds: float) -> float:
+    """Return by how much a deviation of a state may have grown after some time, in ranges of the states.
+
+    Args:
+        a: df/dx, `(n_x, n_x)` [1/s].
+        scale: Ranges of the states, `(n_x,)`.
+        seconds: The time [s].
+    """
+    scaled = a * scale / scale.unsqueeze(-1)
+    return float(torch.linalg.matrix_norm(torch.as_tensor(expm((scaled * seconds).numpy())), 2))
+
+
+def states_that_matter(system: System, outputs: Sequence[int], start: Tensor) -> Tensor:
+    """Return which states are tracked or change a rate of change, bool `(n_x,)`; a mileage is neither, and never rests.
+
+    Args:
+        system: Vector field.
+        outputs: Places of the tracked states.
+        start: State around which derivatives are taken, `(n_x,)`.
+    """
+    n_x, n_u, start = system.signature.n_x, system.signature.n_u, start.double()
+    generator = torch.Generator().manual_seed(1)
+    scale = torch.tensor(system.signature.x_scale, dtype=torch.float64)
+    x = start + scale * torch.randn(16, n_x, generator=generator, dtype=torch.float64)
+    u = 2 * torch.rand(16, n_u, generator=generator, dtype=torch.float64) - 1
+    matter = slopes(system, x, u)[0].abs().amax((0, 1)) > 1e-9
+    matter[list(outputs)] = True
+    return matter
+
+
+class _Search:
+    """Levenberg and Marquardt's method on f(x, u) = 0, many references at once, in ranges of the states."""
+
+    def __init__(self, system: System, outputs: list[int], start: Tensor) -> None:
+        signature = system.signature
+        self.system, self.outputs, self.start = system, outputs, start
+        self.scale = torch.tensor(signature.x_scale, dtype=torch.float64)
+        self.free = [i for i in range(signature.n_x) if i not in outputs]
+        self.moved = states_that_matter(system, outputs, start)
+        self.guess = torch.cat([start[self.free] / self.scale[self.free], torch.zeros(signature.n_u).double()])
+
+    def guesses(self) -> Tensor:
+        """Return the start and points around it, `(STARTS, m)`."""
+        around = torch.randn(STARTS, len(self.guess), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+        around[0] = 0.0
+        return self.guess + 0.4 * around
+
+    def parts(self, v: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
+        """Return states and inputs of unknowns `(*batch, m)`."""
+        n = len(self.free)
+        x = self.start.expand(*v.shape[:-1], -1).clone()
+        x[..., self.outputs] = targets
+        x[..., self.free] = v[..., :n] * self.scale[self.free]
+        return x, v[..., n:]
+
+    @torch.no_grad()
+    def residual(self, v: Tensor, targets: Tensor) -> Tensor:
+        """Return the rates of change that count, in ranges of the states per second."""
+        dx: Tensor = self.system(*self.parts(v, targets)) / self.scale
+        return dx[..., self.moved]
+
+    def left(self, v: Tensor, targets: Tensor) -> Tensor:
+        """Return the largest rate of change, `(*batch,)`."""
+        return self.residual(v, targets).abs().amax(-1).nan_to_num(torch.inf)
+
+    def solve(self, targets: Tensor, v: Tensor) -> Tensor:
+        """Return the unknowns with the least rates of change, `(n, m)`."""
+        eye = torch.eye(v.shape[-1], dtype=v.dtype)
+        damping, v = torch.full((len(v), 1, 1), 1e-3, dtype=v.dtype), v.clone()
+        now = self.residual(v, targets).nan_to_num(1e6, 1e6, -1e6)
+        for _ in range(ITERATIONS):
+            j = self._slope(v, targets).nan_to_num(0.0, 0.0, 0.0)
+            step = torch.linalg.solve(j.mT @ j + damping * eye, j.mT @ now.unsqueeze(-1)).squeeze(-1)
+            tried = v - step
+            then = self.residual(tried, targets).nan_to_num(1e6, 1e6, -1e6)
+            better = then.square().sum(-1) < now.square().sum(-1)
+            v, now = tried.where(better.unsqueeze(-1), v), then.where(better.unsqueeze(-1), now)
+            damping = (damping * torch.where(better, 0.2, 4.0)[:, None, None]).clamp(1e-12, 1e8)
+            if not bool((now.abs().amax(-1) > 1e-10).any()):
+                break
+        return v
+
+    def _slope(self, v: Tensor, targets: Tensor) -> Tensor:
+        def _around(steps: Tensor) -> Tensor:
+            return self.residual(v.unsqueeze(1) + steps, targets.unsqueeze(1).expand(-1, len(steps), -1))
+
+        return _slope(_around, v.shape[-1], v.dtype)

@@ -1,0 +1,65 @@
+"""The benchmark counts the periods in which the plant has something else than its safe input."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from dynasindy.benchmarks import rig
+from dynasindy.rig.simulated import Record, SimulatedRig
+
+
+class Here:
+    """The far end in a thread, in lockstep, so that a busy computer is no fault."""
+
+    def begin(self, periods, **settings):
+        server = SimulatedRig(**settings, lockstep=2.0)
+        self.record = Record()
+        self.thread = threading.Thread(target=self._serve, args=(server, periods))
+        self.thread.start()
+        return server.port
+
+    def _serve(self, server, periods):
+        self.record = server.serve(periods)
+
+    def end(self):
+        self.thread.join()
+        return self.record
+
+
+@pytest.fixture(autouse=True)
+def _patient(monkeypatch):
+    monkeypatch.setattr(rig, "PERIODS", 6)
+    monkeypatch.setattr(rig, "Guard", lambda low, high, lost: rig_guard(low, high, lost))
+
+
+def rig_guard(low, high, lost):
+    from dynasindy.rig import Guard
+
+    return Guard(low, high, late=20.0, lost=lost)
+
+
+def test_a_fault_of_the_controller_is_counted():
+    row = rig.injected(Here(), 20.0, "raises", 3)
+    assert (row["ended_by"], row["periods_to_safe"], row["rows_lost"]) == ("controller", 0, 0)
+
+
+def test_a_sample_that_is_no_number_is_counted():
+    row = rig.injected(Here(), 20.0, "nan", 4)
+    assert (row["ended_by"], row["at_period"], row["periods_to_safe"]) == ("invalid", 4, 0)
+
+
+def test_inputs_that_go_on_are_counted_against_it(monkeypatch):
+    class Stubborn(Here):
+        def end(self):
+            record = super().end()
+            record.applied = [np.array([0.1])] * 7
+            return record
+
+    assert rig.injected(Stubborn(), 20.0, "nan", 4)["periods_to_safe"] == 3
+
+
+def test_a_flight_without_a_fault_tells_how_late_it_was():
+    row = rig.calm(Here(), 20.0, 6)
+    assert (row["fault"], row["ended_by"]) == ("none", "nothing")
+    assert row["milliseconds"] >= 0

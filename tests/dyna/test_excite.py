@@ -1,0 +1,97 @@
+"""The data collection: unchanged where the plant stays within its limits, and flown where it would not."""
+
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from dynasindy.dyna.excite import Loop, excite, interact, within
+from dynasindy.envs import ControlEnv
+from dynasindy.excitation import Multisine
+from dynasindy.systems import Signature, System, Xi
+from dynasindy.tasks import RandomStep, Tracking, TrackingReward
+
+
+class Inverted(System):
+    """A pendulum measured from the top under a constant pull to one side: a = 5 sin(theta) + 8 u + 1."""
+
+    def __init__(self):
+        super().__init__(Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.0, 3.0)))
+
+    def forward(self, x, u):
+        theta, rate = x.unbind(-1)
+        return torch.stack((rate, 5.0 * torch.sin(theta) + 8.0 * u[..., 0] + 1.0), -1)
+
+
+def parts(plant, n_r=1, duration=10.0, sensing=None, **settings):
+    names = plant.signature.state_names
+    task = Tracking(
+        plant.signature, RandomStep([-0.2] * n_r, [0.2] * n_r), names[:n_r], (), TrackingReward((1.0,)), **settings
+    )
+    env = ControlEnv(plant, task, dtype=torch.float64)
+    signal = Multisine(plant.signature.n_u, duration, 0.05, amplitude=0.3, seed=1)
+    return SimpleNamespace(plant=env, env=env, excitation=signal, sensing=sensing)
+
+
+def test_a_plant_within_its_limits_is_excited_open_loop_as_ever():
+    mine, plain = parts(Xi(), 2, 2.0), parts(Xi(), 2, 2.0)
+    excited, wanted = excite(mine), interact(plain.env, plain.excitation, 40)
+    assert set(excited.keys(True, True)) == set(wanted.keys(True, True)) and excited.shape == wanted.shape == (40,)
+    for key in wanted.keys(True, True):
+        torch.testing.assert_close(excited[key], wanted[key], atol=0.0, rtol=0.0)
+
+
+def test_a_plant_that_falls_is_caught_after_its_first_fall():
+    experiment = parts(Inverted(), bounds={"theta": 0.5})
+    excited = excite(experiment)
+    assert len(excited) == 200
+    begins = [*(excited["step_count"].flatten() == 0).nonzero().flatten().tolist(), 200]
+    assert not excited["state"][begins[:-1]].any()  # each try begins where episodes do
+    lengths = [b - a for a, b in zip(begins, begins[1:], strict=False)]
+    assert lengths[0] < 40 and max(lengths) > 100
+    inside = excited["next", "state"][:, 0].abs() <= 0.5
+    last = torch.zeros(200, dtype=torch.bool)
+    last[[b - 1 for b in begins[1:]]] = True
+    assert inside[~last].all() and not inside[begins[1] - 1]
+    assert excited["action"][begins[-2] :].std() > 0.05  # the signal goes on, on top of the loop
+
+
+def test_the_loop_is_the_regulator_of_the_plant_near_its_start():
+    experiment, torque = parts(Inverted()), 8.0
+    pilot, generator = Loop(experiment.excitation), torch.Generator().manual_seed(0)
+
+    def shaken(tensordict):
+        return tensordict.set("action", 0.3 * torch.randn(1, generator=generator))
+
+    rows = torch.cat(
+        [interact(experiment.env, shaken, 6, (torch.tensor([-1.0]), torch.tensor([1.0]))) for _ in range(8)]
+    )
+    pilot.close(rows, experiment)
+    assert pilot.mean.item() == pytest.approx(-1.0 / torque, abs=0.01)  # against the pull
+    at = rows[:1].clone()
+    at["state"] = torch.tensor([[0.1, 0.0]], dtype=torch.float64)
+    pilot.strength = 0.0
+    pushed = pilot(at.clone())["action"] - pilot.mean
+    assert pushed.item() < -0.1 * 5.0 / torque  # stronger than gravity
+    assert pilot.gain[0, 1] > 0  # and damped
+
+
+def test_a_real_episode_ends_at_the_bounds_and_is_finite():
+    experiment = parts(Inverted(), max_steps=200)
+    ends = (torch.tensor([-0.4, -torch.inf]), torch.tensor([0.6, torch.inf]))
+
+    def idle(tensordict):
+        return tensordict.set("action", torch.zeros(1))
+
+    rows = interact(experiment.env, idle, 200, ends)
+    angles = rows["next", "state"][:, 0]
+    assert len(rows) < 200 and angles[-1] > 0.6 and (angles[:-1] <= 0.6).all()
+    assert len(interact(experiment.env, idle, 5, ends)) == 5
+
+
+def test_limits_are_those_of_the_task_or_ten_ranges():
+    low, high = torch.tensor([-1.0, -2.0]), torch.tensor([1.0, 3.0])
+    x = torch.tensor([[0.0, 2.9], [0.0, 3.1], [-1.1, 0.0], [torch.nan, 0.0]])
+    assert within(x, low, high).tolist() == [True, False, False, False]
+    excited = excite(parts(Inverted()))  # falls to ten ranges of 1 rad and 3 rad/s
+    assert excited["next", "state"].abs().amax(0)[1] < 40.0

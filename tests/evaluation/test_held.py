@@ -1,0 +1,63 @@
+"""What the end of a run says of a plant, from made-up trajectories."""
+
+import json
+from dataclasses import asdict
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from dynasindy.evaluation.held import held
+from dynasindy.evaluation.scenarios import Evaluation
+from dynasindy.systems import Signature
+
+SIGNATURE = Signature(("p", "theta", "way"), ("m", "rad", "m"), ("u",), (1.0, 0.5, 10.0))
+TIME = torch.arange(0, 20, 0.05)
+
+
+def evaluation(x, r=None):
+    """Return runs `(2, 400, 3)` of a plant whose first state is tracked in a box of 4 m."""
+    x = x.expand(2, len(TIME), 3).double()
+    r = torch.zeros(2, len(TIME), 1, dtype=torch.float64) if r is None else r
+    trajectory = TensorDict({"state": x, "reference": r}, [2, len(TIME)])
+    return Evaluation("step", SIGNATURE, (0,), TIME, trajectory, {}, (), (4.0,))
+
+
+def states(p=0.0, theta=0.0, way=0.0):
+    return torch.stack([torch.as_tensor(v).expand(len(TIME)) for v in (p, theta, way)], -1)
+
+
+def judge(x, r=None):
+    return held(evaluation(x, r), torch.tensor([True, True, False]))
+
+
+def test_errors_are_those_of_the_last_seconds_in_boxes():
+    early = torch.where(TIME < 14.9, 3.0, 0.02)
+    x = torch.stack([states(early), states(2 * early)])
+    found = judge(x)
+    assert found.share == {"p": pytest.approx(0.03 / 4)} and found.worst == {"p": pytest.approx(0.04 / 4)}
+    assert not found.away and not found.idle
+
+
+def test_a_spinning_pole_and_a_mileage_are_told_apart():
+    x = states(theta=3.0 * TIME, way=2.0 * TIME)
+    found = judge(torch.stack([x, states()]))
+    assert found.away == {"theta": 0.5} and found.idle == {"way": 0.5}
+    json.dumps(asdict(found), allow_nan=False)
+
+
+def test_a_state_that_swings_has_not_come_to_rest():
+    assert judge(states(theta=0.2 * torch.sin(3 * TIME))).away == {"theta": 1.0}  # 0.4 of a range of 0.5
+    assert not judge(states(theta=0.1 * torch.sin(3 * TIME))).away
+    assert not judge(states(theta=torch.where(TIME < 14.9, 3.0, 0.0))).away
+
+
+def test_under_a_moving_reference_states_may_move_too_but_not_run_away():
+    r = torch.sin(TIME).reshape(1, -1, 1).expand(2, -1, 1).double()
+    assert not judge(states(theta=torch.sin(TIME)), r).away
+    assert judge(states(theta=TIME), r).away == {"theta": 1.0}  # 40 ranges at the end
+
+
+def test_what_is_not_finite_is_lost():
+    found = judge(states(p=torch.inf, theta=torch.nan))
+    assert found.share == {"p": None} and found.away == {"theta": 1.0}

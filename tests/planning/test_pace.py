@@ -1,0 +1,92 @@
+"""Which settings follow from which plant."""
+
+import pytest
+import torch
+
+from dynasindy.envs import ControlEnv
+from dynasindy.planning.pace import SUBSTEPS, Pace, pace_of, rests_of
+from dynasindy.systems import Signature, System, Tras, Xi
+from dynasindy.tasks import RandomStep, Task, Tracking, TrackingReward
+
+
+class Linear(System):
+    """x' = v, v' = stiffness x - damping v + pull u."""
+
+    def __init__(self, stiffness, damping, pull):
+        super().__init__(Signature(("x", "v"), ("m", "m/s"), ("u",), (1.0, 1.0)))
+        self.stiffness, self.damping, self.pull = stiffness, damping, pull
+
+    def forward(self, x, u):
+        p, v = x.unbind(-1)
+        return torch.stack((v, self.stiffness * p - self.damping * v + self.pull * u[..., 0]), -1)
+
+
+def pace(plant, dt=0.05, low=(-0.5,), high=(0.5,), outputs=("x",), rates=("v",)):
+    task = Tracking(plant.signature, RandomStep(low, high), outputs, rates, TrackingReward((4.0,)), low=low, high=high)
+    env = ControlEnv(plant, task, dt, 1)
+    return pace_of(env, rests_of(env))
+
+
+@pytest.mark.parametrize("plant", [Tras, Xi])
+def test_the_twin_rotor_keeps_the_settings_that_it_was_measured_with(plant):
+    found = pace(
+        plant(), low=(-0.5, -0.5), high=(0.5, 0.4), outputs=("alpha_a", "alpha_p"), rates=("Omega_a", "Omega_p")
+    )
+    assert (found.window, found.lr, found.updates, found.patience, found.substeps) == (60, 1e-2, 200, 3, 1)
+    assert not found.held
+
+
+def test_a_plant_that_runs_away_is_held_and_trained_in_smaller_steps():
+    calm, wild = pace(Linear(-1.0, 1.0, 4.0)), pace(Linear(4.0, 0.0, 4.0))
+    assert wild.held and not calm.held
+    assert wild.lr < calm.lr
+
+
+def test_a_double_integrator_runs_away_although_no_mode_grows():
+    # After 20 s a deviation of the rate has made one of 20 of the position: below the bound; after 80 s above it.
+    assert not pace(Linear(0.0, 0.0, 4.0), dt=0.05).held
+    assert pace(Linear(0.0, 0.0, 1.0), dt=0.2).held
+
+
+def test_time_counts_in_control_periods():
+    # The same plant ten times slower under a period ten times longer.
+    fast, slow = pace(Linear(-1.0, 1.0, 4.0)), pace(Slow(Linear(-1.0, 1.0, 4.0)), dt=0.5)
+    assert (fast.window, fast.substeps, fast.held) == (slow.window, slow.substeps, slow.held)
+    assert pace(Linear(-1.0, 1.0, 4.0), dt=0.01).window > fast.window
+
+
+class Slow(System):
+    def __init__(self, plant):
+        super().__init__(plant.signature)
+        self.plant = plant
+
+    def forward(self, x, u):
+        return 0.1 * self.plant(x, u)
+
+
+@pytest.mark.parametrize(("rate", "steps"), [(15.0, 1), (45.0, 3), (1e6, SUBSTEPS)])
+def test_a_fast_mode_takes_smaller_steps(rate, steps):
+    # A damping of d leaves modes near -d and -1/d: at 0.05 s a step of 1 / d takes d / 20 steps.
+    assert pace(Linear(-1.0, rate, 4.0)).substeps == steps
+
+
+def test_a_plant_without_a_rest_keeps_the_defaults():
+    found = pace(Linear(-100.0, 1.0, 1.0), low=(0.5,))
+    assert found == Pace(why=found.why) and "no rest" in str(found)
+
+
+def test_another_task_is_refused():
+    plant = Linear(-1.0, 1.0, 1.0)
+    env = ControlEnv(plant, Tracking(plant.signature, RandomStep([0.0], [1.0]), ("x",), (), TrackingReward((1.0,))))
+    env.task = Task.__new__(Still)
+    with pytest.raises(TypeError, match="tracks no reference"):
+        rests_of(env)
+
+
+class Still(Task):
+    params_shape = torch.Size(())
+
+    def sample(self, batch, generator):
+        return torch.zeros(batch)
+
+    initial_state = reference = observation = reward = sample

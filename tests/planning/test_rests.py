@@ -1,0 +1,61 @@
+"""Rests of plants whose rests are known in closed form."""
+
+import math
+
+import pytest
+import torch
+from scipy.linalg import expm
+
+from dynasindy.planning.rests import find_rests, growth, slopes
+from dynasindy.systems import Pendulum, Signature, System
+
+
+class Cart(System):
+    """A driven cart whose mileage counts on: s' = v, v' = 3 u - 0.5 v, m' = v."""
+
+    def __init__(self):
+        super().__init__(Signature(("s", "v", "m"), ("m", "m/s", "m"), ("u", "w"), (1.0, 2.0, 5.0)))
+
+    def forward(self, x, u):
+        v = x[..., 1]
+        return torch.stack((v, 3.0 * (u[..., 0] + 0.5 * u[..., 1]) - 0.5 * v * v, v), -1)
+
+
+def test_a_pendulum_rests_where_its_torque_balances_gravity():
+    targets = torch.tensor([[-0.8], [0.1], [0.9]])
+    rests = find_rests(Pendulum(), [0], targets, torch.zeros(2))
+    torch.testing.assert_close(rests.x, torch.cat([targets, torch.zeros(3, 1)], -1).double(), atol=1e-6, rtol=0)
+    torch.testing.assert_close(rests.u, 9.81 / 12.0 * torch.sin(targets.double()), atol=1e-6, rtol=0)
+    wanted = torch.tensor([[0.0, 1.0], [-9.81 * math.cos(0.1), -0.5]], dtype=torch.float64)
+    torch.testing.assert_close(rests.a[1], wanted, atol=1e-5, rtol=0)
+    torch.testing.assert_close(rests.b[1], torch.tensor([[0.0], [12.0]], dtype=torch.float64), atol=1e-5, rtol=0)
+    assert rests.middle() == 1 and rests.moved.tolist() == [True, True]
+
+
+def test_a_target_beyond_the_inputs_has_no_rest():
+    strong, weak = Pendulum(), Pendulum(max_torque=5.0)
+    targets = torch.tensor([[0.2], [1.2]])  # the second takes 9.1 N m
+    assert len(find_rests(strong, [0], targets, torch.zeros(2))) == 2
+    assert find_rests(weak, [0], targets, torch.zeros(2)).targets.tolist() == [[pytest.approx(0.2)]]
+
+
+def test_a_state_that_nothing_depends_on_need_not_rest_and_spare_inputs_are_no_obstacle():
+    rests = find_rests(Cart(), [1], torch.tensor([[0.4], [1.2]]), torch.zeros(3))
+    assert rests.moved.tolist() == [False, True, False] and len(rests) == 2
+    torch.testing.assert_close(3 * (rests.u[:, 0] + 0.5 * rests.u[:, 1]), torch.tensor([0.08, 0.72]).double())
+
+
+def test_slopes_are_the_derivatives_of_the_field():
+    x = torch.tensor([[0.3, 1.5, 0.0]], dtype=torch.float64)
+    a, b = slopes(Cart(), x, torch.zeros(1, 2, dtype=torch.float64))
+    wanted = torch.tensor([[0.0, 1.0, 0.0], [0.0, -1.5, 0.0], [0.0, 1.0, 0.0]], dtype=torch.float64)
+    torch.testing.assert_close(a[0], wanted, atol=1e-6, rtol=0)
+    torch.testing.assert_close(b[0, 1], torch.tensor([3.0, 1.5], dtype=torch.float64), atol=1e-6, rtol=0)
+
+
+def test_growth_is_that_of_the_largest_deviation_in_ranges():
+    assert growth(torch.tensor([[0.5]]).double(), torch.ones(1), 4.0) == pytest.approx(math.exp(2.0))
+    double = torch.tensor([[0.0, 1.0], [0.0, 0.0]], dtype=torch.float64)  # a position of range 1, a rate of range 10
+    scale = torch.tensor([1.0, 10.0], dtype=torch.float64)
+    wanted = torch.linalg.matrix_norm(torch.as_tensor(expm([[0.0, 30.0], [0.0, 0.0]])), 2)  # in ranges: 10 * 3 s
+    assert growth(double, scale, 3.0) == pytest.approx(float(wanted))

@@ -1,0 +1,83 @@
+"""From a log to a controller by the command of README, and what it says where something is missing."""
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import dynasindy
+from dynasindy.data.simulated import record
+from dynasindy.excitation import Multisine
+from dynasindy.systems import Pendulum
+
+ROOT = Path(__file__).parents[2]
+TASK = ["plant.outputs=[theta]", "plant.low=[-0.6]", "plant.high=[0.6]"]
+SHORT = [
+    "planning.updates=40",
+    "planning.rollouts=32",
+    "planning.window=30",
+    "scenario.reference.number=8",
+    "scenario.episodes=8",
+]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    data = record(Pendulum(), Multisine(1, duration=10, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
+    path = tmp_path_factory.mktemp("log") / "log.csv"
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["time [s]", "theta [rad]", "Omega [rad/s]", "u"])
+        writer.writerows([[0.01 * k, *data.x[k].tolist(), *data.u[k].tolist()] for k in range(len(data))])
+    return path
+
+
+def train(*words):
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, str(ROOT / "scripts" / "train.py"), *words]
+    return subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, check=False)
+
+
+WORDS = "plant.library=['1',u,theta,Omega,'sin(theta)']"
+
+
+@pytest.mark.slow
+def test_a_log_gives_a_controller_and_a_prediction(log, tmp_path):
+    words = [
+        "data=csv",
+        f"data.path={log}",
+        *TASK,
+        WORDS,
+        *SHORT,
+        f"folder={tmp_path}/run",
+        "evaluation.must_improve=false",
+    ]
+    done = train(*words)
+    assert done.returncode == 0, done.stderr
+    assert "PREDICTED on 3 models fitted to data that the plan never saw" in done.stdout
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert metrics["prediction"]["models"] == 3
+    assert "12 u" in metrics["equations"][1]
+    assert dynasindy.load(tmp_path / "run").outputs == ("theta",)
+    planned = ["model=" + str(tmp_path / "run" / "model.json"), *TASK, *SHORT, f"folder={tmp_path}/again"]
+    again = train("system=logged", *planned, "evaluation.must_improve=false")
+    assert again.returncode == 0, again.stderr
+    assert "promises nothing of the plant" in again.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "plant.outputs is not given; say what is to be tracked"),
+        ([*TASK, "planning=dyna"], "leave planning=gradient"),
+    ],
+)
+def test_what_is_missing_costs_one_line(log, tmp_path, words, message):
+    done = train("data=csv", f"data.path={log}", f"folder={tmp_path}/run", *words)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
