@@ -100,6 +100,18 @@ class Exporting(TypedDict):
     fmi: Literal[2, 3]
 
 
+class Checking(TypedDict):
+    """Keys of the command `check`."""
+
+    low: list[float] | None
+    high: list[float] | None
+    points: Annotated[int, range(1, 51), "their number grows with the power of the outputs"]
+    reach: float
+    grid: Annotated[int, range(2, 101), "flights grow with its square"]
+    draws: Annotated[int, range(10_001)]
+    folder: str | None
+
+
 EXPERIMENT = {"task", "env", "agent", "replay", "planning", "gate"}
 TOP = get_type_hints(Keys, include_extras=True) | get_type_hints(Recipe)
 TOP |= {"seed": Annotated[int, range(2**63)], "system": System | None}
@@ -128,6 +140,7 @@ def check(cfg: DictConfig, file: str = "") -> None:
         # A plant has words for the task of an experiment, which a command without one does not build.
         spare = set() if "train" in tree or file else EXPERIMENT
         keys = TOP | (get_type_hints(Exporting) if "fmi" in tree else {})
+        keys |= get_type_hints(Checking, include_extras=True) if "draws" in tree else {}
         _arguments({name: value for name, value in tree.items() if name not in spare}, keys, "", found)
         _nodes(tree, "", found)
     except ValueError as error:

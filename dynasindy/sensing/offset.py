@@ -71,5 +71,5 @@ class OffsetFree:
         dx, du = tensordict["observer", "shift"].split([x.shape[-1], self.env.task.signature.n_u], -1)
         seen = tensordict.copy().set("state", x - dx)
         observation = self.env.task.observation(x - dx, tensordict["task_params"], t.to(x))
-        action = self.policy(seen.set("observation", observation.float()))["action"]
+        action = self.policy(seen.set("observation", observation.to(tensordict["observation"])))["action"]
         return tensordict.set("action", (action + du.to(action)).clamp(-1.0, 1.0))

@@ -13,7 +13,7 @@ sys.path.append(str(SCRIPTS))
 from mistakes import in_words  # noqa: E402
 from schema import check  # noqa: E402
 
-ALL = ("train", "ablation", "identify", "evaluate", "report", "export")
+ALL = ("train", "ablation", "identify", "evaluate", "report", "export", "check")
 NUMBER = "allowed is a finite number"
 
 
@@ -103,6 +103,8 @@ def test_text_that_is_a_number_becomes_one(key, given, taken):
     [
         ("export", "formats=[png]", "formats[0] is 'png'; allowed is c, onnx, fmu, model"),
         ("export", "fmi=1", "fmi is 1; allowed is 2, 3"),
+        ("check", "grid=1", "grid is 1; allowed is a whole number (2 to 100"),
+        ("check", "low=[x]", "low[0] is 'x'"),
         ("evaluate", "formats=[onnx]", "formats[0] is 'onnx'; allowed is png, svg"),
     ],
 )

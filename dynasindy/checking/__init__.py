@@ -1,0 +1,8 @@
+"""What a model says of a controller before it touches metal: stability, margins, worst cases, recovery, noise."""
+
+from dynasindy.checking.check import Check, Settings, check
+from dynasindy.checking.loop import Loop
+from dynasindy.checking.plant import Plant
+from dynasindy.checking.verdict import Thresholds, verdict
+
+__all__ = ["Check", "Loop", "Plant", "Settings", "Thresholds", "check", "verdict"]

@@ -1,0 +1,217 @@
+"""All that can be said of a controller on its model before it touches metal, as one record."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from dynasindy.checking.flights import Flights, Plane, fly, recovery
+from dynasindy.checking.linear import Array, Rest, rest
+from dynasindy.checking.loop import Loop
+from dynasindy.checking.margins import Margins, margins
+from dynasindy.checking.noise import noise_gain
+from dynasindy.checking.uncertainty import Spread, Variants, spread, variants
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is tried.
+
+    Attributes:
+        low, high: Box of targets, one number per output [of the outputs].
+        points: Targets along each output.
+        seconds: Length of a flight [s].
+        reach: Largest initial error [ranges of the states].
+        grid: Initial errors along each axis.
+        draws: Plants drawn at random.
+        seed: Seed of the draws.
+
+    Raises:
+        ValueError: The box is none, or a number is too small.
+    """
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    points: int = 3
+    seconds: float = 20.0
+    reach: float = 1.0
+    grid: int = 11
+    draws: int = 20
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        ends = list(zip(self.low, self.high, strict=False))
+        if len(self.low) != len(self.high) or not all(-math.inf < a <= b < math.inf for a, b in ends):
+            raise ValueError(
+                f"low is {list(self.low)}, high is {list(self.high)}; give one number per output in each, low <= high"
+            )
+        if self.points < 1 or self.grid < 2 or self.draws < 0 or not (0 < self.seconds < math.inf and self.reach > 0):
+            raise ValueError(
+                f"points={self.points}, grid={self.grid}, draws={self.draws}, seconds={self.seconds}, "
+                f"reach={self.reach}; give points >= 1, grid >= 2, draws >= 0, seconds > 0 and reach > 0"
+            )
+
+    @property
+    def targets(self) -> Tensor:
+        """All combinations of targets, `(points ** n_r, n_r)`."""
+        ends = zip(self.low, self.high, strict=True)
+        axes = [
+            torch.linspace(a, b, self.points, dtype=torch.float64)
+            if self.points > 1
+            else torch.tensor([(a + b) / 2], dtype=torch.float64)
+            for a, b in ends
+        ]
+        return torch.cartesian_prod(*axes).reshape(-1, len(axes))
+
+
+@dataclass(frozen=True)
+class Check:
+    """What was found; targets come first in every array.
+
+    Attributes:
+        loop: The loop that was looked at.
+        settings: What was tried.
+        targets: References, `(n_targets, n_r)`.
+        rest: Where the loop rests at them.
+        margins: Per target and input; none where the loop is not stable.
+        noise: Per target, standard deviation of the inputs per unit of noise, `(n_u, n_x)`; none likewise.
+        sensors: Standard deviation of the noise of each state's measurement, as the controller's file has it, `(n_x,)`.
+        steps: Flights from the origin to each target.
+        drawn: Flights from the origin to the farthest target with each plant that was drawn.
+        spread: What becomes of the loop with other plants, at the targets where it is stable with the model.
+        planes: From which errors around the middle target the plant comes back.
+    """
+
+    loop: Loop
+    settings: Settings
+    targets: Tensor
+    rest: Rest
+    margins: list[list[Margins]]
+    noise: list[Array | None]
+    sensors: Array
+    steps: Flights
+    drawn: Flights | None
+    spread: Spread
+    planes: list[Plane]
+
+    @property
+    def stable(self) -> Tensor:
+        """Whether the loop comes to rest and is stable there, bool `(n_targets,)`."""
+        return self.rest.still & torch.from_numpy(self.rest.linear.radius < 1)
+
+
+def check(loop: Loop, settings: Settings, errors: Tensor | None = None) -> Check:
+    """Look at a loop.
+
+    Args:
+        loop: Controller and model.
+        settings: What is tried.
+        errors: Standard errors of the model's coefficients, if they are known, `(n_features, n_x)`.
+
+    Raises:
+        ValueError: The box has another number of outputs than the controller.
+    """
+    if len(settings.low) != loop.task.n_r:
+        raise ValueError(
+            f"low and high have {len(settings.low)} numbers; give one for each of {', '.join(loop.task.output_names)}"
+        )
+    targets = settings.targets
+    found = rest(loop, targets, seconds=settings.seconds)
+    good = found.still & torch.from_numpy(found.linear.radius < 1)
+    stable = good.tolist()
+    rows = [found.linear.row(k) for k in range(len(targets))]
+    others = variants(loop.plant.model, settings.draws, settings.seed, errors)
+    middle = int((targets - targets.mean(0)).square().sum(-1).argmin())
+    steps = fly(loop, torch.zeros(len(targets), loop.signature.n_x), targets, settings.seconds)
+    return Check(
+        loop,
+        settings,
+        targets,
+        found,
+        [margins(row) if ok else [] for row, ok in zip(rows, stable, strict=True)],
+        [noise_gain(row) if ok else None for row, ok in zip(rows, stable, strict=True)],
+        _stated(loop),
+        steps,
+        _drawn(loop, targets, others, settings.seconds),
+        spread(loop, targets[good], found.select(good), others, settings.seconds),
+        recovery(
+            loop,
+            found.z[middle, loop.parts["x"]],
+            targets[middle],
+            settings.reach,
+            settings.grid,
+            settings.seconds,
+        ),
+    )
+
+
+def _stated(loop: Loop) -> Array:
+    """Return the standard deviation of the noise that the file states; 0 where a state is seen as it is, or not."""
+    if loop.observer is None:
+        return np.zeros(loop.signature.n_x)
+    variance = loop.observer.sensors.variance(loop.signature)
+    return variance.where(variance.isfinite(), 0.0).sqrt().numpy()
+
+
+def _drawn(loop: Loop, targets: Tensor, others: Variants, seconds: float) -> Flights | None:
+    if not others.draws:
+        return None
+    farthest = targets[int(targets.square().sum(-1).argmax())]
+    start = torch.zeros(others.draws, loop.signature.n_x)
+    return fly(loop.varied(others.coefficients[: others.draws]), start, farthest.expand(others.draws, -1), seconds)
+
+
+def record(found: Check) -> dict[str, Any]:
+    """Return all figures as plain numbers; null stands for what is infinite or does not exist."""
+    signature, outputs = found.loop.signature, found.loop.task.output_names
+    names, eigenvalues = signature.input_names, found.rest.linear.eigenvalues
+    targets = []
+    for k, target in enumerate(found.targets.tolist()):
+        gain = found.noise[k]
+        targets.append(
+            {
+                "target": dict(zip(outputs, target, strict=True)),
+                "rests": bool(found.rest.still[k]),
+                "stable": bool(found.stable[k]),
+                "spectral_radius": number(found.rest.linear.radius[k]),
+                "eigenvalues": [[number(v.real), number(v.imag)] for v in eigenvalues[k] if abs(v) > 1e-6],
+                "steady_error": _named(outputs, found.steps.steady_error[k]),
+                "margins": {
+                    name: {key: number(value) for key, value in vars(margin).items()}
+                    for name, margin in zip(names, found.margins[k], strict=False)
+                },
+                "noise_to_input": {
+                    name: _named(signature.state_names, row) for name, row in zip(names, gain, strict=True)
+                }
+                if gain is not None
+                else None,
+                "slew": _named(names, found.steps.slew[k]),
+                "saturated": _named(names, found.steps.saturated[k]),
+            }
+        )
+    others = found.spread
+    changes = [
+        {
+            "change": label,
+            "spectral_radius": number(float(others.worst[k])),
+            "steady_error": _named(outputs, others.farthest[k]),
+        }
+        for k, label in enumerate(others.labels)
+    ]
+    planes = [{"states": plane.names, "share": plane.share} for plane in found.planes]
+    settings = {name: list(v) if isinstance(v, tuple) else v for name, v in vars(found.settings).items()}
+    return {"settings": settings, "targets": targets, "changes": changes, "recovery": planes}
+
+
+def number(value: float) -> float | None:
+    """Return a number as JSON can hold it: None for what is not finite."""
+    return float(value) if math.isfinite(value) else None
+
+
+def _named(names: Any, values: Any) -> dict[str, float | None]:
+    return {name: number(float(value)) for name, value in zip(names, values, strict=True)}

@@ -1,0 +1,128 @@
+"""Flights of the model under its controller, many at a time: steps, and from which errors it comes back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from dynasindy.checking.linear import LAST
+from dynasindy.checking.loop import Loop
+
+FULL = 0.99
+"""Size of an input that counts as saturated."""
+TOLERANCE = 0.05
+"""Error that a plant which has come back may have [ranges of the output]."""
+
+
+@dataclass(frozen=True)
+class Flights:
+    """Flights of one length.
+
+    Attributes:
+        x: States, `(rows, T + 1, n_x)`.
+        u: Inputs held in between, `(rows, T, n_u)`.
+        r: References, `(rows, n_r)`.
+        outputs: Indices of the tracked states.
+        dt: Control period [s].
+    """
+
+    x: Tensor
+    u: Tensor
+    r: Tensor
+    outputs: list[int]
+    dt: float
+
+    @property
+    def steady_error(self) -> Tensor:
+        """Mean absolute error of each output over the last seconds, `(rows, n_r)`; infinite where a flight diverged."""
+        last = max(1, round(LAST / self.dt))
+        error = (self.x[:, -last:, self.outputs] - self.r.unsqueeze(1)).abs().mean(1)
+        return error.nan_to_num(torch.inf, torch.inf)
+
+    @property
+    def slew(self) -> Tensor:
+        """Largest change of each input from a period to the next, the first one from zero, `(rows, n_u)`."""
+        first = torch.zeros_like(self.u[:, :1])
+        return torch.cat([first, self.u], 1).diff(dim=1).abs().amax(1)
+
+    @property
+    def saturated(self) -> Tensor:
+        """Share of the control periods in which each input is at its limit, `(rows, n_u)`."""
+        return (self.u.abs() > FULL).double().mean(1)
+
+
+def fly(loop: Loop, x: Tensor, r: Tensor, seconds: float) -> Flights:
+    """Switch the controller on at states `(rows, n_x)` and let it hold references `(rows, n_r)`."""
+    z, r = loop.started(x.double()), r.double()
+    covariance, states, inputs = loop.uncertain(z), [x.double()], []
+    for k in range(max(1, round(seconds / loop.dt))):
+        z, covariance, u = loop.step(z, covariance, r, first=k == 0)
+        states.append(z[:, loop.parts["x"]])
+        inputs.append(u)
+    return Flights(torch.stack(states, 1), torch.stack(inputs, 1), r, loop.task.outputs, loop.dt)
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Initial errors of two states, all others at rest, and whether the plant comes back from them.
+
+    Attributes:
+        names: The two states.
+        units: Their units.
+        first, second: Errors of each, `(n,)` [their units].
+        back: Whether it comes back, bool `(n, n)`, rows by the first state.
+    """
+
+    names: tuple[str, str]
+    units: tuple[str, str]
+    first: Tensor
+    second: Tensor
+    back: Tensor
+
+    @property
+    def share(self) -> float:
+        """Share of the grid from which it comes back."""
+        return float(self.back.double().mean())
+
+
+def recovery(loop: Loop, x: Tensor, r: Tensor, reach: float, points: int, seconds: float) -> list[Plane]:
+    """Start around a state of rest in planes of outputs and rates, and see from where the plant comes back.
+
+    Args:
+        loop: The loop.
+        x: State of rest, `(n_x,)`.
+        r: Its reference, `(n_r,)`.
+        reach: Largest initial error [ranges of the states].
+        points: Errors along each axis.
+        seconds: Length of a flight [s].
+
+    Returns:
+        A plane of each output and its rate, and of each two outputs; where there is neither, of the output and another
+        state, and none of a plant with one state.
+    """
+    task, signature = loop.task, loop.signature
+    # A plant of the first order has no rates.
+    pairs = list(zip(task.outputs, task.rates, strict=True)) if task.rates else []
+    pairs += [(a, b) for k, a in enumerate(task.outputs) for b in task.outputs[k + 1 :]]
+    if not pairs:
+        pairs = [(a, b) for a in task.outputs for b in range(signature.n_x) if a != b][:1]
+    if not pairs:
+        return []
+    scale = torch.tensor(signature.x_scale, dtype=torch.float64)
+    axis = reach * torch.linspace(-1.0, 1.0, points, dtype=torch.float64)
+    starts = x.double().repeat(len(pairs), points, points, 1)
+    for start, (a, b) in zip(starts, pairs, strict=True):
+        start[..., a] += scale[a] * axis.unsqueeze(1)
+        start[..., b] += scale[b] * axis
+    flat = starts.flatten(0, -2)
+    if loop.plant.stops is not None:
+        flat = loop.plant.stops.apply(flat)[0]
+    flights = fly(loop, flat, r.expand(len(flat), -1), seconds)
+    back = (flights.steady_error <= TOLERANCE * scale[task.outputs]).all(-1).unflatten(0, (len(pairs), points, points))
+    names, units = signature.state_names, signature.state_units
+    return [
+        Plane((names[a], names[b]), (units[a], units[b]), scale[a] * axis, scale[b] * axis, found)
+        for (a, b), found in zip(pairs, back, strict=True)
+    ]

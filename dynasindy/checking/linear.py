@@ -1,0 +1,213 @@
+"""Where a closed loop rests, and its linear model there: z[k+1] = A z + B v + E n, u = C z + F n.
+
+v is what the plant gets on top of the commands u, n is noise of the measurements. Differences are central: where a
+model has a kink, as dry friction has at standstill, the slope is the mean of both sides.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dynasindy.agents.classical.linearise import Equilibria
+from dynasindy.checking.loop import Loop
+
+NUDGE = 1e-5
+"""Step of the differences [ranges]."""
+NEWTON = 15
+"""Newton steps at most."""
+LARGEST = 0.3
+"""Longest Newton step [ranges]."""
+STILL = 1e-8
+"""What a loop at rest may move in a control period [ranges]."""
+LAST = 2.0
+"""Length of the end of a run in which its steady error is read [s]."""
+SETTLED = 600
+"""Control periods after which the covariance of the observer is taken as steady."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Linear closed loops, one per row.
+
+    Attributes:
+        a, b, c: From z and added inputs to z and commands, `(rows, n, n)`, `(rows, n, n_u)`, `(rows, n_u, n)`.
+        e, f: From noise of each state's measurement to z and commands, `(rows, n, n_x)`, `(rows, n_u, n_x)`.
+        dt: Control period [s].
+    """
+
+    a: Array
+    b: Array
+    c: Array
+    e: Array
+    f: Array
+    dt: float
+
+    @property
+    def eigenvalues(self) -> NDArray[np.complex128]:
+        """Eigenvalues of each loop, largest first, `(rows, n)`."""
+        found = np.linalg.eigvals(self.a)
+        return np.take_along_axis(found, np.argsort(-np.abs(found), axis=-1), -1).astype(np.complex128)
+
+    @property
+    def radius(self) -> Array:
+        """Spectral radius of each loop, `(rows,)`; below 1 it is stable."""
+        return np.abs(np.linalg.eigvals(self.a)).max(-1)
+
+    def finite(self) -> Linear:
+        """Return the same with 0 for what is not finite: a plant that runs away has no slope."""
+        a, b, c, e, f = (np.nan_to_num(m, posinf=0.0, neginf=0.0) for m in (self.a, self.b, self.c, self.e, self.f))
+        return Linear(a, b, c, e, f, self.dt)
+
+    def row(self, k: int | NDArray[np.bool_] | NDArray[np.int64]) -> Linear:
+        """Return one loop, its matrices without the dimension of rows, or several, by places or bool."""
+        return Linear(self.a[k], self.b[k], self.c[k], self.e[k], self.f[k], self.dt)
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Where loops rest, one per row.
+
+    Attributes:
+        z: The vectors, `(rows, n)`.
+        covariance: Of the observer, `(rows, n_o, n_o)`.
+        u: Commands, `(rows, n_u)`.
+        still: Whether a point of rest was found, bool `(rows,)`.
+        error: Absolute error of the outputs there, `(rows, n_r)`; where there is none, its mean in the last seconds of
+            a run.
+        linear: The loops linearised there.
+    """
+
+    z: Tensor
+    covariance: Tensor
+    u: Tensor
+    still: Tensor
+    error: Tensor
+    linear: Linear
+
+    def select(self, rows: Tensor) -> Rest:
+        """Return some rows, by their places or bool `(rows,)`."""
+        picked = self.linear.row(rows.numpy())
+        return Rest(self.z[rows], self.covariance[rows], self.u[rows], self.still[rows], self.error[rows], picked)
+
+
+def guess(loop: Loop, r: Tensor) -> Tensor:
+    """Return vectors near those at rest, `(rows, n)`: the plant where the model rests with its outputs at `r`.
+
+    Where the model has no such place, it is the state at the origin with the outputs put to `r`.
+    """
+    n_x, n_u = loop.signature.n_x, loop.signature.n_u
+    x, u = torch.zeros(len(r), n_x, dtype=torch.float64), torch.zeros(len(r), n_u, dtype=torch.float64)
+    x[:, loop.task.outputs] = r
+    try:
+        found = Equilibria(loop.plant.model, loop.task.output_names)
+    except ValueError:
+        return loop.at(x, u)
+    for k, target in enumerate(r):
+        try:
+            x[k], u[k] = found.state_and_input(target, found(target))
+        except (ValueError, RuntimeError):  # out of reach, or a slope that has no inverse
+            continue
+    return loop.at(x, u.clamp(-1.0, 1.0))
+
+
+@torch.no_grad()
+def covariance_at(loop: Loop, z: Tensor) -> Tensor:
+    """Return the covariance of the observer where the plant stays at `z` and nothing is lost, `(rows, n_o, n_o)`."""
+    covariance = loop.uncertain(z)
+    if loop.observer is None:
+        return covariance
+    zero = torch.zeros(len(z), loop.task.n_r, dtype=torch.float64)
+    for _ in range(SETTLED):
+        before, covariance = covariance, loop.step(z, covariance, zero).covariance
+        size = covariance.diagonal(dim1=-2, dim2=-1).unsqueeze(-1)
+        if bool(((covariance - before).abs() < 1e-9 * size).all()):
+            break
+    return covariance
+
+
+def linearise(loop: Loop, z: Tensor, covariance: Tensor, r: Tensor) -> tuple[Linear, Tensor, Tensor]:
+    """Return loops linearised at `z`, how far each moves from there in a period `(rows, n)`, and its commands."""
+    n, n_u, n_x = loop.size, loop.signature.n_u, loop.signature.n_x
+    scale = torch.cat([loop.scale, torch.ones(n_u), torch.tensor(loop.signature.x_scale)]).double()
+    nudges = NUDGE * torch.diag(scale)
+    points = torch.cat([torch.zeros_like(nudges[:1]), nudges, -nudges])
+    around = points.expand(len(z), -1, -1)
+    moved = loop.step(
+        z.unsqueeze(1) + around[..., :n],
+        covariance.unsqueeze(1),
+        r.unsqueeze(1).expand(-1, len(points), -1),
+        around[..., n : n + n_u],
+        around[..., n + n_u :],
+    )
+    out = torch.cat([moved.z, moved.u], -1)
+    centre, forth, back = out.split([1, len(scale), len(scale)], 1)
+    slopes = ((forth - back) / (2 * NUDGE * scale.unsqueeze(-1))).mT.numpy()
+    a, b, e = np.split(slopes[:, :n], [n, n + n_u], -1)
+    c, _, f = np.split(slopes[:, n:], [n, n + n_u], -1)
+    assert e.shape[-1] == n_x
+    return Linear(a, b, c, e, f, loop.dt), centre[:, 0, :n] - z, centre[:, 0, n:]
+
+
+def rest(loop: Loop, r: Tensor, start: Rest | None = None, seconds: float = 20.0) -> Rest:
+    """Find where loops rest, by Newton's method; where it fails, by letting the loop run and trying again.
+
+    Args:
+        loop: The loop, of as many rows as `r` has, or of one plant.
+        r: References, `(rows, n_r)`.
+        start: Where to begin, such as the same loops with other coefficients; by default where the model rests.
+        seconds: How long the loop may run [s].
+    """
+    r = r.double()
+    z = guess(loop, r) if start is None else start.z
+    covariance = covariance_at(loop, z) if start is None else start.covariance
+    found, still = _newton(loop, z, covariance, r)
+    lost = (~still).nonzero().flatten()
+    ran = torch.zeros(len(r), loop.task.n_r, dtype=torch.float64)
+    if len(lost):
+        moved, spread, ran[lost] = _run(loop.rows(lost), z[lost], covariance[lost], r[lost], seconds)
+        again, calm = _newton(loop.rows(lost), moved, spread, r[lost])
+        found, covariance = found.index_copy(0, lost, again), covariance.index_copy(0, lost, spread)
+        still = still.index_copy(0, lost, calm)
+    linear, _, u = linearise(loop, found, covariance, r)
+    error = (r - found[:, loop.parts["x"]][:, loop.task.outputs]).abs().where(still.unsqueeze(-1), ran)
+    return Rest(found, covariance, u, still, error, linear.finite())
+
+
+def _run(loop: Loop, z: Tensor, covariance: Tensor, r: Tensor, seconds: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Let loops run; return vectors, covariances, and the mean absolute error over the last seconds, `(rows, n_r)`."""
+    steps, last = math.ceil(seconds / loop.dt), math.ceil(LAST / loop.dt)
+    errors: list[Tensor] = []
+    for _ in range(steps):
+        z, covariance, _ = loop.step(z, covariance, r)
+        errors = [*errors[1 - last :], (r - z[:, loop.parts["x"]][:, loop.task.outputs]).abs()]
+    return z, covariance, torch.stack(errors).mean(0).nan_to_num(torch.inf, torch.inf)
+
+
+def _newton(loop: Loop, z: Tensor, covariance: Tensor, r: Tensor) -> tuple[Tensor, Tensor]:
+    """Return vectors at rest, as far as they are found, and whether they are, bool `(rows,)`."""
+    scale, unit = loop.scale, np.eye(loop.size)
+    z, still, left = z.clone(), torch.zeros(len(z), dtype=torch.bool), torch.arange(len(z))
+    for _ in range(NEWTON):
+        linear, moved, _ = linearise(loop.rows(left), z[left], covariance[left], r[left])
+        calm = ((moved / scale).abs() < STILL).all(-1)
+        still[left] = calm
+        sound = moved.isfinite().all(-1) & torch.from_numpy(np.isfinite(linear.a).all((-2, -1)))
+        on = (~calm & sound).nonzero().flatten()
+        if not len(on):
+            break
+        # In ranges of z, so that least squares weigh what is alike; a loop may be free to rest anywhere.
+        ranged = (unit - linear.a[on.numpy()]) * scale.numpy() / scale.numpy()[:, None]
+        wanted = (moved[on] / scale).numpy()
+        solved = [np.linalg.lstsq(a, b, rcond=1e-12)[0] for a, b in zip(ranged, wanted, strict=True)]
+        step, left = torch.from_numpy(np.stack(solved)), left[on]
+        longest = step.abs().amax(-1, keepdim=True).clamp_min(LARGEST)
+        z[left] += step * LARGEST / longest * scale
+    return z, still

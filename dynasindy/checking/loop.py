@@ -1,0 +1,229 @@
+"""The closed loop of plant and controller as one map of one vector, over one control period, batched, in float64.
+
+| part of z  | what it holds                                             | numbers                          |
+| ---------- | --------------------------------------------------------- | -------------------------------- |
+| `x`        | state of the plant                                        | n_x                              |
+| `late`     | measurements that are under way, oldest first             | delay of the sensors, times n_x  |
+| `pending`  | inputs that have not acted on the plant yet, oldest first | delay of the model, times n_u    |
+| `inputs`   | commands that the observer remembers, oldest first        | with an observer                 |
+| `mean`     | estimate of the observer at its last measurement          | with an observer                 |
+| `shift`    | what counteracts an estimated push                        | where the observer estimates one |
+| `integral` | integral of the errors                                    | with integral action             |
+
+The covariance of the observer is carried beside z. At rest the observer is not surprised, and its gain, all that the
+covariance is for, acts on nothing: to first order the vector alone decides.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from typing import NamedTuple
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from dynasindy.checking.plant import Plant
+from dynasindy.control import Controller
+from dynasindy.planning.integral import IntegralAction
+from dynasindy.sensing.observer import Belief
+from dynasindy.sensing.offset import OffsetFree
+from dynasindy.systems import Signature
+from dynasindy.tasks.references import N_PARAMS
+
+
+class Moved(NamedTuple):
+    """The loop one control period later.
+
+    Attributes:
+        z: The vector of the loop, `(*batch, n)`.
+        covariance: Of the observer, `(*batch, n_o, n_o)`; empty without one.
+        u: What the controller commanded in between, `(*batch, n_u)`.
+    """
+
+    z: Tensor
+    covariance: Tensor
+    u: Tensor
+
+
+class Loop:
+    """A controller that holds a plant, without a clock: what `Controller.act` does, for many rows at a time.
+
+    Args:
+        controller: The controller; it is not changed.
+        plant: What it holds.
+
+    Raises:
+        ValueError: Controller and model have other states or inputs.
+    """
+
+    def __init__(self, controller: Controller, plant: Plant) -> None:
+        if plant.model.signature != controller.signature:
+            raise ValueError(
+                "the model has other states, units, ranges or inputs than the controller; give the model of its run"
+            )
+        self.controller, self.plant, self.task = controller, plant, controller.pace.task
+        # Differences of a step in single precision would be rounding, and little else.
+        policy = copy.deepcopy(controller.policy)
+        policy = policy.double() if isinstance(policy, torch.nn.Module) else policy
+        self._integral = (
+            None if controller.integral is None else IntegralAction(policy, controller.pace, **controller.integral)
+        )
+        whole = policy if self._integral is None else self._integral
+        self.observer = controller.observer
+        pushed = self.observer is not None and bool(self.observer.pushed)
+        self._act = OffsetFree(whole, controller.pace) if pushed else whole
+        self.parts = self._layout()
+        self.size = max(part.stop for part in self.parts.values())
+        self.scale = self._scale()
+
+    @property
+    def signature(self) -> Signature:
+        """Names, units and ranges of states and inputs."""
+        return self.controller.signature
+
+    @property
+    def dt(self) -> float:
+        """Control period [s]."""
+        return self.controller.dt
+
+    def varied(self, coefficients: Tensor | None) -> Loop:
+        """Return the same controller around plants with other coefficients `(rows, n_features, n_x)`.
+
+        The observer goes on believing in the model.
+        """
+        other = copy.copy(self)
+        other.plant = replace(self.plant, coefficients=coefficients)
+        return other
+
+    def rows(self, index: Tensor) -> Loop:
+        """Return the loop with some of its plants, if it has several."""
+        xi = self.plant.coefficients
+        return self if xi is None else self.varied(xi[index])
+
+    def at(self, x: Tensor, u: Tensor) -> Tensor:
+        """Return the vector of a loop that has been in a state under an input for long, and knows it, `(*batch, n)`."""
+        z = torch.zeros(*x.shape[:-1], self.size, dtype=torch.float64)
+        z[..., self.parts["x"]] = x
+        for name, values in (("late", x), ("pending", u), ("inputs", u)):
+            if part := self.parts.get(name):
+                z[..., part] = values.repeat(*[1] * (values.dim() - 1), (part.stop - part.start) // values.shape[-1])
+        if part := self.parts.get("mean"):
+            z[..., part.start : part.start + self.signature.n_x] = x
+        return z
+
+    def started(self, x: Tensor) -> Tensor:
+        """Return the vector at states in which the controller is switched on, `(*batch, n)`; inputs were zero."""
+        z = self.at(x, torch.zeros(*x.shape[:-1], self.signature.n_u, dtype=torch.float64))
+        return z.index_fill(-1, torch.arange(self.size)[self.parts.get("mean", slice(0, 0))], 0.0)
+
+    def uncertain(self, z: Tensor) -> Tensor:
+        """Return a covariance to begin with, `(*batch, n_o, n_o)`; empty without an observer."""
+        if self.observer is None:
+            return torch.zeros(*z.shape[:-1], 0, 0, dtype=torch.float64)
+        return self.observer.begin(self._measured(z)).covariance.clone()
+
+    @torch.no_grad()
+    def step(
+        self,
+        z: Tensor,
+        covariance: Tensor,
+        r: Tensor,
+        extra: Tensor | float = 0.0,
+        noise: Tensor | float = 0.0,
+        first: bool = False,
+    ) -> Moved:
+        """Measure, act, and let the plant move for one control period.
+
+        Args:
+            z: Vectors of the loop, `(*batch, n)`.
+            covariance: Of the observer, `(*batch, n_o, n_o)`.
+            r: References, `(*batch, n_r)` [of the outputs].
+            extra: What the inputs of the plant get on top of the command, `(*batch, n_u)`.
+            noise: What is added to the measured states, `(*batch, n_x)`.
+            first: Whether the controller is switched on now: the observer begins with what it measures.
+        """
+        y = self._measured(z) + noise
+        after = z.clone()
+        estimate, covariance, held = self._estimated(z, after, covariance, y, first)
+        if self._integral is not None:
+            self._integral.integral = z[..., self.parts["integral"]]
+        u = self._act(self._shown(estimate, r, held))["action"]
+        if self._integral is not None and self._integral.integral is not None:
+            after[..., self.parts["integral"]] = self._integral.integral
+        if part := self.parts.get("inputs"):
+            after[..., part] = torch.cat([z[..., part], u], -1)[..., u.shape[-1] :]
+        if part := self.parts.get("late"):
+            after[..., part] = torch.cat([z[..., part], z[..., self.parts["x"]]], -1)[..., y.shape[-1] :]
+        waiting = torch.cat([z[..., self.parts.get("pending", slice(0, 0))], u + extra], -1)
+        if part := self.parts.get("pending"):
+            after[..., part] = waiting[..., u.shape[-1] :]
+        after[..., self.parts["x"]] = self.plant.period(
+            z[..., self.parts["x"]], waiting.unflatten(-1, (-1, u.shape[-1]))
+        )
+        return Moved(after, covariance, u)
+
+    def _measured(self, z: Tensor) -> Tensor:
+        """Return the measurement that arrives now, noise apart."""
+        part = self.parts.get("late", self.parts["x"])
+        return z[..., part.start : part.start + self.signature.n_x]
+
+    def _estimated(
+        self, z: Tensor, after: Tensor, covariance: Tensor, y: Tensor, first: bool
+    ) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Return the state that the policy is shown, covariance and shift, and note what the observer holds."""
+        if (observer := self.observer) is None:
+            return y, covariance, None
+        inputs = z[..., self.parts["inputs"]].unflatten(-1, (-1, self.signature.n_u))
+        belief = observer.begin(y)
+        if not first:
+            # One covariance may serve many rows, as the differences of a linearisation.
+            shared = covariance.expand(*z.shape[:-1], *covariance.shape[-2:])
+            belief, _, _ = observer.correct(observer.advance(Belief(z[..., self.parts["mean"]], shared), inputs), y)
+        mean, held = observer.ahead(belief.mean, inputs), None
+        after[..., self.parts["mean"]] = belief.mean
+        if observer.pushed:
+            held = observer.correction(mean, inputs, self.task.outputs, z[..., self.parts["shift"]])
+            after[..., self.parts["shift"]] = held
+        return mean[..., : self.signature.n_x], belief.covariance, held
+
+    def _shown(self, x: Tensor, r: Tensor, held: Tensor | None) -> TensorDict:
+        """Return what the policy is shown; no step is the first, so that the integral goes on."""
+        params = torch.zeros(*x.shape[:-1], self.task.n_r, N_PARAMS, dtype=x.dtype)
+        params[..., 0] = r
+        t = torch.zeros(*x.shape[:-1], 1, dtype=x.dtype)
+        shown = {"observation": self.task.observation(x, params, t), "state": x, "task_params": params}
+        found = TensorDict({**shown, "step_count": torch.ones_like(t)}, batch_size=x.shape[:-1])
+        if held is not None:
+            found["observer"] = TensorDict({"shift": held}, batch_size=x.shape[:-1])
+        return found
+
+    def _layout(self) -> dict[str, slice]:
+        n_x, n_u = self.signature.n_x, self.signature.n_u
+        sizes = {"x": n_x, "late": 0, "pending": self.plant.pending * n_u}
+        if (observer := self.observer) is not None:
+            remembered = observer.sensors.delay + observer.late()[0] + 2
+            sizes |= {"late": observer.sensors.delay * n_x, "inputs": remembered * n_u, "mean": len(observer.scale)}
+            sizes["shift"] = n_x + n_u if observer.pushed else 0
+        sizes["integral"] = 0 if self._integral is None else self.task.n_r
+        parts, start = {}, 0
+        for name, size in sizes.items():
+            if size:
+                parts[name] = slice(start, start + size)
+                start += size
+        return parts
+
+    def _scale(self) -> Tensor:
+        """Return the range of each number of z, `(n,)`."""
+        ranges = torch.tensor(self.signature.x_scale, dtype=torch.float64)
+        scale = torch.ones(self.size, dtype=torch.float64)
+        for name in ("x", "late", "shift"):
+            if part := self.parts.get(name):
+                count = (part.stop - part.start) // len(ranges)
+                scale[part.start : part.start + count * len(ranges)] = ranges.repeat(count)
+        if self.observer is not None:
+            scale[self.parts["mean"]] = self.observer.scale
+        if part := self.parts.get("integral"):
+            scale[part] = self.task.error_scale
+        return scale

@@ -1,0 +1,67 @@
+"""The model in the place of the plant, with coefficients that may differ from row to row."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from dynasindy.systems import Stops, integrate
+from dynasindy.world_models import SindyModel
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A model that is moved on by one control period at a time, its inputs as late as it says.
+
+    Attributes:
+        model: The identified model.
+        dt: Control period [s].
+        step: Longest Runge-Kutta step [s].
+        stops: Mechanical stops, if any.
+        coefficients: Xi of each row of a batch, `(rows, n_features, n_x)`; None for those of the model.
+    """
+
+    model: SindyModel
+    dt: float
+    step: float
+    stops: Stops | None = None
+    coefficients: Tensor | None = None
+
+    @property
+    def late(self) -> tuple[int, float]:
+        """Delay of the inputs, in whole control periods and the rest [s]."""
+        whole = int(self.model.delay / self.dt + 1e-6)
+        rest = self.model.delay - whole * self.dt
+        return whole, rest if rest > 1e-6 * self.dt else 0.0
+
+    @property
+    def pending(self) -> int:
+        """How many inputs of earlier periods still have to act."""
+        whole, rest = self.late
+        return whole + (rest > 0)
+
+    def rates(self, x: Tensor, u: Tensor) -> Tensor:
+        """Return dx/dt, `(rows, n_x)` or `(rows, n, n_x)`, of as many states under inputs that act."""
+        if self.coefficients is None:
+            dx: Tensor = self.model(x, u)
+            return dx
+        theta, xi = self.model.library(x, u), self.coefficients
+        return (theta.unsqueeze(1) @ xi).squeeze(1) if theta.dim() == 2 else theta @ xi
+
+    def period(self, x: Tensor, inputs: Tensor) -> Tensor:
+        """Return the states one control period later.
+
+        Args:
+            x: States, `(*batch, n_x)`.
+            inputs: Inputs of earlier periods that are pending and that of this one, `(*batch, pending + 1, n_u)`.
+        """
+        whole, rest = self.late
+        if rest:
+            x = self._flow(x, inputs[..., -whole - 2, :], rest)
+        return self._flow(x, inputs[..., -whole - 1, :], self.dt - rest)
+
+    def _flow(self, x: Tensor, u: Tensor, seconds: float) -> Tensor:
+        steps = max(1, math.ceil(seconds / self.step - 1e-6))
+        return integrate(self.rates, x, u, seconds, steps, self.stops)[0][..., -1, :]

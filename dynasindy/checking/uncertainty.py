@@ -1,0 +1,118 @@
+"""Plants that the model might have meant: its coefficients drawn, and moved one at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from dynasindy.checking.linear import Rest, rest
+from dynasindy.checking.loop import Loop
+from dynasindy.world_models import SindyModel
+
+SHARE = 0.2
+"""By how much a coefficient is moved, as a share of itself."""
+DRAWN = 0.05
+"""Largest share by which coefficients are drawn at random where their standard errors are not known."""
+
+
+@dataclass(frozen=True)
+class Variants:
+    """Coefficients of plants beside the model.
+
+    Attributes:
+        labels: What is changed in each.
+        coefficients: Xi of each, `(n, n_features, n_x)`.
+        draws: How many of them, the first ones, are drawn at random.
+    """
+
+    labels: list[str]
+    coefficients: Tensor
+    draws: int
+
+
+def uncertain(model: SindyModel) -> list[tuple[int, int]]:
+    """Return function and state of each coefficient that was found in data: not zero, and not given beforehand."""
+    return [(int(k), int(i)) for k, i in (model.constraints.free & (model.coefficients != 0)).nonzero()]
+
+
+def variants(model: SindyModel, draws: int, seed: int, errors: Tensor | None = None) -> Variants:
+    """Draw coefficients, and move each that was found in data by `SHARE` up and down.
+
+    Args:
+        model: The model.
+        draws: Number of draws, all coefficients at a time.
+        seed: Their seed.
+        errors: Standard error of each coefficient, `(n_features, n_x)`, as `Identifiability` has it: normal draws.
+            Without it, draws are uniform within a share `DRAWN` of each coefficient.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    found, xi = uncertain(model), model.coefficients
+    mask = torch.zeros_like(xi)
+    for place in found:
+        mask[place] = 1.0
+    shape = (draws, *xi.shape)
+    if errors is None:
+        uniform = 2 * torch.rand(shape, generator=generator, dtype=xi.dtype) - 1
+        drawn = xi * (1 + DRAWN * uniform * mask)
+    else:
+        drawn = xi + torch.randn(shape, generator=generator, dtype=xi.dtype) * errors * mask
+    moved, labels = [], [f"draw {k + 1}" for k in range(draws)]
+    for k, i in found:
+        for sign in (1, -1):
+            changed = xi.clone()
+            changed[k, i] *= 1 + sign * SHARE
+            moved.append(changed)
+            labels.append(f"{model.library.names[k]} in {model.signature.state_names[i]}' {sign * SHARE:+.0%}")
+    return Variants(labels, torch.cat([drawn, *(one.unsqueeze(0) for one in moved)]), draws)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """What becomes of the loop with other plants.
+
+    Attributes:
+        labels: What is changed in each.
+        radius: Spectral radius, `(n_targets, n)`, infinite where no point of rest was found.
+        error: Steady error of the outputs, `(n_targets, n, n_r)`, infinite where they run away.
+        draws: How many, the first ones, are drawn at random.
+    """
+
+    labels: list[str]
+    radius: Tensor
+    error: Tensor
+    draws: int
+
+    @property
+    def worst(self) -> Tensor:
+        """Largest spectral radius of each change over the targets, `(n,)`."""
+        return self.radius.amax(0) if len(self.radius) else self.radius.new_zeros(len(self.labels))
+
+    @property
+    def farthest(self) -> Tensor:
+        """Largest steady error with each change over the targets, `(n, n_r)`."""
+        return self.error.amax(0) if len(self.error) else self.error.new_zeros(self.error.shape[1:])
+
+
+def spread(loop: Loop, r: Tensor, nominal: Rest, changed: Variants, seconds: float = 20.0) -> Spread:
+    """Let loops with other plants, and the same controller, rest at each target.
+
+    Args:
+        loop: The loop of the model.
+        r: Targets, `(n_targets, n_r)`.
+        nominal: Where that loop rests at them.
+        changed: The other plants.
+        seconds: How long a loop may run to come to rest [s].
+    """
+    count = len(changed.labels)
+    radii, errors = (
+        torch.zeros(len(r), count, dtype=torch.float64),
+        torch.zeros(len(r), count, r.shape[-1], dtype=torch.float64),
+    )
+    for k, target in enumerate(r.double() if count else []):
+        start = nominal.select(torch.full((count,), k))
+        found = rest(loop.varied(changed.coefficients), target.expand(count, -1), start, seconds)
+        radii[k] = torch.from_numpy(found.linear.radius).where(found.still, torch.inf)
+        errors[k] = found.error
+    return Spread(changed.labels, radii, errors, changed.draws)

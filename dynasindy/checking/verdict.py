@@ -1,0 +1,235 @@
+"""What was found, in words: one line per finding, its threshold beside it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from dynasindy.checking.check import Check
+from dynasindy.checking.flights import TOLERANCE
+from dynasindy.checking.margins import Margins
+from dynasindy.checking.uncertainty import SHARE
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Where a finding begins to be a weak one.
+
+    Attributes:
+        gain: Least gain margin upwards; downwards it is the inverse.
+        phase: Least phase margin [deg].
+        delay: Least delay margin [control periods].
+        disk: Least disk margin.
+        error: Largest steady error [ranges of the outputs].
+        recovered: Least share of initial errors from which the plant comes back.
+        noise: Largest standard deviation of an input under the noise of the sensors.
+        slew: Largest change of an input in a control period.
+        saturated: Largest share of a step at the limit of an input.
+    """
+
+    gain: float = 2.0
+    phase: float = 30.0
+    delay: float = 1.0
+    disk: float = 0.5
+    error: float = TOLERANCE
+    recovered: float = 0.9
+    noise: float = 0.05
+    slew: float = 1.0
+    saturated: float = 0.2
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One finding.
+
+    Attributes:
+        name: What it is about.
+        good: Whether it keeps its threshold.
+        words: The finding.
+    """
+
+    name: str
+    good: bool
+    words: str
+
+    def __str__(self) -> str:
+        """Return it as a line."""
+        return f"{'ok  ' if self.good else 'WEAK'} {self.name}: {self.words}"
+
+
+def verdict(found: Check, thresholds: Thresholds | None = None) -> list[Finding]:
+    """Return what was found, the stability first; an unstable loop has no margins and no noise."""
+    limits = thresholds or Thresholds()
+    lines = [_stability(found)]
+    if any(found.margins):
+        lines += [*_margins(found, limits), _noise(found, limits)]
+    lines += [*_flights(found, limits), *_changes(found, limits)]
+    return [*lines, _recovery(found, limits)] if found.planes else lines
+
+
+def _stability(found: Check) -> Finding:
+    count, good, dt = len(found.targets), int(found.stable.sum()), found.loop.dt
+    if good < count:
+        bad = ~found.stable
+        k = int(bad.nonzero()[0])
+        restless = int((~found.rest.still).sum())
+        more = f"; at {restless} of them there is no rest" if restless else ""
+        _, error, name = _error(found, found.steps.steady_error[bad])
+        words = (
+            f"NOT stable at {count - good} of {count} targets, such as {_place(found, k)}{more}; flown there, {name} "
+            f"ends within {error}"
+        )
+        return Finding("stability", False, f"{words}; threshold: spectral radius < 1 at all")
+    k = int(np.argmax(found.rest.linear.radius))
+    radius = float(found.rest.linear.radius[k])
+    slowest = -dt / math.log(radius) if 0 < radius < 1 else 0.0
+    words = f"stable at all {count} targets; largest spectral radius {radius:.4f} at {_place(found, k)}"
+    return Finding("stability", True, f"{words}, a time constant of {slowest:.2g} s; threshold: < 1")
+
+
+def _margins(found: Check, limits: Thresholds) -> list[Finding]:
+    dt, names = found.loop.dt, found.loop.signature.input_names
+    rows = [(k, i, m) for k, target in enumerate(found.margins) for i, m in enumerate(target)]
+
+    def _least(values: Sequence[float]) -> tuple[float, str]:
+        place = int(np.argmin(values))
+        k, i, _ = rows[place]
+        return values[place], f"of {names[i]} at {_place(found, k)}"
+
+    def _all(read: object) -> list[float]:
+        assert callable(read)
+        return [float(read(m)) for _, _, m in rows]
+
+    def _wider(margin: Margins) -> float:
+        return 1 / margin.lower if margin.lower else math.inf
+
+    up, where_up = _least(_all(lambda m: m.gain))
+    down, where_down = _least(_all(_wider))
+    phase, where_phase = _least(_all(lambda m: m.phase))
+    delay, where_delay = _least([d / dt for d in _all(lambda m: m.delay)])
+    disk, where_disk = _least(_all(lambda m: m.disk))
+    return [
+        Finding(
+            "gain margin",
+            up >= limits.gain,
+            f"the least is {_factor(up)} {where_up}; threshold: {limits.gain:g} ({_db(limits.gain):.0f} dB)",
+        ),
+        Finding(
+            "gain reduction",
+            down >= limits.gain,
+            f"{'may fall to nothing' if down == math.inf else f'may fall to {1 / down:.2f}'} {where_down}; "
+            f"threshold: {1 / limits.gain:g}",
+        ),
+        Finding(
+            "phase margin",
+            phase >= limits.phase,
+            f"the least is {phase:.0f} deg {where_phase}; threshold: {limits.phase:g} deg",
+        ),
+        Finding(
+            "delay margin",
+            delay >= limits.delay,
+            f"the least is {delay:.2f} control periods, {1000 * delay * dt:.0f} ms, {where_delay}; "
+            f"threshold: {limits.delay:g} control period{'s' if limits.delay != 1 else ''}",
+        ),
+        Finding(
+            "disk margin", disk >= limits.disk, f"the least is {disk:.2f} {where_disk}; threshold: {limits.disk:g}"
+        ),
+    ]
+
+
+def _noise(found: Check, limits: Thresholds) -> Finding:
+    spreads = [np.sqrt((gain**2) @ found.sensors**2) for gain in found.noise if gain is not None]
+    worst = np.max(spreads, axis=0)
+    i = int(worst.argmax())
+    if not found.sensors.any():
+        return Finding("noise", True, "the file states no noise of sensors; check.json has what a unit of it would do")
+    name = found.loop.signature.input_names[i]
+    words = f"noise of the sensors moves {name} by {worst[i]:.3g} (standard deviation)"
+    return Finding("noise", bool(worst[i] <= limits.noise), f"{words}; threshold: {limits.noise:g}")
+
+
+def _flights(found: Check, limits: Thresholds) -> list[Finding]:
+    names, steps = found.loop.signature.input_names, found.steps
+    error, word, where = _error(found, steps.steady_error)
+    slew, saturated = steps.slew.nan_to_num(torch.inf).amax(0), steps.saturated.amax(0)
+    i, j = int(slew.argmax()), int(saturated.argmax())
+    return [
+        Finding(
+            "steady error",
+            error <= limits.error,
+            f"in steps from the origin at most {word} of {where}; threshold: {limits.error:g} ranges of the output",
+        ),
+        Finding(
+            "slew",
+            float(slew[i]) <= limits.slew,
+            f"in a step {names[i]} changes by up to {slew[i]:.2f} in a control period; threshold: {limits.slew:g}",
+        ),
+        Finding(
+            "saturation",
+            float(saturated[j]) <= limits.saturated,
+            f"in a step {names[j]} is at its limit for up to {saturated[j]:.0%} of {found.settings.seconds:g} s; "
+            f"threshold: {limits.saturated:.0%}",
+        ),
+    ]
+
+
+def _changes(found: Check, limits: Thresholds) -> list[Finding]:
+    others, lines = found.spread, []
+    for name, rows, words in (
+        ("one coefficient", slice(others.draws, None), f"each coefficient by {SHARE:.0%} of itself"),
+        ("all coefficients", slice(0, others.draws), f"{others.draws} draws of all coefficients"),
+    ):
+        radius, labels = others.worst[rows], others.labels[rows]
+        if not len(labels) or not len(others.radius):
+            continue
+        unstable, k = int((radius >= 1).sum()), int(radius.argmax())
+        error, word, where = _error(found, others.farthest[rows])
+        stays = "stable with all" if not unstable else f"NOT stable with {unstable} of {len(labels)}"
+        far = "no rest" if radius[k].isinf() else f"spectral radius {radius[k]:.4f}"
+        lines.append(
+            Finding(
+                name,
+                not unstable and error <= limits.error,
+                f"{words}, where the model itself is stable: {stays}, worst {labels[k]} ({far}), steady error at most "
+                f"{word} of {where}; threshold: stable, {limits.error:g} ranges",
+            )
+        )
+    return lines
+
+
+def _recovery(found: Check, limits: Thresholds) -> Finding:
+    shares = [plane.share for plane in found.planes]
+    words = ", ".join(f"{plane.share:.0%} in {plane.names[0]} and {plane.names[1]}" for plane in found.planes)
+    least = min(shares)
+    return Finding(
+        "recovery",
+        least >= limits.recovered,
+        f"comes back from errors of up to {found.settings.reach:g} ranges: {words}; threshold: {limits.recovered:.0%}",
+    )
+
+
+def _error(found: Check, error: torch.Tensor) -> tuple[float, str, str]:
+    """Return the largest steady error in ranges, and in words, of `(rows, n_r)`."""
+    signature, outputs = found.loop.signature, found.loop.task.outputs
+    scale = torch.tensor([signature.x_scale[i] for i in outputs], dtype=torch.float64)
+    ranged = (error / scale).amax(0)
+    i = int(ranged.argmax())
+    value = float(error[:, i].amax())
+    word = "no bound" if value == math.inf else f"{value:.3g} {signature.state_units[outputs[i]]}"
+    return float(ranged[i]), word, signature.state_names[outputs[i]]
+
+
+def _place(found: Check, k: int) -> str:
+    return "(" + ", ".join(f"{value:.3g}" for value in found.targets[k].tolist()) + ")"
+
+
+def _factor(value: float) -> str:
+    return "without limit" if value == math.inf else f"{value:.2f} ({_db(value):.1f} dB)"
+
+
+def _db(value: float) -> float:
+    return 20 * math.log10(value)

@@ -1,0 +1,63 @@
+"""Check a controller on its model before it touches metal: `python scripts/check.py run=PATH [low=[..] high=[..]]`."""
+
+import sys
+from pathlib import Path
+
+import torch
+from admitted import read_config
+from command import command
+from omegaconf import DictConfig
+
+from dynasindy.checking import Loop, Plant, Settings, check, verdict
+from dynasindy.checking.check import record
+from dynasindy.evaluation.files import write_json
+from dynasindy.evaluation.given import own_folder, refuse_links, understood
+from dynasindy.export.write import Exported
+from dynasindy.viz.check import draw
+from dynasindy.viz.style import save
+
+
+@command("check")
+def main(cfg: DictConfig) -> None:
+    """Print the verdict, write figures and numbers, and end with 1 where the loop is not stable."""
+    torch.set_num_threads(cfg.threads)
+    if cfg.run is None:
+        raise ValueError("run is not given; give run=PATH, a run folder or a controller.json")
+    run = Path(cfg.run)
+    given = Exported.read(run)
+    if given.controller is None or given.model is None:
+        lack = "controller" if given.controller is None else "model of the plant"
+        raise ValueError(f"{run} has no {lack}; give the folder of a run that has ended, with controller and model")
+    box = {key: _box(cfg, run, key) for key in ("low", "high")}
+    settings = Settings(**box, **{key: cfg[key] for key in ("points", "seconds", "reach", "grid", "draws", "seed")})
+    folder = _folder(cfg.folder, run)
+    plant = Plant(given.model, given.controller.dt, given.step, given.stops)
+    found = check(Loop(given.controller, plant), settings)
+    findings = verdict(found)
+    words = [{"finding": each.name, "good": each.good, "words": each.words} for each in findings]
+    write_json(folder / "check.json", {"verdict": words, **record(found)})
+    for name, figure in draw(found).items():
+        save(figure, folder / name)
+    print("What the model predicts; the plant itself was not asked.", *findings, f"Files: {folder}", sep="\n")
+    if not bool(found.stable.all()):
+        sys.exit(1)
+
+
+def _box(cfg: DictConfig, run: Path, key: str) -> tuple[float, ...]:
+    """Return one end of the box of targets, as it is given or as the run has it."""
+    values, file = cfg[key], (run if run.is_dir() else run.parent) / "config.yaml"
+    if values is None and not file.is_file():
+        raise ValueError(f"{key} is not given, and there is no {file} to read it from; give {key}=[...] of the targets")
+    with understood(file):
+        return tuple(float(value) for value in (read_config(file).plant[key] if values is None else values))
+
+
+def _folder(given: str | None, run: Path) -> Path:
+    if given is None:
+        return own_folder(run if run.is_dir() else run.parent, "check")
+    refuse_links(Path(given))
+    return Path(given)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,87 @@
+"""Controllers and models as small as they may be: a cart on a rail, held by a linear law that is known by heart."""
+
+import pytest
+import torch
+
+from dynasindy.agents.networks import actor
+from dynasindy.checking.loop import Loop
+from dynasindy.checking.plant import Plant
+from dynasindy.control import Controller
+from dynasindy.control.controller import Pace
+from dynasindy.sensing import Observer, Sensors
+from dynasindy.systems import Signature, Stops
+from dynasindy.tasks import Step, Tracking, TrackingReward
+from dynasindy.world_models import SindyModel
+
+CART = Signature(("p", "v"), ("m", "m/s"), ("force",), (2.0, 3.0))
+DT = 0.1
+
+
+class Law:
+    """u = k_p (r - p) - k_v v + bias, of an observation of scaled states and errors."""
+
+    def __init__(self, k_p, k_v, bias=0.0):
+        self.k_p, self.k_v, self.bias = k_p, k_v, bias
+
+    def __call__(self, tensordict):
+        seen = tensordict["observation"]
+        return tensordict.set("action", self.k_p * 0.7 * seen[..., 2:] - self.k_v * 3.0 * seen[..., 1:2] + self.bias)
+
+
+def task_of(signature=CART):
+    outputs, rates = signature.state_names[:1], signature.state_names[1:]
+    return Tracking(signature, Step([[0.0]]), outputs, rates, TrackingReward((1.0,)), error_scale=0.7)
+
+
+def cart(delay=0.0, friction=0.0, spring=0.0):
+    """p' = v, v' = force - friction v - spring p."""
+    model = SindyModel(CART, ["force", "v", "p"], known={"p": "v"})
+    model.set_coefficients(torch.tensor([[0.0, 1.0], [1.0, -friction], [0.0, -spring]], dtype=torch.float64))
+    model.delay = delay
+    return model
+
+
+def watching(model, pace, **settings):
+    sensors = Sensors({"p": {"noise": 0.01}}, rates={"p": "v"}, **settings)
+    observer = Observer(model, sensors, pace)
+    observer.load_state_dict({"process_noise": [0.01, 0.05] + [0.02] * sensors.disturbance, "nis": 1.0})
+    return observer
+
+
+def loop_of(law=None, model=None, observer=None, integral=None, stops=None):
+    model = model or cart()
+    pace = Pace(task_of(), DT, 2, stops)
+    seeing = None if observer is None else watching(model, pace, **observer)
+    controller = Controller(law or Law(2.0, 2.5), pace, seeing, integral)
+    return Loop(controller, Plant(model, DT, DT / 2, stops))
+
+
+def network_loop(delay=0.07, disturbance=True, late=1, integral=None):
+    """A pendulum-like cart with a network, an observer that estimates a push, delays and stops."""
+    model = cart(delay, 0.3, 0.8)
+    pace = Pace(task_of(), 0.04, 3, Stops((0,), (1,), (-0.6,), (0.6,)))
+    with torch.random.fork_rng():
+        torch.manual_seed(4)
+        policy = actor(pace.task.n_o, 1, (8, 5)).requires_grad_(False)
+    seeing = watching(model, pace, delay=late, disturbance=disturbance)
+    return Loop(Controller(policy, pace, seeing, integral), Plant(model, 0.04, 0.04 / 3, pace.stops))
+
+
+@pytest.fixture
+def loops():
+    return loop_of
+
+
+@pytest.fixture
+def law():
+    return Law
+
+
+@pytest.fixture
+def carts():
+    return cart
+
+
+@pytest.fixture
+def networks():
+    return network_loop

@@ -1,0 +1,55 @@
+"""A check holds what its parts find, and its record is plain numbers."""
+
+import json
+
+import pytest
+import torch
+
+from dynasindy.checking.check import Settings, check, number, record
+
+SMALL = Settings((-0.4,), (0.4,), points=3, seconds=5.0, grid=3, draws=2)
+
+
+def test_targets_are_the_grid_of_the_box():
+    assert Settings((0.0, -1.0), (1.0, 1.0), points=2).targets.tolist() == [[0, -1], [0, 1], [1, -1], [1, 1]]
+    assert Settings((0.0,), (1.0,), points=1).targets.tolist() == [[0.5]]
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"low": (1.0,), "high": (0.0,)}, "low <= high"),
+        ({"low": (0.0, 0.0), "high": (1.0,)}, "one number per output"),
+        ({"low": (0.0,), "high": (1.0,), "grid": 1}, "grid >= 2"),
+        ({"low": (0.0,), "high": (1.0,), "seconds": 0.0}, "seconds > 0"),
+    ],
+)
+def test_settings_that_are_none_are_refused(given, words):
+    with pytest.raises(ValueError, match=words):
+        Settings(**given)
+
+
+def test_a_box_of_other_outputs_is_refused(loops):
+    with pytest.raises(ValueError, match="give one for each of p"):
+        check(loops(), Settings((0.0, 0.0), (1.0, 1.0)))
+
+
+def test_a_record_is_json_of_what_was_found(loops, carts):
+    found = check(loops(model=carts(spring=1.0), observer={}), SMALL)
+    held = json.loads(json.dumps(record(found), allow_nan=False))
+    assert [row["target"]["p"] for row in held["targets"]] == pytest.approx([-0.4, 0.0, 0.4])
+    assert all(row["stable"] and row["rests"] for row in held["targets"])
+    # 2 (r - p) = p: two thirds of the way.
+    assert held["targets"][2]["steady_error"]["p"] == pytest.approx(0.4 / 3, abs=3e-3)
+    assert held["targets"][1]["margins"]["force"]["gain"] == pytest.approx(found.margins[1][0].gain)
+    assert len(held["changes"]) == 2 + 2 * 2 and held["recovery"] == [{"states": ["p", "v"], "share": 1.0}]
+    assert found.sensors.tolist() == pytest.approx([0.01, 0.0])
+    assert held["settings"]["low"] == [-0.4]
+
+
+def test_a_loop_that_is_not_stable_has_no_margins(loops, law):
+    found = check(loops(law(-1.0, 0.0)), SMALL)
+    assert not found.stable.any() and not any(found.margins) and found.noise == [None] * 3
+    held = record(found)
+    assert held["targets"][0]["noise_to_input"] is None and held["targets"][0]["spectral_radius"] > 1
+    assert held["targets"][0]["steady_error"]["p"] > 1 and number(torch.inf) is None

@@ -1,0 +1,49 @@
+"""Flights are those of the linear map, and the plant comes back where arithmetic says that it can."""
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy.checking.flights import Flights, fly, recovery
+from dynasindy.systems import Stops
+
+
+def test_a_flight_is_the_power_of_a_matrix(loops):
+    flights = fly(loops(), torch.tensor([[0.4, -0.2]]), torch.tensor([[0.0]]), 2.0)
+    closed = np.array([[1.0, 0.1], [0.0, 1.0]]) - np.array([[0.005], [0.1]]) @ np.array([[2.0, 2.5]])
+    expected = [np.linalg.matrix_power(closed, k) @ flights.x[0, 0].numpy() for k in range(21)]
+    np.testing.assert_allclose(flights.x[0], expected, atol=1e-10)
+    assert flights.u[0, 0].item() == pytest.approx(-2 * 0.4 + 2.5 * 0.2, abs=1e-6)
+
+
+def test_error_slew_and_saturation_are_counted():
+    x = torch.zeros(2, 41, 2, dtype=torch.float64)
+    x[0, :, 0], x[1, -1, 0] = 0.7, torch.nan
+    u = torch.zeros(2, 40, 1, dtype=torch.float64)
+    u[0, :10, 0], u[1, 0, 0], u[1, 1, 0] = 1.0, -0.6, 0.9
+    flights = Flights(x, u, torch.tensor([[1.0], [0.0]]), [0], 0.1)
+    assert flights.steady_error.flatten().tolist() == pytest.approx([0.3, np.inf])
+    assert flights.slew.flatten().tolist() == pytest.approx([1.0, 1.5])
+    assert flights.saturated.flatten().tolist() == [0.25, 0.0]
+
+
+def test_a_law_that_is_too_weak_for_a_hill_loses_the_plant_beyond_a_line(loops, carts, law):
+    # v' = p + u with u = clamp(-3 p - 3 v) to 0.5: with p + v at most 0.5 it comes back, beyond it runs away.
+    class Limited(law):
+        def __call__(self, tensordict):
+            tensordict = super().__call__(tensordict)
+            return tensordict.set("action", tensordict["action"].clamp(-0.5, 0.5))
+
+    loop = loops(Limited(3.0, 3.0), carts(spring=-1.0))
+    (plane,) = recovery(loop, torch.zeros(2), torch.zeros(1), 0.5, 9, 12.0)
+    assert plane.names == ("p", "v") and plane.first[-1] == 1.0 and plane.second[-1] == 1.5
+    total = (plane.first.unsqueeze(1) + plane.second).abs()
+    clear = (total - 0.5).abs() > 0.05
+    assert bool((plane.back == (total < 0.5))[clear].all())
+    assert plane.share == pytest.approx(float((total < 0.5).double().mean()), abs=0.1)
+
+
+def test_a_start_beyond_a_stop_is_put_to_it(loops):
+    loop = loops(stops=Stops((0,), (1,), (-0.5,), (0.5,)))
+    (plane,) = recovery(loop, torch.zeros(2), torch.zeros(1), 1.0, 3, 10.0)
+    assert plane.share == 1.0

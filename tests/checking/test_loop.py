@@ -1,0 +1,104 @@
+"""The loop as one map does, step for step, what the controller does with a plant in a plain loop."""
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy.checking.loop import Loop
+from dynasindy.systems import Signature, integrate
+from dynasindy.world_models import SindyModel
+
+
+def flown(loop, x, r, periods):
+    """Fly the model with the controller itself; inputs and measurements wait in lists."""
+    controller, plant = loop.controller, loop.plant
+    controller.reset()
+    late = 0 if loop.observer is None else loop.observer.sensors.delay
+    states, inputs = [x], []
+    whole = int(plant.model.delay / plant.dt)
+    rest = plant.model.delay - whole * plant.dt
+
+    def acted(k):
+        return torch.zeros(1, dtype=torch.float64) if k < 0 else inputs[k]
+
+    for k in range(periods):
+        y = states[max(0, k - late)]
+        inputs.append(torch.from_numpy(controller.act(y.numpy(), r)))
+        x = states[-1]
+        for u, seconds in ((acted(k - whole - 1), rest), (acted(k - whole), plant.dt - rest)):
+            if seconds:
+                x = integrate(plant.model, x, u, seconds, 20, plant.stops)[0][-1]
+        states.append(x)
+    return torch.stack(states), torch.stack(inputs)
+
+
+def stepped(loop, x, r, periods):
+    z = loop.started(x.unsqueeze(0))
+    covariance, states, inputs = loop.uncertain(z), [x], []
+    for k in range(periods):
+        z, covariance, u = loop.step(z, covariance, torch.tensor([r], dtype=torch.float64), first=k == 0)
+        states.append(z[0, loop.parts["x"]])
+        inputs.append(u[0])
+    return torch.stack(states), torch.stack(inputs)
+
+
+@pytest.mark.parametrize("disturbance", [False, True])
+@pytest.mark.parametrize(("delay", "late"), [(0.0, 0), (0.07, 1), (0.08, 2)])
+@pytest.mark.parametrize("integral", [None, {"gain": 1.5, "band": 0.9}])
+def test_it_flies_as_the_controller_does(networks, disturbance, delay, late, integral):
+    loop = networks(delay, disturbance, late, integral)
+    x = torch.tensor([0.2, -0.5], dtype=torch.float64)
+    expected, commands = flown(loop, x, [0.3], 60)
+    found, u = stepped(loop, x, [0.3], 60)
+    assert commands.std() > 1e-3 and expected.std(0).min() > 1e-2
+    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5)  # the controller has float32 weights and values
+    np.testing.assert_allclose(u, commands, rtol=0, atol=2e-5)
+
+
+def test_a_law_of_all_states_is_the_map_that_is_written_down(loops):
+    # p + dt v + dt^2/2 u, v + dt u with u = 2 (r - p) - 2.5 v, and dt = 0.1.
+    loop = loops()
+    z = torch.tensor([[0.4, -0.2], [0.0, 1.0]], dtype=torch.float64)
+    moved = loop.step(z, loop.uncertain(z), torch.tensor([[1.0], [0.5]]))
+    u = 2 * (torch.tensor([1.0, 0.5]) - z[:, 0]) - 2.5 * z[:, 1]
+    np.testing.assert_allclose(moved.u[:, 0], u, atol=1e-12)
+    expected = torch.stack([z[:, 0] + 0.1 * z[:, 1] + 0.005 * u, z[:, 1] + 0.1 * u], -1)
+    np.testing.assert_allclose(moved.z, expected, atol=1e-12)
+
+
+def test_what_is_added_reaches_the_plant_and_noise_the_controller(loops):
+    loop = loops()
+    z, r = torch.zeros(1, 2, dtype=torch.float64), torch.zeros(1, 1)
+    pushed = loop.step(z, loop.uncertain(z), r, extra=0.3)
+    assert pushed.u.item() == 0 and pushed.z[0, 1].item() == pytest.approx(0.03)
+    disturbed = loop.step(z, loop.uncertain(z), r, noise=torch.tensor([[0.1, 0.2]]))
+    assert disturbed.u.item() == pytest.approx(-2 * 0.1 - 2.5 * 0.2)
+
+
+def test_rows_may_have_coefficients_of_their_own(loops):
+    loop = loops()
+    xi = torch.stack([loop.plant.model.coefficients, 3 * loop.plant.model.coefficients])
+    z = torch.tensor([[0.4, 0.1]] * 2, dtype=torch.float64)
+    moved = loop.varied(xi).step(z, loop.uncertain(z), torch.zeros(2, 1))
+    u = -2 * 0.4 - 2.5 * 0.1
+    np.testing.assert_allclose(moved.z[:, 1], [0.1 + 0.1 * u, 0.1 + 0.3 * u], atol=1e-12)
+    deep = loop.varied(xi).step(z.unsqueeze(1).expand(-1, 4, -1), loop.uncertain(z), torch.zeros(2, 4, 1))
+    np.testing.assert_allclose(deep.z, moved.z.unsqueeze(1).expand(-1, 4, -1), atol=1e-12)
+
+
+def test_a_loop_at_rest_knows_where_it_is(networks):
+    loop = networks()
+    x, u = torch.tensor([[0.25, 0.0]], dtype=torch.float64), torch.tensor([[0.2]], dtype=torch.float64)  # spring 0.8
+    z = loop.at(x, u)
+    assert z[0, loop.parts["mean"]].tolist() == [0.25, 0.0, 0.0]
+    assert z[0, loop.parts["pending"]].tolist() == [0.2, 0.2]
+    moved = loop.step(z, loop.uncertain(z), torch.tensor([[0.3]]))
+    np.testing.assert_allclose(moved.z[0, loop.parts["x"]], x[0], atol=1e-9)
+    np.testing.assert_allclose(moved.z[0, loop.parts["mean"]], [0.25, 0, 0], atol=1e-7)
+
+
+def test_a_model_of_another_plant_is_refused(loops):
+    loop = loops()
+    other = SindyModel(Signature(("p", "v"), ("m", "m/s"), ("push",), (2.0, 3.0)), ["push"])
+    with pytest.raises(ValueError, match="other states, units, ranges or inputs than the controller"):
+        Loop(loop.controller, type(loop.plant)(other, 0.1, 0.1))

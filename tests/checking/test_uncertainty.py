@@ -1,0 +1,50 @@
+"""Coefficients are moved one at a time and drawn, and what becomes of the loop is what paper says."""
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy.checking.linear import rest
+from dynasindy.checking.uncertainty import Spread, spread, variants
+
+
+def test_each_coefficient_of_the_data_is_moved_and_no_other(carts):
+    model = carts(friction=0.5, spring=2.0)
+    found = variants(model, 4, 0)
+    assert found.labels[4:] == [f"{f} in v' {s}20%" for f in ("force", "v", "p") for s in "+-"]
+    changed = (found.coefficients[4:] / model.coefficients).nan_to_num(1.0)
+    expected = torch.ones(6, 3, 2, dtype=torch.float64)
+    for k in range(6):
+        expected[k, k // 2, 1] = 0.8 if k % 2 else 1.2
+    np.testing.assert_allclose(changed, expected)
+    share = (found.coefficients[:4, :, 1] / model.coefficients[:, 1] - 1).abs()
+    assert 0 < float(share.max()) <= 0.05 and found.draws == 4
+    np.testing.assert_array_equal(found.coefficients[:4, :, 0], model.coefficients[:, 0].expand(4, -1))
+
+
+def test_draws_spread_as_the_standard_errors_say(carts):
+    model = carts(friction=0.5, spring=2.0)
+    errors = torch.tensor([[9.0, 0.3], [9.0, 0.02], [9.0, 0.0]], dtype=torch.float64)
+    drawn = variants(model, 4000, 1, errors).coefficients[:4000]
+    np.testing.assert_allclose(drawn[:, :, 1].std(0), [0.3, 0.02, 0.0], rtol=0.05)
+    assert drawn[:, :, 0].std(0).max() == 0  # an equation that is known
+
+
+def test_error_and_eigenvalues_with_other_plants_are_those_of_paper(loops, carts):
+    # Rest at p = 2 r b / (s + 2 b) with the force's coefficient b and the spring s.
+    model = carts(spring=1.0)
+    loop, r = loops(model=model), torch.tensor([[0.3], [0.0]])
+    found = spread(loop, r, rest(loop, r), variants(model, 0, 0))
+    for k, (b, s) in enumerate(((1.2, 1.0), (0.8, 1.0), (1.0, 1.2), (1.0, 0.8))):
+        assert found.error[0, k].item() == pytest.approx(0.3 - 0.6 * b / (s + 2 * b), abs=1e-7)
+        flow = torch.linalg.matrix_exp(0.1 * torch.tensor([[0.0, 1.0, 0.0], [-s, 0.0, b], [0.0, 0.0, 0.0]])).double()
+        closed = flow[:2, :2].numpy() + flow[:2, 2:].numpy() @ np.array([[-2.0, -2.5]])
+        assert found.radius[1, k].item() == pytest.approx(np.abs(np.linalg.eigvals(closed)).max(), abs=1e-5)
+
+
+def test_the_worst_is_over_the_targets():
+    radius = torch.tensor([[0.5, 1.2], [0.9, 0.3]])
+    found = Spread(["a", "b"], radius, radius.unsqueeze(-1), 0)
+    assert found.worst.tolist() == pytest.approx([0.9, 1.2]) == found.farthest.flatten().tolist()
+    none = Spread(["a"], torch.zeros(0, 1), torch.zeros(0, 1, 1), 0)
+    assert none.worst.tolist() == [0.0]

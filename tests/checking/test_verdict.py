@@ -1,0 +1,71 @@
+"""A finding keeps its threshold or not, and says which figure it is."""
+
+from dataclasses import replace
+
+import pytest
+
+from dynasindy.checking.check import Settings, check
+from dynasindy.checking.margins import Margins
+from dynasindy.checking.verdict import Finding, Thresholds, verdict
+
+SMALL = Settings((-0.4,), (0.4,), points=2, seconds=8.0, grid=3, draws=2)
+
+
+@pytest.fixture
+def good(loops):
+    return check(loops(observer={}), SMALL)
+
+
+def by_name(found, thresholds=None):
+    return {each.name: each for each in verdict(found, thresholds)}
+
+
+def test_a_cart_with_a_sound_law_is_sound(good):
+    found = by_name(good)
+    assert len(found) == 13
+    assert [name for name, each in found.items() if not each.good] == ["noise"] or all(f.good for f in found.values())
+    assert "stable at all 2 targets; largest spectral radius" in found["stability"].words
+    assert found["recovery"].words.startswith("comes back from errors of up to 1 ranges: 100% in p and v;")
+
+
+@pytest.mark.parametrize(
+    ("changed", "name", "words"),
+    [
+        ({"gain": 1.9}, "gain margin", "the least is 1.90 (5.6 dB) of force at (0.4); threshold: 2 (6 dB)"),
+        ({"lower": 0.6}, "gain reduction", "may fall to 0.60 of force at (0.4); threshold: 0.5"),
+        ({"phase": 29.0}, "phase margin", "the least is 29 deg of force at (0.4); threshold: 30 deg"),
+        ({"delay": 0.09}, "delay margin", "the least is 0.90 control periods, 90 ms, of force at (0.4); threshold: 1 "),
+        ({"disk": 0.4}, "disk margin", "the least is 0.40 of force at (0.4); threshold: 0.5"),
+    ],
+)
+def test_the_least_margin_over_targets_decides(good, changed, name, words):
+    sound = Margins(3.0, 0.2, 60.0, 0.5, 1.0)
+    found = by_name(replace(good, margins=[[sound], [replace(sound, **changed)]]))
+    assert not found[name].good and words in found[name].words
+    assert all(each.good for other, each in found.items() if "margin" in other and other != name)
+
+
+def test_thresholds_are_those_that_are_given(good):
+    strict = Thresholds(error=1e-9, recovered=1.1, noise=0.0, slew=0.0, saturated=-1.0)
+    found = by_name(good, strict)
+    names = ("steady error", "recovery", "noise", "slew", "saturation")
+    assert not any(found[name].good for name in names)
+    assert found["noise"].words.endswith("threshold: 0")
+
+
+def test_an_unstable_loop_says_so_first_and_where(loops, law):
+    lines = verdict(check(loops(law(-1.0, 0.0)), SMALL))
+    assert lines[0].name == "stability" and not lines[0].good
+    assert lines[0].words.startswith("NOT stable at 2 of 2 targets, such as (-0.4); flown there, p ends within")
+    assert not any("margin" in each.name for each in lines)
+
+
+def test_a_coefficient_that_makes_it_unstable_is_named(loops, carts, law):
+    # u = -18 v holds v while 18 b dt < 2; with b = 1.2 it is too much.
+    found = by_name(check(loops(law(1.0, 18.0), carts()), SMALL))
+    assert found["stability"].good and not found["one coefficient"].good
+    assert "NOT stable with 1 of 2, worst force in v' +20%" in found["one coefficient"].words
+
+
+def test_a_finding_is_a_line():
+    assert str(Finding("a", True, "b")) == "ok   a: b" and str(Finding("a", False, "b")) == "WEAK a: b"

@@ -1,0 +1,60 @@
+"""The command prints its verdict, writes numbers and figures, and its exit code says whether the loop is stable."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from dynasindy.agents.networks import actor
+from dynasindy.control import Controller, save
+from dynasindy.control.controller import Pace
+from dynasindy.systems import Signature
+from dynasindy.tasks import Step, Tracking, TrackingReward
+from dynasindy.world_models import SindyModel
+
+SCRIPT = Path(__file__).parents[2] / "scripts" / "check.py"
+SMALL = ("points=1", "grid=2", "draws=1", "seconds=3")
+
+
+def run_folder(folder, spring):
+    """A cart at a spring, held by a network that hardly acts: stable as the cart is by itself."""
+    signature = Signature(("p", "v"), ("m", "m/s"), ("force",), (2.0, 3.0))
+    task = Tracking(signature, Step([[0.0]]), ("p",), ("v",), TrackingReward((1.0,)))
+    policy = actor(task.n_o, 1, (4,)).requires_grad_(False)
+    for weight in policy.parameters():
+        weight *= 1e-3
+    save(Controller(policy, Pace(task, 0.1)), folder / "controller.json")
+    model = SindyModel(signature, ["force", "v", "p"], known={"p": "v"})
+    model.set_coefficients(torch.tensor([[0.0, 1.0], [1.0, -0.5], [0.0, -spring]]))
+    model.save(folder / "model.json")
+
+
+def called(folder, *words):
+    command = [sys.executable, str(SCRIPT), "run=run", *words]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=300)
+
+
+@pytest.mark.parametrize(("spring", "code"), [(2.0, 0), (-2.0, 1)])
+def test_the_exit_code_is_1_where_the_loop_is_not_stable(tmp_path, spring, code):
+    run_folder(tmp_path / "run", spring)
+    (tmp_path / "run" / "config.yaml").write_text("plant: {low: [-0.1], high: [0.1]}\n")
+    done = called(tmp_path, *SMALL)
+    assert done.returncode == code, done.stderr
+    assert done.stdout.startswith("What the model predicts; the plant itself was not asked.")
+    found = json.loads((tmp_path / "run" / "check" / "check.json").read_text())
+    assert found["targets"][0]["stable"] == (code == 0) and found["settings"]["low"] == [-0.1]
+    assert [line["words"] in done.stdout for line in found["verdict"]].count(False) == 0
+    names = {path.name for path in (tmp_path / "run" / "check").iterdir()}
+    assert {"check.json", "recovery.png", "steps.png"} <= names and ("nyquist.png" in names) == (code == 0)
+
+
+def test_what_is_missing_costs_one_line(tmp_path):
+    run_folder(tmp_path / "run", 2.0)
+    done = called(tmp_path, *SMALL)
+    assert done.returncode == 2 and "low is not given, and there is no run/config.yaml" in done.stderr
+    (tmp_path / "run" / "model.json").unlink()
+    done = called(tmp_path, *SMALL, "low=[0]", "high=[0]")
+    assert done.returncode == 2 and "run has no model of the plant" in done.stderr
