@@ -184,7 +184,7 @@ def learn(job: Job, folder: Path) -> dict[str, Any]:
 def build_env(facts: Plant, seed: int) -> ControlEnv:
     """Return the real environment of `experiment=dyna`."""
     system = facts.build()
-    reward = TrackingReward(error_shape="logarithmic")
+    reward = TrackingReward((4.0,), error_shape="logarithmic")
     task = Tracking(system.signature, RandomStep(facts.low, facts.high), reward=reward)
     return ControlEnv(system, task, dtype=torch.float64, seed=seed)
 

@@ -91,7 +91,7 @@ def injected(end: FarEnd, hertz: float, fault: str, at: int) -> Row:
     begins = at + (fault == "old")  # the first of those that are all alike is new
     unsafe = [k for k, u in enumerate(record.applied) if k >= begins and not np.array_equal(u, SAFE)]
     last = unsafe[-1] - begins + 1 if unsafe else 0
-    asked = next((k - begins for k, rest in enumerate(record.asked) if rest and k >= begins), NEVER)
+    asked = next((max(0, k - begins) for k, rest in enumerate(record.asked) if rest), NEVER)
     slowest = 1e3 * float(np.max(flown.computing, initial=0.0))
     ended = flown.fault.kind if flown.fault else "nothing"
     return _row((hertz, fault, at, ended), (asked, last, flown.periods - rows), slowest)

@@ -30,11 +30,11 @@ def test_tuned_controllers_settle_on_a_step_they_were_not_tuned_on(tuned):
 
 
 def test_the_cost_is_that_of_the_flight():
-    system, tuning = Xi(), Tuning(seconds=10.0, substeps=5, variation=0.0)
+    system, tuning = Xi(), Tuning(seconds=20.0, substeps=5, variation=0.0)
     gains = [torch.tensor(row, dtype=torch.float64) for row in ((5.0, 1.0), (0.2, 0.5), (1.0, 1.5), (-0.12, 0.21))]
     env = ControlEnv(system, Tracking(system.signature, Step([[0.4, 0.25]])), dtype=torch.float64)
-    flown = env.rollout(200, PID(system.signature, Gains(*gains)))
-    time = torch.arange(200) * 0.05
+    flown = env.rollout(400, PID(system.signature, Gains(*gains)))
+    time = torch.arange(400) * 0.05
     metrics = tracking_metrics(time, flown["state"][:, :2], flown["reference"], flown["action"])
     many = Gains(*(row.expand(1, 1, 2) for row in gains))
     cost = tuning.cost(Trial(system, WANTED[:1]), PID(system.signature, many))
