@@ -113,10 +113,10 @@ def test_a_model_that_explodes_leaves_a_finite_input(pendulum):
 def test_outputs_of_one_unit_have_each_their_own_box_after_save_and_load(tmp_path):
     signature = Signature(("a", "b"), ("m", "m"), ("u", "v"), (3.0, 0.5))
     task = Tracking(signature, Step([[0.0, 0.0]]), ("a", "b"), (), low=[0.0, 0.0], high=[0.0, 0.0])
-    policy = actor(task.n_o, 2, ()).requires_grad_(False)
-    layer = policy.module.layers()[-1]
-    layer.weight.copy_(torch.tensor([[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]))  # u = tanh(error / (0.5 box))
-    layer.bias.zero_()
+    policy = actor(task.n_o, 2, (4,)).requires_grad_(False)
+    for layer, weight in zip(policy.module.layers(), (torch.eye(4), torch.eye(4)[2:]), strict=True):
+        layer.weight.copy_(weight)  # u = tanh(error / (0.5 box)) for errors > 0
+        layer.bias.zero_()
     save(Controller(policy, Pace(task, 0.1)), tmp_path / "controller.json")
     found = Native(controller_sources(load(tmp_path))).act([0.0, 0.0], [0.3, 0.2])
     np.testing.assert_allclose(found, [math.tanh(0.3 / 1.5), math.tanh(0.2 / 0.25)], atol=1e-6)
