@@ -15,7 +15,7 @@ from dynasindy.control.files import NAME
 from dynasindy.data.csv import Recording
 from dynasindy.evaluation.files import write_json, write_text
 from dynasindy.evaluation.identification import Source
-from dynasindy.evaluation.predicted import Prediction
+from dynasindy.evaluation.predicted import WITHIN, Prediction
 from dynasindy.evaluation.summary import heading, summarise, to_text
 from dynasindy.planning import GradientPlanning
 from dynasindy.viz.evaluation import draw_evaluation
@@ -37,6 +37,7 @@ def plan_from_log(cfg: DictConfig) -> Prediction:
     data = instantiate(cfg.get("data"), _convert_="all")
     source = None if data is None else data.load(instantiate(cfg.system), None)
     model = _model(cfg, source)
+    _keep(cfg, model, folder)  # before the plan, which may fail
     task = instantiate(cfg.task, _convert_="all")(signature=model.signature)
     log = None if source is None else Recording(source.training, model.signature)
     settings = dict(instantiate(cfg.planning, _convert_="all").keywords)
@@ -45,11 +46,7 @@ def plan_from_log(cfg: DictConfig) -> Prediction:
     controller = plan(model, task, log, instantiate(cfg.sensors, _convert_="all"), cfg.env.dt, cfg.seed, **settings)
     scenario = replace(instantiate(cfg.scenario, _convert_="all"), seconds=None)
     unseen = None if source is None else source.validation
-    prediction = foretell(controller, model, unseen, scenario, cfg.seed)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
-    write_json(folder / "origin.json", command_and_commit(HydraConfig.get()))
-    model.save(folder / "model.json")
+    prediction = foretell(controller, model, unseen, scenario, cfg.seed, cfg.evaluation.get("within", WITHIN))
     save(controller, folder / NAME)
     write_json(folder / "metrics.json", {"prediction": prediction.record(), "equations": model.equations()})
     print("\n".join(["", "Identified equations", *(f"  {line}" for line in model.equations()), ""]))
@@ -61,11 +58,22 @@ def plan_from_log(cfg: DictConfig) -> Prediction:
     return prediction
 
 
+def _keep(cfg: DictConfig, model: SindyModel, folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
+    write_json(folder / "origin.json", command_and_commit(HydraConfig.get()))
+    model.save(folder / "model.json")
+
+
 def _require(cfg: DictConfig) -> None:
     if missing := [name for name in ("outputs", "low", "high") if OmegaConf.is_missing(cfg.plant, name)]:
         raise ValueError(
             f"plant.{missing[0]} is not given; say what is to be tracked, and within which targets, such as "
             "plant.outputs=[angle] plant.low=[-0.5] plant.high=[0.5]"
+        )
+    if not cfg.evaluation.get("within", WITHIN) > 0:
+        raise ValueError(
+            f"evaluation.within must be positive, got {cfg.evaluation.within}; give a share of the box of targets"
         )
     build = instantiate(cfg.planning)
     if not isinstance(build, partial) or build.func is not GradientPlanning:

@@ -18,7 +18,7 @@ from dynasindy.viz.run import draw_run
 def main(cfg: DictConfig) -> None:
     """Build the experiment, run it, draw its figures and print what came of it."""
     if cfg.get("data") is not None or cfg.model is not None:
-        if not plan_from_log(cfg).promised and cfg.evaluation.must_improve:
+        if not plan_from_log(cfg).controlled and cfg.evaluation.get("must_control"):
             sys.exit(1)
         return
     folder = Path(cfg.folder)

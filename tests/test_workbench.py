@@ -3,6 +3,7 @@
 import csv
 import math
 import re
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -11,12 +12,17 @@ import pytest
 import torch
 
 import dynasindy
+from dynasindy.control import Controller
+from dynasindy.control.controller import Pace
+from dynasindy.data.csv import Recording
 from dynasindy.data.simulated import record
 from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
 from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum
-from dynasindy.tasks import RandomStep, Tracking, TrackingReward
+from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
+from dynasindy.workbench import _period, foretell
 
 COUNT = 2 * math.pi / 4096
 WORDS = ["1", "u", "theta", "Omega", "sin(theta)", "Omega^2"]
@@ -104,6 +110,81 @@ def test_sensors_need_a_log(model):
 def test_a_control_period_fits_the_log(log, model):
     with pytest.raises(ValueError, match=r"no multiple of the log's sampling time 0.01 s"):
         dynasindy.plan(model, {"theta": (-0.6, 0.6)}, log, dt=0.025)
+
+
+SHORT = {"updates": 1, "rollouts": 4, "window": 5}
+STILL = Scenario("step", Step([[0.2]]), seconds=30.0)
+
+
+@pytest.fixture(scope="module")
+def exact():
+    """Return a log at 50 Hz with exact states."""
+    u = Multisine(1, duration=8, dt=0.05, amplitude=[0.8], seed=0).samples(0.02)
+    return Recording(record(Pendulum(), u, 0.02), Pendulum().signature)
+
+
+@pytest.fixture(scope="module")
+def late(exact):
+    """Return a model, identified from exact states, whose inputs act two control periods late."""
+    model = dynasindy.identify(exact, WORDS, longest_delay=0.0)
+    model.delay = 0.08
+    return model
+
+
+def test_the_control_period_is_the_nearest_multiple_of_the_logs(exact):
+    """0.04 s and 0.06 s are as near to 0.05 s; of two the shorter is taken."""
+    model = dynasindy.identify(exact, WORDS, longest_delay=0.0)
+    controller = dynasindy.plan(model, {"theta": (-0.6, 0.6)}, exact, **SHORT)
+    assert controller.dt == pytest.approx(0.04)
+    assert controller.observer is None
+
+
+@pytest.mark.parametrize(("step", "period"), [(0.01, 0.05), (0.02, 0.04), (0.03, 0.06), (0.04, 0.04), (0.2, 0.2)])
+def test_a_control_period_is_never_shorter_than_a_sample(exact, step, period):
+    changed = replace(exact, transitions=replace(exact.transitions, dt=step))
+    assert _period(changed) == pytest.approx(period)
+
+
+def test_an_observer_makes_up_for_a_delay(exact, late):
+    """What is shown is the state two periods on: that of the plant, if the inputs are those commanded."""
+    controller = dynasindy.plan(late, {"theta": (-0.6, 0.6)}, exact, **SHORT)
+    assert list(controller.observer.sensors.channels) == ["theta", "Omega"]
+    plant, x = ControlEnv(Pendulum(), controller.pace.task, 0.04, dtype=torch.float64), torch.zeros(2).double()
+    waiting = [torch.zeros(1).double()] * 2
+    for _ in range(40):
+        waiting.append(torch.from_numpy(controller.act(x.tolist(), [0.4])))
+        ahead = x
+        for u in waiting[:2]:
+            ahead = plant.advance(ahead, u)[0][-1]
+        x = plant.advance(x, waiting.pop(0))[0][-1]
+    np.testing.assert_allclose(controller.estimate, ahead.numpy(), atol=0.01)
+
+
+def test_a_delay_needs_a_log(late):
+    with pytest.raises(ValueError, match=r"act 0.08 s late, which only an observer makes up for; give log="):
+        dynasindy.plan(late, {"theta": (-0.6, 0.6)}, **SHORT)
+
+
+def held_with(integral, model):
+    """Return where the pendulum rests that is driven by a constant input for 0.19 rad, though 0.2 rad are asked for."""
+
+    def policy(tensordict):
+        error = tensordict["observation"][..., task.error_columns] * task.error_scale
+        rate = tensordict["state"][..., 1:].float()
+        return tensordict.set("action", 0.5 * error * 1.2 - 0.2 * rate)
+
+    task = dynasindy.workbench.tracking(model, {"theta": (-0.6, 0.6)})
+    controller = Controller(policy, Pace(task, 0.05), integral=integral)
+    return foretell(controller, model, None, STILL)
+
+
+def test_the_prediction_has_the_controllers_integral_action(model):
+    """A proportional controller leaves an error, its integral none."""
+    without, shown = (held_with(integral, model) for integral in (None, {"band": 1.0, "limit": 5.0}))
+    assert without.flights[0].share["theta"] > 0.03
+    assert shown.flights[0].share["theta"] < 0.003
+    assert shown.controlled
+    assert not without.controlled
 
 
 def test_the_package_says_what_it_has():

@@ -54,7 +54,7 @@ def test_a_log_gives_a_controller_and_a_prediction(log, tmp_path):
         WORDS,
         *SHORT,
         f"folder={tmp_path}/run",
-        "evaluation.must_improve=false",
+        "evaluation.must_control=false",
     ]
     done = train(*words)
     assert done.returncode == 0, done.stderr
@@ -64,9 +64,25 @@ def test_a_log_gives_a_controller_and_a_prediction(log, tmp_path):
     assert "12 u" in metrics["equations"][1]
     assert dynasindy.load(tmp_path / "run").outputs == ("theta",)
     planned = ["model=" + str(tmp_path / "run" / "model.json"), *TASK, *SHORT, f"folder={tmp_path}/again"]
-    again = train("system=logged", *planned, "evaluation.must_improve=false")
+    again = train("system=logged", *planned, "evaluation.within=0.9")
     assert again.returncode == 0, again.stderr
-    assert "promises nothing of the plant" in again.stdout
+    assert "promises nothing of the plant: CONTROLLED" in again.stdout
+    found = json.loads((tmp_path / "again" / "metrics.json").read_text())["prediction"]
+    assert (found["controlled"], found["promised"], found["within"]) == (True, False, 0.9)
+    missed = train("system=logged", *planned, "evaluation.within=1e-9")
+    assert missed.returncode == 1, missed.stderr
+    assert "NOT CONTROLLED, 1e-07 % is asked for" in missed.stdout
+
+
+def test_a_plan_that_fails_leaves_the_model(log, tmp_path):
+    given = [f"data.path={log}", *TASK, WORDS, "env.dt=-1.0"]
+    done = train("data=csv", *given, f"folder={tmp_path}/run")
+    assert done.returncode != 0
+    assert "Run folder" in done.stdout
+    model = dynasindy.world_models.SindyModel.load(tmp_path / "run" / "model.json")
+    assert any("12 u" in line for line in model.equations())
+    assert (tmp_path / "run" / "config.yaml").exists()
+    assert (tmp_path / "run" / "origin.json").exists()
 
 
 @pytest.mark.parametrize(
@@ -74,6 +90,7 @@ def test_a_log_gives_a_controller_and_a_prediction(log, tmp_path):
     [
         ([], "plant.outputs is not given; say what is to be tracked"),
         ([*TASK, "planning=dyna"], "leave planning=gradient"),
+        ([*TASK, "evaluation.within=0"], "evaluation.within must be positive, got 0"),
     ],
 )
 def test_what_is_missing_costs_one_line(log, tmp_path, words, message):
