@@ -72,7 +72,7 @@ class Regulator:
 
     @classmethod
     def of(cls, env: ControlEnv, rests: Rests, weights: Weights) -> Regulator | None:
-        """Return the regulator of the model at the middle of its rests; None without a rest or where none holds it."""
+        """Return the regulator of the model at the middle of its rests; None without one, or where none holds it."""
         if not len(rests):
             return None
         task, k, moved = env.task, rests.middle(), rests.moved

@@ -65,7 +65,8 @@ def test_plant_task_reward_and_excitation_are_those_of_the_ablation(plant):
         scenario.reference.sample(torch.Size((64,)), None),
         model_free.step_references(facts.low, facts.high, 64).sample(torch.Size((64,)), None),
     )
-    assert (scenario.name, scenario.episodes, scenario.seconds) == ("step", 64, 20.0)
+    # None is the length of an episode, 400 periods of 0.05 s.
+    assert (scenario.name, scenario.episodes, scenario.seconds or 400 * 0.05) == ("step", 64, 20.0)
     assert instantiate(cfg.level) == model_free.Level()
 
 

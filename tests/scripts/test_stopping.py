@@ -29,13 +29,13 @@ SMALL = (
 )  # fmt: skip
 EXPERIMENTS = {
     "dyna": (
-        "experiment=dyna", "evaluation.must_improve=false", "evaluation.must_control=false", "train.episodes=3",
+        "experiment=dyna", "evaluation.must_improve=false", "train.episodes=3",
         "train.updates_per_step=2",
         "planning.rollouts=20", "planning.horizon=20", "agent.hidden=[32,32]", "replay.capacity=10000",
         "replay.model_capacity=1500",
     ),
     "default": (
-        "evaluation.must_improve=false", "evaluation.must_control=false", "planning.updates=10",
+        "evaluation.must_improve=false", "planning.updates=10",
         "planning.more_updates=10", "planning.rollouts=8", "planning.window=20",
     ),
 }  # fmt: skip
