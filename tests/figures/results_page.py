@@ -34,6 +34,7 @@ def ties(text: str) -> Iterator[Tie]:
     yield from _bench()
     yield from _rigs()
     yield from _from_log()
+    yield from _plants()
 
 
 def _bench() -> Iterator[Tie]:
@@ -177,6 +178,23 @@ def _from_log() -> Iterator[Tie]:
     yield Tie(PAGE, "{} ended in the safe input within one period", (str(len(safe)),))
     calm = {row["hertz"]: row["milliseconds"] for row in table("rig.csv") if row["fault"] == "none"}
     yield Tie(PAGE, "within {} ms (20 Hz) and {} ms (100 Hz) of their time", (calm["20.0"], calm["100.0"]))
+
+
+def _plants() -> Iterator[Tie]:
+    """Yield the rows of the plants of a stranger."""
+    words = {
+        "van_der_pol": "Van der Pol's oscillator",
+        "quadrotor": "quadrotor in a plane (x, z)",
+        "tanks": "two tanks, sampled every 2 s",
+        "cart_pole": "cart and pole (position, upright)",
+    }
+    for plant, name in words.items():
+        found = rows("plants.csv", plant=plant)
+        seeds = {row["seed"] for row in found}
+        held = {row["seed"] for row in found if row["verdict"] == "CONTROLLED"}
+        seconds = f"{max(numbers(found, 'plant_seconds')):.0f}"
+        figures = (f"{len(held)}", f"{len(seeds)}", f"{max(numbers(found, 'error_percent')):.3g}", seconds)
+        yield Tie(PAGE, f"| {name} | {{}} of {{}} | {{}} % | {{}} s |", figures)
 
 
 def _other_words() -> Iterator[Tie]:
