@@ -1,5 +1,6 @@
 """From a log to a controller in three calls, tried on the plant that the log is of."""
 
+import copy
 import csv
 import math
 import re
@@ -22,7 +23,7 @@ from dynasindy.excitation import Multisine
 from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
-from dynasindy.workbench import _period, foretell
+from dynasindy.workbench import _period, foretell, sensors_of
 
 COUNT = 2 * math.pi / 4096
 WORDS = ["1", "u", "theta", "Omega", "sin(theta)", "Omega^2"]
@@ -118,14 +119,14 @@ STILL = Scenario("step", Step([[0.2]]), seconds=30.0)
 
 @pytest.fixture(scope="module")
 def exact():
-    """Return a log at 50 Hz with exact states."""
+    """Return a log at 50 Hz without noise."""
     u = Multisine(1, duration=8, dt=0.05, amplitude=[0.8], seed=0).samples(0.02)
     return Recording(record(Pendulum(), u, 0.02), Pendulum().signature)
 
 
 @pytest.fixture(scope="module")
 def late(exact):
-    """Return a model, identified from exact states, whose inputs act two control periods late."""
+    """Return a model, identified without noise, whose inputs act two control periods late."""
     model = dynasindy.identify(exact, WORDS, longest_delay=0.0)
     model.delay = 0.08
     return model
@@ -136,7 +137,6 @@ def test_the_control_period_is_the_nearest_multiple_of_the_logs(exact):
     model = dynasindy.identify(exact, WORDS, longest_delay=0.0)
     controller = dynasindy.plan(model, {"theta": (-0.6, 0.6)}, exact, **SHORT)
     assert controller.dt == pytest.approx(0.04)
-    assert controller.observer is None
 
 
 @pytest.mark.parametrize(("step", "period"), [(0.01, 0.05), (0.02, 0.04), (0.03, 0.06), (0.04, 0.04), (0.2, 0.2)])
@@ -158,6 +158,20 @@ def test_an_observer_makes_up_for_a_delay(exact, late):
             ahead = plant.advance(ahead, u)[0][-1]
         x = plant.advance(x, waiting.pop(0))[0][-1]
     np.testing.assert_allclose(controller.estimate, ahead.numpy(), atol=0.01)
+
+
+def test_exact_states_need_an_observer_where_inputs_are_late(exact, late):
+    """States that are cubic in time are as exact as a log shows; each is measured all the same."""
+    t = torch.linspace(0.31, 1.17, 401, dtype=torch.float64)
+    x = torch.stack([t**3, 3 * t**2], -1)
+    smooth = replace(exact, transitions=replace(exact.transitions, x=x[:-1], x_next=x[1:]))
+    assert len(exact.transitions) == 400
+    found = sensors_of(smooth, late)
+    assert list(found.channels) == ["theta", "Omega"]
+    assert all(channel.noise < 1e-6 and channel.resolution == 0 for channel in found.channels.values())
+    prompt = copy.copy(late)
+    prompt.delay = 0.0
+    assert sensors_of(smooth, prompt) is None
 
 
 def test_a_delay_needs_a_log(late):

@@ -13,6 +13,7 @@ import dynasindy
 from dynasindy.data.simulated import record
 from dynasindy.excitation import Multisine
 from dynasindy.systems import Pendulum
+from dynasindy.world_models import SindyModel
 
 ROOT = Path(__file__).parents[2]
 TASK = ["plant.outputs=[theta]", "plant.low=[-0.6]", "plant.high=[0.6]"]
@@ -79,7 +80,7 @@ def test_a_plan_that_fails_leaves_the_model(log, tmp_path):
     done = train("data=csv", *given, f"folder={tmp_path}/run")
     assert done.returncode != 0
     assert "Run folder" in done.stdout
-    model = dynasindy.world_models.SindyModel.load(tmp_path / "run" / "model.json")
+    model = SindyModel.load(tmp_path / "run" / "model.json")
     assert any("12 u" in line for line in model.equations())
     assert (tmp_path / "run" / "config.yaml").exists()
     assert (tmp_path / "run" / "origin.json").exists()
