@@ -66,6 +66,10 @@ def _keep(cfg: DictConfig, model: SindyModel, folder: Path) -> None:
 
 
 def _require(cfg: DictConfig) -> None:
+    if cfg.model is not None and cfg.get("data") is None and cfg.system is not None:
+        raise ValueError(
+            "model=PATH plans without a plant; give system=logged and plant.outputs, plant.low, plant.high"
+        )
     if missing := [name for name in ("outputs", "low", "high") if OmegaConf.is_missing(cfg.plant, name)]:
         raise ValueError(
             f"plant.{missing[0]} is not given; say what is to be tracked, and within which targets, such as "

@@ -83,7 +83,7 @@ class Keys(TypedDict):
     data: Logged | Simulated
     level: Level
     dt: Annotated[float, "a time > 0"]
-    targets: list[list[float]]
+    targets: list[list[float]] | None
     seconds: float
     flights: int
     controller: str | None

@@ -53,6 +53,7 @@ class UdpRig:
         port: Its port.
 
     Raises:
+        ValueError: There is no such port.
         OSError: There is no such address.
     """
 
@@ -63,7 +64,10 @@ class UdpRig:
         self.last = -1
         self.first: int | None = None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.connect((host, port))
+        try:
+            self._socket.connect((host, port))
+        except OverflowError as error:
+            raise ValueError(f"port {port} of a rig does not exist; give one of 1 to 65535") from error
 
     @property
     def number(self) -> int | None:
