@@ -9,7 +9,6 @@ names of its states, the library of its equations and which state is the rate of
 from __future__ import annotations
 
 import argparse
-import csv
 import tempfile
 import time
 from pathlib import Path
@@ -22,14 +21,14 @@ import dynasindy
 from dynasindy import Controller
 from dynasindy.benchmarks.gradient import BENCH, KNOWN, PLANTS
 from dynasindy.benchmarks.instruments.commit import commit
-from dynasindy.data.simulated import record
 from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.files import with_units, write_csv
 from dynasindy.evaluation.rows import Row, append_rows, read_rows
 from dynasindy.evaluation.scenarios import step_references
 from dynasindy.excitation import Multisine
 from dynasindy.export import controller_sources
 from dynasindy.export.compiler import Native
-from dynasindy.systems import Tras
+from dynasindy.systems import Tras, integrate
 
 COLUMNS = (
     *("seed", "metric", "azimuth", "pitch", "azimuth_worst", "pitch_worst"),
@@ -39,6 +38,8 @@ TARGETS, SECONDS, LAST = 64, 20.0, 5.0
 """Steps that are flown, length of a flight, and its end over which errors are averaged [s]."""
 DT = 0.01
 """Sampling time of the log [s]."""
+SUBSTEPS = 10
+"""Runge-Kutta steps of the plant between two samples."""
 
 
 def main(argv: list[str]) -> None:
@@ -72,20 +73,24 @@ def measure(seed: int) -> Row:
 
 
 def write_log(path: Path, seed: int) -> None:
-    """Excite the plant and write what its bench measures: time, angles, speeds of the rotors, inputs."""
+    """Excite the plant and write what its bench measures, at its stops too: time, angles, speeds of the rotors, inputs.
+
+    Args:
+        path: File to write.
+        seed: Seed of the signal's phases and of the sensors' noise.
+    """
     plant, facts = Tras(), PLANTS["tras"]
+    signature = plant.signature
     signal = Multisine(2, amplitude=facts.amplitude, offset=facts.offset, seed=seed)
-    data = record(plant, signal.samples(DT), DT)
-    y = BENCH.read(data.x, plant.signature, torch.Generator().manual_seed(seed))
-    seen = [i for i in range(6) if not bool(y[:, i].isnan().any())]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        names, units = plant.signature.state_names, plant.signature.state_units
-        writer.writerow(["time [s]", *(f"{names[i]} [{units[i]}]" for i in seen), *plant.signature.input_names])
-        place = data.segment.numpy() * 0.0 + np.arange(len(data))
-        for k in range(len(data)):
-            cells = [DT * place[k], *y[k, seen].tolist(), *data.u[k].tolist()]
-            writer.writerow([f"{cell:.9g}" for cell in cells])
+    inputs, x = signal.samples(DT).double(), torch.zeros(signature.n_x, dtype=torch.float64)
+    states = [x]
+    for u in inputs:
+        states.append(integrate(plant, states[-1], u, DT, SUBSTEPS, plant.stops)[0][-1])
+    y = BENCH.read(torch.stack(states[:-1]), signature, torch.Generator().manual_seed(seed))
+    seen = [i for i in range(signature.n_x) if not bool(y[:, i].isnan().any())]
+    names = ["time", *(signature.state_names[i] for i in seen), *signature.input_names]
+    time = DT * torch.arange(len(inputs), dtype=torch.float64).unsqueeze(-1)
+    write_csv(path, with_units(names, signature), torch.cat([time, y[:, seen], inputs], -1).tolist())
 
 
 def made(path: Path, seed: int) -> Controller:
