@@ -23,8 +23,9 @@ from dynasindy.control.controller import Pace
 from dynasindy.data import DynaReplay
 from dynasindy.data.csv import Recording
 from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.identification import Logged
-from dynasindy.evaluation.predicted import WITHIN, Prediction, predict
+from dynasindy.evaluation.predicted import Prediction, predict
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.symptoms import resolution as resolution_of
 from dynasindy.evaluation.symptoms import samples_of, step_of
@@ -219,7 +220,7 @@ def sensors_of(log: Recording, model: SindyModel) -> Sensors | None:
     channels, exact = {}, True
     for name, column in zip(names, samples_of(data), strict=True):
         step, finest = step_of(column), resolution_of(column)
-        seen = finest == finest  # NaN where nothing was measured
+        seen = not math.isnan(finest)
         exact &= seen and finest < 1e-6 * model.signature.x_scale[names.index(name)]
         if seen:
             channels[name] = Channel(resolution=step) if step else Channel(noise=finest)

@@ -105,5 +105,5 @@ def _model(cfg: DictConfig, source: Source | None) -> SindyModel:
         raise TypeError(f"world_model is a {type(built).__name__}, which no log is fitted by; leave world_model=sindy")
     with Progress():
         report = built.fit(source.training)
-    print("\n".join(report.to_text().splitlines()), flush=True)
+    print(report.to_text(), flush=True)
     return built

@@ -23,6 +23,7 @@ from dynasindy.benchmarks.instruments.commit import commit
 from dynasindy.evaluation.rows import Row, append_rows, read_rows
 from dynasindy.rig import Fault, Flown, Guard, UdpRig, Wiring, fly
 from dynasindy.rig.base import Array
+from dynasindy.rig.simulated import FAULTS as THEIRS
 from dynasindy.rig.simulated import FarEnd, Record
 from dynasindy.systems import Pendulum
 
@@ -31,7 +32,7 @@ COLUMNS = (
     *("periods_to_request", "periods_to_safe", "rows_lost", "milliseconds", "commit"),
 )
 SAFE = np.array([0.25])
-FAULTS = ("silent", "old", "garbage", "nan", "range", "gone", "raises", "hangs", "no_number", "ctrl_c")
+FAULTS = (*THEIRS, "raises", "hangs", "no_number", "ctrl_c")
 NEVER = 99
 """Periods to a request that did not come."""
 PERIODS = 40
@@ -80,7 +81,7 @@ def calm(end: FarEnd, hertz: float, periods: int) -> Row:
 
 def injected(end: FarEnd, hertz: float, fault: str, at: int) -> Row:
     """Fly, and have something go wrong at a period."""
-    theirs = {fault: at} if fault in ("silent", "old", "garbage", "nan", "range", "gone") else {}
+    theirs = {fault: at} if fault in THEIRS else {}
 
     def _act(y: Array, t: float) -> Array:
         if theirs or round(t * hertz) < at:
@@ -112,10 +113,8 @@ def _flown(
     end: FarEnd, hertz: float, theirs: dict[str, int], act: Callable[[Array, float], Array], periods: int
 ) -> tuple[Flown, Record, int]:
     """Return what came of a flight, what the rig saw, and the rows of the log."""
-    wiring, guard = (
-        Wiring(Pendulum().signature, (True, True), 1 / hertz),
-        Guard({"theta": -50.0}, {"theta": 50.0}, lost=0),
-    )
+    wiring = Wiring(Pendulum().signature, (True, True), 1 / hertz)
+    guard = Guard({"theta": -50.0}, {"theta": 50.0}, lost=0)
     port = end.begin(periods + 5, system=Pendulum(), dt=1 / hertz, safe=SAFE, faults=theirs)
     with tempfile.TemporaryDirectory() as folder:
         log, rig = Path(folder) / "log.csv", UdpRig(2, 1, port=port)

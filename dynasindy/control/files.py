@@ -8,8 +8,6 @@
 | `policy`    | weights of each layer, float32 in base 64, `(n_out, n_in)` row by row, and biases                     |
 | `integral`  | numbers of the integral action, or null                                                               |
 | `observer`  | sensors, process noise, and the model, as in model.json; or null                                      |
-
-Files of earlier versions have steps and stops in `observer`, and are read too.
 """
 
 from __future__ import annotations
@@ -167,11 +165,10 @@ def _unpacked(text: str, *shape: int) -> Tensor:
 def _pace(signature: Signature, record: Mapping[str, Any]) -> Pace:
     """Return task, control period, Runge-Kutta steps and stops."""
     task = record["task"]
-    moved = task if "substeps" in task else record["observer"] or {"substeps": 1, "stops": None}
-    substeps = moved["substeps"]
+    substeps = task["substeps"]
     if type(substeps) is not int or not 1 <= substeps <= FINEST:
         raise ValueError(f"substeps is {str(substeps)[:40]!r}; allowed are whole numbers from 1 to {FINEST}")
-    return Pace(_task(signature, task), _positive(task["dt"]), substeps, _stops(moved["stops"], signature.n_x))
+    return Pace(_task(signature, task), _positive(task["dt"]), substeps, _stops(task["stops"], signature.n_x))
 
 
 def _task(signature: Signature, given: Mapping[str, Any]) -> Tracking:

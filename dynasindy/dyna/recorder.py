@@ -21,7 +21,7 @@ from dynasindy.dyna.callback import Callback, Cost, Episode
 from dynasindy.dyna.parts import Parts
 from dynasindy.dyna.verdict import judge
 from dynasindy.evaluation.files import whole, with_units, write_csv, write_json, write_text
-from dynasindy.evaluation.held import Held, held
+from dynasindy.evaluation.held import WITHIN, Held, held
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, summarise
 from dynasindy.planning.rests import states_that_matter
@@ -60,7 +60,7 @@ class Recorder(Callback):
     """
 
     def __init__(
-        self, folder: Path, parts: Parts, scenario: Scenario, every: int, episodes: int, within: float = 0.01
+        self, folder: Path, parts: Parts, scenario: Scenario, every: int, episodes: int, within: float = WITHIN
     ) -> None:
         self.folder, self.parts, self.plant, self.scenario = folder, parts, parts.plant, scenario
         self.every, self.episodes, self.within = every, episodes, within

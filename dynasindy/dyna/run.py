@@ -18,6 +18,7 @@ from dynasindy.dyna.recorder import Recorder
 from dynasindy.dyna.stopped import Stopped
 from dynasindy.evaluation.files import write_json, write_text
 from dynasindy.evaluation.given import read_record
+from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.summary import to_text
 from dynasindy.systems import Diverged
@@ -48,7 +49,7 @@ class Evaluating:
 
     scenario: Scenario
     every: int = 1
-    within: float = 0.01
+    within: float = WITHIN
 
     def __post_init__(self) -> None:
         if not self.within > 0:

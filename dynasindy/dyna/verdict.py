@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-LOST = 10.0
-"""Multiple of the error asked for beyond which the worst reference counts as not held."""
+from dynasindy.evaluation.held import LOST, WITHIN
 
 
 @dataclass(frozen=True)
@@ -28,7 +27,7 @@ class Verdict:
     held: str = ""
 
 
-def judge(metrics: Mapping[str, Any], within: float = 0.01) -> Verdict:
+def judge(metrics: Mapping[str, Any], within: float = WITHIN) -> Verdict:
     """Compare the trained policy with the untrained one, and with what was asked for, in the scenario of both.
 
     Args:

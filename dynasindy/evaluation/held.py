@@ -11,6 +11,10 @@ from dynasindy.evaluation.scenarios import Evaluation
 
 FAR = 20.0
 """Ranges beyond which a state has run away, whatever the reference does."""
+WITHIN = 0.01
+"""Mean absolute error at the end that is asked for unless another is given, in boxes of targets."""
+LOST = 10.0
+"""Multiple of the error asked for beyond which the worst reference counts as not held."""
 UNREST = 0.5
 """Ranges that a state may move by at the end of a run whose references stand still."""
 

@@ -12,17 +12,12 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.held import Held, held
+from dynasindy.evaluation.held import LOST, WITHIN, Held, held
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate
 from dynasindy.planning.rests import states_that_matter
 from dynasindy.sensing import Sensing
 from dynasindy.systems import Diverged, System
 from dynasindy.tasks import Task
-
-WITHIN = 0.01
-"""Mean absolute error at the end that is asked for unless another is given, in boxes of targets."""
-LOST = 10.0
-"""Multiple of it beyond which the worst reference counts as not held, as in the verdict on a run."""
 
 
 @dataclass(frozen=True)

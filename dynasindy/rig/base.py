@@ -51,6 +51,11 @@ class Wiring:
                 f"{', '.join(self.signature.state_names)}, one of them true, and a positive time"
             )
 
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """Names of the states that have a sensor."""
+        return tuple(name for name, known in zip(self.signature.state_names, self.seen, strict=True) if known)
+
 
 class Rig(Protocol):
     """A plant that is really there.

@@ -7,8 +7,8 @@ is closed, and what was wrong is said in one line.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -49,16 +49,33 @@ class Guard:
             if not low < high:
                 raise ValueError(f"a guard keeps {name} within {low} to {high}; give a lower and a higher end")
 
+    def or_limits(self, bounds: Mapping[str, float | Sequence[float]], wiring: Wiring) -> Guard:
+        """Return the guard, or without a range of its own one with the limits of the plant.
+
+        Args:
+            bounds: Limits by state: two ends, or one number for both sides of zero [unit of the state].
+            wiring: Tells which states are measured; limits of others are left out.
+        """
+        if self.low or self.high:
+            return self
+        ends = {
+            name: (-end, end) if isinstance(end, int | float) else (end[0], end[1])
+            for name, end in bounds.items()
+            if name in wiring.measured
+        }
+        low, high = ({name: end[side] for name, end in ends.items()} for side in (0, 1))
+        return replace(self, low=low, high=high)
+
     def require(self, wiring: Wiring) -> None:
         """Make sure that every range is one of a measured state.
 
         Raises:
             ValueError: It is not.
         """
-        measured = [name for name, seen in zip(wiring.signature.state_names, wiring.seen, strict=True) if seen]
-        if unknown := [name for name in {**self.low, **self.high} if name not in measured]:
+        if unknown := [name for name in {**self.low, **self.high} if name not in wiring.measured]:
             raise ValueError(
-                f"a guard has a range of '{unknown[0]}', which is not measured; allowed are {', '.join(measured)}"
+                f"a guard has a range of '{unknown[0]}', which is not measured; allowed are "
+                f"{', '.join(wiring.measured)}"
             )
 
     def check(self, y: Array, wiring: Wiring) -> None:
@@ -98,11 +115,9 @@ class Flown:
         """Say it in one line."""
         slowest, latest = (1e3 * float(np.max(t, initial=0.0)) for t in (self.computing, self.jitter))
         line = f"{self.periods} periods, inputs after {slowest:.2f} ms at most, jitter {latest:.2f} ms at most"
-        return (
-            line
-            if self.fault is None
-            else f"{line}; ended by {self.fault.kind}: {self.fault}; the rig was asked for its safe input"
-        )
+        if self.fault is None:
+            return line
+        return f"{line}; ended by {self.fault.kind}: {self.fault}; the rig was asked for its safe input"
 
 
 def fly(

@@ -43,6 +43,28 @@ class Knowledge:
     planning: Mapping[str, Any] = field(default_factory=dict)
 
 
+def targets_within(knowledge: Knowledge, wanted: Sequence[Sequence[float]] | None) -> list[list[float]]:
+    """Return targets that are in the box of the plant, `(n_targets, n_r)`, before anything moves.
+
+    Args:
+        knowledge: Tells outputs and box.
+        wanted: One number per output each; None takes two, half of the way to the upper and to the lower ends.
+
+    Raises:
+        ValueError: One is not of this plant, or outside of its box.
+    """
+    ends = list(knowledge.targets.values())
+    if wanted is None:
+        return [[0.5 * (a + b) + 0.25 * sign * (b - a) for a, b in ends] for sign in (1, -1)]
+    for target in wanted:
+        if len(target) != len(ends) or not all(a <= v <= b for v, (a, b) in zip(target, ends, strict=True)):
+            raise ValueError(
+                f"targets has {list(target)}; give one number for each of {', '.join(knowledge.targets)}, within "
+                f"plant.low={[a for a, _ in ends]} and plant.high={[b for _, b in ends]}"
+            )
+    return [[float(value) for value in target] for target in wanted]
+
+
 @dataclass
 class Session:
     """A rig, and what was learnt of it so far.
@@ -125,7 +147,6 @@ class Session:
             ValueError: It is not.
         """
         wiring, names = self.wiring, self.wiring.signature.state_names
-        measured = {name for name, seen in zip(names, wiring.seen, strict=True) if seen}
         sensors = controller.observer and controller.observer.sensors.channels
         wanted = set(sensors) if sensors else set(names)
         theirs = controller.signature
@@ -137,7 +158,7 @@ class Session:
             )
         if abs(controller.dt - wiring.dt) > 1e-9 * wiring.dt:
             raise ValueError(f"the controller has a period of {controller.dt:g} s, the rig {wiring.dt:g} s; give dt=")
-        if missing := sorted(wanted - measured):
+        if missing := sorted(wanted - set(wiring.measured)):
             raise ValueError(
                 f"the controller reads {missing[0]}, which the rig does not measure; plan one for its sensors"
             )

@@ -10,7 +10,7 @@ import multiprocessing
 import signal
 import socket
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
@@ -28,7 +28,7 @@ BRIDGED = 1
 """Periods without inputs that are bridged with the last ones."""
 FOREVER = 10**9
 """Periods of a rig that is ended from outside."""
-FAULTS = ("silent", "old", "garbage", "nan", "range", "slow", "gone")
+FAULTS = ("silent", "old", "garbage", "nan", "range", "gone")
 
 
 @dataclass
@@ -61,7 +61,7 @@ class SimulatedRig:
         lockstep: Wait so long for the answer to each sample instead of keeping a clock [s]: for tests, in which a busy
             computer is no fault of the flight; 0 keeps the clock.
         faults: What goes wrong from which sample on: silent (no samples), old (the same again), garbage, nan, range (a
-            state of 1e9), slow (samples two periods late), gone (the socket is closed).
+            state of 1e9), gone (the socket is closed).
 
     Raises:
         ValueError: A fault is unknown.
@@ -89,26 +89,19 @@ class SimulatedRig:
         self.port: int = self._socket.getsockname()[1]
         self.record = Record()
 
-    def serve(self, periods: int, ready: Callable[[], Any] | None = None) -> Record:
+    def serve(self, periods: int) -> Record:
         """Wait for a caller, then run so many periods.
 
         Args:
             periods: How many.
-            ready: Called before the first one.
 
         Returns:
             What it saw and did.
         """
         self._socket.settimeout(300.0)
-        if ready is not None:
-            ready()
         caller = self._socket.recvfrom(65536)[1]
-        x, u, missed, begun = (
-            torch.zeros(self.system.signature.n_x, dtype=torch.float64),
-            self.safe,
-            0,
-            time.monotonic(),
-        )
+        x, begun = torch.zeros(self.system.signature.n_x, dtype=torch.float64), time.monotonic()
+        u, missed = self.safe, 0
         for k in range(periods):
             if not self._send(k, x, caller):
                 break
@@ -137,8 +130,6 @@ class SimulatedRig:
             values[0] = np.nan
         if self._wrong("range", k):
             values[0] = 1e9
-        if self._wrong("slow", k):
-            time.sleep(2 * self.dt)
         if not self._wrong("silent", k):
             number = min(k, self.faults["old"]) if self._wrong("old", k) else k
             datagram = b"DYN1 of no sense" if self._wrong("garbage", k) else pack(number, values)

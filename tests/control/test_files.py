@@ -188,16 +188,6 @@ def test_steps_and_stops_are_kept_without_an_observer_and_with_one_open_end(tmp_
     assert (pace.substeps, pace.stops) == (3, Stops((0,), (1,), (-math.inf,), (0.6,)))
 
 
-def test_steps_and_stops_are_found_where_earlier_versions_have_them(tmp_path):
-    def earlier(record):
-        record["observer"].update({key: record["task"].pop(key) for key in ("substeps", "stops")})
-
-    expected = acts(built())
-    found = load(damaged(tmp_path, earlier))
-    assert (found.pace.substeps, found.observer.substeps, found.observer.stops.high) == (3, 3, (0.6,))
-    np.testing.assert_array_equal(acts(found), expected)
-
-
 def test_no_network_is_built_before_its_weights_are_there(tmp_path, monkeypatch):
     def claimed(record, *widths):
         first, last = record["policy"][0], record["policy"][-1]

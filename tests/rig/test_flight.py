@@ -328,3 +328,12 @@ def test_a_guard_of_negative_numbers_is_refused():
         Guard(late=-0.1)
     with pytest.raises(Fault, match="theta is 3, outside of -1 to 2"):
         Guard({"theta": -1.0}, {"theta": 2.0}).check(np.array([3.0, 0.0]), WIRING)
+
+
+def test_the_limits_of_a_plant_guard_what_has_no_range_of_its_own():
+    half = replace(WIRING, seen=(True, False))
+    found = Guard(late=0.3).or_limits({"theta": 0.5, "Omega": [-1.0, 3.0]}, half)
+    assert (found.low, found.high, found.late) == ({"theta": -0.5}, {"theta": 0.5}, 0.3)
+    assert Guard().or_limits({"Omega": [-1.0, 3.0]}, WIRING).high == {"Omega": 3.0}
+    own = Guard(high={"theta": 0.1})
+    assert own.or_limits({"theta": 0.5}, WIRING) is own

@@ -14,7 +14,7 @@ from dynasindy.agents.networks import actor
 from dynasindy.control.controller import Pace
 from dynasindy.excitation import Multisine
 from dynasindy.rig import Guard, UdpRig, Wiring
-from dynasindy.rig.session import Knowledge, Session
+from dynasindy.rig.session import Knowledge, Session, targets_within
 from dynasindy.rig.simulated import SimulatedRig
 from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum
@@ -85,3 +85,12 @@ def test_a_fault_is_kept_and_told(session):
     with (session.folder / "excitation.csv").open() as file:
         rows = list(csv.reader(file))[1:]
     assert max(float(row[1]) for row in rows) <= 0.05
+
+
+def test_targets_lie_in_the_box_of_the_plant():
+    assert targets_within(KNOWLEDGE, [[0.6], [-0.1]]) == [[0.6], [-0.1]]
+    wide = replace(KNOWLEDGE, targets={"theta": (-0.2, 0.6)})
+    assert targets_within(wide, None) == [pytest.approx([0.4]), pytest.approx([0.0])]
+    for wrong in ([[0.7]], [[0.1, 0.2]], [[]]):
+        with pytest.raises(ValueError, match=r"within plant\.low=\[-0\.6\] and plant\.high=\[0\.6\]"):
+            targets_within(KNOWLEDGE, wrong)
