@@ -46,7 +46,7 @@ def policy_onnx(controller: Controller, path: Path) -> None:
         nodes.append(helper.make_node("Gemm", [value, f"w{k}", f"b{k}"], [f"sum{k}"], transB=1))
         last = k == len(layers) - 1
         value = "action" if last else f"layer{k}"
-        more = {} if last else {"alpha": SLOPE}
+        more: dict[str, Any] = {} if last else {"alpha": SLOPE}
         nodes.append(helper.make_node("Tanh" if last else "LeakyRelu", [f"sum{k}"], [value], **more))
     ends = [
         helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", width])
