@@ -148,7 +148,7 @@ class Loop:
         found = riccati(*zero_order_hold(a, b, parts.plant.dt), 1.0 / scale.square(), 1.0)
         if found is None:
             return
-        self.home, self.gain = home, found[0]
+        self.home, self.gain = home, found.gain
         self.mean = torch.linalg.lstsq(b / scale.unsqueeze(-1), -c / scale, driver="gelsd").solution
         self.mean = self.mean.clamp(-MARGIN, MARGIN)
 

@@ -23,8 +23,8 @@ from dynasindy.data.recording import transitions
 from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count, check_memory
 from dynasindy.planning.base import Planned, Planner
+from dynasindy.planning.imitation import Begun, arrives, hold
 from dynasindy.planning.pace import LONGEST, Pace, pace_of, rests_of
-from dynasindy.planning.regulator import hold
 from dynasindy.planning.terminal import TerminalValue
 from dynasindy.planning.trust import Bound
 from dynasindy.planning.variation import Members, Variation, Varied
@@ -150,7 +150,13 @@ class GradientPlanning(Planner):
         updates, lr = (pace.updates, pace.lr) if first else (self.more_updates, self.more_lr or 0.3 * pace.lr)
         episodes = Episodes(self)
         self.held_out.reach = episodes.rows.reach
-        best = hold(self.network, self.env, rests, self.test, self.rng) if pace.held else -math.inf
+        begun = Begun(-math.inf)
+        if pace.held and (first or not arrives(self.network, self.env, rests, self.rng)):
+            begun = hold(self.network, self.env, rests, self.test, self.rng)
+        if begun.afar:
+            updates, lr = pace.updates, pace.lr  # a way from afar is new, in a later phase too
+            self.pace = pace = dataclasses.replace(pace, window=self.given.get("window", LONGEST), afar=True)
+        best = begun.score
         optimizer = torch.optim.Adam(self.network.parameters(), lr=lr, betas=(0.9, 0.99), fused=True)
         best_weights, failures, done, made = self._weights(), 0, 0, 0
         for done in range(1, updates + 1):

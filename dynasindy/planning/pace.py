@@ -55,6 +55,7 @@ class Pace:
         substeps: Runge-Kutta steps per imagined control period.
         held: Whether the policy begins as a regulator that holds the plant.
         why: What of the plant they follow, in words.
+        afar: Whether it begins by imitating ways to the rest from afar, as a swing-up.
     """
 
     window: int = 60
@@ -64,10 +65,12 @@ class Pace:
     substeps: int = 1
     held: bool = False
     why: str = "as for the twin rotor"
+    afar: bool = False
 
     def __str__(self) -> str:
         """Return the settings in one line."""
-        begun = "begun as a regulator, " if self.held else ""
+        law = "ways from afar, found by search" if self.afar else "a regulator"
+        begun = f"begun as {law}, " if self.held else ""
         return (
             f"{begun}window {self.window} periods, lr {self.lr:g}, {self.updates} updates, patience {self.patience}, "
             f"{self.substeps} Runge-Kutta step{'s' * (self.substeps > 1)} a period: {self.why}"

@@ -1,0 +1,157 @@
+"""A law that brings a plant home from afar: ways to its rest, and a regulator along each of them.
+
+| name     | symbol   | equation                                                                               |
+| -------- | -------- | -------------------------------------------------------------------------------------- |
+| points   | x_i, u_i | of the ways, counted from the rest of their reference; the rest itself is one          |
+| value    | P_i      | Riccati's difference equation back from where the rest's regulator catches the plant   |
+| gain     | K_i      | the same                                                                               |
+| nearest  | i        | least of 30 ((x - x_i) / range)^2 + ln(1 + (x - x_i)' P_i (x - x_i))                   |
+| law      | u        | u_i - K_i (x - x_i), clipped to [-1, 1]                                                |
+
+Value alone is no distance: along a way that runs away without control P_i grows by orders of magnitude.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from dynasindy.envs import ControlEnv
+from dynasindy.planning.regulator import Regulator, Weights
+from dynasindy.planning.rests import Rests
+from dynasindy.planning.search import Way, roll, search
+from dynasindy.planning.window import sensitivities
+
+STARTS = 24
+"""Starts from which ways are searched."""
+LENGTHS = (20, 40, 60, 80, 120, 160)
+"""Lengths of the ways that are tried, the shorter first [control periods]."""
+WATCHED, STILL, NEAR = 100, 20, 0.05
+"""A plant is caught if the regulator has it within 5 % of its ranges in the last 20 of 100 control periods."""
+TRIED = 5
+"""Points of a way at which the regulator is tried, the nearest to the rest first."""
+WEIGHTS = Weights(outputs=10.0, states=1.0, inputs=1.0)
+NEARNESS = 30.0
+"""Weight of the distance in ranges against that of the value."""
+CHUNK = 2048
+"""Observations that are compared with all points at once."""
+AROUND = 0.1
+"""Distance from the ways at which imagined episodes begin [ranges of the states]."""
+
+
+class Paths:
+    """The law, read from observations.
+
+    Args:
+        regulator: Regulator of the rest, which knows the rest of each reference.
+        points: States of the ways, counted from the rest, `(n, n_x)`.
+        inputs: Likewise, `(n, n_u)`.
+        gains: `(n, n_u, n_x)`.
+        values: `(n, n_x, n_x)`.
+    """
+
+    def __init__(self, regulator: Regulator, points: Tensor, inputs: Tensor, gains: Tensor, values: Tensor) -> None:
+        self.regulator, self.points, self.inputs, self.gains, self.values = regulator, points, inputs, gains, values
+        self.scale = torch.tensor(regulator.task.signature.x_scale)
+
+    @classmethod
+    def of(cls, env: ControlEnv, rests: Rests, rng: torch.Generator) -> Paths | None:
+        """Return the law of a model; None where no regulator holds it, or no way leads to where one does.
+
+        Args:
+            env: Imagined environment.
+            rests: Rests of its model.
+            rng: Source of starts and signals.
+        """
+        regulator = Regulator.of(env, rests, WEIGHTS)
+        if regulator is None:
+            return None
+        batch = torch.Size((STARTS,))
+        x, params = env.task.initial_state(batch, rng).float(), env.task.sample(batch, rng)
+        reference = env.task.reference(params, torch.zeros(STARTS, 1)).float()
+        ways = [(way, reference[i]) for i, way in caught_ways(env, regulator, x, params, reference, rng).items()]
+        if not ways:
+            return None
+        parts = [_along(env, regulator, way, r) for way, r in ways]
+        points, inputs, gains, values = (torch.cat(part) for part in zip(*parts, strict=True))
+        return cls(regulator, points, inputs, gains, values)
+
+    def __call__(self, observation: Tensor) -> Tensor:
+        """Return inputs `(*batch, n_u)` for observations `(*batch, n_o)`."""
+        rows = observation.reshape(-1, observation.shape[-1])
+        return torch.cat([self._act(some) for some in rows.split(CHUNK)]).reshape(*observation.shape[:-1], -1)
+
+    def _act(self, observation: Tensor) -> Tensor:
+        x, reference = self.regulator.task.seen(observation)
+        x_e, u_e = self.regulator.rest(reference)
+        away = (x - x_e).unsqueeze(1) - self.points
+        value = torch.einsum("nmi,mij,nmj->nm", away, self.values, away).clamp_min(0.0)
+        nearest = (NEARNESS * (away / self.scale).square().sum(-1) + torch.log1p(value)).argmin(1)
+        away = away[torch.arange(len(x)), nearest]
+        u = u_e + self.inputs[nearest] - torch.einsum("nij,nj->ni", self.gains[nearest], away)
+        return u.clamp(-1.0, 1.0)
+
+    def near(self, reference: Tensor, rng: torch.Generator) -> Tensor:
+        """Return states around the ways to the rests of references `(n, n_r)`, `(n, n_x)`."""
+        pick = torch.randint(len(self.points), (len(reference),), generator=rng)
+        x = self.regulator.rest(reference)[0] + self.points[pick]
+        return x + AROUND * self.scale * torch.randn(x.shape, generator=rng)
+
+
+def caught_ways(
+    env: ControlEnv, regulator: Regulator, x: Tensor, params: Tensor, reference: Tensor, rng: torch.Generator
+) -> dict[int, Way]:
+    """Return ways to where the regulator catches the plant, by the number of their start; some starts have none.
+
+    Args:
+        env: Imagined environment.
+        regulator: Regulator of the rests.
+        x: Starts, `(n, n_x)`.
+        params: Their task parameters, `(n, *params_shape)`.
+        reference: Their references, `(n, n_r)`.
+        rng: Source of the signals.
+    """
+    nothing = x.new_zeros(0, env.system.signature.n_u)
+    found = {i: Way(x[i : i + 1], nothing) for i in _caught(env, regulator, x, reference)}
+    for periods in (length for length in LENGTHS if length <= env.task.max_steps):
+        left = [i for i in range(len(x)) if i not in found]
+        if not left:
+            break
+        ways = search(env, x[left], params[left], periods, rng)
+        states = torch.stack([way.states for way in ways], 1)
+        rank = regulator.value(states, reference[left]).argsort(0)
+        for k in rank[:TRIED]:
+            here = states[k, torch.arange(len(left))]
+            for j in _caught(env, regulator, here, reference[left]):
+                found.setdefault(left[j], Way(ways[j].states[: k[j] + 1], ways[j].inputs[: k[j]]))
+    return found
+
+
+def _caught(env: ControlEnv, regulator: Regulator, x: Tensor, reference: Tensor) -> list[int]:
+    """Return the places of the states `(n, n_x)` from which the regulator brings the model to rest."""
+    states = x
+    last = []
+    for k in range(WATCHED):
+        states = roll(env, states, regulator.at(states, reference).unsqueeze(0))[-1]
+        last += [regulator.home(states, reference, NEAR)] if k >= WATCHED - STILL else []
+    return [int(i) for i in torch.stack(last).all(0).nonzero().squeeze(-1)]
+
+
+def _along(env: ControlEnv, regulator: Regulator, way: Way, reference: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return points, inputs, gains and values of the rest and of a way, all counted from the rest."""
+    x_e, u_e = regulator.rest(reference)
+    gain, value = regulator.gain, regulator.cost
+    x, u = [torch.zeros_like(x_e)], [torch.zeros_like(u_e)]
+    gains, values = [gain], [value]
+    weight = regulator.weights.inputs * torch.eye(gain.shape[0])
+    if len(way.inputs):
+        a, b = sensitivities(env, env.system, way.states[:-1], way.inputs)
+    for k in range(len(way.inputs) - 1, -1, -1):
+        gain = torch.linalg.solve(weight + b[k].mT @ value @ b[k], b[k].mT @ value @ a[k])
+        value = regulator.squares + a[k].mT @ value @ (a[k] - b[k] @ gain)
+        value = 0.5 * (value + value.mT)
+        x.append(way.states[k] - x_e)
+        u.append(way.inputs[k] - u_e)
+        gains.append(gain)
+        values.append(value)
+    return torch.stack(x), torch.stack(u), torch.stack(gains), torch.stack(values)

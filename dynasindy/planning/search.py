@@ -1,0 +1,116 @@
+"""Ways to a rest from afar, found in the model: a cross-entropy search over input signals.
+
+A swing-up has no gradient that leads there: a hanging pole that leans a little is a local optimum of every policy. So
+whole input signals are drawn, `POPULATION` for each start, and drawn anew around the best of them (Rubinstein 1999).
+
+| name      | symbol | equation                                                                              |
+| --------- | ------ | ------------------------------------------------------------------------------------- |
+| signal    | u_k    | straight lines through knots `KNOT` periods apart, clipped to [-1, 1]                  |
+| objective | J      | sum_k w_k reward_k, w_k proportional to k^2: arriving counts, the way there hardly     |
+| redrawn   | m, s   | mean and deviation of the best `ELITE` of the knots, s no less than `LEAST`            |
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from dynasindy.envs import ControlEnv
+from dynasindy.systems import integrate
+from dynasindy.tasks import Tracking
+
+POPULATION, ELITE, ROUNDS = 1024, 0.1, 30
+"""Signals per start, the share of them around which is drawn anew, and how often."""
+KNOT = 4
+"""Control periods between two knots of a signal."""
+LEAST = 0.03
+"""Least deviation of the knots."""
+FAR = 20.0
+"""Ranges of a state beyond which a signal counts as none."""
+OUTSIDE = 1e3
+"""Cost of each control period outside of the limits of the plant."""
+
+
+@dataclass(frozen=True)
+class Way:
+    """One start's best signal, and where it leads.
+
+    Attributes:
+        states: `(T + 1, n_x)`.
+        inputs: `(T, n_u)`.
+    """
+
+    states: Tensor
+    inputs: Tensor
+
+
+@torch.no_grad()
+def search(env: ControlEnv, x: Tensor, params: Tensor, periods: int, rng: torch.Generator) -> list[Way]:
+    """Return the best way that was found from each start.
+
+    Args:
+        env: Imagined environment, of which the model, the task's reward and its bounds are used.
+        x: Starts, `(n, n_x)`.
+        params: Their task parameters, `(n, *params_shape)`.
+        periods: Length T of the ways [control periods].
+        rng: Source of the signals.
+    """
+    n, n_u, knots = len(x), env.system.signature.n_u, max(2, periods // KNOT)
+    mean, deviation = torch.zeros(n, 1, knots, n_u), torch.ones(n, 1, knots, n_u)
+    best, most = mean[:, 0].clone(), torch.full((n,), -torch.inf)
+    starts, repeated = x.repeat_interleave(POPULATION, 0), params.repeat_interleave(POPULATION, 0)
+    for _ in range(ROUNDS):
+        drawn = mean + deviation * torch.randn(n, POPULATION, knots, n_u, generator=rng)
+        drawn[:, 0] = best
+        drawn = drawn.clamp(-1.5, 1.5)
+        inputs = signal(drawn.flatten(0, 1), periods)
+        earned = objective(env, roll(env, starts, inputs), repeated).reshape(n, POPULATION)
+        top = earned.topk(round(ELITE * POPULATION), 1).indices
+        elite = drawn[torch.arange(n).unsqueeze(-1), top]
+        mean, deviation = elite.mean(1, keepdim=True), elite.std(1, keepdim=True).clamp_min(LEAST)
+        better = earned[torch.arange(n), top[:, 0]] > most
+        most = torch.where(better, earned[torch.arange(n), top[:, 0]], most)
+        best = torch.where(better[:, None, None], drawn[torch.arange(n), top[:, 0]], best)
+    inputs = signal(best, periods)
+    states = roll(env, x, inputs)
+    return [Way(states[:, i], inputs[:, i]) for i in range(n)]
+
+
+def signal(knots: Tensor, periods: int) -> Tensor:
+    """Return the straight lines through knots `(n, n_knots, n_u)`, `(periods, n, n_u)`."""
+    lines = torch.nn.functional.interpolate(knots.mT, size=periods, mode="linear", align_corners=True)
+    return lines.permute(2, 0, 1).clamp(-1.0, 1.0)
+
+
+@torch.no_grad()
+def roll(env: ControlEnv, x: Tensor, inputs: Tensor) -> Tensor:
+    """Return the states `(T + 1, n, n_x)` from starts `(n, n_x)` under inputs `(T, n, n_u)`."""
+    states = [x]
+    for u in inputs:
+        states.append(integrate(env.system, states[-1], u, env.dt, env.substeps, env.stops)[0][..., -1, :])
+    return torch.stack(states)
+
+
+def objective(env: ControlEnv, states: Tensor, params: Tensor) -> Tensor:
+    """Return what ways earn, their ends above all, `(n,)`; outside of the plant's limits they pay.
+
+    Args:
+        env: Imagined environment.
+        states: `(T + 1, n, n_x)`.
+        params: Task parameters, `(n, *params_shape)`.
+    """
+    periods, task = len(states) - 1, env.task
+    assert isinstance(task, Tracking)
+    times = (env.dt * torch.arange(1, periods + 1, dtype=states.dtype)).reshape(-1, 1, 1)
+    free = torch.zeros(states[1:].shape[:-1], dtype=torch.bool)
+    reward = task.reward(states[:-1], states[1:], params.expand(periods, *params.shape), times, free)
+    low, high = task.bounds.to(states)
+    scale = torch.tensor(task.signature.x_scale)
+    outside = ~((states[1:] >= low) & (states[1:] <= high)).all(-1)
+    lost = ~(states[1:].abs() <= FAR * scale + states[0].abs()).all(-1)
+    reward = reward.nan_to_num(0.0, 0.0, 0.0) - OUTSIDE * (outside | lost)
+    weights = torch.arange(1, periods + 1, dtype=states.dtype).square()
+    # What follows an explosion may be any number.
+    return ((weights / weights.sum()).unsqueeze(-1) * reward.clamp_min(-OUTSIDE * FAR)).sum(0)
