@@ -161,7 +161,8 @@ class Recorder(Callback):
 
     def _held(self, final: Evaluation) -> Held:
         start = final.trajectory["state"][0, 0]
-        return held(final, states_that_matter(self.plant.system, final.columns, start))
+        system = self.plant.system if self.plant.system.known else self.parts.model_env.system
+        return held(final, states_that_matter(system, final.columns, start))
 
     def state_dict(self) -> dict[str, Any]:
         """Return what was logged so far."""

@@ -1,5 +1,6 @@
 """The environment around a system and a task."""
 
 from dynasindy.envs.control_env import ControlEnv
+from dynasindy.envs.foreign import Foreign, GymnasiumEnv
 
-__all__ = ["ControlEnv"]
+__all__ = ["ControlEnv", "Foreign", "GymnasiumEnv"]

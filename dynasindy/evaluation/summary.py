@@ -26,6 +26,8 @@ WORDS = {
 def summarise(evaluation: Evaluation) -> Summary:
     """Return flat, JSON-ready figures: `return`, `stop_share` and `<metric>/<axis or input>`.
 
+    `own_return` is what a Gymnasium environment itself pays; other plants have none.
+
     Errors and control figures are means over the rows. Overshoot and times are medians over the rows that are
     steps, because one step that never settles has an infinite time; a median that is infinite, or that no row
     defines, is None. `settled/<axis>` is the share of steps that settle.
@@ -34,6 +36,8 @@ def summarise(evaluation: Evaluation) -> Summary:
         "return": _number(evaluation.returns.mean()),
         "stop_share": _number(evaluation.stop_share.mean()),
     }
+    if (own := evaluation.own_returns) is not None:
+        summary["own_return"] = _number(own.mean())
     for i, axis in enumerate(evaluation.output_names):
         for name in TRACKING:
             summary[f"{name}/{axis}"] = _number(evaluation.metrics[name][:, i].mean())
@@ -85,6 +89,8 @@ def to_text(
         lines.append(_row(name, f"{words[name]} [{UNITS[name]}]", summary, inputs))
     total, stops = summary["return"], summary["stop_share"]
     lines.append(f"{'return':38s}{_cell(total):>12s}")
+    if summary.get("own_return") is not None:
+        lines.append(f"{'return of the environment itself':38s}{_cell(summary['own_return']):>12s}")
     lines.append(f"{'share of time at a stop [%]':38s}{_cell(stops, 100.0):>12s}")
     return "\n".join(lines)
 

@@ -153,6 +153,8 @@ class GradientPlanning(Planner):
         begun = Begun(-math.inf)
         if pace.held and (first or not arrives(self.network, self.env, rests, self.rng)):
             begun = hold(self.network, self.env, rests, self.test, self.rng)
+        elif pace.held:
+            begun = Begun(self.test())  # a policy that holds the plant is given up for a better one only
         if begun.afar:
             updates, lr = pace.updates, pace.lr  # a way from afar is new, in a later phase too
             self.pace = pace = dataclasses.replace(pace, window=self.given.get("window", LONGEST), afar=True)

@@ -98,6 +98,9 @@ class System(nn.Module, ABC):
         stops: Mechanical stops of the plant, if any.
     """
 
+    known: bool = True
+    """Whether it has equations; a simulator of another library has none."""
+
     def __init__(self, signature: Signature, stops: Stops | None = None) -> None:
         super().__init__()
         self.signature = signature

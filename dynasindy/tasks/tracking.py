@@ -90,6 +90,7 @@ class Tracking(Task):
         self.n_o = signature.n_x + (2 if observe_rate else 1) * self.n_r
         self._box = _boxes(signature, self.outputs, low, high)
         self.start = _ends(signature, "start", start or {}, torch.zeros(2, signature.n_x))
+        self.starts: Tensor | None = None
         unbounded = torch.tensor([[-math.inf], [math.inf]], dtype=torch.float64).expand(-1, signature.n_x)
         both = {name: [-v, v] if isinstance(v, int | float) else v for name, v in (bounds or {}).items()}
         self.bounds = _ends(signature, "bounds", both, unbounded.clone())
@@ -137,6 +138,12 @@ class Tracking(Task):
         other._box = torch.tensor([float(extent) for extent in extents], dtype=torch.float64)
         return other
 
+    def with_starts(self, starts: Tensor) -> Tracking:
+        """Return the same task whose episodes begin at one of some states `(n, n_x)`."""
+        other = copy.copy(self)
+        other.starts = starts
+        return other
+
     def boxes(self) -> Tensor:
         """Return the extent of the box of targets, `(n_r,)`: the largest among the outputs of the same unit."""
         return self._box
@@ -147,6 +154,8 @@ class Tracking(Task):
 
     def initial_state(self, batch: torch.Size, generator: torch.Generator) -> Tensor:
         """Return the state in which episodes begin, `(*batch, n_x)`: the origin, unless `start` says otherwise."""
+        if self.starts is not None:
+            return self.starts[torch.randint(len(self.starts), batch, generator=generator)]
         low, high = self.start
         if torch.equal(low, high):
             return low.expand(*batch, -1).clone()

@@ -1,0 +1,224 @@
+"""A Gymnasium environment as the plant: its own simulator moves, and the task is ours.
+
+Its observation is the state, under names that the user gives or `x1, x2, ...`; its action is the input, scaled to
+[-1, 1]. What it pays goes under `own_reward`, so that it can be reported beside the reward of the task.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium import spaces
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Unbounded
+
+from dynasindy.envs.control_env import ControlEnv
+from dynasindy.systems import Signature, System
+from dynasindy.tasks import Task, Tracking
+
+STARTS = 256
+"""Resets that show where episodes begin; no step is taken."""
+
+
+class Foreign(System):
+    """What is known of a Gymnasium environment before it moves: names and ranges, no equations.
+
+    Args:
+        id: Name under which Gymnasium has the environment.
+        states: Names of the observation's entries, in their order, or name to range; names alone take their ranges
+            from the observation space, or 1 where that has no ends. None names them x1, x2, ...
+        inputs: Names of the action's entries; None names them u1, u2, ...
+        units: Units of the states; "-" if omitted.
+        options: Arguments of `gymnasium.make`.
+
+    Raises:
+        ValueError: Gymnasium has no such environment, a space is no box of one dimension, an action has no ends, or
+            the numbers of names differ from the spaces.
+    """
+
+    known = False
+
+    def __init__(
+        self,
+        id: str,  # noqa: A002 (Gymnasium's name)
+        states: Sequence[str] | Mapping[str, float] | None = None,
+        inputs: Sequence[str] | None = None,
+        units: Sequence[str] | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.id, self.options = id, dict(options or {})
+        copy = self.make(1)
+        observed, acted = copy.observation_space, copy.action_space
+        for space, what in ((observed, "observation"), (acted, "action")):
+            if not isinstance(space, spaces.Box) or len(space.shape) != 1:
+                raise ValueError(f"{id} has the {what} space {space}; a plant needs a Box of one dimension")
+        assert isinstance(observed, spaces.Box) and isinstance(acted, spaces.Box)
+        if not (np.isfinite(acted.low).all() and np.isfinite(acted.high).all()):
+            raise ValueError(f"{id} has actions without ends, {acted}; inputs need them: wrap it in RescaleAction")
+        n_x, n_u = observed.shape[0], acted.shape[0]
+        ends = np.maximum(np.abs(observed.low), np.abs(observed.high))
+        ranges = {f"x{i + 1}": None for i in range(n_x)} if states is None else _ranges(states)
+        names = [f"u{i + 1}" for i in range(n_u)] if inputs is None else list(inputs)
+        if len(ranges) != n_x or len(names) != n_u:
+            raise ValueError(
+                f"{id} has {n_x} states and {n_u} inputs, plant.states names {len(ranges)} ({', '.join(ranges)}) and "
+                f"plant.inputs {len(names)} ({', '.join(names)}); name each of them"
+            )
+        scale = [r or (float(end) if end < 1e6 else 1.0) for r, end in zip(ranges.values(), ends, strict=True)]
+        super().__init__(Signature(tuple(ranges), tuple(units or ["-"] * n_x), tuple(names), tuple(scale)))
+        self.low, self.high = acted.low, acted.high
+        self.ends = torch.as_tensor(np.stack([observed.low, observed.high])).double()
+        self.period = _period(copy)
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Refuse: the equations of a Gymnasium environment are not known.
+
+        Raises:
+            TypeError: Always.
+        """
+        raise TypeError(f"the equations of {self.id} are not known; give what needs them a model of it")
+
+    def make(self, max_steps: int) -> gymnasium.Env[Any, Any]:
+        """Return a copy of the environment whose episodes end after `max_steps`.
+
+        Raises:
+            ValueError: Gymnasium has no such environment, or lacks a package for it.
+        """
+        try:
+            return gymnasium.make(self.id, max_episode_steps=max_steps, **self.options)
+        except (gymnasium.error.Error, ModuleNotFoundError, TypeError) as error:
+            reason = str(error).strip().splitlines()[0]
+            raise ValueError(f"env.id={self.id}: {reason}; give an environment that gymnasium.make can build") from error
+
+
+class GymnasiumEnv(ControlEnv):
+    """A Gymnasium environment under a task of ours, batched: one copy of it per row.
+
+    A copy can be begun anew and stepped, and cannot be put into a state. So `start_from` begins where the environment
+    itself begins, and a step must go on from the step before. An environment made by `with_task`, in which policies are
+    evaluated, holds a terminated row where it ended, with a reward of zero, instead of ending the episode.
+
+    Args:
+        system: The environment's names and ranges.
+        task: What is wanted; episodes of a `Tracking` task begin, in imagination, where the copies do.
+        id: Name of the environment, which `system` has too.
+        dt: Control period [s]; None for that of the environment.
+        substeps: 1, as a copy shows its state once per period.
+        dtype: Floating type of states.
+        seed: Seed of the resets.
+
+    Raises:
+        TypeError: The system is no Gymnasium environment.
+        ValueError: The period is not known and not given, or `substeps` is not 1.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        task: Task,
+        id: str = "",  # noqa: A002 (Gymnasium's name)
+        dt: float | None = None,
+        substeps: int = 1,
+        *,
+        dtype: torch.dtype = torch.float64,
+        seed: int = 0,
+    ) -> None:
+        if not isinstance(system, Foreign):
+            raise TypeError(f"{type(system).__name__} is no Gymnasium environment; use dynasindy.envs.ControlEnv")
+        if substeps != 1:
+            raise ValueError(f"env.substeps={substeps}: a Gymnasium environment shows its state once a period; give 1")
+        period = system.period if dt is None else dt
+        if period is None:
+            raise ValueError(f"{system.id} does not say how long a step is; give env.dt in seconds")
+        self.ends, self.copies = True, []
+        self.pool: list[gymnasium.Env[Any, Any]] = []
+        super().__init__(system, task, period, 1, dtype=dtype, seed=seed)
+        self.foreign = system
+        if isinstance(task, Tracking):
+            self.task = task.with_starts(self._begin(STARTS, np.random.default_rng(seed)))
+
+    def with_system(self, system: System, dtype: torch.dtype | None = None, seed: int = 0) -> ControlEnv:
+        """Return an environment around a model of this one, with the same task and period."""
+        return ControlEnv(system, self.task, self.dt, 1, dtype=dtype or self.float_type, seed=seed)
+
+    def with_task(self, task: Task, seed: int = 0) -> ControlEnv:
+        """Return this environment with another task, for evaluation: rows that end stay where they ended."""
+        other = GymnasiumEnv.__new__(GymnasiumEnv)
+        other.ends, other.copies, other.pool = False, [], self.pool
+        ControlEnv.__init__(other, self.foreign, task, self.dt, 1, dtype=self.float_type, seed=seed)
+        other.foreign, other.pool = self.foreign, self.pool
+        return other
+
+    def start_from(self, states: Tensor) -> TensorDict:
+        """Begin episodes where the environment begins them, one for each of the states, which are not used."""
+        rows = states.shape[:-1].numel()
+        while len(self.pool) < rows:
+            self.pool.append(self.foreign.make(10**9))
+        self.copies = self.pool[:rows]
+        seeds = torch.randint(2**31, (rows,), generator=self.rng).tolist()
+        begun = [copy.reset(seed=seed)[0] for copy, seed in zip(self.copies, seeds, strict=True)]
+        self.now = torch.as_tensor(np.stack(begun), dtype=self.float_type).reshape(states.shape)
+        self.over = torch.zeros(states.shape[:-1], dtype=torch.bool)
+        out = super().start_from(self.now)
+        return out.set("own_reward", torch.zeros(*states.shape[:-1], 1))
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        x, u, params = (tensordict[key] for key in ("state", "action", "task_params"))
+        if not self.copies or not torch.equal(x, self.now):
+            raise RuntimeError("a Gymnasium environment goes on from its last state only; reset it first")
+        steps = tensordict["step_count"] + 1
+        paid = torch.zeros(*x.shape[:-1], 1)
+        after, over = self.now.clone().reshape(-1, x.shape[-1]), self.over.clone().reshape(-1)
+        low, high = self.foreign.low, self.foreign.high
+        for i, action in enumerate(u.detach().reshape(-1, u.shape[-1]).double().numpy().clip(-1.0, 1.0)):
+            if bool(over[i]):
+                continue
+            scaled = (low + (high - low) * 0.5 * (action + 1.0)).astype(np.float32)
+            seen, reward, terminated, _, _ = self.copies[i].step(scaled)
+            after[i] = torch.as_tensor(np.asarray(seen), dtype=self.float_type)
+            paid.reshape(-1)[i], over[i] = float(reward), bool(terminated)
+        self.now, self.over = after.reshape(x.shape), over.reshape(x.shape[:-1])
+        out = self._observed(self.now, params, steps)
+        clipped = ((self.now <= self.foreign.ends[0]) | (self.now >= self.foreign.ends[1])).any(-1)
+        reward = self.task.reward(x, self.now, params, steps.to(x.dtype) * self.dt, clipped)
+        out["reward"] = reward.float().unsqueeze(-1)
+        out["samples"], out["at_stop"] = self.now.unsqueeze(-2), clipped.unsqueeze(-1)
+        out["own_reward"] = paid
+        out["terminated"] = self.over.unsqueeze(-1) & self.ends
+        out["truncated"] = steps >= self.task.max_steps
+        out["done"] = out["truncated"] | out["terminated"]
+        return TensorDict(out, batch_size=tensordict.batch_size, device=self.device)
+
+    def _begin(self, number: int, rng: np.random.Generator) -> Tensor:
+        """Return states in which episodes begin, `(number, n_x)`."""
+        copy = self.foreign.make(1)
+        begun = [copy.reset(seed=int(rng.integers(2**31)))[0] for _ in range(number)]
+        return torch.as_tensor(np.stack(begun), dtype=torch.float64)
+
+    def _rates_at_start(self) -> Tensor:
+        """Return zeros, as the equations are not known."""
+        return torch.zeros(2, self.system.signature.n_x, dtype=self.float_type)
+
+    def _make_specs(self) -> None:
+        super()._make_specs()
+        self.observation_spec["own_reward"] = Unbounded(shape=(*self.batch_size, 1), dtype=torch.float32)
+
+
+def _ranges(states: Sequence[str] | Mapping[str, float]) -> dict[str, float | None]:
+    return dict(states) if isinstance(states, Mapping) else dict.fromkeys(states)
+
+
+def _period(copy: gymnasium.Env[Any, Any]) -> float | None:
+    """Return how long a step is [s]: `dt`, as MuJoCo's and the pendulum have it, or `tau`, as the cart-pole."""
+    bare = copy.unwrapped
+    for name in ("dt", "tau"):
+        found = getattr(bare, name, None)
+        if isinstance(found, int | float) and 0 < found < math.inf:
+            return float(found)
+    return None
