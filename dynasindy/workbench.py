@@ -10,6 +10,7 @@ The scripts do the same with a plant in the loop, and write down everything on t
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -38,6 +39,7 @@ from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.ensemble import refits
 from dynasindy.world_models.libraries import LibraryBuilder
 from dynasindy.world_models.measured import rates_known
+from dynasindy.world_models.order import moving_on
 
 PERIOD = 0.05
 """Control period unless another is given [s]; with a log the multiple of its sampling time that is nearest."""
@@ -79,7 +81,7 @@ def read(
 
 def identify(
     log: Recording,
-    library: str | Sequence[str] | LibraryBuilder = "polynomial",
+    library: str | Sequence[str] | LibraryBuilder = "auto",
     known: Mapping[str, str] | None = None,
     method: Literal["integral", "one_step", "trajectory", "auto"] = "auto",
     longest_delay: float = LONGEST_DELAY,
@@ -88,13 +90,14 @@ def identify(
 
     Args:
         log: What `read` returned.
-        library: Candidate functions: a name of `dynasindy.world_models.libraries.NAMED`, or functions in words.
+        library: Candidate functions: a name of `dynasindy.world_models.libraries.NAMED`, or functions in words. `auto`
+            is quadratic polynomials, or for angles in rad and their rates in rad/s the functions of mechanics.
         known: Equations that are known, such as `{"angle": "rate"}`: the state's rate is that function.
         method: How the fit is refined; `auto` chooses by the noise of the data.
         longest_delay: Longest delay of the inputs that is looked for [s].
 
     Returns:
-        The model; `equations()` shows it, `save` keeps it.
+        The model; `equations()` shows it, `save` keeps it. A warning says which state misses its rate.
 
     Raises:
         ValueError: The data or the library do not allow a fit.
@@ -103,6 +106,12 @@ def identify(
     refinement = Refinement(method, longest_delay=longest_delay)
     model = SindyModel(log.signature, library, Regression("bic", tolerance=1e-4), refinement, known=known)
     model.fit(log.transitions)
+    for name in moving_on(model.library, log.transitions):
+        warnings.warn(
+            f"{name} moves on whatever states and inputs say, so its rate is a state, too: give identify(known={{"
+            f"'{name}': '{name}_rate'}}), and read(states=...) with '{name}_rate': {{'unit': ...}} if it has no column",
+            stacklevel=2,
+        )
     return model
 
 

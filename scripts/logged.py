@@ -14,7 +14,7 @@ from dynasindy.control import save
 from dynasindy.control.files import NAME
 from dynasindy.data.csv import Recording
 from dynasindy.evaluation.files import write_json, write_text
-from dynasindy.evaluation.identification import Source
+from dynasindy.evaluation.identification import Source, missing_rates
 from dynasindy.evaluation.predicted import WITHIN, Prediction
 from dynasindy.evaluation.summary import heading, summarise, to_text
 from dynasindy.planning import GradientPlanning
@@ -105,5 +105,5 @@ def _model(cfg: DictConfig, source: Source | None) -> SindyModel:
         raise TypeError(f"world_model is a {type(built).__name__}, which no log is fitted by; leave world_model=sindy")
     with Progress():
         report = built.fit(source.training)
-    print(report.to_text(), flush=True)
+    print(report.to_text(), *missing_rates(built, source), sep="\n", flush=True)
     return built

@@ -28,7 +28,7 @@ def main(cfg: DictConfig) -> None:
     ends = zip(plant["outputs"], plant["low"], plant["high"], strict=True)
     targets = {name: (low, high) for name, low, high in ends}
     guard = guard.or_limits(plant.get("bounds") or {}, wiring)
-    knowledge = Knowledge(plant["library"], plant["known"], targets, planning=dict(cfg.planner))
+    knowledge = Knowledge(plant["library"], plant["known"] or {}, targets, planning=dict(cfg.planner or {}))
     wanted = targets_within(knowledge, cfg.targets)
     given = load(cfg.controller) if cfg.controller else None
     with instantiate(cfg.rig, _convert_="all")(system=system, dt=cfg.dt) as rig:

@@ -31,7 +31,7 @@ class Plant(TypedDict):
     bounds: dict[str, float | list[float]]
     low: list[float]
     high: list[float]
-    known: dict[str, str]
+    known: dict[str, str] | None
     libraries: dict[Literal["simulated", "logged"], str]
     amplitude: float | list[float]
     offset: float | list[float]

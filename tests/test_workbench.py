@@ -21,7 +21,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
 from dynasindy.sensing import Sensors
-from dynasindy.systems import Pendulum
+from dynasindy.systems import Pendulum, Signature
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
 from dynasindy.workbench import _period, foretell, sensors_of
 
@@ -212,11 +212,19 @@ def test_the_lines_of_the_readme_run(tmp_path, monkeypatch, capsys):
     data = record(Pendulum(), Multisine(1, duration=8, dt=0.05, amplitude=[0.4], seed=0).samples(0.01), 0.01)
     with (tmp_path / "log.csv").open("w", newline="") as stream:
         writer = csv.writer(stream)
-        writer.writerow(["time [s]", "angle [rad]", "u"])
-        writer.writerows([[0.01 * k, float(data.x[k, 0]), float(data.u[k, 0])] for k in range(len(data))])
+        writer.writerow(["time [s]", "angle [rad]", "rate [rad/s]", "u"])
+        writer.writerows([[0.01 * k, *data.x[k].tolist(), float(data.u[k, 0])] for k in range(len(data))])
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(dynasindy, "plan", partial(dynasindy.plan, updates=1, rollouts=4), raising=False)
     names = {}
     exec(block, names)
     assert np.abs(names["u"]).max() <= 1
     assert "angle' = " in capsys.readouterr().out
+
+
+def test_a_warning_says_which_state_misses_its_rate(exact):
+    """The pendulum's angle alone."""
+    t = exact.transitions
+    alone = Recording(replace(t, x=t.x[:, :1], x_next=t.x_next[:, :1]), Signature(("theta",), ("rad",), ("u",), (1.0,)))
+    with pytest.warns(UserWarning, match=r"theta moves on .*: give identify\(known=\{'theta': 'theta_rate'\}\)"):
+        assert dynasindy.identify(alone).delay == 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.delay import delayed
+from dynasindy.world_models.order import moving_on
 from dynasindy.world_models.prediction import nrmse, one_step_error, open_loop
 from dynasindy.world_models.tables import to_csv, to_latex, to_text
 
@@ -119,7 +120,7 @@ class Logged:
         dt: sampling time [s]; the file's own by default.
         missing: `skip` rows with missing values, or `refuse` the file.
         known: equations that are known, by state. A state that is the rate of another one needs no column: one that
-            has none is estimated with the model.
+            has none is estimated with the model. Where no plant is named, it need not be named as a state either.
         validation_share: part of the transitions that is kept for validation.
 
     Raises:
@@ -163,20 +164,32 @@ class Logged:
         return replace(recording, signature=signature)
 
     def _columns(self, system: System | None) -> tuple[dict[str, Any], dict[str, Any]]:
+        if system is None:
+            given = self.states or {}, self.inputs or {}
+            states, inputs = given if all(given) else infer(str(self.path), self.time)
+            states = self.states or {n: c for n, c in states.items() if n not in given[1]}
+            return self._with_rates(states), self.inputs or dict(inputs)
         if self.states and self.inputs:
             return self.states, self.inputs
-        if system is None:
-            states, inputs = infer(str(self.path), self.time)
-            states = {n: c for n, c in states.items() if n not in (self.inputs or {})}
-        else:
-            plant, rates = system.signature, set((self.known or {}).values())
-            headings = {split_unit(heading)[0] for heading in all_headings(Path(str(self.path)))}
-            states = {
-                n: Column("" if n in rates and n not in headings else n, unit)
-                for n, unit in zip(plant.state_names, plant.state_units, strict=True)
-            }
-            inputs = {n: Column(n) for n in plant.input_names}
+        plant, rates = system.signature, set((self.known or {}).values())
+        headings = {split_unit(heading)[0] for heading in all_headings(Path(str(self.path)))}
+        states = {
+            n: Column("" if n in rates and n not in headings else n, unit)
+            for n, unit in zip(plant.state_names, plant.state_units, strict=True)
+        }
+        inputs = {n: Column(n) for n in plant.input_names}
         return self.states or dict(states), self.inputs or dict(inputs)
+
+    def _with_rates(self, states: Mapping[str, Any]) -> dict[str, Any]:
+        """Add the rates that are known to belong to a state and have no column; the model tells them."""
+        found = dict(states)
+        for name, rate in (self.known or {}).items():
+            if name in states and rate not in found and rate.isidentifier():
+                given = states[name]
+                keys = {} if isinstance(given, str) else vars(given) if isinstance(given, Column) else given
+                unit = keys.get("unit", "-")
+                found[rate] = Column("", "1/s" if unit == "-" else f"{unit}/s")
+        return found
 
 
 @dataclass(frozen=True)
@@ -230,6 +243,16 @@ def identify(model: SindyModel, source: Source, horizons: Sequence[float] | None
     return Identified(model, report, predicted, metrics, forecasts)
 
 
+def missing_rates(model: SindyModel, source: Source) -> list[str]:
+    """Say how to give the rates that the data of a log show to be missing, a line for each state."""
+    return [
+        f"hint: {name} moves on whatever states and inputs say, so its rate is a state, too: give "
+        f"'plant.known={{{name}: {name}_rate}}', and the rate is estimated with the model, or read from the column of "
+        "that name; data.states names other columns"
+        for name in moving_on(model.library, source.training)
+    ]
+
+
 def to_words(found: Identified, source: Source) -> str:
     """Write equations, fit, identifiability, what the data show, errors, notes and a verdict for a reader."""
     signature, shown = source.signature, found.forecasts
@@ -241,6 +264,7 @@ def to_words(found: Identified, source: Source) -> str:
     lines.append("validation, open loop, relative to each state's deviation")
     lines += [f"  {state:<10} {_percent(error)}" for state, error in free.items()]
     lines += [f"note: {note}" for note in source.notes]
+    lines += missing_rates(found.model, source)
     if shown is None:
         return "\n".join([*lines, "the validation data are too short to judge how far ahead the model predicts"])
     return "\n".join([*lines, *verdict.judge(shown, signature)])

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ class Guard:
     """What a flight goes on with.
 
     Attributes:
-        low: Lower end of each state's range, by name [unit of the state]; not guarded if it has none.
+        low: Lower end of each state's range, by name [unit of the state]; a state without one is not guarded.
         high: Upper end, likewise.
         late: Share of a control period by which inputs may be late.
         lost: Samples in a row that may be lost; the controller is then shown NaN, which needs an observer.
@@ -36,18 +37,23 @@ class Guard:
         ValueError: A number is negative, or a lower end is not below its upper end.
     """
 
-    low: dict[str, float] = field(default_factory=dict)
-    high: dict[str, float] = field(default_factory=dict)
+    low: dict[str, float] | None = None
+    high: dict[str, float] | None = None
     late: float = 0.5
     lost: int = 1
 
     def __post_init__(self) -> None:
         if not self.late >= 0 or self.lost < 0:
             raise ValueError(f"a guard has late={self.late} periods, lost={self.lost} samples; give numbers >= 0")
-        for name in {**self.low, **self.high}:
-            low, high = self.low.get(name, -np.inf), self.high.get(name, np.inf)
+        for name, (low, high) in self.ranges.items():
             if not low < high:
                 raise ValueError(f"a guard keeps {name} within {low} to {high}; give a lower and a higher end")
+
+    @cached_property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """Return lower and upper end of each state that is guarded, infinite where there is none."""
+        low, high = self.low or {}, self.high or {}
+        return {name: (low.get(name, -np.inf), high.get(name, np.inf)) for name in {**low, **high}}
 
     def or_limits(self, bounds: Mapping[str, float | Sequence[float]], wiring: Wiring) -> Guard:
         """Return the guard, or without a range of its own one with the limits of the plant.
@@ -72,7 +78,7 @@ class Guard:
         Raises:
             ValueError: It is not.
         """
-        if unknown := [name for name in {**self.low, **self.high} if name not in wiring.measured]:
+        if unknown := [name for name in self.ranges if name not in wiring.measured]:
             raise ValueError(
                 f"a guard has a range of '{unknown[0]}', which is not measured; allowed are "
                 f"{', '.join(wiring.measured)}"
@@ -89,7 +95,7 @@ class Guard:
                 continue
             if not np.isfinite(value):
                 raise Fault("invalid", f"{name} was measured as {value}")
-            low, high = self.low.get(name, -np.inf), self.high.get(name, np.inf)
+            low, high = self.ranges.get(name, (-np.inf, np.inf))
             if not low <= value <= high:
                 raise Fault("range", f"{name} is {value:.6g}, outside of {low:.6g} to {high:.6g}")
 

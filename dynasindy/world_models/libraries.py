@@ -7,12 +7,14 @@ Theta(X, U) (40 functions).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from itertools import combinations_with_replacement
 from typing import Annotated
 
 from dynasindy.systems.base import Signature
 from dynasindy.world_models.features import CONSTANT, Feature, of, parse, variable
 from dynasindy.world_models.library import Library
+from dynasindy.world_models.mechanics import angles_of, mechanical
 
 LIMIT = "the limit is arbitrary: more functions would hardly be told apart"
 DRY = 10.0
@@ -225,6 +227,21 @@ def rotor_rig(signature: Signature) -> Library:
     return rotor(signature, friction=True, cable=True)
 
 
+def auto(signature: Signature) -> Library:
+    """Build what suits the units: quadratic polynomials, or for angles and their rates the functions of mechanics.
+
+    A plant with an angle in rad and a rate in rad/s gets quadratic polynomials of its other states and inputs only.
+
+    Args:
+        signature: names and units of states and inputs.
+    """
+    if not angles_of(signature):
+        return polynomial(signature)
+    units = zip(signature.state_names, signature.state_units, strict=True)
+    others = [name for name, unit in units if unit not in ("rad", "rad/s")]
+    return sum_of(signature, [mechanical, partial(polynomial, variables=[*others, *signature.input_names])])
+
+
 NAMED: dict[str, LibraryBuilder] = {
     "paper_table": paper_table,
     "paper_equation": paper_equation,
@@ -235,6 +252,8 @@ NAMED: dict[str, LibraryBuilder] = {
     "fourier": fourier,
     "friction": friction,
     "dead_zone": dead_zone,
+    "mechanical": mechanical,
+    "auto": auto,
 }
 """Libraries that a word selects."""
 

@@ -19,6 +19,7 @@ from dynasindy.world_models.fast_field import generate
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.measured import Seen, rates_known, reconstruct
 from dynasindy.world_models.one_step import refine_one_step
+from dynasindy.world_models.order import moving_on
 from dynasindy.world_models.regression import Regression, RunningSums
 from dynasindy.world_models.shapes import fit_shapes
 from dynasindy.world_models.shooting import RunsAway
@@ -152,6 +153,14 @@ class Refinement:
             guess: the same, the states that were not measured guessed; needed where there are such states.
         """
         guess = data if guess is None else guess
+        lacking = moving_on(library, data) if self.longest_delay else []
+        if lacking:  # a delay would stand for the rate that is missing
+            note = (
+                f"no delay of the inputs was looked for: {' and '.join(lacking)} moves on whatever states and inputs "
+                "say, as an angle or a position does whose rate is no state here"
+            )
+            alone = replace(self, longest_delay=0.0).run(library, coefficients, constraints, data, guess)
+            return alone._replace(notes=(*alone.notes, note))
         recording = Recording.of(data, guess, rates_known(library, constraints), self.longest_delay)
         delay = self._rough(library, coefficients, constraints, recording)
         found = self._regressed(library, coefficients, constraints, recording.seen(delay))
@@ -164,6 +173,8 @@ class Refinement:
                 found = self._regressed(*found, constraints, recording.seen(delay))
             found, delay, why = self._by_trajectories(found, delay, constraints, recording)
             notes += why
+        if delay and delay > self.longest_delay - 0.5 * data.dt:
+            notes += (f"the delay is at the end of what was looked for, {self.longest_delay:g} s; it may be longer",)
         return Refined(*found, delay, notes)
 
     def _rough(self, library: Library, coefficients: Tensor, constraints: Constraints, recording: Recording) -> float:

@@ -139,3 +139,20 @@ def test_the_gate_of_the_library_is_that_of_the_default():
     with initialize_config_dir(str(CONF), version_base="1.3"):
         gate = instantiate(compose("train").gate)
     assert vars(gate) == vars(Gate())
+
+
+@pytest.mark.parametrize(
+    ("command", "override", "key", "value"),
+    [
+        ("rig", "planner={updates: 5}", "planner", {"updates": 5}),
+        ("rig", "guard.high={theta: 1.0}", "guard.high", {"theta": 1.0}),
+        ("rig", "guard.low={theta: -1.0}", "guard.low", {"theta": -1.0}),
+        ("train", "plant.known={angle: rate}", "plant.known", {"angle": "rate"}),
+    ],
+)
+@pytest.mark.parametrize("sign", ["", "+"])
+def test_keys_of_ones_own_are_given_as_documented(command, override, key, value, sign):
+    given = ["system=logged"] if command == "train" else []
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        cfg = compose(command, overrides=[*given, sign + override])
+    assert OmegaConf.select(cfg, key) == value

@@ -6,6 +6,7 @@ from functools import partial
 import pytest
 import torch
 
+from dynasindy.data.simulated import record
 from dynasindy.evaluation.identification import Logged, Simulated, identify, to_words, write
 from dynasindy.excitation import Chirp, HeldRandom
 from dynasindy.systems import Pendulum, Tras
@@ -146,3 +147,35 @@ def test_a_rate_of_the_plant_needs_no_column_and_is_estimated_with_the_model(tmp
     )
     with pytest.raises(ValueError, match="no column 'Omega'"):
         Logged(path).load(Pendulum(), EXCITATION)
+
+
+@pytest.fixture
+def angle_alone(tmp_path):
+    """Write a log of the pendulum without its rate."""
+    data = record(Pendulum(), HeldRandom(1, 8.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
+    rows = "\n".join(f"{0.01 * k:.2f},{float(data.x[k, 0])!r},{float(data.u[k, 0])!r}" for k in range(len(data)))
+    (tmp_path / "log.csv").write_text("time [s],angle [rad],u\n" + rows)
+    return str(tmp_path / "log.csv")
+
+
+def test_an_angle_alone_is_told_how_to_give_its_rate(angle_alone):
+    source = Logged(angle_alone).load(None, EXCITATION)
+    model = SindyModel(source.signature, "auto", Regression("bic"), Refinement("auto", longest_delay=0.05))
+    words = to_words(identify(model, source), source)
+    assert "hint: angle moves on" in words and "'plant.known={angle: angle_rate}'" in words
+    assert "late" not in words
+
+
+def test_a_rate_that_is_known_needs_no_state_of_its_own(angle_alone):
+    known = {"angle": "angle_rate"}
+    source = Logged(angle_alone, known=known).load(None, EXCITATION)
+    assert (source.signature.state_names, source.signature.state_units) == (("angle", "angle_rate"), ("rad", "rad/s"))
+    assert source.training.x[:, 1].isnan().all()
+    mapped = Logged(angle_alone, {"phi": {"name": "angle", "unit": "deg", "scale": 57.29578}}, known={"phi": "rate"})
+    assert mapped.load(None, EXCITATION).signature.state_units == ("deg", "deg/s")
+    library = ["u", "angle_rate", "sin(angle)"]
+    model = SindyModel(source.signature, library, Regression("bic"), Refinement("auto"), known=known)
+    found = identify(model, source)
+    assert "hint" not in to_words(found, source)
+    equation = [model.coefficients[model.library.names.index(name), 1].item() for name in library]
+    assert equation == pytest.approx([12.0, -0.5, -9.81], rel=0.02)
