@@ -39,9 +39,9 @@ class Quadrotor(System):
 class CartPole(System):
     """A pole of 0.1 kg and 1 m on a cart of 1 kg, pushed by up to 10 N; theta = 0 is upright."""
 
-    def __init__(self) -> None:
+    def __init__(self, ranges: tuple[float, ...] = (1.0, 0.3, 1.0, 1.0)) -> None:
         names, units = ("p", "theta", "v", "omega"), ("m", "rad", "m/s", "rad/s")
-        super().__init__(Signature(names, units, ("force",), (1.0, 0.3, 1.0, 1.0)))
+        super().__init__(Signature(names, units, ("force",), ranges))
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, 4)`."""

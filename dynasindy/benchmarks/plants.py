@@ -17,10 +17,15 @@ from dynasindy.evaluation.rows import Row, append_rows, read_rows
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "docs" / "examples"
-PLANTS = ("van_der_pol", "cart_pole", "quadrotor", "tanks")
+PLANTS = {
+    **{name: [f"system={name}"] for name in ("van_der_pol", "cart_pole", "quadrotor", "tanks", "swing_up")},
+    "pendulum_v1": ["system=gymnasium", "env.id=Pendulum-v1", "train.episodes=0"],
+    "mountain_car": ["system=gymnasium", "env.id=MountainCarContinuous-v0", "train.episodes=0"],
+}
+"""Plants, and the words that choose them: those of docs/examples, and two environments of Gymnasium."""
 COLUMNS = (
     *("plant", "seed", "verdict", "output", "error_percent", "worst_percent"),
-    *("plant_seconds", "periods", "cpu_seconds", "commit"),
+    *("plant_seconds", "periods", "cpu_seconds", "commit", "own_return"),
 )
 
 
@@ -48,7 +53,7 @@ def trained(plant: str, seed: int) -> list[Row]:
     """
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "run"
-        words = ["--config-dir", str(EXAMPLES / "conf"), f"system={plant}", f"seed={seed}", f"folder={place}"]
+        words = ["--config-dir", str(EXAMPLES / "conf"), *PLANTS[plant], f"seed={seed}", f"folder={place}"]
         paths = os.pathsep.join(filter(None, [str(EXAMPLES), str(ROOT), os.environ.get("PYTHONPATH")]))
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         done = subprocess.run(
@@ -87,6 +92,7 @@ def rows_of(plant: str, seed: int, metrics: dict[str, Any], seconds: float) -> l
             "periods": cost["real_steps"],
             "cpu_seconds": round(seconds, 1),
             "commit": commit(),
+            "own_return": "" if (own := metrics["evaluation"].get("own_return")) is None else round(own, 2),
         }
         for name, share in held["share"].items()
     ]

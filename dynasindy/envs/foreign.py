@@ -94,7 +94,9 @@ class Foreign(System):
             return gymnasium.make(self.id, max_episode_steps=max_steps, **self.options)
         except (gymnasium.error.Error, ModuleNotFoundError, TypeError) as error:
             reason = str(error).strip().splitlines()[0]
-            raise ValueError(f"env.id={self.id}: {reason}; give an environment that gymnasium.make can build") from error
+            raise ValueError(
+                f"env.id={self.id}: {reason}; give an environment that gymnasium.make can build"
+            ) from error
 
 
 class GymnasiumEnv(ControlEnv):

@@ -1,8 +1,9 @@
 """Planning, in Dyna's sense: learning from imagined experience."""
 
 from dynasindy.planning.base import Planned, Planner
+from dynasindy.planning.both import GradientThenReplay
 from dynasindy.planning.bounds import Bounds
-from dynasindy.planning.gradient import GradientPlanning, GradientThenReplay
+from dynasindy.planning.gradient import GradientPlanning
 from dynasindy.planning.imagine import Imagination
 from dynasindy.planning.prediction import ModelPrediction
 from dynasindy.planning.replayed import ImaginedReplay, NoPlanning

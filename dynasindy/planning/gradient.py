@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -133,7 +133,7 @@ class GradientPlanning(Planner):
         self.env.stops = env.stops
         self.terminal = TerminalValue(self.env, agent, terminal_updates, self.rng) if terminal_updates else None
         self.held_out = _references(self.env, 64, torch.Generator().manual_seed(seed + 1))
-        self.log_dt, self.phase, self.pace = env.log_dt, 0, dataclasses.replace(Pace(), **self.given)
+        self.log_dt, self.phase, self.afar, self.pace = env.log_dt, 0, False, dataclasses.replace(Pace(), **self.given)
 
     def plan(self) -> Planned:
         """Improve the actor with the model as it is now.
@@ -156,7 +156,8 @@ class GradientPlanning(Planner):
         elif pace.held:
             begun = Begun(self.test())  # a policy that holds the plant is given up for a better one only
         if begun.afar:
-            updates, lr = pace.updates, pace.lr  # a way from afar is new, in a later phase too
+            self.afar, updates, lr = True, pace.updates, pace.lr  # a way from afar is new, in a later phase too
+        if self.afar:
             self.pace = pace = dataclasses.replace(pace, window=self.given.get("window", LONGEST), afar=True)
         best = begun.score
         optimizer = torch.optim.Adam(self.network.parameters(), lr=lr, betas=(0.9, 0.99), fused=True)
@@ -187,12 +188,12 @@ class GradientPlanning(Planner):
         return f"{self.pace}" if self.phase and self.rollouts else ""
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the number of phases so far and the generator; episodes and optimiser begin anew in each phase."""
-        return {"phase": self.phase, "generator": self.rng.get_state()}
+        """Return the phases so far and the generator; episodes and optimiser begin anew in each phase."""
+        return {"phase": self.phase, "afar": self.afar, "generator": self.rng.get_state()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what `state_dict` returned."""
-        self.phase = state["phase"]
+        self.phase, self.afar = state["phase"], state["afar"]
         self.rng.set_state(state["generator"])
 
     def test(self, network: Network | None = None) -> float:
@@ -251,62 +252,6 @@ class GradientPlanning(Planner):
         """Let an agent that deploys a running average of its actor deploy the planned actor."""
         if self.agent.deployed is not self.agent.policy:
             self.agent.deployed.load_state_dict(self.agent.policy.state_dict())
-
-
-class GradientThenReplay(Planner):
-    """Plan by the model's gradient, then imagine transitions for TD3, which goes on with the same actor.
-
-    Args:
-        env: Imagined environment.
-        agent: Agent whose actor learns.
-        replay: Both storages.
-        gradient: Builder of the planning by gradient, called with `env`, `agent`, `replay` and `seed`.
-        replayed: Builder of the planning by imagined replay, called alike.
-        critic_updates: Updates of the critics alone at the end of a phase, which value the planned actor.
-        seed: Seed of both.
-
-    Raises:
-        ValueError: `critic_updates` is negative or no whole number.
-    """
-
-    def __init__(
-        self,
-        env: ControlEnv,
-        agent: TD3,
-        replay: DynaReplay,
-        gradient: Callable[..., Planner],
-        replayed: Callable[..., Planner],
-        critic_updates: Count = 1000,
-        seed: int = 0,
-    ) -> None:
-        if critic_updates < 0 or not float(critic_updates).is_integer():
-            raise ValueError(f"planning.critic_updates is {critic_updates}; give a whole number >= 0")
-        self.agent, self.replay, self.critic_updates = agent, replay, int(critic_updates)
-        self.planners = [build(env=env, agent=agent, replay=replay, seed=seed) for build in (gradient, replayed)]
-        super().__init__(min(planner.every for planner in self.planners))
-
-    def plan(self) -> Planned:
-        """Plan both ways, the gradient first, so that the transitions are those of its policy."""
-        parts = [planner.plan() for planner in self.planners]
-        # Critics that do not know the planned actor would pull it away.
-        warming = self.critic_updates if parts[0].updates else 0
-        for _ in range(warming):
-            self.agent.update_critics(self.replay.sample())
-        return Planned(sum(p.imagined for p in parts), sum(p.updates for p in parts) + warming)
-
-    def distrust(self) -> None:
-        """Drop what was imagined."""
-        for planner in self.planners:
-            planner.distrust()
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return what both planners keep."""
-        return {"planners": [planner.state_dict() for planner in self.planners]}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what `state_dict` returned."""
-        for planner, kept in zip(self.planners, state["planners"], strict=True):
-            planner.load_state_dict(kept)
 
 
 class Episodes:

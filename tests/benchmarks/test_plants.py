@@ -19,7 +19,10 @@ def example(name):
     return getattr(module, name)()
 
 
-@pytest.mark.parametrize("name", PLANTS)
+WRITTEN = [name for name, words in PLANTS.items() if words == [f"system={name}"] and name != "swing_up"]
+
+
+@pytest.mark.parametrize("name", WRITTEN)
 def test_each_example_is_a_short_plant_with_a_file(name):
     facts = yaml.safe_load((EXAMPLES / "conf" / "system" / f"{name}.yaml").read_text())
     system = example(facts["system"]["_target_"].partition(".")[2])
@@ -46,8 +49,10 @@ def test_rows_say_what_the_run_says():
     metrics = {
         "held": {"share": {"p": 0.0052, "theta": None}, "worst": {"p": 0.03, "theta": None}},
         "cost": {"plant_seconds": 30.0, "real_steps": 600},
+        "evaluation": {"own_return": -212.946},
         "verdict": {"controlled": False},
     }
     first, second = rows_of("cart_pole", 3, metrics, 63.97)
     assert (first["error_percent"], first["worst_percent"], first["cpu_seconds"]) == (0.52, 3.0, 64.0)
+    assert first["own_return"] == -212.95
     assert (second["output"], second["error_percent"], second["verdict"]) == ("theta", float("inf"), "NOT CONTROLLED")

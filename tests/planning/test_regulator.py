@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 import torch
 from scipy.linalg import expm, solve_discrete_are
-from torch import nn
 
-from dynasindy.agents.networks import MLP
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.pace import rests_of
-from dynasindy.planning.regulator import Regulator, Weights, hold, imitate
+from dynasindy.planning.regulator import Regulator, Weights, riccati
 from dynasindy.systems import Signature, System
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -66,44 +64,42 @@ def test_a_plant_that_no_input_moves_has_no_regulator():
     assert len(rests) == 0 or Regulator.of(dead, rests, Weights()) is None
 
 
-def test_a_policy_that_imitates_the_law_holds_the_plant_and_keeps_to_it():
-    env, rests = setting()
-    torch.manual_seed(0)
-    network, law = MLP(3, 1, (32, 32), squash=True), Regulator.of(env, rests, Weights())
-    imitate(network, law, env, torch.Generator().manual_seed(0))
-    x = torch.tensor([[0.3, 0.0], [-0.3, 0.1]])
-    params = torch.zeros(2, 1, 5)
-    params[:, 0, 0] = torch.tensor([-0.2, 0.4])
-    with torch.no_grad():
-        for k in range(100):
-            x = env.advance(x, network(env.task.observation(x, params, torch.full((2, 1), 0.05 * k))))[0][..., -1, :]
-    torch.testing.assert_close(x[:, 0], params[:, 0, 0], atol=0.02, rtol=0)
-
-
-def test_a_policy_begins_as_the_law_only_if_that_earns_more():
-    env, rests = setting()
-
-    def held(score):
-        torch.manual_seed(0)
-        network = MLP(3, 1, (8,), squash=True)
-        before = nn.utils.parameters_to_vector(network.parameters()).clone()
-        earned = hold(network, env, rests, score(network), torch.Generator().manual_seed(0))
-        return earned, bool((nn.utils.parameters_to_vector(network.parameters()) == before).all())
-
-    assert held(lambda network: lambda policy: 1.0 if policy is network else 0.0) == (1.0, True)  # no law is better
-    scores = iter([0.0, 5.0, 7.0, 6.0, 5.0, 6.5])  # the network, four laws, the network that imitates the best of them
-    assert held(lambda network: lambda policy: next(scores)) == (6.5, False)
-    scores = iter([0.0, 5.0, 7.0, 6.0, 5.0, -1.0])  # imitation fails
-    assert held(lambda network: lambda policy: next(scores)) == (0.0, True)
-
-
-def test_without_a_rest_there_is_no_regulator_and_the_policy_stays_as_it_is():
+def test_without_a_rest_there_is_no_regulator():
     env, rests = setting(pull=0.01)  # far too weak to hold any target off the top
+    assert not len(none_of(rests)) and Regulator.of(env, none_of(rests), Weights()) is None
+
+
+def test_the_cost_of_a_state_is_that_of_the_riccati_equation():
+    env, rests = setting()
+    law = Regulator.of(env, rests, Weights(outputs=50.0, states=0.2, inputs=2.0))
+    middle = rests.targets[rests.middle()].float()
+    x = law.rest(middle)[0] + torch.tensor([0.01, -0.02])
+    block = np.zeros((3, 3))
+    block[0, 1], block[1, 0], block[1, 2] = 1.0, 4.0 * math.cos(float(middle)), 6.0
+    sampled = expm(block * 0.05)
+    p = solve_discrete_are(sampled[:2, :2], sampled[:2, 2:], np.diag([50.0 / 0.8**2, 0.2 / 9.0]), np.array([[2.0]]))
+    away = np.array([0.01, -0.02])
+    assert float(law.value(x, middle)) == pytest.approx(float(away @ p @ away), rel=1e-3)
+
+
+def test_home_is_within_a_share_of_the_ranges():
+    env, rests = setting()  # ranges of 1 rad and 3 rad/s
+    law = Regulator.of(env, rests, Weights())
+    target = torch.tensor([[0.2], [0.2], [0.2]])
+    x = law.rest(target)[0] + torch.tensor([[0.04, -0.14], [0.06, 0.0], [0.0, 0.16]])
+    assert law.home(x, target, 0.05).tolist() == [True, False, False]
+
+
+def test_a_state_that_stays_for_ever_leaves_a_law_for_the_others():
+    """x1 is held still by nothing and moved by nothing, as cos^2 + sin^2; x2 is an integrator that the input moves."""
+    a, b = torch.eye(2, dtype=torch.float64), torch.tensor([[0.0], [1.0]], dtype=torch.float64)
+    found = riccati(a, b, torch.tensor([1.0, 1.0], dtype=torch.float64), 1.0)
+    # Alone, x2 has p = 1 + p - p^2 / (1 + p), so p = (1 + sqrt 5) / 2, and the gain p / (1 + p).
+    golden = (1 + math.sqrt(5)) / 2
+    assert found is not None and abs(float(found.gain[0, 0])) < 1e-9
+    assert float(found.gain[0, 1]) == pytest.approx(golden / (1 + golden), rel=2e-3)
+
+
+def none_of(rests):
     none = torch.zeros(len(rests), dtype=torch.bool)
-    fields = ("targets", "x", "u", "a", "b")
-    rests = dataclasses.replace(rests, **{name: getattr(rests, name)[none] for name in fields})
-    assert not len(rests) and Regulator.of(env, rests, Weights()) is None
-    network = nn.Linear(3, 1)
-    before = network.weight.clone()
-    assert hold(network, env, rests, lambda policy: -1.5, torch.Generator()) == -1.5
-    assert torch.equal(network.weight, before)
+    return dataclasses.replace(rests, **{name: getattr(rests, name)[none] for name in ("targets", "x", "u", "a", "b")})

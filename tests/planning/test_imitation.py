@@ -1,0 +1,86 @@
+"""What a policy begins with: it keeps to the law that it imitates, and takes one only where that earns more."""
+
+import dataclasses
+import math
+
+import torch
+from torch import nn
+
+from dynasindy.agents.networks import MLP
+from dynasindy.envs import ControlEnv
+from dynasindy.planning.imitation import arrives, hold, imitate
+from dynasindy.planning.pace import rests_of
+from dynasindy.planning.regulator import Regulator, Weights
+from dynasindy.systems import Signature, System
+from dynasindy.tasks import RandomStep, Tracking, TrackingReward
+
+
+class Inverted(System):
+    """A pendulum measured from the top, a = 4 sin(theta) + pull u."""
+
+    def __init__(self, pull=6.0):
+        super().__init__(Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.0, 3.0)))
+        self.pull = pull
+
+    def forward(self, x, u):
+        theta, rate = x.unbind(-1)
+        return torch.stack((rate, 4.0 * torch.sin(theta) + self.pull * u[..., 0]), -1)
+
+
+def setting(pull=6.0, start=None, box=0.4, max_steps=60):
+    plant, ends = Inverted(pull), {"low": [-box], "high": [box]}
+    reward = TrackingReward((4.0,), error_shape="linear")
+    task = Tracking(plant.signature, RandomStep(**ends), ("theta",), ("Omega",), reward, max_steps, **ends, start=start)
+    env = ControlEnv(plant, task, 0.05, 1)
+    return env, rests_of(env)
+
+
+def test_a_policy_that_imitates_the_law_holds_the_plant_and_keeps_to_it():
+    env, rests = setting()
+    torch.manual_seed(0)
+    network, law = MLP(3, 1, (32, 32), squash=True), Regulator.of(env, rests, Weights())
+    imitate(network, law, env, torch.Generator().manual_seed(0))
+    x = torch.tensor([[0.3, 0.0], [-0.3, 0.1]])
+    params = torch.zeros(2, 1, 5)
+    params[:, 0, 0] = torch.tensor([-0.2, 0.4])
+    with torch.no_grad():
+        for k in range(100):
+            x = env.advance(x, network(env.task.observation(x, params, torch.full((2, 1), 0.05 * k))))[0][..., -1, :]
+    torch.testing.assert_close(x[:, 0], params[:, 0, 0], atol=0.02, rtol=0)
+
+
+def test_a_policy_begins_as_the_law_only_if_that_earns_more():
+    env, rests = setting()
+
+    def held(score):
+        torch.manual_seed(0)
+        network = MLP(3, 1, (8,), squash=True)
+        before = nn.utils.parameters_to_vector(network.parameters()).clone()
+        earned = hold(network, env, rests, score(network), torch.Generator().manual_seed(0))
+        return earned.score, bool((nn.utils.parameters_to_vector(network.parameters()) == before).all())
+
+    assert held(lambda network: lambda policy: 1.0 if policy is network else 0.0) == (1.0, True)  # no law is better
+    scores = iter([0.0, 5.0, 7.0, 6.0, 5.0, 6.5])  # the network, four laws, the network that imitates the best of them
+    assert held(lambda network: lambda policy: next(scores)) == (6.5, False)
+    scores = iter([0.0, 5.0, 7.0, 6.0, 5.0, -1.0])  # imitation fails
+    assert held(lambda network: lambda policy: next(scores)) == (0.0, True)
+
+
+def test_without_a_rest_the_policy_stays_as_it_is():
+    env, rests = setting()
+    none = torch.zeros(len(rests), dtype=torch.bool)
+    rests = dataclasses.replace(rests, **{name: getattr(rests, name)[none] for name in ("targets", "x", "u", "a", "b")})
+    network = nn.Linear(3, 1)
+    before = network.weight.clone()
+    begun = hold(network, env, rests, lambda policy: -1.5, torch.Generator())
+    assert (begun.score, begun.afar) == (-1.5, False)
+    assert torch.equal(network.weight, before)
+
+
+def test_a_law_arrives_where_the_plant_rests_at_every_target_in_the_end():
+    """A torque of 2 cannot lift a weight of 4 from hanging in one go; from a lean of 0.1 rad it holds."""
+    for start, arrived in (({"theta": [-0.1, 0.1]}, True), ({"theta": [math.pi, math.pi]}, False)):
+        env, rests = setting(pull=2.0, start=start, box=0.01, max_steps=120)
+        law = Regulator.of(env, rests, Weights())
+        assert arrives(law, env, rests, torch.Generator().manual_seed(0)) is arrived
+        assert not arrives(lambda o: torch.ones(*o.shape[:-1], 1), env, rests, torch.Generator().manual_seed(0))
