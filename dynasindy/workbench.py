@@ -18,10 +18,9 @@ from typing import Any, Literal
 
 import torch
 
-from dynasindy.agents import TD3
+from dynasindy.agents import Actor
 from dynasindy.control import Controller
 from dynasindy.control.controller import Pace
-from dynasindy.data import DynaReplay
 from dynasindy.data.csv import Recording
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.held import WITHIN
@@ -155,9 +154,9 @@ def plan(
     observer = None if sensors is None else watching(model, sensors, pace, log)
     env = ControlEnv(model, task, pace.dt, pace.substeps, seed=seed)
     others = [] if log is None else refits(model, log.transitions, HALVES)
-    agent = TD3(task.n_o, model.signature.n_u, hidden=(128, 128), seed=seed)
-    GradientPlanning(env, agent, DynaReplay(capacity=1, batch_size=1), others=others, seed=seed, **settings).plan()
-    return Controller(agent.deployed, pace, observer)
+    actor = Actor(task.n_o, model.signature.n_u, seed=seed)
+    GradientPlanning(env, actor, others=others, seed=seed, **settings).plan()
+    return Controller(actor.deployed, pace, observer)
 
 
 def foretell(
