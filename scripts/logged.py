@@ -22,8 +22,7 @@ def plan_from_log(cfg: DictConfig) -> Prediction:
     """Identify, plan and foretell, write the folder, and print what came of it."""
     planning = _required(cfg)
     torch.set_num_threads(cfg.threads)
-    folder = Path(cfg.folder)
-    say(f"Run folder: {folder}")
+    say(f"Run folder: {(folder := Path(cfg.folder))}")
     parts = {name: instantiate(cfg.get(name), _convert_="all") for name in ("data", "system", "task", "sensors")}
     source = parts["data"] and parts["data"].load(parts["system"], None)
     model = model_of(source, instantiate(cfg.world_model, _convert_="all"), cfg.model)
@@ -31,12 +30,12 @@ def plan_from_log(cfg: DictConfig) -> Prediction:
     write_json(folder / "origin.json", command_and_commit(HydraConfig.get()))
     model.save(folder / "model.json")
     scenario, task = instantiate(cfg.scenario, _convert_="all"), parts["task"](signature=model.signature)
-    given = (parts["sensors"], cfg.env.dt, cfg.seed, cfg.evaluation.get("within", WITHIN), planning)
-    wanted = Wanted(task, scenario, *given)
+    within = cfg.evaluation.get("within", WITHIN)
+    wanted = Wanted(task, scenario, parts["sensors"], cfg.env.dt, cfg.seed, within, planning)
     controller = controller_of(model, source, wanted)
     prediction = judged(controller, model, source, wanted)
     write(folder, controller, model, prediction)
-    if prediction.shown is not None:
+    if prediction.shown:
         draw_evaluation(prediction.shown, folder / "figures", place=prediction.place)
     say(report(model, prediction), f"Controller: {folder / 'controller.json'}")
     return prediction

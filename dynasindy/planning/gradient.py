@@ -23,7 +23,7 @@ from dynasindy.data.recording import transitions
 from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count, check_memory
 from dynasindy.planning.base import Planned, Planner
-from dynasindy.planning.pace import LONGEST, Pace, pace_of, rests_of
+from dynasindy.planning.pace import LONGEST, PlanSettings, pace_of, rests_of
 from dynasindy.planning.regulator import hold
 from dynasindy.planning.terminal import TerminalValue
 from dynasindy.planning.trust import Bound
@@ -133,7 +133,7 @@ class GradientPlanning(Planner):
         self.env.stops = env.stops
         self.terminal = TerminalValue(self.env, agent, terminal_updates, self.rng) if terminal_updates else None
         self.held_out = _references(self.env, 64, torch.Generator().manual_seed(seed + 1))
-        self.log_dt, self.phase, self.pace = env.log_dt, 0, dataclasses.replace(Pace(), **self.given)
+        self.log_dt, self.phase, self.pace = env.log_dt, 0, dataclasses.replace(PlanSettings(), **self.given)
 
     def plan(self) -> Planned:
         """Improve the actor with the model as it is now.
