@@ -24,7 +24,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count, check_memory
 from dynasindy.planning.base import Planned, Planner
 from dynasindy.planning.imitation import Begun, arrives, hold
-from dynasindy.planning.pace import LONGEST, Pace, pace_of, rests_of
+from dynasindy.planning.pace import LONGEST, PlanSettings, pace_of, rests_of
 from dynasindy.planning.terminal import TerminalValue
 from dynasindy.planning.trust import Bound
 from dynasindy.planning.variation import Members, Variation, Varied
@@ -139,7 +139,8 @@ class GradientPlanning(Planner):
                 raise ValueError("a value at the end of each window needs critics; give a TD3, or terminal_updates=0")
             self.terminal = TerminalValue(self.env, agent, terminal_updates, self.rng)
         self.held_out = _references(self.env, 64, torch.Generator().manual_seed(seed + 1))
-        self.log_dt, self.phase, self.afar, self.pace = env.log_dt, 0, False, dataclasses.replace(Pace(), **self.given)
+        self.log_dt, self.phase, self.afar = env.log_dt, 0, False
+        self.pace = dataclasses.replace(PlanSettings(), **self.given)
 
     def plan(self) -> Planned:
         """Improve the actor with the model as it is now.
