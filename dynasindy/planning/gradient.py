@@ -128,16 +128,10 @@ class GradientPlanning(Planner):
         self.real_starts, self.jumps, self.check_every = real_starts, jumps, check_every
         self.variation, self.others = variation or Variation(), list(others)
         self.variation.deviations(env.system.signature.n_x)  # refuses a wrong number of them
-        if self.variation.members and replay is None:
-            raise ValueError("members of the model are fitted to stored transitions; give replay=, or no members")
         self.rng = torch.Generator().manual_seed(seed)
         self.env = ControlEnv(env.system, _imagined_task(env.task, width), env.dt, substeps or 1)
         self.env.stops = env.stops
-        self.terminal = None
-        if terminal_updates:
-            if not isinstance(agent, TD3):
-                raise ValueError("a value at the end of each window needs critics; give a TD3, or terminal_updates=0")
-            self.terminal = TerminalValue(self.env, agent, terminal_updates, self.rng)
+        self.terminal = self._terminal(terminal_updates)
         self.held_out = _references(self.env, 64, torch.Generator().manual_seed(seed + 1))
         self.log_dt, self.phase, self.afar = env.log_dt, 0, False
         self.pace = dataclasses.replace(PlanSettings(), **self.given)
@@ -235,6 +229,16 @@ class GradientPlanning(Planner):
             optimizer.step()
         episodes.carry_on(window.states[-1], window.actions[-1], alive)
         return finite and bool(alive.any())
+
+    def _terminal(self, updates: Count) -> TerminalValue | None:
+        """Return the value of what follows a window; refuse what an actor alone cannot have."""
+        if self.variation.members and self.replay is None:
+            raise ValueError("members of the model are fitted to stored transitions; give replay=, or no members")
+        if updates and not isinstance(self.agent, TD3):
+            raise ValueError("a value at the end of each window needs critics; give a TD3, or terminal_updates=0")
+        return (
+            TerminalValue(self.env, self.agent, updates, self.rng) if isinstance(self.agent, TD3) and updates else None
+        )
 
     def _weights(self) -> dict[str, Tensor]:
         return copy.deepcopy(self.network.state_dict())
