@@ -127,7 +127,7 @@ def _pysindy(model: SindyModel, data: Transitions, score: Callable[[SindyModel],
 def emps(folder: Path) -> list[Row]:
     """Measure the EMPS axis: position over the whole test log, simulated open loop from its start [mm]."""
     signature = Signature(("q", "v"), ("m", "m/s"), ("u", "clock"), (0.25, 0.15))
-    words = ["1", "u", "clock", "v", "tanh(1000 v)", "v^2"]
+    words = ["1", "u", "clock", "v", "tanh(1000 v)", "v^2", "q", "v |v|", "|u| tanh(1000 v)", "clock v"]
     # One trajectory through the whole log: what a force of a tenth of a newton does shows after seconds alone.
     refinement = Refinement("trajectory", window=100, error="simulation", correlated=True)
     logs = {}
@@ -233,6 +233,7 @@ def tanks(folder: Path) -> list[Row]:
     # Below some voltage the pump gives nothing; both tanks have a rim; the reading stands still wherever the level
     # turns, until the level is beyond the play of the sensor.
     words = ["1", "hinge(~0.9 u)", "level_1", "hinge(~12 level_1)", "root(~2.9 level_2)", "hinge(10 level_2)"]
+    words += ["u", "u^2", "level_1^2", "level_2"]
     pump, over, root = "max(0, u - 0.9)", "max(0, level_1 - 12)", "sqrt(level_2 - 2.9)"
     brim, play = "max(0, level_2 - 10)", "slack(level_2, reading; 0.15)"
     logs = {}
@@ -247,7 +248,11 @@ def tanks(folder: Path) -> list[Row]:
             [*words, "slack(level_2, reading; ~0.15)"],
             Regression("bic"),
             Refinement("trajectory", window=20, rounds=0, correlated=True),
-            allowed={"level_1": ["1", pump, "level_1"], "level_2": [over, root], "reading": []},
+            allowed={
+                "level_1": ["1", pump, "level_1", "u", "u^2", "level_1^2"],
+                "level_2": [over, root, "1", "u", "level_2"],
+                "reading": [],
+            },
             # Level 1 has no unit of its own: what leaves it fills level 2, and this number sets its scale. What stands
             # above a rim is gone within a sample, and so is what the level has beyond the play.
             fixed={
