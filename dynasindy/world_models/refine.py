@@ -110,6 +110,8 @@ class Refinement:
             windows that begin anew (`prediction`), for plants that are pushed at random or unstable; `auto` fits such
             windows too, and takes them if they leave over much less. The default is `auto` for the method `auto`, and
             `simulation` for others.
+        correlated: whether a coefficient of `trajectory` must be worth the more, the longer errors last: for real
+            plants, of which every model leaves over more than noise. If not, every sample counts.
 
     Raises:
         ValueError: a setting is not allowed.
@@ -121,6 +123,7 @@ class Refinement:
     window: int = 20
     longest_delay: float = 0.0
     error: Literal["auto", "simulation", "prediction"] | None = None
+    correlated: bool = False
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -188,7 +191,7 @@ class Refinement:
         self, first: Model, rough: float, constraints: Constraints, recording: Recording
     ) -> tuple[Model, float, tuple[str, ...]]:
         """Return the model that trajectories tell, the delay, and which error was minimised if that was chosen."""
-        descent = Descent(min(self.window, int(recording.known.sum())))
+        descent = Descent(min(self.window, int(recording.known.sum())), correlated=self.correlated)
         alone = replace(descent, joined=False)
         error = self.error or ("auto" if self.method == "auto" else "simulation")
         if error != "auto":

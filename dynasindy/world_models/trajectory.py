@@ -20,6 +20,7 @@ from torch import Tensor
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.progress import LOG
+from dynasindy.world_models.repeated import repetition
 from dynasindy.world_models.selection import reconsider, walk_down
 from dynasindy.world_models.sensitivity import Parameters
 from dynasindy.world_models.shooting import (
@@ -56,11 +57,35 @@ class Descent:
         joined: whether the windows join to one trajectory; by default they do in the end, but not while functions are
             chosen where small errors grow along the trajectory, as in chaos.
         max_rounds: limit on Gauss-Newton steps between two changes of the equations.
+        correlated: whether a coefficient must be worth the more, the longer errors last.
     """
 
     window: int
     joined: bool | None = None
     max_rounds: int = 30
+    correlated: bool = False
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Say what a coefficient must be worth, and how many steps are made.
+
+    Attributes:
+        price: squared error, in units of its variance, that a coefficient must be worth where errors are white.
+        max_rounds: limit on Gauss-Newton steps between two changes of the equations.
+        correlated: whether it must be worth the more, the longer errors last.
+    """
+
+    price: float
+    max_rounds: int
+    correlated: bool = False
+
+    def at(self, flow: Flow, windows: Windows) -> float:
+        """Return what a coefficient must be worth where a model leaves over what `flow` does."""
+        if not self.correlated:
+            return self.price
+        error = (windows.measured - flow.predicted) * windows.mask
+        return self.price * repetition(error, windows.mask, windows.joined)
 
 
 def refine_trajectory(
@@ -89,9 +114,9 @@ def refine_trajectory(
     """
     data = data.to(torch.float64)
     guess = data.x if start is None else start.to(torch.float64)
-    joined, max_rounds = descent.joined, descent.max_rounds
+    joined = descent.joined
     some = spread(len(data), ENOUGH)
-    part, limits = data.select(some), (price(int(some.sum()), free), max_rounds)
+    part, limits = data.select(some), Limits(price(int(some.sum()), free), descent.max_rounds, descent.correlated)
     found, windows = _grown(Estimate(library, xi, guess[some]), (xi != 0) & free, part, descent)
     may_begin_anew = joined is None and not bool(data.x_next.isnan().any())
     if may_begin_anew and _grows(found, windows)[0] > GROWN:
@@ -108,7 +133,7 @@ def refine_trajectory(
         whole, windows = _grown(replace(found, nodes=guess), support, data, replace(descent, joined=joined))
         if may_begin_anew:
             windows = replace(windows, joined=_grows(whole, windows)[1])
-        found, _ = _descend(whole, support, windows, (price(len(data), free), max_rounds))
+        found, _ = _descend(whole, support, windows, replace(limits, price=price(len(data), free)))
     return found.library, found.xi
 
 
@@ -138,7 +163,7 @@ def _sigma(estimate: Estimate, windows: Windows) -> Tensor:
     return Flow.of(estimate, Parameters.where(estimate.xi != 0), windows).sigma(windows)
 
 
-def _search(estimate: Estimate, free: Tensor, windows: Windows, limits: tuple[float, int]) -> Estimate:
+def _search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) -> Estimate:
     """Converge, drop and reconsider until there is nothing better."""
     support = (estimate.xi != 0) & free
     for _ in range(10):
@@ -147,9 +172,10 @@ def _search(estimate: Estimate, free: Tensor, windows: Windows, limits: tuple[fl
         if not len(active) or not len(others):
             break
         LOG.info("choice among %d coefficients that might be missing", len(others))
-        model = linearise(estimate, active + others, windows)
+        flow = Flow.of(estimate, active + others, windows)
+        model = linearise(estimate, active + others, windows, None, flow)
         n_fixed = len(model.scale) - len(active) - len(others)
-        better = reconsider(model.triangle, n_fixed, active, others, limits[0])
+        better = reconsider(model.triangle, n_fixed, active, others, limits.at(flow, windows))
         if better is None:
             break
         chosen = (active + others).take(better)
@@ -238,17 +264,16 @@ def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Desc
     return trial, windows
 
 
-def _descend(
-    estimate: Estimate, support: Tensor, windows: Windows, limits: tuple[float, int]
-) -> tuple[Estimate, Tensor]:
+def _descend(estimate: Estimate, support: Tensor, windows: Windows, limits: Limits) -> tuple[Estimate, Tensor]:
     """Converge and drop until the support stands still; what turns out worth more than was foreseen comes back."""
     before: tuple[Estimate, Tensor] | None = None
     left, allowed = math.inf, 0.0
     while bool(support.any()):
         parameters = Parameters.where(support)
         try:
-            estimate = _converge(estimate, parameters, windows, limits[1])
-            model = linearise(estimate, parameters, windows)
+            estimate = _converge(estimate, parameters, windows, limits.max_rounds)
+            flow = Flow.of(estimate, parameters, windows)
+            model = linearise(estimate, parameters, windows, None, flow)
         except RunsAway:
             if before is None:
                 raise
@@ -257,13 +282,14 @@ def _descend(
         if before is not None and 2 * (cost - left) > allowed:
             return before
         n_fixed = len(model.scale) - len(parameters)
-        kept, _ = walk_down(model.triangle, torch.arange(len(model.scale)) >= n_fixed, limits[0], NOISY)
+        limit = limits.at(flow, windows)
+        kept, _ = walk_down(model.triangle, torch.arange(len(model.scale)) >= n_fixed, limit, NOISY)
         if len(kept) == len(model.scale):
             break
         changed = _changed(estimate, model, parameters, kept, windows)
         if changed is None:
             break
-        before, left, allowed = (estimate, support), cost, 2 * limits[0] * (len(model.scale) - len(kept))
+        before, left, allowed = (estimate, support), cost, 2 * limit * (len(model.scale) - len(kept))
         estimate, support = changed, parameters.take(kept[kept >= n_fixed] - n_fixed).support(support.shape)
     return estimate, support
 
