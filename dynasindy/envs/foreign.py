@@ -138,7 +138,8 @@ class GymnasiumEnv(ControlEnv):
         period = system.period if dt is None else dt
         if period is None:
             raise ValueError(f"{system.id} does not say how long a step is; give env.dt in seconds")
-        self.ends, self.copies = True, []
+        self.ends = True
+        self.copies: list[gymnasium.Env[Any, Any]] = []
         self.pool: list[gymnasium.Env[Any, Any]] = []
         super().__init__(system, task, period, 1, dtype=dtype, seed=seed)
         self.foreign = system
