@@ -10,18 +10,19 @@ The scripts do the same with a plant in the loop, and write down everything on t
 from __future__ import annotations
 
 import math
+import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 import torch
 
-from dynasindy.agents import TD3
+from dynasindy.agents import Actor
 from dynasindy.control import Controller
 from dynasindy.control.controller import Pace
-from dynasindy.data import DynaReplay
 from dynasindy.data.csv import Recording
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.held import WITHIN
@@ -33,6 +34,7 @@ from dynasindy.evaluation.symptoms import samples_of, step_of
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors
+from dynasindy.systems import Diverged
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 from dynasindy.world_models import Refinement, Regression, SindyModel
@@ -51,6 +53,26 @@ LONGEST_DELAY = 0.05
 """Longest delay of the inputs that is looked for unless another is given [s]."""
 
 
+SETTINGS = re.compile(
+    r"\b(?:data\.(?=(?:path|states|inputs|time|dt)\b)|plant\.(?=(?:library|libraries|known|outputs|low|high)\b)"
+    r"|planning\.(?!csv|json)|world_model\.(?:refinement\.)?|refinement\.)(?=\w)"
+)
+"""How messages name settings of the scripts, whose last word is the name of an argument here."""
+
+
+@contextmanager
+def _arguments_named() -> Iterator[None]:
+    """Name arguments, and not settings of the scripts, in what is raised."""
+    try:
+        yield
+    except (ValueError, TypeError, FileNotFoundError, Diverged) as error:
+        told = SETTINGS.sub("", str(error)).replace("data=csv got", "read got").replace("mend planning", "mend these")
+        if told == str(error):
+            raise
+        raise type(error)(told) from error
+
+
+@_arguments_named()
 def read(
     path: str | Path,
     states: Mapping[str, Any] | None = None,
@@ -79,6 +101,7 @@ def read(
     return Logged(str(path), states, inputs, time, dt).recording(None)
 
 
+@_arguments_named()
 def identify(
     log: Recording,
     library: str | Sequence[str] | LibraryBuilder = "auto",
@@ -110,11 +133,12 @@ def identify(
         warnings.warn(
             f"{name} moves on whatever states and inputs say, so its rate is a state, too: give identify(known={{"
             f"'{name}': '{name}_rate'}}), and read(states=...) with '{name}_rate': {{'unit': ...}} if it has no column",
-            stacklevel=2,
+            stacklevel=3,  # past the context manager
         )
     return model
 
 
+@_arguments_named()
 def plan(
     model: SindyModel,
     task: Tracking | Mapping[str, tuple[float, float]],
@@ -155,9 +179,9 @@ def plan(
     observer = None if sensors is None else watching(model, sensors, pace, log)
     env = ControlEnv(model, task, pace.dt, pace.substeps, seed=seed)
     others = [] if log is None else refits(model, log.transitions, HALVES)
-    agent = TD3(task.n_o, model.signature.n_u, hidden=(128, 128), seed=seed)
-    GradientPlanning(env, agent, DynaReplay(capacity=1, batch_size=1), others=others, seed=seed, **settings).plan()
-    return Controller(agent.deployed, pace, observer)
+    actor = Actor(task.n_o, model.signature.n_u, seed=seed)
+    GradientPlanning(env, actor, others=others, seed=seed, **settings).plan()
+    return Controller(actor.deployed, pace, observer)
 
 
 def foretell(

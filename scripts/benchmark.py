@@ -4,10 +4,13 @@ import importlib
 import os
 import pkgutil
 import sys
+from itertools import pairwise
+from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported: one thread is what is compared
 os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
 
+from places import require_writable
 from reader import while_read
 
 from dynasindy import benchmarks
@@ -20,6 +23,15 @@ def main(argv: list[str]) -> int:
         given = f"unknown benchmark '{argv[0]}'" if argv else "no benchmark given"
         print(f"benchmark.py: {given}; choose one of: {', '.join(names)}", file=sys.stderr)
         return 2
+    for word, value in pairwise([*argv, ""]):
+        if word == "--out" and value:
+            try:
+                require_writable(Path(value).parent)
+            except OSError as error:
+                print(
+                    f"benchmark.py: --out {value} cannot be written: {error.strerror}; choose another", file=sys.stderr
+                )
+                return 2
     importlib.import_module(f"dynasindy.benchmarks.{argv[0]}").main(argv[1:])
     return 0
 

@@ -17,7 +17,7 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from mistakes import CONF, MENDABLE, in_words
 from omegaconf import DictConfig
-from places import complete
+from places import complete, require_writable
 from reader import while_read
 
 # The jobs of a sweep run in processes of their own, which have to find the modules beside this one.
@@ -46,6 +46,8 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
             swept = HydraConfig.get().mode == RunMode.MULTIRUN
             with suppress(SystemExit) if swept else nullcontext(), while_read(), _mistakes_in_words(config_name):
                 check(cfg)
+                for folder in filter(None, (cfg.get("folder"), cfg.get("output"))):
+                    require_writable(Path(folder))
                 task(cfg)
 
         main = hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)(guarded)

@@ -1,8 +1,11 @@
 """Where a command works: a sweep in a folder named after its words, a resumed run in its own."""
 
+import errno
 import hashlib
+import os
 import re
 from pathlib import Path
+from tempfile import TemporaryFile
 
 SWEEPING = ("-m", "--multirun")
 
@@ -25,6 +28,24 @@ def complete(words: list[str]) -> None:
         words.append(f"hydra.run.dir={_quoted(folder)}")
     elif any(word in SWEEPING for word in words) and "hydra.sweep.dir" not in given:
         words.append(f"hydra.sweep.dir={_quoted('runs/' + name(words[1:]))}")
+
+
+def require_writable(path: Path) -> None:
+    """Make sure, before the work that fills it, that a folder can be made and written.
+
+    Raises:
+        OSError: It cannot.
+    """
+    place = path.absolute()
+    while not place.exists():
+        place = place.parent
+    if not place.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(path))
+    try:
+        with TemporaryFile(dir=place):  # permissions alone do not tell
+            pass
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def name(words: list[str]) -> str:

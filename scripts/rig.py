@@ -13,6 +13,7 @@ from dynasindy import load
 from dynasindy.dyna.stopped import Stopped
 from dynasindy.rig import Wiring
 from dynasindy.rig.session import Knowledge, Session, targets_within
+from dynasindy.viz import save, tracking
 
 
 @command("rig")
@@ -42,9 +43,20 @@ def main(cfg: DictConfig) -> None:
         except KeyboardInterrupt as stop:
             words = f"stopped; the rig was asked for its safe input, its logs are in {cfg.folder}"
             raise Stopped(words, getattr(stop, "signal", 2)) from stop
-    print(f"Logs, model and controller: {cfg.folder}")
+        finally:
+            draw(session)
+    print(f"Logs, model, controller and figures: {cfg.folder}")
     if session.failed:
         sys.exit(1)
+
+
+def draw(session: Session) -> None:
+    """Draw each flight: references, what was measured, inputs."""
+    for name, flight in session.shown.items():
+        units = [f"{output} [{unit}]" for output, unit in zip(flight.names, flight.units, strict=True)]
+        given = flight.time, flight.references, {"measured": flight.outputs}, {"measured": flight.inputs}, units
+        inputs, title = session.wiring.signature.input_names, f"{name.replace('_', ' ')} on the rig"
+        save(tracking(*given, inputs, title), session.folder / "figures" / name)
 
 
 if __name__ == "__main__":

@@ -38,6 +38,11 @@ def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
     named = [plugins] if isinstance(plugins, str) else list(plugins)
     named += os.environ.get(PLUGINS, "").split()
     check(OmegaConf.to_container(config, resolve=False), named, str(file))
+    if config.get("data") is not None or config.get("model") is not None:
+        raise ValueError(
+            f"{folder} was planned from a log or a model, so there is no plant to fly; what its controller does on "
+            f"models stands in {folder / 'metrics.json'}, and python scripts/check.py run={folder} tells more of it"
+        )
     if absent := [part for part in ("system", "task", "env", "agent", "plant") if not config.get(part)]:
         raise ValueError(f"{file} is not of a run, it has no {absent[0]}; give a folder that train.py printed")
     return config

@@ -16,6 +16,7 @@ from dynasindy.evaluation.identification import Logged, Simulated
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.rig import Guard
 from dynasindy.systems import System
+from dynasindy.world_models.formulas import register_formula
 
 HYDRA = {"_target_", "_partial_", "_args_", "_convert_", "_recursive_"}
 GIVEN = {"signature", "dt", "system", "task", "n_u", "n_obs", "env", "agent", "replay", "policy"}
@@ -147,6 +148,8 @@ def check(cfg: DictConfig, file: str = "") -> None:
         raise ValueError(f"{file}: {error}" if file else str(error)) from error
     for key, value in found.items():
         OmegaConf.update(cfg, key, value, merge=False)
+    for name, formula in (tree.get("plant") or {}).get("functions", {}).items():
+        register_formula(name, formula)  # the library of the plant is made of them
 
 
 def _nodes(tree: Any, key: str, found: dict[str, Any]) -> None:

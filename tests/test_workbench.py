@@ -228,3 +228,16 @@ def test_a_warning_says_which_state_misses_its_rate(exact):
     alone = Recording(replace(t, x=t.x[:, :1], x_next=t.x_next[:, :1]), Signature(("theta",), ("rad",), ("u",), (1.0,)))
     with pytest.warns(UserWarning, match=r"theta moves on .*: give identify\(known=\{'theta': 'theta_rate'\}\)"):
         assert dynasindy.identify(alone).delay == 0
+
+
+def test_errors_name_arguments_and_no_settings_of_scripts(tmp_path, exact):
+    with pytest.raises(FileNotFoundError, match=r"correct path$"):
+        dynasindy.read(tmp_path / "data.csv")
+    (tmp_path / "data.csv").write_text("time,angle\n0,1\n1,2\n")
+    with pytest.raises(ValueError, match=r"data\.csv has .*: name them by states and inputs$"):
+        dynasindy.read(tmp_path / "data.csv")
+    with pytest.raises(ValueError, match=r"choose one of them in library, or in libraries for a source"):
+        dynasindy.identify(exact, "polynomials")
+    model = dynasindy.identify(exact, WORDS, longest_delay=0.0)
+    with pytest.raises(ValueError, match=r"window=0; these must be positive: mend these$"):
+        dynasindy.plan(model, {"theta": (-0.6, 0.6)}, window=0)

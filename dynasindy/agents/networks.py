@@ -101,6 +101,26 @@ def actor(n_obs: int, n_u: int, hidden: Sequence[int]) -> TensorDictModule:
     return TensorDictModule(network, in_keys=["observation"], out_keys=["action"])
 
 
+class Actor:
+    """A policy alone, for planning by gradient, which needs neither critics nor a storage.
+
+    Attributes:
+        policy: `observation` to `action`, deterministic.
+        deployed: The same.
+
+    Args:
+        n_obs: width of `observation`.
+        n_u: width of `action`.
+        hidden: widths of the hidden layers.
+        seed: seed of the initial weights, which are those of a `TD3` of the same seed and widths.
+    """
+
+    def __init__(self, n_obs: int, n_u: int, hidden: Sequence[int] = (128, 128), seed: int = 0) -> None:
+        with torch.random.fork_rng():
+            torch.manual_seed(seed)
+            self.policy = self.deployed = actor(n_obs, n_u, hidden)
+
+
 def critic(n_obs: int, n_u: int, hidden: Sequence[int], layer_norm: bool = False) -> ValueOperator:
     """Return one critic, `observation` and `action` to `state_action_value (*batch, 1)`."""
     network = MLP(n_obs + n_u, 1, hidden, layer_norm=layer_norm)

@@ -57,6 +57,19 @@ class Recording:
     signature: Signature
     notes: tuple[str, ...] = field(default=())
 
+    def __repr__(self) -> str:
+        """Say in a line or two what it holds."""
+        data, signature = self.transitions, self.signature
+        states = (f"{name} [{unit}]" for name, unit in zip(signature.state_names, signature.state_units, strict=True))
+        stretches = len(data.segment.unique())
+        many = f" in {stretches} stretches" if stretches > 1 else ""
+        lines = [
+            f"Recording of {len(data)} rows, {len(data) * data.dt:.4g} s every {data.dt:.4g} s{many}: states "
+            f"{', '.join(states)}; inputs {', '.join(signature.input_names)}",
+            *(f"note: {note}" for note in self.notes),
+        ]
+        return "\n".join(lines)
+
 
 @dataclass(frozen=True)
 class CsvLog:

@@ -67,6 +67,28 @@ def limits(parts: Parts) -> tuple[Tensor, Tensor]:
     return torch.where(low.isfinite(), low, -far), torch.where(high.isfinite(), high, far)
 
 
+def restarts(parts: Parts, rows: TensorDict) -> str:
+    """Say in one line how often the excitation began anew, and where; empty if it never did.
+
+    Args:
+        parts: The plant and its limits.
+        rows: What `excite` returned.
+    """
+    ends = (rows["step_count"][1:, 0] == 0).nonzero().flatten()
+    if not len(ends):
+        return ""
+    (low, high), signature = limits(parts), parts.plant.system.signature
+    last = rows["next", "state"][ends]
+    units = zip(signature.state_names, signature.state_units, low.tolist(), high.tolist(), strict=True)
+    why = [
+        f"{name} beyond {a:g} to {b:g} {unit} {int(beyond)} times"
+        for (name, unit, a, b), beyond in zip(units, (~((last >= low) & (last <= high))).sum(0).tolist(), strict=True)
+        if beyond
+    ]
+    times = "once" if len(ends) == 1 else f"{len(ends)} times"
+    return f"The excitation ended early and began anew at the start {times}: {', '.join(why) or 'an episode was over'}."
+
+
 def within(x: Tensor, low: Tensor, high: Tensor) -> Tensor:
     """Return whether states `(*batch, n_x)` lie within their limits, bool `(*batch,)`."""
     return ((x >= low) & (x <= high)).all(-1)

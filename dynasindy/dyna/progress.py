@@ -1,11 +1,16 @@
-"""A progress bar over the real episodes."""
+"""What a command says while it works: lines, and a progress bar over the real episodes."""
 
 from __future__ import annotations
 
 from tensordict import TensorDict
-from tqdm import tqdm
 
 from dynasindy.dyna.callback import Callback, Cost, Episode, Place
+from dynasindy.world_models.progress import Steps
+
+
+def say(*lines: str) -> None:
+    """Print lines at once, whoever reads them."""
+    print(*lines, sep="\n", flush=True)
 
 
 class ProgressBar(Callback):
@@ -19,8 +24,8 @@ class ProgressBar(Callback):
 
     def __init__(self, episodes: int, shown: bool = True, place: Place | None = None) -> None:
         place = place or Place()
-        self.bar = tqdm(
-            total=episodes, initial=place.episodes, unit="episode", dynamic_ncols=True, disable=not shown,
+        self.bar = Steps(
+            total=episodes, initial=place.episodes, unit="episode", disable=not shown,
             desc="learning" if place.planned else "planning" if place.excited else "exciting the plant",
         )  # fmt: skip
 

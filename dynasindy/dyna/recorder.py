@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import time
 from collections.abc import Mapping, Sequence
@@ -18,6 +19,7 @@ from dynasindy.control import Controller, save
 from dynasindy.control.controller import Pace
 from dynasindy.control.files import NAME
 from dynasindy.dyna.callback import Callback, Cost, Episode
+from dynasindy.dyna.excite import restarts
 from dynasindy.dyna.parts import Parts
 from dynasindy.dyna.verdict import judge
 from dynasindy.evaluation.files import whole, with_units, write_csv, write_json, write_text
@@ -68,6 +70,7 @@ class Recorder(Callback):
         self.decisions: list[list[float | None]] = []
         self.start, self.seconds_before = time.perf_counter(), 0.0
         self.cost, self.evaluation_steps = Cost(), 0
+        self.restarts = ""
         self.untrained: Summary = {}
         self.latest: Summary = {}
 
@@ -88,6 +91,7 @@ class Recorder(Callback):
         if isinstance(report, FitReport):
             head = "The first fit, of the excitation alone; the equations in model.json are those of the last one.\n"
             write_text(self.folder / "identification.txt", f"{head}{report.to_text()}\n")
+        self.restarts = "" if self.parts.sensing is not None else restarts(self.parts, excited)
         self._write_rollout("excitation", excited)
 
     def episode(self, episode: Episode, cost: Cost) -> None:
@@ -133,6 +137,7 @@ class Recorder(Callback):
             "held": asdict(self._held(final)),
             "units": final.units,
             "steady_seconds": final.steady_seconds,
+            "excitation": self.restarts,
             "planning": self.parts.planner.words(),
             "untrained": self.untrained,
             "equations": self.parts.world_model.equations(),
@@ -188,7 +193,7 @@ class Recorder(Callback):
             self._log_scalars(row)
         self._write_tables()
 
-    _logged = ("rows", "decisions", "evaluation_steps", "untrained", "latest")
+    _logged = ("rows", "decisions", "evaluation_steps", "untrained", "latest", "restarts")
 
     def _seconds(self) -> float:
         return self.seconds_before + time.perf_counter() - self.start
@@ -234,7 +239,7 @@ class Recorder(Callback):
         columns = [*signature.state_names, *signature.input_names]
         columns += [f"reference_{name}" for name in self.plant.task.output_names]
         values = torch.cat([rollout["state"], rollout["action"], rollout["reference"]], -1)
-        self._write_series(name, columns, values)
+        self._write_series(name, columns, _with_gaps(values, rollout["step_count"][:, 0]))
 
     def _write_prediction(self, name: str, episode: Episode) -> None:
         states = self.plant.system.signature.state_names
@@ -244,9 +249,25 @@ class Recorder(Callback):
 
     def _write_series(self, name: str, columns: Sequence[str], values: Tensor, first: int = 0) -> None:
         time_column = (first + torch.arange(len(values))).unsqueeze(-1) * self.plant.dt
-        rows = torch.cat([time_column, values], -1).tolist()
+        rows = [
+            [None if math.isnan(value) else value for value in row]
+            for row in torch.cat([time_column, values], -1).tolist()
+        ]
         headings = with_units(["time", *columns], self.plant.system.signature)
         write_csv(self.folder / "data" / f"{name}.csv", headings, rows)
+
+
+def _with_gaps(values: Tensor, counts: Tensor) -> Tensor:
+    """Return rows over time with an empty one before each that begins anew: a gap to the eye and to who reads the log.
+
+    Args:
+        values: `(T, n)`.
+        counts: Control periods since the start, `(T,)`.
+    """
+    begun = torch.nn.functional.pad((counts[1:] == 0).long(), (1, 0)).cumsum(0)
+    found = torch.full((len(values) + int(begun[-1]), values.shape[1]), math.nan, dtype=values.dtype)
+    found[torch.arange(len(values)) + begun] = values
+    return found
 
 
 def _headline(summary: Summary) -> Summary:

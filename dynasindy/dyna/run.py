@@ -211,6 +211,7 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
         f"Cost: {cost['real_steps']} real steps = {cost['plant_seconds']:.0f} s of plant time, "
         f"{cost['imagined_transitions']} imagined transitions, {cost['updates']} gradient updates, "
         f"{cost['wall_seconds']:.0f} s wall time; apart from these {cost['evaluation_steps']} real steps of evaluation",
+        *([metrics["excitation"]] if metrics.get("excitation") else []),
         *_kept(metrics["checkpoint"]),
         *([f"Planning: {metrics['planning']}"] if metrics.get("planning") else []),
         metrics["verdict"]["sentence"],

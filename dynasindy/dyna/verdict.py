@@ -66,7 +66,7 @@ def _held(held: Mapping[str, Mapping[str, float | None]], within: float) -> tupl
         told.append(f"{name} to {_percent(share)} of its box, {_percent(worst)} at worst")
     lines = [f"errors at the end: {'; '.join(told)} ({_percent(within)} is asked for)"]
     lines += [
-        f"{name}, which is not tracked, runs away or does not come to rest in {_percent(_number(share))} of the runs"
+        f"{name}, which is not tracked, {_fate(held, name)} in {_percent(_number(share))} of the runs"
         for name, share in held["away"].items()
     ]
     lines += [
@@ -75,6 +75,10 @@ def _held(held: Mapping[str, Mapping[str, float | None]], within: float) -> tupl
     ]
     controlled = not missed and not held["away"]
     return controlled, f"{'CONTROLLED' if controlled else 'NOT CONTROLLED'}: {'; '.join(lines)}."
+
+
+def _fate(held: Mapping[str, Mapping[str, float | None]], name: str) -> str:
+    return "does not come to rest" if name in held.get("swings", {}) else "runs away or does not come to rest"
 
 
 def _percent(share: float) -> str:

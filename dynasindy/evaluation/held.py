@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -28,12 +28,14 @@ class Held:
         worst: The same of the worst reference.
         away: States that run away or do not come to rest though they are not tracked, with the share of runs.
         idle: Those of them that nothing depends on, as a mileage.
+        swings: Those of `away` that stay near and only do not come to rest.
     """
 
     share: dict[str, float | None]
     worst: dict[str, float | None]
     away: dict[str, float]
     idle: dict[str, float]
+    swings: dict[str, float] = field(default_factory=dict)
 
 
 def held(evaluation: Evaluation, matter: Tensor) -> Held:
@@ -48,18 +50,21 @@ def held(evaluation: Evaluation, matter: Tensor) -> Held:
     errors = (evaluation.outputs - evaluation.references)[:, -last:].double().abs().mean(1) / boxes
     scale = torch.tensor(evaluation.signature.x_scale, dtype=torch.float64)
     x = evaluation.trajectory["state"][:, -last:].double() / scale
-    lost = ~(x.abs() <= FAR).all(1)
+    far = ~(x.abs() <= FAR).all(1)
+    lost = far.clone()
     references = evaluation.references
     still = (references[:, -last:] == references[:, -1:]).all(-1).all(-1)
     lost |= still.unsqueeze(-1) & ~(x.amax(1) - x.amin(1) <= UNREST)
     shares = lost.double().mean(0).tolist()
     names = evaluation.signature.state_names
     gone = {i: share for i, share in enumerate(shares) if share and i not in evaluation.columns}
+    near = (~far.any(0)).tolist()
     return Held(
         share=_named(evaluation, errors.mean(0)),
         worst=_named(evaluation, errors.amax(0)),
         away={names[i]: share for i, share in gone.items() if bool(matter[i])},
         idle={names[i]: share for i, share in gone.items() if not bool(matter[i])},
+        swings={names[i]: share for i, share in gone.items() if bool(matter[i]) and near[i]},
     )
 
 

@@ -47,6 +47,11 @@ class Prediction:
         return not self.own and self.controlled
 
     @property
+    def place(self) -> str:
+        """Say what was flown, in the words of the prediction: no plant."""
+        return "on the model of the plan itself" if self.own else "on a model fitted to data that the plan never saw"
+
+    @property
     def _missed(self) -> bool:
         """Whether an error is larger than is asked for; the worst reference of a model may be `LOST` times as far."""
         errors = [
@@ -63,7 +68,7 @@ class Prediction:
         flown = [flight for flight in self.flights if flight is not None]
         start = f"PREDICTED on {n} models fitted to data that the plan never saw (no plant was moved)"
         if self.own:
-            start = "PREDICTED on the model of the plan itself, which promises nothing of the plant"
+            start = f"PREDICTED {self.place}, which promises nothing of the plant"
         lacking = "NOT CONTROLLED" if self.own else "NOT promised"
         if not flown:
             return f"{start}: {lacking}, {'it runs' if n == 1 else 'all of them run'} away"
@@ -73,8 +78,12 @@ class Prediction:
             worst = max(100 * _number(flight.worst[name]) for flight in flown)
             told.append(f"{name} to {min(shares):.2g} to {max(shares):.2g} % of its box, {worst:.2g} % at worst")
         lost = [f"{n - len(flown)} of {n} models run away"] if len(flown) < n else []
-        lost += sorted({f"{name}, which is not tracked, runs away" for flight in flown for name in flight.away})
+        fates = {(name, name not in flight.swings) for flight in flown for name in flight.away}
+        lost += sorted(f"{name}, which is not tracked, {_fate(away)}" for name, away in fates)
         lost += sorted({f"{name} runs on, which nothing depends on" for flight in flown for name in flight.idle})
+        diverged = len(flown) < n or any(away for _, away in fates)
+        if not (self.controlled or diverged):
+            lost.append("nothing runs away: a longer plan, of more updates, may hold it, or a smaller box of targets")
         asked = f", {100 * self.within:g} % is asked for, and {100 * LOST * self.within:g} % at worst"
         verdict = "CONTROLLED" if self.controlled else f"{lacking}{asked if self._missed else ''}"
         return f"{start}: {verdict}: {'; '.join([*told, *lost])}"
@@ -162,6 +171,10 @@ def predict(
         start = result.trajectory["state"][0, 0]
         flights.append(held(result, states_that_matter(model, result.columns, start)))
     return Prediction(tuple(flights), shown, within=within)
+
+
+def _fate(away: bool) -> str:
+    return "runs away" if away else "does not come to rest"
 
 
 def _number(share: float | None) -> float:

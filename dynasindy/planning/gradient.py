@@ -17,14 +17,14 @@ import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 
-from dynasindy.agents import TD3
+from dynasindy.agents import TD3, Actor
 from dynasindy.data import DynaReplay
 from dynasindy.data.recording import transitions
 from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count, check_memory
 from dynasindy.planning.base import Planned, Planner
 from dynasindy.planning.imitation import Begun, arrives, hold
-from dynasindy.planning.pace import LONGEST, Pace, pace_of, rests_of
+from dynasindy.planning.pace import LONGEST, PlanSettings, pace_of, rests_of
 from dynasindy.planning.terminal import TerminalValue
 from dynasindy.planning.trust import Bound
 from dynasindy.planning.variation import Members, Variation, Varied
@@ -43,8 +43,8 @@ class GradientPlanning(Planner):
 
     Args:
         env: Imagined environment, `real.with_system(world_model)`.
-        agent: Agent whose actor learns.
-        replay: Storages; imagined episodes may begin at real states.
+        agent: Agent whose actor learns, or an actor alone.
+        replay: Storages; imagined episodes may begin at real states. None where there are none.
         updates: Gradient updates of the first planning phase. This, `window`, `lr`, `patience`, `substeps` and `held`
             follow the plant where they are None, see `dynasindy.planning.pace`.
         more_updates: Gradient updates of each later phase, which goes on from the policy as it is.
@@ -80,8 +80,8 @@ class GradientPlanning(Planner):
     def __init__(
         self,
         env: ControlEnv,
-        agent: TD3,
-        replay: DynaReplay,
+        agent: TD3 | Actor,
+        replay: DynaReplay | None = None,
         *,
         updates: Count | None = None,
         more_updates: Count = 80,
@@ -128,12 +128,19 @@ class GradientPlanning(Planner):
         self.real_starts, self.jumps, self.check_every = real_starts, jumps, check_every
         self.variation, self.others = variation or Variation(), list(others)
         self.variation.deviations(env.system.signature.n_x)  # refuses a wrong number of them
+        if self.variation.members and replay is None:
+            raise ValueError("members of the model are fitted to stored transitions; give replay=, or no members")
         self.rng = torch.Generator().manual_seed(seed)
         self.env = ControlEnv(env.system, _imagined_task(env.task, width), env.dt, substeps or 1)
         self.env.stops = env.stops
-        self.terminal = TerminalValue(self.env, agent, terminal_updates, self.rng) if terminal_updates else None
+        self.terminal = None
+        if terminal_updates:
+            if not isinstance(agent, TD3):
+                raise ValueError("a value at the end of each window needs critics; give a TD3, or terminal_updates=0")
+            self.terminal = TerminalValue(self.env, agent, terminal_updates, self.rng)
         self.held_out = _references(self.env, 64, torch.Generator().manual_seed(seed + 1))
-        self.log_dt, self.phase, self.afar, self.pace = env.log_dt, 0, False, dataclasses.replace(Pace(), **self.given)
+        self.log_dt, self.phase, self.afar = env.log_dt, 0, False
+        self.pace = dataclasses.replace(PlanSettings(), **self.given)
 
     def plan(self) -> Planned:
         """Improve the actor with the model as it is now.
@@ -271,7 +278,7 @@ class Episodes:
         self.system: System = planner.env.system
         if planner.others:
             self.system = Members([self.system, *planner.others])
-        if planner.variation.members:
+        if planner.variation.members and planner.replay is not None:
             data = transitions(planner.replay.real_in_order(), planner.log_dt)
             self.system = Members.of(self.system, data, planner.variation.members)
         if planner.variation.plants:
@@ -280,8 +287,9 @@ class Episodes:
         self.diverged = 0
         self.length = planner.env.task.max_steps * planner.env.dt
         self.end = torch.rand(planner.rollouts, 1, generator=planner.rng) * self.length
-        real = planner.replay.real
-        self.real_states = real[:]["state"].to(self.rows.x) if len(real) else self.rows.x
+        self.real_states = self.rows.x
+        if planner.replay is not None and len(real := planner.replay.real):
+            self.real_states = real[:]["state"].to(self.rows.x)
         largest = self.real_states.abs().amax(0)
         # A state that never moved says nothing of its range.
         self.rows.reach = torch.where(largest > 0, DIVERGED * largest, torch.inf)
@@ -317,7 +325,7 @@ def _require_positive(sizes: dict[str, Any]) -> None:
         raise ValueError(f"gradient planning got {', '.join(bad)}; these must be positive: mend planning")
 
 
-def _network(agent: TD3) -> nn.Module:
+def _network(agent: TD3 | Actor) -> nn.Module:
     """Return the bare network of the actor; tensors need no tensordict."""
     policy = agent.policy
     assert isinstance(policy, TensorDictModule)

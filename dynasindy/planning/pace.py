@@ -44,7 +44,7 @@ SUBSTEPS = 10
 
 
 @dataclass(frozen=True)
-class Pace:
+class PlanSettings:
     """Settings of planning by gradient that suit a plant; the defaults are those of the twin rotor.
 
     Attributes:
@@ -91,7 +91,7 @@ def rests_of(env: ControlEnv) -> Rests:
     return find_rests(env.system, task.outputs, _targets(task, generator), start)
 
 
-def pace_of(env: ControlEnv, rests: Rests) -> Pace:
+def pace_of(env: ControlEnv, rests: Rests) -> PlanSettings:
     """Return the settings that suit a model.
 
     Args:
@@ -99,7 +99,7 @@ def pace_of(env: ControlEnv, rests: Rests) -> Pace:
         rests: Rests of the model.
     """
     if not len(rests):
-        return Pace(why="the model has no rest in the box of targets")
+        return PlanSettings(why="the model has no rest in the box of targets")
     moved, seconds = rests.moved, env.task.max_steps * env.dt
     scale = torch.tensor(env.system.signature.x_scale, dtype=torch.float64)[moved]
     places = torch.linspace(0, len(rests) - 1, min(LOOKED_AT, len(rests))).long()
@@ -113,8 +113,12 @@ def pace_of(env: ControlEnv, rests: Rests) -> Pace:
     window = max(2 * WINDOW, min(window, LONGEST))
     loop = "no regulator holds it" if regulator is None else f"slowest regulated mode {slowest:.3g} periods"
     if not grown > GROWN:
-        return Pace(window=window, substeps=substeps, why=f"a deviation grows {grown:.2g}-fold in an episode; {loop}")
-    return Pace(window, 3e-3, 200, 3, substeps, regulator is not None, f"a deviation grows {grown:.2g}-fold; {loop}")
+        return PlanSettings(
+            window=window, substeps=substeps, why=f"a deviation grows {grown:.2g}-fold in an episode; {loop}"
+        )
+    return PlanSettings(
+        window, 3e-3, 200, 3, substeps, regulator is not None, f"a deviation grows {grown:.2g}-fold; {loop}"
+    )
 
 
 def _targets(task: Tracking, generator: torch.Generator) -> Tensor:

@@ -20,8 +20,9 @@ STARTS = 64
 """Guesses from which the first rest is searched."""
 ITERATIONS = 60
 """Steps of Levenberg and Marquardt's method."""
-LEFT = 1e-3
-"""Rate of change, in ranges of the states per second or in the model's own rates if faster, that counts as none."""
+LEFT, NEARLY = 1e-3, 5e-2
+"""Rate of change [ranges of the states per second] that counts as none; the larger one where no reference has a rest by
+the smaller: a cosine and a sine of one angle, both tracked, have one in theory, and nearly one in a fitted model."""
 _STEP = 1e-5
 
 
@@ -64,15 +65,20 @@ def find_rests(system: System, outputs: Sequence[int], targets: Tensor, start: T
         start: State near which rests are searched, `(n_x,)`.
     """
     targets, start = targets.double(), start.double()
+    rests = _found(system, outputs, targets, start, LEFT)
+    return rests if len(rests) else _found(system, outputs, targets, start, NEARLY)
+
+
+def _found(system: System, outputs: Sequence[int], targets: Tensor, start: Tensor, left: float) -> Rests:
     search = _Search(system, list(outputs), start)
     centre = targets[(targets - targets.mean(0)).square().sum(-1).argmin()]
     first = search.solve(centre.expand(STARTS, -1), search.guesses())
-    good = search.left(first, centre.expand(STARTS, -1)) < LEFT
+    good = search.left(first, centre.expand(STARTS, -1)) < left
     size = (first - search.guess).square().sum(-1).where(good, torch.inf)
     begin = first[size.argmin()] if bool(good.any()) else search.guess
     found = search.solve(targets, begin.expand(len(targets), -1))
     x, u = search.parts(found, targets)
-    good = (search.left(found, targets) < LEFT) & (u.abs() <= 1 + 1e-6).all(-1)
+    good = (search.left(found, targets) < left) & (u.abs() <= 1 + 1e-6).all(-1)
     a, b = slopes(system, x, u)
     good &= a.isfinite().all(-1).all(-1) & b.isfinite().all(-1).all(-1)
     return Rests(targets[good], x[good], u[good], a[good], b[good], search.moved)

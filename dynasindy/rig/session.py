@@ -16,6 +16,7 @@ from dynasindy.data.csv import Recording
 from dynasindy.excitation import Excitation
 from dynasindy.rig.base import Array, Rig, Wiring
 from dynasindy.rig.flight import Flown, Guard, fly
+from dynasindy.rig.shown import Shown
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries import LibraryBuilder
 
@@ -76,6 +77,7 @@ class Session:
         folder: Where logs, model and controller are written.
         tell: Says where it is, a line at a time.
         flights: What came of each flight.
+        shown: What the flights of controllers show, by the name of their logs.
     """
 
     rig: Rig
@@ -84,6 +86,7 @@ class Session:
     folder: Path
     tell: Tell = print
     flights: list[Flown] = field(default_factory=list)
+    shown: dict[str, Shown] = field(default_factory=dict)
 
     @property
     def failed(self) -> bool:
@@ -134,11 +137,17 @@ class Session:
         controller.reset()
         held = max(1, round(seconds / self.wiring.dt))
 
-        def _act(y: Array, t: float) -> Array:
-            target = targets[min(round(t / self.wiring.dt) // held, len(targets) - 1)]
-            return controller.act(y, target)
+        rows = [target for target in targets for _ in range(held)]
 
-        return self._fly(f"flight_{len(self.flights)}", _act, held * len(targets))
+        def _act(y: Array, t: float) -> Array:
+            return controller.act(y, rows[min(round(t / self.wiring.dt), len(rows) - 1)])
+
+        name = f"flight_{len(self.flights)}"
+        flown = self._fly(name, _act, len(rows))
+        shown = Shown.of(self.folder / f"{name}.csv", self.wiring.signature, controller.outputs, rows)
+        self.shown[name] = shown
+        self.tell(f"  {shown.words()}")
+        return flown
 
     def _require(self, controller: Controller) -> None:
         """Make sure that a controller is one for this rig.

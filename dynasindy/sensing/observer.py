@@ -45,7 +45,7 @@ FINEST = 1e-9
 """Least standard deviation of a measurement [ranges of the state]: a perfect one would leave a singular matrix."""
 
 
-class Pace(Protocol):
+class Timing(Protocol):
     """What an observer has to know of time and travel; a `ControlEnv` is one, and so is a controller out of a file.
 
     Attributes:
@@ -84,7 +84,7 @@ class Observer:
         env: Control period, sub-steps and stops.
     """
 
-    def __init__(self, model: System, sensors: Sensors, env: Pace) -> None:
+    def __init__(self, model: System, sensors: Sensors, env: Timing) -> None:
         self.model, self.sensors = model, sensors
         self.dt, self.substeps, self.stops = env.dt, env.substeps, env.stops
         self.n_x = model.signature.n_x

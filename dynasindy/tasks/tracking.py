@@ -40,8 +40,8 @@ class Tracking(Task):
             or to two ends.
 
     Raises:
-        ValueError: A named state does not exist, the numbers of outputs, rates, references and error weights
-            differ, error_scale or max_steps is not positive, or a box or a start is none.
+        ValueError: No output is named, a named state does not exist, the numbers of outputs, rates, references and
+            error weights differ, error_scale or max_steps is not positive, or a box or a start is none.
     """
 
     # Departure: the paper's S_tt lists the six states alone; without the errors no policy could know where
@@ -63,6 +63,11 @@ class Tracking(Task):
         bounds: Mapping[str, float | Sequence[float]] | None = None,
     ) -> None:
         super().__init__(signature, max_steps)
+        if not outputs:
+            raise ValueError(
+                f"the task tracks nothing; the states are {', '.join(signature.state_names)}: name some in "
+                "plant.outputs, with the ends of their targets in plant.low and plant.high"
+            )
         reward = TrackingReward() if reward is None else reward
         counts = {len(outputs), len(rates) or len(outputs), reference.n_r}
         if len(counts | {len(reward.error_weights)} - {1}) != 1:

@@ -11,7 +11,11 @@ from dynasindy.viz.style import ORANGE, save
 
 
 def draw_evaluation(
-    evaluation: Evaluation, folder: Path, label: str = "policy", formats: Sequence[str] = ("png",)
+    evaluation: Evaluation,
+    folder: Path,
+    label: str = "policy",
+    formats: Sequence[str] = ("png",),
+    place: str = "",
 ) -> list[Path]:
     """Draw an evaluation into a folder, in files that begin with the scenario's name.
 
@@ -20,18 +24,23 @@ def draw_evaluation(
         folder: Where; made if missing.
         label: Name of the controller in the legend.
         formats: File formats, e.g. ("png", "svg").
+        place: Where it was flown, unless on the plant, such as "on a model".
 
     Returns:
         The files.
     """
     files = []
-    for name, figure in figures(evaluation, label).items():
+    for name, figure in figures(evaluation, label, place=place).items():
         files += save(figure, folder / name, formats)
     return files
 
 
-def figures(evaluation: Evaluation, label: str = "policy", row: int = 0) -> dict[str, Figure]:
-    """Return the figures by name of file: one row over time and, of several rows, the spread of the error."""
+def figures(evaluation: Evaluation, label: str = "policy", row: int = 0, place: str = "") -> dict[str, Figure]:
+    """Return the figures by name of file: one row over time and, of several rows, the spread of the error.
+
+    Titles say where it was flown, unless on the plant.
+    """
+    where = f" {place}" if place else ""
     name, reference = evaluation.scenario, evaluation.references[row]
     names = [f"{output} [{unit}]" for output, unit in evaluation.units.items()]
     # A constant reference is a step; what moves has no settling band.
@@ -44,12 +53,12 @@ def figures(evaluation: Evaluation, label: str = "policy", row: int = 0) -> dict
             {label: evaluation.inputs[row]},
             names,
             evaluation.signature.input_names,
-            title=f"Scenario '{name}'",
+            title=f"Scenario '{name}'{where}",
         )
     }
     _shade(drawn[name], evaluation)
     if len(evaluation.outputs) > 1:
-        title = f"Scenario '{name}': error over all references"
+        title = f"Scenario '{name}'{where}: error over all references"
         drawn[f"{name}_errors"] = error_fan(
             evaluation.time,
             evaluation.outputs,

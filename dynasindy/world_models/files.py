@@ -14,6 +14,8 @@ from torch import Tensor
 from dynasindy.systems.base import Signature
 from dynasindy.world_models.constraints import Constraints
 from dynasindy.world_models.features import Feature
+from dynasindy.world_models.formulas import register_formula
+from dynasindy.world_models.functions import own_formulas
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.tables import equations
 
@@ -59,6 +61,8 @@ def record(
         },
         "library": {f.name(): f.to_list() for f in library.features},
     }
+    if own := own_formulas(factor.function for feature in library.features for factor in feature.factors):
+        data["functions"] = {name: formula[1:-1] for name, formula in own.items()}  # without their brackets
     if delay:
         data["delay"] = delay
     if constraints is not None and not bool(constraints.free.all()):
@@ -136,6 +140,10 @@ def _constraints(library: Library, data: dict[str, Any] | None) -> Constraints:
 
 
 def _model(data: dict[str, Any]) -> tuple[Library, Tensor, Constraints, float]:
+    for name, formula in data.get("functions", {}).items():
+        if own_formulas([name]).get(name, f"({formula})") != f"({formula})":
+            raise ValueError(f"function {name!r} of the model, {formula}, is another function here; rename yours")
+        register_formula(name, formula)
     signature = _signature(data["signature"])
     library = Library(signature, [_feature(f) for f in data["library"].values()])
     coefficients = torch.zeros(len(library), signature.n_x, dtype=torch.float64)

@@ -45,7 +45,7 @@ def test_every_setting_of_the_ablation_differs_from_its_default_in_what_it_names
     assert bool(changed) == (setting != "rollouts_800")
 
 
-@pytest.mark.parametrize("system", PLANTS)
+@pytest.mark.parametrize("system", [plant for plant in PLANTS if plant != "gymnasium"])
 @pytest.mark.parametrize("sensors", ["bench", "bench_delay"])
 def test_every_plant_has_a_bench(system, sensors):
     cfg, parts = build(f"system={system}", f"sensors={sensors}", "experiment=smoke")

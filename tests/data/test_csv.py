@@ -462,3 +462,13 @@ def test_a_state_that_no_sensor_sees_is_nan_and_the_rest_is_as_it_was(tmp_path):
     assert np.array_equal(data.x[:, [0, 2]], log()[:-1, 1:3]) and np.array_equal(data.x_next[:, 0], log()[1:, 1])
     assert found.notes == ("level is seen by no sensor; it is estimated with the model",)
     assert found.signature.state_units[1] == "V" and found.signature.x_scale[1] == 1.0
+
+
+def test_a_recording_says_what_it_holds_in_a_line(tmp_path):
+    """201 samples of 0.01 s are 200 transitions; a lost row splits them."""
+    rows = [f"{0.01 * k:.2f},{math.sin(0.1 * k)},{k % 7}" for k in range(201) if k != 100]
+    (tmp_path / "log.csv").write_text("\n".join(["time [s],angle [rad],u_m", *rows]))
+    recording = CsvLog(str(tmp_path / "log.csv"), {"angle": {"name": "angle", "unit": "rad"}}, {"u_m": "u_m"}).read()
+    first, *notes = repr(recording).splitlines()
+    assert first == "Recording of 198 rows, 1.98 s every 0.01 s in 2 stretches: states angle [rad]; inputs u_m"
+    assert notes == [f"note: {note}" for note in recording.notes] and notes

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from dynasindy.dyna.excite import Loop, excite, interact, within
+from dynasindy.dyna.excite import Loop, excite, interact, restarts, within
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Multisine
 from dynasindy.systems import Signature, System, Xi
@@ -39,6 +39,7 @@ def test_a_plant_within_its_limits_is_excited_open_loop_as_ever():
     assert set(excited.keys(True, True)) == set(wanted.keys(True, True)) and excited.shape == wanted.shape == (40,)
     for key in wanted.keys(True, True):
         torch.testing.assert_close(excited[key], wanted[key], atol=0.0, rtol=0.0)
+    assert restarts(mine, excited) == ""
 
 
 def test_a_plant_that_falls_is_caught_after_its_first_fall():
@@ -54,6 +55,11 @@ def test_a_plant_that_falls_is_caught_after_its_first_fall():
     last[[b - 1 for b in begins[1:]]] = True
     assert inside[~last].all() and not inside[begins[1] - 1]
     assert excited["action"][begins[-2] :].std() > 0.05  # the signal goes on, on top of the loop
+    times = "once" if len(lengths) == 2 else f"{len(lengths) - 1} times"
+    assert restarts(experiment, excited) == (
+        f"The excitation ended early and began anew at the start {times}: theta beyond -0.5 to 0.5 rad "
+        f"{len(lengths) - 1} times."
+    )
 
 
 def test_the_loop_is_the_regulator_of_the_plant_near_its_start():

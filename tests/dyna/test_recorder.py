@@ -1,5 +1,6 @@
 import csv
 import json
+import math
 from functools import partial
 
 import pytest
@@ -10,7 +11,7 @@ from dynasindy.data import DynaReplay
 from dynasindy.dyna.callback import Cost, Episode
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import Settings, train
-from dynasindy.dyna.recorder import Recorder
+from dynasindy.dyna.recorder import Recorder, _with_gaps
 from dynasindy.dyna.refit import Refit
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
@@ -157,3 +158,11 @@ def test_both_errors_of_the_model_stand_under_their_names(recorded, tmp_path):
     assert float(logged["one_step_reward_error"]) == pytest.approx(0.5)
     spent = [float(logged[key]) for key in ("real_steps", "plant_seconds", "imagined_transitions", "updates")]
     assert spent == pytest.approx([7, 7 * 0.05, 8, 9])
+
+
+def test_what_began_anew_has_a_gap_before_it():
+    """Three tries of two, one and two rows: an empty row before the second and the third."""
+    values = torch.arange(5.0).unsqueeze(-1)
+    found = _with_gaps(values, torch.tensor([0, 1, 0, 0, 1])).flatten().tolist()
+    assert [None if math.isnan(value) else value for value in found] == [0.0, 1.0, None, 2.0, None, 3.0, 4.0]
+    assert torch.equal(_with_gaps(values, torch.arange(5)), values)

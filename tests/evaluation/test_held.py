@@ -47,7 +47,8 @@ def test_a_spinning_pole_and_a_mileage_are_told_apart():
 
 
 def test_a_state_that_swings_has_not_come_to_rest():
-    assert judge(states(theta=0.2 * torch.sin(3 * TIME))).away == {"theta": 1.0}  # 0.4 of a range of 0.5
+    swinging = judge(states(theta=0.2 * torch.sin(3 * TIME)))
+    assert swinging.away == swinging.swings == {"theta": 1.0}  # 0.4 of a range of 0.5
     assert not judge(states(theta=0.1 * torch.sin(3 * TIME))).away
     assert not judge(states(theta=torch.where(TIME < 14.9, 3.0, 0.0))).away
 
@@ -56,6 +57,7 @@ def test_under_a_moving_reference_states_may_move_too_but_not_run_away():
     r = torch.sin(TIME).reshape(1, -1, 1).expand(2, -1, 1).double()
     assert not judge(states(theta=torch.sin(TIME)), r).away
     assert judge(states(theta=TIME), r).away == {"theta": 1.0}  # 40 ranges at the end
+    assert not judge(states(theta=TIME), r).swings
 
 
 def test_what_is_not_finite_is_lost():

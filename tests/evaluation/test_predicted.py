@@ -171,3 +171,14 @@ def test_a_delay_is_not_negative():
     task = Tracking(plant.signature, Step([[0.3]]), ("theta",), ("Omega",), TrackingReward((4.0,)))
     with pytest.raises(ValueError, match="allowed is 0 or more"):
         LateEnv(ControlEnv(plant, task), -0.1)
+
+
+def test_a_plan_that_was_too_short_is_told_from_one_that_diverges():
+    """A controller that swings, or only misses, wants more updates; one that loses the plant something else."""
+    longer = "nothing runs away: a longer plan, of more updates, may hold it"
+    swinging = Held({"theta": 0.2}, {"theta": 0.4}, {"cart": 1.0}, {}, {"cart": 1.0})
+    assert "cart, which is not tracked, does not come to rest" in Prediction((swinging,)).words()
+    assert longer in Prediction((swinging,)).words() and longer in Prediction((seen(0.02),)).words()
+    assert longer not in Prediction((seen(0.001),)).words()
+    for gone in ((seen(0.02), None), (seen(0.02, {"cart": 0.5}),)):
+        assert longer not in Prediction(gone).words() and "away" in Prediction(gone).words()

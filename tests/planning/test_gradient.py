@@ -2,21 +2,16 @@
 
 import math
 from dataclasses import replace
-from functools import partial
 
 import pytest
 import torch
 
-from dynasindy.agents import TD3
+from dynasindy.agents import TD3, Actor
 from dynasindy.data import DynaReplay
 from dynasindy.envs import ControlEnv
 from dynasindy.planning import (
-    Bounds,
     GradientPlanning,
-    GradientThenReplay,
-    ImaginedReplay,
     Planned,
-    Planner,
     Variation,
     gradient,
 )
@@ -160,44 +155,6 @@ def test_every_variation_can_be_planned_with():
     planner = GradientPlanning(env, agent, replay, updates=3, variation=variation, **SMALL)
     planner.plan()
     assert bool(weights(agent.policy).isfinite().all())
-
-
-def test_both_ways_of_planning_share_one_phase():
-    env, agent, replay = setting()
-    replay.extend_real(flown(env, agent))
-    gradient = partial(GradientPlanning, updates=2, **SMALL)
-    planner = GradientThenReplay(
-        env, agent, replay, gradient, partial(ImaginedReplay, rollouts=3, horizon=2, bounds=Bounds(reach=1e6))
-    )
-    assert planner.plan().imagined == 2 * 16 * 20 + 6
-    assert len(replay.model) == 6
-    planner.distrust()
-    assert not len(replay.model)
-
-
-def test_critics_learn_the_planned_actor_and_leave_it_alone():
-    planned = {}
-    for critic_updates in (0, 300):
-        env, agent, replay = setting(target_update_interval=1)
-        replay.extend_real(flown(env, agent))
-        gradient = partial(GradientPlanning, updates=2, **SMALL)
-        imagined = partial(ImaginedReplay, rollouts=3, horizon=2, bounds=Bounds(reach=1e6))
-        planner = GradientThenReplay(env, agent, replay, gradient, imagined, critic_updates=critic_updates)
-        assert planner.plan().updates == 2 + critic_updates
-        error = agent.loss.value_loss(replay.real[:])[0].item()
-        target = agent.loss.target_actor_network_params.flatten_keys().values()
-        actor = agent.loss.actor_network_params.flatten_keys().values()
-        apart = max(float((a - b).detach().abs().max()) for a, b in zip(actor, target))
-        planned[critic_updates] = weights(agent.policy), error, apart
-    torch.testing.assert_close(planned[0][0], planned[300][0], rtol=0, atol=0)
-    assert planned[300][1] < 0.5 * planned[0][1]  # the temporal-difference error, with the planned actor's next actions
-    assert planned[300][2] < 0.5 * planned[0][2]
-
-
-def test_a_negative_number_of_critic_updates_is_refused():
-    env, agent, replay = setting()
-    with pytest.raises(ValueError, match="critic_updates"):
-        GradientThenReplay(env, agent, replay, GradientPlanning, ImaginedReplay, critic_updates=-1)
 
 
 @pytest.mark.parametrize(
@@ -420,30 +377,6 @@ def test_the_imagined_cost_is_linear_without_a_bonus_and_the_task_keeps_its_own(
     assert (planner.env.substeps, planned(substeps=3).env.substeps, planner.log_dt) == (1, 3, 0.01)
 
 
-def test_warming_the_critics_waits_for_a_plan():
-    class Idle(Planner):
-        def __init__(self, updates=0, every=1, **_):
-            super().__init__(every)
-            self.updates, self.dropped = updates, 0
-
-        def plan(self):
-            return Planned(imagined=7, updates=self.updates)
-
-        def distrust(self):
-            self.dropped += 1
-
-    env, agent, replay = setting()
-    replay.sample, warmed = (lambda: "batch"), []
-    agent.update_critics = warmed.append
-    for updates, total in ((0, 3), (5, 12)):
-        parts = (partial(Idle, updates=updates, every=4), partial(Idle, updates=3, every=6))
-        both = GradientThenReplay(env, agent, replay, *parts, critic_updates=4)
-        assert both.plan() == Planned(14, total) and both.every == 4
-        both.distrust()
-        assert [planner.dropped for planner in both.planners] == [1, 1]
-    assert warmed == ["batch"] * 4
-
-
 def test_a_row_that_diverges_in_the_last_period_is_counted_and_begun_anew(monkeypatch):
     planner = planned()
     episodes, carried = Episodes(planner), []
@@ -485,3 +418,23 @@ def test_a_policy_that_is_told_to_begins_as_a_regulator():
         planner.plan()
         earned[held] = planner.test()
     assert earned[True] > 0.2 * earned[False]  # costs are negative: four fifths of them are gone
+
+
+def test_an_actor_alone_is_planned_as_that_of_an_agent_with_empty_storages():
+    env, agent, replay = setting()
+    alone = Actor(env.task.n_o, 2, hidden=(32, 32))
+    assert torch.equal(weights(alone.policy), weights(agent.policy))
+    before = weights(alone.policy)
+    for actor, stored in ((agent, replay), (alone, None)):
+        assert GradientPlanning(env, actor, stored, updates=4, **SMALL).plan().updates == 4
+    assert torch.equal(weights(alone.policy), weights(agent.policy)) and alone.deployed is alone.policy
+    assert not torch.equal(weights(alone.policy), before)
+
+
+@pytest.mark.parametrize(("wrong", "words"), [({"terminal_updates": 1}, "critics"), ({"variation": 4}, "replay=")])
+def test_what_an_actor_alone_cannot_do_is_refused(wrong, words):
+    env, _, _ = setting()
+    if "variation" in wrong:
+        wrong = {"variation": Variation(members=4)}
+    with pytest.raises(ValueError, match=words):
+        GradientPlanning(env, Actor(env.task.n_o, 2, hidden=(8, 8)), **wrong, **SMALL)

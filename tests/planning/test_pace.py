@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.pace import SUBSTEPS, Pace, pace_of, rests_of
+from dynasindy.planning.pace import SUBSTEPS, PlanSettings, pace_of, rests_of
 from dynasindy.systems import Signature, System, Tras, Xi
 from dynasindy.tasks import RandomStep, Task, Tracking, TrackingReward
 
@@ -72,7 +72,7 @@ def test_a_fast_mode_takes_smaller_steps(rate, steps):
 
 def test_a_plant_without_a_rest_keeps_the_defaults():
     found = pace(Linear(-100.0, 1.0, 1.0), low=(0.5,))
-    assert found == Pace(why=found.why) and "no rest" in str(found)
+    assert found == PlanSettings(why=found.why) and "no rest" in str(found)
 
 
 def test_another_task_is_refused():

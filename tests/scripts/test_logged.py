@@ -99,3 +99,21 @@ def test_what_is_missing_costs_one_line(log, tmp_path, words, message):
     assert done.returncode == 2
     assert message in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_run_of_a_log_says_that_there_is_no_plant_to_fly(tmp_path):
+    (tmp_path / "config.yaml").write_text("data: {path: log.csv}\nsystem: null\nplant: {outputs: [theta]}\n")
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, str(ROOT / "scripts" / "evaluate.py"), f"run={tmp_path}"]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, check=False)
+    assert done.returncode == 2
+    assert "was planned from a log or a model, so there is no plant to fly" in done.stderr
+    assert f"python scripts/check.py run={tmp_path}" in done.stderr
+
+
+def test_a_folder_that_is_a_file_is_found_before_the_fit(log, tmp_path):
+    (tmp_path / "here").write_text("a file")
+    done = train("data=csv", f"data.path={log}", *TASK, f"folder={tmp_path}/here/run")
+    assert done.returncode == 2
+    assert done.stdout == ""  # no fit, and no run folder
+    assert done.stderr == f"error: {tmp_path}/here/run: part of it is a file: give the path of a folder\n"

@@ -114,7 +114,7 @@ def test_a_scale_that_is_not_positive_is_refused(settings):
 
 @pytest.mark.parametrize(
     "settings",
-    [{"outputs": ("alpha_a",)}, {"rates": ("Omega_a",)}, {"reward": TrackingReward((1.0,) * 3)}, {"outputs": ()}],
+    [{"outputs": ("alpha_a",)}, {"rates": ("Omega_a",)}, {"reward": TrackingReward((1.0,) * 3)}],
 )
 def test_every_count_is_compared(settings):
     with pytest.raises(ValueError, match="equally many"):
@@ -214,3 +214,10 @@ def test_a_box_without_extent_is_refused(extents):
     task = Tracking(SIGNATURE, Step([[0.0, 0.0]]))
     with pytest.raises(ValueError, match="give one positive number for each"):
         task.with_box(extents)
+
+
+def test_a_task_that_tracks_nothing_is_told_which_states_there_are():
+    with pytest.raises(
+        ValueError, match=r"tracks nothing; the states are alpha_a, .*omega_p: name some in plant.outputs"
+    ):
+        Tracking(Tras().signature, Step([[0.1, 0.1]]), outputs=())

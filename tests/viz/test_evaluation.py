@@ -58,3 +58,10 @@ def test_other_plants_get_their_own_labels() -> None:
     )
     labels = [axis.get_ylabel() for axis in figures(result)["hang"].axes]
     assert labels == [r"$\theta$ [rad]", "$u$ [-]"]
+
+
+def test_titles_say_where_it_was_flown_unless_on_the_plant() -> None:
+    evaluation = run(Step([[0.1, 0.1]]), 3)
+    titles = [figure.get_suptitle() for figure in figures(evaluation, place="on a model").values()]
+    assert titles == ["Scenario 'short' on a model", "Scenario 'short' on a model: error over all references (3)"]
+    assert "model" not in figures(evaluation)["short"].get_suptitle()

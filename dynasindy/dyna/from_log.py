@@ -1,0 +1,105 @@
+"""From a log or a model of a plant to a controller and its prediction, without the plant; written down on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from dynasindy.control import Controller, save
+from dynasindy.control.files import NAME
+from dynasindy.data.csv import Recording
+from dynasindy.dyna.progress import say
+from dynasindy.evaluation.files import write_json
+from dynasindy.evaluation.held import WITHIN
+from dynasindy.evaluation.identification import Source, missing_rates
+from dynasindy.evaluation.predicted import Prediction
+from dynasindy.evaluation.scenarios import Scenario
+from dynasindy.evaluation.summary import heading, summarise, to_text
+from dynasindy.sensing import Sensors
+from dynasindy.tasks import Tracking
+from dynasindy.workbench import foretell, plan
+from dynasindy.world_models import SindyModel
+from dynasindy.world_models.progress import Progress
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a controller is to do, and how it is planned and judged.
+
+    Attributes:
+        task: Outputs, their targets and the reward.
+        scenario: What is flown for the prediction.
+        sensors: What will be measured in flight; None for what the log shows.
+        dt: Control period [s].
+        seed: Seed of everything.
+        within: Mean absolute error at the end that is asked for, in boxes of targets.
+        planning: Settings of `GradientPlanning`.
+    """
+
+    task: Tracking
+    scenario: Scenario
+    sensors: Sensors | None = None
+    dt: float | None = None
+    seed: int = 0
+    within: float = WITHIN
+    planning: Mapping[str, Any] = field(default_factory=dict)
+
+
+def model_of(source: Source | None, build: Callable[..., object], path: str | Path | None = None) -> SindyModel:
+    """Return the model of a file, or identify one and print what the fit says of itself.
+
+    Args:
+        source: The log; None if there is none, and then there is a file.
+        build: Makes a model from a signature.
+        path: File of a model.
+
+    Raises:
+        ValueError: The file is damaged or of another plant.
+        TypeError: The world model is not sparse.
+    """
+    if path is not None or source is None:
+        model = SindyModel.load(str(path))
+        if source is not None and source.signature.state_names != model.signature.state_names:
+            raise ValueError(
+                f"{path} has the states {', '.join(model.signature.state_names)}, the log "
+                f"{', '.join(source.signature.state_names)}; give a model of the plant that the log is of"
+            )
+        return model
+    built = build(signature=source.signature)
+    if not isinstance(built, SindyModel):
+        raise TypeError(f"world_model is a {type(built).__name__}, which no log is fitted by; leave world_model=sindy")
+    with Progress():
+        report = built.fit(source.training)
+    say(report.to_text(), *(f"note: {note}" for note in source.notes), *missing_rates(built, source))
+    return built
+
+
+def controller_of(model: SindyModel, source: Source | None, wanted: Wanted) -> Controller:
+    """Plan a controller on a model and, with a log, on what the log leaves open of it."""
+    log = None if source is None else Recording(source.training, model.signature)
+    say("planning")
+    return plan(model, wanted.task, log, wanted.sensors, wanted.dt, wanted.seed, **wanted.planning)
+
+
+def judged(controller: Controller, model: SindyModel, source: Source | None, wanted: Wanted) -> Prediction:
+    """Predict what a controller will do on models that its plan never saw; without a log, on its own."""
+    unseen = None if source is None else source.validation
+    scenario = replace(wanted.scenario, seconds=None)  # as long as the task's episodes
+    return foretell(controller, model, unseen, scenario, wanted.seed, wanted.within)
+
+
+def write(folder: Path, controller: Controller, model: SindyModel, prediction: Prediction) -> None:
+    """Write `controller.json` and `metrics.json`."""
+    save(controller, folder / NAME)
+    write_json(folder / "metrics.json", {"prediction": prediction.record(), "equations": model.equations()})
+
+
+def report(model: SindyModel, prediction: Prediction) -> str:
+    """Return what a user reads at the end: equations, the table of the flight that is drawn, the prediction."""
+    lines = ["", "Identified equations", *(f"  {line}" for line in model.equations()), ""]
+    if prediction.shown is not None:
+        title = f"{heading(prediction.shown)}, {prediction.place}"
+        lines += [to_text(summarise(prediction.shown), title, prediction.shown.units), ""]
+    return "\n".join([*lines, prediction.words()])

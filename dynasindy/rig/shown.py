@@ -1,0 +1,89 @@
+"""What a flight shows: references, what was measured and the inputs, out of its log, and how near the targets."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dynasindy.rig.base import Array
+from dynasindy.systems import Signature
+
+LAST = 0.5
+"""Part at the end of each target over which the error is taken."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """Hold a flight over time.
+
+    Attributes:
+        names: Outputs.
+        units: Their units.
+        time: `(T,)` [s].
+        references: Targets, `(T, n_r)`.
+        outputs: What was measured, NaN where a sample was lost, `(T, n_r)`; all NaN of an output without a sensor.
+        inputs: `(T, n_u)` in [-1, 1], NaN where a sample was lost.
+        ends: Rows over which errors are taken: the last part of each target, bool `(T,)`.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    time: Array
+    references: Array
+    outputs: Array
+    inputs: Array
+    ends: Array
+
+    @classmethod
+    def of(cls, path: Path, signature: Signature, outputs: Sequence[str], targets: Sequence[Sequence[float]]) -> Shown:
+        """Read the log of a flight that held one target after the other, each for as long.
+
+        Args:
+            path: Log, with as many rows as were flown.
+            signature: Names and units of the plant.
+            outputs: Tracked states.
+            targets: One number per output each, of every row, `(T, n_r)`.
+        """
+        with path.open(newline="", encoding="utf-8") as file:
+            headings, *rows = list(csv.reader(file))
+        names = [heading.partition(" [")[0] for heading in headings]
+        columns = np.array([[float(cell) if cell else np.nan for cell in row] for row in rows]).reshape(-1, len(names))
+        table = dict(zip(names, columns.T, strict=True))
+        missing = np.full(len(columns), np.nan)
+        wanted = np.array([list(target) for target in targets], dtype=np.float64)[: len(columns)]
+        return cls(
+            tuple(outputs),
+            tuple(signature.state_units[signature.state_index(name)] for name in outputs),
+            table["time"],
+            wanted,
+            np.stack([table.get(name, missing) for name in outputs], -1),
+            np.stack([table[name] for name in signature.input_names], -1),
+            _ends(wanted),
+        )
+
+    def errors(self) -> Array:
+        """Return the mean absolute error of each output over the last part of each target, `(n_r,)`; NaN for none."""
+        apart = np.abs(self.outputs - self.references)[self.ends]
+        known = np.isfinite(apart)
+        return np.where(known, apart, 0.0).sum(0) / np.where(known.any(0), known.sum(0), np.nan)
+
+    def words(self) -> str:
+        """Return the errors in one line."""
+        told = [
+            f"{name} to {error:.3g} {unit}" if np.isfinite(error) else f"{name} was not measured"
+            for name, unit, error in zip(self.names, self.units, self.errors().tolist(), strict=True)
+        ]
+        return f"mean error over the last half of each target: {', '.join(told)}"
+
+
+def _ends(targets: Array) -> Array:
+    """Return the rows in the last part of each stretch with one target, bool `(T,)`."""
+    ends = np.zeros(len(targets), dtype=bool)
+    edges = [0, *(np.flatnonzero((np.diff(targets, axis=0) != 0).any(-1)) + 1).tolist(), len(targets)]
+    for start, stop in zip(edges[:-1], edges[1:], strict=True):
+        ends[round(stop - LAST * (stop - start)) : stop] = True
+    return ends

@@ -1,0 +1,74 @@
+"""A controller from a log: which model is taken, what is judged, and what the figures and the table say of it."""
+
+import json
+from dataclasses import replace
+
+import pytest
+import torch
+
+import dynasindy
+from dynasindy.data.simulated import record
+from dynasindy.dyna.from_log import Wanted, controller_of, judged, model_of, report, write
+from dynasindy.evaluation.identification import Source
+from dynasindy.evaluation.scenarios import Scenario
+from dynasindy.excitation import Multisine
+from dynasindy.systems import Pendulum, Signature
+from dynasindy.tasks import Step
+from dynasindy.workbench import tracking
+from dynasindy.world_models import Oracle, Regression, SindyModel
+
+LIBRARY = ["1", "u", "Omega", "sin(theta)"]
+
+
+def build(signature):
+    return SindyModel(signature, LIBRARY, Regression("bic"), known={"theta": "Omega"})
+
+
+@pytest.fixture(scope="module")
+def source():
+    data = record(Pendulum(), Multisine(1, duration=6, dt=0.05, amplitude=[0.6], seed=0).samples(0.01), 0.01)
+    place = torch.arange(len(data))
+    return Source(Pendulum().signature, data.select(place < 400), data.select(place >= 400), ("two rows were skipped",))
+
+
+def test_the_fit_is_said_with_the_notes_of_the_log(source, capsys):
+    model = model_of(source, build)
+    said = capsys.readouterr().out
+    assert "fit of 400 transitions" in said and "note: two rows were skipped" in said
+    assert model.equations()[1].startswith("Omega' = ")
+
+
+def test_a_file_is_taken_if_it_is_of_the_plant(source, tmp_path):
+    build(source.signature).save(tmp_path / "model.json")
+    assert model_of(source, build, tmp_path / "model.json").library.names == tuple(LIBRARY)
+    other = replace(source, signature=Signature(("level", "flow"), ("m", "m/s"), ("u",), (1.0, 1.0)))
+    with pytest.raises(ValueError, match=r"has the states theta, Omega, the log level, flow"):
+        model_of(other, build, tmp_path / "model.json")
+
+
+def test_a_model_that_is_not_sparse_is_refused(source):
+    with pytest.raises(TypeError, match="leave world_model=sindy"):
+        model_of(source, lambda signature: Oracle(signature, Pendulum()))
+
+
+def test_what_is_flown_is_said_in_one_voice(source, tmp_path):
+    """Table, prediction and record say that no plant was flown; 64 targets are flown for the task's 20 s."""
+    model = model_of(source, build)
+    task = tracking(model, {"theta": (-0.6, 0.6)})
+    settings = {"updates": 1, "rollouts": 4, "window": 5}
+    wanted = Wanted(task, Scenario("step", Step([[0.2]]), seconds=1.0), seed=3, within=0.9, planning=settings)
+    controller = controller_of(model, source, wanted)
+    assert isinstance(controller, dynasindy.Controller)
+    prediction = judged(controller, model, source, wanted)
+    assert len(prediction.flights) == 3 and prediction.within == 0.9
+    assert prediction.shown.seconds == pytest.approx(task.max_steps * controller.dt)
+    own = judged(controller, model, None, wanted)
+    for found, place in (
+        (prediction, "on a model fitted to data that the plan never saw"),
+        (own, "of the plan itself"),
+    ):
+        table, sentence = report(model, found).rsplit("\n\n", 1)
+        assert place in found.place and found.place in table and sentence == found.words()
+    write(tmp_path, controller, model, prediction)
+    assert json.loads((tmp_path / "metrics.json").read_text())["prediction"]["sentence"] == prediction.words()
+    assert dynasindy.load(tmp_path).outputs == ("theta",)

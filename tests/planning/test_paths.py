@@ -1,0 +1,134 @@
+"""Ways from afar against Riccati's recursion by hand, a search for the nearest point by loops, and SciPy's swing-up."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import solve_ivp
+
+from dynasindy.envs import ControlEnv
+from dynasindy.planning import paths, search
+from dynasindy.planning.pace import rests_of
+from dynasindy.planning.paths import NEARNESS, WEIGHTS, Paths, _along, caught_ways
+from dynasindy.planning.regulator import Regulator
+from dynasindy.systems import Signature, System
+from dynasindy.tasks import RandomStep, Tracking, TrackingReward
+
+
+class Pole(System):
+    """A pole measured from the top, theta'' = 15 sin(theta) + pull u; less than 15 cannot lift it in one go."""
+
+    def __init__(self, pull):
+        super().__init__(Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (math.pi, 8.0)))
+        self.pull = pull
+
+    def forward(self, x, u):
+        theta, rate = x.unbind(-1)
+        return torch.stack((rate, 15.0 * torch.sin(theta) + self.pull * u[..., 0]), -1)
+
+
+def setting(pull=6.0, start=math.pi):
+    plant = Pole(pull)
+    reward = TrackingReward((4.0,), error_shape="linear", bonus=0.0, width=0.02)
+    start = {"theta": [start - 0.05, start + 0.05]}
+    task = Tracking(plant.signature, RandomStep([0.0], [0.0]), ("theta",), ("Omega",), reward, 120, start=start)
+    env = ControlEnv(plant, task, 0.05, 1)
+    return env, rests_of(env)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def few():
+    """Fewer starts and signals than planning takes are enough for one pole."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(paths, "STARTS", 6)
+        patch.setattr(search, "POPULATION", 256)
+        yield
+
+
+@pytest.fixture(scope="module")
+def swing(few):
+    env, rests = setting()
+    return env, Paths.of(env, rests, torch.Generator().manual_seed(0))
+
+
+def observed(env, x):
+    params = env.task.sample(torch.Size((len(x),)), torch.Generator())
+    return env.task.observation(x, params, torch.zeros(len(x), 1))
+
+
+def test_a_pole_swings_up_and_stays_up(swing):
+    """The plant is integrated by SciPy, in float64 and to 1e-9, under the law's inputs held for 0.05 s."""
+    env, law = swing
+    x = np.array([math.pi - 0.03, 0.1])
+    for k in range(160):
+        u = float(law(observed(env, torch.tensor(x[None], dtype=torch.float32)))[0, 0])
+        assert abs(u) <= 1.0
+        found = solve_ivp(lambda _, y, u=u: [y[1], 15 * math.sin(y[0]) + 6 * u], (0, 0.05), x, rtol=1e-9, atol=1e-9)
+        x = found.y[:, -1]
+        if k >= 140:
+            assert abs(x[0]) < 0.01 and abs(x[1]) < 0.05
+
+
+def test_the_nearest_point_is_that_of_the_formula(swing):
+    env, law = swing
+    generator = torch.Generator().manual_seed(1)
+    x = torch.tensor([2.0, 4.0]) * torch.randn(8, 2, generator=generator)
+    told = law(observed(env, x))
+    for row, u in zip(x, told, strict=True):
+        best, wanted = math.inf, 0.0
+        for point, held, gain, value in zip(law.points, law.inputs, law.gains, law.values, strict=True):
+            away = row - point  # the rest is the origin
+            far = NEARNESS * ((away[0] / math.pi) ** 2 + (away[1] / 8.0) ** 2) + math.log1p(float(away @ value @ away))
+            if far < best:
+                best, wanted = far, float(held[0] - gain[0] @ away)
+        assert float(u[0]) == pytest.approx(min(1.0, max(-1.0, wanted)), abs=2e-3)
+
+
+def test_gains_along_a_way_are_those_of_the_riccati_recursion():
+    """One way by hand: sampled derivatives by central differences, then P and K backwards in NumPy."""
+    env, rests = setting(start=0.9)
+    regulator = Regulator.of(env, rests, WEIGHTS)
+    x, reference = torch.tensor([[0.9, 0.0]]), torch.zeros(1, 1)
+    params = env.task.sample(torch.Size((1,)), torch.Generator())
+    way = caught_ways(env, regulator, x, params, reference, torch.Generator().manual_seed(0))[0]
+    assert len(way.inputs) > 3
+    _, _, gains, values = _along(env, regulator, way, reference[0])
+    assert len(gains) == len(way.inputs) + 1
+
+    def after(z):
+        state, u = torch.tensor(z[None, :2]), torch.tensor(z[None, 2:])
+        return env.advance(state, u)[0][0, -1].numpy()
+
+    q = np.diag([10.0, 1.0 / 64.0])  # outputs 10 over boxes of 1; states 1 over 8 squared
+    p = regulator.cost.double().numpy()
+    for i, k in enumerate(range(len(way.inputs) - 1, -1, -1), start=1):
+        z = np.concatenate([way.states[k].double().numpy(), way.inputs[k].double().numpy()])
+        slope = np.stack([(after(z + h) - after(z - h)) / 2e-5 for h in 1e-5 * np.eye(3)], -1)
+        a, b = slope[:, :2], slope[:, 2:]
+        gain = np.linalg.solve(np.eye(1) + b.T @ p @ b, b.T @ p @ a)
+        closed = a - b @ gain
+        p = q + gain.T @ gain + closed.T @ p @ closed  # Joseph's form
+        np.testing.assert_allclose(gains[i].numpy(), gain, rtol=2e-3, atol=2e-3)
+        np.testing.assert_allclose(values[i].numpy(), p, rtol=5e-3, atol=5e-3)
+
+
+def test_a_plant_that_nothing_lifts_has_no_ways():
+    env, rests = setting(pull=0.02)
+    assert Paths.of(env, rests, torch.Generator().manual_seed(0)) is None
+
+
+def test_a_start_that_the_regulator_catches_needs_no_way():
+    env, rests = setting(start=0.0)
+    regulator = Regulator.of(env, rests, WEIGHTS)
+    x, reference = torch.tensor([[0.02, 0.0]]), torch.zeros(1, 1)
+    params = env.task.sample(torch.Size((1,)), torch.Generator())
+    ways = caught_ways(env, regulator, x, params, reference, torch.Generator())
+    assert list(ways) == [0] and len(ways[0].inputs) == 0
+
+
+def test_imagined_episodes_begin_around_the_ways(swing):
+    _, law = swing
+    x = law.near(torch.zeros(4000, 1), torch.Generator().manual_seed(0))
+    least = torch.cdist(x / law.scale, law.points / law.scale).amin(-1)
+    assert least.max() < 0.6 and 0.02 < least.mean() < 0.15

@@ -1,0 +1,89 @@
+"""The search over signals against hand computations, and on a plant whose way home physics knows."""
+
+import math
+
+import pytest
+import torch
+
+from dynasindy.envs import ControlEnv
+from dynasindy.planning.search import OUTSIDE, objective, roll, search, signal
+from dynasindy.systems import Signature, System
+from dynasindy.tasks import RandomStep, Tracking, TrackingReward
+
+
+class Mass(System):
+    """A mass on a line, pushed by at most 1 m/s^2."""
+
+    def __init__(self):
+        super().__init__(Signature(("p", "v"), ("m", "m/s"), ("push",), (1.0, 1.0)))
+
+    def forward(self, x, u):
+        return torch.stack((x[..., 1], u[..., 0]), -1)
+
+
+def setting(target=0.0, **kwargs):
+    plant = Mass()
+    reward = TrackingReward((4.0,), rate_weight=0.0, bonus=0.0, error_shape="linear", width=0.02)
+    task = Tracking(plant.signature, RandomStep([target], [target]), ("p",), ("v",), reward, max_steps=40, **kwargs)
+    return ControlEnv(plant, task, 0.1, 1)
+
+
+def rows(env, x):
+    params = env.task.sample(torch.Size((len(x),)), torch.Generator().manual_seed(0))
+    return torch.tensor(x), params
+
+
+def test_a_signal_runs_straight_between_its_knots_and_stays_within_the_inputs():
+    knots = torch.tensor([[[0.0], [1.5], [-0.5]]])
+    # Five periods through three knots: knots at periods 0, 2 and 4.
+    wanted = torch.tensor([0.0, 0.75, 1.0, 0.5, -0.5])
+    torch.testing.assert_close(signal(knots, 5)[:, 0, 0], wanted)
+
+
+def test_a_way_is_what_the_environment_does():
+    env = setting()
+    x, inputs = torch.tensor([[0.3, -0.2]]), torch.tensor([[[0.5]], [[-1.0]]])
+    states = roll(env, x, inputs)
+    # Under a constant push p moves by v dt + u dt^2 / 2 and v by u dt.
+    first = torch.tensor([0.3 - 0.02 + 0.0025, -0.15])
+    second = torch.tensor([first[0] - 0.015 - 0.005, -0.25])
+    torch.testing.assert_close(states[:, 0], torch.stack([x[0], first, second]))
+
+
+def test_the_end_of_a_way_counts_by_the_square_of_its_time():
+    """Cost 4 e^2 / (0.02 + e): periods at errors of 1, 0 and 0.5 m have weights 1, 4 and 9 of 14."""
+    env = setting()
+    states = torch.tensor([[[9.0, 0.0]], [[1.0, 0.0]], [[0.0, 0.0]], [[0.5, 0.0]]])
+    _, params = rows(env, [[9.0, 0.0]])
+    wanted = -(1 * 4 * 1.0 / 1.02 + 9 * 4 * 0.25 / 0.52) / 14
+    assert objective(env, states, params).item() == pytest.approx(wanted, rel=1e-5)
+
+
+def test_a_way_pays_for_leaving_the_limits_of_the_plant_and_for_running_away():
+    env = setting(bounds={"p": 2.0})
+    _, params = rows(env, [[0.0, 0.0]])
+    inside = torch.tensor([[[0.0, 0.0]], [[1.9, 0.0]], [[0.0, 0.0]]])
+    for beyond in (2.1, -2.1, math.nan, math.inf):
+        outside = inside.clone()
+        outside[1, 0, 0] = beyond
+        lost = objective(env, inside, params) - objective(env, outside, params)
+        assert lost.item() == pytest.approx(OUTSIDE / 5, rel=0.01)  # weight 1 of 1 + 4
+
+
+def test_the_search_finds_the_quick_way_home():
+    """From 1 m at rest: full push one way, then the other, takes 2 sqrt(1 / 1) = 2 s, which is 20 periods."""
+    env = setting()
+    x, params = rows(env, [[1.0, 0.0], [-1.0, 0.0]])
+    ways = search(env, x, params, 32, torch.Generator().manual_seed(0))
+    for way, sign in zip(ways, (1.0, -1.0), strict=True):
+        assert way.states.shape == (33, 2) and way.inputs.shape == (32, 1)
+        torch.testing.assert_close(way.states, roll(env, way.states[:1], way.inputs.unsqueeze(1))[:, 0])
+        assert way.states[22:].abs().max() < 0.1
+        assert sign * way.inputs[2] < -0.5 and sign * way.inputs[15] > 0.3
+
+
+def test_the_same_generator_finds_the_same_way():
+    env = setting()
+    x, params = rows(env, [[1.0, 0.0]])
+    first, second = (search(env, x, params, 20, torch.Generator().manual_seed(3))[0] for _ in range(2))
+    assert torch.equal(first.inputs, second.inputs)

@@ -1,0 +1,51 @@
+"""The error of a flight is that of the last half of each target, in units of the plant; lost samples do not count."""
+
+import numpy as np
+import pytest
+
+from dynasindy.rig.shown import Shown
+from dynasindy.systems import Signature
+
+SIGNATURE = Signature(("theta", "level"), ("rad", "m"), ("u",), (1.0, 1.0))
+LOG = """time [s],theta [rad],u [-]
+0.0,5.0,0.1
+0.1,5.0,0.2
+0.2,0.9,0.3
+0.3,1.3,0.4
+0.4,5.0,0.5
+0.5,5.0,0.6
+0.6,,
+0.7,-0.75,0.8
+"""
+
+
+@pytest.fixture
+def flight(tmp_path):
+    (tmp_path / "flight_1.csv").write_text(LOG)
+    targets = [[1.0, 0.0]] * 4 + [[-1.0, 0.0]] * 4
+    return Shown.of(tmp_path / "flight_1.csv", SIGNATURE, ("theta", "level"), targets)
+
+
+def test_the_last_half_of_each_target_counts(flight):
+    """|0.9 - 1|, |1.3 - 1| and |-0.75 + 1|; the sample at 0.6 s was lost."""
+    assert flight.ends.tolist() == [False, False, True, True, False, False, True, True]
+    assert flight.errors()[0] == pytest.approx((0.1 + 0.3 + 0.25) / 3)
+    assert np.isnan(flight.errors()[1])
+    assert flight.words() == (
+        "mean error over the last half of each target: theta to 0.217 rad, level was not measured"
+    )
+
+
+def test_what_is_drawn_is_the_log(flight):
+    assert flight.inputs[:, 0].tolist()[:6] == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+    assert np.isnan(flight.outputs[6, 0]) and np.isnan(flight.inputs[6, 0])
+    assert flight.references[:, 0].tolist() == [1.0] * 4 + [-1.0] * 4
+
+
+def test_a_flight_that_ended_early_is_shown_as_far_as_it_went(tmp_path):
+    (tmp_path / "log.csv").write_text("\n".join(LOG.splitlines()[:3]))
+    short = Shown.of(tmp_path / "log.csv", SIGNATURE, ("theta",), [[1.0]] * 8)
+    assert len(short.time) == len(short.references) == 2
+    assert short.errors()[0] == pytest.approx(4.0)
+    (tmp_path / "none.csv").write_text(LOG.splitlines()[0] + "\n")
+    assert "was not measured" in Shown.of(tmp_path / "none.csv", SIGNATURE, ("theta",), [[1.0]] * 8).words()
