@@ -84,7 +84,7 @@ def of_gymnasium(system: Foreign, target: dict[str, float], max_steps: int, dt: 
 
 def pendulum(seed: int) -> ControlEnv:
     """Return Pendulum-v1, to be held upright."""
-    system = Foreign("Pendulum-v1", {"c": 1.0, "s": 1.0, "w": 8.0}, ["torque"])
+    system = Foreign("Pendulum-v1", {"c": 1.0, "s": 1.0, "w": 8.0}, ["torque"], stops=["w"])
     return of_gymnasium(system, {"c": 1.0, "s": 0.0}, 200, None, seed)
 
 
