@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import gymnasium
@@ -36,10 +37,12 @@ class Foreign(System):
         inputs: Names of the action's entries; None names them u1, u2, ...
         units: Units of the states; "-" if omitted.
         options: Arguments of `gymnasium.make`.
+        stops: Names of the states that the environment clips at the ends of its observation space; None for all. A
+            cosine, whose ends are reached in free motion, is none.
 
     Raises:
-        ValueError: Gymnasium has no such environment, a space is no box of one dimension, an action has no ends, or
-            the numbers of names differ from the spaces.
+        ValueError: Gymnasium has no such environment, a space is no box of one dimension, an action has no ends, the
+            numbers of names differ from the spaces, or a stop is no state.
     """
 
     known = False
@@ -51,6 +54,7 @@ class Foreign(System):
         inputs: Sequence[str] | None = None,
         units: Sequence[str] | None = None,
         options: Mapping[str, Any] | None = None,
+        stops: Sequence[str] | None = None,
     ) -> None:
         self.id, self.options = id, dict(options or {})
         copy = self.make(1)
@@ -73,7 +77,13 @@ class Foreign(System):
         scale = [r or (float(end) if end < 1e6 else 1.0) for r, end in zip(ranges.values(), ends, strict=True)]
         super().__init__(Signature(tuple(ranges), tuple(units or ["-"] * n_x), tuple(names), tuple(scale)))
         self.low, self.high = acted.low, acted.high
-        self.ends = torch.as_tensor(np.stack([observed.low, observed.high])).double()
+        if strange := [name for name in stops or () if name not in ranges]:
+            raise ValueError(
+                f"plant.stops names {strange[0]}, {id} has the states {', '.join(ranges)}; name some of these"
+            )
+        clips = torch.tensor([stops is None or name in stops for name in ranges])
+        far = torch.tensor([[-math.inf], [math.inf]], dtype=torch.float64)
+        self.ends = torch.where(clips, torch.as_tensor(np.stack([observed.low, observed.high])).double(), far)
         self.period = _period(copy)
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
@@ -93,10 +103,23 @@ class Foreign(System):
         try:
             return gymnasium.make(self.id, max_episode_steps=max_steps, **self.options)
         except (gymnasium.error.Error, ModuleNotFoundError, TypeError) as error:
-            reason = str(error).strip().splitlines()[0]
+            reason = str(error).strip().splitlines()[0].rstrip(".")
             raise ValueError(
                 f"env.id={self.id}: {reason}; give an environment that gymnasium.make can build"
             ) from error
+
+
+@dataclass
+class Copies:
+    """Copies of an environment, and whose episodes they are in.
+
+    Attributes:
+        pool: The copies.
+        user: What began the episodes.
+    """
+
+    pool: list[gymnasium.Env[Any, Any]] = field(default_factory=list)
+    user: GymnasiumEnv | None = None
 
 
 class GymnasiumEnv(ControlEnv):
@@ -104,7 +127,8 @@ class GymnasiumEnv(ControlEnv):
 
     A copy can be begun anew and stepped, and cannot be put into a state. So `start_from` begins where the environment
     itself begins, and a step must go on from the step before. An environment made by `with_task`, in which policies are
-    evaluated, holds a terminated row where it ended, with a reward of zero, instead of ending the episode.
+    evaluated, shares the copies, so that an episode of either ends where the other begins one. It holds a terminated
+    row where it ended instead of ending the episode: the environment itself pays nothing from there on.
 
     Args:
         system: The environment's names and ranges.
@@ -138,9 +162,7 @@ class GymnasiumEnv(ControlEnv):
         period = system.period if dt is None else dt
         if period is None:
             raise ValueError(f"{system.id} does not say how long a step is; give env.dt in seconds")
-        self.ends = True
-        self.copies: list[gymnasium.Env[Any, Any]] = []
-        self.pool: list[gymnasium.Env[Any, Any]] = []
+        self.ends, self.copies = True, Copies()
         super().__init__(system, task, period, 1, dtype=dtype, seed=seed)
         self.foreign = system
         if isinstance(task, Tracking):
@@ -153,19 +175,19 @@ class GymnasiumEnv(ControlEnv):
     def with_task(self, task: Task, seed: int = 0) -> ControlEnv:
         """Return this environment with another task, for evaluation: rows that end stay where they ended."""
         other = GymnasiumEnv.__new__(GymnasiumEnv)
-        other.ends, other.copies, other.pool = False, [], self.pool
+        other.ends, other.copies = False, self.copies
         ControlEnv.__init__(other, self.foreign, task, self.dt, 1, dtype=self.float_type, seed=seed)
-        other.foreign, other.pool = self.foreign, self.pool
+        other.foreign = self.foreign
         return other
 
     def start_from(self, states: Tensor) -> TensorDict:
         """Begin episodes where the environment begins them, one for each of the states, which are not used."""
         rows = states.shape[:-1].numel()
-        while len(self.pool) < rows:
-            self.pool.append(self.foreign.make(10**9))
-        self.copies = self.pool[:rows]
+        while len(self.copies.pool) < rows:
+            self.copies.pool.append(self.foreign.make(10**9))
+        self.copies.user = self
         seeds = torch.randint(2**31, (rows,), generator=self.rng).tolist()
-        begun = [copy.reset(seed=seed)[0] for copy, seed in zip(self.copies, seeds, strict=True)]
+        begun = [copy.reset(seed=seed)[0] for copy, seed in zip(self.copies.pool, seeds)]
         self.now = torch.as_tensor(np.stack(begun), dtype=self.float_type).reshape(states.shape)
         self.over = torch.zeros(states.shape[:-1], dtype=torch.bool)
         out = super().start_from(self.now)
@@ -173,7 +195,7 @@ class GymnasiumEnv(ControlEnv):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         x, u, params = (tensordict[key] for key in ("state", "action", "task_params"))
-        if not self.copies or not torch.equal(x, self.now):
+        if self.copies.user is not self or not torch.equal(x, self.now):
             raise RuntimeError("a Gymnasium environment goes on from its last state only; reset it first")
         steps = tensordict["step_count"] + 1
         paid = torch.zeros(*x.shape[:-1], 1)
@@ -183,7 +205,7 @@ class GymnasiumEnv(ControlEnv):
             if bool(over[i]):
                 continue
             scaled = (low + (high - low) * 0.5 * (action + 1.0)).astype(np.float32)
-            seen, reward, terminated, _, _ = self.copies[i].step(scaled)
+            seen, reward, terminated, _, _ = self.copies.pool[i].step(scaled)
             after[i] = torch.as_tensor(np.asarray(seen), dtype=self.float_type)
             paid.reshape(-1)[i], over[i] = float(reward), bool(terminated)
         self.now, self.over = after.reshape(x.shape), over.reshape(x.shape[:-1])

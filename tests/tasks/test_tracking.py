@@ -221,3 +221,15 @@ def test_a_task_that_tracks_nothing_is_told_which_states_there_are():
         ValueError, match=r"tracks nothing; the states are alpha_a, .*omega_p: name some in plant.outputs"
     ):
         Tracking(Tras().signature, Step([[0.1, 0.1]]), outputs=())
+
+
+def test_episodes_begin_at_one_of_the_states_that_are_given():
+    starts = torch.arange(18.0).reshape(3, 6)
+    task = Tracking(SIGNATURE, Step([[0.0, 0.0]]), start={"alpha_a": 9.0})
+    chosen = task.with_starts(starts)
+    drawn = chosen.initial_state(torch.Size((20, 10)), torch.Generator().manual_seed(0))
+    assert drawn.shape == (20, 10, 6)
+    rows, counts = drawn.reshape(-1, 6).unique(dim=0, return_counts=True)
+    assert torch.equal(rows, starts) and int(counts.min()) > 40  # of 200, each third
+    assert task.starts is None and float(task.initial_state(torch.Size(), torch.Generator())[0]) == 9.0
+    assert chosen.with_reference(Step([[0.1, 0.1]])).starts is starts  # an evaluation begins there, too

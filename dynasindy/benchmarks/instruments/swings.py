@@ -1,0 +1,115 @@
+"""Plants that have to be swung up, for agents without a model: what they learn on, and how they are judged.
+
+Pendulum-v1 and MountainCarContinuous-v0 pay their own reward, with the settings that rl-baselines3-zoo publishes for
+them. The cart-pole of docs/examples has the task of its run, whose episodes end at the ends of the track, without a
+cost of its own; agents have the settings of Stable-Baselines3 there.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import gymnasium
+import torch
+from torch import Tensor
+
+from dynasindy.benchmarks.plants import EXAMPLES
+from dynasindy.dyna.excite import within
+from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv
+from dynasindy.envs.gym import Array, GymControl
+from dynasindy.evaluation.held import WITHIN
+from dynasindy.tasks import RandomStep, Tracking, TrackingReward
+
+Settings = dict[str, Any]
+
+
+class Fenced(GymControl):
+    """A plant whose episodes also end where a state leaves the task's bounds, as the library's own do."""
+
+    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """Advance by one control period."""
+        observation, reward, terminated, truncated, info = super().step(action)
+        assert isinstance(self.env.task, Tracking)
+        inside = bool(within(torch.from_numpy(info["state"]), *self.env.task.bounds))
+        return observation, reward, terminated, truncated or not inside, info
+
+
+@dataclass(frozen=True)
+class Swing:
+    """What an agent learns on, and how it is judged.
+
+    Attributes:
+        steps: Real steps after which a run ends.
+        judge: Makes the environment of the evaluations, for a seed.
+        learn: Makes that of an agent; None wraps the one of the evaluations.
+        angle: Angle from upright [rad], `(...)`, of states `(..., n_x)`; None where nothing stands.
+        within: Mean absolute error at the end that is asked for [boxes of targets].
+        settings: Settings of an agent, by its name.
+    """
+
+    steps: int
+    judge: Callable[[int], ControlEnv]
+    learn: Callable[[], gymnasium.Env[Any, Any]] | None = None
+    angle: Callable[[Tensor], Tensor] | None = None
+    within: float = WITHIN
+    settings: dict[str, Settings] = field(default_factory=dict)
+
+
+def cart_pole(seed: int) -> ControlEnv:
+    """Return the plant and the task of `system=swing_up`."""
+    spec = importlib.util.spec_from_file_location("plants", EXAMPLES / "plants.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    system = module.CartPole((1.5, 3.0, 3.0, 8.0))
+    ends: Settings = {"start": {"theta": [3.04, 3.24]}, "bounds": {"theta": 20.0, "p": 2.4}}
+    reward = TrackingReward((4.0,), error_shape="linear")
+    box: Settings = {"low": [0.0, 0.0], "high": [0.0, 0.0]}
+    task = Tracking(system.signature, RandomStep(**box), ("p", "theta"), ("v", "omega"), reward, **box, **ends)
+    return ControlEnv(system, task, dtype=torch.float64, seed=seed)
+
+
+def of_gymnasium(system: Foreign, target: dict[str, float], max_steps: int, dt: float | None, seed: int) -> ControlEnv:
+    """Return an environment of Gymnasium under the task of `system=gymnasium`."""
+    values = list(target.values())
+    box: Settings = {"low": values, "high": values}
+    reward = TrackingReward((4.0,), error_shape="linear")
+    task = Tracking(system.signature, RandomStep(**box), list(target), (), reward, max_steps, **box)
+    return GymnasiumEnv(system, task, dt=dt, seed=seed)
+
+
+def pendulum(seed: int) -> ControlEnv:
+    """Return Pendulum-v1, to be held upright."""
+    system = Foreign("Pendulum-v1", {"c": 1.0, "s": 1.0, "w": 8.0}, ["torque"], stops=["w"])
+    return of_gymnasium(system, {"c": 1.0, "s": 0.0}, 200, None, seed)
+
+
+def mountain_car(seed: int) -> ControlEnv:
+    """Return MountainCarContinuous-v0, to be driven to the flag."""
+    system = Foreign("MountainCarContinuous-v0", {"p": 1.2, "v": 0.07}, ["force"])
+    return of_gymnasium(system, {"p": 0.47}, 999, 1.0, seed)
+
+
+PENDULUM_TD3 = {"gamma": 0.98, "buffer_size": 200_000, "learning_starts": 10_000, "learning_rate": 1e-3}
+CAR_SAC: Settings = {
+    **{"buffer_size": 50_000, "batch_size": 512, "ent_coef": 0.1, "train_freq": 32, "gradient_steps": 32},
+    **{"gamma": 0.9999, "tau": 0.01, "learning_starts": 0, "use_sde": True},
+    "policy_kwargs": {"log_std_init": -3.67, "net_arch": [64, 64]},
+}
+SWINGS = {
+    "pendulum_v1": Swing(
+        20_000,
+        pendulum,
+        lambda: gymnasium.make("Pendulum-v1"),
+        lambda x: torch.atan2(x[..., 1], x[..., 0]),
+        settings={"sac": {"learning_rate": 1e-3}, "td3": {"train_freq": 1, "gradient_steps": 1, **PENDULUM_TD3}},
+    ),
+    "swing_up": Swing(30_000, cart_pole, None, lambda x: torch.remainder(x[..., 1] + math.pi, 2 * math.pi) - math.pi),
+    "mountain_car": Swing(
+        50_000, mountain_car, lambda: gymnasium.make("MountainCarContinuous-v0"), within=0.05, settings={"sac": CAR_SAC}
+    ),
+}

@@ -1,0 +1,277 @@
+"""A Gymnasium environment as the plant, against the environment stepped by hand."""
+
+import math
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+from torchrl.envs.utils import check_env_specs
+
+from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv
+from dynasindy.systems import Pendulum
+from dynasindy.tasks import Step, Tracking, TrackingReward
+
+PENDULUM = {"states": {"c": 1.0, "s": 1.0, "w": 8.0}, "inputs": ["torque"]}
+BY_HAND = "by_hand/Steps-v0"
+
+
+class Steps(gymnasium.Env):
+    """x1' = x1 + u1, clipped at 1; x2' = x2 + u2, without ends; inputs from -1 to 3 and from 0 to 1."""
+
+    observation_space = spaces.Box(np.array([-2.0, -np.inf]), np.array([1.0, np.inf]), dtype=np.float64)
+    action_space = spaces.Box(np.array([-1.0, 0.0]), np.array([3.0, 1.0]), dtype=np.float64)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.x = np.zeros(2)
+        return self.x, {}
+
+    def step(self, action):
+        self.x = self.x + action
+        self.x[0] = np.clip(self.x[0], -2.0, 1.0)
+        return self.x, 1.0, False, False, {}
+
+
+gymnasium.register(BY_HAND, Steps)
+
+
+def environment(name, target, max_steps=200, seed=0, **settings):
+    settings, dt = {k: v for k, v in settings.items() if k != "dt"}, settings.get("dt")
+    system = Foreign(name, **settings)
+    columns, values = list(target), [list(target.values())]
+    task = Tracking(system.signature, Step(values), columns, (), TrackingReward((4.0,)), max_steps)
+    return GymnasiumEnv(system, task, name, dt, seed=seed)
+
+
+def pendulum(**settings):
+    return environment("Pendulum-v1", {"c": 1.0, "s": 0.0}, **PENDULUM, **settings)
+
+
+def car(max_steps=300):
+    states = {"p": 1.2, "v": 0.07}
+    return environment("MountainCarContinuous-v0", {"p": 0.47}, max_steps, states=states, dt=1.0)
+
+
+def resting(tensordict):
+    """Leave the plant alone."""
+    return tensordict.set("action", torch.zeros(1))
+
+
+def pumping(tensordict):
+    """Push with the speed, which takes energy in: a car in a valley comes out."""
+    v = tensordict["state"][..., -1:]
+    return tensordict.set("action", torch.where(v >= 0, 1.0, -1.0).float())
+
+
+def test_a_rollout_is_the_environment_stepped_by_hand_with_the_torque_doubled():
+    env = pendulum()
+    actions = torch.rand(60, 1, generator=torch.Generator().manual_seed(1)) * 2.4 - 1.2  # some beyond the ends
+    seeds, copy = [], gymnasium.make("Pendulum-v1")
+    for seed in (3, 4):
+        env.rng.manual_seed(seed)
+        seeds.append(int(torch.randint(2**31, (1,), generator=torch.Generator().manual_seed(seed))))
+        now, (x, _) = env.start_from(torch.zeros(3)), copy.reset(seed=seeds[-1])
+        np.testing.assert_array_equal(now["state"].numpy(), x)
+        assert float(now["own_reward"]) == 0.0
+        for u in actions:
+            after = env.step(now.set("action", u))
+            x, paid, terminated, _, _ = copy.step(2.0 * u.clamp(-1.0, 1.0).numpy())
+            np.testing.assert_allclose(after["next", "state"].numpy(), x, rtol=0, atol=1e-6)
+            assert float(after["next", "own_reward"]) == pytest.approx(paid, rel=1e-6)
+            assert not terminated and not after["next", "done"]
+            now = env.step_mdp(after)
+    assert seeds[0] != seeds[1]
+
+
+def test_the_reward_is_that_of_the_task_at_the_end_of_the_period():
+    env = pendulum()
+    after = env.step(env.reset().set("action", torch.zeros(1)))["next"]
+    c, s, _ = after["state"].tolist()
+    assert float(after["reward"]) == pytest.approx(-4.0 * ((1 - c) ** 2 + s**2), rel=1e-5)
+    np.testing.assert_allclose(after["observation"].numpy()[3:], [(1 - c) / 0.5, -s / 0.5], rtol=1e-5)
+
+
+def test_rows_are_copies_of_their_own_and_inputs_are_scaled_between_their_ends():
+    """Inputs 0, -1, 1 of -1 to 3 are 1, -1, 3; of 0 to 1 they are 0.5, 0, 1."""
+    env = environment(BY_HAND, {"x2": 0.0}, dt=0.1)
+    u = torch.tensor([[0.0, 0.0], [-1.0, -1.0], [1.0, 1.0], [-1.0, 0.0]])
+    now = env.start_from(torch.zeros(4, 2))
+    for k in (1, 2):
+        after = env.step(now.set("action", u))["next"]
+        expected = k * torch.tensor([[1.0, 0.5], [-1.0, 0.0], [3.0, 1.0], [-1.0, 0.5]]).double()
+        expected[:, 0] = expected[:, 0].clamp(-2.0, 1.0)
+        assert torch.equal(after["state"], expected)
+        assert after["at_stop"].flatten().tolist() == [True, k == 2, True, k == 2]
+        assert after["own_reward"].flatten().tolist() == [1.0] * 4
+        assert torch.equal(after["samples"], expected.unsqueeze(1))
+        now = env.step_mdp(now.set("next", after))
+
+
+def test_ends_are_stops_of_the_states_that_are_named():
+    """At full torque the pendulum, whose c and s have ends of 1, reaches its ends of 8 rad/s."""
+
+    def flight(**settings):
+        env = pendulum(**settings)
+        return env.rollout(200, pumping)["next"]
+
+    w = flight()["state"][:, 2].abs()
+    assert 0 < int((w == 8.0).sum()) < 200
+    assert torch.equal(flight(stops=["w"])["at_stop"][:, 0], w == 8.0)
+    assert not flight(stops=[])["at_stop"].any()
+
+
+@pytest.mark.parametrize(
+    ("settings", "names", "ranges"),
+    [
+        (PENDULUM, ("c", "s", "w"), (1.0, 1.0, 8.0)),
+        ({"states": {"c": 2.0, "s": 3.0, "w": 4.0}}, ("c", "s", "w"), (2.0, 3.0, 4.0)),
+        ({"states": ["a", "b", "d"]}, ("a", "b", "d"), (1.0, 1.0, 8.0)),
+        ({}, ("x1", "x2", "x3"), (1.0, 1.0, 8.0)),
+    ],
+)
+def test_names_and_ranges_are_those_given_or_those_of_the_spaces(settings, names, ranges):
+    system = Foreign("Pendulum-v1", **settings)
+    assert system.signature.state_names == names and system.signature.x_scale == ranges
+    assert system.signature.input_names == (("torque",) if "inputs" in settings else ("u1",))
+    assert system.signature.state_units == ("-",) * 3 and not system.known
+    with pytest.raises(TypeError, match="equations of Pendulum-v1 are not known"):
+        system(torch.zeros(3), torch.zeros(1))
+
+
+def test_a_range_without_ends_is_one():
+    assert Foreign(BY_HAND).signature.x_scale == (2.0, 1.0)
+
+
+def test_the_period_is_that_of_the_environment_unless_given():
+    assert pendulum().dt == gymnasium.make("Pendulum-v1").unwrapped.dt == 0.05
+    assert pendulum(dt=0.1).dt == 0.1
+    with pytest.raises(ValueError, match=r"MountainCarContinuous-v0 does not say how long .* give env.dt in seconds"):
+        environment("MountainCarContinuous-v0", {"x1": 0.47})
+
+
+def test_options_are_those_of_make():
+    def speeds(**options):
+        env = pendulum(options=options)
+        return env.rollout(2, resting)["next", "state"][:, 2]
+
+    assert torch.equal(speeds(), speeds(g=10.0)) and not torch.equal(speeds(), speeds(g=5.0))
+
+
+def test_a_row_that_is_over_ends_a_training_episode():
+    """The flag is at 0.45; the environment pays 100 there, less 0.1 for the last input."""
+    rows = car().rollout(300, pumping)
+    p, end = rows["next", "state"][:, 0], rows["next"][-1]
+    assert 50 < len(rows) < 200 and p[-1] >= 0.45 and bool((p[:-1] < 0.45).all())
+    assert bool(end["terminated"]) and bool(end["done"]) and not bool(end["truncated"])
+    assert rows["next", "own_reward"].flatten().tolist() == pytest.approx([-0.1] * (len(rows) - 1) + [99.9], rel=1e-5)
+
+
+def test_a_row_that_is_over_stays_there_in_an_evaluation():
+    env = car()
+    calm = env.with_task(env.task)
+    start = calm.start_from(torch.zeros(3, 2))
+    rows = calm.rollout(300, pumping, auto_reset=False, tensordict=start, break_when_any_done=False)
+    assert rows.shape == (3, 300) and not rows["next", "terminated"].any()
+    for row in rows:
+        p, paid = row["next", "state"], row["next", "own_reward"].flatten()
+        first = int((p[:, 0] >= 0.45).nonzero()[0])
+        assert torch.equal(p[first:], p[first].expand(300 - first, -1))
+        assert float(paid[first]) == pytest.approx(99.9, rel=1e-5) and not paid[first + 1 :].any()
+        # The task still counts how far from the target it stays.
+        assert float(row["next", "reward"][-1]) == pytest.approx(-4.0 * (0.47 - float(p[-1, 0])) ** 2, rel=1e-3)
+    assert rows["next", "truncated"][:, -1].all() and not rows["next", "truncated"][:, :-1].any()
+
+
+def test_episodes_are_truncated_after_those_of_the_task_and_not_of_the_environment():
+    rows = pendulum(max_steps=250).rollout(300, resting)
+    assert len(rows) == 250 and bool(rows["next", "truncated"][-1]) and not rows["next", "terminated"].any()
+
+
+def test_a_step_from_another_state_is_refused():
+    env = pendulum()
+    now = env.reset().set("action", torch.zeros(1))
+    env.step(now.clone())
+    with pytest.raises(RuntimeError, match="goes on from its last state only; reset it first"):
+        env.step(now)
+    with pytest.raises(RuntimeError, match="reset it first"):
+        pendulum().step(now)
+
+
+def test_an_episode_that_an_evaluation_has_taken_the_copies_of_is_refused():
+    env = pendulum()
+    now = env.reset().set("action", torch.zeros(1))
+    env.with_task(env.task).reset()
+    with pytest.raises(RuntimeError, match="reset it first"):
+        env.step(now)
+    env.step(env.reset().set("action", torch.zeros(1)))
+
+
+def test_an_imagined_episode_begins_where_the_environment_does():
+    """Pendulum-v1 begins at any angle, at up to 1 rad/s; a model is stepped by the ordinary environment."""
+    env = pendulum(seed=2)
+    imagined = env.with_system(Turning(env.system.signature))
+    assert type(imagined) is ControlEnv and imagined.dt == env.dt and imagined.task is env.task
+    x = imagined.task.initial_state(torch.Size((500,)), torch.Generator().manual_seed(0))
+    np.testing.assert_allclose(x[:, 0] ** 2 + x[:, 1] ** 2, 1.0, atol=1e-6)
+    angle = torch.atan2(x[:, 1], x[:, 0])
+    assert float(angle.min()) < -2.5 and float(angle.max()) > 2.5 and 0.5 < float(x[:, 2].abs().max()) <= 1.0
+
+
+class Turning(Pendulum):
+    """A stand-in for a fitted model."""
+
+    def __init__(self, signature):
+        super().__init__()
+        self.signature = signature
+
+    def forward(self, x, u):
+        return torch.zeros_like(x)
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "words"),
+    [
+        ("CartPole-v1", {}, r"CartPole-v1 has the action space Discrete\(2\); a plant needs a Box"),
+        ("Blackjack-v1", {}, "has the observation space Tuple"),
+        ("None-v0", {}, r"env.id=None-v0: Environment `None` doesn't exist; give an environment"),
+        ("Pendulum-v1", {"states": ["a"]}, r"has 3 states and 1 inputs, plant.states names 1 \(a\)"),
+        ("Pendulum-v1", {"inputs": ["a", "b"]}, r"plant.inputs 2 \(a, b\); name each"),
+        ("Pendulum-v1", {"options": {"weight": 1}}, "unexpected keyword argument 'weight'"),
+        ("Pendulum-v1", {"stops": ["w"]}, "plant.stops names w, Pendulum-v1 has the states x1, x2, x3"),
+    ],
+)
+def test_what_is_no_plant_is_refused_in_one_line(name, settings, words):
+    with pytest.raises(ValueError, match=words) as refused:
+        Foreign(name, **settings)
+    assert "\n" not in str(refused.value)
+
+
+def test_inputs_without_ends_are_refused():
+    gymnasium.register("by_hand/Free-v0", Free)
+    with pytest.raises(ValueError, match="actions without ends"):
+        Foreign("by_hand/Free-v0")
+
+
+class Free(Steps):
+    """Inputs of any size."""
+
+    action_space = spaces.Box(-math.inf, math.inf, (2,), dtype=np.float64)
+
+
+def test_other_plants_and_finer_samples_are_refused():
+    system = Pendulum()
+    task = Tracking(system.signature, Step([[0.0]]), ["theta"], (), TrackingReward((4.0,)))
+    with pytest.raises(TypeError, match=r"Pendulum is no Gymnasium environment; use dynasindy.envs.ControlEnv"):
+        GymnasiumEnv(system, task)
+    env = pendulum()
+    with pytest.raises(ValueError, match=r"env.substeps=5: .* give 1"):
+        GymnasiumEnv(env.system, env.task, substeps=5)
+
+
+@pytest.mark.parametrize("make", [pendulum, car])
+def test_specs_hold(make):
+    env = make()
+    check_env_specs(env)
+    check_env_specs(env.with_task(env.task))
