@@ -43,8 +43,7 @@ def main(cfg: DictConfig) -> None:
         except KeyboardInterrupt as stop:
             words = f"stopped; the rig was asked for its safe input, its logs are in {cfg.folder}"
             raise Stopped(words, getattr(stop, "signal", 2)) from stop
-        finally:
-            draw(session)
+    draw(session)
     print(f"Logs, model, controller and figures: {cfg.folder}")
     if session.failed:
         sys.exit(1)
@@ -53,6 +52,8 @@ def main(cfg: DictConfig) -> None:
 def draw(session: Session) -> None:
     """Draw each flight: references, what was measured, inputs."""
     for name, flight in session.shown.items():
+        if not len(flight.time):  # it ended before its first sample
+            continue
         units = [f"{output} [{unit}]" for output, unit in zip(flight.names, flight.units, strict=True)]
         given = flight.time, flight.references, {"measured": flight.outputs}, {"measured": flight.inputs}, units
         inputs, title = session.wiring.signature.input_names, f"{name.replace('_', ' ')} on the rig"

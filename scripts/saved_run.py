@@ -11,6 +11,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.utils import instantiate
 from mistakes import CONF, MENDABLE
 from omegaconf import DictConfig, OmegaConf
+from schema import register_functions
 
 from dynasindy.dyna.weights import read_weights
 from dynasindy.envs import ControlEnv
@@ -45,6 +46,7 @@ def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
         )
     if absent := [part for part in ("system", "task", "env", "agent", "plant") if not config.get(part)]:
         raise ValueError(f"{file} is not of a run, it has no {absent[0]}; give a folder that train.py printed")
+    register_functions(config)
     return config
 
 

@@ -148,8 +148,20 @@ def check(cfg: DictConfig, file: str = "") -> None:
         raise ValueError(f"{file}: {error}" if file else str(error)) from error
     for key, value in found.items():
         OmegaConf.update(cfg, key, value, merge=False)
-    for name, formula in (tree.get("plant") or {}).get("functions", {}).items():
-        register_formula(name, formula)  # the library of the plant is made of them
+    register_functions(tree)
+
+
+def register_functions(tree: Any) -> None:
+    """Register the functions of the user's own that the library of the plant is made of.
+
+    Raises:
+        ValueError: They are no names with formulas.
+    """
+    given = (tree.get("plant") or {}).get("functions") or {}
+    if not isinstance(given, Mapping):
+        raise ValueError(f"plant.functions is {given}; give names with formulas, such as {{softened: '...'}}")
+    for name, formula in given.items():
+        register_formula(name, formula)
 
 
 def _nodes(tree: Any, key: str, found: dict[str, Any]) -> None:

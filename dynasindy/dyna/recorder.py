@@ -82,7 +82,8 @@ class Recorder(Callback):
     def evaluate(self) -> Evaluation:
         """Run the deployed policy, without noise, in the scenario; its steps are counted apart from the real ones."""
         evaluation = evaluate(self.plant, self.parts.agent.deployed, self.scenario, self.parts.sensing)
-        self.evaluation_steps += evaluation.trajectory.numel()
+        moved = evaluation.trajectory["next"].get("moved", None)  # of rows that may end before the others
+        self.evaluation_steps += evaluation.trajectory.numel() if moved is None else int(moved.sum())
         return evaluation
 
     def fitted(self, report: object, excited: TensorDict, cost: Cost) -> None:

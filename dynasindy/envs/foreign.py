@@ -17,7 +17,7 @@ import torch
 from gymnasium import spaces
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Unbounded
+from torchrl.data import Binary, Unbounded
 
 from dynasindy.envs.control_env import ControlEnv
 from dynasindy.systems import Signature, System
@@ -56,7 +56,13 @@ class Foreign(System):
         options: Mapping[str, Any] | None = None,
         stops: Sequence[str] | None = None,
     ) -> None:
+        if ":" in id:
+            raise ValueError(
+                f"env.id={id} would import {id.partition(':')[0]!r}; import it yourself, and name its id alone"
+            )
         self.id, self.options = id, dict(options or {})
+        if wrong := [k for k, v in self.options.items() if not isinstance(v, int | float) and v is not None]:
+            raise ValueError(f"system.options.{wrong[0]} is {self.options[wrong[0]]!r}; give numbers, true or false")
         copy = self.make(1)
         observed, acted = copy.observation_space, copy.action_space
         for space, what in ((observed, "observation"), (acted, "action")):
@@ -191,6 +197,7 @@ class GymnasiumEnv(ControlEnv):
         self.now = torch.as_tensor(np.stack(begun), dtype=self.float_type).reshape(states.shape)
         self.over = torch.zeros(states.shape[:-1], dtype=torch.bool)
         out = super().start_from(self.now)
+        out.set("moved", torch.zeros(*states.shape[:-1], 1, dtype=torch.bool))
         return out.set("own_reward", torch.zeros(*states.shape[:-1], 1))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
@@ -199,6 +206,7 @@ class GymnasiumEnv(ControlEnv):
             raise RuntimeError("a Gymnasium environment goes on from its last state only; reset it first")
         steps = tensordict["step_count"] + 1
         paid = torch.zeros(*x.shape[:-1], 1)
+        held = self.over.clone()
         after, over = self.now.clone().reshape(-1, x.shape[-1]), self.over.clone().reshape(-1)
         low, high = self.foreign.low, self.foreign.high
         for i, action in enumerate(u.detach().reshape(-1, u.shape[-1]).double().numpy().clip(-1.0, 1.0)):
@@ -215,9 +223,12 @@ class GymnasiumEnv(ControlEnv):
         out["reward"] = reward.float().unsqueeze(-1)
         out["samples"], out["at_stop"] = self.now.unsqueeze(-2), clipped.unsqueeze(-1)
         out["own_reward"] = paid
-        out["terminated"] = self.over.unsqueeze(-1) & self.ends
-        out["truncated"] = steps >= self.task.max_steps
-        out["done"] = out["truncated"] | out["terminated"]
+        out["moved"] = ~held.unsqueeze(-1)
+        # The reward of the task is a cost: an end that were worth nothing would be the best that an agent could reach,
+        # so an episode that the environment ends is cut short, not terminated.
+        out["truncated"] = (steps >= self.task.max_steps) | (self.over.unsqueeze(-1) & self.ends)
+        out["done"] = out["truncated"].clone()
+        out["terminated"] = torch.zeros_like(out["done"])
         return TensorDict(out, batch_size=tensordict.batch_size, device=self.device)
 
     def _begin(self, number: int, rng: np.random.Generator) -> Tensor:
@@ -232,7 +243,9 @@ class GymnasiumEnv(ControlEnv):
 
     def _make_specs(self) -> None:
         super()._make_specs()
-        self.observation_spec["own_reward"] = Unbounded(shape=(*self.batch_size, 1), dtype=torch.float32)
+        shape = (*self.batch_size, 1)
+        self.observation_spec["own_reward"] = Unbounded(shape=shape, dtype=torch.float32)
+        self.observation_spec["moved"] = Binary(n=1, shape=shape, dtype=torch.bool)
 
 
 def _ranges(states: Sequence[str] | Mapping[str, float]) -> dict[str, float | None]:

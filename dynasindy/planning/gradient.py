@@ -179,7 +179,7 @@ class GradientPlanning(Planner):
         if best == -math.inf:
             raise self._diverged(done, made, episodes.diverged, finite, lr)
         self._deploy()
-        return Planned(imagined=done * self.rollouts * pace.window, updates=made)
+        return Planned(begun.imagined + done * self.rollouts * pace.window, begun.updates + made)
 
     def distrust(self) -> None:
         """Do nothing: no imagined data are kept."""
@@ -190,11 +190,16 @@ class GradientPlanning(Planner):
 
     def state_dict(self) -> dict[str, Any]:
         """Return the phases so far and the generator; episodes and optimiser begin anew in each phase."""
-        return {"phase": self.phase, "afar": self.afar, "generator": self.rng.get_state()}
+        return {
+            "phase": self.phase,
+            "pace": dataclasses.asdict(self.pace),
+            "afar": self.afar,
+            "generator": self.rng.get_state(),
+        }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what `state_dict` returned."""
-        self.phase, self.afar = state["phase"], state["afar"]
+        self.phase, self.afar, self.pace = state["phase"], state["afar"], PlanSettings(**state["pace"])
         self.rng.set_state(state["generator"])
 
     def test(self, network: Network | None = None) -> float:

@@ -49,10 +49,14 @@ class Begun:
     Attributes:
         score: What it earns in the model.
         afar: Whether it imitates ways from afar.
+        imagined: Control periods that the search for ways has imagined.
+        updates: Gradient updates of the imitation.
     """
 
     score: float
     afar: bool = False
+    imagined: int = 0
+    updates: int = 0
 
 
 def hold(
@@ -70,17 +74,19 @@ def hold(
     best, before = score(network), copy.deepcopy(network.state_dict())
     regulators = [Regulator.of(env, rests, replace(Weights(), outputs=weight)) for weight in LADDER]
     earned: dict[float, Law] = {score(law): law for law in regulators if law is not None}
-    afar = False
+    afar, imagined = False, 0
     if earned and not arrives(earned[max(earned)], env, rests, rng):
-        paths = Paths.of(env, rests, rng)
-        afar = paths is not None and score(paths) > max(earned)
-        earned |= {score(paths): paths} if paths is not None else {}
-    if earned and max(earned) > best:
-        imitate(network, earned[max(earned)], env, rng, *(FROM_AFAR if afar else REGULATED))
-        if (imitated := score(network)) > best:
-            return Begun(imitated, afar)
-        network.load_state_dict(before)
-    return Begun(best)
+        paths, imagined = Paths.of(env, rests, rng)
+        if paths is not None and (scored := score(paths)) > max(earned):
+            afar, earned[scored] = True, paths
+    if not earned or max(earned) <= best:
+        return Begun(best, imagined=imagined)
+    rounds, steps = FROM_AFAR if afar else REGULATED
+    imitate(network, earned[max(earned)], env, rng, rounds, steps)
+    if (imitated := score(network)) > best:
+        return Begun(imitated, afar, imagined, rounds * steps)
+    network.load_state_dict(before)
+    return Begun(best, False, imagined, rounds * steps)
 
 
 @torch.no_grad()
@@ -94,6 +100,7 @@ def arrives(pilot: Network, env: ControlEnv, rests: Rests, rng: torch.Generator)
         rng: Source of starts and references.
     """
     task, batch = env.task, torch.Size((ROWS,))
+    assert isinstance(task, Tracking)
     params, end = task.sample(batch, rng), torch.full((ROWS, 1), task.max_steps * env.dt)
     reference = task.reference(params, end).float()
     regulator = Regulator.of(env, rests, WEIGHTS)
@@ -101,8 +108,9 @@ def arrives(pilot: Network, env: ControlEnv, rests: Rests, rng: torch.Generator)
         return True
     x = task.initial_state(batch, rng).float()
     rows = Rows(x, torch.zeros(ROWS, env.system.signature.n_u), params, torch.zeros(ROWS, 1))
-    states = imagine(env, env.system, pilot, rows, task.max_steps, False, rng).states[-STILL:]
-    return bool(regulator.home(states, reference, NEAR).all())
+    rows.reach = _reach(task, x)
+    whole = imagine(env, env.system, pilot, rows, task.max_steps, False, rng)
+    return bool((regulator.home(whole.states[-STILL:], reference, NEAR) & whole.alive[-1]).all())
 
 
 def imitate(
@@ -144,12 +152,16 @@ def _visited(pilot: Network, law: Law, env: ControlEnv, rng: torch.Generator) ->
     x = task.initial_state(batch, rng).float()
     x[::2] = law.near(other, rng)[::2]
     rows = Rows(x, torch.zeros(ROWS, env.system.signature.n_u), params, zero)
-    reach = torch.tensor(task.signature.x_scale) * 20.0
-    rows.reach = torch.maximum(reach, 4 * x.abs().amax(0))
+    rows.reach = _reach(task, x)
     whole = imagine(env, env.system, pilot, rows, min(PERIODS, task.max_steps), False, rng)
     alive = whole.alive[:-1]
     observed = task.observation(whole.seen, params.expand(len(alive), *params.shape), whole.times[:-1])
     return observed[alive].float()
+
+
+def _reach(task: Tracking, x: Tensor) -> Tensor:
+    """Return magnitudes of the states beyond which an episode from starts `(n, n_x)` has run away, `(n_x,)`."""
+    return torch.maximum(20.0 * torch.tensor(task.signature.x_scale), 4 * x.abs().amax(0))
 
 
 def _trembling(law: Law, rng: torch.Generator) -> Network:

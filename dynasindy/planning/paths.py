@@ -19,7 +19,7 @@ from torch import Tensor
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.planning.rests import Rests
-from dynasindy.planning.search import Way, roll, search
+from dynasindy.planning.search import POPULATION, ROUNDS, Way, roll, search
 from dynasindy.planning.window import sensitivities
 
 STARTS = 24
@@ -33,8 +33,8 @@ TRIED = 5
 WEIGHTS = Weights(outputs=10.0, states=1.0, inputs=1.0)
 NEARNESS = 30.0
 """Weight of the distance in ranges against that of the value."""
-CHUNK = 2048
-"""Observations that are compared with all points at once."""
+CHUNK = 8_000_000
+"""Numbers of the distances between some observations and all points that are computed at once."""
 AROUND = 0.1
 """Distance from the ways at which imagined episodes begin [ranges of the states]."""
 
@@ -55,8 +55,10 @@ class Paths:
         self.scale = torch.tensor(regulator.task.signature.x_scale)
 
     @classmethod
-    def of(cls, env: ControlEnv, rests: Rests, rng: torch.Generator) -> Paths | None:
-        """Return the law of a model; None where no regulator holds it, or no way leads to where one does.
+    def of(cls, env: ControlEnv, rests: Rests, rng: torch.Generator) -> tuple[Paths | None, int]:
+        """Return the law of a model, and the control periods that were imagined for it.
+
+        There is none where no regulator holds the model, or no way leads to where one does.
 
         Args:
             env: Imagined environment.
@@ -65,21 +67,23 @@ class Paths:
         """
         regulator = Regulator.of(env, rests, WEIGHTS)
         if regulator is None:
-            return None
+            return None, 0
         batch = torch.Size((STARTS,))
         x, params = env.task.initial_state(batch, rng).float(), env.task.sample(batch, rng)
         reference = env.task.reference(params, torch.zeros(STARTS, 1)).float()
-        ways = [(way, reference[i]) for i, way in caught_ways(env, regulator, x, params, reference, rng).items()]
+        caught, imagined = caught_ways(env, regulator, x, params, reference, rng)
+        ways = [(way, reference[i]) for i, way in caught.items()]
         if not ways:
-            return None
+            return None, imagined
         parts = [_along(env, regulator, way, r) for way, r in ways]
         points, inputs, gains, values = (torch.cat(part) for part in zip(*parts, strict=True))
-        return cls(regulator, points, inputs, gains, values)
+        return cls(regulator, points, inputs, gains, values), imagined
 
     def __call__(self, observation: Tensor) -> Tensor:
         """Return inputs `(*batch, n_u)` for observations `(*batch, n_o)`."""
         rows = observation.reshape(-1, observation.shape[-1])
-        return torch.cat([self._act(some) for some in rows.split(CHUNK)]).reshape(*observation.shape[:-1], -1)
+        some = max(1, CHUNK // (len(self.points) * len(self.scale)))
+        return torch.cat([self._act(part) for part in rows.split(some)]).reshape(*observation.shape[:-1], -1)
 
     def _act(self, observation: Tensor) -> Tensor:
         x, reference = self.regulator.task.seen(observation)
@@ -100,8 +104,10 @@ class Paths:
 
 def caught_ways(
     env: ControlEnv, regulator: Regulator, x: Tensor, params: Tensor, reference: Tensor, rng: torch.Generator
-) -> dict[int, Way]:
-    """Return ways to where the regulator catches the plant, by the number of their start; some starts have none.
+) -> tuple[dict[int, Way], int]:
+    """Return ways to where the regulator catches the plant, by the number of their start, and what was imagined.
+
+    Some starts have no way.
 
     Args:
         env: Imagined environment.
@@ -113,18 +119,20 @@ def caught_ways(
     """
     nothing = x.new_zeros(0, env.system.signature.n_u)
     found = {i: Way(x[i : i + 1], nothing) for i in _caught(env, regulator, x, reference)}
+    imagined = 0
     for periods in (length for length in LENGTHS if length <= env.task.max_steps):
         left = [i for i in range(len(x)) if i not in found]
         if not left:
             break
         ways = search(env, x[left], params[left], periods, rng)
+        imagined += len(left) * POPULATION * ROUNDS * periods
         states = torch.stack([way.states for way in ways], 1)
         rank = regulator.value(states, reference[left]).argsort(0)
         for k in rank[:TRIED]:
             here = states[k, torch.arange(len(left))]
             for j in _caught(env, regulator, here, reference[left]):
                 found.setdefault(left[j], Way(ways[j].states[: k[j] + 1], ways[j].inputs[: k[j]]))
-    return found
+    return found, imagined
 
 
 def _caught(env: ControlEnv, regulator: Regulator, x: Tensor, reference: Tensor) -> list[int]:

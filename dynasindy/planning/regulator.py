@@ -60,7 +60,7 @@ class Regulator:
         task: What the observations are of.
         rests: Rests of the model.
         weights: Weights of the quadratic cost.
-        moved: States that take part, bool `(n_x,)`.
+        squares: Weight of each squared state, `(n_x,)`.
         solved: Solution of the Riccati equation in those states.
     """
 

@@ -30,7 +30,7 @@ LEAST = 0.03
 FAR = 20.0
 """Ranges of a state beyond which a signal counts as none."""
 OUTSIDE = 1e3
-"""Cost of each control period outside of the limits of the plant."""
+"""Cost of each control period outside of the limits of the plant, beyond the highest within them."""
 
 
 @dataclass(frozen=True)
@@ -109,8 +109,11 @@ def objective(env: ControlEnv, states: Tensor, params: Tensor) -> Tensor:
     low, high = task.bounds.to(states)
     scale = torch.tensor(task.signature.x_scale)
     outside = ~((states[1:] >= low) & (states[1:] <= high)).all(-1)
-    lost = ~(states[1:].abs() <= FAR * scale + states[0].abs()).all(-1)
-    reward = reward.nan_to_num(0.0, 0.0, 0.0) - OUTSIDE * (outside | lost)
+    lost = (~(states[1:].abs() <= FAR * scale + states[0].abs()).all(-1)).int().cummax(0).values.bool()
+    sound = ~(outside | lost)
+    # Whatever is paid within the limits, leaving them costs more, and running away more still, to the end.
+    worst = reward[sound].amin().clamp_max(0.0) if bool(sound.any()) else reward.new_zeros(())
+    reward = torch.where(outside, worst - OUTSIDE, reward)
+    reward = torch.where(lost, 2 * worst - FAR * OUTSIDE, reward)
     weights = torch.arange(1, periods + 1, dtype=states.dtype).square()
-    # What follows an explosion may be any number.
-    return ((weights / weights.sum()).unsqueeze(-1) * reward.clamp_min(-OUTSIDE * FAR)).sum(0)
+    return ((weights / weights.sum()).unsqueeze(-1) * reward).sum(0)

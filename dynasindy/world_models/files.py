@@ -14,8 +14,8 @@ from torch import Tensor
 from dynasindy.systems.base import Signature
 from dynasindy.world_models.constraints import Constraints
 from dynasindy.world_models.features import Feature
-from dynasindy.world_models.formulas import register_formula
-from dynasindy.world_models.functions import own_formulas
+from dynasindy.world_models.formulas import forget, register_formula, texts
+from dynasindy.world_models.functions import is_registered
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.tables import equations
 
@@ -61,8 +61,8 @@ def record(
         },
         "library": {f.name(): f.to_list() for f in library.features},
     }
-    if own := own_formulas(factor.function for feature in library.features for factor in feature.factors):
-        data["functions"] = {name: formula[1:-1] for name, formula in own.items()}  # without their brackets
+    if own := texts(factor.function for feature in library.features for factor in feature.factors):
+        data["functions"] = own
     if delay:
         data["delay"] = delay
     if constraints is not None and not bool(constraints.free.all()):
@@ -140,10 +140,17 @@ def _constraints(library: Library, data: dict[str, Any] | None) -> Constraints:
 
 
 def _model(data: dict[str, Any]) -> tuple[Library, Tensor, Constraints, float]:
-    for name, formula in data.get("functions", {}).items():
-        if own_formulas([name]).get(name, f"({formula})") != f"({formula})":
-            raise ValueError(f"function {name!r} of the model, {formula}, is another function here; rename yours")
-        register_formula(name, formula)
+    new = [name for name in data.get("functions", {}) if not is_registered(name)]
+    try:
+        for name, formula in data.get("functions", {}).items():
+            register_formula(name, formula)
+        return _parts(data)
+    except Exception:  # any: a file that is damaged leaves nothing behind
+        forget(new)
+        raise
+
+
+def _parts(data: dict[str, Any]) -> tuple[Library, Tensor, Constraints, float]:
     signature = _signature(data["signature"])
     library = Library(signature, [_feature(f) for f in data["library"].values()])
     coefficients = torch.zeros(len(library), signature.n_x, dtype=torch.float64)

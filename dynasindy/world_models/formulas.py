@@ -9,12 +9,18 @@ from __future__ import annotations
 import ast
 import math
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import torch
 from torch import Tensor
 
-from dynasindy.world_models.functions import FORMULA_FUNCTIONS, Function, is_built_in, register_function
+from dynasindy.world_models.functions import (
+    FORMULA_FUNCTIONS,
+    Function,
+    is_registered,
+    register_function,
+    unregister_function,
+)
 
 LONGEST = 300
 """Characters of a formula."""
@@ -25,6 +31,7 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Tensor]] = {
     ast.Div: operator.truediv,
     ast.USub: operator.neg,
 }
+_SIGNS: dict[type[ast.AST], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
 _CALLS: dict[str, Callable[..., Tensor]] = {
     "sin": torch.sin,
     "cos": torch.cos,
@@ -38,37 +45,58 @@ _CALLS: dict[str, Callable[..., Tensor]] = {
 }
 
 
+_TEXTS: dict[str, str] = {}
+"""What each function was registered with, by name."""
+
+
 def register_formula(name: str, formula: str) -> Function:
     """Make a function of one argument available to libraries, saved models and exports, from its formula.
 
     Args:
-        name: a Python identifier, not that of a function that comes with the package.
+        name: a Python identifier, not that of another function.
         formula: a line of numbers, `{0}` for the argument, `+ - * /`, brackets and `FORMULA_FUNCTIONS`; where it is not
             finite, as `sqrt({0})` below zero, no model is: write `sqrt(larger({0}, 0.001))`.
 
     Raises:
         ValueError: the name is taken or no identifier, or the formula holds anything else.
     """
-    if is_built_in(name):
-        raise ValueError(f"function {name!r} comes with dynasindy and stays as it is; give yours another name")
+    if is_registered(name) and _TEXTS.get(name) != formula:
+        known = _TEXTS.get(name, "which is not of a formula")
+        raise ValueError(f"function {name!r} is another function here, {known}; give yours another name")
     tree = _read(name, formula)
-    return register_function(name, lambda z: _value(tree, z), formula=f"({formula})")
+    # What was given is not kept for other languages: its tree is written anew, from numbers and known names alone.
+    function = register_function(name, lambda z: _value(tree, z), formula=_written(tree))
+    _TEXTS[name] = formula
+    return function
+
+
+def texts(names: Iterable[str]) -> dict[str, str]:
+    """Return the formulas that functions were registered with, by name; other functions are left out."""
+    return {name: _TEXTS[name] for name in sorted(set(names)) if name in _TEXTS}
+
+
+def forget(names: Iterable[str]) -> None:
+    """Take back the registration of functions, of a file that turned out to be damaged."""
+    for name in names:
+        _TEXTS.pop(name, None)
+        unregister_function(name)
 
 
 def _read(name: str, formula: object) -> ast.expr:
     """Return the tree of a formula, of which every node is allowed."""
     allowed = f"allowed are {{0}}, numbers, + - * /, brackets and {', '.join(FORMULA_FUNCTIONS)}"
+    told = str(formula)[:60]
     if not isinstance(formula, str) or len(formula) > LONGEST or "z" in _without_calls(formula):
-        raise ValueError(f"function {name!r} has the formula {str(formula)[:60]!r}; {allowed}: mend it")
+        raise ValueError(f"function {name!r} has the formula {told!r}; {allowed}: mend it")
     try:
         tree = ast.parse(formula.replace("{0}", " z ").strip(), mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise ValueError(f"function {name!r}: {formula!r} cannot be read; {allowed}: mend it") from error
-    wrong = next((node for node in ast.walk(tree) if not _allowed(node)), None)
+        wrong = _wrong(tree)
+    except (SyntaxError, ValueError, OverflowError, RecursionError, MemoryError) as error:
+        raise ValueError(f"function {name!r}: {told!r} cannot be read; {allowed}: mend it") from error
     if wrong is not None:
-        raise ValueError(f"function {name!r}: {formula!r} holds {ast.unparse(wrong)[:40]!r}; {allowed}: mend it")
-    if not any(isinstance(node, ast.Name) and node.id == "z" for node in ast.walk(tree)):
-        raise ValueError(f"function {name!r}: {formula!r} has no {{0}}, which stands for its argument; write it in")
+        raise ValueError(f"function {name!r}: {told!r} holds {ast.unparse(wrong)[:40]!r}; {allowed}: mend it")
+    if "{0}" not in _written(tree):
+        raise ValueError(f"function {name!r}: {told!r} has no {{0}}, which stands for its argument; write it in")
     return tree
 
 
@@ -79,21 +107,39 @@ def _without_calls(formula: str) -> str:
     return formula
 
 
-def _allowed(node: ast.AST) -> bool:
+def _wrong(node: ast.expr) -> ast.expr | None:
+    """Return the first node that is not allowed."""
     match node:
-        case ast.BinOp(op=op) | ast.UnaryOp(op=op):
-            return type(op) in _OPERATORS
-        case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
-            return name in _CALLS and len(args) == (2 if name == "larger" else 1)
-        case ast.Constant(value=value):
-            return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-        case ast.Name(id=name):
-            return name == "z" or name in _CALLS
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
+            return _wrong(left) or _wrong(right)
+        case ast.UnaryOp(op=op, operand=operand) if type(op) in _OPERATORS:
+            return _wrong(operand)
+        case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in _CALLS:
+            return next(filter(None, map(_wrong, args)), None) if len(args) == 1 + (name == "larger") else node
+        case ast.Constant(value=value) if isinstance(value, int | float) and not isinstance(value, bool):
+            return None if math.isfinite(float(value)) else node
+        case ast.Name(id="z"):
+            return None
         case _:
-            return isinstance(node, ast.operator | ast.unaryop | ast.expr_context)
+            return node
 
 
-def _value(node: ast.AST, z: Tensor) -> Tensor:
+def _written(node: ast.expr) -> str:
+    """Return a node in brackets, floats and known names, which every language reads alike."""
+    match node:
+        case ast.BinOp(left=left, op=op, right=right):
+            return f"({_written(left)} {_SIGNS[type(op)]} {_written(right)})"
+        case ast.UnaryOp(operand=operand):
+            return f"(0.0 - {_written(operand)})"
+        case ast.Call(func=ast.Name(id=name), args=args):
+            return f"{name}({', '.join(_written(arg) for arg in args)})"
+        case ast.Constant(value=value):
+            return repr(float(value))  # type: ignore[arg-type]
+        case _:
+            return "{0}"
+
+
+def _value(node: ast.expr, z: Tensor) -> Tensor:
     """Return the value of a node at the argument, of its shape."""
     match node:
         case ast.BinOp(left=left, op=op, right=right):

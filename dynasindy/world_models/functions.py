@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -124,15 +124,15 @@ _REGISTRY: dict[str, Function] = {
 _BUILT_IN = frozenset(_REGISTRY)
 
 
-def is_built_in(name: str) -> bool:
-    """Return whether a function comes with the package."""
-    return name in _BUILT_IN
+def is_registered(name: str) -> bool:
+    """Return whether there is a function of that name."""
+    return name in _REGISTRY
 
 
-def own_formulas(names: Iterable[str]) -> dict[str, str]:
-    """Return the formulas of those functions that were registered and have one, by name."""
-    own = sorted({name for name in names if name in _REGISTRY and name not in _BUILT_IN})
-    return {name: _REGISTRY[name].formula for name in own if _REGISTRY[name].formula}
+def unregister_function(name: str) -> None:
+    """Forget a function, unless it comes with the package."""
+    if name not in _BUILT_IN:
+        _REGISTRY.pop(name, None)
 
 
 def register_function(

@@ -43,13 +43,16 @@ def few():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(paths, "STARTS", 6)
         patch.setattr(search, "POPULATION", 256)
+        patch.setattr(paths, "POPULATION", 256)
         yield
 
 
 @pytest.fixture(scope="module")
 def swing(few):
     env, rests = setting()
-    return env, Paths.of(env, rests, torch.Generator().manual_seed(0))
+    law, imagined = Paths.of(env, rests, torch.Generator().manual_seed(0))
+    assert imagined >= 6 * 256 * 30 * (20 + 40)  # starts, signals, rounds, and at least two lengths
+    return env, law
 
 
 def observed(env, x):
@@ -91,7 +94,7 @@ def test_gains_along_a_way_are_those_of_the_riccati_recursion():
     regulator = Regulator.of(env, rests, WEIGHTS)
     x, reference = torch.tensor([[0.9, 0.0]]), torch.zeros(1, 1)
     params = env.task.sample(torch.Size((1,)), torch.Generator())
-    way = caught_ways(env, regulator, x, params, reference, torch.Generator().manual_seed(0))[0]
+    way = caught_ways(env, regulator, x, params, reference, torch.Generator().manual_seed(0))[0][0]
     assert len(way.inputs) > 3
     _, _, gains, values = _along(env, regulator, way, reference[0])
     assert len(gains) == len(way.inputs) + 1
@@ -115,7 +118,7 @@ def test_gains_along_a_way_are_those_of_the_riccati_recursion():
 
 def test_a_plant_that_nothing_lifts_has_no_ways():
     env, rests = setting(pull=0.02)
-    assert Paths.of(env, rests, torch.Generator().manual_seed(0)) is None
+    assert Paths.of(env, rests, torch.Generator().manual_seed(0))[0] is None
 
 
 def test_a_start_that_the_regulator_catches_needs_no_way():
@@ -123,8 +126,8 @@ def test_a_start_that_the_regulator_catches_needs_no_way():
     regulator = Regulator.of(env, rests, WEIGHTS)
     x, reference = torch.tensor([[0.02, 0.0]]), torch.zeros(1, 1)
     params = env.task.sample(torch.Size((1,)), torch.Generator())
-    ways = caught_ways(env, regulator, x, params, reference, torch.Generator())
-    assert list(ways) == [0] and len(ways[0].inputs) == 0
+    ways, imagined = caught_ways(env, regulator, x, params, reference, torch.Generator())
+    assert list(ways) == [0] and len(ways[0].inputs) == 0 and imagined == 0
 
 
 def test_imagined_episodes_begin_around_the_ways(swing):

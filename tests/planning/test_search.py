@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.search import OUTSIDE, objective, roll, search, signal
+from dynasindy.planning.search import FAR, OUTSIDE, objective, roll, search, signal
 from dynasindy.systems import Signature, System
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -63,11 +63,21 @@ def test_a_way_pays_for_leaving_the_limits_of_the_plant_and_for_running_away():
     env = setting(bounds={"p": 2.0})
     _, params = rows(env, [[0.0, 0.0]])
     inside = torch.tensor([[[0.0, 0.0]], [[1.9, 0.0]], [[0.0, 0.0]]])
-    for beyond in (2.1, -2.1, math.nan, math.inf):
+    paid = objective(env, inside, params)
+    for beyond, cost in ((2.1, OUTSIDE / 5), (-2.1, OUTSIDE / 5), (math.nan, FAR * OUTSIDE), (math.inf, FAR * OUTSIDE)):
         outside = inside.clone()
-        outside[1, 0, 0] = beyond
-        lost = objective(env, inside, params) - objective(env, outside, params)
-        assert lost.item() == pytest.approx(OUTSIDE / 5, rel=0.01)  # weight 1 of 1 + 4
+        outside[1, 0, 0] = beyond  # weight 1 of 1 + 4; what ran away has not come back
+        assert (paid - objective(env, outside, params)).item() == pytest.approx(cost, rel=0.01)
+
+
+def test_no_error_within_the_limits_is_as_dear_as_an_explosion():
+    """In a box of 2 mm an error of a metre costs 4 * 500^2 / (0.02 + 500), which is twice what leaving costs."""
+    env = setting(low=[-0.001], high=[0.001])
+    _, params = rows(env, [[0.0, 0.0], [0.0, 0.0]])
+    states = torch.zeros(3, 2, 2)
+    states[:, 0, 0], states[1:, 1, 0] = 1.0, math.nan
+    far, exploded = objective(env, states, params).tolist()
+    assert exploded < far < -1000
 
 
 def test_the_search_finds_the_quick_way_home():

@@ -48,7 +48,10 @@ def test_the_smoke_run_leaves_a_complete_folder_and_says_what_came_of_it(tmp_pat
     [
         ("planning.rolouts=3", "did you mean 'rollouts'?"),
         ("planning=magic", "Available options in 'planning'"),
-        ("system=logged", "system=logged is no plant to train on, only a log of one; choose one of pendulum, tras"),
+        (
+            "system=logged",
+            "system=logged is no plant to train on, only a log of one; choose one of gymnasium, pendul",
+        ),
         ("env.dt=-0.05", "need dt > 0 s"),
         ("task.outputs=[yaw,alpha_p]", "state 'yaw' does not exist; the states are alpha_a"),
     ],
