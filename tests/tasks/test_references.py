@@ -140,6 +140,7 @@ def test_a_mixture_takes_whole_rows_of_its_components_equally_often_unless_told(
 @pytest.mark.parametrize(
     ("make", "message"),
     [
+        (lambda: RandomStep([], []), r"no targets; name .* in plant.outputs, .* plant.low and plant.high"),
         (lambda: RandomStep([0.0, 0.0], [1.0]), "one finite number per output"),
         (lambda: RandomStep([0.0, 0.5], [1.0, 0.4]), "needs low <= high"),
         (lambda: Wave([0.1, 0.2], [1.0]), "one finite number per output"),
