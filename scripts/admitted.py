@@ -74,8 +74,27 @@ def check(node: Any, plugins: Sequence[str] = (), where: str = "config.yaml") ->
             raise ValueError(f"{where} has _partial_: {node['_partial_']!r}; allowed are true and false: correct it")
         if "_target_" in node and not _is_dtype(node):
             _check_target(node["_target_"], plugins, where)
+        if str(node.get("_target_")).rpartition(".")[2] in ("Foreign", "GymnasiumEnv"):
+            _check_foreign(node, plugins, where)
     for value in node.values() if isinstance(node, Mapping) else node if isinstance(node, list) else ():
         check(value, plugins, where)
+
+
+def _check_foreign(node: Mapping[Any, Any], plugins: Sequence[str], where: str) -> None:
+    """Refuse a Gymnasium environment whose id imports a module that is no plug-in, or whose options name files.
+
+    `gymnasium.make("module:Name-v0")` imports the module, and an option may be the name of a file to read.
+    """
+    module, colon, _ = str(node.get("id", "")).partition(":")
+    if colon and module.partition(".")[0] not in plugins:
+        raise ValueError(
+            f"{where} has env.id: {str(node['id'])[:60]!r}, which imports {module[:40]!r}; name it if you trust it, "
+            f"as by {PLUGINS}={module[:40]}"
+        )
+    options = node.get("options") or {}
+    values = options.values() if isinstance(options, Mapping) else [options]
+    if wrong := [value for value in values if value is not None and not isinstance(value, int | float)]:
+        raise ValueError(f"{where} has system.options with {str(wrong[0])[:40]!r}; allowed are numbers, true and false")
 
 
 def _is_dtype(node: Mapping[Any, Any]) -> bool:

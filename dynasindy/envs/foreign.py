@@ -56,13 +56,7 @@ class Foreign(System):
         options: Mapping[str, Any] | None = None,
         stops: Sequence[str] | None = None,
     ) -> None:
-        if ":" in id:
-            raise ValueError(
-                f"env.id={id} would import {id.partition(':')[0]!r}; import it yourself, and name its id alone"
-            )
         self.id, self.options = id, dict(options or {})
-        if wrong := [k for k, v in self.options.items() if not isinstance(v, int | float) and v is not None]:
-            raise ValueError(f"system.options.{wrong[0]} is {self.options[wrong[0]]!r}; give numbers, true or false")
         copy = self.make(1)
         observed, acted = copy.observation_space, copy.action_space
         for space, what in ((observed, "observation"), (acted, "action")):

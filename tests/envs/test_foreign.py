@@ -275,3 +275,12 @@ def test_specs_hold(make):
     env = make()
     check_env_specs(env)
     check_env_specs(env.with_task(env.task))
+
+
+def test_rows_that_stay_where_they_ended_have_not_moved():
+    """An evaluation counts the steps that the environment made, and no more."""
+    env = car().with_task(car().task)
+    rows = env.rollout(300, pumping, break_when_any_done=False)
+    moved = rows["next", "moved"].squeeze(-1)
+    assert int(moved.sum()) == int((rows["next", "own_reward"].squeeze(-1) != 0).sum()) < 200
+    assert bool(moved[: int(moved.sum())].all())

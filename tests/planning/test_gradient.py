@@ -438,3 +438,11 @@ def test_what_an_actor_alone_cannot_do_is_refused(wrong, words):
         wrong = {"variation": Variation(members=4)}
     with pytest.raises(ValueError, match=words):
         GradientPlanning(env, Actor(env.task.n_o, 2, hidden=(8, 8)), **wrong, **SMALL)
+
+
+def test_a_resumed_plan_says_what_the_plan_before_it_chose():
+    env, agent, replay = setting()
+    first, second = (GradientPlanning(env, agent, replay, updates=2, **SMALL) for _ in range(2))
+    first.plan()
+    second.load_state_dict(first.state_dict())
+    assert second.words() == first.words() != ""

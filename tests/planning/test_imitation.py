@@ -84,3 +84,24 @@ def test_a_law_arrives_where_the_plant_rests_at_every_target_in_the_end():
         law = Regulator.of(env, rests, Weights())
         assert arrives(law, env, rests, torch.Generator().manual_seed(0)) is arrived
         assert not arrives(lambda o: torch.ones(*o.shape[:-1], 1), env, rests, torch.Generator().manual_seed(0))
+
+
+class Runaway(System):
+    """x' = 3 x^3 + u, which is infinite soon after it has left 1."""
+
+    def __init__(self):
+        super().__init__(Signature(("x",), ("m",), ("u",), (1.0,)))
+
+    def forward(self, x, u):
+        return 3.0 * x**3 + u
+
+
+def test_what_has_run_away_has_not_arrived():
+    plant = Runaway()
+    reward = TrackingReward((4.0,), rate_weight=0.0)
+    task = Tracking(plant.signature, RandomStep([0.0], [0.0]), ("x",), (), reward, 120)
+    env = ControlEnv(plant, task, 0.05, 1)
+    rests = rests_of(env)
+    law = Regulator.of(env, rests, Weights())
+    assert arrives(law, env, rests, torch.Generator().manual_seed(0))
+    assert not arrives(lambda o: torch.ones(*o.shape[:-1], 1), env, rests, torch.Generator().manual_seed(0))

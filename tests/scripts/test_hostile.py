@@ -156,6 +156,18 @@ def test_a_list_is_searched_too(saved_run, run, canary):
     assert not canary.exists()
 
 
+def test_an_environment_of_another_module_is_imported_only_where_the_user_names_it(saved_run, run, canary, tmp_path):
+    node = {"_target_": "dynasindy.envs.Foreign", "id": "my_environments:Swing-v0"}
+    change(run, "system", node)
+    refused(saved_run, run, r"imports 'my_environments'; name it if you trust it")
+    saved_run.load_config(run, ["my_environments"])
+    for options in ({"xml_file": "/etc/passwd"}, {"size": [1]}, ["a"]):
+        change(run, "system", {**node, "id": "Pendulum-v1", "options": options})
+        refused(saved_run, run, r"system\.options with .*allowed are numbers")
+    change(run, "system", {**node, "id": "Pendulum-v1", "options": {"g": 9.0}})
+    saved_run.load_config(run)
+
+
 PART = """
 import pathlib
 from dynasindy.systems import Tras

@@ -83,3 +83,7 @@ def test_a_delay_at_the_end_of_what_was_looked_for_is_said_to_be_one():
     longer = SindyModel(ONE, "polynomial", Regression("bic"), Refinement("auto", longest_delay=5 * DT))
     assert not any("at the end" in note for note in longer.fit(data).notes)
     assert longer.delay == pytest.approx(0.06)
+
+
+def test_a_recording_of_a_few_samples_is_not_judged():
+    assert moving_on(polynomial(ONE), recorded(swing, 2, [0]).select(torch.arange(N - 1) < 7)) == []
