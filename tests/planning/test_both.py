@@ -5,21 +5,9 @@ from functools import partial
 import pytest
 import torch
 
-from dynasindy.agents import TD3
-from dynasindy.data import DynaReplay
-from dynasindy.envs import ControlEnv
 from dynasindy.planning import Bounds, GradientPlanning, GradientThenReplay, ImaginedReplay, Planned, Planner
-from dynasindy.systems.xi import Xi
-from dynasindy.tasks import RandomStep, Tracking
 
 SMALL = {"rollouts": 16, "window": 20, "check_every": 4}
-
-
-def setting(max_steps=60, **agent):
-    plant = Xi()
-    task = Tracking(plant.signature, RandomStep([-0.3, -0.3], [0.3, 0.3]), max_steps=max_steps)
-    env = ControlEnv(plant, task)
-    return env, TD3(task.n_o, 2, hidden=(32, 32), **agent), DynaReplay(1000, 16)
 
 
 @torch.no_grad()
@@ -31,7 +19,7 @@ def weights(policy):
     return torch.cat([p.detach().reshape(-1).clone() for p in policy.parameters()])
 
 
-def test_both_ways_of_planning_share_one_phase():
+def test_both_ways_of_planning_share_one_phase(setting):
     env, agent, replay = setting()
     replay.extend_real(flown(env, agent))
     gradient = partial(GradientPlanning, updates=2, **SMALL)
@@ -44,7 +32,7 @@ def test_both_ways_of_planning_share_one_phase():
     assert not len(replay.model)
 
 
-def test_critics_learn_the_planned_actor_and_leave_it_alone():
+def test_critics_learn_the_planned_actor_and_leave_it_alone(setting):
     planned = {}
     for critic_updates in (0, 300):
         env, agent, replay = setting(target_update_interval=1)
@@ -63,13 +51,13 @@ def test_critics_learn_the_planned_actor_and_leave_it_alone():
     assert planned[300][2] < 0.5 * planned[0][2]
 
 
-def test_a_negative_number_of_critic_updates_is_refused():
+def test_a_negative_number_of_critic_updates_is_refused(setting):
     env, agent, replay = setting()
     with pytest.raises(ValueError, match="critic_updates"):
         GradientThenReplay(env, agent, replay, GradientPlanning, ImaginedReplay, critic_updates=-1)
 
 
-def test_warming_the_critics_waits_for_a_plan():
+def test_warming_the_critics_waits_for_a_plan(setting):
     class Idle(Planner):
         def __init__(self, updates=0, every=1, **_):
             super().__init__(every)

@@ -6,9 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from dynasindy.agents import TD3, Actor
-from dynasindy.data import DynaReplay
-from dynasindy.envs import ControlEnv
+from dynasindy.agents import Actor
 from dynasindy.planning import (
     GradientPlanning,
     Planned,
@@ -19,16 +17,8 @@ from dynasindy.planning.gradient import Episodes, _schedule
 from dynasindy.planning.window import imagine
 from dynasindy.systems import Diverged
 from dynasindy.systems.xi import Xi
-from dynasindy.tasks import RandomStep, Tracking
 
 SMALL = {"rollouts": 16, "window": 20, "check_every": 4}
-
-
-def setting(max_steps=60, **agent):
-    plant = Xi()
-    task = Tracking(plant.signature, RandomStep([-0.3, -0.3], [0.3, 0.3]), max_steps=max_steps)
-    env = ControlEnv(plant, task)
-    return env, TD3(task.n_o, 2, hidden=(32, 32), **agent), DynaReplay(1000, 16)
 
 
 @torch.no_grad()
@@ -45,7 +35,7 @@ def weights(policy):
     return torch.cat([p.detach().reshape(-1).clone() for p in policy.parameters()])
 
 
-def test_planning_improves_the_return_in_the_real_environment():
+def test_planning_improves_the_return_in_the_real_environment(setting):
     env, agent, replay = setting()
     before = total(env, agent)
     planned = GradientPlanning(env, agent, replay, updates=40, lr=1e-2, **SMALL).plan()
@@ -55,7 +45,7 @@ def test_planning_improves_the_return_in_the_real_environment():
     assert after > 0.5 * before  # returns are negative: more than half of the cost is gone
 
 
-def test_the_actor_of_the_agent_itself_learns_and_td3_goes_on_from_it():
+def test_the_actor_of_the_agent_itself_learns_and_td3_goes_on_from_it(setting):
     env, agent, replay = setting()
     before = weights(agent.policy)
     GradientPlanning(env, agent, replay, updates=4, **SMALL).plan()
@@ -64,7 +54,7 @@ def test_the_actor_of_the_agent_itself_learns_and_td3_goes_on_from_it():
     assert sorted(learnt.tolist()) == sorted(weights(agent.policy).tolist())
 
 
-def test_a_terminal_value_changes_the_plan_and_trains_the_critics():
+def test_a_terminal_value_changes_the_plan_and_trains_the_critics(setting, planned):
     def planned(terminal_updates):
         env, agent, replay = setting()
         before = agent.critic_optimizer.param_groups[0]["params"][0].clone()
@@ -76,13 +66,13 @@ def test_a_terminal_value_changes_the_plan_and_trains_the_critics():
     assert trained and not left and not torch.equal(plain, valued)
 
 
-def test_a_deployed_average_becomes_the_planned_actor():
+def test_a_deployed_average_becomes_the_planned_actor(setting):
     env, agent, replay = setting(policy_average=0.01)
     GradientPlanning(env, agent, replay, updates=4, **SMALL).plan()
     torch.testing.assert_close(weights(agent.deployed), weights(agent.policy))
 
 
-def test_without_a_width_the_plan_is_for_the_reward_of_the_task():
+def test_without_a_width_the_plan_is_for_the_reward_of_the_task(setting):
     policies = []
     for shape, width in (("quadratic", 0.07), ("linear", None)):
         env, agent, replay = setting()
@@ -92,7 +82,7 @@ def test_without_a_width_the_plan_is_for_the_reward_of_the_task():
     assert torch.equal(*policies)
 
 
-def test_equal_seeds_plan_equally():
+def test_equal_seeds_plan_equally(setting):
     policies = []
     for _ in range(2):
         env, agent, replay = setting()
@@ -101,13 +91,13 @@ def test_equal_seeds_plan_equally():
     assert torch.equal(*policies)
 
 
-def test_later_phases_take_their_own_number_of_updates():
+def test_later_phases_take_their_own_number_of_updates(setting):
     env, agent, replay = setting()
     planner = GradientPlanning(env, agent, replay, updates=5, more_updates=2, **SMALL)
     assert [planner.plan().updates for _ in range(3)] == [5, 2, 2]
 
 
-def test_the_best_policy_on_held_out_references_is_kept_and_a_phase_without_progress_ends():
+def test_the_best_policy_on_held_out_references_is_kept_and_a_phase_without_progress_ends(setting):
     env, agent, replay = setting()
     planner = GradientPlanning(env, agent, replay, updates=1000, rollouts=16, window=20, check_every=1, patience=2)
     scores = iter([-3.0, -1.0, -2.0, -2.0])
@@ -117,7 +107,7 @@ def test_the_best_policy_on_held_out_references_is_kept_and_a_phase_without_prog
     assert torch.equal(weights(agent.policy), seen[1])
 
 
-def test_episodes_begin_at_real_states_when_asked():
+def test_episodes_begin_at_real_states_when_asked(setting):
     env, agent, replay = setting()
     real = env.rollout(20, agent.policy)
     real["state"] = torch.full_like(real["state"], 0.123)
@@ -137,7 +127,7 @@ class Runaway(Xi):
         return torch.cat([dx[..., :5], dx[..., 5:] - backwards**3], -1)
 
 
-def test_a_model_that_explodes_elsewhere_is_still_planned_with():
+def test_a_model_that_explodes_elsewhere_is_still_planned_with(setting):
     env, agent, replay = setting()
     replay.extend_real(flown(env, agent))
     before = total(env, agent)
@@ -148,7 +138,7 @@ def test_a_model_that_explodes_elsewhere_is_still_planned_with():
     assert total(env, agent) > 0.5 * before
 
 
-def test_every_variation_can_be_planned_with():
+def test_every_variation_can_be_planned_with(setting):
     env, agent, replay = setting()
     noise = [5e-4, 5e-4, 5e-3, 5e-3, 20.0, 20.0]
     variation = Variation(parameters=0.1, disturbance=0.05, noise=noise, late=True)
@@ -160,13 +150,13 @@ def test_every_variation_can_be_planned_with():
 @pytest.mark.parametrize(
     "wrong", [{"rollouts": -1}, {"lr": 0.0}, {"updates": -1}, {"width": 0.0}, {"real_starts": 0.8, "jumps": 0.8}]
 )
-def test_impossible_settings_are_refused(wrong):
+def test_impossible_settings_are_refused(setting, wrong):
     env, agent, replay = setting()
     with pytest.raises(ValueError, match="mend planning"):
         GradientPlanning(env, agent, replay, **wrong)
 
 
-def test_no_rollouts_plan_nothing_and_leave_the_actor_to_td3():
+def test_no_rollouts_plan_nothing_and_leave_the_actor_to_td3(setting):
     env, agent, replay = setting()
     idle = GradientPlanning(env, agent, replay, rollouts=0)
     assert idle.plan() == Planned() and idle.learns_by_td3
@@ -174,7 +164,7 @@ def test_no_rollouts_plan_nothing_and_leave_the_actor_to_td3():
 
 
 @pytest.mark.parametrize("noise", [[0.1], [0.1] * 5, [0.1] * 7])
-def test_noise_of_a_wrong_length_is_refused_before_anything_runs(noise):
+def test_noise_of_a_wrong_length_is_refused_before_anything_runs(setting, noise):
     env, agent, replay = setting()
     with pytest.raises(ValueError, match=rf"planning.variation.noise has {len(noise)} deviations for 6 states"):
         GradientPlanning(env, agent, replay, variation=Variation(noise=noise))
@@ -187,7 +177,7 @@ class Nowhere(Xi):
         return super().forward(x, u) + math.inf
 
 
-def test_a_model_in_which_every_episode_diverges_stops_the_phase_at_its_first_test():
+def test_a_model_in_which_every_episode_diverges_stops_the_phase_at_its_first_test(setting):
     env, agent, replay = setting(policy_average=0.01)
     before = weights(agent.policy), weights(agent.deployed)
     planner = GradientPlanning(env.with_system(Nowhere()), agent, replay, updates=40, **SMALL)
@@ -198,7 +188,7 @@ def test_a_model_in_which_every_episode_diverges_stops_the_phase_at_its_first_te
     assert torch.equal(weights(agent.policy), before[0]) and torch.equal(weights(agent.deployed), before[1])
 
 
-def test_a_reward_that_is_not_finite_is_told_from_a_model_that_explodes():
+def test_a_reward_that_is_not_finite_is_told_from_a_model_that_explodes(setting):
     env, agent, replay = setting()
     before = weights(agent.policy)
     planner = GradientPlanning(env, agent, replay, updates=40, **SMALL)
@@ -209,7 +199,7 @@ def test_a_reward_that_is_not_finite_is_told_from_a_model_that_explodes():
     assert torch.equal(weights(agent.policy), before)
 
 
-def test_an_actor_that_leaves_all_bounds_is_taken_back_and_told():
+def test_an_actor_that_leaves_all_bounds_is_taken_back_and_told(setting):
     env, agent, replay = setting()
     before = weights(agent.policy)
     planner = GradientPlanning(env, agent, replay, updates=4, lr=math.inf, **SMALL)
@@ -218,7 +208,7 @@ def test_an_actor_that_leaves_all_bounds_is_taken_back_and_told():
     assert torch.equal(weights(agent.policy), before)
 
 
-def test_a_step_that_was_skipped_is_no_update():
+def test_a_step_that_was_skipped_is_no_update(setting):
     env, agent, replay = setting()
     planner = GradientPlanning(env, agent, replay, updates=4, **SMALL)
     reward, calls = planner.env.task.reward_function, iter(range(100))
@@ -239,12 +229,18 @@ def test_the_learning_rate_warms_up_over_ten_updates_and_falls_along_half_a_cosi
     assert _schedule(0, 1000) == pytest.approx(0.1) and _schedule(1000, 1000) == pytest.approx(0.01)
 
 
-def planned(**settings):
-    env, agent, replay = setting()
-    return GradientPlanning(env, agent, replay, **(SMALL | {"updates": 1} | settings))
+@pytest.fixture
+def planned(setting):
+    """Make a planner of a small setting."""
+
+    def make(**settings):
+        env, agent, replay = setting()
+        return GradientPlanning(env, agent, replay, **(SMALL | {"updates": 1} | settings))
+
+    return make
 
 
-def test_each_phase_begins_with_its_own_learning_rate_and_steps_along_the_schedule():
+def test_each_phase_begins_with_its_own_learning_rate_and_steps_along_the_schedule(planned):
     planner, rates = planned(updates=3, more_updates=2, lr=0.5, more_lr=0.2), []
     planner._update = lambda episodes, optimizer: rates.append(optimizer.param_groups[0]["lr"]) or True
     planner.test = lambda: 0.0
@@ -254,7 +250,7 @@ def test_each_phase_begins_with_its_own_learning_rate_and_steps_along_the_schedu
     assert rates == pytest.approx(of)
 
 
-def test_tests_come_every_so_many_updates_and_at_the_end_of_a_phase():
+def test_tests_come_every_so_many_updates_and_at_the_end_of_a_phase(planned):
     planner, updates = planned(updates=11, check_every=4, patience=100), []
     planner._update = lambda episodes, optimizer: updates.append("update") or True
     planner.test = lambda: updates.append("test") or 0.0
@@ -262,14 +258,14 @@ def test_tests_come_every_so_many_updates_and_at_the_end_of_a_phase():
     assert [k - n for n, k in enumerate(i for i, what in enumerate(updates) if what == "test")] == [4, 8, 11]
 
 
-def test_patience_counts_failures_in_a_row():
+def test_patience_counts_failures_in_a_row(planned):
     planner, scores = planned(updates=100, check_every=1, patience=2), iter([1.0, 0.0, 2.0, 2.0, 3.0, 1.0, 3.0, 9.0])
     planner._update = lambda episodes, optimizer: True
     planner.test = lambda: next(scores)
     assert planner.plan().updates == 7  # an equal score is a failure, a better one forgives
 
 
-def test_the_held_out_score_is_the_mean_reward_over_whole_episodes_from_rest():
+def test_the_held_out_score_is_the_mean_reward_over_whole_episodes_from_rest(setting):
     env, agent, replay = setting(max_steps=12)
     planner = GradientPlanning(env, agent, replay, width=None, **SMALL)
     params = env.task.sample(torch.Size((64,)), torch.Generator().manual_seed(1))  # the seed of the planner and one
@@ -280,7 +276,7 @@ def test_the_held_out_score_is_the_mean_reward_over_whole_episodes_from_rest():
     assert planner.test() == pytest.approx(imagined["next", "reward"].mean().item(), rel=1e-4)
 
 
-def test_a_row_that_diverged_scores_like_the_worst_before_it():
+def test_a_row_that_diverged_scores_like_the_worst_before_it(planned):
     planner = planned(width=None)
     with torch.no_grad():
         free = imagine(planner.env, planner.env.system, planner.network, planner.held_out, 60, False, planner.rng)
@@ -297,7 +293,7 @@ def test_a_row_that_diverged_scores_like_the_worst_before_it():
     assert planner.test() == -math.inf
 
 
-def test_episodes_begin_staggered_and_anew_where_they_end_or_diverge():
+def test_episodes_begin_staggered_and_anew_where_they_end_or_diverge(planned):
     planner = planned(real_starts=0.0, jumps=0.0, rollouts=500)
     episodes = Episodes(planner)
     length = 60 * 0.05
@@ -319,7 +315,7 @@ def test_episodes_begin_staggered_and_anew_where_they_end_or_diverge():
     assert torch.equal(changed, over)
 
 
-def test_shares_of_the_starts_are_those_asked_for():
+def test_shares_of_the_starts_are_those_asked_for(setting):
     env, agent, replay = setting()
     real = flown(env, agent)
     real["state"] = torch.arange(20.0).unsqueeze(-1).expand(20, 6) + 1
@@ -338,7 +334,7 @@ def test_shares_of_the_starts_are_those_asked_for():
     assert starts[starts > 0].unique().tolist() == [float(n) for n in range(1, 21)]
 
 
-def test_divergence_is_a_hundred_times_the_largest_real_value_and_nothing_where_a_state_never_moved():
+def test_divergence_is_a_hundred_times_the_largest_real_value_and_nothing_where_a_state_never_moved(setting):
     env, agent, replay = setting()
     real = flown(env, agent)
     real["state"] = torch.tensor([1.0, -2.0, 0.0, 4.0, 50.0, 0.5]) * torch.linspace(0, 1, 20).unsqueeze(-1)
@@ -347,7 +343,7 @@ def test_divergence_is_a_hundred_times_the_largest_real_value_and_nothing_where_
     assert reach.tolist() == pytest.approx([100.0, 200.0, math.inf, 400.0, 5000.0, 50.0])
 
 
-def test_updates_are_clipped_and_those_without_a_finite_gradient_skipped(monkeypatch):
+def test_updates_are_clipped_and_those_without_a_finite_gradient_skipped(planned, monkeypatch):
     planner, norms = planned(max_grad_norm=0.125), []
 
     class Optimizer:
@@ -368,7 +364,7 @@ def test_updates_are_clipped_and_those_without_a_finite_gradient_skipped(monkeyp
     assert norms == [pytest.approx(0.125, rel=1e-3)]
 
 
-def test_the_imagined_cost_is_linear_without_a_bonus_and_the_task_keeps_its_own():
+def test_the_imagined_cost_is_linear_without_a_bonus_and_the_task_keeps_its_own(setting, planned):
     planner = planned(width=0.04)
     of_task = setting()[0].task.reward_function
     expected = replace(of_task, error_shape="linear", width=0.04, bonus=0.0)
@@ -377,7 +373,7 @@ def test_the_imagined_cost_is_linear_without_a_bonus_and_the_task_keeps_its_own(
     assert (planner.env.substeps, planned(substeps=3).env.substeps, planner.log_dt) == (1, 3, 0.01)
 
 
-def test_a_row_that_diverges_in_the_last_period_is_counted_and_begun_anew(monkeypatch):
+def test_a_row_that_diverges_in_the_last_period_is_counted_and_begun_anew(planned, monkeypatch):
     planner = planned()
     episodes, carried = Episodes(planner), []
     episodes.carry_on = lambda x, held, alive: carried.append(alive.tolist())
@@ -392,7 +388,7 @@ def test_a_row_that_diverges_in_the_last_period_is_counted_and_begun_anew(monkey
     assert episodes.diverged == 1 and carried == [[k != 3 for k in range(16)]]
 
 
-def test_the_memory_of_a_window_is_that_of_its_derivatives_and_states(monkeypatch):
+def test_the_memory_of_a_window_is_that_of_its_derivatives_and_states(planned, monkeypatch):
     sizes = []
     monkeypatch.setattr(gradient, "check_memory", lambda size, what: sizes.append(size))
     planned()
@@ -400,7 +396,7 @@ def test_the_memory_of_a_window_is_that_of_its_derivatives_and_states(monkeypatc
     assert sizes == [16 * 20 * 8 * (36 + 12 + 24)]
 
 
-def test_what_is_not_given_follows_the_plant_and_what_is_given_stays():
+def test_what_is_not_given_follows_the_plant_and_what_is_given_stays(setting):
     env, agent, replay = setting()
     planner = GradientPlanning(env, agent, replay, updates=1, rollouts=4, lr=0.02)
     assert planner.plan().imagined == 4 * 60  # the window of the twin rotor
@@ -410,7 +406,7 @@ def test_what_is_not_given_follows_the_plant_and_what_is_given_stays():
     assert (planner.pace.window, planner.pace.patience, planner.env.substeps) == (20, 7, 3)
 
 
-def test_a_policy_that_is_told_to_begins_as_a_regulator():
+def test_a_policy_that_is_told_to_begins_as_a_regulator(setting):
     earned = {}
     for held in (False, True):
         env, agent, replay = setting()
@@ -420,7 +416,7 @@ def test_a_policy_that_is_told_to_begins_as_a_regulator():
     assert earned[True] > 0.2 * earned[False]  # costs are negative: four fifths of them are gone
 
 
-def test_an_actor_alone_is_planned_as_that_of_an_agent_with_empty_storages():
+def test_an_actor_alone_is_planned_as_that_of_an_agent_with_empty_storages(setting):
     env, agent, replay = setting()
     alone = Actor(env.task.n_o, 2, hidden=(32, 32))
     assert torch.equal(weights(alone.policy), weights(agent.policy))
@@ -432,7 +428,7 @@ def test_an_actor_alone_is_planned_as_that_of_an_agent_with_empty_storages():
 
 
 @pytest.mark.parametrize(("wrong", "words"), [({"terminal_updates": 1}, "critics"), ({"variation": 4}, "replay=")])
-def test_what_an_actor_alone_cannot_do_is_refused(wrong, words):
+def test_what_an_actor_alone_cannot_do_is_refused(setting, wrong, words):
     env, _, _ = setting()
     if "variation" in wrong:
         wrong = {"variation": Variation(members=4)}
@@ -440,7 +436,7 @@ def test_what_an_actor_alone_cannot_do_is_refused(wrong, words):
         GradientPlanning(env, Actor(env.task.n_o, 2, hidden=(8, 8)), **wrong, **SMALL)
 
 
-def test_a_resumed_plan_says_what_the_plan_before_it_chose():
+def test_a_resumed_plan_says_what_the_plan_before_it_chose(setting):
     env, agent, replay = setting()
     first, second = (GradientPlanning(env, agent, replay, updates=2, **SMALL) for _ in range(2))
     first.plan()

@@ -15,28 +15,8 @@ from dynasindy.systems import Signature, System
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
 
-class Inverted(System):
-    """A pendulum measured from the top, a = 4 sin(theta) + pull u."""
-
-    def __init__(self, pull=6.0):
-        super().__init__(Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.0, 3.0)))
-        self.pull = pull
-
-    def forward(self, x, u):
-        theta, rate = x.unbind(-1)
-        return torch.stack((rate, 4.0 * torch.sin(theta) + self.pull * u[..., 0]), -1)
-
-
-def setting(pull=6.0, start=None, box=0.4, max_steps=60):
-    plant, ends = Inverted(pull), {"low": [-box], "high": [box]}
-    reward = TrackingReward((4.0,), error_shape="linear")
-    task = Tracking(plant.signature, RandomStep(**ends), ("theta",), ("Omega",), reward, max_steps, **ends, start=start)
-    env = ControlEnv(plant, task, 0.05, 1)
-    return env, rests_of(env)
-
-
-def test_a_policy_that_imitates_the_law_holds_the_plant_and_keeps_to_it():
-    env, rests = setting()
+def test_a_policy_that_imitates_the_law_holds_the_plant_and_keeps_to_it(inverted):
+    env, rests = inverted()
     torch.manual_seed(0)
     network, law = MLP(3, 1, (32, 32), squash=True), Regulator.of(env, rests, Weights())
     imitate(network, law, env, torch.Generator().manual_seed(0))
@@ -49,8 +29,8 @@ def test_a_policy_that_imitates_the_law_holds_the_plant_and_keeps_to_it():
     torch.testing.assert_close(x[:, 0], params[:, 0, 0], atol=0.02, rtol=0)
 
 
-def test_a_policy_begins_as_the_law_only_if_that_earns_more():
-    env, rests = setting()
+def test_a_policy_begins_as_the_law_only_if_that_earns_more(inverted):
+    env, rests = inverted()
 
     def held(score):
         torch.manual_seed(0)
@@ -66,8 +46,8 @@ def test_a_policy_begins_as_the_law_only_if_that_earns_more():
     assert held(lambda network: lambda policy: next(scores)) == (0.0, True)
 
 
-def test_without_a_rest_the_policy_stays_as_it_is():
-    env, rests = setting()
+def test_without_a_rest_the_policy_stays_as_it_is(inverted):
+    env, rests = inverted()
     none = torch.zeros(len(rests), dtype=torch.bool)
     rests = dataclasses.replace(rests, **{name: getattr(rests, name)[none] for name in ("targets", "x", "u", "a", "b")})
     network = nn.Linear(3, 1)
@@ -77,10 +57,10 @@ def test_without_a_rest_the_policy_stays_as_it_is():
     assert torch.equal(network.weight, before)
 
 
-def test_a_law_arrives_where_the_plant_rests_at_every_target_in_the_end():
+def test_a_law_arrives_where_the_plant_rests_at_every_target_in_the_end(inverted):
     """A torque of 2 cannot lift a weight of 4 from hanging in one go; from a lean of 0.1 rad it holds."""
     for start, arrived in (({"theta": [-0.1, 0.1]}, True), ({"theta": [math.pi, math.pi]}, False)):
-        env, rests = setting(pull=2.0, start=start, box=0.01, max_steps=120)
+        env, rests = inverted(pull=2.0, start=start, box=0.01, max_steps=120)
         law = Regulator.of(env, rests, Weights())
         assert arrives(law, env, rests, torch.Generator().manual_seed(0)) is arrived
         assert not arrives(lambda o: torch.ones(*o.shape[:-1], 1), env, rests, torch.Generator().manual_seed(0))

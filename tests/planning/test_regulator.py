@@ -8,35 +8,11 @@ import pytest
 import torch
 from scipy.linalg import expm, solve_discrete_are
 
-from dynasindy.envs import ControlEnv
-from dynasindy.planning.pace import rests_of
 from dynasindy.planning.regulator import Regulator, Weights, riccati
-from dynasindy.systems import Signature, System
-from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
 
-class Inverted(System):
-    """A pendulum measured from the top, a = 4 sin(theta) + 6 u, whose targets lie to both sides."""
-
-    def __init__(self, pull=6.0):
-        super().__init__(Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.0, 3.0)))
-        self.pull = pull
-
-    def forward(self, x, u):
-        theta, rate = x.unbind(-1)
-        return torch.stack((rate, 4.0 * torch.sin(theta) + self.pull * u[..., 0]), -1)
-
-
-def setting(pull=6.0):
-    plant, box = Inverted(pull), {"low": [-0.4], "high": [0.4]}
-    reward = TrackingReward((4.0,), error_shape="linear")
-    task = Tracking(plant.signature, RandomStep(**box), ("theta",), ("Omega",), reward, max_steps=60, **box)
-    env = ControlEnv(plant, task, 0.05, 1)
-    return env, rests_of(env)
-
-
-def test_the_gain_and_the_slowest_mode_are_those_of_the_riccati_equation():
-    env, rests = setting()
+def test_the_gain_and_the_slowest_mode_are_those_of_the_riccati_equation(inverted):
+    env, rests = inverted()
     law = Regulator.of(env, rests, Weights(outputs=50.0, states=0.2, inputs=2.0))
     middle = float(rests.targets[rests.middle()])
     block = np.zeros((3, 3))
@@ -50,8 +26,8 @@ def test_the_gain_and_the_slowest_mode_are_those_of_the_riccati_equation():
     assert math.exp(-1 / law.slowest) == pytest.approx(radius, rel=1e-4)
 
 
-def test_at_rest_the_law_gives_the_input_that_holds_the_target():
-    env, rests = setting()
+def test_at_rest_the_law_gives_the_input_that_holds_the_target(inverted):
+    env, rests = inverted()
     law = Regulator.of(env, rests, Weights())
     for target in (-0.35, 0.0, 0.2):
         x, params = torch.tensor([[target, 0.0]]), torch.tensor([[[target, 0.0, 0.0, 0.0, 0.0]]])
@@ -59,18 +35,18 @@ def test_at_rest_the_law_gives_the_input_that_holds_the_target():
         assert u.item() == pytest.approx(-4.0 / 6.0 * math.sin(target), abs=1e-3)
 
 
-def test_a_plant_that_no_input_moves_has_no_regulator():
-    dead, rests = setting(pull=0.0)
+def test_a_plant_that_no_input_moves_has_no_regulator(inverted):
+    dead, rests = inverted(pull=0.0)
     assert len(rests) == 0 or Regulator.of(dead, rests, Weights()) is None
 
 
-def test_without_a_rest_there_is_no_regulator():
-    env, rests = setting(pull=0.01)  # far too weak to hold any target off the top
+def test_without_a_rest_there_is_no_regulator(inverted):
+    env, rests = inverted(pull=0.01)  # far too weak to hold any target off the top
     assert not len(none_of(rests)) and Regulator.of(env, none_of(rests), Weights()) is None
 
 
-def test_the_cost_of_a_state_is_that_of_the_riccati_equation():
-    env, rests = setting()
+def test_the_cost_of_a_state_is_that_of_the_riccati_equation(inverted):
+    env, rests = inverted()
     law = Regulator.of(env, rests, Weights(outputs=50.0, states=0.2, inputs=2.0))
     middle = rests.targets[rests.middle()].float()
     x = law.rest(middle)[0] + torch.tensor([0.01, -0.02])
@@ -82,8 +58,8 @@ def test_the_cost_of_a_state_is_that_of_the_riccati_equation():
     assert float(law.value(x, middle)) == pytest.approx(float(away @ p @ away), rel=1e-3)
 
 
-def test_home_is_within_a_share_of_the_ranges():
-    env, rests = setting()  # ranges of 1 rad and 3 rad/s
+def test_home_is_within_a_share_of_the_ranges(inverted):
+    env, rests = inverted()  # ranges of 1 rad and 3 rad/s
     law = Regulator.of(env, rests, Weights())
     target = torch.tensor([[0.2], [0.2], [0.2]])
     x = law.rest(target)[0] + torch.tensor([[0.04, -0.14], [0.06, 0.0], [0.0, 0.16]])

@@ -1,0 +1,52 @@
+"""What several tests of planning are about: the twin rotor `xi` with a small agent, and a pole to be held upright."""
+
+import pytest
+import torch
+
+from dynasindy.agents import TD3
+from dynasindy.data import DynaReplay
+from dynasindy.envs import ControlEnv
+from dynasindy.planning.pace import rests_of
+from dynasindy.systems import Signature, System
+from dynasindy.systems.xi import Xi
+from dynasindy.tasks import RandomStep, Tracking, TrackingReward
+
+
+class Inverted(System):
+    """A pendulum measured from the top, a = 4 sin(theta) + pull u."""
+
+    def __init__(self, pull):
+        super().__init__(Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.0, 3.0)))
+        self.pull = pull
+
+    def forward(self, x, u):
+        theta, rate = x.unbind(-1)
+        return torch.stack((rate, 4.0 * torch.sin(theta) + self.pull * u[..., 0]), -1)
+
+
+@pytest.fixture(scope="session")
+def setting():
+    """Make an environment of `xi`, an agent and empty storages."""
+
+    def make(max_steps=60, **agent):
+        plant = Xi()
+        task = Tracking(plant.signature, RandomStep([-0.3, -0.3], [0.3, 0.3]), max_steps=max_steps)
+        env = ControlEnv(plant, task)
+        return env, TD3(task.n_o, 2, hidden=(32, 32), **agent), DynaReplay(1000, 16)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def inverted():
+    """Make an environment of the pole, with targets to both sides of upright, and its rests."""
+
+    def make(pull=6.0, start=None, box=0.4, max_steps=60):
+        plant, ends = Inverted(pull), {"low": [-box], "high": [box]}
+        reward = TrackingReward((4.0,), error_shape="linear")
+        outputs = ("theta",), ("Omega",)
+        task = Tracking(plant.signature, RandomStep(**ends), *outputs, reward, max_steps, **ends, start=start)
+        env = ControlEnv(plant, task, 0.05, 1)
+        return env, rests_of(env)
+
+    return make
