@@ -11,7 +11,7 @@ from omegaconf import DictConfig
 from dynasindy.checking import Loop, Plant, Settings, check, verdict
 from dynasindy.checking.check import record
 from dynasindy.evaluation.files import write_json
-from dynasindy.evaluation.given import own_folder, refuse_links, understood
+from dynasindy.evaluation.given import folder_for, understood
 from dynasindy.export.write import Exported
 from dynasindy.viz.check import draw
 from dynasindy.viz.style import save
@@ -30,7 +30,7 @@ def main(cfg: DictConfig) -> None:
         raise ValueError(f"{run} has no {lack}; give the folder of a run that has ended, with controller and model")
     box = {key: _box(cfg, run, key) for key in ("low", "high")}
     settings = Settings(**box, **{key: cfg[key] for key in ("points", "seconds", "reach", "grid", "draws", "seed")})
-    folder = _folder(cfg.folder, run)
+    folder = folder_for(cfg.folder, run, "check")
     plant = Plant(given.model, given.controller.dt, given.step, given.stops)
     found = check(Loop(given.controller, plant), settings)
     findings = verdict(found)
@@ -50,13 +50,6 @@ def _box(cfg: DictConfig, run: Path, key: str) -> tuple[float, ...]:
         raise ValueError(f"{key} is not given, and there is no {file} to read it from; give {key}=[...] of the targets")
     with understood(file):
         return tuple(float(value) for value in (read_config(file).plant[key] if values is None else values))
-
-
-def _folder(given: str | None, run: Path) -> Path:
-    if given is None:
-        return own_folder(run if run.is_dir() else run.parent, "check")
-    refuse_links(Path(given))
-    return Path(given)
 
 
 if __name__ == "__main__":

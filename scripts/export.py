@@ -6,7 +6,7 @@ import torch
 from command import command
 from omegaconf import DictConfig
 
-from dynasindy.evaluation.given import own_folder, refuse_links
+from dynasindy.evaluation.given import folder_for
 from dynasindy.export.write import Exported, write
 
 
@@ -18,11 +18,7 @@ def main(cfg: DictConfig) -> None:
         raise ValueError("run is not given; give run=PATH, a run folder, a controller.json or a model.json")
     run = Path(cfg.run)
     exported = Exported.read(run)
-    if cfg.folder is None:
-        folder = own_folder(run if run.is_dir() else run.parent, "export")
-    else:
-        folder = Path(cfg.folder)
-        refuse_links(folder)
+    folder = folder_for(cfg.folder, run, "export")
     for line in write(exported, folder, cfg.formats, cfg.fmi):
         print(line)
     print(f"Files: {folder}")

@@ -103,7 +103,7 @@ class Foreign(System):
         try:
             return gymnasium.make(self.id, max_episode_steps=max_steps, **self.options)
         except (gymnasium.error.Error, ModuleNotFoundError, TypeError) as error:
-            reason = str(error).strip().splitlines()[0].rstrip(".")
+            reason = (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")
             raise ValueError(
                 f"env.id={self.id}: {reason}; give an environment that gymnasium.make can build"
             ) from error
@@ -129,6 +129,9 @@ class GymnasiumEnv(ControlEnv):
     itself begins, and a step must go on from the step before. An environment made by `with_task`, in which policies are
     evaluated, shares the copies, so that an episode of either ends where the other begins one. It holds a terminated
     row where it ended instead of ending the episode: the environment itself pays nothing from there on.
+
+    Keys beside those of `ControlEnv`: `own_reward`, what the environment itself pays, and `moved`, whether the row made
+    a step of it. `at_stop` tells that a state lies at one of its ends.
 
     Args:
         system: The environment's names and ranges.
@@ -165,7 +168,7 @@ class GymnasiumEnv(ControlEnv):
         self.ends, self.copies = True, Copies()
         super().__init__(system, task, period, 1, dtype=dtype, seed=seed)
         self.foreign = system
-        if isinstance(task, Tracking):
+        if isinstance(task, Tracking) and task.starts is None:
             self.task = task.with_starts(self._begin(STARTS, np.random.default_rng(seed)))
 
     def with_system(self, system: System, dtype: torch.dtype | None = None, seed: int = 0) -> ControlEnv:
@@ -174,10 +177,8 @@ class GymnasiumEnv(ControlEnv):
 
     def with_task(self, task: Task, seed: int = 0) -> ControlEnv:
         """Return this environment with another task, for evaluation: rows that end stay where they ended."""
-        other = GymnasiumEnv.__new__(GymnasiumEnv)
+        other = GymnasiumEnv(self.foreign, task, dt=self.dt, dtype=self.float_type, seed=seed)
         other.ends, other.copies = False, self.copies
-        ControlEnv.__init__(other, self.foreign, task, self.dt, 1, dtype=self.float_type, seed=seed)
-        other.foreign = self.foreign
         return other
 
     def start_from(self, states: Tensor) -> TensorDict:

@@ -135,6 +135,23 @@ def own_folder(folder: Path, name: str) -> Path:
     return target
 
 
+def folder_for(given: str | None, run: Path, name: str) -> Path:
+    """Return where a command writes: the folder that is given, or one of its own in the run folder, or beside the file.
+
+    Args:
+        given: The folder, if one is given.
+        run: Run folder, or a file in it.
+        name: Name of the command's own folder.
+
+    Raises:
+        ValueError: It holds a link, or is one that lies in the run folder.
+    """
+    if given is None:
+        return own_folder(run if run.is_dir() else run.parent, name)
+    refuse_links(Path(given))
+    return Path(given)
+
+
 def refuse_links(folder: Path) -> None:
     """Make sure that what is written into a folder, which may itself be a link, stays in it.
 

@@ -133,7 +133,7 @@ class GradientPlanning(Planner):
         self.env.stops = env.stops
         self.terminal = self._terminal(terminal_updates)
         self.held_out = _references(self.env, 64, torch.Generator().manual_seed(seed + 1))
-        self.log_dt, self.phase, self.afar = env.log_dt, 0, False
+        self.log_dt, self.phase = env.log_dt, 0
         self.pace = dataclasses.replace(PlanSettings(), **self.given)
 
     def plan(self) -> Planned:
@@ -145,7 +145,7 @@ class GradientPlanning(Planner):
         first, self.phase = self.phase == 0, self.phase + 1
         if not self.rollouts or not (self.given.get("updates", 1) if first else self.more_updates):
             return Planned()
-        rests = rests_of(self.env)
+        rests, was_afar = rests_of(self.env), self.pace.afar
         self.pace = pace = dataclasses.replace(pace_of(self.env, rests), **self.given)
         self.env.substeps = pace.substeps
         updates, lr = (pace.updates, pace.lr) if first else (self.more_updates, self.more_lr or 0.3 * pace.lr)
@@ -157,8 +157,8 @@ class GradientPlanning(Planner):
         elif pace.held:
             begun = Begun(self.test())  # a policy that holds the plant is given up for a better one only
         if begun.afar:
-            self.afar, updates, lr = True, pace.updates, pace.lr  # a way from afar is new, in a later phase too
-        if self.afar:
+            updates, lr = pace.updates, pace.lr  # a way from afar is new, in a later phase too
+        if begun.afar or was_afar:
             self.pace = pace = dataclasses.replace(pace, window=self.given.get("window", LONGEST), afar=True)
         best = begun.score
         optimizer = torch.optim.Adam(self.network.parameters(), lr=lr, betas=(0.9, 0.99), fused=True)
@@ -193,13 +193,12 @@ class GradientPlanning(Planner):
         return {
             "phase": self.phase,
             "pace": dataclasses.asdict(self.pace),
-            "afar": self.afar,
             "generator": self.rng.get_state(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what `state_dict` returned."""
-        self.phase, self.afar, self.pace = state["phase"], state["afar"], PlanSettings(**state["pace"])
+        self.phase, self.pace = state["phase"], PlanSettings(**state["pace"])
         self.rng.set_state(state["generator"])
 
     def test(self, network: Network | None = None) -> float:

@@ -8,6 +8,7 @@ et al. 2011).
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -71,6 +72,8 @@ def hold(
         score: What a policy earns in the model.
         rng: Source of starts, references and batches.
     """
+    # Departure: the paper's policy begins with random weights; on a plant that runs away ours begins as a law of the
+    # model.
     best, before = score(network), copy.deepcopy(network.state_dict())
     regulators = [Regulator.of(env, rests, replace(Weights(), outputs=weight)) for weight in LADDER]
     earned: dict[float, Law] = {score(law): law for law in regulators if law is not None}
@@ -81,12 +84,12 @@ def hold(
             afar, earned[scored] = True, paths
     if not earned or max(earned) <= best:
         return Begun(best, imagined=imagined)
-    rounds, steps = FROM_AFAR if afar else REGULATED
-    imitate(network, earned[max(earned)], env, rng, rounds, steps)
+    lessons = FROM_AFAR if afar else REGULATED
+    imitate(network, earned[max(earned)], env, rng, lessons)
     if (imitated := score(network)) > best:
-        return Begun(imitated, afar, imagined, rounds * steps)
+        return Begun(imitated, afar, imagined, math.prod(lessons))
     network.load_state_dict(before)
-    return Begun(best, False, imagined, rounds * steps)
+    return Begun(best, False, imagined, math.prod(lessons))
 
 
 @torch.no_grad()
@@ -114,7 +117,7 @@ def arrives(pilot: Network, env: ControlEnv, rests: Rests, rng: torch.Generator)
 
 
 def imitate(
-    network: nn.Module, law: Law, env: ControlEnv, rng: torch.Generator, rounds: int = 3, steps: int = 600
+    network: nn.Module, law: Law, env: ControlEnv, rng: torch.Generator, lessons: tuple[int, int] = REGULATED
 ) -> None:
     """Train a policy to act as a law does, where the law leads and then where the policy itself leads.
 
@@ -123,10 +126,9 @@ def imitate(
         law: What to imitate.
         env: Imagined environment.
         rng: Source of starts, references and batches.
-        rounds: How often episodes are imagined.
-        steps: Updates after each of them.
+        lessons: How often episodes are imagined, and the updates after each time.
     """
-    seen, told = [], []
+    (rounds, steps), seen, told = lessons, [], []
     for k in range(rounds):
         pilot: Network = network if k else _trembling(law, rng)
         seen.append(_visited(pilot, law, env, rng))

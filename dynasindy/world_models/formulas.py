@@ -45,6 +45,8 @@ _CALLS: dict[str, Callable[..., Tensor]] = {
 }
 
 
+_ARGUMENT = "argument_0"
+"""What stands for `{0}` while a formula is read."""
 _TEXTS: dict[str, str] = {}
 """What each function was registered with, by name."""
 
@@ -86,10 +88,10 @@ def _read(name: str, formula: object) -> ast.expr:
     """Return the tree of a formula, of which every node is allowed."""
     allowed = f"allowed are {{0}}, numbers, + - * /, brackets and {', '.join(FORMULA_FUNCTIONS)}"
     told = str(formula)[:60]
-    if not isinstance(formula, str) or len(formula) > LONGEST or "z" in _without_calls(formula):
+    if not isinstance(formula, str) or len(formula) > LONGEST:
         raise ValueError(f"function {name!r} has the formula {told!r}; {allowed}: mend it")
     try:
-        tree = ast.parse(formula.replace("{0}", " z ").strip(), mode="eval").body
+        tree = ast.parse(formula.replace("{0}", f" {_ARGUMENT} ").strip(), mode="eval").body
         wrong = _wrong(tree)
     except (SyntaxError, ValueError, OverflowError, RecursionError, MemoryError) as error:
         raise ValueError(f"function {name!r}: {told!r} cannot be read; {allowed}: mend it") from error
@@ -98,13 +100,6 @@ def _read(name: str, formula: object) -> ast.expr:
     if "{0}" not in _written(tree):
         raise ValueError(f"function {name!r}: {told!r} has no {{0}}, which stands for its argument; write it in")
     return tree
-
-
-def _without_calls(formula: str) -> str:
-    """Return a formula without the names of its functions, in which no `z` may stand but those put in later."""
-    for call in FORMULA_FUNCTIONS:
-        formula = formula.replace(call, "")
-    return formula
 
 
 def _wrong(node: ast.expr) -> ast.expr | None:
@@ -118,7 +113,7 @@ def _wrong(node: ast.expr) -> ast.expr | None:
             return next(filter(None, map(_wrong, args)), None) if len(args) == 1 + (name == "larger") else node
         case ast.Constant(value=value) if isinstance(value, int | float) and not isinstance(value, bool):
             return None if math.isfinite(float(value)) else node
-        case ast.Name(id="z"):
+        case ast.Name(id=name) if name == _ARGUMENT:
             return None
         case _:
             return node

@@ -8,6 +8,7 @@ import pytest
 from dynasindy.evaluation.given import (
     DamagedFileError,
     escaped,
+    folder_for,
     own_folder,
     plain_name,
     read_cells,
@@ -120,3 +121,15 @@ def test_a_folder_of_results_may_be_new_or_old_but_no_link(tmp_path):
 )
 def test_words_stay_words(words, shown):
     assert escaped(words) == shown
+
+
+def test_a_command_writes_where_it_is_told_or_beside_what_it_read(tmp_path):
+    file = tmp_path / "controller.json"
+    file.touch()
+    assert folder_for(None, tmp_path, "check") == folder_for(None, file, "check") == tmp_path / "check"
+    given = tmp_path / "elsewhere"
+    given.mkdir()
+    assert folder_for(str(given), file, "check") == given
+    (given / "out.c").symlink_to(file)
+    with pytest.raises(ValueError, match="is a link"):
+        folder_for(str(given), file, "check")
