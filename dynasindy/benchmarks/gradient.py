@@ -227,7 +227,7 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
     """Return the experiment of a case."""
     facts = PLANTS[plant]
     system = facts.build()
-    model = partial(Oracle, system=system) if case.oracle else partial(sparse_model, facts.library, case.longest_delay)
+    model = partial(Oracle, system=system) if case.oracle else partial(sparse_model, facts.library, case)
     references: Reference = RandomStep(facts.low, facts.high)
     if case.moving:
         references = Mixture([RandomStep((-0.55, -0.55), (0.55, 0.55)), *_waves(random=True)])
@@ -252,13 +252,13 @@ def _planning(case: Case) -> dict[str, Any]:
     return {name: getattr(case, name) for name in ("variation", "updates", "terminal_updates", "width")}
 
 
-def sparse_model(library: str, longest_delay: float, signature: Any) -> SindyModel:
-    """Return the world model of the main job, whose inputs may be late."""
+def sparse_model(library: str, case: Case, signature: Any) -> SindyModel:
+    """Return the world model of the main job, which fits noisy samples by whole trajectories."""
     return SindyModel(
         signature,
         library,
         Regression(method="bic", tolerance=1e-4),
-        Refinement(longest_delay=longest_delay),
+        Refinement("integral" if case.sensors is None else "trajectory", longest_delay=case.longest_delay),
         known=KNOWN,
     )
 
