@@ -1,12 +1,8 @@
-"""The C compiler of this computer: C text in, a shared library out."""
+"""A controller in C, compiled by this computer's compiler, called and timed from Python."""
 
 from __future__ import annotations
 
 import ctypes
-import os
-import shutil
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -16,39 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynasindy.export.c_controller import ControllerSources
-
-STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
-"""Under these settings what is written here compiles."""
-SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
-"""How the name of a shared library ends."""
-
-
-def compiler() -> str | None:
-    """Return the C compiler: the environment's CC, or cc, gcc or clang; None if there is none."""
-    names = [os.environ.get("CC", ""), "cc", "gcc", "clang"]
-    return next((path for path in map(shutil.which, filter(None, names)) if path), None)
-
-
-def build(sources: Sequence[Path], library: Path, options: Sequence[str] = ("-O2", *STRICT)) -> Path:
-    """Compile C sources to a shared library.
-
-    Args:
-        sources: Files of C.
-        library: File to write.
-        options: Settings of the compiler.
-
-    Raises:
-        FileNotFoundError: There is no compiler.
-        ValueError: The compiler refuses the sources.
-    """
-    if (found := compiler()) is None:
-        raise FileNotFoundError("no C compiler was found; install gcc or clang, or leave out what is compiled")
-    library.parent.mkdir(parents=True, exist_ok=True)
-    command = [found, *options, "-fPIC", "-shared", *map(str, sources), "-o", str(library), "-lm"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise ValueError(f"the C compiler refused {sources[0].name}: {' '.join(done.stderr.split())[:300]}")
-    return library
+from dynasindy.world_models.compiler import SUFFIX, build
 
 
 class Native:

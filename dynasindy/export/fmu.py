@@ -21,7 +21,6 @@ from dynasindy.control import Controller
 from dynasindy.evaluation.files import whole
 from dynasindy.export.c_controller import controller_sources, enumerators, measured
 from dynasindy.export.c_model import field
-from dynasindy.export.compiler import SUFFIX, build, compiler
 from dynasindy.export.expressions import formulas
 from dynasindy.export.filter import stop_words
 from dynasindy.export.fmi_names import answers
@@ -29,6 +28,7 @@ from dynasindy.export.names import module_name, number
 from dynasindy.export.templates import fill
 from dynasindy.systems import Stops
 from dynasindy.world_models import SindyModel
+from dynasindy.world_models.compiler import SUFFIX, build, compiler
 
 VERSIONS = (2, 3)
 PAST = 1024

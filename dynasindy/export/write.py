@@ -12,12 +12,13 @@ from dynasindy.evaluation.files import write_text
 from dynasindy.evaluation.given import read_record
 from dynasindy.export.c_controller import ControllerSources, controller_sources
 from dynasindy.export.c_model import model_sources
-from dynasindy.export.compiler import compiler, microseconds
+from dynasindy.export.compiler import microseconds
 from dynasindy.export.fmu import controller_fmu, plant_fmu
 from dynasindy.export.formats import casadi_source, latex_source
 from dynasindy.export.onnx_policy import policy_onnx
 from dynasindy.systems import Stops
 from dynasindy.world_models import SindyModel
+from dynasindy.world_models.compiler import compiler
 
 STEP = 0.01
 """Longest Runge-Kutta step of the plant's FMU, whatever the steps of a controller [s]."""

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from dynasindy.agents.traced import Traced, trace
 from dynasindy.envs import ControlEnv
 from dynasindy.systems import System, integrate
 
@@ -155,8 +156,8 @@ def backward(
         actions, k = _policy(env, network, rows, window)
         if late:
             a, b, k, cost = _behind_delay(a, b, k, cost)
-        slopes = _adjoint(a, b, k, cost).split(CHUNK)
-        torch.autograd.backward(actions, list(slopes))
+        for traced, slopes in zip(actions, _adjoint(a, b, k, cost).split(CHUNK), strict=True):
+            traced.backward(slopes)
     return reward
 
 
@@ -165,6 +166,8 @@ def sensitivities(env: ControlEnv, system: System, x: Tensor, u: Tensor) -> tupl
 
     The mechanical stops are left out: a beam that lies at a stop would have no gradient that leads away.
     """
+    if (code := system.compiled(x, u)) is not None:
+        return code.sensitivities(x, u, env.dt, env.substeps)
     x, u = x.detach().requires_grad_(), u.detach().requires_grad_()
     samples, _ = integrate(system, x, u, env.dt, env.substeps)
     columns = samples[..., -1, :].unbind(-1)
@@ -180,14 +183,15 @@ def _alive(states: Tensor, reach: Tensor | None) -> Tensor:
     return believed.all(-1).int().cummin(0).values.bool()
 
 
-def _policy(env: ControlEnv, network: Network, rows: Rows, window: Window) -> tuple[list[Tensor], Tensor]:
-    """Return the actions with their graph, in chunks of periods, and K, `(T, rows, n_u, n_x)`."""
+def _policy(env: ControlEnv, network: Network, rows: Rows, window: Window) -> tuple[list[Traced], Tensor]:
+    """Return the actions with what their derivatives need, in chunks of periods, and K, `(T, rows, n_u, n_x)`."""
     actions, gains = [], []
     for x, t in zip(window.seen.split(CHUNK), window.times[:-1].split(CHUNK)):
         seen = x.detach().requires_grad_()
-        u = network(env.task.observation(seen, rows.params.expand(len(x), *rows.params.shape), t))
-        columns = [torch.autograd.grad(column.sum(), seen, retain_graph=True)[0] for column in u.unbind(-1)]
-        actions.append(u)
+        observed = env.task.observation(seen, rows.params.expand(len(x), *rows.params.shape), t)
+        traced = trace(network, observed)
+        columns = [torch.autograd.grad(observed, seen, slope, retain_graph=True)[0] for slope in traced.slopes()]
+        actions.append(traced)
         gains.append(torch.stack(columns, -2))
     return actions, torch.cat(gains)
 

@@ -6,7 +6,7 @@ import math
 import re
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from torch import Tensor, nn
 
@@ -87,6 +87,18 @@ class Signature:
         return self.state_names.index(name)
 
 
+class Compiled(Protocol):
+    """A vector field as machine code: it moves states of one kind faster than torch does, without derivatives."""
+
+    def integrate(
+        self, x: Tensor, u: Tensor, dt: float, substeps: int, stops: Stops | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Advance states over one control period, see `systems.integrate`."""
+
+    def sensitivities(self, x: Tensor, u: Tensor, dt: float, substeps: int) -> tuple[Tensor, Tensor]:
+        """Return the derivatives of the next state by state and input, `(*batch, n_x, n_x)`, `(*batch, n_x, n_u)`."""
+
+
 class System(nn.Module, ABC):
     """A vector field dx/dt = f(x, u) under inputs normalised to [-1, 1].
 
@@ -109,3 +121,7 @@ class System(nn.Module, ABC):
     @abstractmethod
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
+
+    def compiled(self, x: Tensor, u: Tensor) -> Compiled | None:
+        """Return machine code that does what `forward` does for such states and inputs; None where there is none."""
+        return None

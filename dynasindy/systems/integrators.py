@@ -7,6 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from dynasindy.systems.base import System
 from dynasindy.systems.stops import Stops
 
 VectorField = Callable[[Tensor, Tensor], Tensor]
@@ -36,6 +37,8 @@ def integrate(
 ) -> tuple[Tensor, Tensor]:
     """Advance states over one control period, with stops applied after each sub-step.
 
+    A system that has machine code for states that carry no gradient is moved by that.
+
     Args:
         f: Vector field, `(x, u) -> dx`.
         x: States at the start of the period, `(*batch, n_x)`.
@@ -48,6 +51,9 @@ def integrate(
         The state after each sub-step, `(*batch, substeps, n_x)`, and whether a stop was touched in the
         period, bool `(*batch,)`.
     """
+    graph = torch.is_grad_enabled() and (x.requires_grad or u.requires_grad)
+    if not graph and isinstance(f, System) and (code := f.compiled(x, u)) is not None:
+        return code.integrate(x, u, dt, substeps, stops)
     touched = torch.zeros(x.shape[:-1], dtype=torch.bool, device=x.device)
     samples = []
     for _ in range(substeps):

@@ -13,6 +13,7 @@ averaged over the intervals, which is exact for inputs held by a zero-order hold
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -32,6 +33,7 @@ from dynasindy.world_models.fast_field import Field, generate
 from dynasindy.world_models.files import load, record, save, understand
 from dynasindy.world_models.libraries import LibraryBuilder, build_library
 from dynasindy.world_models.library import Library
+from dynasindy.world_models.machine import Machine
 from dynasindy.world_models.measured import imagined, rates_known, reconstruct
 from dynasindy.world_models.refine import Recording, Refinement
 from dynasindy.world_models.regression import Regression, Rows, RunningSums, integral_form
@@ -55,6 +57,7 @@ class SindyModel(WorldModel):
         fixed: coefficients that are given, by state and function name.
         initial: first guess of the equations, by state and function name, instead of a regression: for plants with a
             state that no sensor sees in any form.
+        machine_code: whether states in single precision are moved by machine code, where a C compiler is found.
 
     Raises:
         ValueError: a name of a state, an input or a function does not exist.
@@ -72,8 +75,10 @@ class SindyModel(WorldModel):
         allowed: Mapping[str, Sequence[str]] | None = None,
         fixed: Mapping[str, Mapping[str, float]] | None = None,
         initial: Mapping[str, Mapping[str, float]] | None = None,
+        machine_code: bool = True,
     ) -> None:
         super().__init__(signature)
+        self.machine_code = machine_code
         self.library = build_library(library, signature)
         self.regression = regression or Regression()
         self.refinement = refinement
@@ -82,20 +87,42 @@ class SindyModel(WorldModel):
         self.sums = RunningSums(len(self.library), signature.n_x)
         self.register_buffer("coefficients", self.constraints.offset.clone())
         self._field: Field | None = None
+        self._machine: Machine | None = None
         self._field_of: tuple[Tensor, int] | None = None
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Compute dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
+        return self._written()(x, u)
+
+    def compiled(self, x: Tensor, u: Tensor) -> Machine | None:
+        """Return the model as machine code for states and inputs in single precision, in the memory of the CPU."""
+        plain = x.dtype == u.dtype == torch.float32 and x.device.type == "cpu" and x.shape[:-1] == u.shape[:-1]
+        if not self.machine_code or not plain or type(self).forward is not SindyModel.forward:
+            return None
+        self._written()
+        if self._machine is None:
+            try:
+                self._machine = Machine(self.library, self.coefficients)
+            except FileNotFoundError:
+                self.machine_code = False
+            except (ValueError, OSError) as error:
+                warnings.warn(f"the model stays torch code, which is slower: {error}", stacklevel=2)
+                self.machine_code = False
+        return self._machine
+
+    def _written(self) -> Field:
+        """Return the equations as torch code, written anew where they have changed."""
         made_of, version = self._field_of or (None, 0)
         # The tensor itself is compared and so kept alive: its id may be that of a later one once it is gone.
         if self._field is None or made_of is not self.coefficients or version != self.coefficients._version:
             self._field = generate(self.library, self.coefficients.cpu())
+            self._machine = None
             self._field_of = self.coefficients, self.coefficients._version
-        return self._field(x, u)
+        return self._field
 
     def __getstate__(self) -> dict[str, object]:
         """Leave generated code out of copies and pickles; it is written again when needed."""
-        return {**self.__dict__, "_field": None}
+        return {**self.__dict__, "_field": None, "_machine": None}
 
     def get_extra_state(self) -> dict[str, object]:
         """Return what `state_dict` keeps besides the coefficients: the running sums, the fitted factors, the delay."""

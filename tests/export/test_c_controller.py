@@ -11,9 +11,10 @@ from dynasindy.agents.networks import actor
 from dynasindy.control import Controller, load, save
 from dynasindy.control.controller import Pace
 from dynasindy.export import controller_sources
-from dynasindy.export.compiler import Native, compiler
+from dynasindy.export.compiler import Native
 from dynasindy.systems import Pendulum, Signature, Stops, Tras, integrate
 from dynasindy.tasks import Step, Tracking
+from dynasindy.world_models.compiler import compiler
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 

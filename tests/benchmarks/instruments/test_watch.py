@@ -1,5 +1,7 @@
 """Stopwatches: what they count, and what they leave out."""
 
+import os
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -11,9 +13,13 @@ from dynasindy.planning import Planned, Planner
 @pytest.fixture
 def clock(monkeypatch):
     """Time that goes on when told."""
-    now = {"wall": 0.0, "cpu": 0.0}
+    now = {"wall": 0.0, "cpu": 0.0, "called": 0.0}
     monkeypatch.setattr(watch.time, "perf_counter", lambda: now["wall"])
     monkeypatch.setattr(watch.time, "process_time", lambda: now["cpu"])
+    # user and system, of the process and of those that it called; then the time since some moment
+    monkeypatch.setattr(
+        watch.os, "times", lambda: os.times_result((9.0, 9.0, 0.75 * now["called"], 0.25 * now["called"], 9.0))
+    )
     return now
 
 
@@ -23,9 +29,9 @@ def test_a_pause_is_left_out(clock):
     run.stop(30)
     clock.update(wall=50.0, cpu=40.0)
     run.start()
-    clock.update(wall=53.0, cpu=42.0)
+    clock.update(wall=53.0, cpu=42.0, called=0.5)
     run.stop(10)
-    assert run.costs() == {"updates": 40, "wall_seconds": 5.0, "cpu_seconds": 3.0}
+    assert run.costs() == {"updates": 40, "wall_seconds": 5.0, "cpu_seconds": 3.5}
 
 
 class Recording(Planner):

@@ -1,0 +1,38 @@
+"""The compiler is found where it is, what it refuses costs one line, and fast code leaves the process as it was."""
+
+import ctypes
+
+import pytest
+import torch
+
+from dynasindy.world_models.compiler import SUFFIX, build, build_fast, compiler
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
+
+
+def test_without_a_compiler_one_line_says_so(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    assert compiler() is None
+    with pytest.raises(FileNotFoundError, match="no C compiler was found; install gcc or clang"):
+        build([tmp_path / "any.c"], tmp_path / "any.so")
+
+
+@needs_compiler
+def test_what_the_compiler_refuses_costs_one_line(tmp_path):
+    (tmp_path / "bad.c").write_text("int f(void) { return ; }}\n")
+    bad, made = tmp_path / "bad.c", tmp_path / "bad.so"
+    for attempt in (lambda: build([bad], made), lambda: build_fast(bad, made)):
+        with pytest.raises(ValueError, match=r"the C compiler refused bad\.c: .*") as error:
+            attempt()
+        assert "\n" not in str(error.value)
+
+
+@needs_compiler
+def test_fast_code_computes_and_leaves_small_numbers_small(tmp_path):
+    (tmp_path / "half.c").write_text("float half(float v) { return v / 2; }\n")
+    code = ctypes.CDLL(str(build_fast(tmp_path / "half.c", tmp_path / f"half{SUFFIX}")))
+    code.half.argtypes, code.half.restype = [ctypes.c_float], ctypes.c_float
+    assert code.half(3.0) == 1.5
+    # With the flush of small numbers to zero that some linkers bring along, this product would be zero.
+    assert float(torch.tensor(1e-310, dtype=torch.float64) * 0.5) == 5e-311

@@ -1,0 +1,75 @@
+"""Derivatives of straight-line formulas equal those that SymPy finds, and those that are zero are not written."""
+
+import math
+
+import pytest
+import sympy
+
+from dynasindy.world_models.tangents import Tangents
+
+KNOWN = {
+    "square": lambda v: v * v,
+    "fabs": abs,
+    "sign": lambda v: (v > 0) - (v < 0),
+    "larger": max,
+    "exceeds": lambda a, b: float(a > b),
+    **{name: getattr(math, name) for name in ("sin", "cos", "exp", "tanh", "sqrt")},
+}
+SYMBOLIC = {
+    "square": lambda v: v**2,
+    "fabs": sympy.Abs,
+    "sign": sympy.sign,
+    "larger": sympy.Max,
+    **{name: getattr(sympy, name) for name in ("sin", "cos", "exp", "tanh", "sqrt")},
+}
+POINT = {"a": 0.7, "b": -1.3, "c": 2.1}
+
+
+def evaluated(text, values):
+    return eval(text, {}, {**KNOWN, **values})
+
+
+@pytest.mark.parametrize(
+    "formula",
+    [
+        "a + b",
+        "a - b",
+        "3.0 - a",
+        "-a * b",
+        "a * b * c",
+        "a / b",
+        "1 / (1 + c * square(cos(a)))",
+        "sin(2.5 * a) * cos(b) - exp(-square(a - b))",
+        "tanh(10.0 * a / c) + sqrt(c - b)",
+        "fabs(b) * b - sign(a) * c",
+        "larger(a, b) * larger(b - a, c * b)",
+        "sqrt(larger(c - a, 0.001))",
+    ],
+)
+def test_slopes_equal_those_of_sympy(formula):
+    tangents = Tangents({name: k for k, name in enumerate(POINT)})
+    tangents.line("v0", formula)
+    tangents.line("v1", "v0 * v0 - a / v0")
+    values = dict(POINT)
+    for name, text in tangents.lines:
+        values[name] = evaluated(text, values)
+    symbols = {name: sympy.Symbol(name, real=True) for name in POINT}
+    first = eval(formula, {}, {**SYMBOLIC, **symbols})
+    for text, whole in (("v0", first), ("v1", first**2 - symbols["a"] / first), ("v0 * c", first * symbols["c"])):
+        slopes = tangents.slopes(text)
+        for k, name in enumerate(POINT):
+            wanted = float(
+                sympy.diff(whole, symbols[name]).subs({symbols[key]: value for key, value in POINT.items()}).evalf()
+            )
+            found = float(evaluated(slopes[k], values)) if k in slopes else 0.0
+            assert found == pytest.approx(wanted, rel=1e-12, abs=1e-12), (text, name)
+
+
+def test_only_what_a_value_depends_on_has_a_slope():
+    tangents = Tangents({"a": 0, "b": 1})
+    tangents.line("v0", "sin(a) * k")
+    assert set(tangents.slopes("v0 + 2.0")) == {0}
+    assert set(tangents.slopes("b - v0")) == {0, 1}
+    assert tangents.slopes("k * 3") == {}
+    assert tangents.slopes("sign(a)") == {}
+    assert tangents.slopes("b") == {1: "1"}
