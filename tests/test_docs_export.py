@@ -15,9 +15,9 @@ from dynasindy.control.controller import Pace
 from dynasindy.export import controller_sources
 from dynasindy.sensing import Observer, Sensors
 from dynasindy.systems import Signature
+from dynasindy.systems.compiler import STRICT, compiler
 from dynasindy.tasks import Step, Tracking, TrackingReward
 from dynasindy.world_models import SindyModel
-from dynasindy.world_models.compiler import STRICT, compiler
 
 REPOSITORY = Path(__file__).parents[1]
 PAGE = (REPOSITORY / "docs" / "export.md").read_text()

@@ -35,10 +35,15 @@ class Traced(Protocol):
         """Add the gradient of the weighted sum of all actions, weights `(*batch, n_u)`, to the policy's parameters."""
 
 
+def by_hand(network: object) -> bool:
+    """Return whether a network's derivatives are taken by hand."""
+    return isinstance(network, MLP) and not network.norms and network.squash
+
+
 def trace(network: Callable[[Tensor], Tensor], observation: Tensor) -> Traced:
     """Return the actions of a policy for observations `(*batch, n_o)`, which need no graph."""
-    if isinstance(network, MLP) and not network.norms and network.squash:
-        return _ByHand(network, observation.detach())
+    if isinstance(network, MLP) and by_hand(network):
+        return Layers(network, observation.detach())
     return _Recorded(network, observation)
 
 
@@ -58,7 +63,7 @@ class _Recorded:
         torch.autograd.backward(self.actions, weights)
 
 
-class _ByHand:
+class Layers:
     """Keep the layers of a perceptron, y_k+1 = LeakyReLU(W_k y_k + b_k), u = tanh(W y + b)."""
 
     @torch.no_grad()
@@ -75,6 +80,7 @@ class _ByHand:
 
     @torch.no_grad()
     def slopes(self) -> list[Tensor]:
+        """Return the derivative of each action by the observation, `(*batch, n_o)`."""
         found = []
         for row, steep in zip(self.last.weight, self.steep.unbind(-1)):
             slope = row.expand(len(steep), -1)
@@ -85,13 +91,21 @@ class _ByHand:
 
     @torch.no_grad()
     def backward(self, weights: Tensor) -> None:
+        """Add the gradient of the weighted sum of all actions, weights `(*batch, n_u)`, to the policy's parameters."""
+        self.pull(weights)
+
+    @torch.no_grad()
+    def pull(self, weights: Tensor) -> Tensor:
+        """Do what `backward` does, and return the derivative of the same sum by the observation, `(*batch, n_o)`."""
         slope = weights.reshape(self.u.shape) * self.steep
         layers = [*self.hidden, self.last]
         for k in range(len(layers) - 1, -1, -1):
-            _add(layers[k].weight, slope.mT @ self.kept[k])
+            if k < len(layers) - 1:
+                slope = _through(slope, self.kept[k + 1])
+            _add_product(layers[k].weight, slope, self.kept[k])
             _add(layers[k].bias, slope.sum(0))
-            if k:
-                slope = _through(slope @ layers[k].weight, self.kept[k])
+            slope = slope @ layers[k].weight
+        return slope.unflatten(0, self.batch)
 
 
 def _through(slope: Tensor, y: Tensor) -> Tensor:
@@ -101,3 +115,7 @@ def _through(slope: Tensor, y: Tensor) -> Tensor:
 
 def _add(parameter: Tensor, gradient: Tensor) -> None:
     parameter.grad = gradient if parameter.grad is None else parameter.grad.add_(gradient)
+
+
+def _add_product(weight: Tensor, slope: Tensor, y: Tensor) -> None:
+    weight.grad = slope.mT @ y if weight.grad is None else weight.grad.addmm_(slope.mT, y)

@@ -11,7 +11,6 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
-from tensordict import TensorDictBase
 
 from dynasindy.envs.control_env import ControlEnv
 from dynasindy.envs.drawing import Frame, draw
@@ -33,7 +32,7 @@ class GymControl(gymnasium.Env[Array, Array]):
         render_mode: None or "rgb_array".
 
     Raises:
-        TypeError: The task does not track a reference.
+        TypeError: The task does not track a reference, or the environment is of another kind.
         ValueError: The environment is batched or the render mode is unknown.
     """
 
@@ -51,14 +50,18 @@ class GymControl(gymnasium.Env[Array, Array]):
         n_o, n_u = env.task.n_o, env.system.signature.n_u
         self.observation_space = spaces.Box(-np.inf, np.inf, (n_o,), np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (n_u,), np.float32)
-        self._now: TensorDictBase | None = None
+        if type(env)._step is not ControlEnv._step:
+            raise TypeError(f"{type(env).__name__} steps in its own way; adapt a plain ControlEnv")
+        self._steps: int | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Begin an episode with a fresh reference; the same seed begins the same sequence of episodes."""
         super().reset(seed=seed)
         # EnvBase.set_seed would also seed torch's global generator, which is not ours to touch.
         self.env.rng.manual_seed(int(self.np_random.integers(2**31)))
-        self._now = self.env.reset()
+        begun = self.env.reset()
+        self._x, self._params, self._steps = begun["state"], begun["task_params"], 0
+        self._t = torch.zeros(1, dtype=self._x.dtype)
         return self._observed()
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
@@ -67,26 +70,29 @@ class GymControl(gymnasium.Env[Array, Array]):
         Raises:
             RuntimeError: The environment was not reset.
         """
-        if self._now is None:
+        if self._steps is None:
             raise RuntimeError("step was called before reset; call reset first")
-        clipped = np.clip(action, -1.0, 1.0).astype(np.float32)
-        after = self.env.step(self._now.set("action", torch.from_numpy(clipped)))["next"]
-        self._now = self.env.step_mdp(self._now)
+        x, u = self._x, torch.from_numpy(np.clip(action, -1.0, 1.0).astype(np.float32))
+        # What `ControlEnv.step` does, on one row: a tensordict would cost several times what the arithmetic does.
+        with torch.no_grad():
+            samples, touched = self.env.advance(x, u.to(x.dtype))
+            self._x, self._steps = samples[-1], self._steps + 1
+            self._t = torch.tensor([self._steps], dtype=x.dtype) * self.env.dt
+            reward = float(self._task.reward(x, self._x, self._params, self._t, touched).float())
         observation, info = self._observed()
-        return observation, float(after["reward"]), bool(after["terminated"]), bool(after["truncated"]), info
+        return observation, reward, False, self._steps >= self._task.max_steps, info
 
     def render(self) -> Frame | None:
         """Return a picture of the state, uint8 `(height, width, 3)`, or None without a render mode."""
-        if self.render_mode is None or self._now is None:
+        if self.render_mode is None or self._steps is None:
             return None
-        time = float(self._now["step_count"]) * self.env.dt
-        x, reference = self._now["state"].tolist(), self._now["reference"].tolist()
-        return draw(self.env.system.signature, x, reference, self._task.outputs, time)
+        reference = self._task.reference(self._params, self._t).tolist()
+        return draw(self.env.system.signature, self._x.tolist(), reference, self._task.outputs, float(self._t))
 
     def _observed(self) -> tuple[Array, dict[str, Any]]:
-        assert self._now is not None
-        now = {key: self._now[key].numpy().copy() for key in ("observation", "state", "reference")}
-        return now.pop("observation"), now
+        observation = self._task.observation(self._x, self._params, self._t).float().numpy()
+        reference = self._task.reference(self._params, self._t).numpy().copy()
+        return observation, {"state": self._x.numpy().copy(), "reference": reference}
 
 
 def twin_rotor(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynasindy.export.c_controller import ControllerSources
-from dynasindy.world_models.compiler import SUFFIX, build
+from dynasindy.systems.compiler import SUFFIX, build
 
 
 class Native:

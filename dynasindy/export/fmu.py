@@ -27,8 +27,8 @@ from dynasindy.export.fmi_names import answers
 from dynasindy.export.names import module_name, number
 from dynasindy.export.templates import fill
 from dynasindy.systems import Stops
+from dynasindy.systems.compiler import SUFFIX, build, compiler
 from dynasindy.world_models import SindyModel
-from dynasindy.world_models.compiler import SUFFIX, build, compiler
 
 VERSIONS = (2, 3)
 PAST = 1024

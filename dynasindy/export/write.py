@@ -17,8 +17,8 @@ from dynasindy.export.fmu import controller_fmu, plant_fmu
 from dynasindy.export.formats import casadi_source, latex_source
 from dynasindy.export.onnx_policy import policy_onnx
 from dynasindy.systems import Stops
+from dynasindy.systems.compiler import compiler
 from dynasindy.world_models import SindyModel
-from dynasindy.world_models.compiler import compiler
 
 STEP = 0.01
 """Longest Runge-Kutta step of the plant's FMU, whatever the steps of a controller [s]."""

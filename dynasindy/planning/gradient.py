@@ -218,7 +218,7 @@ class GradientPlanning(Planner):
         """Take a gradient step, and return whether it was one: an explosion in the model is no direction."""
         late = self.variation.late
         rows, system = episodes.rows, episodes.system
-        window = imagine(self.env, system, self.network, rows, self.pace.window, late, self.rng)
+        window = imagine(self.env, system, self.network, rows, self.pace.window, late, self.rng, keep=True)
         optimizer.zero_grad()
         terminal = None
         if self.terminal is not None:

@@ -8,12 +8,14 @@
 | `k`       | K_k = du_k/dz_k                | `(T, rows, n_u, n_z)`    |
 | `adjoint` | lambda_k = dJ/dz_k             | `(rows, n_z)`            |
 
-The rollout is sequential and runs without a graph. Every derivative of every period is then taken at once, on
+The rollout is sequential and runs without a graph. The derivatives of the model are then taken at once, on
 `T * rows` rows, and what is left of back-propagation through time is the adjoint equation of the closed loop
 
     lambda_k = dJ/dz_k + (A_k + B_k K_k)' lambda_k+1,    dJ/du_k = B_k' lambda_k+1,
 
-and one backward pass of the policy. The gradient equals that of automatic differentiation through the rollout.
+and one backward pass of the policy. A perceptron keeps its layers in the rollout: then K_k' dJ/du_k comes out of that
+pass, period by period, and K is not computed. The gradient equals that of automatic differentiation through the
+rollout.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from dynasindy.agents.traced import Traced, trace
+from dynasindy.agents.traced import Layers, Traced, by_hand, trace
 from dynasindy.envs import ControlEnv
 from dynasindy.systems import System, integrate
 
@@ -67,6 +69,7 @@ class Window:
         seen: States as measured, `(T, rows, n_x)`.
         times: `(T + 1, rows, 1)` [s].
         alive: Where the row has not diverged so far, bool `(T + 1, rows)`.
+        layers: The policy's layers in each period, if they were kept.
     """
 
     states: Tensor
@@ -75,11 +78,19 @@ class Window:
     seen: Tensor
     times: Tensor
     alive: Tensor
+    layers: list[Layers] | None = None
 
 
 @torch.no_grad()
 def imagine(
-    env: ControlEnv, system: System, network: Network, rows: Rows, steps: int, late: bool, rng: torch.Generator
+    env: ControlEnv,
+    system: System,
+    network: Network,
+    rows: Rows,
+    steps: int,
+    late: bool,
+    rng: torch.Generator,
+    keep: bool = False,
 ) -> Window:
     """Roll the policy out in the model.
 
@@ -91,14 +102,23 @@ def imagine(
         steps: Control periods T of the window.
         late: Whether inputs reach the plant one period late.
         rng: Generator of the measurement noise.
+        keep: Whether the policy's layers are kept for `backward`, if its derivatives are taken by hand.
     """
+    layers: list[Layers] | None = [] if keep and by_hand(network) else None
     x, held, states, applied, actions, seen = rows.x, rows.held, [rows.x], [], [], []
     times = rows.t + env.dt * torch.arange(steps + 1, dtype=x.dtype).reshape(-1, 1, 1)
     for k in range(steps):
         measured = x
         if rows.noise is not None:
             measured = x + rows.noise * torch.randn(x.shape, generator=rng, dtype=x.dtype)
-        u = network(env.task.observation(measured, rows.params, times[k]))
+        observed = env.task.observation(measured, rows.params, times[k])
+        if layers is None:
+            u = network(observed)
+        else:
+            traced = trace(network, observed)
+            assert isinstance(traced, Layers)
+            layers.append(traced)
+            u = traced.actions
         entering, held = (held, u) if late else (u, held)
         samples, _ = integrate(system, x, entering, env.dt, env.substeps, env.stops)
         x = samples[..., -1, :]
@@ -117,6 +137,7 @@ def imagine(
         seen=torch.where(kept[:-1], torch.stack(seen), x),
         times=times,
         alive=alive,
+        layers=layers if layers and bool(alive.all()) else None,
     )
 
 
@@ -153,6 +174,9 @@ def backward(
         reward, cost = _cost(env, rows, window)
         if terminal is not None:
             cost[-1] += terminal * window.alive[-1].unsqueeze(-1)
+        if window.layers is not None and not late:
+            _sweep(a, b, _observed(env, rows, window), cost, window.layers)
+            return reward
         actions, k = _policy(env, network, rows, window)
         if late:
             a, b, k, cost = _behind_delay(a, b, k, cost)
@@ -194,6 +218,23 @@ def _policy(env: ControlEnv, network: Network, rows: Rows, window: Window) -> tu
         actions.append(traced)
         gains.append(torch.stack(columns, -2))
     return actions, torch.cat(gains)
+
+
+def _observed(env: ControlEnv, rows: Rows, window: Window) -> Tensor:
+    """Return the derivative of the observations by the states, `(T, rows, n_o, n_x)`."""
+    seen = window.seen.detach().requires_grad_()
+    params = rows.params.expand(len(seen), *rows.params.shape)
+    columns = env.task.observation(seen, params, window.times[:-1]).unbind(-1)
+    return torch.stack([torch.autograd.grad(c.sum(), seen, retain_graph=True)[0] for c in columns], -2)
+
+
+def _sweep(a: Tensor, b: Tensor, observed: Tensor, cost: Tensor, layers: list[Layers]) -> None:
+    """Solve the adjoint equation backwards, through the policy's layers as they were."""
+    adjoint = cost[-1].unsqueeze(-2)
+    for step in range(len(a) - 1, -1, -1):
+        pulled = layers[step].pull((adjoint @ b[step]).squeeze(-2)).unsqueeze(-2)
+        adjoint = torch.baddbmm(cost[step].unsqueeze(-2), adjoint, a[step])
+        adjoint = torch.baddbmm(adjoint, pulled, observed[step])
 
 
 def _cost(env: ControlEnv, rows: Rows, window: Window) -> tuple[Tensor, Tensor]:

@@ -8,11 +8,16 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import torch
 from torch import Tensor, nn
 
+from dynasindy.systems.machine import Machine
 from dynasindy.systems.stops import Stops
+from dynasindy.systems.tracing import program
 
 NAME = re.compile(r"[^\W\d][\w .'-]{0,59}")
+PRECISIONS = (torch.float32, torch.float64)
+"""Kinds of numbers that machine code computes in."""
 UNIT = re.compile(r"[\w°%^*/().\- ²³·µ]{1,30}")
 
 
@@ -112,11 +117,15 @@ class System(nn.Module, ABC):
 
     known: bool = True
     """Whether it has equations; a simulator of another library has none."""
+    machine_code: bool = False
+    """Whether states are moved by machine code, where a C compiler is found. A class says so for itself, if `forward`
+    can be read (`dynasindy.systems.tracing`) and the numbers in it stay what they are."""
 
     def __init__(self, signature: Signature, stops: Stops | None = None) -> None:
         super().__init__()
         self.signature = signature
         self.stops = stops
+        self._machines: dict[torch.dtype, Machine] = {}
 
     @abstractmethod
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
@@ -124,4 +133,18 @@ class System(nn.Module, ABC):
 
     def compiled(self, x: Tensor, u: Tensor) -> Compiled | None:
         """Return machine code that does what `forward` does for such states and inputs; None where there is none."""
-        return None
+        if not (self.machine_code and "machine_code" in vars(type(self))) or x.dtype not in PRECISIONS:
+            return None
+        if x.dtype not in self._machines:
+            read = program(self.forward, self.signature.n_x, self.signature.n_u)
+            try:
+                self._machines[x.dtype] = Machine(read, x.dtype)
+            except FileNotFoundError:
+                self.machine_code = False
+                return None
+        code = self._machines[x.dtype]
+        return code if code.fits(x, u) else None
+
+    def __getstate__(self) -> dict[str, object]:
+        """Leave machine code out of copies and pickles; it is made again when needed."""
+        return {**self.__dict__, "_machines": {}}

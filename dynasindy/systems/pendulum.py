@@ -23,6 +23,8 @@ class Pendulum(System):
         ValueError: Mass, length or torque is not positive, or the damping is negative.
     """
 
+    machine_code = True
+
     def __init__(self, mass: float = 1.0, length: float = 1.0, damping: float = 0.5, max_torque: float = 12.0) -> None:
         super().__init__(Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.0, 3.0)))
         if not (mass > 0 and length > 0 and max_torque > 0 and damping >= 0):

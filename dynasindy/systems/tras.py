@@ -106,6 +106,8 @@ class Tras(System):
         ValueError: A half range is not positive.
     """
 
+    machine_code = True
+
     def __init__(
         self, azimuth_stop: float = 6.0, pitch_stop: float = torch.pi / 2, constants: TrasConstants | None = None
     ) -> None:

@@ -51,6 +51,8 @@ class Trms33(System):
         ValueError: A half range is not positive.
     """
 
+    machine_code = True
+
     def __init__(self, azimuth_stop: float = 2.8, pitch_stop: float = 1.0, cable_rest: float = 0.0) -> None:
         super().__init__(SIGNATURE, beam_stops(azimuth_stop, pitch_stop))
         self.cable_rest = cable_rest

@@ -25,6 +25,8 @@ class Xi(System):
         ValueError: A half range is not positive.
     """
 
+    machine_code = True
+
     def __init__(self, azimuth_stop: float = 6.0, pitch_stop: float = torch.pi / 2) -> None:
         super().__init__(SIGNATURE, beam_stops(azimuth_stop, pitch_stop))
 

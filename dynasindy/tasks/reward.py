@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from dynasindy.tasks.constants import constants
+
 ERROR_SHAPES: dict[str, Callable[[Tensor, float], Tensor]] = {
     "quadratic": lambda error, width: error * error,
     "linear": lambda error, width: error * error / (width + error.abs()),
@@ -67,7 +69,7 @@ class TrackingReward:
             Rewards, `(*batch,)`.
         """
         cost = ERROR_SHAPES[self.error_shape](error, self.width)
-        weights = torch.tensor(self.error_weights, dtype=error.dtype, device=error.device)
+        weights = constants(self.error_weights, error.dtype, error.device)
         reward = -(cost * weights).sum(-1) - self.rate_weight * (rate_change * rate_change).sum(-1)
         reward = reward + self.bonus * (error.abs() < self.tolerance).to(error.dtype).sum(-1)
         return reward - self.stop_penalty * at_stop.to(error.dtype)

@@ -12,6 +12,7 @@ from torch import Tensor
 from dynasindy.systems import Signature
 from dynasindy.tasks import references
 from dynasindy.tasks.base import Task
+from dynasindy.tasks.constants import constants
 from dynasindy.tasks.references import N_PARAMS, Reference
 from dynasindy.tasks.reward import TrackingReward
 
@@ -176,15 +177,17 @@ class Tracking(Task):
 
     def observation(self, x: Tensor, params: Tensor, t: Tensor) -> Tensor:
         """Return scaled states, scaled errors and, if asked, reference rates [boxes per second], `(*batch, n_o)`."""
-        scale = torch.tensor(self.signature.x_scale, dtype=x.dtype, device=x.device)
-        parts = [x / scale, self.error(x, params, t) / self._unit(x, self.error_scale)]
+        parts = [
+            x / constants(self.signature.x_scale, x.dtype, x.device),
+            self.error(x, params, t) / self._unit(x, self.error_scale),
+        ]
         if self.observe_rate:
             parts.append(references.rate(params, t) / self._unit(x, 1.0))
         return torch.cat(parts, -1)
 
     def seen(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Return the states `(*batch, n_x)` and the references `(*batch, n_r)` of observations."""
-        scale = torch.tensor(self.signature.x_scale, dtype=observation.dtype, device=observation.device)
+        scale = constants(self.signature.x_scale, observation.dtype, observation.device)
         x = observation[..., : self.signature.n_x] * scale
         error = observation[..., self.error_columns] * self._unit(x, self.error_scale)
         return x, x[..., self.outputs] + error

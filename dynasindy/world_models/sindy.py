@@ -25,6 +25,7 @@ from torch import Tensor
 from dynasindy.systems.base import Signature
 from dynasindy.systems.diverged import Diverged
 from dynasindy.systems.integrators import rk4
+from dynasindy.systems.machine import Machine
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.base import WorldModel
 from dynasindy.world_models.constraints import Constraints
@@ -33,7 +34,7 @@ from dynasindy.world_models.fast_field import Field, generate
 from dynasindy.world_models.files import load, record, save, understand
 from dynasindy.world_models.libraries import LibraryBuilder, build_library
 from dynasindy.world_models.library import Library
-from dynasindy.world_models.machine import Machine
+from dynasindy.world_models.machine import machine
 from dynasindy.world_models.measured import imagined, rates_known, reconstruct
 from dynasindy.world_models.refine import Recording, Refinement
 from dynasindy.world_models.regression import Regression, Rows, RunningSums, integral_form
@@ -87,7 +88,6 @@ class SindyModel(WorldModel):
         self.sums = RunningSums(len(self.library), signature.n_x)
         self.register_buffer("coefficients", self.constraints.offset.clone())
         self._field: Field | None = None
-        self._machine: Machine | None = None
         self._field_of: tuple[Tensor, int] | None = None
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
@@ -96,19 +96,19 @@ class SindyModel(WorldModel):
 
     def compiled(self, x: Tensor, u: Tensor) -> Machine | None:
         """Return the model as machine code for states and inputs in single precision, in the memory of the CPU."""
-        plain = x.dtype == u.dtype == torch.float32 and x.device.type == "cpu" and x.shape[:-1] == u.shape[:-1]
-        if not self.machine_code or not plain or type(self).forward is not SindyModel.forward:
+        if not self.machine_code or x.dtype != torch.float32 or type(self).forward is not SindyModel.forward:
             return None
         self._written()
-        if self._machine is None:
+        if x.dtype not in self._machines:
             try:
-                self._machine = Machine(self.library, self.coefficients)
-            except FileNotFoundError:
+                self._machines[x.dtype] = machine(self.library, self.coefficients)
+            except (FileNotFoundError, ValueError, OSError) as error:
+                if not isinstance(error, FileNotFoundError):
+                    warnings.warn(f"the model stays torch code, which is slower: {error}", stacklevel=2)
                 self.machine_code = False
-            except (ValueError, OSError) as error:
-                warnings.warn(f"the model stays torch code, which is slower: {error}", stacklevel=2)
-                self.machine_code = False
-        return self._machine
+                return None
+        code = self._machines[x.dtype]
+        return code if code.fits(x, u) else None
 
     def _written(self) -> Field:
         """Return the equations as torch code, written anew where they have changed."""
@@ -116,13 +116,13 @@ class SindyModel(WorldModel):
         # The tensor itself is compared and so kept alive: its id may be that of a later one once it is gone.
         if self._field is None or made_of is not self.coefficients or version != self.coefficients._version:
             self._field = generate(self.library, self.coefficients.cpu())
-            self._machine = None
+            self._machines.clear()
             self._field_of = self.coefficients, self.coefficients._version
         return self._field
 
     def __getstate__(self) -> dict[str, object]:
         """Leave generated code out of copies and pickles; it is written again when needed."""
-        return {**self.__dict__, "_field": None, "_machine": None}
+        return {**super().__getstate__(), "_field": None}
 
     def get_extra_state(self) -> dict[str, object]:
         """Return what `state_dict` keeps besides the coefficients: the running sums, the fitted factors, the delay."""

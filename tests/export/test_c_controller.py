@@ -13,8 +13,8 @@ from dynasindy.control.controller import Pace
 from dynasindy.export import controller_sources
 from dynasindy.export.compiler import Native
 from dynasindy.systems import Pendulum, Signature, Stops, Tras, integrate
+from dynasindy.systems.compiler import compiler
 from dynasindy.tasks import Step, Tracking
-from dynasindy.world_models.compiler import compiler
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 

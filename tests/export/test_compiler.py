@@ -5,7 +5,7 @@ import pytest
 from dynasindy.export import compiler as module
 from dynasindy.export import controller_sources
 from dynasindy.export.compiler import Native, microseconds
-from dynasindy.world_models.compiler import compiler
+from dynasindy.systems.compiler import compiler
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 

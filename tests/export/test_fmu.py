@@ -11,8 +11,8 @@ import torch
 from dynasindy.export import fmu
 from dynasindy.export.fmu import controller_fmu, plant_fmu
 from dynasindy.systems import Signature, integrate
+from dynasindy.systems.compiler import compiler
 from dynasindy.world_models import SindyModel
-from dynasindy.world_models.compiler import compiler
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 

@@ -6,14 +6,15 @@ import pytest
 import torch
 
 from dynasindy.systems import Tras, integrate
+from dynasindy.systems import machine as systems_machine
 from dynasindy.systems.base import Signature
+from dynasindy.systems.compiler import compiler
 from dynasindy.systems.stops import Stops
-from dynasindy.world_models import SindyModel, machine
-from dynasindy.world_models.compiler import compiler
+from dynasindy.world_models import SindyModel
 from dynasindy.world_models.features import CONSTANT, of, variable
 from dynasindy.world_models.functions import register_function, unregister_function
 from dynasindy.world_models.library import Library
-from dynasindy.world_models.machine import Machine
+from dynasindy.world_models.machine import machine
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 SIGNATURE = Signature(("a", "b"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
@@ -55,7 +56,7 @@ def reference(library, xi, x, u, dt, substeps, stops=None):
 def test_states_and_derivatives_equal_double_precision(name):
     library, xi = made([A, *FEATURES[name]])
     x, u = drawn(67)  # not a multiple of the rows that are handled at once
-    code = Machine(library, xi)
+    code = machine(library, xi)
     samples, _ = code.integrate(x, u, 0.1, 3)
     torch.testing.assert_close(samples, reference(library, xi, x, u, 0.1, 3)[0].float(), rtol=2e-5, atol=2e-6)
     a, b = code.sensitivities(x, u, 0.1, 2)
@@ -74,7 +75,7 @@ def test_functions_hold_far_from_zero():
         xi = torch.zeros(4, 2, dtype=torch.float64)
         xi[k, 0] = 1.0
         x = x.clamp(-30, 8)
-        moved = Machine(library, xi).integrate(x, u, 1.0, 1)[0][:, 0, 0] - x[:, 0]
+        moved = machine(library, xi).integrate(x, u, 1.0, 1)[0][:, 0, 0] - x[:, 0]
         slope = (reference(library, xi, x, u, 1.0, 1)[0][:, 0, 0] - x[:, 0].double()).float()
         torch.testing.assert_close(moved, slope, rtol=1e-5, atol=4e-6)
 
@@ -85,17 +86,17 @@ def test_stops_hold_positions_and_say_where_they_were_touched():
     xi[:, 1] = torch.tensor([0.0, 0.0, 5.0])
     stops = Stops((0,), (1,), (-0.3,), (0.4,))
     x, u = drawn(97, reach=0.5)
-    samples, touched = Machine(library, xi).integrate(x, u, 0.4, 4, stops)
+    samples, touched = machine(library, xi).integrate(x, u, 0.4, 4, stops)
     wanted, where = reference(library, xi, x, u, 0.4, 4, stops)
     torch.testing.assert_close(samples, wanted.float(), rtol=1e-5, atol=1e-6)
     assert torch.equal(touched, where) and 10 < int(touched.sum()) < 90
-    assert not Machine(library, xi).integrate(x, u, 0.4, 4)[1].any()
+    assert not machine(library, xi).integrate(x, u, 0.4, 4)[1].any()
 
 
 def test_shapes_of_a_batch_stay():
     library, xi = made([A, B, U])
     x, u = drawn(24)
-    code = Machine(library, xi)
+    code = machine(library, xi)
     samples, touched = code.integrate(x.reshape(2, 3, 4, 2), u.reshape(2, 3, 4, 1), 0.1, 5)
     assert samples.shape == (2, 3, 4, 5, 2) and touched.shape == (2, 3, 4)
     assert torch.equal(samples.flatten(0, 2), code.integrate(x, u, 0.1, 5)[0])
@@ -110,20 +111,20 @@ def test_what_runs_away_is_not_finite_and_leaves_other_rows_alone():
     xi[:] = torch.tensor([[50.0, 0.0]])
     x, u = drawn(40)
     x[3] = 1e20
-    samples = Machine(library, xi).integrate(x, u, 0.1, 5)[0]
+    samples = machine(library, xi).integrate(x, u, 0.1, 5)[0]
     assert not samples[3, -1, 0].isfinite()
     x[3] = 0.0
-    alone = Machine(library, xi).integrate(x, u, 0.1, 5)[0]
+    alone = machine(library, xi).integrate(x, u, 0.1, 5)[0]
     assert torch.equal(samples[4:], alone[4:]) or torch.allclose(samples[4:], alone[4:], equal_nan=True)
 
 
 def test_other_numbers_in_the_same_functions_need_no_compiler(monkeypatch):
     library, xi = made([A, B, of("per_cos2", "a", frequency=3.0, fitted=True)])
-    Machine(library, xi)
-    monkeypatch.setattr(machine, "build_fast", lambda *_: pytest.fail("compiled again"))
+    machine(library, xi)
+    monkeypatch.setattr(systems_machine, "build_fast", lambda *_: pytest.fail("compiled again"))
     x, u = drawn(5)
     changed = library.with_shapes([1.5])
-    samples = Machine(changed, 2 * xi).integrate(x, u, 0.1, 1)[0]
+    samples = machine(changed, 2 * xi).integrate(x, u, 0.1, 1)[0]
     torch.testing.assert_close(samples, reference(changed, 2 * xi, x, u, 0.1, 1)[0].float(), rtol=1e-5, atol=1e-6)
 
 
@@ -131,7 +132,7 @@ def test_a_function_without_a_formula_is_refused():
     register_function("wild_test", lambda z: torch.special.erf(z))
     library, xi = made([A, of("wild_test", "a")])
     with pytest.raises(ValueError, match="'wild_test' has no formula"):
-        Machine(library, xi)
+        machine(library, xi)
     model = SindyModel(SIGNATURE, library)
     model.set_coefficients(xi)
     x, u = drawn(4)

@@ -87,7 +87,7 @@ class Tangents:
 
     def _call(self, name: str, arguments: Sequence[tuple[str, Slopes]]) -> tuple[str, Slopes]:
         text = f"{name}({', '.join(value for value, _ in arguments)})"
-        if name == "sign":
+        if name in ("sign", "exceeds"):
             return text, {}
         if name == "larger":
             (a, da), (b, db) = arguments

@@ -1,8 +1,9 @@
-/* One control period of a sparse model, and its derivatives, for many rows at once. Generated code fills the gaps. */
+/* One control period of a vector field, and its derivatives, for many rows at once. Generated code fills the gaps. */
 #include <math.h>
 
-typedef float real;
-enum { N = @n_x@, M = @n_u@, C = N + M, P = @n_slopes@, W = 32 }; /* W rows at once stay in the first cache */
+typedef @real@ real;
+#define SLOPES @n_slopes@
+enum { N = @n_x@, M = @n_u@, C = N + M, P = SLOPES, W = @width@ }; /* W rows at once stay in the first cache */
 
 static inline real square(real v) { return v * v; }
 static inline real larger(real a, real b) { return a > b ? a : b; }
@@ -10,6 +11,7 @@ static inline real exceeds(real a, real b) { return a > b ? 1 : 0; }
 static inline real sign(real v) { return (real)((v > 0) - (v < 0)); }
 static inline real magnitude(real v) { return v < 0 ? -v : v; }
 
+#if @single@
 /* The functions of <math.h>, but such that a compiler can compute them for several rows by one instruction. */
 static inline real odd(real r) /* sin r within a quarter turn: Abramowitz and Stegun, 4.3.97 */
 {
@@ -54,43 +56,13 @@ static inline real hyperbolic_tangent(real v)
     real small = bounded * (1 - square(bounded) / 3);
     return magnitude(bounded) < (real)0.01 ? small : (e - 1) / (e + 1);
 }
+#endif
 
 /* dx/dt of W rows, `x` and `f` by state. */
 static void rates(const real *restrict x, const real *restrict u, const real *restrict k, real *restrict f)
 {
     for (int r = 0; r < W; r++) {
 @rates@
-    }
-}
-
-/* dx/dt and its derivatives that are not zero. */
-static void slopes(const real *restrict x, const real *restrict u, const real *restrict k, real *restrict f,
-                   real *restrict j)
-{
-    for (int r = 0; r < W; r++) {
-@slopes@
-    }
-}
-
-static const int ROW[P] = {@slope_rows@}, COLUMN[P] = {@slope_columns@};
-
-/* Derivative of dx/dt by where the period began, from that of x. */
-static void chain(const real *restrict j, const real *restrict s, real *restrict d)
-{
-    for (int i = 0; i < N * C * W; i++)
-        d[i] = 0;
-    for (int p = 0; p < P; p++) {
-        const real *restrict slope = j + p * W;
-        real *restrict to = d + ROW[p] * C * W;
-        if (COLUMN[p] >= N) {
-            for (int r = 0; r < W; r++)
-                to[COLUMN[p] * W + r] += slope[r];
-            continue;
-        }
-        const real *restrict from = s + COLUMN[p] * C * W;
-        for (int c = 0; c < C; c++)
-            for (int r = 0; r < W; r++)
-                to[c * W + r] += slope[r] * from[c * W + r];
     }
 }
 
@@ -143,6 +115,38 @@ void advance(long rows, const real *x0, const real *u0, const real *k, real h, i
     }
 }
 
+#if SLOPES
+/* dx/dt and its derivatives that are not zero. */
+static void slopes(const real *restrict x, const real *restrict u, const real *restrict k, real *restrict f,
+                   real *restrict j)
+{
+    for (int r = 0; r < W; r++) {
+@slopes@
+    }
+}
+
+static const int ROW[P] = {@slope_rows@}, COLUMN[P] = {@slope_columns@};
+
+/* Derivative of dx/dt by where the period began, from that of x. */
+static void chain(const real *restrict j, const real *restrict s, real *restrict d)
+{
+    for (int i = 0; i < N * C * W; i++)
+        d[i] = 0;
+    for (int p = 0; p < P; p++) {
+        const real *restrict slope = j + p * W;
+        real *restrict to = d + ROW[p] * C * W;
+        if (COLUMN[p] >= N) {
+            for (int r = 0; r < W; r++)
+                to[COLUMN[p] * W + r] += slope[r];
+            continue;
+        }
+        const real *restrict from = s + COLUMN[p] * C * W;
+        for (int c = 0; c < C; c++)
+            for (int r = 0; r < W; r++)
+                to[c * W + r] += slope[r] * from[c * W + r];
+    }
+}
+
 /* Derivatives of the state after such a period by the state before it and by the input; stops are left out. */
 void sensitivities(long rows, const real *x0, const real *u0, const real *k, real h, int steps, real *out_x, real *out_u)
 {
@@ -179,3 +183,4 @@ void sensitivities(long rows, const real *x0, const real *u0, const real *k, rea
             }
     }
 }
+#endif

@@ -5,7 +5,7 @@ import ctypes
 import pytest
 import torch
 
-from dynasindy.world_models.compiler import SUFFIX, build, build_fast, compiler
+from dynasindy.systems.compiler import SUFFIX, build, build_fast, compiler
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 

@@ -5,7 +5,7 @@ import math
 import pytest
 import sympy
 
-from dynasindy.world_models.tangents import Tangents
+from dynasindy.systems.tangents import Tangents
 
 KNOWN = {
     "square": lambda v: v * v,

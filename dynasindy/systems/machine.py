@@ -1,0 +1,196 @@
+"""Vector fields as machine code: control periods and their derivatives, on the CPU.
+
+Rollouts of a hundred rows, and of one, are made of small operations, each of which costs torch more than its
+arithmetic. Where the equations are known in formulas they are written in C and compiled by the system's compiler, if
+there is one.
+"""
+
+from __future__ import annotations
+
+import atexit
+import ctypes
+import hashlib
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from dynasindy.systems.compiler import SUFFIX, build_faithful, build_fast, compiler
+from dynasindy.systems.stops import Stops
+from dynasindy.systems.tangents import Tangents
+
+SINGLE = {
+    "sin": "sine",
+    "cos": "cosine",
+    "exp": "power_of_e",
+    "tanh": "hyperbolic_tangent",
+    "sqrt": "sqrtf",
+    "fabs": "magnitude",
+}
+"""Names in `c/period.c`, in single precision, of what formulas call by other names."""
+FREE = Stops((), (), (), ())
+_CALLED = re.compile(rf"\b({'|'.join(SINGLE)})\(")
+_STATE = re.compile(r"\b([xu])\[(\d+)\]")
+_FRACTION = re.compile(r"(?<![\w.])(\d+\.\d*(?:e[-+]?\d+)?|\d+e[-+]?\d+)")
+
+
+@dataclass(frozen=True)
+class Program:
+    """A vector field dx/dt = f(x, u) in formulas of `x[0]`, `u[0]`, ... in operators and `FORMULA_FUNCTIONS`.
+
+    Attributes:
+        n_x: number of states.
+        n_u: number of inputs.
+        lines: name and formula of each value, in the order in which they are computed.
+        results: formula of dx/dt of each state.
+        constants: what `k[0]`, `k[1]`, ... stand for.
+    """
+
+    n_x: int
+    n_u: int
+    lines: tuple[tuple[str, str], ...]
+    results: tuple[str, ...]
+    constants: tuple[float, ...] = ()
+
+
+class Machine:
+    """A vector field, compiled.
+
+    Args:
+        program: its formulas; programs that differ by their constants share their code.
+        dtype: float32, fast for many rows, or float64, operation by operation as the formulas say.
+
+    Raises:
+        ValueError: the compiler refuses the text.
+        FileNotFoundError: there is no compiler.
+    """
+
+    def __init__(self, program: Program, dtype: torch.dtype = torch.float32) -> None:
+        self.n_x, self.n_u, self.dtype = program.n_x, program.n_u, dtype
+        self._real = ctypes.c_float if dtype == torch.float32 else ctypes.c_double
+        self._constants = self._reals(program.constants)
+        self._code = _compiled(_source(program, dtype == torch.float32), dtype == torch.float32)
+
+    def fits(self, x: Tensor, u: Tensor) -> bool:
+        """Return whether it computes in the kind of numbers that states and inputs are, in the memory of the CPU."""
+        return x.dtype == u.dtype == self.dtype and x.device.type == "cpu" and x.shape[:-1] == u.shape[:-1]
+
+    def integrate(
+        self, x: Tensor, u: Tensor, dt: float, substeps: int, stops: Stops | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Advance states over one control period under held inputs, see `systems.integrate`.
+
+        Args:
+            x: states, `(*batch, n_x)`.
+            u: inputs, `(*batch, n_u)`.
+            dt: control period [s].
+            substeps: Runge-Kutta steps per period.
+            stops: mechanical stops, if any.
+
+        Returns:
+            The state after each sub-step, `(*batch, substeps, n_x)`, and whether a stop was touched, bool `(*batch,)`.
+        """
+        x, u, stops = x.contiguous(), u.contiguous(), stops or FREE
+        samples = x.new_empty(*x.shape[:-1], substeps, self.n_x)
+        touched = torch.empty(x.shape[:-1], dtype=torch.bool)
+        ends = _whole(stops.positions), _whole(stops.rates), self._reals(stops.low), self._reals(stops.high)
+        rows, h, n_stops = ctypes.c_long(touched.numel()), self._real(dt / substeps), len(stops.positions)
+        into = _data(samples, touched)
+        self._code.advance(rows, *_data(x, u), self._constants, h, substeps, n_stops, *ends, *into)
+        return samples, touched
+
+    def sensitivities(self, x: Tensor, u: Tensor, dt: float, substeps: int) -> tuple[Tensor, Tensor]:
+        """Return dx_next/dx, `(*batch, n_x, n_x)`, and dx_next/du, `(*batch, n_x, n_u)`, of a period without stops.
+
+        Args:
+            x: states, `(*batch, n_x)`.
+            u: inputs, `(*batch, n_u)`.
+            dt: control period [s].
+            substeps: Runge-Kutta steps per period.
+        """
+        x, u = x.contiguous(), u.contiguous()
+        a, b = x.new_empty(*x.shape, self.n_x), x.new_empty(*x.shape, self.n_u)
+        rows, h = ctypes.c_long(x.numel() // self.n_x), self._real(dt / substeps)
+        self._code.sensitivities(rows, *_data(x, u), self._constants, h, substeps, *_data(a, b))
+        return a, b
+
+    def _reals(self, values: Sequence[float]) -> ctypes.Array[ctypes.c_float] | ctypes.Array[ctypes.c_double]:
+        return (self._real * max(1, len(values)))(*values)
+
+
+def _source(program: Program, single: bool) -> str:
+    """Return the C text of a program, its constants left out."""
+    names = [f"x[{i}]" for i in range(program.n_x)] + [f"u[{j}]" for j in range(program.n_u)]
+    tangents = Tangents({name: number for number, name in enumerate(names)})
+    for name, formula in program.lines:
+        tangents.line(name, formula)
+    found = [tangents.slopes(result) for result in program.results]
+    entries = [(i, column, text) for i, row in enumerate(found) for column, text in sorted(row.items())]
+    rates = [f"f[{i} * W + r] = {text};" for i, text in enumerate(program.results)]
+    slopes = [f"j[{p} * W + r] = {text};" for p, (_, _, text) in enumerate(entries)]
+    words = {
+        "real": "float" if single else "double",
+        "single": int(single),
+        "width": 32 if single else 1,
+        "n_x": program.n_x,
+        "n_u": program.n_u,
+        "n_slopes": len(entries),
+        "rates": _body(program.lines, rates, single),
+        "slopes": _body(tangents.lines, [*rates, *slopes], single),
+        "slope_rows": ", ".join(str(i) for i, _, _ in entries),
+        "slope_columns": ", ".join(str(column) for _, column, _ in entries),
+    }
+    text = resources.files("dynasindy.systems").joinpath("c", "period.c").read_text(encoding="utf-8")
+    return re.sub(r"@(\w+)@", lambda gap: str(words[gap[1]]), text)
+
+
+def _body(lines: Sequence[tuple[str, str]], results: Sequence[str], single: bool) -> str:
+    """Return values and results as statements of C."""
+    statements = [*(f"const real {name} = {formula};" for name, formula in lines), *results]
+    return "\n".join(f"        {_in_c(statement, single)}" for statement in statements)
+
+
+def _in_c(text: str, single: bool) -> str:
+    if single:
+        text = _CALLED.sub(lambda call: f"{SINGLE[call[1]]}(", text)
+    return _FRACTION.sub(r"(real)\1", _STATE.sub(r"\1[\2 * W + r]", text))
+
+
+@cache
+def _folder(process: int) -> Path:
+    """Return a folder that is gone when the process ends; a forked one has its own."""
+    path = Path(tempfile.mkdtemp(prefix="dynasindy_"))
+
+    def _remove() -> None:
+        if os.getpid() == process:
+            shutil.rmtree(path, ignore_errors=True)
+
+    atexit.register(_remove)
+    return path
+
+
+@cache
+def _compiled(source: str, single: bool) -> ctypes.CDLL:
+    """Return the compiled text; the same text is compiled once."""
+    if compiler() is None:
+        raise FileNotFoundError("no C compiler was found; install gcc or clang, or do without machine code")
+    stem = _folder(os.getpid()) / hashlib.sha256(source.encode()).hexdigest()[:16]
+    text = stem.with_suffix(".c")
+    text.write_text(source, encoding="utf-8")
+    return ctypes.CDLL(str((build_fast if single else build_faithful)(text, stem.with_suffix(SUFFIX))))
+
+
+def _whole(values: Sequence[int]) -> ctypes.Array[ctypes.c_int]:
+    return (ctypes.c_int * max(1, len(values)))(*values)
+
+
+def _data(*tensors: Tensor) -> list[ctypes.c_void_p]:
+    return [ctypes.c_void_p(tensor.data_ptr()) for tensor in tensors]
