@@ -72,7 +72,7 @@ class GymControl(gymnasium.Env[Array, Array]):
         """
         if self._steps is None:
             raise RuntimeError("step was called before reset; call reset first")
-        x, u = self._x, torch.from_numpy(np.clip(action, -1.0, 1.0).astype(np.float32))
+        x, u = self._x, torch.from_numpy(np.asarray(action, dtype=np.float32)).clamp(-1.0, 1.0)
         # What `ControlEnv.step` does, on one row: a tensordict would cost several times what the arithmetic does.
         with torch.no_grad():
             samples, touched = self.env.advance(x, u.to(x.dtype))
