@@ -1,0 +1,106 @@
+"""What machine code is worth: each job with it and without it, one after the other in one run, in CPU seconds.
+
+The controller is that of `benchmark.py gradient`, case `step`: ten seconds of data, the fit, planning, and no more. The
+CPU time of the compiler counts. Seconds depend on the computer and on what else it does; their ratio hardly does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+
+from dynasindy.benchmarks.gradient import CASES, KNOWN, PLANTS, build_recipe
+from dynasindy.benchmarks.instruments.commit import commit
+from dynasindy.benchmarks.instruments.watch import cpu_seconds
+from dynasindy.dyna.callback import Callback
+from dynasindy.dyna.loop import train
+from dynasindy.evaluation.rows import Row, write_rows
+from dynasindy.systems import System
+from dynasindy.world_models import Refinement, Regression, SindyModel
+
+RESULTS = Path("docs/results/speed.csv")
+STEPS = 2000
+"""Control periods of the environment that are timed."""
+
+
+def main(argv: list[str]) -> None:
+    """Time every job and write the table."""
+    parser = argparse.ArgumentParser(prog="benchmark.py speed", description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="seeds of the controllers")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="CSV file to write")
+    arguments = parser.parse_args(argv)
+    torch.set_num_threads(1)
+    jobs: dict[str, Callable[[bool], float]] = {
+        "environment": environment,
+        **{f"controller {plant}": _controllers(plant, arguments.seeds) for plant in ("xi", "tras")},
+    }
+    rows = [measure(name, job) for name, job in jobs.items()]
+    write_rows(arguments.out, list(rows[0]), rows)
+    print(f"written to {arguments.out}")
+
+
+def measure(name: str, job: Callable[[bool], float]) -> Row:
+    """Return a job's seconds with machine code and without, and their ratio."""
+    with_code, without = job(True), job(False)
+    row: Row = {
+        "job": name,
+        "machine_code_cpu_seconds": float(f"{with_code:.4g}"),
+        "torch_cpu_seconds": float(f"{without:.4g}"),
+        "ratio": round(without / with_code, 2),
+        "commit": commit(),
+    }
+    print(", ".join(f"{key} {value}" for key, value in row.items()), flush=True)
+    return row
+
+
+def environment(machine_code: bool) -> float:
+    """Return the CPU seconds of a control period of `dynasindy/TwinRotor-v0`, stepped one at a time [s]."""
+    with _plants(machine_code):
+        env = gymnasium.make("dynasindy/TwinRotor-v0")
+        env.reset(seed=0)
+        action = np.zeros(2, dtype=np.float32)
+        env.step(action)  # the first step calls the compiler
+        start = cpu_seconds()
+        for _ in range(STEPS):
+            if env.step(action)[3]:
+                env.reset()
+        return (cpu_seconds() - start) / STEPS
+
+
+def _controllers(plant: str, seeds: list[int]) -> Callable[[bool], float]:
+    return lambda machine_code: statistics.median(controller(plant, seed, machine_code) for seed in seeds)
+
+
+def controller(plant: str, seed: int, machine_code: bool) -> float:
+    """Return the CPU seconds from nothing to a controller [s]."""
+    recipe = build_recipe(replace(CASES["step"], episodes=0), plant, seed, {})
+
+    def _model(signature: Any) -> SindyModel:
+        library, regression = PLANTS[plant].library, Regression(method="bic", tolerance=1e-4)
+        return SindyModel(signature, library, regression, Refinement(), KNOWN, machine_code=machine_code)
+
+    with _plants(machine_code):
+        start = cpu_seconds()
+        train(replace(recipe, world_model=_model).build(), recipe.train, Callback())
+        return cpu_seconds() - start
+
+
+@contextmanager
+def _plants(machine_code: bool) -> Iterator[None]:
+    """Let plants move by torch code alone, if that is asked, as where there is no compiler."""
+    compiled = System.compiled
+    if not machine_code:
+        System.compiled = lambda self, x, u: None  # type: ignore[method-assign]
+    try:
+        yield
+    finally:
+        System.compiled = compiled  # type: ignore[method-assign]

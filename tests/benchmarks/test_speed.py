@@ -1,0 +1,46 @@
+"""The benchmark of machine code does the same job with and without it, and leaves plants as they were."""
+
+import pytest
+import torch
+
+from dynasindy.benchmarks import speed
+from dynasindy.evaluation.rows import read_rows
+from dynasindy.systems import System, Tras
+from dynasindy.systems.compiler import compiler
+
+X, U = torch.zeros(6, dtype=torch.float64), torch.zeros(2, dtype=torch.float64)
+
+
+@pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
+def test_plants_go_without_machine_code_for_a_while():
+    whole = System.compiled
+    with pytest.raises(ZeroDivisionError), speed._plants(False):
+        assert Tras().compiled(X, U) is None
+        raise ZeroDivisionError
+    assert System.compiled is whole
+    with speed._plants(True):
+        assert Tras().compiled(X, U) is not None
+
+
+def test_a_row_holds_both_times_and_their_ratio():
+    row = speed.measure("job", lambda machine_code: 2.0 if machine_code else 5.0)
+    assert (row["machine_code_cpu_seconds"], row["torch_cpu_seconds"], row["ratio"]) == (2.0, 5.0, 2.5)
+
+
+def test_every_job_is_written(tmp_path, monkeypatch):
+    asked = []
+
+    def controller(plant, seed, machine_code):
+        asked.append((plant, seed, machine_code))
+        return {1: 1.0, 2: 8.0, 3: 3.0}[seed] * (1 if machine_code else 2)
+
+    monkeypatch.setattr(speed, "controller", controller)
+    monkeypatch.setattr(speed, "STEPS", 3)
+    speed.main(["--seeds", "1", "2", "3", "--out", str(tmp_path / "speed.csv")])
+    rows = read_rows(tmp_path / "speed.csv")
+    assert [row["job"] for row in rows] == ["environment", "controller xi", "controller tras"]
+    assert [float(row["machine_code_cpu_seconds"]) for row in rows[1:]] == [3.0, 3.0]  # the median seed
+    assert [float(row["ratio"]) for row in rows[1:]] == [2.0, 2.0]
+    assert set(asked) == {
+        (plant, seed, code) for plant in ("xi", "tras") for seed in (1, 2, 3) for code in (True, False)
+    }
