@@ -69,7 +69,7 @@ class Machine:
         dtype: float32, fast for many rows, or float64, operation by operation as the formulas say.
 
     Raises:
-        ValueError: the compiler refuses the text.
+        ValueError: a formula holds something that is none, or the compiler refuses the text.
         FileNotFoundError: there is no compiler.
     """
 
@@ -127,14 +127,15 @@ class Machine:
 
 
 def _source(program: Program, single: bool) -> str:
-    """Return the C text of a program, its constants left out."""
+    """Return the C text of a program, its constants left out; every word of it is one that `Tangents` knows."""
     names = [f"x[{i}]" for i in range(program.n_x)] + [f"u[{j}]" for j in range(program.n_u)]
     tangents = Tangents({name: number for number, name in enumerate(names)})
     for name, formula in program.lines:
         tangents.line(name, formula)
-    found = [tangents.slopes(result) for result in program.results]
-    entries = [(i, column, text) for i, row in enumerate(found) for column, text in sorted(row.items())]
-    rates = [f"f[{i} * W + r] = {text};" for i, text in enumerate(program.results)]
+    found = [tangents.last(result) for result in program.results]
+    entries = [(i, column, text) for i, (_, row) in enumerate(found) for column, text in sorted(row.items())]
+    rates = [f"f[{i} * W + r] = {text};" for i, (text, _) in enumerate(found)]
+    values = {name for name, _ in program.lines}
     slopes = [f"j[{p} * W + r] = {text};" for p, (_, _, text) in enumerate(entries)]
     words = {
         "real": "float" if single else "double",
@@ -143,7 +144,7 @@ def _source(program: Program, single: bool) -> str:
         "n_x": program.n_x,
         "n_u": program.n_u,
         "n_slopes": len(entries),
-        "rates": _body(program.lines, rates, single),
+        "rates": _body([line for line in tangents.lines if line[0] in values], rates, single),
         "slopes": _body(tangents.lines, [*rates, *slopes], single),
         "slope_rows": ", ".join(str(i) for i, _, _ in entries),
         "slope_columns": ", ".join(str(column) for _, column, _ in entries),

@@ -8,6 +8,7 @@ function more: `exceeds(a, b)` is 1 where a > b, else 0.
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Mapping, Sequence
 
 Slopes = dict[int, str]
@@ -22,6 +23,8 @@ _SLOPE = {
     "fabs": "sign({0})",
     "square": "(2 * {0})",
 }
+_ARGUMENTS = {**dict.fromkeys(_SLOPE, 1), "sign": 1, "larger": 2, "exceeds": 2}
+_CONSTANT = re.compile(r"k\[\d+\]")
 
 
 class Tangents:
@@ -39,14 +42,22 @@ class Tangents:
         self._slopes: dict[str, Slopes] = {text: {number: "1"} for text, number in variables.items()}
 
     def line(self, name: str, formula: str) -> None:
-        """Add a value and its derivatives."""
+        """Add a value and its derivatives.
+
+        Raises:
+            ValueError: The formula holds something that does not belong there.
+        """
         value, slopes = self._of(ast.parse(formula, mode="eval").body)
         self.lines.append((name, value))
         self._slopes[name] = {number: self._kept(f"{name}_{number}", text) for number, text in slopes.items()}
 
-    def slopes(self, formula: str) -> Slopes:
-        """Return the derivatives of a formula of what was added before."""
-        return self._of(ast.parse(formula, mode="eval").body)[1]
+    def last(self, formula: str) -> tuple[str, Slopes]:
+        """Return the text of a formula of what was added before, and those of its derivatives.
+
+        Raises:
+            ValueError: It holds something else than operators, numbers, what was added, constants and functions.
+        """
+        return self._of(ast.parse(formula, mode="eval").body)
 
     def _kept(self, name: str, text: str) -> str:
         """Give a text a name, unless it is one or a number."""
@@ -58,17 +69,22 @@ class Tangents:
     def _of(self, node: ast.expr) -> tuple[str, Slopes]:
         """Return the text of a formula and those of its derivatives."""
         text = ast.unparse(node)
-        if isinstance(node, ast.Constant):
+        if isinstance(node, ast.Constant) and type(node.value) in (int, float):
             return text, {}
-        if isinstance(node, ast.Name | ast.Subscript):
+        if text in self._slopes or _CONSTANT.fullmatch(text):
             return text, self._slopes.get(text, {})
-        if isinstance(node, ast.UnaryOp):
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
             value, slopes = self._of(node.operand)
             return f"(-{value})", {number: f"(-{slope})" for number, slope in slopes.items()}
-        if isinstance(node, ast.BinOp):
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Sub | ast.Mult | ast.Div):
             return self._pair(node.op, self._of(node.left), self._of(node.right))
-        assert isinstance(node, ast.Call) and isinstance(node.func, ast.Name), text
-        return self._call(node.func.id, [self._of(argument) for argument in node.args])
+        if (
+            isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Name)
+            and len(node.args) == _ARGUMENTS.get(node.func.id)
+        ):
+            return self._call(node.func.id, [self._of(argument) for argument in node.args])
+        raise ValueError(f"{text[:60]!r} is no part of a formula")
 
     def _pair(self, operator: ast.operator, left: tuple[str, Slopes], right: tuple[str, Slopes]) -> tuple[str, Slopes]:
         (a, da), (b, db) = left, right
@@ -80,7 +96,6 @@ class Tangents:
         if isinstance(operator, ast.Mult):
             parts = [_scaled(da, b), _scaled(db, a)]
             return f"({a} * {b})", _added(parts)
-        assert isinstance(operator, ast.Div)
         value = f"({a} / {b})"
         shrunk = {n: f"(-{value} * {slope} / {b})" for n, slope in db.items()}
         return value, _added([{n: f"({slope} / {b})" for n, slope in da.items()}, shrunk])

@@ -56,7 +56,7 @@ def test_slopes_equal_those_of_sympy(formula):
     symbols = {name: sympy.Symbol(name, real=True) for name in POINT}
     first = eval(formula, {}, {**SYMBOLIC, **symbols})
     for text, whole in (("v0", first), ("v1", first**2 - symbols["a"] / first), ("v0 * c", first * symbols["c"])):
-        slopes = tangents.slopes(text)
+        slopes = tangents.last(text)[1]
         for k, name in enumerate(POINT):
             wanted = float(
                 sympy.diff(whole, symbols[name]).subs({symbols[key]: value for key, value in POINT.items()}).evalf()
@@ -67,9 +67,34 @@ def test_slopes_equal_those_of_sympy(formula):
 
 def test_only_what_a_value_depends_on_has_a_slope():
     tangents = Tangents({"a": 0, "b": 1})
-    tangents.line("v0", "sin(a) * k")
-    assert set(tangents.slopes("v0 + 2.0")) == {0}
-    assert set(tangents.slopes("b - v0")) == {0, 1}
-    assert tangents.slopes("k * 3") == {}
-    assert tangents.slopes("sign(a)") == {}
-    assert tangents.slopes("b") == {1: "1"}
+    tangents.line("v0", "sin(a) * k[0]")
+    assert set(tangents.last("v0 + 2.0")[1]) == {0}
+    assert set(tangents.last("b - v0")[1]) == {0, 1}
+    assert tangents.last("k[12] * 3")[1] == {}
+    assert tangents.last("sign(a)")[1] == {}
+    assert tangents.last("b")[1] == {1: "1"}
+
+
+@pytest.mark.parametrize(
+    "formula",
+    [
+        "system(a)",
+        "a.real",
+        "k[system(1)]",
+        "b[0]",
+        "__import__",
+        "'text'",
+        "a if b else a",
+        "a ** 2",
+        "sin(a, b)",
+        "a > b",
+        "+a",
+        "True * a",
+        "[a][0]",
+        "sin(a)(b)",
+    ],
+)
+def test_a_formula_holds_nothing_else(formula):
+    tangents = Tangents({"a": 0, "b": 1})
+    with pytest.raises(ValueError, match="is no part of a formula"):
+        tangents.line("v0", formula)
