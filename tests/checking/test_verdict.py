@@ -14,7 +14,7 @@ from dynasindy.checking.verdict import Finding, Thresholds, verdict
 SMALL = Settings((-0.4,), (0.4,), points=2, seconds=8.0, grid=3, draws=2)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def good(loops):
     return check(loops(observer={}), SMALL)
 
