@@ -161,6 +161,16 @@ def test_a_period_begins_under_the_input_that_a_delay_has_held_back(late):
     torch.testing.assert_close(moved.mean, expected, rtol=0, atol=1e-7)
 
 
+def test_an_estimated_push_moves_its_rate_and_stays():
+    ours = observer(rates={"p": "v"}, disturbance=True)
+    ours.q = torch.full((4,), 1e-2, dtype=torch.float64)
+    pushed = torch.zeros(4, 4, dtype=torch.float64)
+    pushed[:3, :3], pushed[1, 3] = A, 1.0
+    x = torch.tensor([0.1, -0.2, 0.3, 0.5], dtype=torch.float64)
+    moved = ours.advance(Belief(x, torch.eye(4, dtype=torch.float64)), torch.zeros(ours.memory, 1))
+    torch.testing.assert_close(moved.mean, torch.linalg.matrix_exp(pushed * DT) @ x, rtol=0, atol=1e-7)
+
+
 def test_its_width_is_the_memory_that_a_rollout_takes_up_for_it():
     plant = Tras()
     env = ControlEnv(plant, Tracking(plant.signature, Step([[0.0, 0.0]])), DT, dtype=torch.float64)
@@ -252,7 +262,7 @@ def test_what_was_learnt_is_restored_and_what_is_none_is_refused():
     ours.learn(y, u)
     again.load_state_dict(ours.state_dict())
     assert torch.equal(again.q, ours.q) and again.nis == ours.nis and again.learnt
-    for wrong in ([1.0], [1.0, -1.0, 1.0], [1.0, math.nan, 1.0]):
+    for wrong in ([1.0], [1.0, 0.0, 1.0], [1.0, -1.0, 1.0], [1.0, math.nan, 1.0]):
         with pytest.raises(ValueError, match="a process noise > 0 for each of 3 states"):
             again.load_state_dict({"process_noise": wrong, "nis": 1.0})
 
