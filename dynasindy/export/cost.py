@@ -26,6 +26,7 @@ class Sizes:
         flops: Operations of one evaluation of the model.
         values: Variables in one evaluation of the model.
         n_stops: Stopped positions.
+        observe_rate: Whether the policy is shown how fast the reference moves.
     """
 
     n_x: int
@@ -41,6 +42,7 @@ class Sizes:
     flops: int
     values: int
     n_stops: int
+    observe_rate: bool
 
     @property
     def n_p(self) -> int:
@@ -76,7 +78,7 @@ def cost(sizes: Sizes) -> Cost:
 
 
 def _flops(s: Sizes) -> int:
-    policy = s.n_x + (5 if s.integral else 3) * s.n_r + s.n_u
+    policy = s.n_x + (3 + 2 * s.integral + s.observe_rate) * s.n_r + s.n_u
     policy += sum((2 * n_in + 3) * n_out for n_in, n_out in s.layers) + sum(n_out for _, n_out in s.layers[:-1])
     if s.integral:
         policy += 10 * s.n_r

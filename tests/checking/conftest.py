@@ -67,21 +67,21 @@ def network_loop(delay=0.07, disturbance=True, late=1, integral=None):
     return Loop(Controller(policy, pace, seeing, integral), Plant(model, 0.04, 0.04 / 3, pace.stops))
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def loops():
     return loop_of
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def law():
     return Law
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def carts():
     return cart
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def networks():
     return network_loop

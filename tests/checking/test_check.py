@@ -1,9 +1,12 @@
 """A check holds what its parts find, and its record is plain numbers."""
 
 import json
+from dataclasses import asdict
+from pathlib import Path
 
 import pytest
 import torch
+from omegaconf import OmegaConf
 
 from dynasindy.checking.check import Settings, check, number, record
 
@@ -13,6 +16,12 @@ SMALL = Settings((-0.4,), (0.4,), points=3, seconds=5.0, grid=3, draws=2)
 def test_targets_are_the_grid_of_the_box():
     assert Settings((0.0, -1.0), (1.0, 1.0), points=2).targets.tolist() == [[0, -1], [0, 1], [1, -1], [1, 1]]
     assert Settings((0.0,), (1.0,), points=1).targets.tolist() == [[0.5]]
+
+
+def test_what_is_tried_by_default_is_what_the_command_tries():
+    told = OmegaConf.load(Path(__file__).parents[2] / "conf" / "check.yaml")
+    ours = {name: value for name, value in asdict(Settings((0.0,), (1.0,))).items() if name not in ("low", "high")}
+    assert ours == {name: told[name] for name in ours}
 
 
 @pytest.mark.parametrize(

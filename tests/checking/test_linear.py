@@ -6,7 +6,7 @@ import torch
 from scipy.linalg import solve_discrete_are
 from scipy.signal import cont2discrete
 
-from dynasindy.checking.linear import covariance_at, guess, linearise, rest
+from dynasindy.checking.linear import Linear, covariance_at, guess, linearise, rest
 
 A = np.array([[1.0, 0.1], [0.0, 1.0]])
 B = np.array([[0.005], [0.1]])
@@ -82,6 +82,19 @@ def test_a_plant_with_other_coefficients_rests_elsewhere(loops, carts):
 
 def test_a_loop_that_nothing_stops_has_no_rest(loops, law):
     assert not bool(rest(loops(law(0.0, 0.0, bias=0.5)), targets(0.3), seconds=1.0).still.any())
+
+
+def test_the_error_of_a_loop_without_rest_is_that_of_its_last_two_seconds(loops, law):
+    # p = 0.5 t^2 / 2 from its target on: the mean over the last 20 of 30 control periods of 0.1 s.
+    found = rest(loops(law(0.0, 0.0, bias=0.5)), targets(0.3), seconds=3.0)
+    assert found.error.item() == pytest.approx(np.mean([0.25 * (0.1 * k) ** 2 for k in range(11, 31)]), rel=1e-6)
+
+
+def test_slopes_that_are_not_finite_count_as_none():
+    odd = np.array([[[np.inf, -np.inf], [np.nan, 2.0]]])
+    found = Linear(odd, odd, odd, odd, odd, 0.1).finite()
+    for matrix in (found.a, found.b, found.c, found.e, found.f):
+        assert matrix.tolist() == [[[0.0, 0.0], [0.0, 2.0]]]
 
 
 def test_the_guess_is_where_the_model_rests(loops, carts):

@@ -55,6 +55,14 @@ def test_it_flies_as_the_controller_does(networks, disturbance, delay, late, int
     np.testing.assert_allclose(u, commands, rtol=0, atol=2e-5)
 
 
+def test_a_loop_holds_what_its_controller_remembers_and_nothing_else(loops):
+    assert loops().parts == {"x": slice(0, 2)}
+    assert loops(integral={}).parts == {"x": slice(0, 2), "integral": slice(2, 3)}
+    # A measurement under way, three commands that the observer remembers, and its estimate.
+    late = {"x": slice(0, 2), "late": slice(2, 4), "inputs": slice(4, 7), "mean": slice(7, 9)}
+    assert loops(observer={"delay": 1}).parts == late
+
+
 def test_a_law_of_all_states_is_the_map_that_is_written_down(loops):
     # p + dt v + dt^2/2 u, v + dt u with u = 2 (r - p) - 2.5 v, and dt = 0.1.
     loop = loops()

@@ -2,16 +2,19 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
+import torch
 
 from dynasindy.checking.check import Settings, check
+from dynasindy.checking.flights import Flights
 from dynasindy.checking.margins import Margins
 from dynasindy.checking.verdict import Finding, Thresholds, verdict
 
 SMALL = Settings((-0.4,), (0.4,), points=2, seconds=8.0, grid=3, draws=2)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def good(loops):
     return check(loops(observer={}), SMALL)
 
@@ -26,6 +29,38 @@ def test_a_cart_with_a_sound_law_is_sound(good):
     assert [name for name, each in found.items() if not each.good] == ["noise"] or all(f.good for f in found.values())
     assert "stable at all 2 targets; largest spectral radius" in found["stability"].words
     assert found["recovery"].words.startswith("comes back from errors of up to 1 ranges: 100% in p and v;")
+
+
+def test_findings_come_in_the_order_of_what_they_build_on(good):
+    assert list(by_name(good)) == [
+        *("stability", "gain margin", "gain reduction", "phase margin", "delay margin", "disk margin", "noise"),
+        *("steady error", "slew", "saturation", "one coefficient", "all coefficients", "recovery"),
+    ]
+
+
+def test_noise_is_weak_beyond_its_threshold_only_and_none_where_the_file_states_none(good, loops):
+    # A deviation of 0.01 m at a gain of 4 per metre, whatever the other target: 0.04.
+    noisy = replace(good, noise=[np.array([[3.0, 0.0]]), np.array([[4.0, 0.0]])], sensors=np.array([0.01, 0.0]))
+    for limit, sound in ((0.05, True), (0.03, False)):
+        found = by_name(noisy, Thresholds(noise=limit))["noise"]
+        assert found.good is sound and "moves force by 0.04 (standard deviation)" in found.words
+    silent = by_name(check(loops(), SMALL))["noise"]
+    assert silent.good and silent.words.startswith("the file states no noise of sensors")
+
+
+def test_the_largest_slew_and_saturation_over_the_targets_decide(good):
+    u = torch.zeros(2, 4, 1, dtype=torch.float64)
+    u[1, :2, 0] = torch.tensor([-0.5, 1.0])  # of the second target
+    steps = Flights(torch.zeros(2, 5, 2).double(), u, torch.zeros(2, 1), [0], 0.1)
+    found = by_name(replace(good, steps=steps))
+    assert found["slew"].words.startswith("in a step force changes by up to 1.50 in a control period")
+    assert found["saturation"].words.startswith("in a step force is at its limit for up to 25% of 8 s")
+    assert not found["slew"].good and not found["saturation"].good
+
+
+def test_a_threshold_of_one_control_period_is_singular(good):
+    for limit, words in ((1.0, "threshold: 1 control period"), (2.0, "threshold: 2 control periods")):
+        assert by_name(good, Thresholds(delay=limit))["delay margin"].words.endswith(words)
 
 
 @pytest.mark.parametrize(

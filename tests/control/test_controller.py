@@ -13,7 +13,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario, evaluate
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.sensing import Observer, Sensing, Sensors
-from dynasindy.systems import Pendulum
+from dynasindy.systems import Pendulum, Signature, System
 from dynasindy.tasks import Step, Tracking, TrackingReward, Wave
 from dynasindy.world_models import SindyModel
 
@@ -90,6 +90,36 @@ def test_it_is_shown_how_fast_the_reference_moves():
     assert np.abs(blind - inputs).max() > 1e-3
 
 
+def test_a_reference_without_a_rate_stands_still():
+    env, policy = setting(observe_rate=True)
+    controller = Controller(policy, Pace(env.task, env.dt))
+    silent = [controller.act([0.1 * k, 0.0], [0.3]) for k in range(3)]
+    controller.reset()
+    np.testing.assert_array_equal(silent, [controller.act([0.1 * k, 0.0], [0.3], [0.0]) for k in range(3)])
+
+
+class Driven(System):
+    """A place that two inputs move, x' = u1 + 10 u2."""
+
+    def __init__(self):
+        super().__init__(Signature(("x",), ("m",), ("u1", "u2"), (1.0,)))
+
+    def forward(self, x, u):
+        return u[..., :1] + 10 * u[..., 1:]
+
+
+def test_a_lost_sample_is_bridged_with_all_inputs_that_were_given():
+    """From 0.3 m, 0.1 s under inputs of 0.5 and -0.25 lead to 0.3 + 0.1 (0.5 - 2.5) m."""
+    plant = Driven()
+    task = Tracking(plant.signature, Step([[0.0]]), ("x",), (), TrackingReward((1.0,)))
+    observer = Observer(plant, Sensors({"x": {}}), Pace(task, 0.1))
+    observer.load_state_dict({"process_noise": [0.01], "nis": 1.0})
+    controller = Controller(lambda shown: shown.set("action", torch.tensor([0.5, -0.25])), Pace(task, 0.1), observer)
+    controller.act([0.3], [0.0])
+    controller.act([math.nan], [0.0])
+    np.testing.assert_allclose(controller.estimate, [0.1], rtol=0, atol=1e-6)
+
+
 @pytest.mark.parametrize("disturbance", [False, True])
 @pytest.mark.parametrize("integral", [None, {"band": 0.5}])
 def test_it_flies_as_the_evaluation_does_behind_sensors(disturbance, integral):
@@ -150,14 +180,18 @@ def test_numbers_may_be_given_by_name():
     ("measurement", "reference", "words"),
     [
         ([0.1], [0.3], "measurement has 1 numbers; give one for each of theta, Omega"),
-        ([0.1, math.nan], [0.3], "measurement of Omega is nan"),
+        (
+            [0.1, math.nan],
+            [0.3],
+            "measurement of Omega is nan; give a finite number; only a controller with sensors and an observer does",
+        ),
         ([0.1, math.inf], [0.3], "measurement of Omega is inf"),
         (
             {"theta": 0.1, "speed": 0.0},
             [0.3],
             "measurement has 'speed', which does not exist; allowed are theta, Omega",
         ),
-        ([0.1, 0.0], [math.nan], "reference of theta is nan"),
+        ([0.1, 0.0], [math.nan], "reference of theta is nan; give a finite number$"),
         ([0.1, 0.0], [0.3, 0.1], "reference has 2 numbers; give one for each of theta"),
         ([0.1, 0.0], {}, "reference of theta is nan"),
     ],

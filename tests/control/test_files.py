@@ -115,6 +115,7 @@ def damaged(tmp_path, change):
         (lambda r: r["policy"][0].update(weight="AAAA"), "0 weights where 32 finite ones belong"),
         (lambda r: r["policy"][0].update(weight="AAAAAA=="), "1 weights where 32 finite ones belong"),
         (lambda r: r["policy"][1].update(bias="§"), "is damaged"),
+        (lambda r: r["policy"][0].update(weight="!!!" + r["policy"][0]["weight"]), "is damaged"),
         (lambda r: r["policy"][0].update(out=10**9), "at most 20 of 1 to 4096"),
         (lambda r: r["policy"].pop(), "maps 4 numbers to 5"),
         (lambda r: r["observer"]["model"].update(format="x"), "is not of the format"),
@@ -145,6 +146,21 @@ def test_a_damaged_file_costs_one_line(tmp_path, change, words):
         load(file)
     assert "c.json" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("substeps", [1, 1000])
+def test_the_fewest_and_the_most_steps_of_a_period_are_read(tmp_path, substeps):
+    assert load(damaged(tmp_path, lambda record: record["task"].update(substeps=substeps))).pace.substeps == substeps
+
+
+def test_as_many_weights_are_read_as_are_allowed_and_not_one_more(tmp_path, monkeypatch):
+    file = damaged(tmp_path, lambda record: None)
+    weights = (4 + 1) * 8 + (8 + 1) * 5 + (5 + 1) * 1  # four numbers observed, layers of 8 and 5, one input
+    monkeypatch.setattr("dynasindy.control.files.HEAVIEST", weights)
+    load(file)
+    monkeypatch.setattr("dynasindy.control.files.HEAVIEST", weights - 1)
+    with pytest.raises(DamagedFileError, match="has 91 weights; at most 90 are read"):
+        load(file)
 
 
 def test_a_folder_without_a_controller_says_so(tmp_path):

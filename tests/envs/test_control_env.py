@@ -121,6 +121,9 @@ def _two_lines(dx):
         (lambda dx: dx.tolist(), r"returned a list; it has to return \(2, 2\)"),
         (lambda dx: dx * torch.tensor([1.0, torch.nan]), r"not finite, of Omega, where episodes begin"),
         (lambda dx: dx[..., 5], r"system Broken failed \(IndexError"),
+        (lambda dx: dx.rates, r"system Broken failed \(AttributeError"),
+        (lambda dx: dx + "1", r"system Broken failed \(TypeError"),
+        (lambda dx: dx.reshape(7), r"system Broken failed \(RuntimeError"),
         (_two_lines, r"system Broken failed \(ValueError: first\); it has to return"),
     ],
 )

@@ -219,6 +219,15 @@ def test_an_imagined_episode_begins_where_the_environment_does():
     assert float(angle.min()) < -2.5 and float(angle.max()) > 2.5 and 0.5 < float(x[:, 2].abs().max()) <= 1.0
 
 
+def test_an_imagined_environment_draws_by_its_own_seed():
+    env = pendulum(seed=2)
+
+    def begun(**seed):
+        return env.with_system(Turning(env.system.signature), **seed).reset()["state"]
+
+    assert torch.equal(begun(), begun(seed=0)) and not torch.equal(begun(seed=1), begun(seed=0))
+
+
 class Turning(Pendulum):
     """A stand-in for a fitted model."""
 

@@ -123,6 +123,12 @@ def test_outputs_of_one_unit_have_each_their_own_box_after_save_and_load(tmp_pat
     np.testing.assert_allclose(found, [math.tanh(0.3 / 1.5), math.tanh(0.2 / 0.25)], atol=1e-6)
 
 
+def test_the_source_says_what_is_observed(pendulum, rotors):
+    told = "The observation: states by their ranges, errors by their scale"
+    assert f"{told}, rates of the reference." in controller_sources(pendulum()).source
+    assert f"{told}." in controller_sources(rotors()).source
+
+
 def test_a_policy_or_a_model_of_another_kind_is_refused(pendulum):
     controller = pendulum()
     controller.policy = lambda tensordict: tensordict

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from dynasindy import __version__
 from dynasindy.export import fmu
 from dynasindy.export.fmu import controller_fmu, plant_fmu
 from dynasindy.systems import Signature, integrate
@@ -37,6 +38,23 @@ def test_without_a_compiler_it_holds_sources_and_says_so(pendulum, tmp_path, mon
         "u_u": ("output", "1"),
     }
     assert [output.get("valueReference") for output in root.find("ModelStructure")] == ["4"]
+
+
+@pytest.mark.parametrize(("version", "token"), [(2, "guid"), (3, "instantiationToken")])
+def test_a_plant_takes_inputs_and_gives_states_that_may_be_set_at_the_start(
+    pendulum_model, tmp_path, monkeypatch, version, token
+):
+    monkeypatch.setattr(fmu, "compiler", lambda: None)
+    plant_fmu(pendulum_model(), tmp_path / "p.fmu", 0.02, version=version)
+    root, _ = described(tmp_path / "p.fmu")
+    assert root.get("fmiVersion") == f"{version}.0" and root.get(token).startswith("{")
+    assert root.get("generationTool") == f"dynasindy {__version__}"
+    assert root.find("DefaultExperiment").get("stepSize") == "0.02"
+    assert [unit.get("name") for unit in root.find("UnitDefinitions")] == ["1", "rad", "rad/s"]
+    variables = [(v.get("name"), v.get("causality"), v.get("initial")) for v in root.find("ModelVariables")]
+    time = [("time", "independent", None)] if version == 3 else []
+    outputs = [(name, "output", "exact") for name in ("x_theta", "x_Omega")]
+    assert variables == [*time, ("u_u", "input", None), *outputs]
 
 
 def test_the_same_controller_is_the_same_file_and_another_has_another_token(pendulum, tmp_path, monkeypatch):

@@ -16,6 +16,8 @@ def test_onnxruntime_acts_as_the_policy(pendulum, tmp_path):
     controller = pendulum()
     policy_onnx(controller, tmp_path / "policy.onnx")
     onnx.checker.check_model(str(tmp_path / "policy.onnx"), full_check=True)
+    graph = onnx.load(str(tmp_path / "policy.onnx"))
+    assert (graph.ir_version, [each.version for each in graph.opset_import]) == (8, [17])  # of 2022
     session = runtime.InferenceSession(str(tmp_path / "policy.onnx"), providers=["CPUExecutionProvider"])
     seen = torch.from_numpy(np.random.default_rng(0).standard_normal((50, 4)).astype(np.float32))
     (found,) = session.run(["action"], {"observation": seen.numpy()})

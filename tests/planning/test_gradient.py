@@ -14,6 +14,7 @@ from dynasindy.planning import (
     gradient,
 )
 from dynasindy.planning.gradient import Episodes, _schedule
+from dynasindy.planning.variation import Members
 from dynasindy.planning.window import imagine
 from dynasindy.systems import Diverged
 from dynasindy.systems.xi import Xi
@@ -334,6 +335,18 @@ def test_shares_of_the_starts_are_those_asked_for(setting):
     assert starts[starts > 0].unique().tolist() == [float(n) for n in range(1, 21)]
 
 
+def test_members_of_the_model_are_fitted_to_what_is_stored(setting, monkeypatch):
+    env, agent, replay = setting()
+    replay.extend_real(flown(env, agent))
+    asked, two = [], Members([Xi(), Xi()])
+    monkeypatch.setattr(gradient.Members, "of", lambda model, data, number: asked.append((model, data, number)) or two)
+    planner = GradientPlanning(env, agent, replay, variation=Variation(members=2), **SMALL)
+    assert Episodes(planner).system is two
+    ((model, data, number),) = asked
+    # Of 20 control periods each has five samples.
+    assert model is planner.env.system and number == 2 and (len(data.x), data.dt) == (100, pytest.approx(0.01))
+
+
 def test_divergence_is_a_hundred_times_the_largest_real_value_and_nothing_where_a_state_never_moved(setting):
     env, agent, replay = setting()
     real = flown(env, agent)
@@ -344,7 +357,7 @@ def test_divergence_is_a_hundred_times_the_largest_real_value_and_nothing_where_
 
 
 def test_updates_are_clipped_and_those_without_a_finite_gradient_skipped(planned, monkeypatch):
-    planner, norms = planned(max_grad_norm=0.125), []
+    planner, norms, stepped = planned(max_grad_norm=0.125), [], []
 
     class Optimizer:
         def zero_grad(self):
@@ -360,8 +373,8 @@ def test_updates_are_clipped_and_those_without_a_finite_gradient_skipped(planned
                 parameter.grad = torch.full_like(parameter, slope)
 
         monkeypatch.setattr("dynasindy.planning.gradient.backward", backward)
-        planner._update(Episodes(planner), Optimizer())
-    assert norms == [pytest.approx(0.125, rel=1e-3)]
+        stepped.append(planner._update(Episodes(planner), Optimizer()))
+    assert norms == [pytest.approx(0.125, rel=1e-3)] and stepped == [True, False]
 
 
 def test_the_imagined_cost_is_linear_without_a_bonus_and_the_task_keeps_its_own(setting, planned):

@@ -75,6 +75,18 @@ def test_a_plant_without_a_rest_keeps_the_defaults():
     assert found == PlanSettings(why=found.why) and "no rest" in str(found)
 
 
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({}, "window 60 periods, lr 0.01, 200 updates, patience 3, 1 Runge-Kutta step a period: as"),
+        ({"held": True, "substeps": 2}, "begun as a regulator, window 60 periods, lr 0.01, 200 updates, patience 3, 2"),
+        ({"held": True, "afar": True}, "begun as ways from afar, found by search, window 60 periods"),
+    ],
+)
+def test_the_settings_are_told_in_a_line(settings, words):
+    assert str(PlanSettings(**settings)).startswith(words)
+
+
 def test_another_task_is_refused():
     plant = Linear(-1.0, 1.0, 1.0)
     env = ControlEnv(plant, Tracking(plant.signature, RandomStep([0.0], [1.0]), ("x",), (), TrackingReward((1.0,))))

@@ -78,6 +78,7 @@ def test_the_nearest_point_is_that_of_the_formula(swing):
     generator = torch.Generator().manual_seed(1)
     x = torch.tensor([2.0, 4.0]) * torch.randn(8, 2, generator=generator)
     told = law(observed(env, x))
+    assert torch.equal(law(observed(env, x).reshape(2, 4, -1)), told.reshape(2, 4, 1))
     for row, u in zip(x, told, strict=True):
         best, wanted = math.inf, 0.0
         for point, held, gain, value in zip(law.points, law.inputs, law.gains, law.values, strict=True):

@@ -4,10 +4,12 @@ import csv
 import threading
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from omegaconf import OmegaConf
 
 from dynasindy import Controller, load
 from dynasindy.agents.networks import actor
@@ -85,6 +87,11 @@ def test_a_fault_is_kept_and_told(session):
     with (session.folder / "excitation.csv").open() as file:
         rows = list(csv.reader(file))[1:]
     assert max(float(row[1]) for row in rows) <= 0.05
+
+
+def test_delays_of_a_rig_are_looked_for_as_far_as_those_of_a_bench():
+    bench = OmegaConf.load(Path(__file__).parents[2] / "conf" / "sensors" / "bench.yaml")
+    assert Knowledge(["u"], {}, {}).longest_delay == bench.longest_delay
 
 
 def test_targets_lie_in_the_box_of_the_plant():

@@ -6,7 +6,7 @@ import threading
 import numpy as np
 import pytest
 
-from dynasindy.rig.simulated import SimulatedRig
+from dynasindy.rig.simulated import SimulatedRig, rehearsal
 from dynasindy.rig.udp import REST, pack
 from dynasindy.systems import Pendulum
 
@@ -42,12 +42,36 @@ def test_silence_is_bridged_once():
     assert record.answered.count(True) == 1
 
 
+@pytest.mark.parametrize(("last", "applied", "asked"), [(1, 0.75, False), (REST, 0.25, True)])
+def test_a_rig_that_keeps_a_clock_takes_the_newest_of_what_arrived(last, applied, asked):
+    server = SimulatedRig(Pendulum(), 0.3, safe=SAFE)
+    caller = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    caller.connect(("127.0.0.1", server.port))
+    for number, level in ((REST, 0.0), (0, 0.5), (last, 0.75)):  # a call, then two answers before the rig looks
+        caller.send(pack(number, np.array([level])))
+    record = server.serve(1)
+    caller.close()
+    assert record.applied[0].tolist() == [applied]
+    assert (record.answered, record.asked) == ([True], [asked])
+
+
 def test_rest_is_the_safe_input_and_not_what_stands_beside_it():
     assert {float(u[0]) for u in talked([pack(REST, np.array([0.9]))], 4).applied} == {0.25}
 
 
 def test_what_is_no_datagram_changes_nothing():
     assert {float(u[0]) for u in talked([b"up!"], 4).applied} == {0.25}
+
+
+@pytest.mark.slow
+def test_a_rehearsal_is_a_rig_in_another_process():
+    with rehearsal(Pendulum(), 0.05) as rig:
+        rig.begin()
+        assert rig.read(60.0).tolist() == [0.0, 0.0]
+        rig.write(np.array([1.0]))
+        # Full torque takes hold for two periods at least: one in which it arrives, and one that is bridged.
+        turned = [y[0] for y in (rig.read(10.0) for _ in range(4)) if y is not None]
+        assert max(turned) > 0.01
 
 
 def test_an_unknown_fault_is_refused():

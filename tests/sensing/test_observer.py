@@ -1,13 +1,14 @@
 """The filter against the textbook's on a linear plant, and against the true plant where measurements are exact."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 from scipy.linalg import solve_discrete_are
 
 from dynasindy.envs import ControlEnv
-from dynasindy.sensing import Observer, Sensors
+from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.sensing.observer import CANDIDATES, Belief
 from dynasindy.systems import Signature, System, Tras, integrate
 from dynasindy.tasks import Step, Tracking, TrackingReward
@@ -147,6 +148,38 @@ def test_without_noise_it_is_where_the_plant_will_be_when_the_next_input_arrives
             torch.testing.assert_close(ours.ahead(belief.mean, inputs), x[now], rtol=0, atol=1e-7)
 
 
+@pytest.mark.parametrize("late", [0, 2])
+def test_a_period_begins_under_the_input_that_a_delay_has_held_back(late):
+    """At 0.07 s of delay 0.02 s pass under the command of three periods ago, then 0.03 s under that of two ago."""
+    ours = observer(delay=0.07)
+    ours.sensors = replace(ours.sensors, delay=late)
+    rng = torch.Generator().manual_seed(5)
+    x, u = (torch.randn(n, generator=rng, dtype=torch.float64) for n in (3, ours.memory))
+    moved = ours.advance(Belief(x, torch.eye(3, dtype=torch.float64)), u.unsqueeze(-1))
+    (f, g), (f_then, g_then) = held(0.02), held(0.03)
+    expected = f_then @ (f @ x + g[:, 0] * u[-3 - late]) + g_then[:, 0] * u[-2 - late]
+    torch.testing.assert_close(moved.mean, expected, rtol=0, atol=1e-7)
+
+
+def test_an_estimated_push_moves_its_rate_and_stays():
+    ours = observer(rates={"p": "v"}, disturbance=True)
+    ours.q = torch.full((4,), 1e-2, dtype=torch.float64)
+    pushed = torch.zeros(4, 4, dtype=torch.float64)
+    pushed[:3, :3], pushed[1, 3] = A, 1.0
+    x = torch.tensor([0.1, -0.2, 0.3, 0.5], dtype=torch.float64)
+    moved = ours.advance(Belief(x, torch.eye(4, dtype=torch.float64)), torch.zeros(ours.memory, 1))
+    torch.testing.assert_close(moved.mean, torch.linalg.matrix_exp(pushed * DT) @ x, rtol=0, atol=1e-7)
+
+
+def test_its_width_is_the_memory_that_a_rollout_takes_up_for_it():
+    plant = Tras()
+    env = ControlEnv(plant, Tracking(plant.signature, Step([[0.0, 0.0]])), DT, dtype=torch.float64)
+    ours = Observer(plant, Sensors({name: {} for name in plant.signature.state_names}, delay=10), env)
+    row = Sensing(env, ours, torch.Generator()).around(env).rollout(1)
+    kept = sum(values.nbytes for shown in (row, row["next"]) for values in shown["observer"].values())
+    assert ours.width == pytest.approx(kept / 4, rel=0.05)  # a float32 has four bytes
+
+
 @pytest.mark.parametrize("q", [1e-2, 5e-2])
 def test_the_process_noise_is_found_that_the_innovations_show(q):
     ours, (y, u, x) = observer(), logged(2000, q=q)
@@ -229,7 +262,7 @@ def test_what_was_learnt_is_restored_and_what_is_none_is_refused():
     ours.learn(y, u)
     again.load_state_dict(ours.state_dict())
     assert torch.equal(again.q, ours.q) and again.nis == ours.nis and again.learnt
-    for wrong in ([1.0], [1.0, -1.0, 1.0], [1.0, math.nan, 1.0]):
+    for wrong in ([1.0], [1.0, 0.0, 1.0], [1.0, -1.0, 1.0], [1.0, math.nan, 1.0]):
         with pytest.raises(ValueError, match="a process noise > 0 for each of 3 states"):
             again.load_state_dict({"process_noise": wrong, "nis": 1.0})
 
