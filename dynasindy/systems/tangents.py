@@ -8,6 +8,7 @@ function more: `exceeds(a, b)` is 1 where a > b, else 0.
 from __future__ import annotations
 
 import ast
+import math
 import re
 from collections.abc import Mapping, Sequence
 
@@ -69,8 +70,8 @@ class Tangents:
     def _of(self, node: ast.expr) -> tuple[str, Slopes]:
         """Return the text of a formula and those of its derivatives."""
         text = ast.unparse(node)
-        if isinstance(node, ast.Constant) and type(node.value) in (int, float):
-            return text, {}
+        if isinstance(node, ast.Constant) and type(node.value) in (int, float) and math.isfinite(float(text)):
+            return repr(float(text)), {}  # a quotient of whole numbers is a whole number in C
         if text in self._slopes or _CONSTANT.fullmatch(text):
             return text, self._slopes.get(text, {})
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
