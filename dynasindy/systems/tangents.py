@@ -26,6 +26,7 @@ _SLOPE = {
 }
 _ARGUMENTS = {**dict.fromkeys(_SLOPE, 1), "sign": 1, "larger": 2, "exceeds": 2}
 _CONSTANT = re.compile(r"k\[\d+\]")
+_NAME = re.compile(r"[a-z]\w*", re.ASCII)
 
 
 class Tangents:
@@ -46,8 +47,12 @@ class Tangents:
         """Add a value and its derivatives.
 
         Raises:
-            ValueError: The formula holds something that does not belong there.
+            ValueError: The name is none, or the formula holds something that does not belong there.
         """
+        if not _NAME.fullmatch(name):
+            raise ValueError(
+                f"{name[:60]!r} is no name of a value; allowed are a small letter, letters, digits and '_'"
+            )
         value, slopes = self._of(ast.parse(formula, mode="eval").body)
         self.lines.append((name, value))
         self._slopes[name] = {number: self._kept(f"{name}_{number}", text) for number, text in slopes.items()}
