@@ -177,6 +177,11 @@ def _in_c(text: str, single: bool) -> str:
     return _FRACTION.sub(r"(real)\1", _STATE.sub(r"\1[\2 * W + r]", text))
 
 
+def forget() -> None:
+    """Forget what was compiled so far, such that whatever is asked for next costs what it costs at first."""
+    _compiled.cache_clear()
+
+
 @cache
 def _compiled(source: str, single: bool) -> ctypes.CDLL:
     """Return the compiled text; the same text is compiled once."""
