@@ -27,6 +27,7 @@ TIED = {
     other_pages.README: other_pages.readme,
     other_pages.IDENTIFICATION: other_pages.identification,
     other_pages.BASELINES: other_pages.baselines,
+    other_pages.SPEED: other_pages.speed,
 }
 UNTIED = [*ablation_page.UNTIED, *results_page.UNTIED, *other_pages.UNTIED]
 SECTIONS = {results_page.PAGE: results_page.SECTIONS, "docs/algorithm.md": other_pages.COMPARED}

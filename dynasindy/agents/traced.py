@@ -56,10 +56,12 @@ class _Recorded:
             self.actions = network(self.observation)
 
     def slopes(self) -> list[Tensor]:
+        """Return the derivative of each action by the observation, `(*batch, n_o)`."""
         columns = self.actions.unbind(-1)
         return [torch.autograd.grad(column.sum(), self.observation, retain_graph=True)[0] for column in columns]
 
     def backward(self, weights: Tensor) -> None:
+        """Add the gradient of the weighted sum of all actions, weights `(*batch, n_u)`, to the policy's parameters."""
         torch.autograd.backward(self.actions, weights)
 
 

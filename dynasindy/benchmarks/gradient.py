@@ -120,6 +120,7 @@ class Case:
         updates: Gradient updates of the first planning phase.
         terminal_updates: Critic updates per window, for a value of what follows it.
         width: Error at which the imagined cost turns linear [rad].
+        hidden: Widths of the policy's hidden layers.
         plants: Plants that it is measured on.
     """
 
@@ -136,11 +137,13 @@ class Case:
     updates: int = 200
     terminal_updates: int = 0
     width: float = 0.02
+    hidden: tuple[int, ...] = (128, 128)
     plants: tuple[str, ...] = ("xi", "tras")
 
 
 CASES = {
     "step": Case(episodes=1),
+    "small": Case(hidden=(64, 64)),
     "oracle": Case(oracle=True),
     "terminal": Case(terminal_updates=4),
     "moving": Case(moving=True, updates=400),
@@ -163,6 +166,7 @@ CASES = {
 
 REPORTED = [
     "step",
+    "small",
     "oracle",
     "moving",
     "noise",
@@ -238,7 +242,7 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
         env=partial(ControlEnv, dtype=torch.float64),
         excitation=partial(Multisine, amplitude=facts.amplitude, offset=facts.offset, seed=seed),
         world_model=model,
-        agent=partial(TD3, hidden=(128, 128)),
+        agent=partial(TD3, hidden=case.hidden),
         replay=partial(DynaReplay, capacity=100_000, batch_size=256),
         planning=partial(GradientPlanning, **{**_planning(case), **planning}),
         gate=Gate(open_below=torch.inf, close_above=torch.inf),

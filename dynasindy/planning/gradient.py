@@ -218,7 +218,7 @@ class GradientPlanning(Planner):
         """Take a gradient step, and return whether it was one: an explosion in the model is no direction."""
         late = self.variation.late
         rows, system = episodes.rows, episodes.system
-        window = imagine(self.env, system, self.network, rows, self.pace.window, late, self.rng, keep=True)
+        window = imagine(self.env, system, self.network, rows, self.pace.window, late, self.rng)
         optimizer.zero_grad()
         terminal = None
         if self.terminal is not None:
@@ -282,6 +282,7 @@ class Episodes:
     def __init__(self, planner: GradientPlanning) -> None:
         self.planner = planner
         self.rows = _references(planner.env, planner.rollouts, planner.rng)
+        self.rows.kept = True
         self.rows.noise = planner.variation.deviations(planner.env.system.signature.n_x)
         self.system: System = planner.env.system
         if planner.others:

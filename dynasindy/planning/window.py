@@ -48,6 +48,7 @@ class Rows:
         t: Time since the start of each episode [s], `(rows, 1)`.
         noise: Standard deviation of the measurement noise of each state, `(n_x,)`; None measures exactly.
         reach: Magnitude of each state beyond which the model has diverged, `(n_x,)`; None for any finite one.
+        kept: Whether the policy's layers are kept for `backward`, if its derivatives are taken by hand.
     """
 
     x: Tensor
@@ -56,6 +57,7 @@ class Rows:
     t: Tensor
     noise: Tensor | None = None
     reach: Tensor | None = None
+    kept: bool = False
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,6 @@ def imagine(
     steps: int,
     late: bool,
     rng: torch.Generator,
-    keep: bool = False,
 ) -> Window:
     """Roll the policy out in the model.
 
@@ -102,9 +103,8 @@ def imagine(
         steps: Control periods T of the window.
         late: Whether inputs reach the plant one period late.
         rng: Generator of the measurement noise.
-        keep: Whether the policy's layers are kept for `backward`, if its derivatives are taken by hand.
     """
-    layers: list[Layers] | None = [] if keep and by_hand(network) else None
+    layers: list[Layers] | None = [] if rows.kept and by_hand(network) else None
     x, held, states, applied, actions, seen = rows.x, rows.held, [rows.x], [], [], []
     times = rows.t + env.dt * torch.arange(steps + 1, dtype=x.dtype).reshape(-1, 1, 1)
     for k in range(steps):

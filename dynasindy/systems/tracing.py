@@ -56,7 +56,11 @@ class _Page:
         return _Symbol(self, self._names[formula])
 
     def text(self, value: object) -> str:
-        """Return a symbol or a number as part of a formula."""
+        """Return a symbol or a number as part of a formula.
+
+        Raises:
+            TypeError: It is neither.
+        """
         if isinstance(value, _Symbol):
             return value.name
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -163,7 +167,11 @@ class _Row:
         self.columns = tuple(columns)
 
     def unbind(self, dim: int) -> tuple[_Symbol, ...]:
-        """Return the columns."""
+        """Return the columns.
+
+        Raises:
+            TypeError: Another dimension is meant.
+        """
         if dim != -1:
             raise TypeError(f"unbind({dim}) is not of the last dimension")
         return self.columns

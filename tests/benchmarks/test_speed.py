@@ -51,6 +51,7 @@ def test_every_job_is_written(tmp_path, monkeypatch):
 
     monkeypatch.setattr(speed, "controller", controller)
     monkeypatch.setattr(speed, "STEPS", 3)
+    monkeypatch.setattr(speed, "REPEATS", 2)
     speed.main(["--seeds", "1", "2", "3", "--out", str(tmp_path / "speed.csv")])
     rows = read_rows(tmp_path / "speed.csv")
     assert [row["job"] for row in rows] == ["environment", "controller xi", "controller tras"]

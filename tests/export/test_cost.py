@@ -8,7 +8,7 @@ import subprocess
 import pytest
 
 from dynasindy.export import controller_sources
-from dynasindy.export.compiler import STRICT, build, compiler
+from dynasindy.systems.compiler import STRICT, build, compiler
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 

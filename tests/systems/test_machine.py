@@ -1,0 +1,86 @@
+"""A program in formulas is compiled as it stands, in both precisions, and once."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from dynasindy.systems import machine
+from dynasindy.systems.compiler import compiler
+from dynasindy.systems.machine import Machine, Program
+from dynasindy.systems.stops import Stops
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
+DECAY = Program(1, 1, (("v0", "k[0] * x[0]"),), ("u[0] - v0",), (2.0,))
+SPRING = Program(2, 1, (), ("x[1]", "k[0] * u[0] - 4.0 * x[0]"), (3.0,))
+
+
+@pytest.mark.parametrize(("dtype", "close"), [(torch.float32, 2e-6), (torch.float64, 1e-9)])
+def test_known_solutions(dtype, close):
+    x, u = torch.tensor([[1.0], [0.0], [-3.0]], dtype=dtype), torch.tensor([[0.0], [1.0], [0.5]], dtype=dtype)
+    decay = Machine(DECAY, dtype)
+    samples, touched = decay.integrate(x, u, 0.5, 100)
+    wanted = 0.5 * u + (x - 0.5 * u) * torch.exp(torch.tensor(-1.0, dtype=dtype))
+    torch.testing.assert_close(samples[:, -1], wanted, rtol=close, atol=close)
+    assert samples.shape == (3, 100, 1) and not touched.any()
+    a, b = decay.sensitivities(x, u, 0.5, 100)
+    torch.testing.assert_close(a, torch.full_like(a, 0.36787944117144233), rtol=close, atol=close)
+    torch.testing.assert_close(b, torch.full_like(b, 0.5 * (1 - 0.36787944117144233)), rtol=close, atol=close)
+    angle = torch.tensor(2 * 0.3, dtype=dtype)  # of a spring of frequency 2 rad/s
+    a, b = Machine(SPRING, dtype).sensitivities(torch.zeros(1, 2, dtype=dtype), torch.zeros(1, 1, dtype=dtype), 0.3, 50)
+    c, s = angle.cos(), angle.sin()
+    torch.testing.assert_close(
+        a[0], torch.stack([torch.stack([c, s / 2]), torch.stack([-2 * s, c])]), rtol=0, atol=close
+    )
+    torch.testing.assert_close(b[0, :, 0], torch.stack([0.75 * (1 - c), 1.5 * s]), rtol=0, atol=close)
+
+
+def test_it_fits_one_kind_of_numbers_in_one_shape():
+    decay = Machine(DECAY, torch.float64)
+    x, u = torch.zeros(3, 1, dtype=torch.float64), torch.zeros(3, 1, dtype=torch.float64)
+    assert decay.fits(x, u) and not decay.fits(x.float(), u.float()) and not decay.fits(x, u.float())
+    assert not decay.fits(x, u[0]) and not decay.fits(x.to("meta"), u.to("meta"))
+
+
+def test_no_rows_are_no_rows():
+    for dtype in (torch.float32, torch.float64):
+        samples, touched = Machine(DECAY, dtype).integrate(
+            torch.zeros(0, 1, dtype=dtype), torch.zeros(0, 1, dtype=dtype), 1, 2
+        )
+        assert samples.shape == (0, 2, 1) and touched.shape == (0,)
+
+
+def test_a_stop_holds_what_moves_outwards_and_lets_go_what_moves_inwards():
+    wall = Stops((0,), (1,), (-1.0,), (1.0,))
+    x = torch.tensor([[0.99, 5.0], [-0.99, -5.0], [1.0, -2.0]], dtype=torch.float64)
+    samples, touched = Machine(SPRING, torch.float64).integrate(
+        x, torch.zeros(3, 1, dtype=torch.float64), 0.01, 1, wall
+    )
+    assert samples[0, 0].tolist() == [1.0, 0.0] and samples[1, 0].tolist() == [-1.0, 0.0]
+    assert samples[2, 0, 0] < 1.0 and samples[2, 0, 1] < -2.0
+    assert touched.tolist() == [True, True, False]
+
+
+def test_a_program_is_compiled_once_whatever_its_constants(monkeypatch):
+    Machine(DECAY, torch.float64)
+    monkeypatch.setattr(machine, "build_faithful", lambda *_: pytest.fail("compiled again"))
+    other = Machine(Program(1, 1, DECAY.lines, DECAY.results, (0.0,)), torch.float64)
+    one = torch.ones(1, 1, dtype=torch.float64)
+    assert other.integrate(one, one, 0.5, 1)[0].item() == 1.5
+
+
+def test_a_formula_that_is_none_is_not_compiled():
+    with pytest.raises(ValueError, match="is no part of a formula"):
+        Machine(Program(1, 1, (("v0", "system(x[0])"),), ("v0",)), torch.float64)
+
+
+def test_nothing_is_left_behind():
+    code = (
+        "import torch; from dynasindy.systems.machine import *; from dynasindy.systems import machine\n"
+        "Machine(Program(1, 1, (), ('u[0] - x[0]',)), torch.float64); print(machine._folder(os.getpid()))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ)
+    assert done.stdout.strip() and not Path(done.stdout.strip()).exists()
