@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -119,13 +121,13 @@ class System(nn.Module, ABC):
     """Whether it has equations; a simulator of another library has none."""
     machine_code: bool = False
     """Whether states are moved by machine code, where a C compiler is found. A class says so for itself, if `forward`
-    can be read (`dynasindy.systems.tracing`) and the numbers in it stay what they are."""
+    can be read (`dynasindy.systems.tracing`) and the numbers in it change by setting its attributes alone."""
 
     def __init__(self, signature: Signature, stops: Stops | None = None) -> None:
         super().__init__()
         self.signature = signature
         self.stops = stops
-        self._machines: dict[torch.dtype, Machine] = {}
+        self._machines: dict[torch.dtype, Machine | None] = {}
 
     @abstractmethod
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
@@ -135,15 +137,30 @@ class System(nn.Module, ABC):
         """Return machine code that does what `forward` does for such states and inputs; None where there is none."""
         if not (self.machine_code and "machine_code" in vars(type(self))) or x.dtype not in PRECISIONS:
             return None
+        n_x, n_u = self.signature.n_x, self.signature.n_u
+        return self._machine(x, u, lambda dtype: Machine(program(self.forward, n_x, n_u), dtype))
+
+    def _machine(self, x: Tensor, u: Tensor, make: Callable[[torch.dtype], Machine]) -> Machine | None:
+        """Return machine code for such states and inputs; what cannot be made is not tried again before a change."""
+        if "forward" in vars(self) or self._forward_hooks or self._forward_pre_hooks:
+            return None  # its class does not say what it does
         if x.dtype not in self._machines:
-            read = program(self.forward, self.signature.n_x, self.signature.n_u)
+            code = None
             try:
-                self._machines[x.dtype] = Machine(read, x.dtype)
+                code = make(x.dtype)
             except FileNotFoundError:
-                self.machine_code = False
-                return None
-        code = self._machines[x.dtype]
-        return code if code.fits(x, u) else None
+                pass  # there is no compiler
+            except (ValueError, OSError) as error:
+                warnings.warn(f"{type(self).__name__} stays torch code, which is slower: {error}", stacklevel=3)
+            self._machines[x.dtype] = code
+        found = self._machines[x.dtype]
+        return found if found is not None and found.fits(x, u) else None
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set an attribute; machine code that another value was read into is forgotten."""
+        super().__setattr__(name, value)
+        if not name.startswith("_") and name != "training":
+            self.__dict__["_machines"] = {}
 
     def __getstate__(self) -> dict[str, object]:
         """Leave machine code out of copies and pickles; it is made again when needed."""

@@ -13,8 +13,11 @@ STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
 """Under these settings what is written here compiles."""
 FAITHFUL = ("-O2", "-fno-math-errno", "-ffp-contract=off", "-std=c99")
 """Sums in the order in which they are written."""
-FAST = ("-O2", "-ftree-vectorize", "-ffast-math", "-std=c99")
-"""Several rows by one instruction, with sums in any order."""
+FAST = ("-O2", "-ftree-vectorize", "-ffast-math", "-fno-finite-math-only", "-fno-associative-math", "-std=c99")
+"""Several rows by one instruction. What is not finite stays so, and a difference of numbers that are almost equal is
+taken as it is written."""
+LONGEST = 300
+"""Time after which a compiler is taken to hang [s]."""
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 """How the name of a shared library ends."""
 
@@ -81,7 +84,13 @@ def build_faithful(source: Path, library: Path) -> Path:
 def _run(arguments: Sequence[str], source: Path, made: Path) -> Path:
     if (found := compiler()) is None:
         raise FileNotFoundError("no C compiler was found; install gcc or clang, or leave out what is compiled")
-    done = subprocess.run([found, *arguments], capture_output=True, text=True, check=False)
+    command = [found, *arguments]
+    try:
+        done = subprocess.run(
+            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", timeout=LONGEST
+        )
+    except subprocess.TimeoutExpired as error:
+        raise ValueError(f"the C compiler {found} took more than {LONGEST} s over {source.name}") from error
     if done.returncode:
         raise ValueError(f"the C compiler refused {source.name}: {' '.join(done.stderr.split())[:300]}")
     return made

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.base import System
+from dynasindy.systems.plain import plain
 from dynasindy.systems.stops import Stops
 
 VectorField = Callable[[Tensor, Tensor], Tensor]
@@ -51,8 +52,7 @@ def integrate(
         The state after each sub-step, `(*batch, substeps, n_x)`, and whether a stop was touched in the
         period, bool `(*batch,)`.
     """
-    graph = torch.is_grad_enabled() and (x.requires_grad or u.requires_grad)
-    if not graph and isinstance(f, System) and (code := f.compiled(x, u)) is not None:
+    if isinstance(f, System) and plain(x, u) and (code := f.compiled(x, u)) is not None:
         return code.integrate(x, u, dt, substeps, stops)
     touched = torch.zeros(x.shape[:-1], dtype=torch.bool, device=x.device)
     samples = []

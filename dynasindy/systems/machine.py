@@ -7,12 +7,9 @@ there is one.
 
 from __future__ import annotations
 
-import atexit
 import ctypes
 import hashlib
-import os
 import re
-import shutil
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,6 +33,9 @@ SINGLE = {
     "fabs": "magnitude",
 }
 """Names in `c/period.c`, in single precision, of what formulas call by other names."""
+MANY = 512
+"""Derivatives of so many states by state and input are handled for several rows at once; of more, they would fill the
+stack of a thread."""
 FREE = Stops((), (), (), ())
 _CALLED = re.compile(rf"\b({'|'.join(SINGLE)})\(")
 _STATE = re.compile(r"\b([xu])\[(\d+)\]")
@@ -80,8 +80,11 @@ class Machine:
         self._code = _compiled(_source(program, dtype == torch.float32), dtype == torch.float32)
 
     def fits(self, x: Tensor, u: Tensor) -> bool:
-        """Return whether it computes in the kind of numbers that states and inputs are, in the memory of the CPU."""
-        return x.dtype == u.dtype == self.dtype and x.device.type == "cpu" and x.shape[:-1] == u.shape[:-1]
+        """Return whether states and inputs are as many numbers of the kind as it computes in, in the CPU's memory."""
+        if not (x.dtype == u.dtype == self.dtype and x.device.type == u.device.type == "cpu"):
+            return False
+        # The code reads as many numbers as it was written for, whatever is there.
+        return x.shape[:-1] == u.shape[:-1] and (x.shape[-1:], u.shape[-1:]) == ((self.n_x,), (self.n_u,))
 
     def integrate(
         self, x: Tensor, u: Tensor, dt: float, substeps: int, stops: Stops | None = None
@@ -97,14 +100,17 @@ class Machine:
 
         Returns:
             The state after each sub-step, `(*batch, substeps, n_x)`, and whether a stop was touched, bool `(*batch,)`.
+
+        Raises:
+            IndexError: a stop is of a state that does not exist.
         """
         x, u, stops = x.contiguous(), u.contiguous(), stops or FREE
         samples = x.new_empty(*x.shape[:-1], substeps, self.n_x)
         touched = torch.empty(x.shape[:-1], dtype=torch.bool)
-        ends = _whole(stops.positions), _whole(stops.rates), self._reals(stops.low), self._reals(stops.high)
+        ends = self._places(stops.positions), self._places(stops.rates), self._reals(stops.low), self._reals(stops.high)
         rows, h, n_stops = ctypes.c_long(touched.numel()), self._real(dt / substeps), len(stops.positions)
         into = _data(samples, touched)
-        self._code.advance(rows, *_data(x, u), self._constants, h, substeps, n_stops, *ends, *into)
+        self._code.advance(rows, *_data(x, u), self._constants, h, int(substeps), n_stops, *ends, *into)
         return samples, touched
 
     def sensitivities(self, x: Tensor, u: Tensor, dt: float, substeps: int) -> tuple[Tensor, Tensor]:
@@ -119,8 +125,13 @@ class Machine:
         x, u = x.contiguous(), u.contiguous()
         a, b = x.new_empty(*x.shape, self.n_x), x.new_empty(*x.shape, self.n_u)
         rows, h = ctypes.c_long(x.numel() // self.n_x), self._real(dt / substeps)
-        self._code.sensitivities(rows, *_data(x, u), self._constants, h, substeps, *_data(a, b))
+        self._code.sensitivities(rows, *_data(x, u), self._constants, h, int(substeps), *_data(a, b))
         return a, b
+
+    def _places(self, columns: Sequence[int]) -> ctypes.Array[ctypes.c_int]:
+        """Return columns of the states, counted from the first; there are negative ones, from the last."""
+        places = range(self.n_x)
+        return (ctypes.c_int * max(1, len(columns)))(*(places[column] for column in columns))
 
     def _reals(self, values: Sequence[float]) -> ctypes.Array[ctypes.c_float] | ctypes.Array[ctypes.c_double]:
         return (self._real * max(1, len(values)))(*values)
@@ -134,13 +145,14 @@ def _source(program: Program, single: bool) -> str:
         tangents.line(name, formula)
     found = [tangents.last(result) for result in program.results]
     entries = [(i, column, text) for i, (_, row) in enumerate(found) for column, text in sorted(row.items())]
+    entries = entries or [(0, 0, "0.0")]  # C has no empty arrays
     rates = [f"f[{i} * W + r] = {text};" for i, (text, _) in enumerate(found)]
     values = {name for name, _ in program.lines}
     slopes = [f"j[{p} * W + r] = {text};" for p, (_, _, text) in enumerate(entries)]
     words = {
         "real": "float" if single else "double",
         "single": int(single),
-        "width": 32 if single else 1,
+        "width": 32 if single and program.n_x * (program.n_x + program.n_u) <= MANY else 1,
         "n_x": program.n_x,
         "n_u": program.n_u,
         "n_slopes": len(entries),
@@ -165,17 +177,9 @@ def _in_c(text: str, single: bool) -> str:
     return _FRACTION.sub(r"(real)\1", _STATE.sub(r"\1[\2 * W + r]", text))
 
 
-@cache
-def _folder(process: int) -> Path:
-    """Return a folder that is gone when the process ends; a forked one has its own."""
-    path = Path(tempfile.mkdtemp(prefix="dynasindy_"))
-
-    def _remove() -> None:
-        if os.getpid() == process:
-            shutil.rmtree(path, ignore_errors=True)
-
-    atexit.register(_remove)
-    return path
+def forget() -> None:
+    """Forget what was compiled so far, such that whatever is asked for next costs what it costs at first."""
+    _compiled.cache_clear()
 
 
 @cache
@@ -183,14 +187,16 @@ def _compiled(source: str, single: bool) -> ctypes.CDLL:
     """Return the compiled text; the same text is compiled once."""
     if compiler() is None:
         raise FileNotFoundError("no C compiler was found; install gcc or clang, or do without machine code")
-    stem = _folder(os.getpid()) / hashlib.sha256(source.encode()).hexdigest()[:16]
-    text = stem.with_suffix(".c")
-    text.write_text(source, encoding="utf-8")
-    return ctypes.CDLL(str((build_fast if single else build_faithful)(text, stem.with_suffix(SUFFIX))))
-
-
-def _whole(values: Sequence[int]) -> ctypes.Array[ctypes.c_int]:
-    return (ctypes.c_int * max(1, len(values)))(*values)
+    # Each call has a folder of its own, as threads may compile the same text at the same time. What is loaded needs
+    # its file no more; where it cannot be removed then, as on Windows, it is left to the system.
+    with tempfile.TemporaryDirectory(prefix="dynasindy_", ignore_cleanup_errors=True) as folder:
+        stem = Path(folder) / hashlib.sha256(source.encode()).hexdigest()[:16]
+        text = stem.with_suffix(".c")
+        text.write_text(source, encoding="utf-8")
+        code = ctypes.CDLL(str((build_fast if single else build_faithful)(text, stem.with_suffix(SUFFIX))))
+    if not (hasattr(code, "advance") and hasattr(code, "sensitivities")):
+        raise OSError("the compiler wrote a library that shows none of its functions; name another one by CC")
+    return code
 
 
 def _data(*tensors: Tensor) -> list[ctypes.c_void_p]:

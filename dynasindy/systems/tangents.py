@@ -8,6 +8,7 @@ function more: `exceeds(a, b)` is 1 where a > b, else 0.
 from __future__ import annotations
 
 import ast
+import math
 import re
 from collections.abc import Mapping, Sequence
 
@@ -25,6 +26,7 @@ _SLOPE = {
 }
 _ARGUMENTS = {**dict.fromkeys(_SLOPE, 1), "sign": 1, "larger": 2, "exceeds": 2}
 _CONSTANT = re.compile(r"k\[\d+\]")
+_NAME = re.compile(r"[a-z]\w*", re.ASCII)
 
 
 class Tangents:
@@ -45,8 +47,12 @@ class Tangents:
         """Add a value and its derivatives.
 
         Raises:
-            ValueError: The formula holds something that does not belong there.
+            ValueError: The name is none, or the formula holds something that does not belong there.
         """
+        if not _NAME.fullmatch(name):
+            raise ValueError(
+                f"{name[:60]!r} is no name of a value; allowed are a small letter, letters, digits and '_'"
+            )
         value, slopes = self._of(ast.parse(formula, mode="eval").body)
         self.lines.append((name, value))
         self._slopes[name] = {number: self._kept(f"{name}_{number}", text) for number, text in slopes.items()}
@@ -69,8 +75,8 @@ class Tangents:
     def _of(self, node: ast.expr) -> tuple[str, Slopes]:
         """Return the text of a formula and those of its derivatives."""
         text = ast.unparse(node)
-        if isinstance(node, ast.Constant) and type(node.value) in (int, float):
-            return text, {}
+        if isinstance(node, ast.Constant) and type(node.value) in (int, float) and math.isfinite(float(text)):
+            return repr(float(text)), {}  # a quotient of whole numbers is a whole number in C
         if text in self._slopes or _CONSTANT.fullmatch(text):
             return text, self._slopes.get(text, {})
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):

@@ -7,8 +7,17 @@ from functools import cache
 import torch
 from torch import Tensor
 
+from dynasindy.systems.plain import plain
 
-@cache
+
 def constants(values: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
     """Return numbers as a tensor that is kept: making one costs as much as a product. It is not to be changed."""
-    return torch.tensor(values, dtype=dtype, device=device)
+    if not plain():  # a tensor that is made under a transform of torch.func belongs to that
+        return torch.tensor(values, dtype=dtype, device=device)
+    return _kept(values, dtype, device)
+
+
+@cache
+def _kept(values: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
+    with torch.inference_mode(False):  # what is made in it has no place in a graph later
+        return torch.tensor(values, dtype=dtype, device=device)

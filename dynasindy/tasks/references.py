@@ -14,6 +14,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from dynasindy.systems.plain import plain
+
 N_PARAMS = 5
 """offset, amplitude [unit of the output], frequency [Hz], phase [rad], square (0 or 1)."""
 
@@ -29,8 +31,8 @@ def value(params: Tensor, t: Tensor) -> Tensor:
         Reference [unit of the output], `(*batch, n_r)`.
     """
     offset, amplitude, frequency, phase, square = params.unbind(-1)
-    if params.device.type == "cpu" and not bool(amplitude.any()):  # all constant, as in most tasks
-        return torch.broadcast_tensors(offset, t)[0]
+    if params.device.type == "cpu" and plain(params, t) and not bool(amplitude.any()):
+        return offset + torch.zeros_like(t)  # all constant, as in most tasks
     angle = 2 * math.pi * frequency * t + phase
     sine = torch.sin(angle)
     # sign(0) would be 0 for one sample at the jump, so a square wave is +1 from its zero on.

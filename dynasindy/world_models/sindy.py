@@ -13,7 +13,6 @@ averaged over the intervals, which is exact for inputs held by a zero-order hold
 from __future__ import annotations
 
 import time
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -99,16 +98,7 @@ class SindyModel(WorldModel):
         if not self.machine_code or x.dtype != torch.float32 or type(self).forward is not SindyModel.forward:
             return None
         self._written()
-        if x.dtype not in self._machines:
-            try:
-                self._machines[x.dtype] = machine(self.library, self.coefficients)
-            except (FileNotFoundError, ValueError, OSError) as error:
-                if not isinstance(error, FileNotFoundError):
-                    warnings.warn(f"the model stays torch code, which is slower: {error}", stacklevel=2)
-                self.machine_code = False
-                return None
-        code = self._machines[x.dtype]
-        return code if code.fits(x, u) else None
+        return self._machine(x, u, lambda _: machine(self.library, self.coefficients))
 
     def _written(self) -> Field:
         """Return the equations as torch code, written anew where they have changed."""

@@ -5,7 +5,7 @@ import torch
 
 from dynasindy.benchmarks import speed
 from dynasindy.evaluation.rows import read_rows
-from dynasindy.systems import System, Tras
+from dynasindy.systems import System, Tras, machine
 from dynasindy.systems.compiler import compiler
 
 X, U = torch.zeros(6, dtype=torch.float64), torch.zeros(2, dtype=torch.float64)
@@ -30,6 +30,16 @@ def test_plants_go_without_machine_code_for_a_while():
 def test_a_row_holds_both_times_and_their_ratio():
     row = speed.measure("job", lambda machine_code: 2.0 if machine_code else 5.0)
     assert (row["machine_code_cpu_seconds"], row["torch_cpu_seconds"], row["ratio"]) == (2.0, 5.0, 2.5)
+
+
+@pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
+def test_every_seed_pays_for_the_compiler(monkeypatch):
+    calls, build = [], machine.build_faithful
+    monkeypatch.setattr(machine, "build_faithful", lambda *files: calls.append(1) or build(*files))
+    monkeypatch.setattr(speed, "train", lambda *_: Tras().compiled(X, U))
+    for seed in (0, 1):
+        speed.controller("tras", seed, True)
+    assert len(calls) == 2
 
 
 def test_every_job_is_written(tmp_path, monkeypatch):

@@ -15,7 +15,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.envs.drawing import draw
 from dynasindy.envs.gym import GymControl, pendulum, twin_rotor
 from dynasindy.systems import Tras
-from dynasindy.tasks import Step, Tracking
+from dynasindy.tasks import Step, Tracking, TrackingReward, Wave
 
 IDS = ["dynasindy/TwinRotor-v0", "dynasindy/Pendulum-v0"]
 
@@ -36,6 +36,24 @@ def test_the_adapter_plays_what_the_control_env_plays() -> None:
         assert reward == pytest.approx(expected["next", "reward"][k].item())
         assert not terminated
         assert truncated == (k == 4)
+
+
+def test_the_adapter_plays_moving_references_in_double_precision_and_pays_for_stops() -> None:
+    system = Tras(azimuth_stop=0.05)
+    reward = TrackingReward(stop_penalty=3.0)
+    task = Tracking(system.signature, Wave((0.3, 0.2), (0.9, 0.7)), reward=reward, observe_rate=True, max_steps=40)
+    plain = ControlEnv(system, task, dtype=torch.float64)
+    actions = torch.full((40, 2), 0.6)
+    expected = plain.rollout(40, actions=actions)["next"]
+    assert 0 < int(expected["at_stop"].sum()) < 40
+    env = GymControl(ControlEnv(system, task, dtype=torch.float64))
+    env.reset(seed=0)
+    for k in range(40):
+        observation, reward, _, _, info = env.step(actions[k].numpy())
+        np.testing.assert_array_equal(observation, expected["observation"][k].numpy())
+        np.testing.assert_array_equal(info["state"], expected["state"][k].numpy())
+        np.testing.assert_array_equal(info["reference"], expected["reference"][k].numpy())
+        assert reward == expected["reward"][k].item()
 
 
 def test_seeds_repeat_sequences_of_episodes_and_leave_the_global_generator_alone() -> None:

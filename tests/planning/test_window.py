@@ -4,6 +4,7 @@ import pytest
 import torch
 from torch import nn
 
+from dynasindy.agents.networks import MLP
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.window import Rows, backward, imagine, sensitivities
 from dynasindy.systems import rk4
@@ -253,3 +254,40 @@ def test_the_noise_is_that_of_the_generator():
         for seed in (0, 0, 1)
     ]
     assert torch.equal(seen[0], seen[1]) and not torch.equal(seen[0], seen[2])
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_a_perceptron_that_keeps_its_layers_gets_the_same_gradient(noise):
+    env, _, rows, _ = setting()
+    torch.manual_seed(0)
+    network = MLP(env.task.n_o, 2, (16, 8), squash=True)
+    rows.noise = noise * torch.tensor([0.05, 0.05, 0.2, 0.2, 50.0, 50.0])
+    terminal = torch.randn(8, 6, generator=torch.Generator().manual_seed(1))
+    found = {}
+    for keep in (True, False):
+        window = imagine(env, env.system, network, rows, STEPS, False, torch.Generator().manual_seed(5), keep=keep)
+        assert (window.layers is not None) == keep
+        network.zero_grad()
+        backward(env, env.system, network, rows, window, False, terminal)
+        found[keep] = [p.grad.clone() for p in network.parameters()]
+    # By autograd through the rollout, with the noise of the window.
+    x, total, noises = rows.x, 0.0, window.seen - window.states[:-1]
+    for k in range(STEPS):
+        t = torch.full((8, 1), k * env.dt)
+        x_next = rk4(env.system, x, network(env.task.observation(x + noises[k], rows.params, t)), env.dt)
+        free = torch.zeros(8, dtype=torch.bool)
+        total = total - env.task.reward(x, x_next, rows.params, t + env.dt, free).mean() / STEPS
+        x = x_next
+    network.zero_grad()
+    (total + (terminal * x).sum()).backward()
+    for kept, left, p in zip(found[True], found[False], network.parameters(), strict=True):
+        close = {"rtol": 2e-3, "atol": 1e-4 * float(p.grad.abs().max())}
+        torch.testing.assert_close(kept, p.grad, **close)
+        torch.testing.assert_close(left, p.grad, **close)
+
+
+def test_rows_that_diverge_let_no_layers_be_kept():
+    env, _, rows, rng = setting()
+    network = MLP(env.task.n_o, 2, (16, 8), squash=True)
+    rows.x[:3, 5] = 1500.0
+    assert imagine(env, Explosion(), network, rows, STEPS, False, rng, keep=True).layers is None

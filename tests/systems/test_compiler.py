@@ -5,6 +5,7 @@ import ctypes
 import pytest
 import torch
 
+from dynasindy.systems import compiler as module
 from dynasindy.systems.compiler import SUFFIX, build, build_fast, compiler
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
@@ -36,3 +37,14 @@ def test_fast_code_computes_and_leaves_small_numbers_small(tmp_path):
     assert code.half(3.0) == 1.5
     # With the flush of small numbers to zero that some linkers bring along, this product would be zero.
     assert float(torch.tensor(1e-310, dtype=torch.float64) * 0.5) == 5e-311
+
+
+@needs_compiler
+def test_a_compiler_that_hangs_is_given_up(tmp_path, monkeypatch):
+    asleep = tmp_path / "cc"
+    asleep.write_text("#!/bin/sh\nexec sleep 60\n")
+    asleep.chmod(0o755)
+    monkeypatch.setenv("CC", str(asleep))
+    monkeypatch.setattr(module, "LONGEST", 0.1)
+    with pytest.raises(ValueError, match=r"took more than 0\.1 s over any\.c"):
+        build([tmp_path / "any.c"], tmp_path / "any.so")

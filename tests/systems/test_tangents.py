@@ -98,3 +98,20 @@ def test_a_formula_holds_nothing_else(formula):
     tangents = Tangents({"a": 0, "b": 1})
     with pytest.raises(ValueError, match="is no part of a formula"):
         tangents.line("v0", formula)
+
+
+def test_whole_numbers_divide_as_numbers():
+    tangents = Tangents({"a": 0})
+    value, slopes = tangents.last("1 / 3 * a + a / 2")
+    assert value == "(((1.0 / 3.0) * a) + (a / 2.0))"  # in C, 1 / 3 is zero
+    assert evaluated(slopes[0], {}) == pytest.approx(1 / 3 + 1 / 2)
+    assert "2.0" in slopes[0]
+    for formula in ("1e999 * a", f"{10**400} * a"):
+        with pytest.raises(ValueError, match="is no part of a formula"):
+            tangents.last(formula)
+
+
+@pytest.mark.parametrize("name", ["v0; system(1)", "", "0", "v[0]", "v 0", "é"])
+def test_a_name_is_a_name(name):
+    with pytest.raises(ValueError, match="is no name of a value"):
+        Tangents({"a": 0}).line(name, "a")

@@ -2,11 +2,14 @@
 
 import copy
 import pickle
+import warnings
 
 import pytest
 import torch
+from torch.autograd import forward_ad
 
 from dynasindy.systems import Pendulum, Tras, Trms33, Xi, integrate, rk4
+from dynasindy.systems import machine as system_machine
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.compiler import compiler
 from dynasindy.systems.machine import Machine
@@ -139,3 +142,59 @@ def test_what_cannot_be_read_is_told(forward, words):
     with pytest.raises(TypeError, match=words) as error:
         program(forward, 2, 1)
     assert "\n" not in str(error.value)
+
+
+@needs_compiler
+def test_a_plant_whose_numbers_are_set_anew_moves_by_them():
+    system = Pendulum()
+    x, u = drawn(system, 4)
+    before = integrate(system, x, u, 0.1, 2)[0]
+    system.damping_term *= 3
+    after = integrate(system, x, u, 0.1, 2)[0]
+    torch.testing.assert_close(after, steps(system, x, u, 0.1, 2)[0], rtol=1e-12, atol=1e-12)
+    assert not torch.allclose(after, before)
+
+
+@needs_compiler
+def test_a_plant_that_was_changed_from_outside_moves_as_it_is_called():
+    x, u = drawn(Pendulum(), 4)
+    turned, hooked = Pendulum(), Pendulum()
+    turned.forward = lambda x, u: torch.zeros_like(x)
+    hooked.register_forward_hook(lambda module, given, dx: 0 * dx)
+    for system in (turned, hooked):
+        assert torch.equal(integrate(system, x, u, 0.1, 1)[0][:, 0], x)
+
+
+@needs_compiler
+def test_transforms_of_torch_are_left_to_torch():
+    system = Pendulum()
+    x, u = drawn(system, 4)
+
+    def moved(x):
+        return integrate(system, x, u[0], 0.1, 2)[0][-1]
+
+    alone = torch.stack([moved(row) for row in x])
+    torch.testing.assert_close(torch.func.vmap(moved)(x), alone, rtol=1e-12, atol=1e-12)
+    whole = torch.func.jacrev(moved)(x[0])
+    torch.testing.assert_close(torch.func.jacfwd(moved)(x[0]), whole)
+    with forward_ad.dual_level():
+        dual = moved(forward_ad.make_dual(x[0], torch.ones_like(x[0])))
+        torch.testing.assert_close(forward_ad.unpack_dual(dual).tangent, whole.sum(-1))
+
+
+@needs_compiler
+def test_a_compiler_that_is_none_leaves_plants_to_torch(tmp_path, monkeypatch):
+    stub = tmp_path / "cc"
+    stub.write_text("#!/bin/sh\necho no developer tools were found >&2\nexit 1\n")
+    stub.chmod(0o755)
+    monkeypatch.setenv("CC", str(stub))
+    system = Pendulum(mass=1.0625)
+    system.damping_term, system.more = 0.123456, 0.0
+    x, u = drawn(system, 3)
+    system_machine._compiled.cache_clear()
+    with pytest.warns(UserWarning, match="Pendulum stays torch code, which is slower: the C compiler refused"):
+        samples = integrate(system, x, u, 0.1, 2)[0]
+    assert torch.equal(samples, steps(system, x, u, 0.1, 2)[0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert system.compiled(x, u) is None  # and says so once

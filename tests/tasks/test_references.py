@@ -159,3 +159,20 @@ def test_each_impossible_reference_is_refused_by_its_own_words(make, message):
 
 def test_a_frequency_of_zero_is_a_constant():
     assert at(Wave([0.5], [0.0], offset=[0.2]), 3.0).item() == pytest.approx(0.2)
+
+
+def test_a_constant_is_worth_its_offset_in_every_use():
+    params = torch.tensor([[0.5, 0.0, 0.1, 0.3, 0.0], [0.2, 0.0, 0.0, 0.0, 1.0]])
+    t = torch.tensor([[1.0], [2.0], [3.0]], dtype=torch.float64)
+    found = value(params.expand(3, 2, 5), t)
+    assert found.dtype == torch.float64 and found.shape == (3, 2)
+    assert torch.equal(found.float(), params[:, 0].expand(3, 2))
+    found += 1  # which is nobody else's memory
+    assert params[:, 0].tolist() == pytest.approx([0.5, 0.2])
+    mapped = torch.func.vmap(value, (None, 0))(params, t)
+    assert torch.equal(mapped.float(), params[:, 0].expand(3, 2))
+    # The slope by an amplitude of zero is the wave itself: sin(2 pi 0.1 + 0.3).
+    slope = torch.autograd.grad(value(params.requires_grad_(), torch.ones(1)).sum(), params)[0]
+    assert slope[0, 1].item() == pytest.approx(math.sin(0.2 * math.pi + 0.3), rel=1e-6)
+    still = torch.tensor([[0.5, math.nan, 0.1, 0.3, 0.0]])
+    assert value(still, torch.ones(1)).isnan().all()

@@ -1,6 +1,7 @@
 """Machine code moves states as Runge-Kutta steps in double precision do, and its derivatives are those of autograd."""
 
 import copy
+import math
 
 import pytest
 import torch
@@ -31,6 +32,7 @@ FEATURES = {
     "bell": [of("bell", "b", frequency=2.0)],
     "root": [of("root", "a", frequency=-2.0, fitted=True)],
     "hinge": [of("hinge", "b", frequency=0.2, fitted=True)],
+    "slack": [of("slack", "a", "b", frequency=0.4, fitted=True)],
     "per_cos2": [of("per_cos2", "a", frequency=3.0, fitted=True) * U],
 }
 
@@ -136,7 +138,7 @@ def test_a_function_without_a_formula_is_refused():
     model = SindyModel(SIGNATURE, library)
     model.set_coefficients(xi)
     x, u = drawn(4)
-    with pytest.warns(UserWarning, match="the model stays torch code"):
+    with pytest.warns(UserWarning, match="SindyModel stays torch code"):
         assert model.compiled(x, u) is None
     assert model.compiled(x, u) is None  # and says so once
     unregister_function("wild_test")
@@ -193,3 +195,26 @@ def test_the_twin_rotor_has_derivatives_like_autograd():
     z = torch.cat([x, u], -1).double()
     slopes = torch.func.vmap(torch.func.jacrev(lambda z: integrate(model, z[:6], z[6:], 0.05, 1)[0][-1]))(z)
     torch.testing.assert_close(torch.cat([a, b], -1), slopes.float(), rtol=1e-4, atol=1e-6)
+
+
+def test_a_fraction_of_whole_numbers_in_a_users_formula_is_one():
+    register_function("third_test", lambda z: z / 3, formula="1 / 3 * {0}")
+    register_function("half_test", lambda z: z / 2, formula="{0} / 2")
+    library = Library(SIGNATURE, [of("third_test", "a"), of("half_test", "a")])
+    xi = torch.tensor([[1.0, 0.0], [0.0, 1.0]], dtype=torch.float64)
+    code, (x, u) = machine(library, xi), drawn(5)
+    torch.testing.assert_close(code.integrate(x, u, 0.3, 1)[0], reference(library, xi, x, u, 0.3, 1)[0].float())
+    slopes = code.sensitivities(x, u, 0.3, 1)[0][:, :, 0]
+    wanted = torch.tensor([math.exp(0.1), 1.5 * (math.exp(0.1) - 1)])  # of a' = a / 3, b' = a / 2 over 0.3 s
+    torch.testing.assert_close(slopes, wanted.expand(5, 2), rtol=1e-5, atol=1e-6)
+    for name in ("third_test", "half_test"):
+        unregister_function(name)
+
+
+def test_the_wrong_number_of_inputs_is_no_business_of_machine_code():
+    library, xi = made([A, B, U])
+    model = SindyModel(SIGNATURE, library)
+    model.set_coefficients(xi)
+    x, u = drawn(6)
+    assert model.compiled(x, u) is not None
+    assert model.compiled(x, u[:, :0]) is None and model.compiled(x[:, :1], u) is None

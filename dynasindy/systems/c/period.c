@@ -2,19 +2,19 @@
 #include <math.h>
 
 typedef @real@ real;
-#define SLOPES @n_slopes@
-enum { N = @n_x@, M = @n_u@, C = N + M, P = SLOPES, W = @width@ }; /* W rows at once stay in the first cache */
+enum { N = @n_x@, M = @n_u@, C = N + M, P = @n_slopes@, W = @width@ }; /* W rows at once stay in the first cache */
 
 static inline real square(real v) { return v * v; }
-static inline real larger(real a, real b) { return a > b ? a : b; }
+static inline real larger(real a, real b) { return a < b ? b : a; } /* a, if that is no number */
 static inline real exceeds(real a, real b) { return a > b ? 1 : 0; }
 static inline real sign(real v) { return (real)((v > 0) - (v < 0)); }
 static inline real magnitude(real v) { return v < 0 ? -v : v; }
 
 #if @single@
 /* The functions of <math.h>, but such that a compiler can compute them for several rows by one instruction. */
-static inline real odd(real r) /* sin r within a quarter turn: Abramowitz and Stegun, 4.3.97 */
+static inline real odd(real far) /* sin r within a quarter turn: Abramowitz and Stegun, 4.3.97 */
 {
+    real r = far < (real)-1.6 ? (real)-1.6 : far > (real)1.6 ? (real)1.6 : far; /* no more, if turns cannot be told */
     real s = r * r;
     real p = (real)2.7526e-6 + s * (real)-2.39e-8;
     p = (real)8.3333315e-3 + s * ((real)-1.984090e-4 + s * p);
@@ -37,7 +37,7 @@ static inline real cosine(real v)
 static inline real power_of_e(real v)
 {
     union { int i; real r; } two;
-    real bounded = v < -87 ? -87 : v > 88 ? 88 : v;
+    real bounded = v < -87 ? -87 : v > 89 ? 89 : v; /* beyond 88.4 it is infinite */
     real whole = rintf(bounded * (real)1.4426950408889634);
     real r = (bounded - whole * (real)0.693359375) + whole * (real)2.12194440e-4;
     real p = (real)1.9875691500e-4;
@@ -115,7 +115,6 @@ void advance(long rows, const real *x0, const real *u0, const real *k, real h, i
     }
 }
 
-#if SLOPES
 /* dx/dt and its derivatives that are not zero. */
 static void slopes(const real *restrict x, const real *restrict u, const real *restrict k, real *restrict f,
                    real *restrict j)
@@ -183,4 +182,3 @@ void sensitivities(long rows, const real *x0, const real *u0, const real *k, rea
             }
     }
 }
-#endif
