@@ -109,6 +109,10 @@ class ControlEnv(EnvBase):
         env.stops = self.stops
         return env
 
+    def as_used(self, env: EnvBase) -> EnvBase:
+        """Return an environment that stands around this one with all its transforms; a rig rehearses it first."""
+        return env
+
     def advance(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         """Advance states by one control period; differentiable.
 

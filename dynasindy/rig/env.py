@@ -12,11 +12,15 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
+from torchrl.envs import EnvBase, Transform, TransformedEnv
 
 from dynasindy.envs import ControlEnv
 from dynasindy.rig.flights import Flights
 from dynasindy.systems import System
 from dynasindy.tasks import Task
+
+WARM = 3
+"""Steps of a rehearsal."""
 
 
 class RigEnv(ControlEnv):
@@ -62,6 +66,10 @@ class RigEnv(ControlEnv):
         """Return the same rig under another task; an episode of either ends where the other begins one."""
         return RigEnv(self.system, task, self.flights, dtype=self.float_type, seed=seed)
 
+    def as_used(self, env: EnvBase) -> EnvBase:
+        """Return the environment with a rehearsal before each episode."""
+        return TransformedEnv(env, Rehearsal(env, self.flights), auto_unwrap=False)
+
     def start_from(self, states: Tensor) -> TensorDict:
         """Begin an episode where the rig is; the states are not used, only their batch, which has one row.
 
@@ -106,3 +114,28 @@ class RigEnv(ControlEnv):
     def _rates_at_start(self) -> Tensor:
         """Return zeros, as the equations of a rig are not known."""
         return torch.zeros(2, self.system.signature.n_x, dtype=self.float_type)
+
+
+class Rehearsal(Transform):
+    """Take a few steps before each episode that move nothing: first calls take longer than a period has.
+
+    The observer and the prediction of the model, which changes between episodes, have then computed before; the policy
+    may take its time for its first action anyway.
+
+    Args:
+        env: The rig with all transforms around it.
+        flights: Those of the rig.
+    """
+
+    def __init__(self, env: EnvBase, flights: Flights) -> None:
+        super().__init__(in_keys=[], out_keys=[])
+        self.__dict__["env"] = env  # transforms have parents, not children
+        self.flights = flights
+
+    @torch.no_grad()
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        still = self.env.action_spec.zero()
+        with self.flights.dry():
+            for _ in range(WARM):
+                self.env.step(tensordict_reset.clone().set("action", still))
+        return tensordict_reset

@@ -53,6 +53,7 @@ class Flights:
         self._loop: Loop | None = None
         self._log: Log | None = None
         self._y = np.full(wiring.signature.n_x, np.nan)
+        self._dry = False
 
     def begin(self) -> Array:
         """End what was flown, let the plant settle, and return the first sample of a new flight, `(n_x,)`.
@@ -75,6 +76,8 @@ class Flights:
             Fault: Something is wrong; the rig is at its safe input.
             RuntimeError: No flight has begun, or it is over.
         """
+        if self._dry:
+            return self._y
         with self._safe():
             if self._loop is None:
                 raise RuntimeError("no flight of the rig has begun, or it is over; reset the environment first")
@@ -96,6 +99,8 @@ class Flights:
 
     def end(self) -> None:
         """Ask for the safe input, if a flight has begun, and close its log."""
+        if self._dry:
+            return
         loop, log = self._loop, self._log
         self._loop = self._log = None
         try:
@@ -104,6 +109,15 @@ class Flights:
         finally:
             if log is not None:
                 log.close()
+
+    @contextmanager
+    def dry(self) -> Iterator[None]:
+        """Move nothing meanwhile: a period gives the last sample again, at once, and does not count."""
+        self._dry = True
+        try:
+            yield
+        finally:
+            self._dry = False
 
     def _first(self) -> Array:
         with self._safe():

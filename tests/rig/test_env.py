@@ -1,6 +1,8 @@
-"""The rig as an environment: it moves as the plant by hand, with the specs of a simulated one, and faults bring rest."""
+"""The rig as an environment: it moves as by hand, with the specs of a simulated one, and faults bring rest."""
 
+import re
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -259,3 +261,19 @@ def test_training_on_a_rig_is_training_on_the_plant(sensors):
     torch.testing.assert_close(flown, simulated)
     assert rig.u.tolist() == [0.25]
     assert rig.clock.monotonic() == pytest.approx(3 * 30 * 0.05)
+
+
+def test_the_example_of_the_page_flies():
+    page = (Path(__file__).parents[2] / "docs" / "rig.md").read_text()
+    (block,) = re.findall(r"```python\n(import torch\n.*?)```", page, re.S)
+    lived = {}
+    exec(compile(block, "docs/rig.md", "exec"), lived)
+    rollout, clock = lived["rollout"], lived["clock"]
+    target, x = rollout["reference"][0, 0], torch.zeros(2, dtype=torch.float64)
+    assert 0.001 < target.abs() < 0.5
+    for _ in range(100):
+        u = 0.2 * (target - x[:1]) / 0.5  # an error of half a radian counts as 1 in the observation
+        for _ in range(5):
+            x = rk4(PLANT, x, u, 0.01)
+    torch.testing.assert_close(rollout["next", "state"][-1], x, atol=1e-5, rtol=0)
+    assert (len(rollout), clock.monotonic()) == (100, pytest.approx(10.0 + 100 * 0.05))
