@@ -180,7 +180,7 @@ class ControlEnv(EnvBase):
         x_next = samples[..., -1, :]
         out = self._observed(x_next, params, steps)
         t_next = steps.to(x.dtype) * self.dt
-        out["reward"] = self.task.reward(x, x_next, params, t_next, touched).float().unsqueeze(-1)
+        out["reward"] = self.task.earned(x, u, x_next, params, t_next, touched).float().unsqueeze(-1)
         out["samples"], out["at_stop"] = samples, touched.unsqueeze(-1)
         out["truncated"] = steps >= self.task.max_steps
         out["done"] = out["truncated"].clone()

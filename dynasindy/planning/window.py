@@ -13,7 +13,8 @@ The rollout is sequential and runs without a graph. Every derivative of every pe
 
     lambda_k = dJ/dz_k + (A_k + B_k K_k)' lambda_k+1,    dJ/du_k = B_k' lambda_k+1,
 
-and one backward pass of the policy. The gradient equals that of automatic differentiation through the rollout.
+and one backward pass of the policy. An effort e(u_k) adds K_k' de/du_k to the first and de/du_k to the second. The
+gradient equals that of automatic differentiation through the rollout.
 """
 
 from __future__ import annotations
@@ -149,14 +150,17 @@ def backward(
         a, b = sensitivities(env, system, window.states[:-1], window.applied)
         # A period that ends in divergence has derivatives without bounds; times zero they would not be zero.
         a, b = (slope.where(window.alive[1:, :, None, None], torch.zeros(())) for slope in (a, b))
-        reward, cost = _cost(env, rows, window)
+        reward, cost, effort = _cost(env, rows, window)
         if terminal is not None:
             cost[-1] += terminal * window.alive[-1].unsqueeze(-1)
         actions, k = _policy(env, network, rows, window)
         if late:
             a, b, k, cost = _behind_delay(a, b, k, cost)
-        slopes = _adjoint(a, b, k, cost).split(CHUNK)
-        torch.autograd.backward(actions, list(slopes))
+        if effort is not None:
+            cost[:-1] += (effort.unsqueeze(-2) @ k).squeeze(-2)
+        slopes = _adjoint(a, b, k, cost)
+        slopes = slopes if effort is None else slopes + effort
+        torch.autograd.backward(actions, list(slopes.split(CHUNK)))
     return reward
 
 
@@ -192,15 +196,28 @@ def _policy(env: ControlEnv, network: Network, rows: Rows, window: Window) -> tu
     return actions, torch.cat(gains)
 
 
-def _cost(env: ControlEnv, rows: Rows, window: Window) -> tuple[Tensor, Tensor]:
-    """Return mean reward, rows that diverged at zero, and its negative's derivative by states `(T + 1, rows, n_x)`."""
-    states = window.states.detach().requires_grad_()
+def _cost(env: ControlEnv, rows: Rows, window: Window) -> tuple[Tensor, Tensor, Tensor | None]:
+    """Return mean reward, rows that diverged at zero, and its negative's derivatives.
+
+    They are those by states, `(T + 1, rows, n_x)`, and by actions, `(T, rows, n_u)`, None where these cost nothing.
+
+    Raises:
+        TypeError: The reward has no derivative.
+    """
+    states, u = (values.detach().requires_grad_() for values in (window.states, window.actions))
     free = torch.zeros(states[1:].shape[:-1], dtype=torch.bool)
     params = rows.params.expand(len(free), *rows.params.shape)
-    rewards = env.task.reward(states[:-1], states[1:], params, window.times[1:], free)
+    rewards = env.task.earned(states[:-1], u, states[1:], params, window.times[1:], free)
     reward = (rewards * window.alive[-1]).mean()
-    (slope,) = torch.autograd.grad(-reward, states)
-    return reward.detach(), slope
+    slope = effort = None
+    if reward.requires_grad:
+        slope, effort = torch.autograd.grad(-reward, (states, u), allow_unused=True)
+    if slope is None:
+        raise TypeError(
+            f"the reward of task {type(env.task).__name__} has no derivative by the states, and planning by gradient "
+            "needs one; use planning=dyna, which any task allows"
+        )
+    return reward.detach(), slope, effort
 
 
 def _behind_delay(a: Tensor, b: Tensor, k: Tensor, cost_x: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:

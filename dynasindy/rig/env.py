@@ -100,7 +100,7 @@ class RigEnv(ControlEnv):
         if self.stops is not None:
             touched = self.stops.apply(x_next)[1]
         out: dict[str, Any] = self._observed(x_next, params, steps)
-        reward = self.task.reward(x, x_next, params, steps.to(x.dtype) * self.dt, touched)
+        reward = self.task.earned(x, u, x_next, params, steps.to(x.dtype) * self.dt, touched)
         out["reward"] = reward.float().unsqueeze(-1)
         out["samples"], out["at_stop"] = x_next.unsqueeze(-2).clone(), touched.unsqueeze(-1)
         out["truncated"], out["done"] = truncated, truncated.clone()
