@@ -17,7 +17,6 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Bounds, Gate, GradientPlanning, GradientThenReplay, ImaginedReplay, NoPlanning, Variation
-from dynasindy.sensing import Sensors
 from dynasindy.systems import Diverged, Xi
 from dynasindy.tasks import RandomStep, Step, Tracking
 from dynasindy.world_models import Refinement, Regression, SindyModel
@@ -228,16 +227,11 @@ def test_the_report_says_equations_metrics_costs_and_folder(tmp_path):
         assert words in text
 
 
-SENSORS = Sensors(
-    {"alpha_a": {}, "alpha_p": {}, "omega_a": {}, "omega_p": {}}, {"alpha_p": "Omega_p"}, disturbance=True
-)
-
-
-@pytest.mark.parametrize(("name", "sensors"), [("replay", None), ("gradient", None), ("both", SENSORS)])
-def test_a_task_without_references_goes_the_whole_way(settle, tmp_path, name, sensors):
+@pytest.mark.parametrize("name", ["replay", "gradient", "both"])
+def test_a_task_without_references_goes_the_whole_way(settle, tmp_path, name):
     Plug.last = None
     made = recipe(PLANNERS[name], 1)
-    made = dataclasses.replace(made, task=partial(settle, reach=0.01, max_steps=20), sensors=sensors)
+    made = dataclasses.replace(made, task=partial(settle, reach=0.01, max_steps=20))
     evaluating = Evaluating(Scenario("task", episodes=2, seconds=None))
     metrics = run(made, evaluating, tmp_path / "run", PROVENANCE, progress=False)
     assert metrics["held"]["share"] == {} and "the task tracks nothing" in metrics["verdict"]["held"]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from torchrl.envs import TransformedEnv, check_env_specs
+from torchrl.envs import Transform, TransformedEnv, check_env_specs
 
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
@@ -19,6 +19,7 @@ from dynasindy.evaluation.scenarios import Scenario, evaluate
 from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, ImaginedReplay
 from dynasindy.rig import FastClock, Fault, Flights, Guard, InProcessRig, RigEnv, Wiring
+from dynasindy.rig.env import WARM
 from dynasindy.sensing import Observer, Sensing, Sensors, Wired
 from dynasindy.systems import Pendulum, Xi, rk4
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
@@ -215,6 +216,23 @@ def test_an_evaluation_of_one_reference_flies_the_rig():
     assert evaluation.references.unique().tolist() == pytest.approx([0.2])
     error = (0.2 - evaluation.outputs).square().mean().sqrt()
     assert evaluation.metrics["rmse"].item() == pytest.approx(error.item(), rel=1e-5)
+
+
+def test_an_episode_is_rehearsed_and_the_rehearsal_moves_nothing():
+    class Counting(Transform):
+        calls = 0
+
+        def _step(self, tensordict, next_tensordict):
+            self.calls += 1
+            return next_tensordict
+
+    rig, env = rigged()
+    counting = Counting()
+    used = env.as_used(TransformedEnv(env, counting))
+    start = used.reset()
+    assert (counting.calls, rig.reads, rig.u.tolist(), env.flights.k) == (WARM, 1, [0.25], 0)
+    assert start["step_count"].item() == 0 and start["state"].tolist() == [0.0, 0.0]
+    torch.testing.assert_close(used.rollout(12, swing)["state"], rigged()[1].rollout(12, swing)["state"])
 
 
 @pytest.mark.parametrize("sensors", [None, Sensors(THETA, {"theta": "Omega"})], ids=["states", "sensors"])
