@@ -115,10 +115,6 @@ class GradientPlanning(Planner):
                 f"terminal_updates={terminal_updates}, real_starts={real_starts}, jumps={jumps}; rollouts and updates "
                 "must be >= 0 and the shares at most 1 together: mend planning"
             )
-        if held and not isinstance(env.task, Tracking):
-            raise ValueError(
-                f"task {type(env.task).__name__} has no targets to hold the plant at; leave out planning.held"
-            )
         signature, longest = env.system.signature, window or LONGEST
         check_memory(
             8.0 * rollouts * longest * signature.n_x * (signature.n_x + signature.n_u + 4),
@@ -133,7 +129,7 @@ class GradientPlanning(Planner):
         self.variation, self.others = variation or Variation(), list(others)
         self.variation.deviations(env.system.signature.n_x)  # refuses a wrong number of them
         self.rng = torch.Generator().manual_seed(seed)
-        self.env = ControlEnv(env.system, _imagined_task(env.task, width), env.dt, substeps or 1)
+        self.env = ControlEnv(env.system, _imagined_task(env.task, width, held), env.dt, substeps or 1)
         self.env.stops = env.stops
         self.terminal = self._terminal(terminal_updates)
         self.held_out = _references(self.env, 64, torch.Generator().manual_seed(seed + 1))
@@ -347,11 +343,13 @@ def _network(agent: TD3 | Actor) -> nn.Module:
     return network
 
 
-def _imagined_task(task: Task, width: float | None) -> Task:
+def _imagined_task(task: Task, width: float | None, held: bool | None) -> Task:
     """Return the task with a cost whose slope does not vanish near zero.
 
     Without a width, and where no reference is tracked, it is the task itself.
     """
+    if held and not isinstance(task, Tracking):
+        raise ValueError(f"task {type(task).__name__} has no targets to hold the plant at; leave out planning.held")
     if width is None or not isinstance(task, Tracking):
         return task
     smooth = copy.copy(task)
