@@ -72,6 +72,7 @@ class Keys(TypedDict):
     settings: list[str]
     slim: list[str]
     refinement: str
+    error_shape: str
     longest_delay: float
     horizons: list[float] | None
     source: Literal["simulated", "logged"]

@@ -12,7 +12,7 @@ import pytest
 REPOSITORY = Path(__file__).parents[1]
 PAGE = REPOSITORY / "docs" / "extending.md"
 BLOCKS = dict(re.findall(r"```(?:python|yaml)\n# (\S+)\n(.*?)```", PAGE.read_text(), re.S))
-COMMAND = re.search(r"^    python (scripts/train\.py .*)$", PAGE.read_text(), re.M)[1].split()
+COMMANDS = re.findall(r"^    python (scripts/train\.py system=servo task=.*)$", PAGE.read_text(), re.M)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,7 @@ def test_the_page_shows_one_file_of_each_kind_with_its_test():
 
 def test_tests_of_the_page_pass(extended):
     printed = run(extended, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests")
-    assert re.search(r"^4 passed", printed, re.M)
+    assert re.search(r"^5 passed", printed, re.M)
 
 
 @pytest.mark.parametrize(("source", "functions"), [("simulated", 15), ("logged", 6)])
@@ -78,6 +78,20 @@ def test_a_log_gets_the_library_of_the_page_for_logs(extended, source, functions
 @pytest.mark.slow
 def test_the_command_of_the_page_trains(extended):
     folder = extended / "run"
-    printed = run(extended, *COMMAND, "experiment=smoke", f"hydra.run.dir={folder}")
+    printed = run(extended, *COMMANDS[0].split(), "experiment=smoke", f"hydra.run.dir={folder}")
     assert "theta' = " in printed
     assert '"linear"' in (folder / "model.json").read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("experiment", ["smoke", "gradient_smoke"])
+def test_a_task_without_references_trains_and_is_judged_by_its_return(extended, experiment):
+    folder = extended / experiment
+    short = ["excitation.duration=2.0", f"experiment={experiment}", f"hydra.run.dir={folder}"]
+    printed = run(extended, *COMMANDS[1].split(), *short)
+    assert re.search(r"CONTROLLED: the task tracks nothing, so that its return counts", printed)
+    assert "RMSE" not in printed and "return  " in printed
+    assert (folder / "figures" / "step_response.png").is_file()
+    assert not (folder / "controller.json").exists()
+    printed = run(extended, "scripts/evaluate.py", f"run={folder}", "scenarios=[task]")
+    assert "Scenario 'task' (64 episodes, 5 s)" in printed

@@ -78,7 +78,7 @@ class Recipe:
             )
         return Parts(
             plant=plant,
-            env=_predicted(plant if sensing is None else TransformedEnv(plant, sensing), model_env),
+            env=plant.as_used(_predicted(plant if sensing is None else TransformedEnv(plant, sensing), model_env)),
             model_env=model_env,
             excitation=excitation,
             world_model=world_model,

@@ -17,7 +17,8 @@ class Verdict:
     Attributes:
         usable: Whether the trained policy is better than the untrained one.
         sentence: Why, in words and with both returns.
-        controlled: Whether every output stays as near to its targets as was asked for, and nothing else runs away.
+        controlled: Whether every output stays as near to its targets as was asked for, and nothing else runs away; of a
+            task that tracks nothing, whether the result is usable and nothing runs away.
         held: How near, and what runs away, in words.
     """
 
@@ -35,8 +36,8 @@ def judge(metrics: Mapping[str, Any], within: float = WITHIN) -> Verdict:
             `return`, None where it is not finite, and `held`, see `dynasindy.evaluation.held`.
         within: Mean absolute error at the end that is asked for, in boxes of targets.
     """
-    controlled, held = _held(metrics["held"], within)
     usable, sentence = _compared(metrics)
+    controlled, held = _held(metrics["held"], within, usable)
     return Verdict(usable, sentence, controlled, held)
 
 
@@ -58,13 +59,15 @@ def _compared(metrics: Mapping[str, Any]) -> tuple[bool, str]:
     )
 
 
-def _held(held: Mapping[str, Mapping[str, float | None]], within: float) -> tuple[bool, str]:
-    told, missed = [], False
+def _held(held: Mapping[str, Mapping[str, float | None]], within: float, usable: bool) -> tuple[bool, str]:
+    told, missed = [], not held["share"] and not usable
     for name, given in held["share"].items():
         share, worst = _number(given), _number(held["worst"][name])
         missed |= not (share <= within and worst <= LOST * within)
         told.append(f"{name} to {_percent(share)} of its box, {_percent(worst)} at worst")
     lines = [f"errors at the end: {'; '.join(told)} ({_percent(within)} is asked for)"]
+    if not told:
+        lines = [f"the task tracks nothing, so that its return counts, which {'grew' if usable else 'did not grow'}"]
     lines += [
         f"{name}, which is not tracked, {_fate(held, name)} in {_percent(_number(share))} of the runs"
         for name, share in held["away"].items()

@@ -109,6 +109,10 @@ class ControlEnv(EnvBase):
         env.stops = self.stops
         return env
 
+    def as_used(self, env: EnvBase) -> EnvBase:
+        """Return an environment that stands around this one with all its transforms; a rig rehearses it first."""
+        return env
+
     def advance(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         """Advance states by one control period; differentiable.
 
@@ -176,7 +180,7 @@ class ControlEnv(EnvBase):
         x_next = samples[..., -1, :]
         out = self._observed(x_next, params, steps)
         t_next = steps.to(x.dtype) * self.dt
-        out["reward"] = self.task.reward(x, x_next, params, t_next, touched).float().unsqueeze(-1)
+        out["reward"] = self.task.earned(x, u, x_next, params, t_next, touched).float().unsqueeze(-1)
         out["samples"], out["at_stop"] = samples, touched.unsqueeze(-1)
         out["truncated"] = steps >= self.task.max_steps
         out["done"] = out["truncated"].clone()

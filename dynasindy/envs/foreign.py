@@ -214,7 +214,7 @@ class GymnasiumEnv(ControlEnv):
         self.now, self.over = after.reshape(x.shape), over.reshape(x.shape[:-1])
         out = self._observed(self.now, params, steps)
         clipped = ((self.now <= self.foreign.ends[0]) | (self.now >= self.foreign.ends[1])).any(-1)
-        reward = self.task.reward(x, self.now, params, steps.to(x.dtype) * self.dt, clipped)
+        reward = self.task.earned(x, u, self.now, params, steps.to(x.dtype) * self.dt, clipped)
         out["reward"] = reward.float().unsqueeze(-1)
         out["samples"], out["at_stop"] = self.now.unsqueeze(-2), clipped.unsqueeze(-1)
         out["own_reward"] = paid

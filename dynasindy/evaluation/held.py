@@ -54,7 +54,9 @@ def held(evaluation: Evaluation, matter: Tensor) -> Held:
     lost = far.clone()
     references = evaluation.references
     still = (references[:, -last:] == references[:, -1:]).all(-1).all(-1)
-    lost |= still.unsqueeze(-1) & ~(x.amax(1) - x.amin(1) <= UNREST)
+    # Where nothing is tracked nobody asked for a rest either: a task may pay for motion.
+    if evaluation.columns:
+        lost |= still.unsqueeze(-1) & ~(x.amax(1) - x.amin(1) <= UNREST)
     shares = lost.double().mean(0).tolist()
     names = evaluation.signature.state_names
     gone = {i: share for i, share in enumerate(shares) if share and i not in evaluation.columns}

@@ -5,6 +5,7 @@ replace the plant, for the whole run or within windows of time, and what lies be
 `dynasindy.evaluation.disturbances` has wind, detuned parameters, sensor noise and a delayed actuator.
 """
 
+import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +24,7 @@ from dynasindy.evaluation.metrics import steady_seconds, tracking_metrics
 from dynasindy.limits import Count, check_memory
 from dynasindy.sensing import Sensing, unveiled
 from dynasindy.systems import Signature, System
-from dynasindy.tasks import Reference, Step, Tracking
+from dynasindy.tasks import Reference, Step, Task, Tracking
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 """Reads `observation` (or `state` and `reference`) of a tensordict and writes `action`."""
@@ -37,7 +38,8 @@ class Scenario:
 
     Attributes:
         name: Short name, also of its files and rows in tables.
-        reference: What to track; None draws from the environment's own task, always the same for a seed.
+        reference: What to track; None draws from the environment's own task, always the same for a seed, and is all
+            that a task without references takes.
         episodes: Rows of the batch, one reference each.
         seconds: Length of the run [s]; None is that of an episode of the task.
         plant: Makes the disturbed plant from the nominal one; None leaves it as it is.
@@ -81,7 +83,7 @@ class Evaluation:
     Attributes:
         scenario: Name of the scenario.
         signature: Names and units of the plant.
-        columns: Indices of the tracked states.
+        columns: Indices of the tracked states; none of a task without references.
         time: `(T,)` times of the root entries of the trajectory [s].
         trajectory: `[episodes, T]` as `ControlEnv.rollout` writes it; behind sensors, `estimate` is what was seen.
         metrics: Per row, see `dynasindy.evaluation.metrics`.
@@ -190,7 +192,7 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensi
             scenario is then added to the measurements.
 
     Raises:
-        TypeError: The task does not track a reference.
+        TypeError: The scenario has a reference and the task tracks none.
         ValueError: The policy gives no action, or one of the wrong shape.
         Diverged: The policy gives an action that is not finite, the plant leaves all finite states, or the task gives
             a reward that is not finite.
@@ -213,11 +215,16 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensi
     return _measure(calm, task, scenario, trajectory)
 
 
-def _prepare(env: ControlEnv, scenario: Scenario, width: int) -> tuple[ControlEnv, Tracking]:
+def _prepare(env: ControlEnv, scenario: Scenario, width: int) -> tuple[ControlEnv, Task]:
     """Return the undisturbed environment, with the scenario's reference and length, and its task."""
-    if not isinstance(env.task, Tracking):
-        raise TypeError(f"task {type(env.task).__name__} tracks no reference; give an environment with a Tracking task")
-    task = env.task.with_reference(scenario.reference or env.task.references)
+    task = copy.copy(env.task)
+    if scenario.reference is not None:
+        if not isinstance(task, Tracking):
+            raise TypeError(
+                f"task {type(task).__name__} tracks no reference, and scenario '{scenario.name}' has one; use "
+                "scenario=task, or scenario.reference=null"
+            )
+        task = task.with_reference(scenario.reference)
     task.max_steps, n_x = round((scenario.seconds or 0.0) / env.dt), env.system.signature.n_x
     if task.max_steps < 1:
         raise ValueError(
@@ -271,13 +278,14 @@ def _check_action(policy: Policy, start: TensorDictBase, n_u: int, name: str) ->
         )
 
 
-def _measure(env: ControlEnv, task: Tracking, scenario: Scenario, trajectory: TensorDictBase) -> Evaluation:
+def _measure(env: ControlEnv, task: Task, scenario: Scenario, trajectory: TensorDictBase) -> Evaluation:
     # Root entries: state and reference at the moment an action is chosen, so that a step begins at time zero.
     time = torch.arange(trajectory.shape[-1]) * env.dt
-    y, r, u = trajectory["state"][..., task.outputs], trajectory["reference"], trajectory["action"]
-    metrics = tracking_metrics(time, y, r, u, task.boxes())
+    outputs = [env.system.signature.state_index(name) for name in task.output_names]
+    y, r, u = trajectory["state"][..., outputs], trajectory["reference"], trajectory["action"]
+    boxes = task.boxes() if isinstance(task, Tracking) else torch.ones(len(outputs))
+    metrics = tracking_metrics(time, y, r, u, boxes)
     windows = tuple((start, end) for start, end in scenario.windows or ()) if scenario.plant else ()
-    boxes = tuple(task.boxes().tolist())
     return Evaluation(
-        scenario.name, env.system.signature, tuple(task.outputs), time, trajectory, metrics, windows, boxes
+        scenario.name, env.system.signature, tuple(outputs), time, trajectory, metrics, windows, tuple(boxes.tolist())
     )

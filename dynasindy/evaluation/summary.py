@@ -54,7 +54,8 @@ def summarise(evaluation: Evaluation) -> Summary:
 
 def heading(evaluation: Evaluation) -> str:
     """Return what a table of an evaluation was measured on; errors and returns compare at equal lengths only."""
-    facts = [f"{len(evaluation.outputs)} reference{'s' * (len(evaluation.outputs) > 1)}", f"{evaluation.seconds:g} s"]
+    what = "reference" if evaluation.columns else "episode"
+    facts = [f"{len(evaluation.outputs)} {what}{'s' * (len(evaluation.outputs) > 1)}", f"{evaluation.seconds:g} s"]
     facts += [f"disturbed from {start:g} to {end:g} s" for start, end in evaluation.windows]
     return f"Scenario '{evaluation.scenario}' ({', '.join(facts)})"
 
@@ -64,7 +65,7 @@ def to_text(
 ) -> str:
     """Return a table of a summary, metrics down and axes across, aligned for a terminal.
 
-    Where the scenario has no steps, their metrics are left out.
+    Where the scenario has no steps, their metrics are left out; where nothing is tracked, all errors.
 
     Args:
         summary: The figures.
@@ -79,9 +80,10 @@ def to_text(
     told = [units.get(axis, "rad") for axis in axes]
     shared = told[0] if len(set(told)) == 1 else ""
     heads = axes if shared else [f"{axis} [{unit}]" for axis, unit in zip(axes, told, strict=True)]
-    lines.append(f"{'':38s}" + "".join(f" {name:>11s}" for name in heads))
+    if axes:
+        lines.append(f"{'':38s}" + "".join(f" {name:>11s}" for name in heads))
     stepped = any(summary[f"settled/{axis}"] is not None for axis in axes)
-    for name in (*TRACKING, *((*STEP, "settled") if stepped else ())):
+    for name in (*TRACKING, *((*STEP, "settled") if stepped else ())) if axes else ():
         unit = shared if name in TRACKING else UNITS.get(name, "%")
         lines.append(_row(name, f"{words[name]} [{unit}]" if unit else words[name], summary, axes))
     lines.append(f"{'':38s}" + "".join(f"{name:>12s}" for name in inputs))

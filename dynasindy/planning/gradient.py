@@ -30,7 +30,7 @@ from dynasindy.planning.trust import Bound
 from dynasindy.planning.variation import Members, Variation, Varied
 from dynasindy.planning.window import Network, Rows, backward, imagine
 from dynasindy.systems import Diverged, System
-from dynasindy.tasks import Tracking
+from dynasindy.tasks import Task, Tracking
 
 FOLLOWING = ("window", "lr", "updates", "patience", "substeps", "held")
 """Settings that follow the plant where they are not given."""
@@ -54,7 +54,7 @@ class GradientPlanning(Planner):
         more_lr: Learning rate of each later phase at its start; None for 0.3 of `lr`.
         max_grad_norm: Bound of each gradient's norm.
         width: Error at which the imagined cost turns from quadratic to linear [boxes of targets]; None plans on the
-            task's own reward.
+            task's own reward, as does a task without references.
         held: Whether the policy begins as a linear-quadratic regulator of the model, where that earns more.
         real_starts: Share of imagined episodes that begin at real states.
         jumps: Share that begin where the last episode ended, so that the reference jumps; the rest begin as the
@@ -69,8 +69,8 @@ class GradientPlanning(Planner):
         seed: Seed of references, starts and variations.
 
     Raises:
-        TypeError: The task tracks no reference.
-        ValueError: A number is out of range, or the noise has not one deviation per state.
+        ValueError: A number is out of range, `held` is asked for and the task tracks no reference, or the noise has not
+            one deviation per state.
     """
 
     # Departure: the paper's reward is quadratic with a bonus; its slope vanishes near zero and the bonus has none.
@@ -129,11 +129,11 @@ class GradientPlanning(Planner):
         self.variation, self.others = variation or Variation(), list(others)
         self.variation.deviations(env.system.signature.n_x)  # refuses a wrong number of them
         self.rng = torch.Generator().manual_seed(seed)
-        self.env = ControlEnv(env.system, _imagined_task(env.task, width), env.dt, substeps or 1)
+        self.env = ControlEnv(env.system, _imagined_task(env.task, width, held), env.dt, substeps or 1)
         self.env.stops = env.stops
         self.terminal = self._terminal(terminal_updates)
         self.held_out = _references(self.env, 64, torch.Generator().manual_seed(seed + 1))
-        self.log_dt, self.phase = env.log_dt, 0
+        self.log_dt, self.finest, self.phase = env.log_dt, env.substeps, 0
         self.pace = dataclasses.replace(PlanSettings(), **self.given)
 
     def plan(self) -> Planned:
@@ -146,15 +146,15 @@ class GradientPlanning(Planner):
         if not self.rollouts or not (self.given.get("updates", 1) if first else self.more_updates):
             return Planned()
         rests, was_afar = rests_of(self.env), self.pace.afar
-        self.pace = pace = dataclasses.replace(pace_of(self.env, rests), **self.given)
+        self.pace = pace = dataclasses.replace(pace_of(self.env, rests, self.finest), **self.given)
         self.env.substeps = pace.substeps
         updates, lr = (pace.updates, pace.lr) if first else (self.more_updates, self.more_lr or 0.3 * pace.lr)
         episodes = Episodes(self)
         self.held_out.reach = episodes.rows.reach
         begun = Begun(-math.inf)
-        if pace.held and (first or not arrives(self.network, self.env, rests, self.rng)):
+        if rests is not None and pace.held and (first or not arrives(self.network, self.env, rests, self.rng)):
             begun = hold(self.network, self.env, rests, self.test, self.rng)
-        elif pace.held:
+        elif rests is not None and pace.held:
             begun = Begun(self.test())  # a policy that holds the plant is given up for a better one only
         if begun.afar:
             updates, lr = pace.updates, pace.lr  # a way from afar is new, in a later phase too
@@ -209,7 +209,8 @@ class GradientPlanning(Planner):
         )
         free = torch.zeros(whole.applied.shape[:-1], dtype=torch.bool)
         params = rows.params.expand(len(free), *rows.params.shape)
-        reward = self.env.task.reward(whole.states[:-1], whole.states[1:], params, whole.times[1:], free)
+        x, u, x_next = whole.states[:-1], whole.actions, whole.states[1:]
+        reward = self.env.task.earned(x, u, x_next, params, whole.times[1:], free)
         alive = whole.alive[1:]
         # What comes after divergence earns as little as the worst before it.
         return reward.where(alive, reward[alive].amin()).mean().item() if bool(alive.any()) else -math.inf
@@ -343,11 +344,14 @@ def _network(agent: TD3 | Actor) -> nn.Module:
     return network
 
 
-def _imagined_task(task: object, width: float | None) -> Tracking:
-    """Return the task with a cost whose slope does not vanish near zero, or the task itself without a width."""
-    if not isinstance(task, Tracking):
-        raise TypeError(f"task {type(task).__name__} tracks no reference; use planning=dyna, which any task allows")
-    if width is None:
+def _imagined_task(task: Task, width: float | None, held: bool | None) -> Task:
+    """Return the task with a cost whose slope does not vanish near zero.
+
+    Without a width, and where no reference is tracked, it is the task itself.
+    """
+    if held and not isinstance(task, Tracking):
+        raise ValueError(f"task {type(task).__name__} has no targets to hold the plant at; leave out planning.held")
+    if width is None or not isinstance(task, Tracking):
         return task
     smooth = copy.copy(task)
     smooth.reward_function = dataclasses.replace(task.reward_function, error_shape="linear", width=width, bonus=0.0)

@@ -77,27 +77,26 @@ class PlanSettings:
         )
 
 
-def rests_of(env: ControlEnv) -> Rests:
-    """Return the rests of a model over the references of its task.
-
-    Raises:
-        TypeError: The task tracks no reference.
-    """
+def rests_of(env: ControlEnv) -> Rests | None:
+    """Return the rests of a model over the references of its task; None of a task that tracks none."""
     task = env.task
     if not isinstance(task, Tracking):
-        raise TypeError(f"task {type(task).__name__} tracks no reference; use planning=dyna, which any task allows")
+        return None
     generator = torch.Generator().manual_seed(0)
     start = task.initial_state(torch.Size((16,)), generator).double().mean(0)
     return find_rests(env.system, task.outputs, _targets(task, generator), start)
 
 
-def pace_of(env: ControlEnv, rests: Rests) -> PlanSettings:
+def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettings:
     """Return the settings that suit a model.
 
     Args:
         env: Imagined environment.
-        rests: Rests of the model.
+        rests: Rests of the model; None where its task tracks no reference, and so tells no place to linearise at.
+        finest: Runge-Kutta steps of the plant per control period, which then serve the model, too.
     """
+    if rests is None:
+        return PlanSettings(substeps=min(finest, SUBSTEPS), why="the task has no references")
     if not len(rests):
         return PlanSettings(why="the model has no rest in the box of targets")
     moved, seconds = rests.moved, env.task.max_steps * env.dt

@@ -56,7 +56,7 @@ def replay_error(
         samples, touched = model_env.advance(x, u[starts + k])
         following = samples[..., -1, :]
         t_next = (starts + k + 1).unsqueeze(-1) * model_env.dt
-        reward = model_env.task.reward(x, following, params, t_next.to(x), touched)
+        reward = model_env.task.earned(x, u[starts + k], following, params, t_next.to(x), touched)
         differences.append((reward - reward_real[starts + k].squeeze(-1)).abs())
         squares.append(((following - x_real[starts + k]) / scale).square().mean(-1))
         states.append(following)

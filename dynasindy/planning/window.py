@@ -13,9 +13,9 @@ The rollout is sequential and runs without a graph. The derivatives of the model
 
     lambda_k = dJ/dz_k + (A_k + B_k K_k)' lambda_k+1,    dJ/du_k = B_k' lambda_k+1,
 
-and one backward pass of the policy. A perceptron keeps its layers in the rollout: then K_k' dJ/du_k comes out of that
-pass, period by period, and K is not computed. The gradient equals that of automatic differentiation through the
-rollout.
+and one backward pass of the policy. An effort e(u_k) adds K_k' de/du_k to the first and de/du_k to the second. A
+perceptron keeps its layers in the rollout: then K_k' dJ/du_k comes out of that pass, period by period, and K is not
+computed. The gradient equals that of automatic differentiation through the rollout.
 """
 
 from __future__ import annotations
@@ -171,16 +171,20 @@ def backward(
         a, b = sensitivities(env, system, window.states[:-1], window.applied)
         # A period that ends in divergence has derivatives without bounds; times zero they would not be zero.
         a, b = (slope.where(window.alive[1:, :, None, None], torch.zeros(())) for slope in (a, b))
-        reward, cost = _cost(env, rows, window)
+        reward, cost, effort = _cost(env, rows, window)
         if terminal is not None:
             cost[-1] += terminal * window.alive[-1].unsqueeze(-1)
         if window.layers is not None and not late:
-            _sweep(a, b, _observed(env, rows, window), cost, window.layers)
+            _sweep(a, b, _observed(env, rows, window), cost, effort, window.layers)
             return reward
         actions, k = _policy(env, network, rows, window)
         if late:
             a, b, k, cost = _behind_delay(a, b, k, cost)
-        for traced, slopes in zip(actions, _adjoint(a, b, k, cost).split(CHUNK), strict=True):
+        if effort is not None:
+            cost[:-1] += (effort.unsqueeze(-2) @ k).squeeze(-2)
+        whole = _adjoint(a, b, k, cost)
+        whole = whole if effort is None else whole + effort
+        for traced, slopes in zip(actions, whole.split(CHUNK), strict=True):
             traced.backward(slopes)
     return reward
 
@@ -228,24 +232,38 @@ def _observed(env: ControlEnv, rows: Rows, window: Window) -> Tensor:
     return torch.stack([torch.autograd.grad(c.sum(), seen, retain_graph=True)[0] for c in columns], -2)
 
 
-def _sweep(a: Tensor, b: Tensor, observed: Tensor, cost: Tensor, layers: list[Layers]) -> None:
+def _sweep(a: Tensor, b: Tensor, observed: Tensor, cost: Tensor, effort: Tensor | None, layers: list[Layers]) -> None:
     """Solve the adjoint equation backwards, through the policy's layers as they were."""
     adjoint = cost[-1].unsqueeze(-2)
     for step in range(len(a) - 1, -1, -1):
-        pulled = layers[step].pull((adjoint @ b[step]).squeeze(-2)).unsqueeze(-2)
+        slope = (adjoint @ b[step]).squeeze(-2)
+        pulled = layers[step].pull(slope if effort is None else slope + effort[step]).unsqueeze(-2)
         adjoint = torch.baddbmm(cost[step].unsqueeze(-2), adjoint, a[step])
         adjoint = torch.baddbmm(adjoint, pulled, observed[step])
 
 
-def _cost(env: ControlEnv, rows: Rows, window: Window) -> tuple[Tensor, Tensor]:
-    """Return mean reward, rows that diverged at zero, and its negative's derivative by states `(T + 1, rows, n_x)`."""
-    states = window.states.detach().requires_grad_()
+def _cost(env: ControlEnv, rows: Rows, window: Window) -> tuple[Tensor, Tensor, Tensor | None]:
+    """Return mean reward, rows that diverged at zero, and its negative's derivatives.
+
+    They are those by states, `(T + 1, rows, n_x)`, and by actions, `(T, rows, n_u)`, None where these cost nothing.
+
+    Raises:
+        TypeError: The reward has no derivative.
+    """
+    states, u = (values.detach().requires_grad_() for values in (window.states, window.actions))
     free = torch.zeros(states[1:].shape[:-1], dtype=torch.bool)
     params = rows.params.expand(len(free), *rows.params.shape)
-    rewards = env.task.reward(states[:-1], states[1:], params, window.times[1:], free)
+    rewards = env.task.earned(states[:-1], u, states[1:], params, window.times[1:], free)
     reward = (rewards * window.alive[-1]).mean()
-    (slope,) = torch.autograd.grad(-reward, states)
-    return reward.detach(), slope
+    slope = effort = None
+    if reward.requires_grad:
+        slope, effort = torch.autograd.grad(-reward, (states, u), allow_unused=True)
+    if slope is None:
+        raise TypeError(
+            f"the reward of task {type(env.task).__name__} has no derivative by the states, and planning by gradient "
+            "needs one; use planning=dyna, which any task allows"
+        )
+    return reward.detach(), slope, effort
 
 
 def _behind_delay(a: Tensor, b: Tensor, k: Tensor, cost_x: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:

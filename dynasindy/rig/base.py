@@ -13,6 +13,16 @@ from dynasindy.systems import Signature
 Array = NDArray[np.float64]
 
 
+class Clock(Protocol):
+    """What tells the time and waits; the module `time` is one, and a test may have one that is faster."""
+
+    def monotonic(self) -> float:
+        """Return the time since some fixed moment [s]."""
+
+    def sleep(self, seconds: float, /) -> None:
+        """Wait so long [s]."""
+
+
 class Fault(Exception):
     """Something that no flight goes on with; the rig gets its safe input.
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from dynasindy.rig.base import Array, Fault, Rig, Wiring
+from dynasindy.rig.base import Array, Clock, Fault, Rig, Wiring
 from dynasindy.rig.log import Log
 from dynasindy.rig.watchdog import Watchdog
 
@@ -153,18 +153,15 @@ def fly(
     guard.require(wiring)
     fault: Fault | None = None
     with Log(path, wiring) as log:
-        loop = Loop(rig, act, wiring, guard)
+        loop = Loop(rig, wiring, guard)
         try:
-            loop.run(periods, log)
+            loop.run(act, periods, log)
         except Fault as error:
             fault = error
         except OSError as error:
-            fault = Fault("connection", f"{type(error).__name__}: {error}")
+            fault = broken(error)
         finally:
-            try:
-                rig.rest()  # before anything else, the closing of the log included
-            finally:
-                loop.watchdog.close()
+            loop.end()  # before anything else, the closing of the log included
     return Flown(loop.flown, fault, np.array(loop.computing), np.array(loop.jitter))
 
 
@@ -172,63 +169,103 @@ FIRST = 10
 """Times longer that the first sample may take: a rig has to begin."""
 
 
-class Loop:
-    """The periods of one flight; see `fly` for the arguments."""
+def broken(error: OSError) -> Fault:
+    """Return the fault that an error of the connection is."""
+    return Fault("connection", f"{type(error).__name__}: {error}")
 
-    def __init__(self, rig: Rig, act: Act, wiring: Wiring, guard: Guard) -> None:
-        self.rig, self.act, self.wiring, self.guard, self.dt = rig, act, wiring, guard, wiring.dt
+
+class Loop:
+    """The periods of one flight: `begin`, then `read`, `sample`, `apply` and `write_down` once each, then `end`.
+
+    Args:
+        rig: The plant.
+        wiring: What is measured, and how often.
+        guard: What it goes on with.
+        clock: Tells the time, and waits for the next period of a rig that is asked.
+    """
+
+    def __init__(self, rig: Rig, wiring: Wiring, guard: Guard, clock: Clock = time) -> None:
+        self.rig, self.wiring, self.guard, self.dt, self.clock = rig, wiring, guard, wiring.dt, clock
         self.computing: list[float] = []
         self.jitter: list[float] = []
         self.flown = self.missed = 0
-        self.watchdog = Watchdog(rig.rest)
+        self.watchdog = Watchdog(rig.rest, clock)
 
-    def run(self, periods: int, log: Log) -> None:
+    def run(self, act: Act, periods: int, log: Log) -> None:
         """Fly so many periods.
 
         Raises:
             Fault: Something is wrong.
             OSError: The connection is broken.
         """
-        self.rig.begin()
-        self.start = self.begun = time.monotonic()
+        self.begin()
         k, u = 0, np.zeros(self.wiring.signature.n_u)
         while k < periods:
-            y = self._read(k)
+            y = self.read(k)
             if y is not None and self.rig.number is not None:
                 for gone in range(k, min(self.rig.number, periods)):  # samples that never came
-                    self._sample(None)
-                    self._write_down(log, gone, None, u)
+                    self.sample(None)
+                    self.write_down(log, gone, None, u)
                 k = max(k, self.rig.number)
             if k >= periods:
                 return
-            given = self._asked(self._sample(y), k * self.dt)
-            took = time.monotonic() - self.begun
-            self._on_time(took)
-            u = self._inputs(given)
-            self.rig.write(u)
-            self._on_time(took)  # the watchdog may have barked meanwhile, and its safe input been overruled
-            self.watchdog.within(2 * self.patience)  # what follows, the log too, is not what the rig waits for
-            self.computing.append(took)
-            self._write_down(log, k, y, u)
+            u = self.apply(self._asked(act, self.sample(y), k * self.dt))
+            self.write_down(log, k, y, u)
             k += 1
+
+    def begin(self) -> None:
+        """Start the clock.
+
+        Raises:
+            OSError: The connection is broken.
+        """
+        self.rig.begin()
+        self.start = self.begun = self.clock.monotonic()
+
+    def end(self) -> None:
+        """Ask the rig for its safe input, then stop watching it."""
+        try:
+            self.rig.rest()
+        finally:
+            self.watchdog.close()
+
+    def apply(self, given: Any) -> Array:
+        """Apply inputs to the sample that was read last, and return them, `(n_u,)`.
+
+        Raises:
+            Fault: They are no inputs, or too late.
+            OSError: The connection is broken.
+        """
+        took = self.clock.monotonic() - self.begun
+        self._on_time(took)
+        u = self._inputs(given)
+        self.rig.write(u)
+        self._on_time(took)  # the watchdog may have barked meanwhile, and its safe input been overruled
+        self.watchdog.within(2 * self.patience)  # what follows, the log too, is not what the rig waits for
+        self.computing.append(took)
+        return u
 
     @property
     def patience(self) -> float:
         """Time within which the next sample has to come [s]."""
         return (1 + self.guard.late) * self.dt
 
-    def _read(self, k: int) -> Array | None:
-        """Return the sample of a period, None if it is lost, and note when it came."""
+    def read(self, k: int) -> Array | None:
+        """Return the sample of a period, None if it is lost, and note when it came.
+
+        Raises:
+            OSError: The connection is broken.
+        """
         if not self.rig.streams:
-            time.sleep(max(0.0, self.start + k * self.dt - time.monotonic()))
+            self.clock.sleep(max(0.0, self.start + k * self.dt - self.clock.monotonic()))
         allowed = self.patience if k else FIRST * self.patience
         self.watchdog.within(2 * allowed)  # the rig may hang in a call that does not keep to its time
-        end = time.monotonic() + allowed
+        end = self.clock.monotonic() + allowed
         y = self.rig.read(allowed)
         # One that comes so late that its period was bridged is not taken for that of the next one.
         while y is not None and self.rig.number is not None and self.rig.number < k:
-            y = self.rig.read(max(0.0, end - time.monotonic()))
-        arrived = time.monotonic()
+            y = self.rig.read(max(0.0, end - self.clock.monotonic()))
+        arrived = self.clock.monotonic()
         self.watchdog.within(self.guard.late * self.dt)
         if k == 0:
             self.start = arrived  # the clock starts with the first sample
@@ -238,15 +275,24 @@ class Loop:
         self.begun = arrived
         return y
 
-    def _write_down(self, log: Log, k: int, y: Array | None, u: Array) -> None:
+    def write_down(self, log: Log, k: int, y: Array | None, u: Array) -> None:
+        """Log a period: its sample and its inputs.
+
+        Raises:
+            Fault: The log cannot be written.
+        """
         try:
             log.add(k * self.dt, np.full(self.wiring.signature.n_x, np.nan) if y is None else y, u)
         except OSError as error:
             raise Fault("log", f"the log cannot be written: {error.strerror or error}") from error
         self.flown += 1
 
-    def _sample(self, y: Array | None) -> Array:
-        """Return what the controller is shown."""
+    def sample(self, y: Array | None) -> Array:
+        """Return what the controller is shown of a sample, `(n_x,)`.
+
+        Raises:
+            Fault: Too many were lost, or it is none with which a flight goes on.
+        """
         if y is None:
             self.missed += 1
             if self.missed > self.guard.lost:
@@ -260,9 +306,9 @@ class Loop:
         self.guard.check(y, self.wiring)
         return y
 
-    def _asked(self, y: Array, t: float) -> Any:
+    def _asked(self, act: Act, y: Array, t: float) -> Any:
         try:
-            return self.act(y, t)
+            return act(y, t)
         except Exception as error:  # any: whatever the controller does, it costs one line and the rig comes to rest
             why = " ".join(str(error).split())
             raise Fault("controller", f"it failed with {type(error).__name__}: {why}") from error

@@ -41,10 +41,14 @@ class Log:
         self._writer.writerow([f"{t:.6f}", *("" if math.isnan(v) else f"{v:.9g}" for v in cells)])
         self.rows += 1
 
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
     def __enter__(self) -> Log:
         """Return the log."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         """Close the file."""
-        self._file.close()
+        self.close()

@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 
+from dynasindy.rig.base import Clock
+
 
 class Watchdog:
     """Call a function whenever a deadline has passed that was not renewed.
@@ -18,10 +20,11 @@ class Watchdog:
 
     Args:
         bark: What to call; an error of it is taken for an answer that did not come.
+        clock: Tells the time; the computer's own if omitted.
     """
 
-    def __init__(self, bark: Callable[[], None]) -> None:
-        self.bark, self.barked = bark, False
+    def __init__(self, bark: Callable[[], None], clock: Clock = time) -> None:
+        self.bark, self.barked, self.clock = bark, False, clock
         self._deadline: float | None = None
         self._changed = threading.Condition()
         self._closed = False
@@ -31,7 +34,7 @@ class Watchdog:
     def within(self, seconds: float) -> None:
         """Ask for the next call of `within` or `close` in so many seconds."""
         with self._changed:
-            self._deadline = time.monotonic() + seconds
+            self._deadline = self.clock.monotonic() + seconds
             self._changed.notify()
 
     def close(self) -> None:
@@ -45,7 +48,7 @@ class Watchdog:
     def _watch(self) -> None:
         with self._changed:
             while not self._closed:
-                left = None if self._deadline is None else self._deadline - time.monotonic()
+                left = None if self._deadline is None else self._deadline - self.clock.monotonic()
                 if left is None or left > 0:
                     self._changed.wait(left)
                 else:

@@ -88,10 +88,10 @@ class Sensing(Transform):
         }
         if self.observer.pushed:
             held["shift"] = torch.zeros(*batch, x.shape[-1] + n_u, dtype=torch.float64)
-        start["true_state"] = x
         start["true_reward"] = torch.zeros(*batch, 1)
         start["samples"] = y.unsqueeze(-2).expand(start["samples"].shape).clone()
         self._show(start, self.observer.begin(y), held)
+        start["true_state"] = sensors.truth(x, start["state"])
         return start
 
     @torch.no_grad()
@@ -114,13 +114,15 @@ class Sensing(Transform):
         measurements = torch.cat([before["measurements"][..., 1:, :], y[..., -1:, :]], -2)
         belief = self.observer.advance(Belief(before["mean"], before["covariance"]), before["inputs"])
         belief, nis, _ = self.observer.correct(belief, measurements[..., 0, :])
-        after["true_state"], after["true_reward"], after["samples"] = after["state"], after["reward"], y
+        true_state, true_reward, after["samples"] = after["state"], after["reward"], y
         held = {key: before[key] for key in ("inputs", "shift") if key in set(before.keys())}
         self._show(after, belief, held | {"measurements": measurements, "nis": nis.unsqueeze(-1)})
         x, x_next = tensordict["estimate"], after["state"]
         t_next, touched = after["step_count"].to(x.dtype) * self.env.dt, after["at_stop"].squeeze(-1)
-        reward = task.reward(x, x_next, after["task_params"], t_next, touched)
+        reward = task.earned(x, before["inputs"][..., -1, :], x_next, after["task_params"], t_next, touched)
         after["reward"] = reward.float().unsqueeze(-1)
+        after["true_state"] = self.sensors.truth(true_state, after["state"])
+        after["true_reward"] = self.sensors.truth(true_reward, after["reward"])
         return after
 
     def reestimated(self, rows: TensorDictBase, x: Tensor) -> TensorDictBase:
@@ -136,7 +138,7 @@ class Sensing(Transform):
         shown["state"], shown["next", "state"] = x[:-1], x[1:]
         shown["observation"] = task.observation(x[:-1], params, t).float()
         shown["next", "observation"] = task.observation(x[1:], params, t + self.env.dt).float()
-        reward = task.reward(x[:-1], x[1:], params, t + self.env.dt, touched)
+        reward = task.earned(x[:-1], rows["action"], x[1:], params, t + self.env.dt, touched)
         shown["next", "reward"] = reward.float().unsqueeze(-1)
         return shown
 

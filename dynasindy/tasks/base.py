@@ -26,6 +26,8 @@ class Sampled(Protocol):
 class Task(ABC):
     """What a `ControlEnv` asks of a task; pure functions of tensors, so real and imagined steps share them.
 
+    As it is here it has no references; a task that draws any overrides `params_shape`, `sample` and `reference`.
+
     Args:
         signature: Names and ranges of the system's states and inputs.
         max_steps: Control periods per episode.
@@ -36,9 +38,9 @@ class Task(ABC):
 
     n_o: int
     """Length of the observation."""
-    n_r: int
+    n_r: int = 0
     """Number of tracked outputs."""
-    output_names: tuple[str, ...]
+    output_names: tuple[str, ...] = ()
     """Names of the tracked states."""
 
     def __init__(self, signature: Signature, max_steps: int) -> None:
@@ -48,21 +50,21 @@ class Task(ABC):
         self.max_steps = max_steps
 
     @property
-    @abstractmethod
     def params_shape(self) -> torch.Size:
         """Shape of one episode's parameters."""
+        return torch.Size((0,))
 
-    @abstractmethod
     def sample(self, batch: torch.Size, generator: torch.Generator) -> Tensor:
         """Draw the parameters of new episodes, `(*batch, *params_shape)`."""
+        return torch.zeros(*batch, *self.params_shape)
 
     @abstractmethod
     def initial_state(self, batch: torch.Size, generator: torch.Generator) -> Tensor:
         """Draw initial states, `(*batch, n_x)`."""
 
-    @abstractmethod
     def reference(self, params: Tensor, t: Tensor) -> Tensor:
         """Return the reference, `(*batch, n_r)`, at times `t` `(*batch, 1)` [s]."""
+        return torch.zeros_like(t.expand(*t.shape[:-1], self.n_r))
 
     @abstractmethod
     def observation(self, x: Tensor, params: Tensor, t: Tensor) -> Tensor:
@@ -70,4 +72,12 @@ class Task(ABC):
 
     @abstractmethod
     def reward(self, x: Tensor, x_next: Tensor, params: Tensor, t_next: Tensor, at_stop: Tensor) -> Tensor:
-        """Return the reward of a control period, `(*batch,)`, from the states at its ends."""
+        """Return the reward of a control period, `(*batch,)`, from the states at its ends, inputs apart."""
+
+    def effort(self, u: Tensor) -> Tensor:
+        """Return what the inputs of a control period cost, `(*batch,)`, nothing here, of actions `(*batch, n_u)`."""
+        return torch.zeros_like(u[..., 0])
+
+    def earned(self, x: Tensor, u: Tensor, x_next: Tensor, params: Tensor, t_next: Tensor, at_stop: Tensor) -> Tensor:
+        """Return what a control period earns, its reward less its effort, `(*batch,)`."""
+        return self.reward(x, x_next, params, t_next, at_stop) - self.effort(u).to(x)

@@ -118,8 +118,10 @@ def animate(evaluation: Evaluation, path: Path, row: int = 0, seconds: float = 1
         The file.
 
     Raises:
-        ValueError: The suffix is unknown, `seconds` is not positive, or ffmpeg is missing.
+        ValueError: The suffix is unknown, `seconds` is not positive, nothing is tracked, or ffmpeg is missing.
     """
+    if not evaluation.columns:
+        raise ValueError("an animation shows what is tracked, and the task tracks nothing; leave out animate=true")
     if path.suffix not in SUFFIXES:
         raise ValueError(f"an animation cannot be written as '{path.name}'; use a name in {' or '.join(SUFFIXES)}")
     if not seconds > 0:

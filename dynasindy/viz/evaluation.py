@@ -42,6 +42,8 @@ def figures(evaluation: Evaluation, label: str = "policy", row: int = 0, place: 
     """
     where = f" {place}" if place else ""
     name, reference = evaluation.scenario, evaluation.references[row]
+    if not evaluation.columns:
+        return {name: _untracked(evaluation, label, row, f"Scenario '{name}'{where}")}
     names = [f"{output} [{unit}]" for output, unit in evaluation.units.items()]
     # A constant reference is a step; what moves has no settling band.
     draw = step_response if bool((reference == reference[0]).all()) else tracking
@@ -69,6 +71,16 @@ def figures(evaluation: Evaluation, label: str = "policy", row: int = 0, place: 
         )
         _shade(drawn[f"{name}_errors"], evaluation)
     return drawn
+
+
+def _untracked(evaluation: Evaluation, label: str, row: int, title: str) -> Figure:
+    """Return all states of a row over time, where the task has no references."""
+    signature = evaluation.signature
+    names = [f"{name} [{unit}]" for name, unit in zip(signature.state_names, signature.state_units, strict=True)]
+    x, u = {label: evaluation.trajectory["state"][row]}, {label: evaluation.inputs[row]}
+    figure = tracking(evaluation.time, None, x, u, names, signature.input_names, title)
+    _shade(figure, evaluation)
+    return figure
 
 
 def _shade(figure: Figure, evaluation: Evaluation) -> None:

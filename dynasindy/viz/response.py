@@ -18,7 +18,7 @@ INPUTS = SIGNATURE.input_names
 @styled
 def tracking(
     time: ArrayLike,
-    reference: ArrayLike,
+    reference: ArrayLike | None,
     outputs: Mapping[str, ArrayLike],
     inputs: Mapping[str, ArrayLike] | None = None,
     names: Sequence[str] = AXES,
@@ -29,19 +29,20 @@ def tracking(
 
     Args:
         time: `(T,)` [s].
-        reference: `(T, n_r)`.
+        reference: `(T, n_r)`; None of a task that has none.
         outputs: `(T, n_r)` per controller.
         inputs: `(T, n_u)` per controller, in [-1, 1]; adds one panel per input.
         names: tracked states, with their units unless these are rad: `height [m]`.
         input_names: inputs.
         title: of the figure.
     """
-    seconds, target = array(time), array(reference)
+    seconds, target = array(time), None if reference is None else array(reference)
     inputs = inputs or {}
     n_u = len(input_names) if inputs else 0
     figure, axes = panels(len(names) + n_u, 1, (7.0, 2.1 * len(names) + 1.4 * n_u + 0.5), title)
     for i, name in enumerate(names):
-        axes[i].plot(seconds, target[:, i], color=BLACK, linestyle="--", linewidth=1.2, label="reference")
+        if target is not None:
+            axes[i].plot(seconds, target[:, i], color=BLACK, linestyle="--", linewidth=1.2, label="reference")
         _lines(axes[i], seconds, outputs, i)
         axes[i].set_ylabel(label(*_with_unit(name)))
     for i, name in enumerate(input_names[:n_u]):

@@ -14,7 +14,7 @@ from dynasindy.systems import Signature
 from dynasindy.viz.gate import gate
 from dynasindy.viz.identification import excitation, model_error, prediction, training_data
 from dynasindy.viz.learning import learning_curve
-from dynasindy.viz.response import step_response
+from dynasindy.viz.response import step_response, tracking
 from dynasindy.viz.style import save
 
 Table = dict[str, NDArray[np.float64]]
@@ -83,15 +83,14 @@ def _figures(folder: Path, signature: Signature) -> dict[str, Figure]:
 
 
 def _response(table: Table, signature: Signature) -> Figure:
-    outputs = [name.removeprefix("reference_") for name in table if name.startswith("reference_")]
-    return step_response(
-        table["time"],
-        stacked(table, [f"reference_{name}" for name in outputs]),
-        {"policy": stacked(table, outputs)},
-        {"policy": stacked(table, signature.input_names)},
-        [f"{name} [{signature.state_units[signature.state_index(name)]}]" for name in outputs],
-        signature.input_names,
-    )
+    tracked = [name.removeprefix("reference_") for name in table if name.startswith("reference_")]
+    outputs = tracked or signature.state_names
+    y, u = {"policy": stacked(table, outputs)}, {"policy": stacked(table, signature.input_names)}
+    names = [f"{name} [{signature.state_units[signature.state_index(name)]}]" for name in outputs]
+    if not tracked:
+        return tracking(table["time"], None, y, u, names, signature.input_names, "Response")
+    reference = stacked(table, [f"reference_{name}" for name in outputs])
+    return step_response(table["time"], reference, y, u, names, signature.input_names)
 
 
 def stacked(table: Table, columns: Sequence[str]) -> NDArray[np.float64]:

@@ -225,3 +225,20 @@ def test_the_report_says_equations_metrics_costs_and_folder(tmp_path):
         str(tmp_path),
     ):
         assert words in text
+
+
+@pytest.mark.parametrize("name", ["replay", "gradient", "both"])
+def test_a_task_without_references_goes_the_whole_way(settle, tmp_path, name):
+    Plug.last = None
+    made = recipe(PLANNERS[name], 1)
+    made = dataclasses.replace(made, task=partial(settle, reach=0.01, max_steps=20))
+    evaluating = Evaluating(Scenario("task", episodes=2, seconds=None))
+    metrics = run(made, evaluating, tmp_path / "run", PROVENANCE, progress=False)
+    assert metrics["held"]["share"] == {} and "the task tracks nothing" in metrics["verdict"]["held"]
+    assert metrics["verdict"]["controlled"] <= metrics["verdict"]["usable"]
+    told = report(metrics, tmp_path / "run")
+    assert "scenario 'task'" in told and "steady-state" not in told
+    rows = list(csv.DictReader((tmp_path / "run" / "progress.csv").open()))
+    assert float(rows[0]["evaluated_return"]) == pytest.approx(metrics["evaluation"]["return"], rel=1e-6)
+    names = next(csv.reader((tmp_path / "run" / "data" / "step_response.csv").open()))
+    assert names[-1] == "u_p [-]" and not (tmp_path / "run" / "controller.json").exists()

@@ -60,3 +60,18 @@ def test_a_large_error_a_lost_reference_and_a_state_that_runs_away_are_no_contro
 def test_a_mileage_that_runs_on_is_named_and_no_failure():
     verdict = judge(metrics(-2.0, -1.0, idle={"way": 1.0}))
     assert verdict.controlled and "way runs on in 100 % of the runs" in verdict.held
+
+
+@pytest.mark.parametrize(
+    ("trained", "away", "controlled", "words"),
+    [
+        (-1.0, {}, True, "CONTROLLED: the task tracks nothing, so that its return counts, which grew."),
+        (-9.0, {}, False, "NOT CONTROLLED: the task tracks nothing, so that its return counts, which did not grow."),
+        (-1.0, {"v": 0.25}, False, "which grew; v, which is not tracked, runs away .* in 25 % of the runs"),
+    ],
+)
+def test_where_nothing_is_tracked_the_return_counts(trained, away, controlled, words):
+    verdict = judge(metrics(-2.0, trained, share={}, worst={}, away=away))
+    assert verdict.controlled is controlled
+    assert re.search(words, verdict.held)
+    assert "errors" not in verdict.held

@@ -63,3 +63,11 @@ def test_under_a_moving_reference_states_may_move_too_but_not_run_away():
 def test_what_is_not_finite_is_lost():
     found = judge(states(p=torch.inf, theta=torch.nan))
     assert found.share == {"p": None} and found.away == {"theta": 1.0}
+
+
+def test_where_nothing_is_tracked_motion_is_no_fault_and_running_away_is():
+    x = torch.stack([states(theta=0.2 * torch.sin(3 * TIME)), states(p=3.0 * TIME)]).double()
+    trajectory = TensorDict({"state": x, "reference": torch.zeros(2, len(TIME), 0)}, [2, len(TIME)])
+    untracked = Evaluation("task", SIGNATURE, (), TIME, trajectory, {})
+    found = held(untracked, torch.tensor([True, True, False]))
+    assert asdict(found) == {"share": {}, "worst": {}, "away": {"p": 0.5}, "idle": {}, "swings": {}}

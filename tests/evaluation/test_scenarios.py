@@ -10,7 +10,8 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 from dynasindy.agents import TD3
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, _phases, evaluate, step_references
-from dynasindy.systems import Diverged, Tras, Xi
+from dynasindy.evaluation.summary import heading, summarise, to_text
+from dynasindy.systems import Diverged, Pendulum, Tras, Xi
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward, Wave
 
 PITCH_ZERO = (-0.1223, 0.2100)
@@ -257,3 +258,25 @@ def test_without_a_length_a_run_is_an_episode_of_the_task() -> None:
     assert result.steady_seconds == pytest.approx(0.375) and result.units == {"alpha_a": "rad", "alpha_p": "rad"}
     gust = Scenario("gust", Step([[0.1, 0.2]]), seconds=None, plant=lambda plant: plant, windows=[(0.5, 1.0)])
     assert evaluate(env, constant(0.0, 0.2), gust).windows == ((0.5, 1.0),)
+
+
+def test_a_task_without_references_is_run_as_it_draws_its_episodes(settle) -> None:
+    plant = Pendulum()
+    env = ControlEnv(plant, settle(plant.signature, price=0.5), substeps=1, seed=3)
+
+    def pushed(td: TensorDictBase) -> TensorDictBase:
+        return td.set("action", torch.full((*td.batch_size, 1), 0.2))
+
+    result = evaluate(env, pushed, Scenario("task", episodes=5, seconds=2.0))
+    x, starts = result.trajectory["next", "state"], result.trajectory["state"][:, 0]
+    assert (result.outputs.shape, result.references.shape, result.output_names) == ((5, 40, 0), (5, 40, 0), ())
+    assert len(starts.unique(dim=0)) == 5 and bool((starts.abs() <= torch.tensor([0.5, 1.5])).all())
+    paid = -x[..., 0].square() - (x[..., 1] / 3.0).square() - 0.5 * 0.2**2
+    torch.testing.assert_close(result.returns, paid.sum(-1), rtol=1e-4, atol=0)
+    table = to_text(summarise(result), heading(result))
+    assert table.startswith("Scenario 'task' (5 episodes, 2 s)")
+    assert "control effort" in table and "error" not in table
+    with pytest.raises(
+        TypeError, match=r"task Settle tracks no reference, and scenario 'step' has one; use scenario=task"
+    ):
+        evaluate(env, pushed, Scenario("step", Step([[0.1]])))

@@ -3,10 +3,13 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
+from scipy.linalg import expm, solve_discrete_are
 
 from dynasindy.agents import Actor
+from dynasindy.envs import ControlEnv
 from dynasindy.planning import (
     GradientPlanning,
     Planned,
@@ -16,7 +19,7 @@ from dynasindy.planning import (
 from dynasindy.planning.gradient import Episodes, _schedule
 from dynasindy.planning.variation import Members
 from dynasindy.planning.window import imagine
-from dynasindy.systems import Diverged
+from dynasindy.systems import Diverged, Signature, System
 from dynasindy.systems.xi import Xi
 
 SMALL = {"rollouts": 16, "window": 20, "check_every": 4}
@@ -455,3 +458,44 @@ def test_a_resumed_plan_says_what_the_plan_before_it_chose(setting):
     first.plan()
     second.load_state_dict(first.state_dict())
     assert second.words() == first.words() != ""
+
+
+class Spring(System):
+    """x' = v, v' = 2 u - x - v / 2."""
+
+    def __init__(self):
+        super().__init__(Signature(("x", "v"), ("m", "m/s"), ("u",), (1.0, 1.0)))
+
+    def forward(self, x, u):
+        return torch.stack((x[..., 1], 2.0 * u[..., 0] - x[..., 0] - 0.5 * x[..., 1]), -1)
+
+
+@pytest.mark.parametrize("price", [0.1, 3.0])
+def test_without_references_the_plan_is_as_good_as_the_regulator_of_the_textbook(settle, price):
+    """The task pays a quadratic form of states and inputs, whose best law solves a Riccati equation."""
+    a, b = np.array([[0.0, 1.0], [-1.0, -0.5]]), np.array([[0.0], [2.0]])
+    exact = expm(0.1 * np.block([[a, b], [np.zeros((1, 3))]]))
+    a, b = exact[:2, :2], exact[:2, 2:]
+    p = solve_discrete_are(a, b, np.eye(2), [[price]])
+    gain = torch.tensor(np.linalg.solve(price + b.T @ p @ b, b.T @ p @ a), dtype=torch.float32)
+    plant = Spring()
+    env = ControlEnv(plant, settle(plant.signature, price=price, max_steps=60), 0.1, 1)
+    agent = Actor(2, 1, hidden=(16, 16))
+    starts = env.start_from(env.task.initial_state(torch.Size((32,)), torch.Generator().manual_seed(1)))
+
+    @torch.no_grad()
+    def earned(policy):
+        rollout = env.rollout(60, policy, auto_reset=False, tensordict=starts.clone(), break_when_any_done=False)
+        return rollout["next", "reward"].sum().item()
+
+    best = earned(lambda td: td.set("action", (-td["state"] @ gain.mT).clamp(-1.0, 1.0)))
+    before = earned(agent.policy)
+    GradientPlanning(env, agent, updates=120, rollouts=16, window=30, lr=1e-2, check_every=20).plan()
+    assert before < 1.3 * best  # returns are negative
+    assert 1.1 * best < earned(agent.policy) < 0.99 * best
+
+
+def test_without_references_there_is_nothing_to_hold_the_plant_at(settle):
+    env = ControlEnv(Spring(), settle(Spring().signature))
+    with pytest.raises(ValueError, match="task Settle has no targets to hold the plant at"):
+        GradientPlanning(env, Actor(2, 1, hidden=(8,)), held=True)

@@ -6,7 +6,7 @@ import torch
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.pace import SUBSTEPS, PlanSettings, pace_of, rests_of
 from dynasindy.systems import Signature, System, Tras, Xi
-from dynasindy.tasks import RandomStep, Task, Tracking, TrackingReward
+from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
 
 class Linear(System):
@@ -87,18 +87,10 @@ def test_the_settings_are_told_in_a_line(settings, words):
     assert str(PlanSettings(**settings)).startswith(words)
 
 
-def test_another_task_is_refused():
-    plant = Linear(-1.0, 1.0, 1.0)
-    env = ControlEnv(plant, Tracking(plant.signature, RandomStep([0.0], [1.0]), ("x",), (), TrackingReward((1.0,))))
-    env.task = Task.__new__(Still)
-    with pytest.raises(TypeError, match="tracks no reference"):
-        rests_of(env)
-
-
-class Still(Task):
-    params_shape = torch.Size(())
-
-    def sample(self, batch, generator):
-        return torch.zeros(batch)
-
-    initial_state = reference = observation = reward = sample
+def test_without_references_a_model_takes_the_steps_of_the_plant(settle):
+    plant = Linear(4.0, 0.0, 1.0)  # which runs away: with targets it would be held
+    env = ControlEnv(plant, settle(plant.signature))
+    assert rests_of(env) is None
+    found = pace_of(env, None, 5)
+    assert found == PlanSettings(substeps=5, why="the task has no references")
+    assert not found.held

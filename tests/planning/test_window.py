@@ -36,7 +36,7 @@ def unrolled(env, network, rows, late=False):
         entering, held = (held, u) if late else (u, held)
         x_next = rk4(env.system, x, entering, env.dt)
         stopped = torch.zeros(8, dtype=torch.bool)
-        total = total + env.task.reward(x, x_next, rows.params, t + env.dt, stopped).mean() / STEPS
+        total = total + env.task.earned(x, u, x_next, rows.params, t + env.dt, stopped).mean() / STEPS
         x = x_next
     (-total).backward()
     return total.detach()
@@ -53,6 +53,30 @@ def test_gradient_equals_back_propagation_through_time(late):
     torch.testing.assert_close(reward, expected, rtol=1e-5, atol=1e-6)
     for parameter, gradient in zip(network.parameters(), wanted, strict=True):
         torch.testing.assert_close(parameter.grad, gradient, rtol=2e-3, atol=1e-5 * float(gradient.abs().max()))
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_gradient_of_what_inputs_cost_is_that_of_back_propagation_through_time(settle, late):
+    env, network, rows, rng = setting()
+    env.task = settle(env.system.signature, price=3.0)
+    network[0] = nn.Linear(env.task.n_o, 16)
+    rows.params = torch.zeros(8, 0)
+    unrolled(env, network, rows, late)
+    wanted = [p.grad.clone() for p in network.parameters()]
+    network.zero_grad()
+    backward(env, env.system, network, rows, imagine(env, env.system, network, rows, STEPS, late, rng), late)
+    for parameter, gradient in zip(network.parameters(), wanted, strict=True):
+        torch.testing.assert_close(parameter.grad, gradient, rtol=2e-3, atol=1e-5 * float(gradient.abs().max()))
+
+
+def test_a_reward_without_a_derivative_is_refused(settle):
+    env, network, rows, rng = setting()
+    env.task, rows.params = settle(env.system.signature), torch.zeros(8, 0)
+    env.task.reward = lambda x, x_next, params, t, stopped: (x_next[..., 0] > 0.0).float()
+    network[0] = nn.Linear(env.task.n_o, 16)
+    window = imagine(env, env.system, network, rows, STEPS, False, rng)
+    with pytest.raises(TypeError, match=r"the reward of task Settle has no derivative.*use planning=dyna"):
+        backward(env, env.system, network, rows, window, False)
 
 
 def test_rollout_equals_the_environment():

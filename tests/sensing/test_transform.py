@@ -23,7 +23,7 @@ from dynasindy.evaluation.scenarios import Scenario, evaluate
 from dynasindy.excitation import Chirp, Multisine
 from dynasindy.planning import Gate, ImaginedReplay
 from dynasindy.sensing import Observer, Sensing, Sensors
-from dynasindy.systems import Tras
+from dynasindy.systems import Pendulum, Tras
 from dynasindy.tasks import RandomStep, Step, Tracking, Wave
 from dynasindy.world_models import Oracle
 
@@ -355,3 +355,16 @@ def test_noise_of_a_scenario_is_of_the_measurement_and_the_observer_filters_it()
     without = Scenario("s", Step([[0.3, 0.2]]), 16, 3.0)
     flights = [evaluate(env, policy(), each, sensing).trajectory["true_state"] for each in (quiet, without)]
     assert torch.equal(*flights)
+
+
+def test_a_task_without_references_pays_for_the_commands_behind_sensors(settle):
+    plant = Pendulum()
+    env = ControlEnv(plant, settle(plant.signature, price=2.0), dtype=torch.float64)
+    sensors = Sensors({"theta": {}}, {"theta": "Omega"}, actuator_delay=1, disturbance=True)
+    sensing = Sensing(env, Observer(plant, sensors, env), torch.Generator().manual_seed(0))
+    act = sensing.controller(lambda td: td.set("action", 0.1 * (1.0 + td["step_count"]).float()))
+    rollout = TransformedEnv(env, sensing).rollout(5, act)
+    x, u = rollout["next", "state"], rollout["action"]
+    paid = -x[:, 0].square() - (x[:, 1] / 3.0).square() - 2.0 * u[:, 0].double().square()
+    torch.testing.assert_close(rollout["next", "reward"][:, 0].double(), paid, rtol=1e-5, atol=1e-6)
+    assert len(u.unique()) == 5

@@ -65,3 +65,11 @@ def test_titles_say_where_it_was_flown_unless_on_the_plant() -> None:
     titles = [figure.get_suptitle() for figure in figures(evaluation, place="on a model").values()]
     assert titles == ["Scenario 'short' on a model", "Scenario 'short' on a model: error over all references (3)"]
     assert "model" not in figures(evaluation)["short"].get_suptitle()
+
+
+def test_without_references_all_states_are_drawn_and_no_errors(settle) -> None:
+    env = ControlEnv(Pendulum(), settle(Pendulum().signature), substeps=1)
+    zero = Scenario("task", None, 3, 1.0)
+    drawn = figures(evaluate(env, lambda td: td.set("action", torch.zeros(*td.batch_size, 1)), zero))
+    assert list(drawn) == ["task"]
+    assert [len(axis.lines) for axis in drawn["task"].axes] == [1, 1, 1]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dynasindy.systems import Pendulum
-from dynasindy.viz.run import draw_run, read_table
+from dynasindy.viz.run import _figures, draw_run, read_table
 
 TIME = [f"{0.05 * k:.2f}" for k in range(200)]
 
@@ -53,3 +53,12 @@ def test_empty_cells_are_nan(tmp_path: Path) -> None:
 def test_a_missing_file_gets_one_line(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="does not exist; give the folder of a finished run"):
         read_table(tmp_path / "progress.csv")
+
+
+def test_without_references_the_response_shows_all_states(tmp_path: Path) -> None:
+    heading = "time [s],theta [rad],Omega [rad/s],u [-]"
+    write(tmp_path / "data" / "excitation.csv", heading, "0.1", "0.2", "0.3")
+    write(tmp_path / "data" / "step_response.csv", heading, "0.1", "0.7", "0.3")
+    figure = _figures(tmp_path, Pendulum().signature)["step_response"]
+    drawn = [[line.get_ydata()[0] for line in axis.lines] for axis in figure.axes]
+    assert drawn == [[0.1], [0.7], [0.3]]

@@ -1,0 +1,53 @@
+"""A rig in this process moves by its clock, as an independent integration says."""
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy.rig import FastClock, InProcessRig
+from dynasindy.sensing import Sensors
+from dynasindy.systems import Pendulum, rk4
+
+
+def by_hand(x, inputs, dt):
+    plant, x = Pendulum(), torch.tensor(x, dtype=torch.float64)
+    for u in inputs:
+        x = rk4(plant, x, torch.tensor([u], dtype=torch.float64), dt)
+    return x
+
+
+def test_time_passes_only_while_somebody_waits():
+    clock = FastClock()
+    clock.sleep(0.5)
+    clock.sleep(-3.0)
+    clock.sleep(0.25)
+    assert clock.monotonic() == 0.75
+
+
+def test_the_plant_moves_under_the_inputs_of_each_span_of_time():
+    clock = FastClock()
+    rig = InProcessRig(Pendulum(), clock=clock, safe=np.array([0.1]))
+    clock.sleep(0.03)  # the safe input, until others are given
+    rig.write(np.array([0.5]))
+    clock.sleep(0.02)
+    np.testing.assert_allclose(rig.read(0.1), by_hand([0.0, 0.0], [0.1] * 3 + [0.5] * 2, 0.01), atol=1e-12)
+    rig.rest()
+    clock.sleep(0.01)
+    np.testing.assert_allclose(rig.read(0.1), by_hand([0.0, 0.0], [0.1] * 3 + [0.5] * 2 + [0.1], 0.01), atol=1e-12)
+    assert rig.u.tolist() == [0.1]
+
+
+@pytest.mark.parametrize("step", [0.05, 0.01])
+def test_a_span_is_cut_into_steps(step):
+    clock = FastClock()
+    rig = InProcessRig(Pendulum(), clock=clock, step=step)
+    rig.write(np.array([0.8]))
+    clock.sleep(0.1)
+    np.testing.assert_allclose(rig.read(0.1), by_hand([0.0, 0.0], [0.8] * round(0.1 / step), step), atol=1e-13)
+
+
+def test_sensors_stand_between_the_plant_and_who_asks():
+    rig = InProcessRig(Pendulum(), Sensors({"theta": {"resolution": 0.01}}), FastClock())
+    rig.x = torch.tensor([0.234, 1.0], dtype=torch.float64)
+    np.testing.assert_allclose(rig.read(0.1), [0.23, np.nan])
+    assert rig.x.tolist() == [0.234, 1.0]
