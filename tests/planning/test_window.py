@@ -55,12 +55,14 @@ def test_gradient_equals_back_propagation_through_time(late):
         torch.testing.assert_close(parameter.grad, gradient, rtol=2e-3, atol=1e-5 * float(gradient.abs().max()))
 
 
-@pytest.mark.parametrize("late", [False, True])
-def test_gradient_of_what_inputs_cost_is_that_of_back_propagation_through_time(settle, late):
+@pytest.mark.parametrize(("late", "kept"), [(False, False), (True, False), (False, True)])
+def test_gradient_of_what_inputs_cost_is_that_of_back_propagation_through_time(settle, late, kept):
     env, network, rows, rng = setting()
     env.task = settle(env.system.signature, price=3.0)
     network[0] = nn.Linear(env.task.n_o, 16)
-    rows.params = torch.zeros(8, 0)
+    if kept:
+        network = MLP(env.task.n_o, 2, (16, 8), squash=True)
+    rows.params, rows.kept = torch.zeros(8, 0), kept
     unrolled(env, network, rows, late)
     wanted = [p.grad.clone() for p in network.parameters()]
     network.zero_grad()
@@ -289,7 +291,8 @@ def test_a_perceptron_that_keeps_its_layers_gets_the_same_gradient(noise):
     terminal = torch.randn(8, 6, generator=torch.Generator().manual_seed(1))
     found = {}
     for keep in (True, False):
-        window = imagine(env, env.system, network, rows, STEPS, False, torch.Generator().manual_seed(5), keep=keep)
+        rows.kept = keep
+        window = imagine(env, env.system, network, rows, STEPS, False, torch.Generator().manual_seed(5))
         assert (window.layers is not None) == keep
         network.zero_grad()
         backward(env, env.system, network, rows, window, False, terminal)
@@ -313,5 +316,5 @@ def test_a_perceptron_that_keeps_its_layers_gets_the_same_gradient(noise):
 def test_rows_that_diverge_let_no_layers_be_kept():
     env, _, rows, rng = setting()
     network = MLP(env.task.n_o, 2, (16, 8), squash=True)
-    rows.x[:3, 5] = 1500.0
-    assert imagine(env, Explosion(), network, rows, STEPS, False, rng, keep=True).layers is None
+    rows.x[:3, 5], rows.kept = 1500.0, True
+    assert imagine(env, Explosion(), network, rows, STEPS, False, rng).layers is None
