@@ -77,7 +77,7 @@ class GymControl(gymnasium.Env[Array, Array]):
         with torch.no_grad():
             samples, touched = self.env.advance(x, u.to(x.dtype))
             self._x, self._steps = samples[-1], self._steps + 1
-            self._t = torch.tensor([self._steps], dtype=x.dtype) * self.env.dt
+            self._t = torch.tensor([self._steps], dtype=x.dtype).mul_(self.env.dt)
             reward = float(self._task.earned(x, u, self._x, self._params, self._t, touched).float())
         observation, info = self._observed()
         return observation, reward, False, self._steps >= self._task.max_steps, info

@@ -173,7 +173,7 @@ class Tracking(Task):
 
     def error(self, x: Tensor, params: Tensor, t: Tensor) -> Tensor:
         """Return e = desired - actual (paper, eq. for e), `(*batch, n_r)`."""
-        return references.value(params, t) - x[..., self.outputs]
+        return references.value(params, t) - x[..., _columns(self.outputs)]
 
     def observation(self, x: Tensor, params: Tensor, t: Tensor) -> Tensor:
         """Return scaled states, scaled errors and, if asked, reference rates [boxes per second], `(*batch, n_o)`."""
@@ -195,12 +195,19 @@ class Tracking(Task):
     def reward(self, x: Tensor, x_next: Tensor, params: Tensor, t_next: Tensor, at_stop: Tensor) -> Tensor:
         """Return the reward of a control period, `(*batch,)`, from the states at its ends."""
         # dOmega = Omega_current - Omega_previous
-        change = x_next[..., self.rates] - x[..., self.rates] if self.rates else torch.zeros_like(x[..., :1])
+        places = _columns(self.rates)
+        change = x_next[..., places] - x[..., places] if self.rates else torch.zeros_like(x[..., :1])
         unit = self._unit(x, 1.0)
         return self.reward_function(self.error(x_next, params, t_next) / unit, change / unit, at_stop)
 
     def _unit(self, like: Tensor, share: float) -> Tensor:
         return (share * self._box).to(like)
+
+
+def _columns(places: list[int]) -> slice | list[int]:
+    """Return places as a slice where they follow each other: to look a list up costs more than to subtract."""
+    first, count = places[0] if places else 0, len(places)
+    return slice(first, first + count) if places == list(range(first, first + count)) else places
 
 
 def _boxes(
