@@ -137,7 +137,7 @@ def _tuned_without_model() -> Iterator[Tie]:
     ends = tuple(_end("xi", name, 3) for name in names)
     yield Tie(
         PAGE,
-        "end them at {} rad on the worse axis, where `rollouts_0` stands at {}, SAC with five updates per step, three "
+        "end them at {} rad on the worse axis, where `rollouts_0` stands at {}, SAC with five updates per step, four "
         "seeds, at {}, and 800 rollouts at {}.",
         ends,
     )
