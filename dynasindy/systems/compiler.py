@@ -92,5 +92,6 @@ def _run(arguments: Sequence[str], source: Path, made: Path) -> Path:
     except subprocess.TimeoutExpired as error:
         raise ValueError(f"the C compiler {found} took more than {LONGEST} s over {source.name}") from error
     if done.returncode:
-        raise ValueError(f"the C compiler refused {source.name}: {' '.join(done.stderr.split())[:300]}")
+        said = " ".join(done.stderr.split())[:300] or f"it ended with code {done.returncode}"
+        raise ValueError(f"the C compiler refused {source.name}: {said}")
     return made

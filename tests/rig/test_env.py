@@ -295,3 +295,4 @@ def test_the_example_of_the_page_flies():
             x = rk4(PLANT, x, u, 0.01)
     torch.testing.assert_close(rollout["next", "state"][-1], x, atol=1e-5, rtol=0)
     assert (len(rollout), clock.monotonic()) == (100, pytest.approx(10.0 + 100 * 0.05))
+    assert lived["rig"].u.tolist() == [0.0]  # the episode is over
