@@ -10,13 +10,10 @@ import re
 from collections import Counter
 from dataclasses import dataclass
 
-from torch import Tensor
-
 from dynasindy.export.names import number
 from dynasindy.world_models import SindyModel
-from dynasindy.world_models.fast_field import FieldWriter
-from dynasindy.world_models.functions import FORMULA_FUNCTIONS, function
-from dynasindy.world_models.library import Library
+from dynasindy.world_models.functions import FORMULA_FUNCTIONS
+from dynasindy.world_models.infix import InfixWriter
 
 _OPERATOR = re.compile(r" [-+*/] |-(?=square)")
 _CALL = re.compile(rf"\b({'|'.join(FORMULA_FUNCTIONS)})\(")
@@ -54,44 +51,18 @@ def formulas(model: SindyModel) -> Formulas:
     Raises:
         ValueError: The model has a function without a formula, or too many terms.
     """
-    try:
-        writer = _FormulaWriter(model.library, model.coefficients)
-    except RecursionError as error:
-        raise ValueError(
-            f"the model has too many terms of {len(model.library)}; remove some: raise the threshold"
-        ) from error
-    lines = tuple((name, text) for name, _, text in (line.partition(" = ") for line in writer.lines))
+    writer = _FormulaWriter.of(model.library, model.coefficients)
+    lines = writer.named
     written = [*(text for _, text in lines), *writer.results]
     calls = Counter(name for text in written for name in _CALL.findall(text))
     return Formulas(lines, tuple(writer.results), calls, sum(len(_OPERATOR.findall(text)) for text in written))
 
 
-class _FormulaWriter(FieldWriter):
-    """Write sums with infix operators, and numbers where they are used."""
-
-    def __init__(self, library: Library, coefficients: Tensor) -> None:
-        self._n_x = library.signature.n_x
-        super().__init__(library, coefficients)
-
-    def _variable(self, place: int) -> str:
-        return f"x[{place}]" if place < self._n_x else f"u[{place - self._n_x}]"
+class _FormulaWriter(InfixWriter):
+    """Write numbers where they are used."""
 
     def _constant(self, value: float) -> str:
         return number(value)
-
-    def _call(self, name: str, args: list[str]) -> str:
-        if not (formula := function(name).formula):
-            raise ValueError(
-                f"the model uses the function '{name}', which has no formula; give one: "
-                f"register_function('{name}', ..., formula='1 / (1 + square({{0}}))')"
-            )
-        return formula.format(*args)
-
-    def _zero(self) -> str:
-        return "0.0"
-
-    def _plus_product(self, total: str, a: str, b: str) -> str:
-        return f"{total} + {a} * {b}"
 
     def _plus_scaled(self, total: str, value: str, c: float) -> str:
         sign = "-" if c < 0 else "+"

@@ -133,7 +133,7 @@ def test_other_numbers_in_the_same_functions_need_no_compiler(monkeypatch):
 def test_a_function_without_a_formula_is_refused():
     register_function("wild_test", lambda z: torch.special.erf(z))
     library, xi = made([A, of("wild_test", "a")])
-    with pytest.raises(ValueError, match="'wild_test' has no formula"):
+    with pytest.raises(ValueError, match="'wild_test', which has no formula"):
         machine(library, xi)
     model = SindyModel(SIGNATURE, library)
     model.set_coefficients(xi)
