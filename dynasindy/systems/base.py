@@ -8,7 +8,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -94,18 +94,6 @@ class Signature:
         return self.state_names.index(name)
 
 
-class Compiled(Protocol):
-    """A vector field as machine code: it moves states of one kind faster than torch does, without derivatives."""
-
-    def integrate(
-        self, x: Tensor, u: Tensor, dt: float, substeps: int, stops: Stops | None = None
-    ) -> tuple[Tensor, Tensor]:
-        """Advance states over one control period, see `systems.integrate`."""
-
-    def sensitivities(self, x: Tensor, u: Tensor, dt: float, substeps: int) -> tuple[Tensor, Tensor]:
-        """Return the derivatives of the next state by state and input, `(*batch, n_x, n_x)`, `(*batch, n_x, n_u)`."""
-
-
 class System(nn.Module, ABC):
     """A vector field dx/dt = f(x, u) under inputs normalised to [-1, 1].
 
@@ -133,7 +121,7 @@ class System(nn.Module, ABC):
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
 
-    def compiled(self, x: Tensor, u: Tensor) -> Compiled | None:
+    def compiled(self, x: Tensor, u: Tensor) -> Machine | None:
         """Return machine code that does what `forward` does for such states and inputs; None where there is none."""
         if not (self.machine_code and "machine_code" in vars(type(self))) or x.dtype not in PRECISIONS:
             return None

@@ -12,7 +12,7 @@ from pathlib import Path
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
 """Under these settings what is written here compiles."""
 FAITHFUL = ("-O2", "-fno-math-errno", "-ffp-contract=off", "-std=c99")
-"""Sums in the order in which they are written."""
+"""Operation by operation, as it is written."""
 FAST = ("-O2", "-ftree-vectorize", "-ffast-math", "-fno-finite-math-only", "-fno-associative-math", "-std=c99")
 """Several rows by one instruction. What is not finite stays so, and a difference of numbers that are almost equal is
 taken as it is written."""
@@ -65,20 +65,6 @@ def build_fast(source: Path, library: Path) -> Path:
     except ValueError:  # not every compiler knows its own processor
         _run(plain, source, compiled)
     return _run(["-shared", str(compiled), "-o", str(library), "-lm"], source, library)
-
-
-def build_faithful(source: Path, library: Path) -> Path:
-    """Compile a C source such that it computes what is written, operation by operation.
-
-    Args:
-        source: File of C.
-        library: File to write.
-
-    Raises:
-        FileNotFoundError: There is no compiler.
-        ValueError: The compiler refuses the source.
-    """
-    return build([source], library, FAITHFUL)
 
 
 def _run(arguments: Sequence[str], source: Path, made: Path) -> Path:

@@ -20,7 +20,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from dynasindy.systems.compiler import SUFFIX, build_faithful, build_fast, compiler
+from dynasindy.systems.compiler import FAITHFUL, SUFFIX, build, build_fast, compiler
 from dynasindy.systems.stops import Stops
 from dynasindy.systems.tangents import Tangents
 
@@ -193,7 +193,8 @@ def _compiled(source: str, single: bool) -> ctypes.CDLL:
         stem = Path(folder) / hashlib.sha256(source.encode()).hexdigest()[:16]
         text = stem.with_suffix(".c")
         text.write_text(source, encoding="utf-8")
-        code = ctypes.CDLL(str((build_fast if single else build_faithful)(text, stem.with_suffix(SUFFIX))))
+        library = stem.with_suffix(SUFFIX)
+        code = ctypes.CDLL(str(build_fast(text, library) if single else build([text], library, FAITHFUL)))
     if not (hasattr(code, "advance") and hasattr(code, "sensitivities")):
         raise OSError("the compiler wrote a library that shows none of its functions; name another one by CC")
     return code
