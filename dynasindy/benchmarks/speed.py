@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import argparse
 import statistics
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from unittest.mock import patch
 
 import gymnasium
 import numpy as np
 import torch
 
-from dynasindy.benchmarks.gradient import CASES, KNOWN, PLANTS, build_recipe
+from dynasindy.benchmarks.gradient import CASES, build_recipe
 from dynasindy.benchmarks.instruments.commit import commit
 from dynasindy.benchmarks.instruments.watch import cpu_seconds
 from dynasindy.dyna.callback import Callback
@@ -26,7 +26,7 @@ from dynasindy.dyna.loop import train
 from dynasindy.evaluation.rows import Row, write_rows
 from dynasindy.systems import System
 from dynasindy.systems.machine import forget
-from dynasindy.world_models import Refinement, Regression, SindyModel
+from dynasindy.world_models import SindyModel
 
 RESULTS = Path("docs/results/speed.csv")
 STEPS, REPEATS = 1000, 7
@@ -65,7 +65,7 @@ def measure(name: str, job: Callable[[bool], float]) -> Row:
 
 def environment(machine_code: bool) -> float:
     """Return the CPU seconds of a control period of `dynasindy/TwinRotor-v0`, stepped one at a time [s]."""
-    with _plants(machine_code):
+    with _compiled(machine_code):
         env = gymnasium.make("dynasindy/TwinRotor-v0")
         env.reset(seed=0)
         action = np.zeros(2, dtype=np.float32)
@@ -87,25 +87,16 @@ def _controllers(plant: str, seeds: list[int]) -> Callable[[bool], float]:
 def controller(plant: str, seed: int, machine_code: bool) -> float:
     """Return the CPU seconds from nothing to a controller [s]."""
     recipe = build_recipe(replace(CASES["step"], episodes=0), plant, seed, {})
-
-    def _model(signature: Any) -> SindyModel:
-        library, regression = PLANTS[plant].library, Regression(method="bic", tolerance=1e-4)
-        return SindyModel(signature, library, regression, Refinement(), KNOWN, machine_code=machine_code)
-
     forget()  # or only the first seed would pay for the compiler
-    with _plants(machine_code):
+    with _compiled(machine_code):
         start = cpu_seconds()
-        train(replace(recipe, world_model=_model).build(), recipe.train, Callback())
+        train(recipe.build(), recipe.train, Callback())
         return cpu_seconds() - start
 
 
-@contextmanager
-def _plants(machine_code: bool) -> Iterator[None]:
-    """Let plants move by torch code alone, if that is asked, as where there is no compiler."""
-    compiled = System.compiled
-    if not machine_code:
-        System.compiled = lambda self, x, u: None  # type: ignore[method-assign]
-    try:
-        yield
-    finally:
-        System.compiled = compiled  # type: ignore[method-assign]
+def _compiled(machine_code: bool) -> ExitStack:
+    """Let plants and models move by torch code alone, if that is asked, as where there is no compiler."""
+    stack = ExitStack()
+    for kind in () if machine_code else (System, SindyModel):
+        stack.enter_context(patch.object(kind, "compiled", return_value=None))
+    return stack

@@ -7,6 +7,7 @@ from dynasindy.benchmarks import speed
 from dynasindy.evaluation.rows import read_rows
 from dynasindy.systems import System, Tras, machine
 from dynasindy.systems.compiler import compiler
+from dynasindy.world_models import SindyModel
 
 X, U = torch.zeros(6, dtype=torch.float64), torch.zeros(2, dtype=torch.float64)
 
@@ -14,17 +15,20 @@ X, U = torch.zeros(6, dtype=torch.float64), torch.zeros(2, dtype=torch.float64)
 @pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 def test_plants_go_without_machine_code_for_a_while():
     whole = System.compiled
+    model = SindyModel(Tras().signature, "rotor")
 
     def failing():
-        with speed._plants(False):
+        with speed._compiled(False):
             assert Tras().compiled(X, U) is None
+            assert model.compiled(X.float(), U.float()) is None
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
         failing()
     assert System.compiled is whole
-    with speed._plants(True):
+    with speed._compiled(True):
         assert Tras().compiled(X, U) is not None
+        assert model.compiled(X.float(), U.float()) is not None
 
 
 def test_a_row_holds_both_times_and_their_ratio():
@@ -34,8 +38,8 @@ def test_a_row_holds_both_times_and_their_ratio():
 
 @pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 def test_every_seed_pays_for_the_compiler(monkeypatch):
-    calls, build = [], machine.build_faithful
-    monkeypatch.setattr(machine, "build_faithful", lambda *files: calls.append(1) or build(*files))
+    calls, build = [], machine.build
+    monkeypatch.setattr(machine, "build", lambda *files: calls.append(1) or build(*files))
     monkeypatch.setattr(speed, "train", lambda *_: Tras().compiled(X, U))
     for seed in (0, 1):
         speed.controller("tras", seed, True)
