@@ -64,6 +64,8 @@ def speed(text: str) -> Iterator[Tie]:
         per = 1e3 if row["job"] == "environment" else 1.0  # in milliseconds, or in seconds
         times = [f"{per * float(row[f'{kind}_cpu_seconds']):.2g}" for kind in ("machine_code", "torch")]
         yield Tie(SPEED, f"| {JOBS[row['job']]} | {{}} | {{}} | {{}} |", (*times, f"{float(row['ratio']):.2g}"))
+    (step,) = (float(row["machine_code_cpu_seconds"]) for row in rows("speed.csv", job="environment"))
+    yield Tie(SPEED, "makes {} steps in a second of one core", (f"{round(1 / step, -2):.0f}",))
 
 
 JOBS = {

@@ -13,3 +13,13 @@ def test_the_same_numbers_are_kept_and_others_are_their_own():
     single = constants((1.0, 0.25), torch.float32, cpu)
     assert single.dtype == torch.float32 and single.tolist() == [1.0, 0.25]
     assert constants((0.25, 1.0), torch.float64, cpu).tolist() == [0.25, 1.0]
+
+
+def test_where_they_were_first_made_leaves_no_trace():
+    with torch.inference_mode():
+        constants((3.25, 1.5), torch.float32, torch.device("cpu"))
+    torch.func.jacrev(lambda x: x * constants((4.25, 1.5), torch.float32, torch.device("cpu")))(torch.ones(2))
+    for numbers in ((3.25, 1.5), (4.25, 1.5)):
+        x = torch.ones(2, requires_grad=True)
+        (x * constants(numbers, torch.float32, torch.device("cpu"))).sum().backward()
+        assert x.grad.tolist() == list(numbers)
