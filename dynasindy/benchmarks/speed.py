@@ -25,7 +25,7 @@ from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.loop import train
 from dynasindy.evaluation.rows import Row, write_rows
 from dynasindy.systems import System
-from dynasindy.systems.machine import forget
+from dynasindy.systems.compiler import forget
 from dynasindy.world_models import SindyModel
 
 RESULTS = Path("docs/results/speed.csv")

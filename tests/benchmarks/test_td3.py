@@ -27,7 +27,7 @@ def flops(step):
 
 
 def test_floor_has_the_multiplications_of_our_update_and_of_no_other(batch):
-    agent = TD3(N_OBS, N_U, hidden=SIZE.hidden)
+    agent = TD3(N_OBS, N_U, hidden=SIZE.hidden, machine_code=False)
     floor = flops(td3.matrix_products(SIZE))
     assert flops(lambda: agent.update(batch)) == floor
     assert flops(td3.stable_baselines3_update(SIZE, batch)) >= floor
