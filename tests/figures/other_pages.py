@@ -72,6 +72,7 @@ JOBS = {
     "environment": "a step of `dynasindy/TwinRotor-v0` [ms]",
     "controller xi": "nothing to controller, `xi` [s]",
     "controller tras": "nothing to controller, `tras` [s]",
+    "imagined replay xi": "`train.py experiment=dyna` on `xi`, five episodes, 800 rollouts a phase [s]",
 }
 
 

@@ -10,7 +10,7 @@ from tables import middle, numbers, pair, record, rows, short, table
 from ties import Tie, Untied
 
 from dynasindy.benchmarks.gradient import GUST, PLANTS
-from dynasindy.benchmarks.td3 import BEST, SIZES
+from dynasindy.benchmarks.td3 import BEST, COMPILED, IN_TORCH, SIZES
 from dynasindy.planning.integral import IntegralAction
 
 PAGE = "docs/results/README.md"
@@ -224,14 +224,16 @@ def _other_words() -> Iterator[Tie]:
 
 def _speed() -> Iterator[Tie]:
     """Yield the rows of the time of a TD3 update, each ratio in both runs."""
-    contenders = ("Stable-Baselines3 TD3", BEST, "TorchRL TD3Loss loop", "matrix products alone")
+    loop, compiled = "TorchRL TD3Loss loop", f", {COMPILED}"
+    rivals = ("Stable-Baselines3 TD3", BEST, BEST + compiled, loop, loop + compiled)
+    contenders = (*rivals, IN_TORCH, "matrix products alone")
     for size in SIZES:
         hidden = "-".join(map(str, size.hidden))
         figures = []
         for what in contenders:
             found = [rows(name, what=what, hidden=hidden, batch=size.batch) for name in ("td3.csv", "td3_again.csv")]
             figures.append(", ".join(f"{ratio:.2f}" for each in found for ratio in numbers(each, "ratio_to_ours")))
-        yield Tie(PAGE, f"| {hidden}, {size.batch} | {{}} | {{}} | {{}} | {{}} |", tuple(figures))
+        yield Tie(PAGE, f"| {hidden}, {size.batch} |" + " {} |" * len(contenders), tuple(figures))
 
 
 PLANTS_HERE = ("xi", "tras")
