@@ -38,7 +38,7 @@ def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, bound: float, machine_
         bound: bound of each gradient's norm; 0 leaves gradients as they are.
         machine_code: whether machine code is wanted.
     """
-    if machine_code and readable(loss):
+    if machine_code and readable(loss) and all(map(usual, (critics, actor))):
         try:
             return MachineSteps(loss, critics, actor, bound)
         except FileNotFoundError:
@@ -51,14 +51,23 @@ def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, bound: float, machine_
 def readable(loss: TD3Loss) -> bool:
     """Return whether the machine code knows these networks: plain perceptrons in float32 in the CPU's memory."""
     layers = (*loss.actor_layers, *loss.critic_layers)
-    known = (layer.gain is None and layer.weight.is_cpu and layer.weight.dtype == torch.float32 for layer in layers)
-    return type(loss) is TD3Loss and all(known)
+    tensors = [tensor for layer in layers for tensor in (layer.weight, layer.bias)]
+    known = all(tensor.is_cpu and tensor.dtype == torch.float32 and tensor.requires_grad for tensor in tensors)
+    plain = all(layer.gain is None for layer in layers) and len(loss.actor_layers) == len(loss.critic_layers)
+    return type(loss) is TD3Loss and known and plain
+
+
+def usual(optimizer: Adam) -> bool:
+    """Return whether an optimiser is Adam as its authors describe it, with one group of weights."""
+    (group, *others), extras = optimizer.param_groups, ("weight_decay", "amsgrad", "maximize")
+    return type(optimizer) is Adam and not others and not any(group.get(name) for name in extras)
 
 
 class MachineSteps(Steps):
     """Steps of Adam down the two losses of TD3, as machine code.
 
-    Tensors of weights and of the optimisers are read where they lie now: whoever replaces one makes new steps.
+    Tensors of weights and of the optimisers are read where they lie now; where one has been replaced, the steps no
+    longer stand, and others take their place.
 
     Args:
         loss: the loss module, whose networks are `readable`.
@@ -86,8 +95,21 @@ class MachineSteps(Steps):
         self._agent = _Agent(*sizes, loss.discount, loss.policy_noise, loss.noise_clip, *map(_network, networks))
         self._actor_weights = _weights(actor, loss.actor_layers, gradients[0])
         self._critic_weights = _weights(critics, loss.critic_layers, gradients[1])
-        self._kept = networks  # what the code points to
+        moments = [state[name] for each in (critics, actor) for state in each.state.values() for name in state]
+        # What the code points to is kept alive, as are the dictionaries that say what it is.
+        self._held = [*(tensor for layers in networks for layer in layers for tensor in layer[:2]), *moments]
+        self._places, self._listed = self._now()
         self._room = torch.empty(0)
+
+    def stands(self) -> bool:
+        """Return whether all tensors are still there, and where they lay when the steps were made."""
+        places, listed = self._now()
+        same = all(one is other for one, other in zip(listed, self._listed))
+        return same and places == self._places and all(len(optimizer.state) for optimizer in self.optimizers)
+
+    def _now(self) -> tuple[list[int], tuple[object, ...]]:
+        states = (optimizer.state for optimizer in self.optimizers)
+        return [held.data_ptr() for held in self._held], (self.loss.actor_layers, self.loss.critic_layers, *states)
 
     def critics(self, batch: TensorDictBase, check: Check) -> tuple[Tensor, Tensor]:
         """Take a step of the critics, see `Steps`.
@@ -132,6 +154,8 @@ class MachineSteps(Steps):
     def _tensor(self, batch: TensorDictBase, key: str, width: int, dtype: torch.dtype = torch.float32) -> Tensor:
         # The code reads as many numbers as it is told, whatever is there.
         tensor: Tensor = batch.get(key)
+        if not len(tensor):
+            raise ValueError("A batch of TD3 holds no transition; give one at least.")
         if tensor.shape != (batch.batch_size[0], width) or tensor.dtype != dtype or not tensor.is_cpu:
             raise ValueError(
                 f"A batch of TD3 holds '{key}' as {tuple(tensor.shape)}, {tensor.dtype}, on {tensor.device}; give "
@@ -199,7 +223,7 @@ def _weights(optimizer: Adam, layers: Sequence[Layer], gradients: Sequence[Layer
     for tensor in flat:
         state = optimizer.state[owners[tensor.data_ptr()]]
         if not state:
-            state["step"] = torch.zeros(())
+            state["step"] = torch.zeros((), dtype=torch.float32)
             state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(tensor), torch.zeros_like(tensor)
         states.append(state)
     moments = ([state[name] for state in states] for name in ("exp_avg", "exp_avg_sq", "step"))

@@ -27,6 +27,10 @@ class Steps:
     def __init__(self, loss: TD3Loss, critics: Adam, actor: Adam, bound: float) -> None:
         self.loss, self.optimizers, self.bound = loss, (critics, actor), bound
 
+    def stands(self) -> bool:
+        """Return whether the steps still fit what they were made of."""
+        return True
+
     def critics(self, batch: TensorDictBase, check: Check) -> tuple[Tensor, Tensor]:
         """Take a step of the critics; return their loss and their mean value.
 

@@ -62,7 +62,7 @@ class Hyperparameters:
         max_grad_norm: bound of each gradient's norm; 0 leaves gradients as they are.
         policy_average: share of the actor that enters the deployed average per actor update;
             0 deploys the actor itself.
-        machine_code: learn by machine code on the CPU, if there is a C compiler.
+        machine_code: learn by machine code on one core of the CPU, if there is a C compiler.
     """
 
     hidden: Sequence[int] = (400, 300)
@@ -254,7 +254,7 @@ class TD3:
 
     @property
     def _steps(self) -> Steps:
-        if self._made is None:
+        if self._made is None or not self._made.stands():
             s = self.settings
             optimizers = self.critic_optimizer, self.actor_optimizer
             self._made = best_steps(self.loss, *optimizers, s.max_grad_norm, s.machine_code)

@@ -1,5 +1,6 @@
 """Steps by machine code are those by automatic differentiation, for all shapes, and read nothing that is not there."""
 
+import copy
 import math
 
 import pytest
@@ -11,6 +12,7 @@ from dynasindy.agents.machine import MachineSteps, readable
 from dynasindy.agents.steps import Steps
 from dynasindy.agents.td3 import TD3
 from dynasindy.systems import Diverged
+from dynasindy.systems import compiler as compiling
 from dynasindy.systems.compiler import compiler, forget
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
@@ -98,6 +100,91 @@ def test_a_batch_of_another_shape_or_kind_is_refused(key, value, words):
     with pytest.raises(ValueError, match=words):
         agent.update(batch)
     assert all(torch.equal(before[name], value) for name, value in weights(agent).items())
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    "replace",
+    [
+        lambda agent: agent.critic_optimizer.load_state_dict(copy.deepcopy(agent.critic_optimizer.state_dict())),
+        lambda agent: agent.actor_optimizer.load_state_dict(copy.deepcopy(agent.actor_optimizer.state_dict())),
+        lambda agent: agent.loss.share_memory(),
+    ],
+)
+def test_a_tensor_that_was_replaced_is_the_one_that_learns(replace):
+    agent, whole = pair()[0], pair()[0]
+    for one in (agent, whole):
+        one.update(transitions(10))
+        one.update(transitions(10, seed=1))
+    replace(agent)
+    for one in (agent, whole):
+        one.update(transitions(10, seed=2))
+        one.update(transitions(10, seed=3))
+    assert all(torch.equal(a, b) for a, b in zip(weights(agent).values(), weights(whole).values(), strict=True))
+
+
+@needs_compiler
+def test_moments_that_were_forgotten_begin_anew_as_those_of_torch():
+    ours, torchs = pair()
+    for agent in (ours, torchs):
+        agent.update(transitions(10))
+        agent.critic_optimizer.state.clear()
+        agent.update(transitions(10, seed=1))
+    for name, value in weights(torchs).items():
+        torch.testing.assert_close(weights(ours)[name], value, rtol=1e-4, atol=1e-6)
+    assert len(ours.critic_optimizer.state) == len(torchs.critic_optimizer.state)
+
+
+@needs_compiler
+@pytest.mark.parametrize("lanes", ["-mno-avx", "-mno-avx512f", "-march=native"])
+def test_the_room_holds_many_layers_of_odd_width_on_any_processor(monkeypatch, lanes):
+    run = compiling._run
+    monkeypatch.setattr(compiling, "_run", lambda words, *files: run([*words, *([lanes] * ("-c" in words))], *files))
+    forget()
+    agent = TD3(1, 1, hidden=(1,) * 40, policy_delay=1)
+    agent._steps._place(1)
+    size = len(agent._steps._room)
+    guarded = torch.full((size + 2048,), 7.0)
+    agent._steps._room = guarded
+    agent.update(transitions(1, 1, 1))
+    assert (guarded[size:] == 7.0).all()
+    forget()
+
+
+@needs_compiler
+@pytest.mark.parametrize("kind", ["critics", "actor"])
+def test_no_weight_moves_by_a_loss_that_is_refused(kind):
+    agent = pair()[0]
+    before = {name: value.clone() for name, value in weights(agent).items()}
+
+    def refuse(loss, what):
+        raise ZeroDivisionError(what)
+
+    with pytest.raises(ZeroDivisionError, match=kind):
+        getattr(agent._steps, kind)(transitions(10), refuse)
+    assert all(torch.equal(before[name], value) for name, value in weights(agent).items())
+
+
+@needs_compiler
+def test_an_empty_batch_is_refused():
+    with pytest.raises(ValueError, match="holds no transition; give one at least"):
+        pair()[0].update(transitions(0))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda agent: agent.critic_optimizer.param_groups[0].update(weight_decay=0.1),
+        lambda agent: agent.actor_optimizer.param_groups[0].update(amsgrad=True),
+        lambda agent: next(agent.loss.actor_network_params.parameters()).requires_grad_(False),
+        lambda agent: agent.critic_optimizer.add_param_group({"params": [torch.zeros(1, requires_grad=True)]}),
+        lambda agent: setattr(agent.loss, "__class__", type("Other", (type(agent.loss),), {})),
+    ],
+)
+def test_what_it_would_not_heed_is_left_to_torch(change):
+    agent = pair()[0]
+    change(agent)
+    assert type(agent._steps) is Steps
 
 
 @needs_compiler

@@ -243,10 +243,11 @@ static void reserve(const Network *network, long panels, float **layers, float *
 /* Numbers of room that an update of so many rows needs. */
 long room(const Agent *agent, long rows)
 {
-    long numbers = 4, padded = (widest(&agent->critic) + P) / P * P + (widest(&agent->actor) + P) / P * P;
+    long padded = (widest(&agent->critic) + P) / P * P + (widest(&agent->actor) + P) / P * P;
+    long numbers = 1 + 3 * padded; /* target, and three of the widest */
     for (int l = 0; l <= agent->critic.depth; l++)
-        numbers += agent->critic.widths[l] + agent->actor.widths[l] + 1;
-    return panels_of(rows) * P * (numbers + 3 * padded);
+        numbers += agent->critic.widths[l] + agent->actor.widths[l];
+    return panels_of(rows) * P * numbers + 16 * (2 * (agent->critic.depth + 1) + 4); /* and to the next cache line */
 }
 
 /* ---- losses ---- */
