@@ -1,5 +1,6 @@
 """What a command takes: its settings as they are composed, in the sentences that stand above each key of conf/."""
 
+import argparse
 import re
 import shutil
 import textwrap
@@ -27,9 +28,15 @@ def manual(name: str, words: Sequence[str]) -> str:
         words: The other words of the command line. `group` asks for its options and `group=option` for the keys of
             one; other settings are shown as they are given.
     """
+    parser = argparse.ArgumentParser(add_help=False)
+    parser.add_argument("--config-dir", "-cd", type=Path)
+    given, words = parser.parse_known_args(words)
     words = [word for word in words if not word.startswith("-")]
+    overrides = [word for word in words if "=" in word]
+    if given.config_dir:
+        overrides.append(f"hydra.searchpath=['file://{given.config_dir.absolute()}']")
     with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
-        config = hydra.compose(name, [word for word in words if "=" in word], return_hydra_config=True)
+        config = hydra.compose(name, overrides, return_hydra_config=True)
     asked = {group: option for group, _, option in (word.partition("=") for word in words) if (CONF / group).is_dir()}
     lines = [line for group, option in asked.items() for line in _group(group, option, config)]
     return "\n".join(lines or _command(name, config)).rstrip()

@@ -145,3 +145,11 @@ def test_every_option_says_at_its_top_what_it_is(module):
     for group in (folder for folder in CONF.iterdir() if folder.is_dir()):
         for option in module.options(group.name):
             assert module.heading(group / f"{option}.yaml").endswith("."), (group.name, option)
+
+
+def test_configs_of_the_users_own_are_composed_too(small, tmp_path):
+    (tmp_path / "mine" / "part").mkdir(parents=True)
+    (tmp_path / "mine" / "part" / "tiny.yaml").write_text("# @package _global_\nlow: -7.0\n")
+    page = small("--config-dir", str(tmp_path / "mine"), "+part@_global_=tiny", "number=3", "--help")
+    assert "  number=3" in page
+    assert small(f"--config-dir={tmp_path / 'mine'}", "part=tiny", "--help") == ["part=tiny"]
