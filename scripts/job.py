@@ -49,7 +49,10 @@ def run_job(cfg: DictConfig, progress: bool = True) -> Done:
     parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
     recipe = Recipe(**parts, seed=cfg.seed)
     evaluating = Evaluating(
-        instantiate(cfg.scenario, _convert_="all"), cfg.evaluation.every, cfg.evaluation.get("within", 0.01)
+        instantiate(cfg.scenario, _convert_="all"),
+        cfg.evaluation.every,
+        cfg.evaluation.get("within", 0.01),
+        cfg.get("tensorboard", False),
     )
     if progress:
         print(f"Run folder: {cfg.folder}", flush=True)
