@@ -79,6 +79,7 @@ class Keys(TypedDict):
     resume: str | None
     plugins: list[str]
     finish: bool
+    tensorboard: bool
     evaluation: Evaluating
     checkpoint: Every
     scenario: Scenario

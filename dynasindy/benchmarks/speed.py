@@ -2,6 +2,8 @@
 
 The controller is that of `benchmark.py gradient`, case `step`: ten seconds of data, the fit, planning, and no more. The
 CPU time of the compiler counts. Seconds depend on the computer and on what else it does; their ratio hardly does.
+
+The job `start-up` is another comparison: what a run takes until its work begins, and `import torch` alone.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from dynasindy.benchmarks.instruments.commit import commit
 from dynasindy.benchmarks.instruments.watch import cpu_seconds
 from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.loop import train
-from dynasindy.evaluation.rows import Row, write_rows
+from dynasindy.evaluation.rows import Row, read_rows, write_rows
 from dynasindy.systems import System
 from dynasindy.systems.compiler import forget
 from dynasindy.world_models import SindyModel
@@ -40,6 +42,11 @@ TO_THE_LEVEL = (
     *("experiment=dyna", "system=xi", "planning.rollouts=800"),
     *(f"train.episodes={EPISODES}", "evaluation.must_improve=false"),
 )
+STARTS = {
+    True: ("-m", "dynasindy", "train", "experiment=smoke"),
+    False: ("-c", "import torch; print('Imported', flush=True)"),
+}
+"""Words of Python for a run, and for what no run can do without; each prints a line when it is ready."""
 IN_TORCH = ("world_model.machine_code=false", "agent.machine_code=false")
 
 
@@ -48,14 +55,20 @@ def main(argv: list[str]) -> None:
     parser = argparse.ArgumentParser(prog="benchmark.py speed", description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="seeds of the controllers")
     parser.add_argument("--out", type=Path, default=RESULTS, help="CSV file to write")
+    parser.add_argument("--jobs", nargs="+", help="jobs that are measured; the file keeps its rows of the others")
     arguments = parser.parse_args(argv)
     torch.set_num_threads(1)
     jobs: dict[str, Callable[[bool], float]] = {
         "environment": environment,
         **{f"controller {plant}": _controllers(plant, arguments.seeds) for plant in ("xi", "tras")},
         "imagined replay xi": imagined_replay,
+        "start-up": start_up,
     }
-    rows = [measure(name, job) for name, job in jobs.items()]
+    asked = arguments.jobs or list(jobs)
+    if unknown := [name for name in asked if name not in jobs]:
+        parser.error(f"job '{unknown[0]}' is unknown; choose from {', '.join(jobs)}")
+    before = read_rows(arguments.out) if arguments.jobs and arguments.out.is_file() else []
+    rows = [row for row in before if row["job"] not in asked] + [measure(name, jobs[name]) for name in asked]
     write_rows(arguments.out, list(rows[0]), rows)
     print(f"written to {arguments.out}")
 
@@ -112,6 +125,23 @@ def imagined_replay(machine_code: bool) -> float:
         start = cpu_seconds()
         subprocess.run([sys.executable, "scripts/train.py", *words], check=True, stdout=subprocess.DEVNULL)
         return cpu_seconds() - start
+
+
+def start_up(ours: bool) -> float:
+    """Return the CPU seconds until a run has composed and built all that it needs, or of `import torch` alone [s]."""
+    seconds = []
+    for _ in range(REPEATS):
+        with tempfile.TemporaryDirectory() as folder:
+            words = [sys.executable, *STARTS[ours], *((f"hydra.run.dir={folder}",) if ours else ())]
+            start = cpu_seconds()
+            with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+                assert process.stdout is not None
+                line = process.stdout.readline()
+                process.kill()
+            seconds.append(cpu_seconds() - start)
+            if not line.startswith(("Run folder", "Imported")):
+                raise RuntimeError(f"{' '.join(words)} did not start; run it to see why")
+    return min(seconds)
 
 
 def _compiled(machine_code: bool) -> ExitStack:

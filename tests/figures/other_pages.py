@@ -60,7 +60,13 @@ def _measured(case: str, words: str, method: str = "ours") -> str:
 
 def speed(text: str) -> Iterator[Tie]:
     """Yield what docs/speed.md must say."""
-    for row in table("speed.csv"):
+    (start,) = rows("speed.csv", job="start-up")
+    ours, torch = (float(start[f"{kind}_cpu_seconds"]) for kind in ("machine_code", "torch"))
+    figures = (f"{ours:.2g}", f"{torch:.2g}", f"{ours / torch:.2g}")
+    yield Tie(
+        SPEED, "{} seconds of one core until it begins its work; `import torch` alone takes {}: {} times", figures
+    )
+    for row in (row for row in table("speed.csv") if row["job"] != "start-up"):
         per = 1e3 if row["job"] == "environment" else 1.0  # in milliseconds, or in seconds
         times = [f"{per * float(row[f'{kind}_cpu_seconds']):.2g}" for kind in ("machine_code", "torch")]
         yield Tie(SPEED, f"| {JOBS[row['job']]} | {{}} | {{}} | {{}} |", (*times, f"{float(row['ratio']):.2g}"))
