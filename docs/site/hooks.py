@@ -94,7 +94,7 @@ def _page_of(notebook: Path) -> str:
         for cell in cells
         if (text := "".join(cell["source"]))
     ]
-    return "\n\n".join([*parts, f"[Download this notebook]({notebook.name})"]) + "\n"
+    return "\n\n".join([*parts, f'<a href="../{notebook.name}" download>Download this notebook</a>']) + "\n"
 
 
 def _filled(nav: Any, places: dict[str, list[Any]]) -> Any:
