@@ -5,8 +5,11 @@ import re
 from pathlib import Path
 
 import pytest
+import yaml
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
+
+import dynasindy
 
 REPOSITORY = Path(__file__).parents[1]
 README = REPOSITORY / "README.md"
@@ -63,6 +66,20 @@ def test_names_of_code_exist(page):
 )
 def test_readme_shows_the_commands(command):
     assert command in README.read_text()
+
+
+def test_the_citation_is_of_this_version_and_names_the_authors_of_the_paper():
+    cited = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text())
+    assert {"cff-version", "message", "title", "authors"} <= set(cited)  # what the format asks for
+    assert cited["version"] == dynasindy.__version__
+    paper = cited["preferred-citation"]
+    authors = [f"{author['given-names']} {author['family-names']}" for author in paper["authors"]]
+    assert authors == ["Karim Abdelsalam", "Zeyad Gamal", "Ayman El-Badawy"]
+    for page in (README, ALGORITHM):
+        text = " ".join(page.read_text().split())
+        assert paper["url"] in text and f"*{paper['title']}*" in text
+        assert all(author in text for author in authors)
+    assert f"\n## {cited['version']}\n" in (REPOSITORY / "CHANGELOG.md").read_text()
 
 
 def test_departures_are_collected_from_comments_and_docstrings():

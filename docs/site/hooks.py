@@ -83,7 +83,15 @@ def _reference(room: str, modules: list[str]) -> str:
     head += "      show_root_toc_entry: false\n"
     head += "" if alone else "      members: false\n"
     parts = [f"::: {name}\n    options:\n      heading_level: 2\n" for name in modules]
-    return "\n".join([head, *parts])
+    return "\n".join([head, *(_front() if room == "dynasindy" else parts)])
+
+
+def _front() -> Iterator[str]:
+    """Yield what the package itself offers, which stands in its rooms."""
+    for name in dynasindy.__all__:
+        if callable(thing := getattr(dynasindy, name)):
+            words = (thing.__doc__ or "").partition("\n")[0]
+            yield f"* [`dynasindy.{name}`][{thing.__module__}.{thing.__qualname__}]: {words}"
 
 
 def _page_of(notebook: Path) -> str:
