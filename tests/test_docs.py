@@ -2,11 +2,13 @@
 
 import pydoc
 import re
+import shlex
 from pathlib import Path
 
 import pytest
 import yaml
 from hydra import compose, initialize_config_dir
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
 import dynasindy
@@ -66,6 +68,36 @@ def test_names_of_code_exist(page):
 )
 def test_readme_shows_the_commands(command):
     assert command in README.read_text()
+
+
+COMMANDS = sorted(
+    {
+        (match[1], match[2].partition("  #")[0].strip())
+        for page in PAGES
+        for match in re.finditer(
+            r"(?:^    |`)(?:\S+=\S+ )?python scripts/(train|identify|evaluate|check|export|rig|ablation|report)\.py"
+            r"([^\n`&]*)",
+            page.read_text(),
+            re.M,
+        )
+    }
+)
+OF_OTHERS = re.compile(r"NAME|servo|mine|my_|--config-dir|swing_up|\.\.\.|PATH$")
+"""Words for what a reader puts in, or writes first."""
+
+
+def test_commands_are_found():
+    assert len(COMMANDS) > 30
+
+
+@pytest.mark.parametrize(("command", "words"), COMMANDS)
+def test_a_command_of_a_page_is_one_that_its_config_takes(command, words):
+    overrides = [word for word in shlex.split(words) if "=" in word]
+    OverridesParser.create().parse_overrides(overrides)
+    if words.startswith("-m") or "hydra/" in words or OF_OTHERS.search(words):
+        return
+    with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
+        compose(command, overrides)
 
 
 def test_the_citation_is_of_this_version_and_names_the_authors_of_the_paper():
