@@ -128,7 +128,11 @@ def imagined_replay(machine_code: bool) -> float:
 
 
 def start_up(ours: bool) -> float:
-    """Return the CPU seconds until a run has composed and built all that it needs, or of `import torch` alone [s]."""
+    """Return the CPU seconds until a run has composed and built all that it needs, or of `import torch` alone [s].
+
+    Raises:
+        RuntimeError: the command did not start.
+    """
     seconds = []
     for _ in range(REPEATS):
         with tempfile.TemporaryDirectory() as folder:
