@@ -30,7 +30,7 @@ AGAIN = 3
 STEPS = 6
 """Gauss-Newton steps after which two delays are compared."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
-ERRORS = ("auto", "simulation", "prediction")
+ERRORS = ("auto", "simulation", "prediction", "innovation")
 Model = tuple[Library, Tensor]
 """A library with the numbers inside its fitted factors, and coefficients, `(n_features, n_x)`."""
 
@@ -122,7 +122,7 @@ class Refinement:
     tolerance: float = 1e-6
     window: int = 20
     longest_delay: float = 0.0
-    error: Literal["auto", "simulation", "prediction"] | None = None
+    error: Literal["auto", "simulation", "prediction", "innovation"] | None = None
     correlated: bool = False
 
     def __post_init__(self) -> None:
@@ -192,11 +192,14 @@ class Refinement:
     ) -> tuple[Model, float, tuple[str, ...]]:
         """Return the model that trajectories tell, the delay, and which error was minimised if that was chosen."""
         descent = Descent(min(self.window, int(recording.known.sum())), correlated=self.correlated)
-        alone = replace(descent, joined=False)
+        kinds = {
+            "simulation": descent,
+            "prediction": replace(descent, joined=False),
+            "innovation": replace(descent, joined=False, pushed=True),
+        }
         error = self.error or ("auto" if self.method == "auto" else "simulation")
         if error != "auto":
-            kind = alone if error == "prediction" else descent
-            return *self._in_turn(first, rough, constraints, recording, kind), ()
+            return *self._in_turn(first, rough, constraints, recording, kinds[error]), ()
         try:
             found, delay = self._in_turn(first, rough, constraints, recording, descent)
             start = recording.guessed(delay).x
@@ -214,7 +217,7 @@ class Refinement:
             else:
                 why += ", so that something pushes the plant, or functions are missing"
         note = f"error=prediction, over windows of {descent.window} samples: {why}"
-        return *self._in_turn(first, rough, constraints, recording, alone), (note,)
+        return *self._in_turn(first, rough, constraints, recording, kinds["prediction"]), (note,)
 
     def _in_turn(
         self, found: Model, delay: float, constraints: Constraints, recording: Recording, descent: Descent
