@@ -68,7 +68,8 @@ def whiten(rows: Tensor, seen: Tensor, phi: Tensor, noise: Noise, dt: float) -> 
         covariance = step @ (covariance + 0.5 * push) @ step.mT + 0.5 * push
         state = step @ state
         own = torch.diag_embed(torch.where(mine[..., 0] > 0, variance, 1.0))
-        root = torch.linalg.cholesky(mine * covariance * mine.mT + own)
+        # Not a number, which no step survives, where a trial has left what numbers can hold.
+        root = torch.linalg.cholesky_ex(mine * covariance * mine.mT + own)[0]
         shared = torch.linalg.solve_triangular(root, mine * covariance, upper=False)
         error = torch.linalg.solve_triangular(root, mine * (rows[:, k + 1] - state), upper=False)
         state = state + shared.mT @ error

@@ -106,10 +106,11 @@ class Refinement:
         window: sampling intervals between two states that `trajectory` estimates.
         longest_delay: longest delay of the inputs that is looked for [s], in whole samples, by `trajectory` in
             fractions of them; 0 takes the inputs as they are.
-        error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), or of
-            windows that begin anew (`prediction`), for plants that are pushed at random or unstable; `auto` fits such
-            windows too, and takes them if they leave over much less. The default is `auto` for the method `auto`, and
-            `simulation` for others.
+        error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), of
+            windows that begin anew (`prediction`), for plants that are unstable, or what a Kalman filter leaves over
+            in such windows (`innovation`), for plants that are pushed at random, the sizes of pushes and of noise
+            estimated; `auto` takes innovations where windows that begin anew leave over much less than a trajectory.
+            The default is `auto` for the method `auto`, and `simulation` for others.
         correlated: whether a coefficient of `trajectory` must be worth the more, the longer errors last: for real
             plants, of which every model leaves over more than noise. If not, every sample counts.
 
@@ -216,8 +217,8 @@ class Refinement:
                 return found, delay, (f"error=simulation: {why}, which noise of the sensors explains",)
             else:
                 why += ", so that something pushes the plant, or functions are missing"
-        note = f"error=prediction, over windows of {descent.window} samples: {why}"
-        return *self._in_turn(first, rough, constraints, recording, kinds["prediction"]), (note,)
+        note = f"error=innovation, over windows of {descent.window} samples: {why}"
+        return *self._in_turn(first, rough, constraints, recording, kinds["innovation"]), (note,)
 
     def _in_turn(
         self, found: Model, delay: float, constraints: Constraints, recording: Recording, descent: Descent

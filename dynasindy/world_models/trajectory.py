@@ -162,7 +162,7 @@ def _refine_pushed(
             ((found.xi - last.xi).abs() <= SETTLED * found.xi.abs()).all()
         ):
             break
-    if len(windows.rows) and int(windows.mask.sum()) and len(data) > ENOUGH:
+    if len(data) > ENOUGH:
         support = (found.xi != 0) & free
         found, every = _grown(replace(found, nodes=guess), support, data, descent)
         every = replace(every, noise=noise_of(found, every, pushed))
