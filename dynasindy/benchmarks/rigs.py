@@ -132,8 +132,8 @@ def _pysindy(model: SindyModel, data: Transitions, score: Callable[[SindyModel],
 def emps(folder: Path) -> list[Row]:
     """Measure the EMPS axis: position over the whole test log, simulated open loop from its start [mm]."""
     signature = Signature(("q", "v"), ("m", "m/s"), ("u", "clock"), (0.25, 0.15))
-    words = ["1", "u", "clock", "v", "tanh(1000 v)", "v^2", "q", "v |v|", "|u| tanh(1000 v)", "clock v"]
-    words += ["q^2", "q tanh(1000 v)"]
+    # Friction depends on the place. Powers of the speed are left out: beyond the speeds of the training log they turn.
+    words = ["1", "u", "clock", "v", "tanh(1000 v)", "q", "q^2", "q tanh(1000 v)"]
     # Ripple of the screw and friction push the axis at random: of a trajectory through the whole log they leave a
     # drift, which gain and friction would be bent to.
     refinement = Refinement("trajectory", window=40, error="innovation")
@@ -164,7 +164,7 @@ def emps(folder: Path) -> list[Row]:
     rows: list[Row] = []
     data = logs["train"].thinned(5)
     for name, functions in (("ours", words), ("linear", ["1", "u", "v", "q"])):
-        model, facts = _fitted(_model([*functions, "v"]), data)
+        model, facts = _fitted(_model(functions), data)
         rows += [
             {"model": name, "metric": f"{log} simulated, RMSE", "value": _round(_error(model, log)), "unit": "mm"}
             | facts
