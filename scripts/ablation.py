@@ -5,11 +5,7 @@ from pathlib import Path
 from command import command
 from hydra.experimental.callback import Callback
 from hydra.utils import instantiate
-from job import run_job
 from omegaconf import DictConfig
-
-from dynasindy.evaluation.ablation import gather
-from dynasindy.viz.ablation import draw_ablation
 
 
 class Gathering(Callback):
@@ -17,6 +13,9 @@ class Gathering(Callback):
 
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
         """Gather what lies in the folder of the sweep."""
+        from dynasindy.evaluation.ablation import gather
+        from dynasindy.viz.ablation import draw_ablation
+
         results, level = Path(config.results), instantiate(config.level)
         gather(Path(config.hydra.sweep.dir), results, level)
         draw_ablation(results, level.error)
@@ -26,6 +25,8 @@ class Gathering(Callback):
 @command("ablation")
 def main(cfg: DictConfig) -> None:
     """Run one job, unless it is finished."""
+    from job import run_job
+
     folder = Path(cfg.folder)
     done = run_job(cfg, progress=False)
     if done.before:

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
 import yaml
 from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
@@ -101,6 +100,8 @@ def _is_dtype(node: Mapping[Any, Any]) -> bool:
     """Return whether a node is the one helper of Hydra's that conf/ uses: a number type of torch, by name."""
     if set(node) != {"_target_", "path"} or node["_target_"] != "hydra.utils.get_object":
         return False
+    import torch
+
     package, _, name = str(node["path"]).partition(".")
     return package == "torch" and isinstance(getattr(torch, name, None), torch.dtype)
 

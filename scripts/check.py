@@ -3,23 +3,25 @@
 import sys
 from pathlib import Path
 
-import torch
 from admitted import read_config
 from command import command
 from omegaconf import DictConfig
 
-from dynasindy.checking import Loop, Plant, Settings, check, verdict
-from dynasindy.checking.check import record
-from dynasindy.evaluation.files import write_json
 from dynasindy.evaluation.given import folder_for, understood
-from dynasindy.export.write import Exported
-from dynasindy.viz.check import draw
-from dynasindy.viz.style import save
 
 
 @command("check")
 def main(cfg: DictConfig) -> None:
     """Print the verdict, write figures and numbers, and end with 1 where the loop is not stable."""
+    import torch
+
+    from dynasindy.checking import Loop, Plant, Settings, check, verdict
+    from dynasindy.checking.check import record
+    from dynasindy.evaluation.files import write_json
+    from dynasindy.export.write import Exported
+    from dynasindy.viz.check import draw
+    from dynasindy.viz.style import save
+
     torch.set_num_threads(cfg.threads)
     if cfg.run is None:
         raise ValueError("run is not given; give run=PATH, a run folder or a controller.json")

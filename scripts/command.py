@@ -12,9 +12,11 @@ from typing import ClassVar
 from stopping import end_with_parent, leave, listen, say, stop  # isort: split
 
 import hydra
+from commands import asks
 from hydra.core.hydra_config import HydraConfig
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
+from manual import manual
 from mistakes import CONF, MENDABLE, in_words
 from omegaconf import DictConfig
 from places import complete, require_writable
@@ -57,6 +59,9 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
             Sweep.here = True
             listen(stop)
             with while_read(), _stopped_in_words(), _mistakes_in_words(config_name):
+                if asks(sys.argv[1:]):
+                    print(manual(config_name, sys.argv[1:]))
+                    return
                 complete(sys.argv)
                 main()
             listen(leave)

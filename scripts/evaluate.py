@@ -2,24 +2,25 @@
 
 from pathlib import Path
 
-import torch
 from command import command
 from omegaconf import DictConfig
-from saved_run import load_config, load_policy, load_scenario, load_sensing
-from schema import check
-
-from dynasindy.evaluation.files import save_evaluation
-from dynasindy.evaluation.given import own_folder
-from dynasindy.evaluation.scenarios import evaluate
-from dynasindy.evaluation.summary import heading, summarise, to_text
-from dynasindy.planning.integral import IntegralAction
-from dynasindy.viz.animation import animate
-from dynasindy.viz.evaluation import draw_evaluation
 
 
 @command("evaluate")
 def main(cfg: DictConfig) -> None:
     """Run the policy in each scenario, print its table and write its figures."""
+    import torch
+    from saved_run import load_config, load_policy, load_scenario, load_sensing
+    from schema import check
+
+    from dynasindy.evaluation.files import save_evaluation
+    from dynasindy.evaluation.given import own_folder
+    from dynasindy.evaluation.scenarios import evaluate
+    from dynasindy.evaluation.summary import heading, summarise, to_text
+    from dynasindy.planning.integral import IntegralAction
+    from dynasindy.viz.animation import animate
+    from dynasindy.viz.evaluation import draw_evaluation
+
     torch.set_num_threads(cfg.threads)
     if cfg.run is None:
         raise ValueError("run is not given; give run=PATH, a run folder that train.py printed")

@@ -2,17 +2,18 @@
 
 from pathlib import Path
 
-import torch
 from command import command
 from omegaconf import DictConfig
-
-from dynasindy.evaluation.given import folder_for
-from dynasindy.export.write import Exported, write
 
 
 @command("export")
 def main(cfg: DictConfig) -> None:
     """Write the files, and print what each is and takes."""
+    import torch
+
+    from dynasindy.evaluation.given import folder_for
+    from dynasindy.export.write import Exported, write
+
     torch.set_num_threads(cfg.threads)
     if cfg.run is None:
         raise ValueError("run is not given; give run=PATH, a run folder, a controller.json or a model.json")

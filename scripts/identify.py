@@ -1,20 +1,24 @@
 """Identify a model: `python scripts/identify.py [system=xi] [data=csv data.path=log.csv]`."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import torch
 from command import command
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from dynasindy import viz
-from dynasindy.evaluation.identification import Identified, Source, identify, to_words, write
-from dynasindy.world_models.progress import Progress
+if TYPE_CHECKING:
+    from dynasindy.evaluation.identification import Identified, Source
 
 
 @command("identify")
 def main(cfg: DictConfig) -> None:
     """Load data, fit, judge, write everything and print it."""
+    import torch
+
+    from dynasindy.evaluation.identification import identify, to_words, write
+    from dynasindy.world_models.progress import Progress
+
     torch.set_num_threads(cfg.threads)
     built = {name: instantiate(cfg[name], _convert_="all") for name in ("data", "system", "excitation", "world_model")}
     source = built["data"].load(built["system"], built["excitation"])
@@ -27,8 +31,12 @@ def main(cfg: DictConfig) -> None:
     print(f"written to {folder}")
 
 
-def draw(found: Identified, source: Source, folder: Path, formats: list[str]) -> None:
+def draw(found: "Identified", source: "Source", folder: Path, formats: list[str]) -> None:
     """Draw the training data and the open-loop prediction against the real states."""
+    import torch
+
+    from dynasindy import viz
+
     names = {"names": source.signature.state_names, "units": source.signature.state_units}
     training, validation = source.training, source.validation
     figures = {

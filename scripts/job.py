@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 from command import CONF
+from commands import IN_CLONE, called
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
@@ -48,7 +49,10 @@ def run_job(cfg: DictConfig, progress: bool = True) -> Done:
     parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
     recipe = Recipe(**parts, seed=cfg.seed)
     evaluating = Evaluating(
-        instantiate(cfg.scenario, _convert_="all"), cfg.evaluation.every, cfg.evaluation.get("within", 0.01)
+        instantiate(cfg.scenario, _convert_="all"),
+        cfg.evaluation.every,
+        cfg.evaluation.get("within", 0.01),
+        cfg.get("tensorboard", False),
     )
     if progress:
         print(f"Run folder: {cfg.folder}", flush=True)
@@ -93,7 +97,7 @@ def settings_of(cfg: DictConfig) -> str:
         plants = sorted(file.stem for file in (CONF / "system").glob("[a-z]*.yaml") if file.stem != given)
         raise ValueError(
             f"system={given} is no plant to train on, only a log of one; choose one of {', '.join(plants)}, "
-            "or fit a model to the log: python scripts/identify.py data=csv data.path=FILE"
+            f"or fit a model to the log: {called('identify')} data=csv data.path=FILE"
         )
     begun = cfg.copy()  # a run that is resumed before its first checkpoint writes them anew
     begun.resume, begun.finish = None, False
@@ -101,10 +105,16 @@ def settings_of(cfg: DictConfig) -> str:
 
 
 def command_and_commit(job: DictConfig) -> dict[str, str]:
-    """Return the command line of a job and the commit of the code, "unknown" outside a git checkout."""
+    """Return the command line of a job and the commit of the code, "unknown" outside a git checkout.
+
+    An installed package is in none, though it may lie in one of the user's.
+    """
     git = ["git", "-C", str(CONF.parent), "describe", "--always", "--dirty", "--exclude", "*"]
     try:
         commit = subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
-        commit = "unknown"
-    return {"command": " ".join([f"python scripts/{job.job.name}.py", *job.overrides.task]), "commit": commit}
+        commit = ""
+    return {
+        "command": " ".join([called(job.job.name), *job.overrides.task]),
+        "commit": commit if IN_CLONE and commit else "unknown",
+    }

@@ -18,7 +18,14 @@ from omegaconf.errors import OmegaConfBaseException
 
 CONF = Path(__file__).resolve().parents[1] / "conf"
 MENDABLE = (ValueError, TypeError, KeyError, OSError, ModuleNotFoundError, HydraException, OmegaConfBaseException)
-EXTRAS = {"joblib": "sweep", "submitit": "slurm", "casadi": "mpc", "stable_baselines3": "bench", "onnx": "export"}
+EXTRAS = {
+    "joblib": "sweep",
+    "submitit": "slurm",
+    "casadi": "mpc",
+    "stable_baselines3": "bench",
+    "onnx": "export",
+    "tensorboard": "tensorboard",
+}
 """Optional packages by the first word of a launcher or module, and the extra of ours that installs them."""
 CAUSES = {
     errno.ENOSPC: "the disk is full: free some of it, or choose a folder on another",

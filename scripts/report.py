@@ -2,23 +2,22 @@
 
 from pathlib import Path
 
-import torch
 from admitted import read_config
 from command import command
 from omegaconf import DictConfig, OmegaConf
-from saved_run import load_config, load_policy, load_scenario, load_sensing
 
-from dynasindy.evaluation.files import save_evaluation
 from dynasindy.evaluation.given import own_folder
 from dynasindy.evaluation.saved import check_copy, keep_run, to_save
-from dynasindy.evaluation.scenarios import evaluate
-from dynasindy.viz.report.build import build
-from dynasindy.viz.report.sources import Results
 
 
 @command("report")
 def main(cfg: DictConfig) -> None:
     """Save runs if asked to, then build the report from all that is saved."""
+    import torch
+
+    from dynasindy.viz.report.build import build
+    from dynasindy.viz.report.sources import Results
+
     torch.set_num_threads(cfg.threads)
     results = Path(cfg.results)
     if cfg.save is not None:
@@ -40,6 +39,11 @@ def keep(cfg: DictConfig, target: Path) -> None:
 
 def measure(folder: Path, scenarios: list[str], plugins: list[str]) -> None:
     """Evaluate a run in the scenarios in which it was not evaluated since it ended."""
+    from saved_run import load_config, load_policy, load_scenario, load_sensing
+
+    from dynasindy.evaluation.files import save_evaluation
+    from dynasindy.evaluation.scenarios import evaluate
+
     config, ended = load_config(folder, plugins), (folder / "metrics.json").stat().st_mtime
     out = own_folder(folder, "evaluation")
     files = {name: out / f"{name}.json" for name in scenarios}

@@ -3,22 +3,27 @@
 import sys
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import torch
 from command import command
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from dynasindy import load
 from dynasindy.dyna.stopped import Stopped
-from dynasindy.rig import Wiring
-from dynasindy.rig.session import Knowledge, Session, targets_within
-from dynasindy.viz import save, tracking
+
+if TYPE_CHECKING:
+    from dynasindy.rig.session import Session
 
 
 @command("rig")
 def main(cfg: DictConfig) -> None:
     """Excite, identify, plan while the rig rests, fly; or fly a controller that is there."""
+    import torch
+
+    from dynasindy import load
+    from dynasindy.rig import Wiring
+    from dynasindy.rig.session import Knowledge, Session, targets_within
+
     torch.set_num_threads(cfg.threads)
     system, sensors, guard = (instantiate(cfg[name], _convert_="all") for name in ("system", "sensors", "guard"))
     seen = tuple(name in sensors.channels for name in system.signature.state_names) if sensors else None
@@ -49,8 +54,10 @@ def main(cfg: DictConfig) -> None:
         sys.exit(1)
 
 
-def draw(session: Session) -> None:
+def draw(session: "Session") -> None:
     """Draw each flight: references, what was measured, inputs."""
+    from dynasindy.viz import save, tracking
+
     for name, flight in session.shown.items():
         if not len(flight.time):  # it ended before its first sample
             continue

@@ -7,6 +7,7 @@ from pathlib import Path
 import hydra
 import torch
 from admitted import PLUGINS, check, read_config
+from commands import called
 from hydra.core.global_hydra import GlobalHydra
 from hydra.utils import instantiate
 from mistakes import CONF, MENDABLE
@@ -42,7 +43,7 @@ def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
     if config.get("data") is not None or config.get("model") is not None:
         raise ValueError(
             f"{folder} was planned from a log or a model, so there is no plant to fly; what its controller does on "
-            f"models stands in {folder / 'metrics.json'}, and python scripts/check.py run={folder} tells more of it"
+            f"models stands in {folder / 'metrics.json'}, and {called('check')} run={folder} tells more of it"
         )
     if absent := [part for part in ("system", "task", "env", "agent", "plant") if not config.get(part)]:
         raise ValueError(f"{file} is not of a run, it has no {absent[0]}; give a folder that train.py printed")

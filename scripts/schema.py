@@ -24,7 +24,22 @@ GIVEN = {"signature", "dt", "system", "task", "n_u", "n_obs", "env", "agent", "r
 
 
 class Plant(TypedDict):
-    """Keys of `plant`, from which other groups copy; a mistake is named here rather than where it was copied to."""
+    """Keys of `plant`, from which other groups copy; a mistake is named here rather than where it was copied to.
+
+    Attributes:
+        outputs: States that are to be held at targets.
+        rates: The rate of each output, whose changes cost.
+        start: Where episodes begin: state to value, or to the two ends of a range.
+        bounds: Limits that end an excitation or a real episode, by state.
+        low: Lower ends of the targets, one per output [unit of the output].
+        high: Upper ends of the targets, one per output [unit of the output].
+        library: Candidate functions of the model: a name, a builder, or functions in words.
+        known: Equations that are known: the rate of the first state is the second one.
+        libraries: The library for each source of the data, between which `library` chooses.
+        amplitude: Half range of each input under the excitation [-].
+        offset: Mean of each input under the excitation [-].
+        sensors: Sensors of the plant's bench, for sensors=bench: `resolution` and `noise` of each measured state.
+    """
 
     outputs: list[str]
     rates: list[str]
@@ -79,6 +94,7 @@ class Keys(TypedDict):
     resume: str | None
     plugins: list[str]
     finish: bool
+    tensorboard: bool
     evaluation: Evaluating
     checkpoint: Every
     scenario: Scenario

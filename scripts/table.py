@@ -3,16 +3,26 @@
 import sys
 from pathlib import Path
 
+from commands import asks, called, purpose
 from reader import while_read
 
-from dynasindy.evaluation.table import sweep_table
 
-if __name__ == "__main__":
+def main() -> None:
+    """Print the table of the folder that the command line names."""
     with while_read():
         try:
+            if asks(sys.argv[1:]):
+                print(purpose("table"))
+                return
             if len(sys.argv) != 2:
-                raise ValueError("give one folder, that of a sweep: python scripts/table.py runs/SWEEP")
+                raise ValueError(f"give one folder, that of a sweep: {called('table')} runs/SWEEP")
+            from dynasindy.evaluation.table import sweep_table
+
             print(sweep_table(Path(sys.argv[1])))
         except (FileNotFoundError, ValueError) as error:
             print(f"error: {error}", file=sys.stderr)
             sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

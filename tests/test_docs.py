@@ -2,15 +2,23 @@
 
 import pydoc
 import re
+import shlex
 from pathlib import Path
 
 import pytest
+import yaml
 from hydra import compose, initialize_config_dir
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
+
+import dynasindy
 
 REPOSITORY = Path(__file__).parents[1]
 README = REPOSITORY / "README.md"
-PAGES = [*sorted((REPOSITORY / "docs").glob("*.md")), README]
+ROOT = [README, REPOSITORY / "CHANGELOG.md", REPOSITORY / "CONTRIBUTING.md"]
+PAGES = [*sorted((REPOSITORY / "docs").glob("*.md")), *ROOT]
+RECORDS = sorted(page for name in ("results", "report") for page in (REPOSITORY / "docs" / name).rglob("*.md"))
+"""Pages of results, whose tables are as wide as what was measured; most of them are written by code."""
 ALGORITHM = REPOSITORY / "docs" / "algorithm.md"
 SOURCES = sorted(
     path
@@ -42,6 +50,13 @@ def test_links_lead_to_files(page):
     assert not missing
 
 
+@pytest.mark.parametrize("page", [*PAGES, *RECORDS], ids=lambda page: page.name)
+def test_no_line_is_longer_than_a_terminal(page):
+    lines = page.read_text().splitlines()
+    allowed = ("|", "![") if page in RECORDS else ()  # a row or a picture of a record cannot be broken
+    assert not [line for line in lines if len(line) > 120 and not line.startswith(allowed)]
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_names_of_code_exist(page):
     names = set(re.findall(r"`(dynasindy(?:\.\w+)+)`", page.read_text()))
@@ -53,6 +68,50 @@ def test_names_of_code_exist(page):
 )
 def test_readme_shows_the_commands(command):
     assert command in README.read_text()
+
+
+COMMANDS = sorted(
+    {
+        (match[1], match[2].partition("  #")[0].strip())
+        for page in PAGES
+        for match in re.finditer(
+            r"(?:^    |`)(?:\S+=\S+ )?python scripts/(train|identify|evaluate|check|export|rig|ablation|report)\.py"
+            r"([^\n`&]*)",
+            page.read_text(),
+            re.M,
+        )
+    }
+)
+OF_OTHERS = re.compile(r"NAME|servo|mine|my_|--config-dir|swing_up|\.\.\.|PATH$")
+"""Words for what a reader puts in, or writes first."""
+
+
+def test_commands_are_found():
+    assert len(COMMANDS) > 30
+
+
+@pytest.mark.parametrize(("command", "words"), COMMANDS)
+def test_a_command_of_a_page_is_one_that_its_config_takes(command, words):
+    overrides = [word for word in shlex.split(words) if "=" in word]
+    OverridesParser.create().parse_overrides(overrides)
+    if words.startswith("-m") or "hydra/" in words or OF_OTHERS.search(words):
+        return
+    with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
+        compose(command, overrides)
+
+
+def test_the_citation_is_of_this_version_and_names_the_authors_of_the_paper():
+    cited = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text())
+    assert {"cff-version", "message", "title", "authors"} <= set(cited)  # what the format asks for
+    assert cited["version"] == dynasindy.__version__
+    paper = cited["preferred-citation"]
+    authors = [f"{author['given-names']} {author['family-names']}" for author in paper["authors"]]
+    assert authors == ["Karim Abdelsalam", "Zeyad Gamal", "Ayman El-Badawy"]
+    for page in (README, ALGORITHM):
+        text = " ".join(page.read_text().split())
+        assert paper["url"] in text and f"*{paper['title']}*" in text
+        assert all(author in text for author in authors)
+    assert f"\n## {cited['version']}\n" in (REPOSITORY / "CHANGELOG.md").read_text()
 
 
 def test_departures_are_collected_from_comments_and_docstrings():

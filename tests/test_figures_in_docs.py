@@ -34,8 +34,6 @@ SECTIONS = {results_page.PAGE: results_page.SECTIONS, "docs/algorithm.md": other
 GENERATED = {"docs/results/ablation.md", "docs/report/report.md"}
 """Pages that code writes, compared whole."""
 PAGES = ["README.md", *sorted(str(page.relative_to(REPOSITORY)) for page in (REPOSITORY / "docs").rglob("*.md"))]
-NARROW = ["README.md", "docs/identification.md", "docs/report/report.md", *(p for p in PAGES if "results" in p)]
-"""Pages that keep to the line length, but for tables, links and commands that cannot be broken."""
 
 
 def by_hand(page: str) -> str:
@@ -140,12 +138,6 @@ def test_rows_of_the_ablation_are_those_of_the_saved_runs():
             assert float(row["steady_state_error"]) == pytest.approx(max(errors), rel=1e-6)
             compared += 1
     assert compared >= 12
-
-
-@pytest.mark.parametrize("page", NARROW)
-def test_lines_are_short_enough_to_read_in_a_terminal(page):
-    lines = (REPOSITORY / page).read_text().splitlines()
-    assert not [line for line in lines if len(line) > 120 and not line.startswith(("|", "![", "    "))]
 
 
 def test_figures_are_found_in_pairs_and_signs_and_not_in_code_or_names():

@@ -17,7 +17,7 @@ Source: Fujimoto, van Hoof, Meger, "Addressing Function Approximation Error in A
 import copy
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from itertools import pairwise
 from typing import Annotated, Any
 
@@ -28,8 +28,10 @@ from torch import Tensor, nn
 from torch.optim import Adam
 
 from dynasindy.agents.loss import SoftUpdate, TD3Loss
+from dynasindy.agents.machine import best_steps
 from dynasindy.agents.networks import actor, critic
 from dynasindy.agents.noise import DecayingGaussian
+from dynasindy.agents.steps import Steps
 from dynasindy.limits import check_memory
 from dynasindy.systems import Diverged
 
@@ -60,6 +62,7 @@ class Hyperparameters:
         max_grad_norm: bound of each gradient's norm; 0 leaves gradients as they are.
         policy_average: share of the actor that enters the deployed average per actor update;
             0 deploys the actor itself.
+        machine_code: learn by machine code on one core of the CPU, if there is a C compiler.
     """
 
     hidden: Sequence[int] = (400, 300)
@@ -79,6 +82,7 @@ class Hyperparameters:
     layer_norm: bool = False
     max_grad_norm: float = 0.0
     policy_average: float = 0.0
+    machine_code: bool = True
 
     def __post_init__(self) -> None:
         """Check every range.
@@ -164,8 +168,10 @@ class TD3:
         self.target_updater = SoftUpdate(self.loss, tau=s.tau)
         self.actor_optimizer = self._optimizer(self.loss.actor_network_params, s.actor_lr)
         self.critic_optimizer = self._optimizer(self.loss.qvalue_network_params, s.critic_lr)
+        self._widths, self._device = (n_obs, n_u), device
         self.updates = 0
         self.actor_loss = torch.zeros((), device=device)
+        self._made: Steps | None = None
 
     def update(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """Take one step of TD3 on a batch of transitions (Fujimoto 2018, Algorithm 1).
@@ -185,9 +191,7 @@ class TD3:
         critic_loss, value = self._critics(batch)
 
         if self.updates % s.policy_delay == 0:
-            actor_loss, _ = self.loss.actor_loss(batch)
-            self._descend(actor_loss, self.actor_optimizer, "the actor's loss")
-            self.actor_loss = actor_loss.detach()
+            self.actor_loss = self._steps.actor(batch, self._require_finite)
             if s.policy_average:
                 self._average()
 
@@ -212,9 +216,7 @@ class TD3:
 
     def _critics(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
         """Take one step of the critics and return their loss and mean value."""
-        loss, parts = self.loss.value_loss(batch)
-        self._descend(loss, self.critic_optimizer, "the critics' loss")
-        return loss.detach(), parts["pred_value"].mean()
+        return self._steps.critics(batch, self._require_finite)
 
     def check(self) -> None:
         """Check all weights, as at the end of a phase or before the agent is saved.
@@ -243,21 +245,31 @@ class TD3:
         self.deployed.load_state_dict(state["deployed"])
         self.loss.generator.set_state(state["generator"])
         self.updates, self.actor_loss = state["updates"], state["actor_loss"]
+        self._made = None  # the optimisers have other tensors now
 
     _parts = ("loss", "noise", "target_updater", "actor_optimizer", "critic_optimizer")
 
     def _optimizer(self, parameters: nn.Module, lr: float) -> Adam:
         return Adam(list(parameters.parameters()), lr=lr, fused=True)
 
-    def _descend(self, loss: Tensor, optimizer: Adam, what: str) -> None:
+    @property
+    def _steps(self) -> Steps:
+        if self._made is None or not self._made.stands():
+            s = self.settings
+            optimizers = self.critic_optimizer, self.actor_optimizer
+            self._made = best_steps(self.loss, *optimizers, s.max_grad_norm, s.machine_code)
+        return self._made
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "TD3":
+        """Return an agent that learns apart: what TorchRL's parameters are copied to is not what they are read from."""
+        copied = TD3(*self._widths, device=self._device, **asdict(self.settings))
+        copied.load_state_dict(copy.deepcopy(self.state_dict()))
+        return copied
+
+    def _require_finite(self, loss: Tensor, what: str) -> None:
         # A loss that is not finite stays so: weights that it has moved are NaN, and so is what they give.
         if (loss.is_cpu or self.updates % CHECK_EVERY == 0) and not math.isfinite(loss.item()):
             raise self._diverged(f"{what} is {loss.item()}")
-        optimizer.zero_grad()
-        loss.backward()
-        if self.settings.max_grad_norm:
-            nn.utils.clip_grad_norm_(optimizer.param_groups[0]["params"], self.settings.max_grad_norm)
-        optimizer.step()
 
     def _diverged(self, what: str) -> Diverged:
         s = self.settings

@@ -33,7 +33,8 @@ from dynasindy.evaluation.rows import write_rows
 N_OBS, N_U = 8, 2
 REPLAY_ROWS = (80_000, 320_000)  # real and imagined, of the paper's two million
 REPEATS, RESULTS = 15, Path("docs/results/td3.csv")
-OURS = "dynasindy TD3.update"
+OURS, IN_TORCH = "dynasindy TD3.update", "dynasindy TD3.update, without machine code"
+COMPILED = "torch.compile"
 STEPS = 10
 BEST = f"Stable-Baselines3 TD3, fused Adam, {STEPS} updates a call"
 
@@ -82,12 +83,18 @@ def measure(size: Size, repeats: int) -> list[dict[str, str | float]]:
     torch.manual_seed(0)
     replay = filled_replay(size)
     batch = replay.sample()
-    update = TD3(N_OBS, N_U, hidden=size.hidden, target_update_interval=2).update
+    update, in_torch = (
+        TD3(N_OBS, N_U, hidden=size.hidden, target_update_interval=2, machine_code=code).update
+        for code in (True, False)
+    )
     contenders: dict[str, tuple[Callable[[], object], int]] = {
         OURS: (lambda: update(batch), 1),
         "TorchRL TD3Loss loop": (torchrl_update(size, batch), 1),
         "Stable-Baselines3 TD3": (stable_baselines3_update(size, batch), 1),
         BEST: (stable_baselines3_update(size, batch, STEPS, fused=True), STEPS),
+        f"TorchRL TD3Loss loop, {COMPILED}": (torchrl_update(size, batch, compiled=True), 1),
+        f"{BEST}, {COMPILED}": (stable_baselines3_update(size, batch, STEPS, fused=True, compiled=True), STEPS),
+        IN_TORCH: (lambda: in_torch(batch), 1),
         "matrix products alone": (matrix_products(size), 1),
         "DynaReplay.sample": (replay.sample, 1),
     }
@@ -140,8 +147,14 @@ def filled_replay(size: Size) -> DynaReplay:
     return replay
 
 
-def torchrl_update(size: Size, batch: TensorDict) -> Callable[[], None]:
-    """Return the update of a plain TorchRL loop: its TD3Loss, fused Adam, its SoftUpdate."""
+def torchrl_update(size: Size, batch: TensorDict, compiled: bool = False) -> Callable[[], None]:
+    """Return the update of a plain TorchRL loop: its TD3Loss, fused Adam, its SoftUpdate.
+
+    Args:
+        size: architecture.
+        batch: transitions of every step.
+        compiled: whether torch compiles the steps of the critics and of the actor.
+    """
     shape = {"num_cells": list(size.hidden), "activation_class": nn.LeakyReLU}
     network = nn.Sequential(MLP(N_OBS, N_U, **shape), nn.Tanh())
     policy = TensorDictModule(network, in_keys=["observation"], out_keys=["action"])
@@ -153,24 +166,33 @@ def torchrl_update(size: Size, batch: TensorDict) -> Callable[[], None]:
     critic_optimizer = Adam(list(loss.qvalue_network_params.parameters()), 1e-4, fused=True)
     count = 0
 
-    def _step() -> None:
-        nonlocal count
-        count += 1
+    def _critics() -> None:
         critic_loss, _ = loss.value_loss(batch)
         critic_optimizer.zero_grad()
         critic_loss.backward()
         critic_optimizer.step()
-        if count % 2 == 0:
-            actor_loss, _ = loss.actor_loss(batch)
-            actor_optimizer.zero_grad()
-            actor_loss.backward()
-            actor_optimizer.step()
-            updater.step()
+
+    def _actor() -> None:
+        actor_loss, _ = loss.actor_loss(batch)
+        actor_optimizer.zero_grad()
+        actor_loss.backward()
+        actor_optimizer.step()
+        updater.step()
+
+    parts = [torch.compile(part) if compiled else part for part in (_critics, _actor)]
+
+    def _step() -> None:
+        nonlocal count
+        count += 1
+        for part in parts[: 2 - count % 2]:
+            part()
 
     return _step
 
 
-def stable_baselines3_update(size: Size, batch: TensorDict, steps: int = 1, fused: bool = False) -> Callable[[], None]:
+def stable_baselines3_update(
+    size: Size, batch: TensorDict, steps: int = 1, fused: bool = False, compiled: bool = False
+) -> Callable[[], None]:
     """Return a call of Stable-Baselines3's TD3 that takes gradient steps on the batch.
 
     Args:
@@ -178,6 +200,7 @@ def stable_baselines3_update(size: Size, batch: TensorDict, steps: int = 1, fuse
         batch: transitions of every step.
         steps: gradient steps of a call, whose overhead they share.
         fused: whether Adam is the fused one, as ours; by default it is not.
+        compiled: whether torch compiles the networks.
     """
     model = StableBaselines3TD3(
         "MlpPolicy",
@@ -194,6 +217,8 @@ def stable_baselines3_update(size: Size, batch: TensorDict, steps: int = 1, fuse
         device="cpu",
     )
     model.set_logger(configure(None, []))
+    for network in (model.actor, model.critic, model.actor_target, model.critic_target) if compiled else ():
+        network.compile()
     samples = SimpleNamespace(
         observations=batch["observation"],
         actions=batch["action"],

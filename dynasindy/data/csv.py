@@ -13,8 +13,6 @@ from typing import Literal
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
-from scipy.signal import savgol_filter
 
 from dynasindy.data.table import MAP, Table, all_headings, numeric_headings, read_table, seconds_of, split_unit
 from dynasindy.systems.base import Signature
@@ -273,6 +271,8 @@ def _even(
     notes.append(
         f"{int(uneven.sum())} of {len(t) - 1} sampling times are not {dt:g} s; states were resampled by splines"
     )
+    from scipy.interpolate import CubicSpline  # half a second of imports that most logs do without
+
     grids, states, inputs, labels = [], [], [], []
     for label, rows in enumerate(_stretches(segment)):
         if len(t[rows]) < 4:
@@ -346,6 +346,8 @@ def _with_rates(
     x: dict[str, Array], states: dict[str, Column], segment: NDArray[np.int64], dt: float, notes: list[str]
 ) -> Array:
     """Reconstruct rates that were not logged by a local cubic over the neighbouring samples."""
+    from scipy.signal import savgol_filter  # a second of imports that most runs do without
+
     full = dict(x)
     for name, column in states.items():
         if column.name:

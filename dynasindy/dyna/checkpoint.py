@@ -97,7 +97,7 @@ class Saver(Callback):
         near = folder.absolute()
         near = near.relative_to(Path.cwd()) if near.is_relative_to(Path.cwd()) else folder
         return (
-            f"the run is kept up to the end of {done.words()}: go on with python scripts/train.py resume={near} "
+            f"the run is kept up to the end of {done.words()}: go on with dynasindy train resume={near} "
             "(with finish=true, to evaluate and draw what it has learnt instead)"
         )
 

@@ -7,13 +7,15 @@ import shutil
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import torch
 from tensordict import TensorDict
 from torch import Tensor
-from torchrl.record import CSVLogger
+from torchrl.record import CSVLogger, TensorboardLogger
+from torchrl.record.loggers import Logger
 
 from dynasindy.control import Controller, save
 from dynasindy.control.controller import Pace
@@ -50,7 +52,8 @@ class Recorder(Callback):
     """Write the run folder and evaluate the policy now and then.
 
     `progress.csv` holds a row per real episode, `scalars/` the same by TorchRL's `CSVLogger`, `gate.csv` the
-    gate's decisions and what became of each refit, `data/` what the figures are drawn from.
+    gate's decisions and what became of each refit, `data/` what the figures are drawn from, `tensorboard/` the scalars
+    once more, if that is asked.
 
     Args:
         folder: Run folder; made if missing.
@@ -59,11 +62,25 @@ class Recorder(Callback):
         every: Episodes between two evaluations; the last episode is evaluated in any case.
         episodes: Episodes of the run.
         within: Error at the end that counts as controlled [boxes of targets].
+        tensorboard: Whether TensorBoard is to show the run while it goes on.
+
+    Raises:
+        ModuleNotFoundError: TensorBoard is asked for and not installed.
     """
 
     def __init__(
-        self, folder: Path, parts: Parts, scenario: Scenario, every: int, episodes: int, within: float = WITHIN
+        self,
+        folder: Path,
+        parts: Parts,
+        scenario: Scenario,
+        every: int,
+        episodes: int,
+        within: float = WITHIN,
+        tensorboard: bool = False,
     ) -> None:
+        if tensorboard:
+            import_module("tensorboard")  # TorchRL would complain without its name, and only when the run begins
+        self.tensorboard = tensorboard
         self.folder, self.parts, self.plant, self.scenario = folder, parts, parts.plant, scenario
         self.every, self.episodes, self.within = every, episodes, within
         self.rows: list[dict[str, float | None]] = []
@@ -76,7 +93,7 @@ class Recorder(Callback):
 
     def begin(self) -> None:
         """Open the logs and evaluate the untrained policy."""
-        self.logger = CSVLogger(exp_name="scalars", log_dir=str(self.folder))
+        self._open_logs()
         self.untrained = self.latest = summarise(self.evaluate())
 
     def evaluate(self) -> Evaluation:
@@ -188,8 +205,9 @@ class Recorder(Callback):
             setattr(self, name, state[name])
         self.cost, self.seconds_before = Cost(**state["cost"]), state["seconds"]
         self.start = time.perf_counter()
-        shutil.rmtree(self.folder / "scalars", ignore_errors=True)
-        self.logger = CSVLogger(exp_name="scalars", log_dir=str(self.folder))
+        for name in ("scalars", "tensorboard"):
+            shutil.rmtree(self.folder / name, ignore_errors=True)
+        self._open_logs()
         for row in self.rows:
             self._log_scalars(row)
         self._write_tables()
@@ -208,6 +226,11 @@ class Recorder(Callback):
             "wall_seconds": self._seconds(),
         }
 
+    def _open_logs(self) -> None:
+        self.loggers: list[Logger] = [CSVLogger(exp_name="scalars", log_dir=str(self.folder))]
+        if self.tensorboard:
+            self.loggers.append(TensorboardLogger(exp_name="tensorboard", log_dir=str(self.folder)))
+
     def _log(self, row: dict[str, float | None]) -> None:
         self.rows.append(row)
         self._log_scalars(row)
@@ -215,7 +238,10 @@ class Recorder(Callback):
     def _log_scalars(self, row: dict[str, float | None]) -> None:
         for key, value in row.items():
             if value is not None and key != "episode":
-                self.logger.log_scalar(key, value, step=int(row["episode"] or 0))
+                for logger in self.loggers:
+                    logger.log_scalar(key, value, step=int(row["episode"] or 0))
+        if self.tensorboard:
+            self.loggers[-1].experiment.flush()  # shown at once, and kept if the run is killed
 
     def _log_decision(self, episode: Episode) -> None:
         """Append to `gate.csv`: what the gate saw and decided, and what became of the refit."""

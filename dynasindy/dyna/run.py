@@ -42,6 +42,7 @@ class Evaluating:
         scenario: Situation, without disturbances.
         every: Episodes between two evaluations; the last one is always evaluated.
         within: Mean absolute error at the end at which an output counts as controlled [boxes of targets].
+        tensorboard: Whether the scalars are written for TensorBoard, too.
 
     Raises:
         ValueError: A number is not positive.
@@ -50,6 +51,7 @@ class Evaluating:
     scenario: Scenario
     every: int = 1
     within: float = WITHIN
+    tensorboard: bool = False
 
     def __post_init__(self) -> None:
         if not self.within > 0:
@@ -121,7 +123,15 @@ def run(
         OSError: The folder cannot be written.
     """
     parts, place, checkpoints = recipe.build(), Place(), Checkpoints(folder / "checkpoints")
-    recorder = Recorder(folder, parts, evaluating.scenario, evaluating.every, recipe.train.episodes, evaluating.within)
+    recorder = Recorder(
+        folder,
+        parts,
+        evaluating.scenario,
+        evaluating.every,
+        recipe.train.episodes,
+        evaluating.within,
+        evaluating.tensorboard,
+    )
     kept: dict[str, Kept] = {"place": place, "parts": parts, "recorder": recorder}
     with claimed(folder):
         check_settings(folder, provenance.settings)

@@ -54,7 +54,7 @@ class TerminalValue:
         free = torch.zeros(len(k), dtype=torch.bool)
         following = {
             "observation": task.observation(x_next, params, later),
-            "reward": task.earned(x, window.actions[k, i], x_next, params, later, free).unsqueeze(-1),
+            "reward": task.earned(x, window.actions[k, i], x_next, params, later, free).float().unsqueeze(-1),
             "terminated": torch.zeros(len(k), 1, dtype=torch.bool),
         }
         seen = {"observation": task.observation(x, params, now), "action": window.actions[k, i]}

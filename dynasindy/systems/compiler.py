@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import ctypes
+import hashlib
 import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
@@ -65,6 +69,39 @@ def build_fast(source: Path, library: Path) -> Path:
     except ValueError:  # not every compiler knows its own processor
         _run(plain, source, compiled)
     return _run(["-shared", str(compiled), "-o", str(library), "-lm"], source, library)
+
+
+@cache
+def load(source: str, functions: tuple[str, ...], *, fast: bool) -> ctypes.CDLL:
+    """Compile a C text for this process; the same text is compiled once.
+
+    Args:
+        source: The text.
+        functions: Names of what it has to show.
+        fast: Arithmetic for many numbers at once, in place of operation by operation as it is written.
+
+    Raises:
+        FileNotFoundError: There is no compiler.
+        ValueError: The compiler refuses the text.
+        OSError: What the compiler wrote cannot be loaded, or lacks a function.
+    """
+    if compiler() is None:
+        raise FileNotFoundError("no C compiler was found; install gcc or clang, or do without machine code")
+    # Each call has a folder of its own, as threads may compile the same text at the same time. What is loaded needs
+    # its file no more; where it cannot be removed then, as on Windows, it is left to the system.
+    with tempfile.TemporaryDirectory(prefix="dynasindy_", ignore_cleanup_errors=True) as folder:
+        stem = Path(folder) / hashlib.sha256(source.encode()).hexdigest()[:16]
+        text, library = stem.with_suffix(".c"), stem.with_suffix(SUFFIX)
+        text.write_text(source, encoding="utf-8")
+        code = ctypes.CDLL(str(build_fast(text, library) if fast else build([text], library, FAITHFUL)))
+    if not all(hasattr(code, name) for name in functions):
+        raise OSError("the compiler wrote a library that shows none of its functions; name another one by CC")
+    return code
+
+
+def forget() -> None:
+    """Forget what was compiled so far, such that whatever is asked for next costs what it costs at first."""
+    load.cache_clear()
 
 
 def _run(arguments: Sequence[str], source: Path, made: Path) -> Path:

@@ -8,19 +8,15 @@ there is one.
 from __future__ import annotations
 
 import ctypes
-import hashlib
 import re
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from importlib import resources
-from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from dynasindy.systems.compiler import FAITHFUL, SUFFIX, build, build_fast, compiler
+from dynasindy.systems.compiler import load
 from dynasindy.systems.stops import Stops
 from dynasindy.systems.tangents import Tangents
 
@@ -77,7 +73,8 @@ class Machine:
         self.n_x, self.n_u, self.dtype = program.n_x, program.n_u, dtype
         self._real = ctypes.c_float if dtype == torch.float32 else ctypes.c_double
         self._constants = self._reals(program.constants)
-        self._code = _compiled(_source(program, dtype == torch.float32), dtype == torch.float32)
+        source, single = _source(program, dtype == torch.float32), dtype == torch.float32
+        self._code = load(source, ("advance", "sensitivities"), fast=single)
 
     def fits(self, x: Tensor, u: Tensor) -> bool:
         """Return whether states and inputs are as many numbers of the kind as it computes in, in the CPU's memory."""
@@ -175,29 +172,6 @@ def _in_c(text: str, single: bool) -> str:
     if single:
         text = _CALLED.sub(lambda call: f"{SINGLE[call[1]]}(", text)
     return _FRACTION.sub(r"(real)\1", _STATE.sub(r"\1[\2 * W + r]", text))
-
-
-def forget() -> None:
-    """Forget what was compiled so far, such that whatever is asked for next costs what it costs at first."""
-    _compiled.cache_clear()
-
-
-@cache
-def _compiled(source: str, single: bool) -> ctypes.CDLL:
-    """Return the compiled text; the same text is compiled once."""
-    if compiler() is None:
-        raise FileNotFoundError("no C compiler was found; install gcc or clang, or do without machine code")
-    # Each call has a folder of its own, as threads may compile the same text at the same time. What is loaded needs
-    # its file no more; where it cannot be removed then, as on Windows, it is left to the system.
-    with tempfile.TemporaryDirectory(prefix="dynasindy_", ignore_cleanup_errors=True) as folder:
-        stem = Path(folder) / hashlib.sha256(source.encode()).hexdigest()[:16]
-        text = stem.with_suffix(".c")
-        text.write_text(source, encoding="utf-8")
-        library = stem.with_suffix(SUFFIX)
-        code = ctypes.CDLL(str(build_fast(text, library) if single else build([text], library, FAITHFUL)))
-    if not (hasattr(code, "advance") and hasattr(code, "sensitivities")):
-        raise OSError("the compiler wrote a library that shows none of its functions; name another one by CC")
-    return code
 
 
 def _data(*tensors: Tensor) -> list[ctypes.c_void_p]:

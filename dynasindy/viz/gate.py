@@ -4,16 +4,19 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
-from dynasindy.viz.style import BLACK, BLUE, GREY, ORANGE, RED, Array, array, name_single, panels, styled
+from dynasindy.viz.style import BLACK, BLUE, GREY, ORANGE, RED, Array, array, legend_beside, panels, styled
 
 
 @styled
 def gate(decisions: Mapping[str, ArrayLike], title: str = "Trust in the model") -> Figure:
     """Draw the reward error with its thresholds, shaded while the gate is closed, and the test of each refit.
+
+    Of a single episode each figure has a line of its own, as there is no course to draw.
 
     Args:
         decisions: The columns of `gate.csv`, `(n_episodes,)` each: `episode`; `reward_error` per control period of the
@@ -24,12 +27,14 @@ def gate(decisions: Mapping[str, ArrayLike], title: str = "Trust in the model") 
         title: of the figure.
     """
     columns = {name: array(values) for name, values in decisions.items()}
+    if len(columns["episode"]) == 1:
+        return _once({name: float(values[0]) for name, values in columns.items()}, title)
     x, before, after = (columns[name] for name in ("episode", "held_out_error_before", "held_out_error_after"))
     figure, (upper, lower) = panels(2, 1, (7.0, 5.0), title)
     dots: dict[str, Any] = {"marker": "o", "markersize": 3}
     upper.plot(x, columns["reward_error"], color=GREY, label="whole episode, before the refit", **dots)
     upper.plot(x, columns["judged_reward_error"], color=BLUE, label="held-out windows, judged", **dots)
-    # Half an episode to each side, so that a single one has thresholds too.
+    # Half an episode to each side, as the shade of a closed one is as wide.
     wide = np.concatenate([x[:1] - 0.5, x, x[-1:] + 0.5])
     for name, line, words in (("open_below", ":", "opens below"), ("close_above", "--", "closes above")):
         bound = np.pad(columns[name], 1, mode="edge")
@@ -37,24 +42,63 @@ def gate(decisions: Mapping[str, ArrayLike], title: str = "Trust in the model") 
     for closed in x[columns["open"] == 0]:
         upper.axvspan(closed - 0.5, closed + 0.5, color=GREY, alpha=0.25, linewidth=0)
     upper.set_yscale("log")
-    name_single(upper, x, columns["judged_reward_error"], BLUE)
     upper.set_ylabel("reward error [per period]")
     upper.legend()
     lower.plot(x, before, color=ORANGE, label="before the refit", **dots)
     lower.plot(x, after, color=BLUE, label="after the refit", **dots)
     back = columns["refit_kept"] == 0
     if back.any():
-        lower.plot(x[back], after[back], color=RED, marker="x", linestyle="none", label="rolled back")
+        ring: dict[str, Any] = {"marker": "o", "markersize": 8, "markerfacecolor": "none", "linestyle": "none"}
+        lower.plot(x[back], after[back], color=RED, label="rolled back", **ring)
     if np.isfinite(before).any():
         lower.set_yscale("log")
         lower.set_ylim(*_decades(np.concatenate([before, after])))
-    name_single(lower, x, after, BLUE)
     lower.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     lower.set_xlim(wide[0], wide[-1])
     lower.set_xlabel("real episode")
     lower.set_ylabel("held-out state error [ranges]")
     lower.legend()
     return figure
+
+
+def _once(columns: Mapping[str, float], title: str) -> Figure:
+    """Draw what the gate saw in the only episode: errors along the axis, one below the other."""
+    figure, (upper, lower) = panels(2, 1, (7.0, 3.2), title, sharex=False)
+    closed = "" if columns["open"] else ", closes the gate"
+    kept = {1.0: "", 0.0: ", rolled back"}.get(columns["refit_kept"], ", not tested")
+    errors = {
+        "whole episode, before the refit": ("reward_error", GREY),
+        f"held-out windows, judged{closed}": ("judged_reward_error", BLUE),
+    }
+    _rows(upper, columns, errors, "reward error [per period]")
+    for name, line, words in (("open_below", ":", "opens below"), ("close_above", "--", "closes above")):
+        if np.isfinite(columns[name]):
+            upper.axvline(columns[name], color=BLACK, linestyle=line, linewidth=0.9, label=words)
+    if upper.get_legend_handles_labels()[0]:
+        legend_beside(upper)
+    tests = {
+        "before the refit": ("held_out_error_before", ORANGE),
+        f"after the refit{kept}": ("held_out_error_after", RED if columns["refit_kept"] == 0 else BLUE),
+    }
+    _rows(lower, columns, tests, "held-out state error [ranges]")
+    return figure
+
+
+def _rows(axis: Axes, columns: Mapping[str, float], rows: Mapping[str, tuple[str, str]], what: str) -> None:
+    """Draw figures along a logarithmic axis, each with its name in front and its value beside it."""
+    values = np.array([columns[name] for name, _ in rows.values()])
+    for height, (value, (_, color)) in enumerate(zip(values, rows.values())):
+        if np.isfinite(value):
+            axis.plot(value, height, color=color, marker="o", markersize=6)
+            at = (float(value), height)
+            axis.annotate(f"{value:.3g}", at, (8, 0), textcoords="offset points", va="center", color=color)
+    seen = values[np.isfinite(values) & (values > 0)]
+    if len(seen):
+        axis.set_xscale("log")
+        axis.set_xlim(0.3 * seen.min(), 10 * seen.max())  # room for the figures beside the dots
+    axis.set_yticks(range(len(rows)), list(rows))
+    axis.set_ylim(len(rows) - 0.5, -0.5)
+    axis.set_xlabel(what)
 
 
 def _decades(values: Array) -> tuple[float, float]:

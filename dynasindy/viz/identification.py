@@ -131,6 +131,24 @@ def model_error(
 
 
 @styled
+def growing_error(time: ArrayLike, error: ArrayLike, title: str = "Open-loop error along the first episode") -> Figure:
+    """Draw the error of a prediction that sees nothing after its start, on a log axis.
+
+    Args:
+        time: `(n,)` [s] since the start.
+        error: `(n,)` distance of predicted and real states [ranges of the states].
+        title: of the figure.
+    """
+    figure, (axis,) = panels(1, 1, (7.0, 3.2), title)
+    axis.plot(array(time), np.maximum(array(error), 1e-12), color=RED, linewidth=1.0)
+    axis.set_yscale("log")
+    axis.set_xlim(0.0, array(time).max(initial=0.0) or 1.0)
+    axis.set_xlabel("time [s]")
+    axis.set_ylabel("state error [ranges]")
+    return figure
+
+
+@styled
 def coefficient_table(
     coefficients: ArrayLike,
     feature_names: Sequence[str],

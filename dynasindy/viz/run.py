@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dynasindy.evaluation.given import read_cells, read_record, understood
 from dynasindy.systems import Signature
 from dynasindy.viz.gate import gate
-from dynasindy.viz.identification import excitation, model_error, prediction, training_data
+from dynasindy.viz.identification import excitation, growing_error, model_error, prediction, training_data
 from dynasindy.viz.learning import learning_curve
 from dynasindy.viz.response import step_response, tracking
 from dynasindy.viz.style import save
@@ -74,12 +74,25 @@ def _figures(folder: Path, signature: Signature) -> dict[str, Figure]:
             episodes, returns = np.append(0, episodes), np.append(np.nan if untrained is None else untrained, returns)
         figures["learning_curve"] = learning_curve(progress["episode"], progress["return"], episodes, returns)
         error = progress["one_step_reward_error"]
-        figures["model_error"] = model_error(progress["episode"], error, what="one-step reward error, |real - model|")
+        first = folder / "data" / "prediction_first_episode.csv"
+        if len(error) == 1 and first.is_file():  # one dot would show no course
+            figures["model_error"] = _windows(read_table(first), signature)
+        else:
+            what = "one-step reward error, |real - model|"
+            figures["model_error"] = model_error(progress["episode"], error, what=what)
     if (folder / "gate.csv").is_file():
         decisions = read_table(folder / "gate.csv")
         figures["gate"] = gate(decisions)
     figures["step_response"] = _response(read_table(folder / "data" / "step_response.csv"), signature)
     return figures
+
+
+def _windows(table: Table, signature: Signature) -> Figure:
+    """Draw how the error of the open-loop prediction grows along the only episode."""
+    names = signature.state_names
+    errors = stacked(table, [f"predicted_{name}" for name in names]) - stacked(table, names)
+    size = np.sqrt(np.square(errors / np.array(signature.x_scale)).mean(-1))
+    return growing_error(table["time"], size)
 
 
 def _response(table: Table, signature: Signature) -> Figure:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from dynasindy.systems.machine import Machine, Program
@@ -9,12 +10,13 @@ from dynasindy.world_models.infix import InfixWriter
 from dynasindy.world_models.library import Library
 
 
-def machine(library: Library, coefficients: Tensor) -> Machine:
-    """Return the sparse model dx/dt = Xi' Theta(x, u), compiled in single precision.
+def machine(library: Library, coefficients: Tensor, dtype: torch.dtype = torch.float32) -> Machine:
+    """Return the sparse model dx/dt = Xi' Theta(x, u), compiled.
 
     Args:
         library: candidate functions.
         coefficients: Xi, `(n_features, n_x)`; zeros cost nothing.
+        dtype: precision, see `Machine`.
 
     Raises:
         ValueError: a function has no formula, the model has too many terms, or the compiler refuses the text.
@@ -22,7 +24,7 @@ def machine(library: Library, coefficients: Tensor) -> Machine:
     """
     writer = _MachineWriter.of(library, coefficients)
     n_x, n_u = library.signature.n_x, library.signature.n_u
-    return Machine(Program(n_x, n_u, writer.named, tuple(writer.results), tuple(writer.constants)))
+    return Machine(Program(n_x, n_u, writer.named, tuple(writer.results), tuple(writer.constants)), dtype)
 
 
 class _MachineWriter(InfixWriter):

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.signal import savgol_coeffs, savgol_filter
 from torch import Tensor
 
 from dynasindy.systems.integrators import rk4
@@ -169,6 +168,8 @@ def best_length(column: Array) -> int:
     Args:
         column: samples, `(n,)`.
     """
+    from scipy.signal import savgol_coeffs, savgol_filter  # a second of imports that most runs do without
+
     errors = {}
     for length in LENGTHS:
         if length > len(column):
@@ -186,6 +187,8 @@ def local_cubic(column: Array, length: int, dt: float, derivative: int) -> Array
     length = min(length, len(column) - 1 + len(column) % 2)
     if length < 5:
         return np.gradient(column, dt) if derivative and len(column) > 1 else column * (1 - derivative)
+    from scipy.signal import savgol_filter
+
     smooth: Array = savgol_filter(column, length, 3, deriv=derivative, delta=dt)
     return smooth
 

@@ -21,7 +21,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from dynasindy.systems.base import Signature
+from dynasindy.systems.base import PRECISIONS, Signature
 from dynasindy.systems.diverged import Diverged
 from dynasindy.systems.integrators import rk4
 from dynasindy.systems.machine import Machine
@@ -57,7 +57,7 @@ class SindyModel(WorldModel):
         fixed: coefficients that are given, by state and function name.
         initial: first guess of the equations, by state and function name, instead of a regression: for plants with a
             state that no sensor sees in any form.
-        machine_code: whether states in single precision are moved by machine code, where a C compiler is found.
+        machine_code: whether states are moved by machine code, where a C compiler is found.
 
     Raises:
         ValueError: a name of a state, an input or a function does not exist.
@@ -94,11 +94,11 @@ class SindyModel(WorldModel):
         return self._written()(x, u)
 
     def compiled(self, x: Tensor, u: Tensor) -> Machine | None:
-        """Return the model as machine code for states and inputs in single precision, in the memory of the CPU."""
-        if not self.machine_code or x.dtype != torch.float32 or type(self).forward is not SindyModel.forward:
+        """Return the model as machine code for such states and inputs, in the memory of the CPU."""
+        if not self.machine_code or x.dtype not in PRECISIONS or type(self).forward is not SindyModel.forward:
             return None
         self._written()
-        return self._machine(x, u, lambda _: machine(self.library, self.coefficients))
+        return self._machine(x, u, lambda dtype: machine(self.library, self.coefficients, dtype))
 
     def _written(self) -> Field:
         """Return the equations as torch code, written anew where they have changed."""

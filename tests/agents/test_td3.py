@@ -107,6 +107,20 @@ def test_resumed_agent_equals_an_uninterrupted_one(tmp_path):
     assert torch.equal(*[a.deployed(explored.clone())["action"] for a in (agent, resumed)])
 
 
+@pytest.mark.parametrize("machine_code", [True, False])
+def test_a_copy_learns_for_itself_and_as_the_agent_would(machine_code):
+    agent = small(machine_code=machine_code, policy_average=0.1)
+    first, second = batches(2)
+    agent.update(first)
+    copied, before = copy.deepcopy(agent), tensors(agent)
+    copied.update(second)
+    assert torch.equal(tensors(agent), before) and not torch.equal(tensors(copied), before)
+    agent.update(second)
+    assert torch.equal(tensors(agent), tensors(copied))
+    for a, b in zip(agent.deployed.parameters(), copied.deployed.parameters(), strict=True):
+        assert torch.equal(a, b)
+
+
 def test_averaged_policy_trails_the_actor_by_its_rate():
     agent = small(policy_average=0.25, policy_delay=1)
     before = [p.clone() for p in agent.deployed.parameters()]
@@ -128,11 +142,17 @@ def test_learning_rates_decay_per_update():
     assert agent.actor_optimizer.param_groups[0]["lr"] == pytest.approx(1e-3 * 0.9**4)
 
 
-def test_gradients_are_clipped_to_the_norm_given():
-    agent = small(max_grad_norm=1e-3)
-    agent.update(next(batches(1)))
-    norm = torch.cat([p.grad.flatten() for p in agent.loss.qvalue_network_params.parameters()]).norm()
-    assert norm.item() == pytest.approx(1e-3, rel=1e-3)
+@pytest.mark.parametrize("machine_code", [True, False])
+@pytest.mark.parametrize(("bound", "rel"), [(1e-3, 1e-2), (1e3, 0.0)])
+def test_gradients_are_clipped_to_the_norm_given(machine_code, bound, rel):
+    agent, free = (small(max_grad_norm=norm, machine_code=machine_code) for norm in (bound, 0.0))
+    sizes = []
+    for one in (agent, free):
+        one.update(next(batches(1)))
+        # After one step the running mean of Adam is a tenth of the gradient.
+        means = [state["exp_avg"].flatten() for state in one.critic_optimizer.state_dict()["state"].values()]
+        sizes.append(10 * torch.cat(means).norm().item())
+    assert sizes[0] == pytest.approx(bound if rel else sizes[1], rel=1e-2 if rel else 1e-6)
 
 
 def test_explore_is_the_policy_plus_noise_of_the_given_size():
@@ -291,10 +311,11 @@ class Plain:
             a.data = share * b.data + (1 - share) * a.data
 
 
-def test_updates_are_those_of_the_algorithm_written_with_torch_alone():
+@pytest.mark.parametrize("machine_code", [True, False])
+def test_updates_are_those_of_the_algorithm_written_with_torch_alone(machine_code):
     settings = {"gamma": 0.9, "tau": 0.3, "policy_delay": 2, "target_update_interval": 3, "critics": 3}
     settings |= {"actor_lr": 2e-3, "critic_lr": 3e-3, "lr_decay": 0.05, "max_grad_norm": 0.5, "policy_average": 0.2}
-    agent = small(**settings, policy_noise=0.4, noise_clip=0.3)
+    agent = small(**settings, policy_noise=0.4, noise_clip=0.3, machine_code=machine_code)
     plain = Plain(agent, seed=3)
     generator = torch.Generator().manual_seed(11)
     for batch in batches(8):

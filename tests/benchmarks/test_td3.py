@@ -19,6 +19,14 @@ def batch(monkeypatch):
     return td3.filled_replay(SIZE).sample()
 
 
+@pytest.fixture(autouse=True)
+def compiled(monkeypatch):
+    """What was given to torch's compiler, which takes a minute and is left out."""
+    given = []
+    monkeypatch.setattr(torch, "compile", lambda part, **_: given.append(part) or part)
+    return given
+
+
 def flops(step):
     with FlopCounterMode(display=False) as counter:
         step()
@@ -27,7 +35,7 @@ def flops(step):
 
 
 def test_floor_has_the_multiplications_of_our_update_and_of_no_other(batch):
-    agent = TD3(N_OBS, N_U, hidden=SIZE.hidden)
+    agent = TD3(N_OBS, N_U, hidden=SIZE.hidden, machine_code=False)
     floor = flops(td3.matrix_products(SIZE))
     assert flops(lambda: agent.update(batch)) == floor
     assert flops(td3.stable_baselines3_update(SIZE, batch)) >= floor
@@ -44,6 +52,25 @@ def test_rivals_learn(make, batch, monkeypatch):
         update()
     assert len(steps) == 6  # the critics four times, the actor twice
     assert len(set(map(id, steps))) == 2
+
+
+@pytest.mark.parametrize("make", [td3.torchrl_update, td3.stable_baselines3_update])
+def test_compiled_rivals_learn_the_same(make, batch, compiled, monkeypatch):
+    learnt, original = [], torch.optim.Adam.step
+
+    def step(optimizer, *given):
+        original(optimizer, *given)
+        learnt.append([p.detach().clone() for p in optimizer.param_groups[0]["params"]])
+
+    monkeypatch.setattr(torch.optim.Adam, "step", step)
+    for flag in (False, True):
+        torch.manual_seed(0)
+        update = make(SIZE, batch, compiled=flag)
+        torch.manual_seed(1)
+        update()
+        assert bool(compiled) == flag
+    without, with_it = learnt
+    assert all(torch.equal(a, b) for a, b in zip(without, with_it, strict=True))
 
 
 def test_a_call_of_the_best_rival_takes_ten_fused_steps(batch, monkeypatch):
@@ -65,7 +92,7 @@ def test_times_are_per_update_however_many_a_call_takes(monkeypatch):
     monkeypatch.setattr(td3, "stable_baselines3_update", lambda *a, **k: lambda: calls.append(k.get("fused", False)))
     rows = td3.measure(SIZE, 1)
     assert {row["ms_per_update"] for row in rows} == {100.0}  # a second by the clock for ten updates
-    assert calls.count(False) == 20 and calls.count(True) == 2  # one repeat, after one that warms up
+    assert calls.count(False) == 20 and calls.count(True) == 4  # one repeat, after one that warms up
 
 
 def test_main_writes_a_row_per_contender_and_size(tmp_path, monkeypatch, capsys):
@@ -76,6 +103,7 @@ def test_main_writes_a_row_per_contender_and_size(tmp_path, monkeypatch, capsys)
         rows = list(csv.DictReader(file))
     rivals = ["TorchRL TD3Loss loop", "Stable-Baselines3 TD3", td3.BEST]
     assert [row["what"] for row in rows][:4] == [td3.OURS, *rivals]
+    assert sum(row["what"].endswith(td3.COMPILED) for row in rows) == 2
     assert float(rows[0]["ratio_to_ours"]) == 1.0
     assert all(float(row["ms_per_update"]) > 0 for row in rows)
     printed = capsys.readouterr().out

@@ -1,6 +1,7 @@
 import csv
 import json
 import math
+import sys
 from functools import partial
 
 import pytest
@@ -8,6 +9,7 @@ import torch
 
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
+from dynasindy.dyna import recorder as module
 from dynasindy.dyna.callback import Cost, Episode
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import Settings, train
@@ -27,7 +29,7 @@ def recorded(tmp_path_factory):
     return record(tmp_path_factory.mktemp("run"))
 
 
-def record(folder):
+def record(folder, tensorboard=False):
     """Run three episodes of the true model without planning, evaluated every second time."""
     recipe = Recipe(
         system=Tras(),
@@ -43,7 +45,7 @@ def record(folder):
     )
     parts = recipe.build()
     scenario = Scenario("step", Step([[0.1, 0.1], [0.2, -0.1]]), episodes=2, seconds=6.0)
-    recorder = Recorder(folder, parts, scenario, every=2, episodes=3)
+    recorder = Recorder(folder, parts, scenario, every=2, episodes=3, tensorboard=tensorboard)
     recorder.begin()
     train(parts, recipe.train, recorder)
     return folder, parts, recorder
@@ -166,3 +168,48 @@ def test_what_began_anew_has_a_gap_before_it():
     found = _with_gaps(values, torch.tensor([0, 1, 0, 0, 1])).flatten().tolist()
     assert [None if math.isnan(value) else value for value in found] == [0.0, 1.0, None, 2.0, None, 3.0, 4.0]
     assert torch.equal(_with_gaps(values, torch.arange(5)), values)
+
+
+class Told:
+    """What is told to TensorBoard, in memory."""
+
+    def __init__(self, exp_name, log_dir):
+        self.place, self.scalars, self.shown, self.experiment = f"{log_dir}/{exp_name}", [], 0, self
+
+    def log_scalar(self, name, value, step):
+        self.scalars.append((name, step, value))
+
+    def flush(self):
+        self.shown = len(self.scalars)
+
+
+def test_tensorboard_is_told_what_the_csv_logger_is_told_and_shows_it_at_once(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "import_module", lambda name: None)
+    monkeypatch.setattr(module, "TensorboardLogger", Told)
+    folder, parts, recorder = record(tmp_path, tensorboard=True)
+    told = recorder.loggers[-1]
+    assert told.place == f"{folder}/tensorboard" and told.shown == len(told.scalars) > 0
+    root = folder / "scalars" / "scalars"
+    files = {str(file.relative_to(root).with_suffix("")): file.read_text().split() for file in root.rglob("*.csv")}
+    assert set(files) == {name for name, _, _ in told.scalars}
+    assert files["return"] == [f"{step},{value}" for name, step, value in told.scalars if name == "return"]
+    again = Recorder(tmp_path, parts, recorder.scenario, every=2, episodes=3, tensorboard=True)
+    again.load_state_dict(recorder.state_dict())
+    assert again.loggers[-1].scalars == told.scalars and again.loggers[-1] is not told
+
+
+def test_tensorboard_reads_what_is_written(tmp_path):
+    pytest.importorskip("tensorboard")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    folder, _, _ = record(tmp_path, tensorboard=True)
+    events = EventAccumulator(str(folder / "tensorboard")).Reload().Scalars("return")
+    logged = [float(row["return"]) for row in rows(folder / "progress.csv")]
+    assert [event.step for event in events] == [1, 2, 3]
+    assert [event.value for event in events] == pytest.approx(logged, rel=1e-6)
+
+
+def test_tensorboard_that_is_not_there_is_missed_at_once(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "tensorboard", None)
+    with pytest.raises(ModuleNotFoundError, match="tensorboard"):
+        record(tmp_path, tensorboard=True)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from results_page import limit_cycle
-from tables import cell, middle, numbers, rows, setting, short, table
+from tables import cell, middle, numbers, pair, record, rows, setting, short, table
 from ties import Tie, Untied
 
 from dynasindy.world_models.trajectory import WORSE
@@ -14,37 +14,68 @@ SPEED = "docs/speed.md"
 
 def readme(text: str) -> Iterator[Tie]:
     """Yield what README.md must say."""
+    for plant in PLANTS:
+        quick = rows("gradient.csv", case="step", plant=plant, plant_seconds=10.0, scenario="step")
+        assert len(quick) == 10
+        errors = pair(lambda axis: max(numbers(quick, axis)), axes=("azimuth", "pitch"))  # noqa: B023
+        seconds = f"{max(numbers(quick, 'cpu_seconds')):.0f}"
+        yield Tie(README, f"| `{plant}` | 10 s | {{}} rad | {{}} s |", (errors, seconds))
+    yield from _without_model()
+    yield from _policies()
+    yield from _imagined()
+    noisy = rows("gradient.csv", case="noise", plant_seconds=10.0, scenario="step")
+    assert len(noisy) == 20
+    edge = max(*numbers(noisy, "azimuth"), *numbers(noisy, "pitch"))
+    words = "planning by gradient stays within {} rad after 10 s of data, on ten seeds of ten on both plants"
+    yield Tie(README, words, (f"{edge:.4f}",))
+    logged = max(max(numbers(list(table("from_log.csv")), axis)) for axis in ("azimuth", "pitch"))
+    yield Tie(README, "file that holds the plant within {} rad, in the worst of ten seeds", (f"{logged:.4f}",))
+    yield Tie(README, "swings about its target without end, with errors of {} / {} rad", limit_cycle())
+    words = "predicts the worst state of 32 unseen episodes, open loop, to {} % of its range"
+    yield Tie(README, words, (_measured("tras", "worst state"),))
+    for plant in ("cart_pole", "swing_up", "pendulum_v1"):
+        assert {row["verdict"] for row in rows("plants.csv", plant=plant)} == {"CONTROLLED"}
+
+
+def _without_model() -> Iterator[Tie]:
+    """Yield what README.md says of the best agent without a model."""
+    found = [row for plant in PLANTS for row in rows("ablation.csv", system=plant, setting="sb3_sac_5")]
+    reached = sorted(int(row["episodes_to_level"]) for row in found if row["episodes_to_level"])
+    assert len(found) == 8
+    assert len(reached) == 6
+    assert {row["episodes"] for row in found} == {"20"}
+    level = str(setting("level.error", page="ablation"))
+    words = "takes {} to {} episodes of 20 s to come within {} rad"
+    yield Tie(README, words, (str(reached[0]), str(reached[-1]), level))
+
+
+def _policies() -> Iterator[Tie]:
+    """Yield the rows of the policies in the repository."""
+    for plant in PLANTS:
+        score = record(f"policies/{plant}/origin.json")["evaluation"]
+        figures = [pair(lambda axis: score[f"{metric}/{axis}"]) for metric in ("steady_state_error", "rmse")]  # noqa: B023
+        link = f"[`{plant}`](docs/results/policies/{plant}/origin.json)"
+        yield Tie(README, f"| {link} | 30 s | {{}} | {{}} |", tuple(figures))
+
+
+def _imagined() -> Iterator[Tie]:
+    """Yield what README.md says of TD3 with imagined rollouts, and of TD3 without a model."""
     runs = {
         plant: rows("ablation.csv", system=plant, experiment="dyna", setting="rollouts_800") for plant in ("xi", "tras")
     }
     level = [cell(numbers(found, "episodes_to_level"), 3) for found in runs.values()]
-    seeds = {f"{sum(bool(row['episodes_to_level']) for row in found)} of {len(found)}" for found in runs.values()}
-    (reached,) = seeds
+    (reached,) = {f"{sum(bool(row['episodes_to_level']) for row in found)} of {len(found)}" for found in runs.values()}
+    bound = str(setting("level.error", page="ablation"))
+    words = "comes within {} rad on both axes after {} episodes on `xi` and after {} on `tras`, on {} seeds each."
+    yield Tie(README, words, (bound, *level, reached))
     ends = [f"{middle(numbers(found, 'steady_state_error')):.2g}" for found in runs.values()]
-    yield Tie(
-        README,
-        "reaches {} rad on both axes in {} real episodes on `xi` and {} on `tras`, on {} seeds each, and ends at "
-        "{} and {} rad;",
-        (str(setting("level.error", page="ablation")), *level, reached, *ends),
-    )
-    noisy = rows("gradient.csv", case="noise", plant_seconds=10.0, scenario="step")
-    assert len(noisy) == 20
-    edge = max(*numbers(noisy, "azimuth"), *numbers(noisy, "pitch"))
-    words = "planning by gradient stands within {} rad after the same 10 s on ten seeds of ten on both plants"
-    yield Tie(README, words, (f"{edge:.4f}",))
-    quick = rows("gradient.csv", case="step", plant_seconds=10.0, scenario="step")
-    assert len(quick) == 20
-    assert max(numbers(quick, "cpu_seconds")) < 10
-    logged = max(max(numbers(list(table("from_log.csv")), axis)) for axis in ("azimuth", "pitch"))
-    yield Tie(
-        README, "compiled from one C file, holds the plant within {} rad, the worst of ten seeds", (f"{logged:.4f}",)
-    )
-    yield Tie(README, "ends in a limit cycle, steady-state error {} / {} rad", limit_cycle())
-    yield Tie(
-        README,
-        "predicts the worst state over 32 unseen episodes, open loop, to {} % of its range",
-        (_measured("tras", "worst state"),),
-    )
+    yield Tie(README, "Its errors at the end are {} and {} rad.", tuple(ends))
+    for plant, episodes in (("xi", "20"), ("tras", "16")):
+        plain = rows("ablation.csv", system=plant, experiment="dyna", setting="rollouts_0")
+        assert {(row["episodes_to_level"], row["episodes"]) for row in plain} == {("", episodes)}
+
+
+PLANTS = ("tras", "xi")
 
 
 def _measured(case: str, words: str, method: str = "ours") -> str:
@@ -60,7 +91,13 @@ def _measured(case: str, words: str, method: str = "ours") -> str:
 
 def speed(text: str) -> Iterator[Tie]:
     """Yield what docs/speed.md must say."""
-    for row in table("speed.csv"):
+    (start,) = rows("speed.csv", job="start-up")
+    ours, torch = (float(start[f"{kind}_cpu_seconds"]) for kind in ("machine_code", "torch"))
+    figures = (f"{ours:.2g}", f"{torch:.2g}", f"{ours / torch:.2g}")
+    yield Tie(
+        SPEED, "{} seconds of one core until it begins its work; `import torch` alone takes {}: {} times", figures
+    )
+    for row in (row for row in table("speed.csv") if row["job"] != "start-up"):
         per = 1e3 if row["job"] == "environment" else 1.0  # in milliseconds, or in seconds
         times = [f"{per * float(row[f'{kind}_cpu_seconds']):.2g}" for kind in ("machine_code", "torch")]
         yield Tie(SPEED, f"| {JOBS[row['job']]} | {{}} | {{}} | {{}} |", (*times, f"{float(row['ratio']):.2g}"))
@@ -72,6 +109,7 @@ JOBS = {
     "environment": "a step of `dynasindy/TwinRotor-v0` [ms]",
     "controller xi": "nothing to controller, `xi` [s]",
     "controller tras": "nothing to controller, `tras` [s]",
+    "imagined replay xi": "`train.py experiment=dyna` on `xi`, five episodes, 800 rollouts a phase [s]",
 }
 
 
@@ -89,10 +127,13 @@ def identification(text: str) -> Iterator[Tie]:
         words = f"| `xi`, {seconds} s at {{}} s, 10 seeds | {asked} <= {{}} | {{}}, worst {{}} |"
         yield tie(words, step, bound, _measured(case, every), error)
     median, worst = _measured("xi_noise", "largest error / Cramer-Rao bound").split(", ")
-    words = "| {} (all with 19/0); largest error {} times the bound in the median seed, {} in the worst |"
+    words = "{} seeds have them. The largest error is {} times the bound in the median seed and {} in the worst."
     yield tie(words, _measured("xi_noise", every), median, worst)
-    for case, words in (("van_der_pol", "| Van der Pol, 20 s at {} s,"), ("lorenz", "| Lorenz, 10 s at {} s,")):
-        yield tie(f"{words} 10 seeds, noise 1, 5, 10, 20 % |", {"van_der_pol": "0.02", "lorenz": "0.01"}[case])
+    for case, words in (
+        ("van_der_pol", "Van der Pol's oscillator, 20 s at {} s"),
+        ("lorenz", "Lorenz' system, 10 s at {} s"),
+    ):
+        yield tie(words, {"van_der_pol": "0.02", "lorenz": "0.01"}[case])
         yield tie(*_textbook(case))
     yield tie("| {} % worst state, 32 unseen episodes |", _measured("tras", "worst state"))
     better, worse = (
@@ -101,11 +142,13 @@ def identification(text: str) -> Iterator[Tie]:
         )
         for name in ("ours, rotor_reaction", "ours, rotor")
     )
-    words = "| {} % worst state over 26 unseen episodes (`rotor_reaction`); {} % with `rotor` |"
-    yield tie(words, better, f"{float(worse):g}")
+    for library, value in (("rotor_reaction", better), ("rotor", f"{float(worse):g}")):
+        words = f"| `trms33`, `{library}` | the best honest figure | {{}} % worst state over 26 unseen episodes |"
+        yield tie(words, value)
     refits = [f"{float(_measured('refit', size)):.2g}" for size in ("1e+06", "1e+07")]
     theirs = _measured("refit", "fit of 1e6", "PySINDy")
-    yield tie("| {} ms, at {} {} ms; PySINDy {} ms |", refits[0], "1e7", refits[1], theirs)
+    yield tie("| {} ms; PySINDy {} ms |", refits[0], theirs)
+    yield tie("| at most twice that | {} ms |", refits[1])
     yield tie("| {} s |", f"{float(_measured('xi_10s', 'refined fit')):.2f}")
     ours = [_measured("speed", f"{plant} model").partition(",")[0].replace("e+0", "e") for plant in ("xi", "tras")]
     yield tie(
@@ -122,7 +165,10 @@ def _textbook(case: str) -> tuple[str, ...]:
 
     exact, errors = cells("seeds with all", "ours", 0), cells("rms error", "ours", 1)
     best, weak = (cells("seeds with all", method, 0) for method in ("PySINDy, best", "PySINDy, our weak form"))
-    words = "| {} of 10; rms error of the worst seed {} bounds; PySINDy at its best {} of 10, on our weak form {} |"
+    words = (
+        "Exact are {} of 10 seeds; the rms error of the worst seed is {} bounds. "
+        "PySINDy at its best is exact on {} of 10, and on our weak form on {}."
+    )
     return words, exact, errors, best, weak
 
 
@@ -181,24 +227,22 @@ COMPARED = {
 }
 """Sections of docs/algorithm.md of which figures may stand untied."""
 SIZES = "size of a download, which differs from day to day"
-NOT_KEPT = "of twelve runs that were not kept; the page says so"
 UNTIED = [
-    Untied(README, "| `planning=gradient system=tras` | 3 |...", NOT_KEPT),
-    Untied(README, "| `planning=gradient system=xi` | 3 |...", NOT_KEPT),
-    Untied(README, "| `planning=none system=tras` | 3 |...", NOT_KEPT),
-    Untied(README, "| `planning=none system=xi` | 3 |...", NOT_KEPT),
-    Untied(README, "Python 3.11 to 3.13", "versions, as in pyproject.toml"),
-    Untied(README, "the same commands take 1.5 GB", SIZES),
-    Untied("docs/index.md", "the same commands then take 1.5 GB", SIZES),
+    Untied(README, "Python 3.11, 3.12 and 3.13", "versions, as in pyproject.toml"),
+    Untied("docs/quickstart.md", "You need Python 3.11, 3.12 or 3.13", "versions, as in pyproject.toml"),
+    Untied(README, "[arXiv:2512.21081](https://arxiv.org/abs/2512.21081)", "the number of a paper"),
+    Untied(README, "everything together takes 1.5 GB", SIZES),
+    Untied("docs/algorithm.md", "([arXiv:2512.21081](https://arxiv.org/abs/2512.21081))", "the number of a paper"),
     Untied("docs/algorithm.md", "which stays within [0.707, 1]", "the range of the formula"),
     Untied(IDENTIFICATION, "the signal stays within [0.707, 1]", "the range of the formula"),
     Untied(IDENTIFICATION, "every second one sweeps to 0.7 of the last frequency", "a constant of the code"),
-    Untied(IDENTIFICATION, "## lambda = 0.9", "of the paper"),
+    Untied(IDENTIFICATION, "The threshold of the paper, lambda = 0.9,", "of the paper"),
     Untied(IDENTIFICATION, "On raw columns 0.9 would delete", "of the paper"),
     Untied(IDENTIFICATION, "neighbouring one-step errors correlate by about -0.5", "of differences of white noise"),
-    Untied(IDENTIFICATION, "noise 1e-3, 10 seeds", "the case that is measured"),
+    Untied(IDENTIFICATION, "**`xi`, 100 s, noise 1e-3.**", "the case that is measured"),
     Untied(IDENTIFICATION, "random steps held for 0.5 s, and Lorenz' system in `x'`, held for 0.2 s", "the cases"),
-    Untied(IDENTIFICATION, "on top of 1e6 samples | <= 10 ms, at 1e7 at most twice", "the case that is measured"),
+    Untied(IDENTIFICATION, "on top of 1e6 samples | <= 10 ms", "the case that is measured"),
+    Untied(IDENTIFICATION, "the same on top of 1e7 samples", "the case that is measured"),
     Untied(IDENTIFICATION, "batch 4096 | >= 1e6", "what had to be reached"),
     Untied(IDENTIFICATION, "Random steps held for 0.5 s", "a setting of the benchmark"),
     Untied(BASELINES, "same input limits, 0.05 s of control period", "a setting of all cases"),

@@ -7,7 +7,7 @@ import sys
 import pytest
 import torch
 
-from dynasindy.systems import machine
+from dynasindy.systems import compiler as compiling
 from dynasindy.systems.compiler import compiler
 from dynasindy.systems.machine import Machine, Program
 from dynasindy.systems.stops import Stops
@@ -65,7 +65,7 @@ def test_a_stop_holds_what_moves_outwards_and_lets_go_what_moves_inwards():
 
 def test_a_program_is_compiled_once_whatever_its_constants(monkeypatch):
     Machine(DECAY, torch.float64)
-    monkeypatch.setattr(machine, "build", lambda *_: pytest.fail("compiled again"))
+    monkeypatch.setattr(compiling, "build", lambda *_: pytest.fail("compiled again"))
     other = Machine(Program(1, 1, DECAY.lines, DECAY.results, (0.0,)), torch.float64)
     one = torch.ones(1, 1, dtype=torch.float64)
     assert other.integrate(one, one, 0.5, 1)[0].item() == 1.5

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from dynasindy.systems import machine as module
-from dynasindy.systems.compiler import compiler
+from dynasindy.systems.compiler import compiler, forget
 from dynasindy.systems.machine import Machine, Program
 from dynasindy.systems.stops import Stops
 
@@ -66,7 +66,7 @@ def test_many_states_fit_the_stack_of_a_thread():
 
 def test_threads_that_need_the_same_code_at_once_all_get_it_and_no_file_stays(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    module._compiled.cache_clear()
+    forget()
     made, together = [], threading.Barrier(3)
 
     def make():

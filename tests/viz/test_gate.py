@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from dynasindy.viz.gate import gate
 
@@ -25,12 +26,34 @@ def test_closed_episodes_are_shaded_and_rolled_back_refits_are_marked():
     assert lower.get_ylim() == (0.1, 1.0)
 
 
-def test_a_single_episode_has_its_thresholds_and_its_figure_in_words():
+def single(**changed):
     names = ("reward_error", "judged_reward_error", "open_below", "close_above", "open")
     values = {name: [0.03] for name in names} | {"open_below": [0.05], "close_above": [0.1], "episode": [1]}
     refit = {"held_out_error_before": [np.nan], "held_out_error_after": [0.0123], "refit_kept": [1]}
-    upper, lower = gate(values | refit).axes
-    opens = next(line for line in upper.lines if line.get_label() == "opens below")
-    assert opens.get_xydata().tolist() == [[0.5, 0.05], [1, 0.05], [1.5, 0.05]]
-    assert [text.get_text() for axis in (upper, lower) for text in axis.texts] == ["0.03", "0.0123"]
-    assert "rolled back" not in [line.get_label() for line in lower.lines]
+    return gate(values | refit | {name: [value] for name, value in changed.items()}).axes
+
+
+def test_a_single_episode_has_a_line_for_each_figure():
+    upper, lower = single(judged_reward_error=0.02)
+    dots = [line.get_xydata().tolist()[0] for line in upper.lines if line.get_marker() == "o"]
+    assert dots == [[0.03, 0.0], [0.02, 1.0]]
+    bounds = {line.get_label(): line.get_xdata()[0] for line in upper.lines if line.get_linestyle() != "-"}
+    assert {name: bounds[name] for name in ("opens below", "closes above")} == {
+        "opens below": 0.05,
+        "closes above": 0.1,
+    }
+    assert [text.get_text() for axis in (upper, lower) for text in axis.texts] == ["0.03", "0.02", "0.0123"]
+    names = [text.get_text() for axis in (upper, lower) for text in axis.get_yticklabels()]
+    assert names[1:] == ["held-out windows, judged", "before the refit", "after the refit"]
+
+
+@pytest.mark.parametrize(
+    ("changed", "where", "words"),
+    [
+        ({"open": 0}, 0, "held-out windows, judged, closes the gate"),
+        ({"refit_kept": 0}, 1, "after the refit, rolled back"),
+        ({"refit_kept": np.nan}, 1, "after the refit, not tested"),
+    ],
+)
+def test_what_became_of_a_single_episode_is_said(changed, where, words):
+    assert single(**changed)[where].get_yticklabels()[1].get_text() == words

@@ -3,6 +3,7 @@
 import numpy as np
 
 from dynasindy.viz import coefficient_table, excitation, model_error, prediction, training_data
+from dynasindy.viz.identification import growing_error
 
 TIME = np.arange(100) * 0.01
 STATES = np.linspace(0, 1, 100)[:, None] * np.array([1.0, 2.0, 3.0, 4.0, 1000.0, 2000.0])
@@ -86,3 +87,9 @@ def test_the_error_of_a_single_episode_is_written_out() -> None:
     assert [text.get_text() for text in axis.texts] == ["0.00321"]
     assert axis.get_xlim() == (0.5, 1.5) and axis.get_xticks().tolist() == [0, 1, 2]
     assert not model_error([1, 2], [1.0, 2.0]).axes[0].texts
+
+
+def test_the_error_of_a_prediction_is_drawn_over_time_and_never_at_zero() -> None:
+    (axis,) = growing_error([0.0, 0.5, 1.0], [0.0, 0.1, 0.4]).axes
+    assert axis.lines[0].get_xydata().tolist() == [[0.0, 1e-12], [0.5, 0.1], [1.0, 0.4]]
+    assert axis.get_yscale() == "log" and axis.get_xlim() == (0.0, 1.0)

@@ -43,6 +43,18 @@ def test_every_figure_whose_data_are_there_is_drawn(tmp_path: Path) -> None:
     assert "Open-loop prediction of the first real episode, model of the excitation alone" in drawn_text
 
 
+def test_a_single_episode_shows_how_its_prediction_went(tmp_path: Path) -> None:
+    heading = "time [s],theta [rad],Omega [rad/s],u [-],reference_theta [rad]"
+    write(tmp_path / "data" / "excitation.csv", heading, "0.1", "0.2", "0.3", "0.0")
+    write(tmp_path / "data" / "step_response.csv", "time,theta,Omega,u,reference_theta", "0.1", "0", "0.3", "0.5")
+    names = "time,theta,Omega,predicted_theta,predicted_Omega"
+    write(tmp_path / "data" / "prediction_first_episode.csv", names, "0.1", "0.2", "0.4", "0.2")
+    (tmp_path / "progress.csv").write_text("episode,return,one_step_reward_error,evaluated_return\n1,-5,0.1,-2\n")
+    (axis,) = _figures(tmp_path, Pendulum().signature)["model_error"].axes
+    wide = Pendulum().signature.x_scale[0]
+    np.testing.assert_allclose(axis.lines[0].get_ydata(), 0.3 / wide / np.sqrt(2))
+
+
 def test_empty_cells_are_nan(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("a,b\n1,\n2,3.5\n")
     table = read_table(tmp_path / "t.csv")

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from dynasindy.systems import Tras, integrate
-from dynasindy.systems import machine as systems_machine
+from dynasindy.systems import compiler as compiling
 from dynasindy.systems.base import Signature
 from dynasindy.systems.compiler import compiler
 from dynasindy.systems.stops import Stops
@@ -123,7 +123,7 @@ def test_what_runs_away_is_not_finite_and_leaves_other_rows_alone():
 def test_other_numbers_in_the_same_functions_need_no_compiler(monkeypatch):
     library, xi = made([A, B, of("per_cos2", "a", frequency=3.0, fitted=True)])
     machine(library, xi)
-    monkeypatch.setattr(systems_machine, "build_fast", lambda *_: pytest.fail("compiled again"))
+    monkeypatch.setattr(compiling, "build_fast", lambda *_: pytest.fail("compiled again"))
     x, u = drawn(5)
     changed = library.with_shapes([1.5])
     samples = machine(changed, 2 * xi).integrate(x, u, 0.1, 1)[0]
@@ -151,7 +151,10 @@ def test_a_model_has_machine_code_for_what_it_can_compute_and_as_it_is_now(monke
     x, u = drawn(6)
     code = model.compiled(x, u)
     assert code is not None and model.compiled(x, u) is code
-    assert model.compiled(x.double(), u.double()) is None
+    double = x.double(), u.double()
+    assert model.compiled(*double) not in (None, code)
+    exact = reference(library, xi, *double, 0.1, 2)[0]
+    torch.testing.assert_close(integrate(model, *double, 0.1, 2)[0], exact, rtol=1e-13, atol=1e-14)
     assert model.compiled(x, u.double()) is None
     assert model.compiled(x, u[:1]) is None
     torch.testing.assert_close(integrate(model, x, u, 0.1, 2)[0], reference(library, xi, x, u, 0.1, 2)[0].float())

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from scipy.linalg import expm
-from scipy.optimize import root
 from torch import Tensor
 from torch.autograd.functional import jacobian
 
@@ -118,6 +117,8 @@ class Equilibria:
 
     def _search(self, reference: Tensor) -> Tensor:
         """Search from several starts: at rest the slope of a rotor's thrust is zero and Newton's method stuck."""
+        from scipy.optimize import root  # where Newton's method did not arrive
+
         generator = torch.Generator().manual_seed(0)
         for _ in range(_ITERATIONS):
             start = 0.5 * torch.randn(self.scale.shape, generator=generator, dtype=torch.float64)

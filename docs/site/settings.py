@@ -1,0 +1,251 @@
+"""Pages on every key of conf/: what the YAML files say of it, and what the annotations of the code allow.
+
+Nothing is written here a second time. The sentence on a key is the comment above it in its file, or, where a file says
+nothing, the sentence on the argument in the docstring of what `_target_` names. What a key may hold is the annotation
+by which `scripts/schema.py` checks it before a command begins.
+"""
+
+import inspect
+import pkgutil
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, get_args, get_type_hints, is_typeddict
+
+import yaml
+
+REPOSITORY = Path(__file__).parents[2]
+sys.path += [str(REPOSITORY), str(REPOSITORY / "scripts")]  # MkDocs takes them back when this file is read
+import schema  # noqa: E402
+from annotations import words  # noqa: E402
+
+CONF = REPOSITORY / "conf"
+GROUPS = {
+    "system": "Plants",
+    "task": "Tasks",
+    "excitation": "Excitations",
+    "sensors": "Sensors",
+    "world_model": "World models",
+    "planning": "Planning",
+    "agent": "Agents",
+    "experiment": "Experiments",
+    "scenario": "Scenarios of an evaluation",
+    "setting": "Settings of the ablation",
+    "data": "Data of an identification",
+    "rig": "Rigs",
+}
+"""Folders of conf/ in the order of their pages, with titles."""
+KEY = re.compile(r"^( *)(- )?([\w.\-/@ ]+?):(?: +(.*?))?(?:  +#.*)?$")
+SILENT = {"_target_", "_partial_", "defaults", "hydra"}
+"""Keys that configure Hydra, not dynasindy."""
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of a file.
+
+    Attributes:
+        name: Its path within the file, such as `reward.bonus`.
+        value: Its value as the file writes it; empty for a group of keys.
+        comment: The sentences above it in the file.
+        shared: Whether these sentences stand above another key, directly before it.
+        target: What the group that it stands in builds, by its dotted path.
+    """
+
+    name: str
+    value: str = ""
+    comment: str = ""
+    shared: bool = False
+    target: str = ""
+
+
+def titles() -> dict[str, str]:
+    """Return the title of each page by its name: the commands, then the groups."""
+    return {"commands": "Commands", **GROUPS}
+
+
+def page(name: str) -> str:
+    """Return a page in Markdown: all commands, or all files of a group."""
+    if name == "commands":
+        files = sorted(CONF.glob("*.yaml"), key=lambda file: (file.stem != "train", file.stem))
+        about = "The keys at the top of each command. The groups below `defaults` have pages of their own."
+        parts = [_section(file, f"`scripts/{file.stem}.py`", file.stem) for file in files]
+    else:
+        files = sorted((CONF / name).glob("*.yaml"))
+        about = f"`{name}=NAME` on the command line chooses one of these files of `conf/{name}`."
+        parts = [_section(file, f"`{name}={file.stem}`", file.stem.lstrip("_")) for file in files]
+    return "\n\n".join([f"# {titles()[name]}", about, *parts]) + "\n"
+
+
+def keys(file: Path) -> Iterator[Key]:
+    """Yield the keys of a YAML file of conf/ with the comments above them, but for those that configure Hydra.
+
+    The comment at the top of a file is about the whole file and so no key's.
+    """
+    comment: list[str] = []
+    path: list[tuple[int, str]] = []
+    top, latest, built = True, Key(""), _targets(yaml.safe_load(file.read_text()) or {})
+    for line in file.read_text().splitlines():
+        if line.lstrip().startswith("#"):
+            comment += [] if top else [line.strip().removeprefix("#").strip()]
+            continue
+        found, top = KEY.match(line), False
+        if found is None or found[2]:
+            comment = []
+            continue
+        depth = len(found[1])
+        path = [*[(d, n) for d, n in path if d < depth], (depth, found[3])]
+        name = ".".join(n for _, n in path)
+        if not SILENT & {n for _, n in path}:
+            group, said = name.rpartition(".")[0], " ".join(comment)
+            shared = not said and latest.name.rpartition(".")[0] == group and bool(latest.comment)
+            said = latest.comment if shared else said
+            latest = Key(name, found[4] or "", said, shared, built.get(group, ""))
+            yield latest
+        comment = []
+
+
+def header(file: Path) -> str:
+    """Return the sentences at the top of a file, which say what it is for."""
+    found: list[str] = []
+    for line in file.read_text().splitlines():
+        if not line.startswith("#"):
+            break
+        if not line.startswith("# @package"):
+            found.append(line.lstrip("# "))
+    return " ".join(found)
+
+
+def explained(file: Path) -> Iterator[Key]:
+    """Yield the keys of a file that hold a value, each with a sentence and with what it belongs to.
+
+    Where neither the file nor the docstring of what it builds has a sentence, it is that of another file on the same
+    key, that on the group that it stands in, or the one at the top of the file.
+    """
+    above: dict[str, str] = {}
+    for key in keys(file):
+        known = _known().get(_whole(file, key.name), key)
+        target = key.target or known.target
+        comment = "" if key.shared else key.comment
+        comment = comment or _described(key.name, target) or key.comment or known.comment
+        if not comment and key.value.startswith("${"):
+            comment = f"Copied from `{key.value.strip('${}').removeprefix('oc.select:').partition(',')[0]}`."
+        above[key.name] = comment = comment or above.get(key.name.rpartition(".")[0], "")
+        if key.value:
+            yield replace(key, comment=comment or header(file), target=target)
+
+
+@cache
+def _known() -> Mapping[str, Key]:
+    """Return what is known of each key by its whole path, from whichever file says most; the main one comes first."""
+    found: dict[str, Key] = {}
+    for file in [CONF / "train.yaml", *sorted(CONF.rglob("*.yaml"))]:
+        for key in keys(file):
+            name = _whole(file, key.name)
+            before = found.get(name, key)
+            comment = before.comment or ("" if key.shared else key.comment)
+            found[name] = replace(before, comment=comment, target=before.target or key.target)
+    return found
+
+
+def _whole(file: Path, name: str) -> str:
+    """Return the path of a key in a composed config."""
+    everywhere = file.parent == CONF or "@package _global_" in file.read_text()
+    return name if everywhere else f"{file.parent.name}.{name}"
+
+
+def _section(file: Path, title: str, anchor: str) -> str:
+    rows = [
+        f"| `{key.name}` | {_code(key.value)} | {_cell(_allowed(key, file))} | {_cell(key.comment)} |"
+        for key in explained(file)
+    ]
+    table = ["| key | value | allowed | meaning |", "| --- | --- | --- | --- |", *rows] if rows else []
+    return "\n\n".join(filter(None, [f"## {title} {{ #{anchor} }}", _cell(header(file)), "\n".join(table)]))
+
+
+def _code(text: str) -> str:
+    return f"`{text}`".replace("|", "\\|") if text else ""
+
+
+def _cell(text: str) -> str:
+    """Return a sentence of a YAML file or a docstring as Markdown that stands in a table."""
+    plain = text.replace("|", "\\|")
+    return plain if "`" in plain else plain.replace("<", "&lt;").replace("[", "\\[")
+
+
+def _allowed(key: Key, file: Path) -> str:
+    """Return what a key may hold, in the words of the messages that refuse another value."""
+    group, _, name = key.name.rpartition(".")
+    hints = _hints(key.target) if key.target else _top(file.stem)
+    if group and not key.target:
+        hints = _typed(hints.get(group))
+    hint = hints.get(name)
+    allowed = "" if hint in (None, Any) else words(hint)
+    return re.sub(r"\d+ to \d+, (?=eight for)", "up to ", allowed.replace(f" up to {1e19:g}", ""))
+
+
+def _top(command: str) -> Mapping[str, Any]:
+    """Return the annotations of the keys at the top of a command's config."""
+    own = {"export": schema.Exporting, "check": schema.Checking}
+    return schema.TOP | _typed(own.get(command))
+
+
+def _typed(kind: Any) -> Mapping[str, Any]:
+    return get_type_hints(kind, include_extras=True) if is_typeddict(kind) else {}
+
+
+@cache
+def _hints(target: str) -> Mapping[str, Any]:
+    """Return the annotations of what a group builds, with those of the settings that it passes on."""
+    function = _built(target)
+    if function is None:
+        return {}
+    found = get_type_hints(function, include_extras=True)
+    for inner in map(get_args, list(found.values())):
+        if len(inner) == 2 and isinstance(inner[1], type) and inner[0] is Any:
+            found = get_type_hints(inner[1], include_extras=True) | found
+    return found
+
+
+def _built(target: str) -> Any:
+    if not target.startswith("dynasindy."):
+        return None
+    named = pkgutil.resolve_name(target)
+    return named.__init__ if isinstance(named, type) else named
+
+
+def _described(name: str, target: str) -> str:
+    """Return what a docstring says of a key: that of what its group builds, or that of the keys of `plant`."""
+    group, _, last = name.rpartition(".")
+    return _argument(target, last) if target else _sentence(schema.Plant, last) if group == "plant" else ""
+
+
+@cache
+def _argument(target: str, name: str) -> str:
+    """Return what a docstring says of an argument, or of an attribute of the settings that a class passes on."""
+    if _built(target) is None:
+        return ""
+    named = pkgutil.resolve_name(target)
+    sources = [*getattr(named, "__mro__", [named])]
+    for hint in get_type_hints(_built(target), include_extras=True).values():
+        sources += [inner for inner in get_args(hint) if isinstance(inner, type) and inner.__module__ != "builtins"]
+    return next(filter(None, (_sentence(source, name) for source in sources)), "")
+
+
+def _sentence(source: Any, name: str) -> str:
+    found = re.search(rf"^( +){name}: (.*(?:\n\1 +.*)*)", inspect.getdoc(source) or "", re.M)
+    said = " ".join(found[2].split()) if found else ""
+    return said[:1].upper() + said[1:]
+
+
+def _targets(tree: Any, place: str = "") -> dict[str, str]:
+    """Return the `_target_` of each group of a file by the group's path."""
+    if not isinstance(tree, dict):
+        return {}
+    found = {place: str(tree["_target_"])} if "_target_" in tree else {}
+    for name, child in tree.items():
+        found |= _targets(child, f"{place}.{name}".lstrip("."))
+    return found

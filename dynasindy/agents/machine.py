@@ -1,0 +1,236 @@
+"""Steps of TD3 as machine code: the losses of `TD3Loss`, their gradients and Adam, on the CPU.
+
+At the sizes that control needs, a good half of an update is what torch does around its products. `c/td3.c` does the
+same arithmetic on the same tensors without it: weights, targets, the moments of Adam and the smoothing noise are
+torch's and stay where they are. A step equals that of `Steps` up to rounding.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import warnings
+from collections.abc import Sequence
+from importlib import resources
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torch.optim import Adam
+
+from dynasindy.agents.loss import TD3Loss
+from dynasindy.agents.networks import Layer
+from dynasindy.agents.steps import Check, Steps
+from dynasindy.systems.compiler import load
+
+LINE = 64
+"""Bytes at whose multiples the room for a batch begins, as the widest numbers of a processor do."""
+FUNCTIONS = ("learn_values", "learn_policy", "descend", "room")
+Pointers = ctypes.POINTER(ctypes.c_void_p)
+
+
+def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, bound: float, machine_code: bool = True) -> Steps:
+    """Return machine code for these networks where there can be, and otherwise automatic differentiation.
+
+    Args:
+        loss: the loss module.
+        critics: the optimiser of the critics.
+        actor: the optimiser of the actor.
+        bound: bound of each gradient's norm; 0 leaves gradients as they are.
+        machine_code: whether machine code is wanted.
+    """
+    if machine_code and readable(loss) and all(map(usual, (critics, actor))):
+        try:
+            return MachineSteps(loss, critics, actor, bound)
+        except FileNotFoundError:
+            pass  # there is no compiler
+        except (ValueError, OSError) as error:
+            warnings.warn(f"TD3 learns by torch code, which is slower: {error}", stacklevel=3)
+    return Steps(loss, critics, actor, bound)
+
+
+def readable(loss: TD3Loss) -> bool:
+    """Return whether the machine code knows these networks: plain perceptrons in float32 in the CPU's memory."""
+    layers = (*loss.actor_layers, *loss.critic_layers)
+    tensors = [tensor for layer in layers for tensor in (layer.weight, layer.bias)]
+    known = all(tensor.is_cpu and tensor.dtype == torch.float32 and tensor.requires_grad for tensor in tensors)
+    plain = all(layer.gain is None for layer in layers) and len(loss.actor_layers) == len(loss.critic_layers)
+    return type(loss) is TD3Loss and known and plain
+
+
+def usual(optimizer: Adam) -> bool:
+    """Return whether an optimiser is Adam as its authors describe it, with one group of weights."""
+    (group, *others), extras = optimizer.param_groups, ("weight_decay", "amsgrad", "maximize")
+    return type(optimizer) is Adam and not others and not any(group.get(name) for name in extras)
+
+
+class MachineSteps(Steps):
+    """Steps of Adam down the two losses of TD3, as machine code.
+
+    Tensors of weights and of the optimisers are read where they lie now; where one has been replaced, the steps no
+    longer stand, and others take their place.
+
+    Args:
+        loss: the loss module, whose networks are `readable`.
+        critics: the optimiser of the critics.
+        actor: the optimiser of the actor.
+        bound: bound of each gradient's norm; 0 leaves gradients as they are.
+
+    Raises:
+        FileNotFoundError: there is no compiler.
+        ValueError: the compiler refuses the text.
+        OSError: what the compiler wrote cannot be loaded.
+    """
+
+    def __init__(self, loss: TD3Loss, critics: Adam, actor: Adam, bound: float) -> None:
+        super().__init__(loss, critics, actor, bound)
+        source = resources.files("dynasindy.agents").joinpath("c", "td3.c").read_text(encoding="utf-8")
+        self._code = load(source, FUNCTIONS, fast=True)
+        self._code.room.restype = ctypes.c_long
+        gradients = [[_zeros(layer) for layer in layers] for layers in (loss.actor_layers, loss.critic_layers)]
+        targets = loss.target_actor_layers, loss.target_critic_layers
+        networks = [loss.actor_layers, loss.critic_layers, *targets, *gradients]
+        first, last = loss.actor_layers[0].weight, loss.critic_layers[-1].bias
+        self.n_obs, self.n_u = first.shape[-1], loss.actor_layers[-1].bias.shape[-1]
+        sizes = self.n_obs, self.n_u, last.shape[0]
+        self._agent = _Agent(*sizes, loss.discount, loss.policy_noise, loss.noise_clip, *map(_network, networks))
+        self._actor_weights = _weights(actor, loss.actor_layers, gradients[0])
+        self._critic_weights = _weights(critics, loss.critic_layers, gradients[1])
+        moments = [state[name] for each in (critics, actor) for state in each.state.values() for name in state]
+        # What the code points to is kept alive, as are the dictionaries that say what it is.
+        self._held = [*(tensor for layers in networks for layer in layers for tensor in layer[:2]), *moments]
+        self._places, self._listed = self._now()
+        self._room = torch.empty(0)
+
+    def stands(self) -> bool:
+        """Return whether all tensors are still there, and where they lay when the steps were made."""
+        places, listed = self._now()
+        same = all(one is other for one, other in zip(listed, self._listed))
+        return same and places == self._places and all(len(optimizer.state) for optimizer in self.optimizers)
+
+    def _now(self) -> tuple[list[int], tuple[object, ...]]:
+        states = (optimizer.state for optimizer in self.optimizers)
+        return [held.data_ptr() for held in self._held], (self.loss.actor_layers, self.loss.critic_layers, *states)
+
+    def critics(self, batch: TensorDictBase, check: Check) -> tuple[Tensor, Tensor]:
+        """Take a step of the critics, see `Steps`.
+
+        Raises:
+            ValueError: a tensor of the batch has another shape or kind than the networks take.
+        """
+        following = batch.get("next")
+        seen, acted = self._tensor(batch, "observation", self.n_obs), self._tensor(batch, "action", self.n_u)
+        then, reward = self._tensor(following, "observation", self.n_obs), self._tensor(following, "reward", 1)
+        ended = self._tensor(following, "terminated", 1, torch.bool)
+        noise = torch.empty_like(acted).normal_(0.0, 1.0, generator=self.loss.generator)
+        loss, value = ctypes.c_double(), ctypes.c_double()
+        given = _Batch(len(seen), *(tensor.data_ptr() for tensor in (seen, acted, then, reward, noise, ended)))
+        found = ctypes.byref(loss), ctypes.byref(value)
+        self._code.learn_values(ctypes.byref(self._agent), ctypes.byref(given), self._place(len(seen)), *found)
+        error = torch.tensor(loss.value)
+        check(error, "the critics' loss")
+        self._step(self._critic_weights, self.optimizers[0])
+        return error, torch.tensor(value.value)
+
+    def actor(self, batch: TensorDictBase, check: Check) -> Tensor:
+        """Take a step of the actor, see `Steps`.
+
+        Raises:
+            ValueError: the observation has another shape or kind than the networks take.
+        """
+        seen, loss = self._tensor(batch, "observation", self.n_obs), ctypes.c_double()
+        given = _Batch(len(seen), seen.data_ptr())
+        room = self._place(len(seen))
+        self._code.learn_policy(ctypes.byref(self._agent), ctypes.byref(given), room, ctypes.byref(loss))
+        error = torch.tensor(loss.value)
+        check(error, "the actor's loss")
+        self._step(self._actor_weights, self.optimizers[1])
+        return error
+
+    def _step(self, weights: _Weights, optimizer: Adam) -> None:
+        group = optimizer.param_groups[0]
+        numbers = group["lr"], *group["betas"], group["eps"], self.bound
+        self._code.descend(ctypes.byref(weights), *map(ctypes.c_double, numbers))
+
+    def _tensor(self, batch: TensorDictBase, key: str, width: int, dtype: torch.dtype = torch.float32) -> Tensor:
+        # The code reads as many numbers as it is told, whatever is there.
+        tensor: Tensor = batch.get(key)
+        if not len(tensor):
+            raise ValueError("A batch of TD3 holds no transition; give one at least.")
+        if tensor.shape != (batch.batch_size[0], width) or tensor.dtype != dtype or not tensor.is_cpu:
+            raise ValueError(
+                f"A batch of TD3 holds '{key}' as {tuple(tensor.shape)}, {tensor.dtype}, on {tensor.device}; give "
+                f"{(batch.batch_size[0], width)}, {dtype}, on the CPU."
+            )
+        return tensor.contiguous()
+
+    def _place(self, rows: int) -> ctypes.c_void_p:
+        needed = self._code.room(ctypes.byref(self._agent), ctypes.c_long(rows)) + LINE // 4
+        if len(self._room) < needed:
+            self._room = torch.zeros(needed)
+        return ctypes.c_void_p(-(-self._room.data_ptr() // LINE) * LINE)
+
+
+class _Network(ctypes.Structure):
+    _fields_ = (
+        ("depth", ctypes.c_int),
+        ("widths", ctypes.POINTER(ctypes.c_int)),
+        ("weight", Pointers),
+        ("bias", Pointers),
+    )
+
+
+class _Agent(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_int) for name in ("n_obs", "n_u", "critics")),
+        *((name, ctypes.c_float) for name in ("gamma", "sigma", "clip")),
+        *((name, _Network) for name in ("actor", "critic", "target_actor", "target_critic")),
+        *((name, _Network) for name in ("actor_gradient", "critic_gradient")),
+    )
+
+
+class _Batch(ctypes.Structure):
+    _fields_ = (
+        ("rows", ctypes.c_long),
+        *((name, ctypes.c_void_p) for name in ("observation", "action", "next_observation", "reward")),
+        *((name, ctypes.c_void_p) for name in ("noise", "terminated")),
+    )
+
+
+class _Weights(ctypes.Structure):
+    _fields_ = (
+        ("tensors", ctypes.c_int),
+        ("sizes", ctypes.POINTER(ctypes.c_long)),
+        *((name, Pointers) for name in ("weight", "gradient", "mean", "square", "steps")),
+    )
+
+
+def _zeros(layer: Layer) -> Layer:
+    return Layer(torch.zeros_like(layer.weight), torch.zeros_like(layer.bias))
+
+
+def _network(layers: Sequence[Layer]) -> _Network:
+    widths = [layers[0].weight.shape[-1], *(layer.bias.shape[-1] for layer in layers)]
+    weights, biases = zip(*((layer.weight, layer.bias) for layer in layers))
+    return _Network(len(layers), (ctypes.c_int * len(widths))(*widths), _pointers(weights), _pointers(biases))
+
+
+def _weights(optimizer: Adam, layers: Sequence[Layer], gradients: Sequence[Layer]) -> _Weights:
+    """Return what a step of Adam reads and writes; moments that Adam has not made yet are made as it would."""
+    flat = [tensor for layer in layers for tensor in (layer.weight, layer.bias)]
+    slopes = [tensor for layer in gradients for tensor in (layer.weight, layer.bias)]
+    owners = {parameter.data_ptr(): parameter for parameter in optimizer.param_groups[0]["params"]}
+    states = []
+    for tensor in flat:
+        state = optimizer.state[owners[tensor.data_ptr()]]
+        if not state:
+            state["step"] = torch.zeros((), dtype=torch.float32)
+            state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(tensor), torch.zeros_like(tensor)
+        states.append(state)
+    moments = ([state[name] for state in states] for name in ("exp_avg", "exp_avg_sq", "step"))
+    sizes = (ctypes.c_long * len(flat))(*(tensor.numel() for tensor in flat))
+    return _Weights(len(flat), sizes, *map(_pointers, (flat, slopes, *moments)))
+
+
+def _pointers(tensors: Sequence[Tensor]) -> ctypes._Pointer[ctypes.c_void_p]:
+    addresses = (ctypes.c_void_p * len(tensors))(*(tensor.data_ptr() for tensor in tensors))
+    return ctypes.cast(addresses, Pointers)

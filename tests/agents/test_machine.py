@@ -1,0 +1,226 @@
+"""Steps by machine code are those by automatic differentiation, for all shapes, and read nothing that is not there."""
+
+import copy
+import math
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from dynasindy.agents import machine as module
+from dynasindy.agents.machine import MachineSteps, readable
+from dynasindy.agents.steps import Steps
+from dynasindy.agents.td3 import TD3
+from dynasindy.systems import Diverged
+from dynasindy.systems import compiler as compiling
+from dynasindy.systems.compiler import compiler, forget
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
+pytestmark = pytest.mark.filterwarnings("error")
+
+
+def transitions(rows, n_obs=3, n_u=2, seed=0):
+    rng = torch.Generator().manual_seed(seed)
+    seen, then = torch.randn(2, rows, n_obs, generator=rng)
+    acted, reward = torch.rand(rows, n_u, generator=rng) * 2 - 1, torch.randn(rows, 1, generator=rng)
+    ended = torch.rand(rows, 1, generator=rng) < 0.3
+    following = TensorDict({"observation": then, "reward": reward, "terminated": ended}, [rows])
+    return TensorDict({"observation": seen, "action": acted, "next": following}, [rows])
+
+
+def pair(n_obs=3, n_u=2, **settings):
+    settings = {"hidden": (6, 5), "seed": 3, "target_update_interval": 2, "tau": 0.3} | settings
+    return tuple(TD3(n_obs, n_u, **settings, machine_code=code) for code in (True, False))
+
+
+def weights(agent):
+    return {name: value for name, value in agent.loss.state_dict().items() if value.is_floating_point()}
+
+
+@needs_compiler
+@pytest.mark.parametrize("rows", [1, 31, 32, 33, 100])
+@pytest.mark.parametrize(
+    ("n_obs", "n_u", "hidden", "critics"),
+    [(3, 2, (6, 5), 2), (1, 1, (1,), 2), (20, 3, (17, 40, 33), 3), (31, 2, (16, 32), 2), (40, 9, (64,), 4)],
+)
+def test_losses_gradients_and_steps_are_those_of_automatic_differentiation(rows, n_obs, n_u, hidden, critics):
+    """The moments of Adam hold the gradients of all steps, so each of them is compared."""
+    ours, torchs = pair(n_obs, n_u, hidden=hidden, critics=critics, critic_lr=1e-3, actor_lr=1e-3)
+    for seed in range(4):
+        batch = transitions(rows, n_obs, n_u, seed)
+        found, wanted = ours.update(batch), torchs.update(batch)
+        for name, value in wanted.items():
+            assert found[name].item() == pytest.approx(value.item(), rel=2e-5, abs=1e-6)
+    assert isinstance(ours._steps, MachineSteps) and not isinstance(torchs._steps, MachineSteps)
+    for kind in ("critic_optimizer", "actor_optimizer"):
+        states = (getattr(agent, kind).state_dict()["state"] for agent in (ours, torchs))
+        for found, wanted in zip(*(state.values() for state in states), strict=True):
+            assert found["step"] == wanted["step"]
+            for moment in ("exp_avg", "exp_avg_sq"):
+                size = wanted[moment].abs().max().item()
+                torch.testing.assert_close(found[moment], wanted[moment], rtol=1e-4, atol=1e-5 * size)
+
+
+@needs_compiler
+def test_agents_that_differ_by_machine_code_alone_draw_the_same_noise():
+    ours, torchs = pair()
+    for agent in (ours, torchs):
+        agent.update(transitions(10))
+    assert torch.equal(ours.loss.generator.get_state(), torchs.loss.generator.get_state())
+
+
+@needs_compiler
+def test_a_batch_that_is_not_in_one_piece_counts_as_its_copy():
+    ours, other = pair()[0], pair()[0]
+    batch = transitions(40)
+    sliced = transitions(40)
+    for part, key in ((sliced, "observation"), (sliced, "action"), (sliced["next"], "observation")):
+        part[key] = part[key].t().contiguous().t()
+        assert not part[key].is_contiguous()
+    assert ours.update(batch)["critic_loss"] == other.update(sliced)["critic_loss"]
+    assert all(torch.equal(a, b) for a, b in zip(weights(ours).values(), weights(other).values(), strict=True))
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("action", torch.zeros(10, 1), r"'action' as \(10, 1\), torch.float32, on cpu; give \(10, 2\)"),
+        ("observation", torch.zeros(10, 3).double(), r"'observation' as \(10, 3\), torch.float64"),
+        (("next", "terminated"), torch.zeros(10, 1), "'terminated' .* give .* torch.bool"),
+        (("next", "reward"), torch.zeros(10, 2), r"'reward' as \(10, 2\)"),
+        (("next", "observation"), torch.zeros(10, 4), r"'observation' as \(10, 4\)"),
+    ],
+)
+def test_a_batch_of_another_shape_or_kind_is_refused(key, value, words):
+    batch = transitions(10)
+    batch[key] = value
+    agent = pair()[0]
+    before = {name: value.clone() for name, value in weights(agent).items()}
+    with pytest.raises(ValueError, match=words):
+        agent.update(batch)
+    assert all(torch.equal(before[name], value) for name, value in weights(agent).items())
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    "replace",
+    [
+        lambda agent: agent.critic_optimizer.load_state_dict(copy.deepcopy(agent.critic_optimizer.state_dict())),
+        lambda agent: agent.actor_optimizer.load_state_dict(copy.deepcopy(agent.actor_optimizer.state_dict())),
+        lambda agent: agent.loss.share_memory(),
+    ],
+)
+def test_a_tensor_that_was_replaced_is_the_one_that_learns(replace):
+    agent, whole = pair()[0], pair()[0]
+    for one in (agent, whole):
+        one.update(transitions(10))
+        one.update(transitions(10, seed=1))
+    replace(agent)
+    for one in (agent, whole):
+        one.update(transitions(10, seed=2))
+        one.update(transitions(10, seed=3))
+    assert all(torch.equal(a, b) for a, b in zip(weights(agent).values(), weights(whole).values(), strict=True))
+
+
+@needs_compiler
+def test_moments_that_were_forgotten_begin_anew_as_those_of_torch():
+    ours, torchs = pair()
+    for agent in (ours, torchs):
+        agent.update(transitions(10))
+        agent.critic_optimizer.state.clear()
+        agent.update(transitions(10, seed=1))
+    for name, value in weights(torchs).items():
+        torch.testing.assert_close(weights(ours)[name], value, rtol=1e-4, atol=1e-6)
+    assert len(ours.critic_optimizer.state) == len(torchs.critic_optimizer.state)
+
+
+@needs_compiler
+@pytest.mark.parametrize("lanes", ["-mno-avx", "-mno-avx512f", "-march=native"])
+def test_the_room_holds_many_layers_of_odd_width_on_any_processor(monkeypatch, lanes):
+    run = compiling._run
+    monkeypatch.setattr(compiling, "_run", lambda words, *files: run([*words, *([lanes] * ("-c" in words))], *files))
+    forget()
+    agent = TD3(1, 1, hidden=(1,) * 40, policy_delay=1)
+    agent._steps._place(1)
+    size = len(agent._steps._room)
+    guarded = torch.full((size + 2048,), 7.0)
+    agent._steps._room = guarded
+    agent.update(transitions(1, 1, 1))
+    assert (guarded[size:] == 7.0).all()
+    forget()
+
+
+@needs_compiler
+@pytest.mark.parametrize("kind", ["critics", "actor"])
+def test_no_weight_moves_by_a_loss_that_is_refused(kind):
+    agent = pair()[0]
+    before = {name: value.clone() for name, value in weights(agent).items()}
+
+    def refuse(loss, what):
+        raise ZeroDivisionError(what)
+
+    with pytest.raises(ZeroDivisionError, match=kind):
+        getattr(agent._steps, kind)(transitions(10), refuse)
+    assert all(torch.equal(before[name], value) for name, value in weights(agent).items())
+
+
+@needs_compiler
+def test_an_empty_batch_is_refused():
+    with pytest.raises(ValueError, match="holds no transition; give one at least"):
+        pair()[0].update(transitions(0))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda agent: agent.critic_optimizer.param_groups[0].update(weight_decay=0.1),
+        lambda agent: agent.actor_optimizer.param_groups[0].update(amsgrad=True),
+        lambda agent: next(agent.loss.actor_network_params.parameters()).requires_grad_(False),
+        lambda agent: agent.critic_optimizer.add_param_group({"params": [torch.zeros(1, requires_grad=True)]}),
+        lambda agent: setattr(agent.loss, "__class__", type("Other", (type(agent.loss),), {})),
+    ],
+)
+def test_what_it_would_not_heed_is_left_to_torch(change):
+    agent = pair()[0]
+    change(agent)
+    assert type(agent._steps) is Steps
+
+
+@needs_compiler
+@pytest.mark.parametrize("net", [0, 1, 2])
+def test_a_target_that_is_no_number_is_not_taken_for_the_larger_one(net):
+    agent = pair(critics=3)[0]
+    with torch.no_grad():
+        agent.loss.target_critic_layers[1].weight[net] = math.nan
+    with pytest.raises(Diverged, match="critics' loss is nan at update 1"):
+        agent.update(transitions(10))
+
+
+def test_networks_that_it_does_not_know_are_left_to_torch():
+    assert readable(pair()[0].loss)
+    normed, double = pair(layer_norm=True)[0], pair()[0]
+    double.loss.double()
+    assert not readable(normed.loss) and not readable(double.loss)
+    assert type(normed._steps) is Steps
+
+
+def test_without_a_compiler_torch_learns_without_a_word(monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    forget()
+    agent = pair()[0]
+    assert math.isfinite(agent.update(transitions(10))["critic_loss"]) and type(agent._steps) is Steps
+
+
+@needs_compiler
+@pytest.mark.parametrize("error", [ValueError("refused it"), OSError("cannot be loaded")])
+def test_a_compiler_that_fails_costs_one_warning(monkeypatch, error):
+    def fail(*_, **__):
+        raise error
+
+    monkeypatch.setattr(module, "load", fail)
+    agent = pair()[0]
+    with pytest.warns(UserWarning, match="TD3 learns by torch code, which is slower: "):
+        agent.update(transitions(10))
+    agent.update(transitions(10))  # and none at the next update

@@ -1,0 +1,119 @@
+"""The commands of `dynasindy`: which there are, what they say of themselves, and what a shell is told."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+HEAVY = {"torch", "torchrl", "tensordict", "pysindy", "scipy", "sympy", "matplotlib"}
+
+
+@pytest.fixture
+def commands(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "scripts")
+    import commands
+
+    return commands
+
+
+def dynasindy(*words, cwd, **environment):
+    command = [sys.executable, "-m", "dynasindy", *words]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, env={**os.environ, **environment})
+
+
+def completed(line, cwd):
+    return dynasindy("-sc", "query=bash", cwd=cwd, COMP_LINE=line).stdout.split()
+
+
+def test_every_command_is_a_script_with_a_main_and_every_config_belongs_to_one(commands):
+    for name in commands.COMMANDS:
+        text = (ROOT / "scripts" / f"{name}.py").read_text()
+        assert re.search(r"^def main\(", text, re.M) and 'if __name__ == "__main__":\n    main()\n' in text, name
+        assert f"`python scripts/{name}.py " in text  # what the help and the manual show
+    assert {file.stem for file in (ROOT / "conf").glob("*.yaml")} <= set(commands.COMMANDS)
+
+
+def test_a_command_is_called_as_it_was_and_by_its_script_in_a_clone(commands, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["/clone/scripts/train.py"])
+    assert commands.called("check") == "python scripts/check.py"
+    monkeypatch.setattr(sys, "argv", ["/venv/bin/dynasindy"])
+    assert commands.called("check") == "dynasindy check"
+    assert commands.purpose("check").startswith("Check a controller on its model before it touches metal: `dynasindy c")
+    monkeypatch.setattr(sys, "argv", ["worker.py"])
+    monkeypatch.setattr(commands, "IN_CLONE", False)
+    assert commands.called("check") == "dynasindy check"
+
+
+@pytest.mark.parametrize("words", [[], ["--help"], ["-h"]])
+def test_without_a_command_all_of_them_are_listed(commands, words, tmp_path):
+    done = dynasindy(*words, cwd=tmp_path)
+    listed = re.findall(r"^  (\w+)  +\S", done.stdout, re.M)
+    assert done.returncode == 0 and tuple(listed) == commands.COMMANDS
+
+
+def test_a_command_that_does_not_exist_costs_one_line(tmp_path):
+    done = dynasindy("trian", cwd=tmp_path)
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.startswith("error: 'trian' is no command") and done.stderr.endswith("did you mean 'train'?\n")
+
+
+EVERY_HELP = """
+import contextlib, io, runpy, sys
+for name in {names}:
+    sys.argv = [f"{scripts}/{{name}}.py", "--help"]
+    with contextlib.redirect_stdout(io.StringIO()) as page, contextlib.suppress(SystemExit):
+        runpy.run_path(sys.argv[0], run_name="__main__")
+    assert f"python scripts/{{name}}.py" in page.getvalue(), name
+print(*sys.modules)
+"""
+
+
+def test_no_help_imports_what_takes_seconds(commands, tmp_path):
+    code = EVERY_HELP.format(names=commands.COMMANDS, scripts=ROOT / "scripts")
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'scripts'}"}
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert "hydra" in done.stdout.split() and not HEAVY & set(done.stdout.split())
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_wrong_key_is_found_before_torch_is_imported(tmp_path):
+    code = "import sys; sys.argv = ['train', 'sed=1']\nimport train\ntry: train.main()\nfinally: print(*sys.modules)"
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'scripts'}"}
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, env=environment)
+    assert done.returncode == 2 and "did you mean 'seed'?" in done.stderr
+    assert not HEAVY & set(done.stdout.split())
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("dynasindy re", ["report"]),
+        ("dynasindy train system=t", ["system=tras", "system=trms33"]),
+        ("/home/train/bin/dynasindy train planning=none checkpoint.", ["checkpoint.every="]),
+        ("dynasindy table ", []),
+        ("dynasindy nothing ", []),
+    ],
+)
+def test_a_shell_is_told_how_a_line_goes_on(line, words, tmp_path):
+    assert completed(line, tmp_path) == words
+
+
+def test_completion_imports_nothing_that_takes_seconds_either(tmp_path):
+    code = (
+        "import os, sys\nfrom dynasindy.__main__ import main\nsys.argv = ['dynasindy', '-sc', 'query=bash']\n"
+        "os.environ['COMP_LINE'] = 'dynasindy train see'\nmain()\nprint(*sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    first, modules = done.stdout.splitlines()
+    assert first == "seed=" and "hydra" in modules.split() and not HEAVY & set(modules.split())
+
+
+def test_after_the_command_and_a_space_all_commands_are_offered(commands, tmp_path):
+    assert completed("dynasindy ", tmp_path) == list(commands.COMMANDS)
+    registered = dynasindy("-sc", "install=bash", cwd=tmp_path).stdout
+    assert registered.rstrip().endswith("hydra_bash_completion dynasindy")

@@ -1,0 +1,155 @@
+"""What `--help` shows of conf/: every key once, its value as it is composed, the sentences above it."""
+
+import re
+from pathlib import Path
+
+import pytest
+from omegaconf import DictConfig, OmegaConf
+
+CONF = Path(__file__).resolve().parents[2] / "conf"
+COMMANDS = sorted(file.stem for file in CONF.glob("*.yaml"))
+
+THING = """\
+# What it is for.
+# In two lines.
+defaults:
+  - base
+  - part: big
+  - override hydra/job_logging: none
+  - _self_
+
+# How many.
+number: 2
+# Said of both.
+low: -1.0
+high: 1.0
+group:
+  _target_: a.b
+  # Letters.
+  # More of them.
+  inner: {a: 1}
+  empty: {}
+# Where it goes.
+folder: ${hydra:runtime.output_dir}
+hydra:
+  # Of no interest.
+  output_subdir: null
+  run:
+    dir: runs/${now:%Y}
+"""
+BASE = "# The base.\n\n# Of the base.\nbelow: text\n# Number of the base.\nnumber: 1\n"
+BIG, SMALL = (
+    "# A big one.\nsize: 9\n",
+    "# @package _global_\n# A small one.\npart:\n  # Its size.\n  size: 1\nnumber: 7\n",
+)
+
+
+@pytest.fixture
+def module(monkeypatch):
+    monkeypatch.syspath_prepend(CONF.parent / "scripts")
+    monkeypatch.setenv("COLUMNS", "200")
+    import manual
+
+    return manual
+
+
+@pytest.fixture
+def small(module, monkeypatch, tmp_path):
+    """The manual of a config made for it, of a command `thing`."""
+    (tmp_path / "part").mkdir()
+    files = {"thing": THING, "base": BASE, "part/big": BIG, "part/small": SMALL, "part/_piece": "size: 3\n"}
+    for name, text in files.items():
+        (tmp_path / f"{name}.yaml").write_text(text)
+    monkeypatch.setattr(module, "CONF", tmp_path)
+    monkeypatch.setattr(module, "purpose", lambda name: f"What {name} does.")
+    monkeypatch.setattr(module, "called", lambda name: f"run {name}")
+    return lambda *words: module.manual("thing", words).splitlines()
+
+
+def test_the_page_of_a_command(small):
+    page = small("--help")
+    assert page[:3] == ["What thing does.", "", "What it is for. In two lines."]
+    assert page[page.index("Settings:") - 2] == "  part=big  or small"
+    settings = page[page.index("Settings:") + 1 : -4]
+    assert (
+        settings
+        == [
+            "  below=text",
+            "      Of the base.",
+            "  number=2",
+            "      How many.",
+            "  low=-1.0  high=1.0",
+            "      Said of both.",
+            "  group.inner={a: 1}  group.empty={}",
+            "      Letters. More of them.",
+            "  folder=runs/DATE_TIME",
+            "      Where it goes.",
+        ]
+        or settings
+    )
+
+
+def test_a_group_shows_its_options_and_an_option_its_settings(small):
+    assert small("part", "--help") == ["part=big", "    A big one.", "", "part=small", "    A small one."]
+    assert small("part=small", "--help") == [
+        "part=small",
+        "    A small one.",
+        "",
+        "  part.size=1",
+        "      Its size.",
+        "  number=2",
+    ]
+
+
+def test_other_words_are_shown_as_they_are_given(small):
+    assert "  number=5" in small("number=5", "-h")
+
+
+def keys(node, prefix=""):
+    """Yield the keys that a user may set, as a file has them."""
+    for key, value in node.items_ex(resolve=False):
+        if str(key).startswith("_") or (not prefix and key in ("defaults", "hydra")):
+            continue
+        if isinstance(value, DictConfig) and len(value):
+            yield from keys(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_key_of_a_command_is_shown_once_with_all_that_is_said_of_it(module, name):
+    page = module.manual(name, ["--help"])
+    shown = re.findall(r"(?:^  |  )([a-z_.]+)=", page.partition("Settings:")[2].partition("\n\n")[0], re.M)
+    wanted = set(keys(OmegaConf.load(CONF / f"{name}.yaml")))
+    assert wanted <= set(shown) and len(shown) == len(set(shown))
+    flat = " ".join(page.split())
+    for comment in re.findall(r"^# (.+)$", (CONF / f"{name}.yaml").read_text(), re.M):
+        assert " ".join(comment.split()) in flat
+
+
+def test_values_are_those_of_a_run_not_of_the_file(module):
+    # The file has 10 episodes and planning=dyna; its experiment, gradient, changes both.
+    page = module.manual("train", [])
+    assert "\n  train.episodes=1\n" in page and "\n  planning=gradient  " in page and "gate.state_error=.inf\n" in page
+    page = module.manual("train", ["experiment=dyna", "seed=3"])
+    assert page.startswith("experiment=dyna\n    Ours: imagined replay") and "seed" not in page
+    assert "\n  train.episodes=10\n" in module.manual("ablation", ["train.episodes=10"])
+
+
+def test_a_folder_of_names_is_listed(module):
+    named = " ".join(sorted(file.stem for file in (CONF / "scenario").glob("*.yaml"))).replace(" ", ", ")
+    assert f"There are {named}." in " ".join(module.manual("evaluate", []).split())
+
+
+def test_every_option_says_at_its_top_what_it_is(module):
+    for group in (folder for folder in CONF.iterdir() if folder.is_dir()):
+        for option in module.options(group.name):
+            assert module.heading(group / f"{option}.yaml").endswith("."), (group.name, option)
+
+
+def test_configs_of_the_users_own_are_composed_too(small, tmp_path):
+    (tmp_path / "mine" / "part").mkdir(parents=True)
+    (tmp_path / "mine" / "part" / "tiny.yaml").write_text("# @package _global_\nlow: -7.0\n")
+    page = small("--config-dir", str(tmp_path / "mine"), "+part@_global_=tiny", "number=3", "--help")
+    assert "  number=3" in page
+    assert small(f"--config-dir={tmp_path / 'mine'}", "part=tiny", "--help") == ["part=tiny"]

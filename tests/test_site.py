@@ -1,0 +1,110 @@
+"""The site builds without a warning, and its generated pages say of every setting what configs and code say."""
+
+import importlib.util
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+REPOSITORY = Path(__file__).parents[1]
+CONF = REPOSITORY / "conf"
+SITE = REPOSITORY / "docs" / "site"
+FILES = sorted(CONF.rglob("*.yaml"))
+NEEDED = ("mkdocs", "material", "mkdocstrings")
+
+
+@pytest.fixture(scope="module")
+def settings():
+    """The module that writes the pages on settings."""
+    spec = importlib.util.spec_from_file_location("site_settings", SITE / "settings.py")
+    module = importlib.util.module_from_spec(spec)
+    path = list(sys.path)
+    sys.modules["site_settings"] = module
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        sys.path[:] = path
+    return module
+
+
+def leaves(tree, place=""):
+    """Return the paths of all values of a YAML tree, but for lists of groups, whose keys are explained one by one."""
+    if isinstance(tree, list) and any(isinstance(child, dict) for child in tree):
+        return set()
+    if not isinstance(tree, dict) or not tree:
+        return {place}
+    return {leaf for name, child in tree.items() for leaf in leaves(child, f"{place}.{name}".lstrip("."))}
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: f"{file.parent.name}/{file.stem}")
+def test_every_value_of_a_config_has_a_row_with_a_sentence(settings, file):
+    rows = list(settings.explained(file))
+    names = {row.name for row in rows}
+    wanted = {
+        leaf
+        for leaf in leaves(yaml.safe_load(file.read_text()) or {})
+        if not {"_target_", "_partial_", "defaults", "hydra"} & set(re.split(r"[.]", leaf)) and leaf
+    }
+    missing = {leaf for leaf in wanted if not any(leaf == name or leaf.startswith(f"{name}.") for name in names)}
+    assert not missing
+    assert all(row.comment.strip() for row in rows)
+
+
+def test_a_comment_is_the_sentence_of_the_key_below_it_and_an_argument_that_of_its_docstring(settings, tmp_path):
+    file = tmp_path / "some.yaml"
+    file.write_text(
+        "# What the file is for.\n"
+        "_target_: dynasindy.planning.Gate\n"
+        "# Read here.\n"
+        "open_below: 0.05\n"
+        "close_above: 0.1\n"
+        "other:\n"
+        "  # Deeper, over\n"
+        "  # two lines.\n"
+        "  key: [1, 2]  # not this\n"
+    )
+    found = {key.name: key for key in settings.explained(file)}
+    assert list(found) == ["open_below", "close_above", "other.key"]
+    assert found["open_below"].comment == "Read here."
+    assert found["close_above"].comment.startswith("Reward error per control period above which an open gate closes")
+    assert found["other.key"].comment == "Deeper, over two lines."
+    assert (found["other.key"].value, found["open_below"].value) == ("[1, 2]", "0.05")
+    assert settings.header(file) == "What the file is for."
+
+
+def test_pages_show_values_and_what_is_allowed(settings):
+    agent, commands = settings.page("agent"), settings.page("commands")
+    assert "| `agent.critics` | `2` | a whole number (2 to 100" in agent
+    assert re.search(r"\| `formats` \| `\[c, onnx, fmu, model\]` \| a list, each c, onnx, fmu, model \|", commands)
+    assert re.search(r"\| `threads` \| `1` \| a whole number \(up to eight for each core", commands)
+    assert set(settings.titles()) == {"commands"} | {
+        folder.name for folder in CONF.iterdir() if folder.is_dir() and folder.name != "hydra"
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    any(importlib.util.find_spec(name) is None for name in NEEDED),
+    reason="MkDocs is not installed: pip install -e '.[docs]'",
+)
+def test_the_site_builds_without_a_warning_and_its_links_hold(tmp_path):
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-f", str(SITE / "mkdocs.yml"), "-d", str(tmp_path)]
+    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stdout + done.stderr
+    home = (tmp_path / "index.html").read_text()
+    assert "Ten seconds of data from a nonlinear plant in" in home
+    pages = {page for page in tmp_path.rglob("*.html") if page.name != "404.html"}
+    broken = set()
+    for page in pages:
+        for target in re.findall(r'(?:href|src)="([^"#?]+)', page.read_text()):
+            if "://" in target or target.startswith(("data:", "mailto:", "/")):
+                continue
+            place = (page.parent / target).resolve()
+            if not (place.is_file() or (place / "index.html").is_file()):
+                broken.add((str(page.relative_to(tmp_path)), target))
+    assert not broken
+    assert (tmp_path / "reference" / "dynasindy.systems" / "index.html").is_file()
+    assert "steady_state_error" in (tmp_path / "metrics" / "index.html").read_text()
