@@ -17,6 +17,7 @@ from dynasindy.world_models.fast_field import generate
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.regression import Rows, Theta, simpson_form
 from dynasindy.world_models.selection import DEPENDENT
+from dynasindy.world_models.shooting import substeps_for
 from dynasindy.world_models.weak import weak_form
 
 LENGTHS = (5, 7, 9, 13, 17, 25, 35, 51, 71, 101)
@@ -144,10 +145,13 @@ def imagined(
     if not bool(hidden.any()):
         return guess
     field, x, x_next = generate(library, xi), guess.x.clone(), guess.x_next.clone()
+    substeps = substeps_for(library, xi, guess.x, guess.u, guess.dt)
     for k in range(len(guess)):
         if k and bool(guess.segment[k] == guess.segment[k - 1]):
             x[k] = torch.where(hidden, x_next[k - 1], x[k])
-        after = rk4(field, x[k], guess.u[k], guess.dt)
+        after = x[k]
+        for _ in range(substeps):
+            after = rk4(field, after, guess.u[k], guess.dt / substeps)
         x_next[k] = torch.where(hidden & after.isfinite(), after, x_next[k])
     return replace(guess, x=x, x_next=x_next)
 

@@ -30,7 +30,7 @@ AGAIN = 3
 STEPS = 6
 """Gauss-Newton steps after which two delays are compared."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
-ERRORS = ("auto", "simulation", "prediction")
+ERRORS = ("auto", "simulation", "prediction", "innovation")
 Model = tuple[Library, Tensor]
 """A library with the numbers inside its fitted factors, and coefficients, `(n_features, n_x)`."""
 
@@ -106,10 +106,11 @@ class Refinement:
         window: sampling intervals between two states that `trajectory` estimates.
         longest_delay: longest delay of the inputs that is looked for [s], in whole samples, by `trajectory` in
             fractions of them; 0 takes the inputs as they are.
-        error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), or of
-            windows that begin anew (`prediction`), for plants that are pushed at random or unstable; `auto` fits such
-            windows too, and takes them if they leave over much less. The default is `auto` for the method `auto`, and
-            `simulation` for others.
+        error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), of
+            windows that begin anew (`prediction`), for plants that are unstable, or what a Kalman filter leaves over
+            in such windows (`innovation`), for plants that are pushed at random, the sizes of pushes and of noise
+            estimated; `auto` takes innovations where windows that begin anew leave over much less than a trajectory.
+            The default is `auto` for the method `auto`, and `simulation` for others.
         correlated: whether a coefficient of `trajectory` must be worth the more, the longer errors last: for real
             plants, of which every model leaves over more than noise. If not, every sample counts.
 
@@ -122,7 +123,7 @@ class Refinement:
     tolerance: float = 1e-6
     window: int = 20
     longest_delay: float = 0.0
-    error: Literal["auto", "simulation", "prediction"] | None = None
+    error: Literal["auto", "simulation", "prediction", "innovation"] | None = None
     correlated: bool = False
 
     def __post_init__(self) -> None:
@@ -192,11 +193,14 @@ class Refinement:
     ) -> tuple[Model, float, tuple[str, ...]]:
         """Return the model that trajectories tell, the delay, and which error was minimised if that was chosen."""
         descent = Descent(min(self.window, int(recording.known.sum())), correlated=self.correlated)
-        alone = replace(descent, joined=False)
+        kinds = {
+            "simulation": descent,
+            "prediction": replace(descent, joined=False),
+            "innovation": replace(descent, joined=False, pushed=True),
+        }
         error = self.error or ("auto" if self.method == "auto" else "simulation")
         if error != "auto":
-            kind = alone if error == "prediction" else descent
-            return *self._in_turn(first, rough, constraints, recording, kind), ()
+            return *self._in_turn(first, rough, constraints, recording, kinds[error]), ()
         try:
             found, delay = self._in_turn(first, rough, constraints, recording, descent)
             start = recording.guessed(delay).x
@@ -213,8 +217,8 @@ class Refinement:
                 return found, delay, (f"error=simulation: {why}, which noise of the sensors explains",)
             else:
                 why += ", so that something pushes the plant, or functions are missing"
-        note = f"error=prediction, over windows of {descent.window} samples: {why}"
-        return *self._in_turn(first, rough, constraints, recording, alone), (note,)
+        note = f"error=innovation, over windows of {descent.window} samples: {why}"
+        return *self._in_turn(first, rough, constraints, recording, kinds["innovation"]), (note,)
 
     def _in_turn(
         self, found: Model, delay: float, constraints: Constraints, recording: Recording, descent: Descent

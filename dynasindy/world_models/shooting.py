@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.world_models.library import Library
+from dynasindy.world_models.pushes import Noise, estimated, whiten
 from dynasindy.world_models.sensitivity import Parameters, Propagator
 from dynasindy.world_models.windows import Windows
 
@@ -85,6 +86,8 @@ class Linearised:
         cost: sum of squared errors and of squared gaps between windows, both weighted.
         moves: how the node of each window moves with the unknowns, `(W, n_x, F + P + 1)`.
         sigma: error of each state, `(n_x,)`.
+        errors: weighted errors of the samples, zero where not measured, `(W, L, n_x)`; whitened where windows tell
+            how the plant is pushed.
     """
 
     triangle: Tensor
@@ -92,6 +95,7 @@ class Linearised:
     cost: float
     moves: Tensor
     sigma: Tensor
+    errors: Tensor
 
 
 def linearise(
@@ -113,14 +117,26 @@ def linearise(
     if sigma is None:
         _require_bounded(flow, windows)
         sigma = flow.sigma(windows)
+    if bool((~windows.joined).all()):
+        rows, moves, errors, cost = _alone(estimate, flow, windows, sigma)
+    else:
+        rows, moves, errors, cost = _joined(estimate, flow, windows, len(parameters), sigma)
+    n_fixed = moves.shape[-1] - len(parameters) - 1
+    scale = rows[:, :-1].norm(dim=0).clamp_min(1e-300)
+    target = rows[:, -1:] + rows[:, n_fixed:-1] @ parameters.read(estimate.xi).unsqueeze(-1)
+    triangle = torch.linalg.qr(torch.cat([rows[:, :-1] / scale, target], -1), mode="r")[1]
+    return Linearised(triangle, scale, cost, moves, sigma, errors)
+
+
+def _joined(
+    estimate: Estimate, flow: Flow, windows: Windows, n_p: int, sigma: Tensor
+) -> tuple[Tensor, Tensor, Tensor, float]:
+    """Return weighted rows `(M, F + P + 1)`, moves of the nodes, weighted errors, and the cost, of one trajectory."""
     error = (windows.measured - flow.predicted) * windows.mask
     begun = ~windows.joined
     start_error = (windows.first - estimate.nodes)[begun]
-    if bool(begun.all()):
-        moves, gaps = _own(flow, error, start_error, windows.mask, sigma), torch.zeros_like(estimate.nodes)
-    else:
-        moves, gaps = _condense(estimate.nodes, flow, windows, len(parameters))
-    n_x, n_fixed = estimate.xi.shape[1], moves.shape[-1] - len(parameters) - 1
+    moves, gaps = _condense(estimate.nodes, flow, windows, n_p)
+    n_x = estimate.xi.shape[1]
     # error - d predicted: the node's move, then shapes and coefficients.
     columns = flow.s[..., :n_x] @ moves.unsqueeze(1)
     n_own = flow.s.shape[-1] - n_x
@@ -131,9 +147,6 @@ def linearise(
     starts[..., -1] = start_error - starts[..., -1]
     starts = torch.where(start_error.isnan().unsqueeze(-1), 0.0, starts / sigma.unsqueeze(-1))
     rows = torch.cat([columns.reshape(-1, columns.shape[-1]), starts.reshape(-1, columns.shape[-1])])
-    scale = rows[:, :-1].norm(dim=0).clamp_min(1e-300)
-    target = rows[:, -1:] + rows[:, n_fixed:-1] @ parameters.read(estimate.xi).unsqueeze(-1)
-    triangle = torch.linalg.qr(torch.cat([rows[:, :-1] / scale, target], -1), mode="r")[1]
     # A gap shifts all samples that follow, so closing it is worth more than the errors it hid.
     gap_weight = 10.0 * windows.mask.shape[1]
     weighted = (
@@ -141,8 +154,67 @@ def linearise(
         (1.0, start_error.nan_to_num() / sigma),
         (gap_weight, gaps / _gap_sigma(sigma, estimate)),
     )
-    cost = float(sum((w * e.square().sum() for w, e in weighted), torch.zeros(())))
-    return Linearised(triangle, scale, cost, moves, sigma)
+    return rows, moves, error / sigma, float(sum((w * e.square().sum() for w, e in weighted), torch.zeros(())))
+
+
+def _alone(estimate: Estimate, flow: Flow, windows: Windows, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
+    """Return the same of windows on their own.
+
+    Each node moves as fits its window best, which leaves no unknown of its own (variable projection).
+    """
+    n_x, (every, seen) = estimate.xi.shape[1], _every(estimate, flow, windows)
+    if windows.noise is None:
+        every = every * (seen / sigma).unsqueeze(-1)
+    else:
+        every = whiten(every, seen, _steps(estimate, flow, windows), windows.noise, windows.dt)[0]
+    rows = every.flatten(1, 2)
+    # A trial step may run away: its cost is infinite whatever these are, but the solver takes finite numbers alone.
+    finite = rows.nan_to_num(0.0, 0.0, 0.0)
+    best = torch.linalg.lstsq(finite[..., :n_x], finite[..., n_x:], driver="gelsd").solution
+    moves = torch.cat([-best[..., :-1], best[..., -1:]], -1)
+    errors = every[..., -1]
+    return (rows[..., n_x:] - rows[..., :n_x] @ best).flatten(0, 1), moves, errors[:, 1:], float(errors.square().sum())
+
+
+def _every(estimate: Estimate, flow: Flow, windows: Windows) -> tuple[Tensor, Tensor]:
+    """Return slopes and errors of each window's start and samples, `(W, L + 1, n_x, n_x + S + P + 1)`, and which count.
+
+    They are zero where nothing was measured; which were is 1 there and else 0, `(W, L + 1, n_x)`.
+    """
+    n_x, start_error = estimate.xi.shape[1], windows.first - estimate.nodes
+    first = torch.zeros_like(flow.s[:, 0])
+    first[..., :n_x] = torch.eye(n_x, dtype=first.dtype)
+    slopes = torch.cat([first.unsqueeze(1), flow.s], 1)
+    error = torch.cat([start_error.nan_to_num().unsqueeze(1), windows.measured - flow.predicted], 1)
+    seen = torch.cat([(~start_error.isnan()).to(error.dtype).unsqueeze(1), windows.mask], 1)
+    return torch.cat([slopes, error.unsqueeze(-1)], -1) * seen.unsqueeze(-1), seen
+
+
+def _steps(estimate: Estimate, flow: Flow, windows: Windows) -> Tensor:
+    """Return the slopes of the end of each interval by its beginning, `(W, L, n_x, n_x)`."""
+    none = Parameters.where(torch.zeros_like(estimate.xi, dtype=torch.bool))
+    propagator = Propagator(estimate.library, estimate.xi, none)
+    begins = torch.cat([estimate.nodes.unsqueeze(1), flow.predicted[:, :-1]], 1).flatten(0, 1)
+    inputs = windows.inputs.flatten(0, 1)
+    steps = propagator.advance(begins, propagator.start(len(begins)), inputs, windows.dt, windows.substeps)[1]
+    return steps.unflatten(0, windows.mask.shape[:2])
+
+
+def noise_of(estimate: Estimate, windows: Windows, pushed: Tensor) -> Noise:
+    """Return how noisy the sensors are and how hard the plant is pushed, by what windows on their own leave over.
+
+    Args:
+        estimate: coefficients and nodes.
+        windows: the recording.
+        pushed: states whose rates may be pushed, bool `(n_x,)`.
+    """
+    flow = Flow.of(estimate, Parameters.where(torch.zeros_like(estimate.xi, dtype=torch.bool)), windows)
+    _require_bounded(flow, windows)
+    rows, seen = _every(estimate, flow, windows)
+    n_x = estimate.xi.shape[1]
+    rows = torch.cat([rows[..., :n_x], rows[..., -1:]], -1)
+    spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12)
+    return estimated(rows, seen, _steps(estimate, flow, windows), pushed, spread, windows.dt)
 
 
 def _gap_sigma(sigma: Tensor, estimate: Estimate) -> Tensor:
@@ -183,23 +255,6 @@ def _condense(nodes: Tensor, flow: Flow, windows: Windows, n_p: int) -> tuple[Te
             moves[j, :, seen : seen + n_x] = torch.eye(n_x, dtype=nodes.dtype)
             seen += n_x
     return moves, gaps
-
-
-def _own(flow: Flow, error: Tensor, start_error: Tensor, mask: Tensor, sigma: Tensor) -> Tensor:
-    """Express the move of every node, of windows that none continues, by the moves of the shapes and coefficients.
-
-    It is the one that fits the window best, which leaves no unknown of its own (variable projection).
-    """
-    n_x, weight = error.shape[-1], (mask / sigma).unsqueeze(-1)
-    inside = torch.cat([flow.s, error.unsqueeze(-1)], -1) * weight
-    first = torch.cat([torch.eye(n_x).expand(len(error), -1, -1), torch.zeros_like(flow.s[:, 0, :, n_x:])], -1)
-    first = torch.cat([first, start_error.unsqueeze(-1)], -1) / sigma.unsqueeze(-1)
-    first = torch.where(start_error.isnan().unsqueeze(-1), 0.0, first)
-    rows = torch.cat([first, inside.flatten(1, 2)], 1)
-    # A trial step may run away: its cost is infinite whatever these are, but the solver takes finite numbers alone.
-    rows = rows.nan_to_num(0.0, 0.0, 0.0)
-    moves = torch.linalg.lstsq(rows[..., :n_x], rows[..., n_x:], driver="gelsd").solution
-    return torch.cat([-moves[..., :-1], moves[..., -1:]], -1)
 
 
 def move(

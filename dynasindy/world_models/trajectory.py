@@ -32,6 +32,7 @@ from dynasindy.world_models.shooting import (
     growth,
     linearise,
     move,
+    noise_of,
     substeps_for,
 )
 from dynasindy.world_models.windows import ENOUGH, Windows, spread
@@ -44,6 +45,10 @@ FARTHEST = 1e6
 """The same, beyond which a trajectory begins anew: the effects of all coefficients look alike after such a growth."""
 WORSE = 1.2
 """Factor on the errors of windows on their own, beyond which a trajectory through all of them does not fit."""
+TURNS = 4
+"""Turns at most in which the model, and the sizes of pushes and noise, are estimated."""
+SETTLED = 1e-3
+"""Part of a coefficient by which it may still change in the last of these turns."""
 NEGLIGIBLE = 1e-6
 """Part of the spread of a state below which its error is of the arithmetic, and tells nothing of the plant."""
 
@@ -58,12 +63,20 @@ class Descent:
             chosen where small errors grow along the trajectory, as in chaos.
         max_rounds: limit on Gauss-Newton steps between two changes of the equations.
         correlated: whether a coefficient must be worth the more, the longer errors last.
+        pushed: whether windows on their own are corrected by a Kalman filter, as far as random pushes on the plant and
+            noise of the sensors, both estimated, explain what it leaves over.
     """
 
     window: int
     joined: bool | None = None
     max_rounds: int = 30
     correlated: bool = False
+    pushed: bool = False
+
+    @property
+    def joins(self) -> bool:
+        """Tell whether windows may join."""
+        return self.joined is not False and not self.pushed
 
 
 @dataclass(frozen=True)
@@ -80,12 +93,9 @@ class Limits:
     max_rounds: int
     correlated: bool = False
 
-    def at(self, flow: Flow, windows: Windows) -> float:
-        """Return what a coefficient must be worth where a model leaves over what `flow` does."""
-        if not self.correlated:
-            return self.price
-        error = (windows.measured - flow.predicted) * windows.mask
-        return self.price * repetition(error, windows.mask, windows.joined)
+    def at(self, errors: Tensor, windows: Windows) -> float:
+        """Return what a coefficient must be worth where a model leaves over these errors, `(W, L, n_x)`."""
+        return self.price * repetition(errors, windows.mask, windows.joined) if self.correlated else self.price
 
 
 def refine_trajectory(
@@ -118,6 +128,8 @@ def refine_trajectory(
     some = spread(len(data), ENOUGH)
     part, limits = data.select(some), Limits(price(int(some.sum()), free), descent.max_rounds, descent.correlated)
     found, windows = _grown(Estimate(library, xi, guess[some]), (xi != 0) & free, part, descent)
+    if descent.pushed:
+        return _refine_pushed(found, free, windows, (data, guess), limits, descent)
     may_begin_anew = joined is None and not bool(data.x_next.isnan().any())
     if may_begin_anew and _grows(found, windows)[0] > GROWN:
         alone = replace(windows, joined=torch.zeros_like(windows.joined))
@@ -134,6 +146,27 @@ def refine_trajectory(
         if may_begin_anew:
             windows = replace(windows, joined=_grows(whole, windows)[1])
         found, _ = _descend(whole, support, windows, replace(limits, price=price(len(data), free)))
+    return found.library, found.xi
+
+
+def _refine_pushed(
+    found: Estimate, free: Tensor, windows: Windows, whole: tuple[Transitions, Tensor], limits: Limits, descent: Descent
+) -> tuple[Library, Tensor]:
+    """Minimise what a Kalman filter leaves over, and the sizes of pushes and noise in turn with it."""
+    data, guess = whole
+    pushed = free.any(0)
+    for _ in range(TURNS):
+        windows = replace(windows, noise=noise_of(found, windows, pushed))
+        last, found = found, _search(found, free, windows, limits)
+        if bool(((found.xi != 0) == (last.xi != 0)).all()) and bool(
+            ((found.xi - last.xi).abs() <= SETTLED * found.xi.abs()).all()
+        ):
+            break
+    if len(data) > ENOUGH:
+        support = (found.xi != 0) & free
+        found, every = _grown(replace(found, nodes=guess), support, data, descent)
+        every = replace(every, noise=noise_of(found, every, pushed))
+        found, _ = _descend(found, support, every, replace(limits, price=price(len(data), free)))
     return found.library, found.xi
 
 
@@ -175,7 +208,7 @@ def _search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) 
         flow = Flow.of(estimate, active + others, windows)
         model = linearise(estimate, active + others, windows, None, flow)
         n_fixed = len(model.scale) - len(active) - len(others)
-        better = reconsider(model.triangle, n_fixed, active, others, limits.at(flow, windows))
+        better = reconsider(model.triangle, n_fixed, active, others, limits.at(model.errors, windows))
         if better is None:
             break
         chosen = (active + others).take(better)
@@ -205,7 +238,7 @@ def trajectory_cost(
     estimate, windows = _grown(Estimate(library, xi, start[some]), support, data, descent)
     parameters = Parameters.where(support)
     estimate = _converge(estimate, parameters, windows, descent.max_rounds)
-    return _left_over(Flow.of(estimate, parameters, windows).sigma(windows), windows)
+    return _left_over(linearise(estimate, parameters, windows), windows)
 
 
 def strain(library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor) -> Tensor:
@@ -251,7 +284,7 @@ def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Desc
     parameters, guess = Parameters.where(support), estimate.nodes
     lengths = [descent.window]
     while True:
-        windows = Windows.of(data, lengths[0], descent.joined is not False, substeps)
+        windows = Windows.of(data, lengths[0], descent.joins, substeps)
         trial = replace(estimate, nodes=guess[windows.rows])
         if lengths[0] <= 2 or not bool(Flow.of(trial, parameters, windows).lost().any()):
             break
@@ -259,7 +292,7 @@ def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Desc
     for length in lengths[1:]:
         trial = _converge(trial, parameters, windows, descent.max_rounds)
         guess = guess.index_copy(0, windows.rows, trial.nodes)
-        windows = Windows.of(data, length, descent.joined is not False, substeps)
+        windows = Windows.of(data, length, descent.joins, substeps)
         trial = replace(trial, nodes=guess[windows.rows])
     return trial, windows
 
@@ -278,11 +311,11 @@ def _descend(estimate: Estimate, support: Tensor, windows: Windows, limits: Limi
             if before is None:
                 raise
             return before
-        cost = _left_over(model.sigma, windows)
+        cost = _left_over(model, windows)
         if before is not None and 2 * (cost - left) > allowed:
             return before
         n_fixed = len(model.scale) - len(parameters)
-        limit = limits.at(flow, windows)
+        limit = limits.at(model.errors, windows)
         kept, _ = walk_down(model.triangle, torch.arange(len(model.scale)) >= n_fixed, limit, NOISY)
         if len(kept) == len(model.scale):
             break
@@ -294,9 +327,12 @@ def _descend(estimate: Estimate, support: Tensor, windows: Windows, limits: Limi
     return estimate, support
 
 
-def _left_over(sigma: Tensor, windows: Windows) -> float:
-    """Return N/2 times the logarithm of the squared errors, summed over measured states."""
-    counts, seen = windows.mask.sum((0, 1)), sigma > EXACT
+def _left_over(model: Linearised, windows: Windows) -> float:
+    """Return N/2 times the logarithm of the squared errors, summed over measured states; of whitened ones together."""
+    counts, sigma = windows.mask.sum((0, 1)), model.sigma
+    if windows.noise is not None:
+        return 0.5 * float(counts.sum()) * math.log(max(model.cost, EXACT))
+    seen = sigma > EXACT
     return float((counts * sigma.log())[seen].sum())
 
 

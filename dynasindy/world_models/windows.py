@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.pushes import Noise
 
 ENOUGH = 10_000
 """Rows of a recording on which functions are chosen; the coefficients are fitted on all."""
@@ -28,6 +29,8 @@ class Windows:
         joined: whether a window continues the one before, bool `(W,)`.
         dt: length of an interval [s].
         substeps: Runge-Kutta steps in an interval.
+        noise: sizes of noise and of pushes, by which errors of windows on their own are weighed; without, every state
+            is weighed by its own errors, as if nothing pushed the plant.
     """
 
     rows: Tensor
@@ -38,6 +41,7 @@ class Windows:
     joined: Tensor
     dt: float
     substeps: int = 1
+    noise: Noise | None = None
 
     @classmethod
     def of(cls, data: Transitions, length: int, joined: bool = True, substeps: int = 1) -> Windows:

@@ -215,3 +215,14 @@ def test_the_bump_is_longer_for_noise_and_within_bounds(rate, noise, half):
     a = np.sin(rate * t) + noise * np.random.default_rng(0).normal(size=400)
     data = recording(a, lost(400), a)
     assert Seen.of(reconstruct(data, {1: 0}), data, {1: 0}).half == half
+
+
+def test_a_hidden_state_that_follows_fast_is_imagined_in_as_many_steps_as_it_needs():
+    # h' = y - h under y = 1 approaches 1 by e^-4 in a sample of 4 s; one Runge-Kutta step would multiply by 5.
+    signature = Signature(("y", "h"), ("V", "V"), ("u",), (1.0, 1.0))
+    library = Library(signature, [variable("y"), variable("h")])
+    seen = torch.tensor([[1.0, math.nan]] * 6).double()
+    data = Transitions.from_trajectory(seen, torch.zeros(5, 1).double(), 4.0)
+    guess = reconstruct(data, {})
+    found = imagined(library, torch.tensor([[0.0, 1.0], [0.0, -1.0]]).double(), data, guess, {})
+    assert found.x_next[:, 1].tolist() == pytest.approx([1 - math.exp(-4 * k) for k in range(1, 6)], abs=1e-3)
