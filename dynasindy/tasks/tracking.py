@@ -67,7 +67,8 @@ class Tracking(Task):
         if not outputs:
             raise ValueError(
                 f"the task tracks nothing; the states are {', '.join(signature.state_names)}: name some in "
-                "plant.outputs, with the ends of their targets in plant.low and plant.high"
+                "plant.outputs, with the ends of their targets in plant.low and plant.high, or take task=own, which "
+                "earns what an environment itself pays"
             )
         reward = TrackingReward() if reward is None else reward
         counts = {len(outputs), len(rates) or len(outputs), reference.n_r}

@@ -96,7 +96,7 @@ class OwnReward(Task):
             paid: What the plant paid, `(N,)`.
 
         Raises:
-            Diverged: The plant pays the same whatever happens, or the library cannot express what it pays.
+            Diverged: The plant pays the same whatever happens, or for inputs alone, or the library cannot express it.
         """
         x, u, x_next, paid = (values.double() for values in (x, u, x_next, paid))
         spread = float(paid.std())
@@ -117,6 +117,12 @@ class OwnReward(Task):
             raise Diverged(
                 f"the functions of task.library leave {100 * missed:.3g} % over of what the plant pays, more than "
                 f"{100 * MISSED:g} %, so no plan is made; add functions to plant.reward, or give task.reward a function"
+            )
+        read = {name for i in coefficients.nonzero().flatten().tolist() for name in self.library.features[i].variables}
+        if not read & set(self.signature.state_names):
+            raise Diverged(
+                "what the plant paid depends on inputs alone, so that the best is to rest; excite until it pays for a "
+                "state, or say what is wanted in plant.outputs, with a task that tracks them"
             )
         self.load_state_dict(
             {"coefficients": coefficients, "later": later, "missed": missed, "spread": spread, "periods": len(paid)}

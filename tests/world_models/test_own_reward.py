@@ -74,6 +74,13 @@ def test_a_reward_that_is_always_the_same_is_refused():
         OwnReward(SIGNATURE).learn(*drawn(), torch.ones(300))
 
 
+def test_a_reward_of_inputs_alone_is_refused():
+    """As of MountainCarContinuous-v0 before it has reached the flag."""
+    x, u, x_next = drawn()
+    with pytest.raises(Diverged, match="depends on inputs alone, so that the best is to rest"):
+        OwnReward(SIGNATURE).learn(x, u, x_next, -0.1 * u[:, 0] ** 2)
+
+
 def test_a_given_reward_is_used_and_compared_with_what_was_paid():
     x, u, x_next = drawn()
 
