@@ -138,7 +138,10 @@ class Value:
 
     @property
     def transposed(self) -> Value:
-        """Its rows as columns."""
+        """Its rows as columns; to be multiplied by matrices.
+
+        Multiplied by a vector it would be right as a graph, but onnxruntime 1.31 loses the transposition then.
+        """
         return self.graph.put("Transpose", self, perm=[1, 0])
 
     def reshape(self, *shape: int) -> Value:

@@ -29,7 +29,7 @@ def result(tmp_path, formula, shape):
     [
         (lambda g, a, x: 2.0 - x / 4.0 + x * x, 2.0 - X / 4 + X * X),
         (lambda g, a, x: 1.0 / (x - 3.0) - -x, 1 / (X - 3) + X),
-        (lambda g, a, x: a.transposed @ x, A.T @ X),
+        (lambda g, a, x: (a.transposed @ x.reshape(2, 1)).reshape(2), A.T @ X),
         (lambda g, a, x: np.eye(2)[1] - a @ x, np.eye(2)[1] - A @ X),
         (lambda g, a, x: a[1] * x[0], A[1] * X[0]),
         (lambda g, a, x: a[1:2].reshape(2) + x.total(), A[1] + X.sum()),
