@@ -148,10 +148,12 @@ class _Watching:
 
     @property
     def n(self) -> int:
+        """Number of states of the observer."""
         return len(self.observer.scale)
 
     @property
     def memory(self) -> int:
+        """Number of past inputs that it needs."""
         return self.late + 2
 
     def step(
