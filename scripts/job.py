@@ -28,7 +28,7 @@ class Done:
         recipe: The experiment.
         metrics: What its `metrics.json` holds.
         before: Whether it had ended before.
-        enough: Whether the policy is better than the untrained one and controls the plant, or need not.
+        enough: Whether the policy is better than the untrained one and controls the plant, if it is to; or need not.
     """
 
     recipe: Recipe
@@ -59,7 +59,7 @@ def run_job(cfg: DictConfig, progress: bool = True) -> Done:
     known = result(Path(cfg.folder), recipe.train.episodes) is not None
     metrics = run(recipe, evaluating, Path(cfg.folder), provenance, Saving(**cfg.checkpoint), progress, cfg.finish)
     usable = metrics["verdict"]["usable"] or not cfg.evaluation.must_improve
-    controlled = metrics["verdict"].get("controlled", True) or not cfg.evaluation.get("must_control", False)
+    controlled = metrics["verdict"].get("controlled") is not False or not cfg.evaluation.get("must_control", False)
     return Done(recipe, metrics, known, usable and controlled)
 
 

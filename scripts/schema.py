@@ -20,6 +20,7 @@ from dynasindy.world_models.formulas import register_formula
 
 HYDRA = {"_target_", "_partial_", "_args_", "_convert_", "_recursive_"}
 GIVEN = {"signature", "dt", "system", "task", "n_u", "n_obs", "env", "agent", "replay", "policy"}
+GIVEN |= {"x", "u", "x_next"}
 """Arguments that an experiment hands to what a config builds with `_partial_`."""
 
 

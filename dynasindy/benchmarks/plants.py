@@ -20,9 +20,11 @@ EXAMPLES = ROOT / "docs" / "examples"
 PLANTS = {
     **{name: [f"system={name}"] for name in ("van_der_pol", "cart_pole", "quadrotor", "tanks", "swing_up")},
     "pendulum_v1": ["system=gymnasium", "env.id=Pendulum-v1", "train.episodes=0"],
+    "pendulum_own": ["system=gymnasium", "env.id=Pendulum-v1", "task=own", "train.episodes=0"],
+    "inverted_pendulum": ["system=inverted_pendulum", "train.episodes=0"],
     "mountain_car": ["system=gymnasium", "env.id=MountainCarContinuous-v0", "train.episodes=0"],
 }
-"""Plants, and the words that choose them: those of docs/examples, and two environments of Gymnasium."""
+"""Plants, and the words that choose them: those of docs/examples, and environments of Gymnasium."""
 COLUMNS = (
     *("plant", "seed", "verdict", "output", "error_percent", "worst_percent"),
     *("plant_seconds", "periods", "cpu_seconds", "commit", "own_return"),
@@ -73,7 +75,7 @@ def trained(plant: str, seed: int) -> list[Row]:
 
 
 def rows_of(plant: str, seed: int, metrics: dict[str, Any], seconds: float) -> list[Row]:
-    """Return a row per output.
+    """Return a row per output, or one alone where nothing is tracked.
 
     Args:
         plant: Name of the plant.
@@ -82,19 +84,19 @@ def rows_of(plant: str, seed: int, metrics: dict[str, Any], seconds: float) -> l
         seconds: CPU time of the command [s].
     """
     held, cost = metrics["held"], metrics["cost"]
-    verdict = "CONTROLLED" if metrics["verdict"]["controlled"] else "NOT CONTROLLED"
+    verdict = metrics["verdict"]["held"].partition(":")[0]
     return [
         {
             **{"plant": plant, "seed": seed, "verdict": verdict, "output": name},
-            "error_percent": _percent(share),
-            "worst_percent": _percent(held["worst"][name]),
+            "error_percent": _percent(share) if name else "",
+            "worst_percent": _percent(held["worst"][name]) if name else "",
             "plant_seconds": cost["plant_seconds"],
             "periods": cost["real_steps"],
             "cpu_seconds": round(seconds, 1),
             "commit": commit(),
             "own_return": "" if (own := metrics["evaluation"].get("own_return")) is None else round(own, 2),
         }
-        for name, share in held["share"].items()
+        for name, share in (held["share"] or {"": None}).items()
     ]
 
 

@@ -90,6 +90,7 @@ class Parts:
 
     def _kept(self) -> dict[str, Any]:
         parts = {name: getattr(self, name) for name in ("world_model", "agent", "replay", "planner", "sensing")}
+        parts |= {"task": self.plant.task if self.plant.task.own else None}
         return {name: part for name, part in parts.items() if part is not None}
 
     _drawing: ClassVar = ("plant", "model_env")

@@ -157,6 +157,7 @@ class Recorder(Callback):
             "steady_seconds": final.steady_seconds,
             "excitation": self.restarts,
             "planning": self.parts.planner.words(),
+            "reward": self.plant.task.words(),
             "untrained": self.untrained,
             "equations": self.parts.world_model.equations(),
         }

@@ -60,6 +60,8 @@ def fit(parts: Parts, settings: Settings, held_out: Tensor | None = None) -> obj
         used[-len(held_out) :] &= ~held_out[-len(rows) :]
         rows = rows[used]
     report = parts.world_model.fit(transitions(rows, parts.model_env.log_dt))
+    following = rows["next"]
+    parts.plant.task.learn(rows["state"], rows["action"], following["state"], following["reward"].squeeze(-1))
     for name, learnt in parts.world_model.state_dict().items():
         if isinstance(learnt, Tensor) and not bool(learnt.isfinite().all()):
             raise Diverged(

@@ -223,6 +223,7 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
         f"{cost['wall_seconds']:.0f} s wall time; apart from these {cost['evaluation_steps']} real steps of evaluation",
         *([metrics["excitation"]] if metrics.get("excitation") else []),
         *_kept(metrics["checkpoint"]),
+        *([f"Reward: {metrics['reward']}"] if metrics.get("reward") else []),
         *([f"Planning: {metrics['planning']}"] if metrics.get("planning") else []),
         metrics["verdict"]["sentence"],
         *([metrics["verdict"]["held"]] if metrics["verdict"].get("held") else []),

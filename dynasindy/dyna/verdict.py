@@ -17,14 +17,14 @@ class Verdict:
     Attributes:
         usable: Whether the trained policy is better than the untrained one.
         sentence: Why, in words and with both returns.
-        controlled: Whether every output stays as near to its targets as was asked for, and nothing else runs away; of a
-            task that tracks nothing, whether the result is usable and nothing runs away.
+        controlled: Whether every output stays as near to its targets as was asked for, and nothing else runs away; None
+            where the task names no targets and nothing runs away: a return says nothing of control.
         held: How near, and what runs away, in words.
     """
 
     usable: bool
     sentence: str
-    controlled: bool = False
+    controlled: bool | None = False
     held: str = ""
 
 
@@ -59,15 +59,18 @@ def _compared(metrics: Mapping[str, Any]) -> tuple[bool, str]:
     )
 
 
-def _held(held: Mapping[str, Mapping[str, float | None]], within: float, usable: bool) -> tuple[bool, str]:
-    told, missed = [], not held["share"] and not usable
+def _held(held: Mapping[str, Mapping[str, float | None]], within: float, usable: bool) -> tuple[bool | None, str]:
+    told, missed = [], False
     for name, given in held["share"].items():
         share, worst = _number(given), _number(held["worst"][name])
         missed |= not (share <= within and worst <= LOST * within)
         told.append(f"{name} to {_percent(share)} of its box, {_percent(worst)} at worst")
     lines = [f"errors at the end: {'; '.join(told)} ({_percent(within)} is asked for)"]
     if not told:
-        lines = [f"the task tracks nothing, so that its return counts, which {'grew' if usable else 'did not grow'}"]
+        lines = [
+            "the task names no targets, so nothing is said of control; all that was compared is the mean return of the "
+            f"trained policy with that of the untrained one, and it {'grew' if usable else 'did not grow'}"
+        ]
     lines += [
         f"{name}, which is not tracked, {_fate(held, name)} in {_percent(_number(share))} of the runs"
         for name, share in held["away"].items()
@@ -76,8 +79,9 @@ def _held(held: Mapping[str, Mapping[str, float | None]], within: float, usable:
         f"{name} runs on in {_percent(_number(share))} of the runs, which nothing depends on"
         for name, share in held["idle"].items()
     ]
-    controlled = not missed and not held["away"]
-    return controlled, f"{'CONTROLLED' if controlled else 'NOT CONTROLLED'}: {'; '.join(lines)}."
+    controlled = (True if told else None) if not missed and not held["away"] else False
+    word = {True: "CONTROLLED", False: "NOT CONTROLLED", None: "NOT JUDGED"}[controlled]
+    return controlled, f"{word}: {'; '.join(lines)}."
 
 
 def _fate(held: Mapping[str, Mapping[str, float | None]], name: str) -> str:

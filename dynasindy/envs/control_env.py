@@ -174,10 +174,19 @@ class ControlEnv(EnvBase):
         return self.start_from(self.task.initial_state(batch, self.rng))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        x = tensordict["state"]
+        return self._moved(tensordict, *self.advance(x, tensordict["action"].to(x.dtype)))
+
+    def _moved(self, tensordict: TensorDictBase, samples: Tensor, touched: Tensor) -> TensorDict:
+        """Return what a step shows.
+
+        Args:
+            tensordict: What it began with.
+            samples: States after each sub-step, `(*batch, substeps, n_x)`.
+            touched: Whether a stop was touched, `(*batch,)`.
+        """
         x, u, params = (tensordict[key] for key in ("state", "action", "task_params"))
-        steps = tensordict["step_count"] + 1
-        samples, touched = self.advance(x, u.to(x.dtype))
-        x_next = samples[..., -1, :]
+        steps, x_next = tensordict["step_count"] + 1, samples[..., -1, :]
         out = self._observed(x_next, params, steps)
         t_next = steps.to(x.dtype) * self.dt
         out["reward"] = self.task.earned(x, u, x_next, params, t_next, touched).float().unsqueeze(-1)

@@ -21,7 +21,7 @@ from torchrl.data import Binary, Unbounded
 
 from dynasindy.envs.control_env import ControlEnv
 from dynasindy.systems import Signature, System
-from dynasindy.tasks import Task, Tracking
+from dynasindy.tasks import Task
 
 STARTS = 256
 """Resets that show where episodes begin; no step is taken."""
@@ -135,7 +135,7 @@ class GymnasiumEnv(ControlEnv):
 
     Args:
         system: The environment's names and ranges.
-        task: What is wanted; episodes of a `Tracking` task begin, in imagination, where the copies do.
+        task: What is wanted; it is told where the copies begin episodes, for imagined ones to begin there.
         id: Name of the environment, which `system` has too.
         dt: Control period [s]; None for that of the environment.
         substeps: 1, as a copy shows its state once per period.
@@ -168,7 +168,7 @@ class GymnasiumEnv(ControlEnv):
         self.ends, self.copies = True, Copies()
         super().__init__(system, task, period, 1, dtype=dtype, seed=seed)
         self.foreign = system
-        if isinstance(task, Tracking) and task.starts is None:
+        if task.starts is None:
             self.task = task.with_starts(self._begin(STARTS, np.random.default_rng(seed)))
 
     def with_system(self, system: System, dtype: torch.dtype | None = None, seed: int = 0) -> ControlEnv:
@@ -196,10 +196,9 @@ class GymnasiumEnv(ControlEnv):
         return out.set("own_reward", torch.zeros(*states.shape[:-1], 1))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        x, u, params = (tensordict[key] for key in ("state", "action", "task_params"))
+        x, u = tensordict["state"], tensordict["action"]
         if self.copies.user is not self or not torch.equal(x, self.now):
             raise RuntimeError("a Gymnasium environment goes on from its last state only; reset it first")
-        steps = tensordict["step_count"] + 1
         paid = torch.zeros(*x.shape[:-1], 1)
         held = self.over.clone()
         after, over = self.now.clone().reshape(-1, x.shape[-1]), self.over.clone().reshape(-1)
@@ -212,19 +211,17 @@ class GymnasiumEnv(ControlEnv):
             after[i] = torch.as_tensor(np.asarray(seen), dtype=self.float_type)
             paid.reshape(-1)[i], over[i] = float(reward), bool(terminated)
         self.now, self.over = after.reshape(x.shape), over.reshape(x.shape[:-1])
-        out = self._observed(self.now, params, steps)
         clipped = ((self.now <= self.foreign.ends[0]) | (self.now >= self.foreign.ends[1])).any(-1)
-        reward = self.task.earned(x, u, self.now, params, steps.to(x.dtype) * self.dt, clipped)
-        out["reward"] = reward.float().unsqueeze(-1)
-        out["samples"], out["at_stop"] = self.now.unsqueeze(-2), clipped.unsqueeze(-1)
-        out["own_reward"] = paid
-        out["moved"] = ~held.unsqueeze(-1)
-        # The reward of the task is a cost: an end that were worth nothing would be the best that an agent could reach,
-        # so an episode that the environment ends is cut short, not terminated.
-        out["truncated"] = (steps >= self.task.max_steps) | (self.over.unsqueeze(-1) & self.ends)
+        out = self._moved(tensordict, self.now.unsqueeze(-2), clipped)
+        out["own_reward"], out["moved"] = paid, ~held.unsqueeze(-1)
+        cut = self.over.unsqueeze(-1) & self.ends
+        if self.task.own:
+            out["reward"], out["terminated"] = paid.clone(), cut
+        # Any other reward is a cost: an end that were worth nothing would be the best that an agent could reach, so an
+        # episode that the environment ends is cut short, not terminated.
+        out["truncated"] = out["truncated"] | cut
         out["done"] = out["truncated"].clone()
-        out["terminated"] = torch.zeros_like(out["done"])
-        return TensorDict(out, batch_size=tensordict.batch_size, device=self.device)
+        return out
 
     def _begin(self, number: int, rng: np.random.Generator) -> Tensor:
         """Return states in which episodes begin, `(number, n_x)`."""

@@ -30,7 +30,8 @@ from dynasindy.systems import Stops
 from dynasindy.systems.compiler import SUFFIX, build, compiler
 from dynasindy.world_models import SindyModel
 
-VERSIONS = (2, 3)
+REFERENCES = {2: "unsigned int", 3: "uint32_t"}
+"""Versions of FMI that are written, and what their value references are in C."""
 PAST = 1024
 """Largest number of inputs that are on their way to a plant with a delay."""
 _GAP = "TOKEN-OF-THIS-FMU"
@@ -139,9 +140,10 @@ def plant_fmu(
 
 
 def _interface(version: int) -> str:
-    if version not in VERSIONS:
+    if version not in REFERENCES:
         raise ValueError(f"FMI {version} is not written; allowed are 2 and 3")
-    return fill(f"fmi{version}.c", {"token": _GAP, "answers": answers(version)})
+    words = {"version": version, "reference": REFERENCES[version], "token": _GAP, "answers": answers(version)}
+    return fill("fmi.c", words) + fill(f"fmi{version}.c", words)
 
 
 def _write(unit: _Unit, path: Path, version: int) -> bool:

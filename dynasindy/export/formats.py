@@ -5,7 +5,7 @@ SymPy expressions are in `dynasindy.world_models.interchange.to_sympy`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -60,12 +60,26 @@ def numpy_field(model: SindyModel) -> NumpyField:
     Raises:
         ValueError: The model has a function without a formula.
     """
-    scope: dict[str, Any] = {name: getattr(np, name) for name in ("cos", "exp", "fabs", "sign", "sin", "sqrt", "tanh")}
-    scope |= {"square": np.square, "larger": np.maximum}
+    calls: dict[str, Any] = {name: getattr(np, name) for name in ("cos", "exp", "fabs", "sign", "sin", "sqrt", "tanh")}
+    field = field_of(model, calls | {"square": np.square, "larger": np.maximum})
+    return lambda x, u: np.array(field(x, u), dtype=np.float64)
+
+
+def field_of(model: SindyModel, calls: Mapping[str, Any]) -> Callable[[Any, Any], list[Any]]:
+    """Return dx/dt of a model as a function of the places of `x` and `u`, which may hold any kind of number.
+
+    Args:
+        model: The model.
+        calls: What is called for each of `functions.FORMULA_FUNCTIONS`.
+
+    Raises:
+        ValueError: The model has a function without a formula.
+    """
+    scope = dict(calls)
     # The text is made of numbers, places and the formulas of the library's functions: no word of a file is in it.
     exec(compile(_python(model), "<exported model>", "exec"), scope)
-    field = scope["field"]
-    return lambda x, u: np.array(field(x, u), dtype=np.float64)
+    found: Callable[[Any, Any], list[Any]] = scope["field"]
+    return found
 
 
 def control_system(model: SindyModel) -> Any:

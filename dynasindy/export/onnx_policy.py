@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from dynasindy.control import Controller
 from dynasindy.control.files import network
-from dynasindy.evaluation.files import whole
+from dynasindy.export.onnx_graph import Graph, Value
 
-OPSET, FORMAT = 17, 8
-"""Versions of the operators and of the file, which runtimes since 2022 read."""
 SLOPE = 0.01
 """Slope of LeakyReLU where it is negative."""
 
@@ -30,33 +27,26 @@ def policy_onnx(controller: Controller, path: Path) -> None:
         ModuleNotFoundError: onnx is not installed.
         ValueError: The policy is of another kind.
     """
-    try:
-        from onnx import TensorProto, helper, numpy_helper
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            "ONNX needs the package onnx, which is not installed; install the extra: pip install -e '.[export]'"
-        ) from error
-    nodes: list[Any] = []
-    weights: list[Any] = []
-    value = "observation"
-    layers = network(controller).layers()
+    graph, told = Graph(), columns(controller)
+    n_o, n_u = len(told["observation"]), len(told["action"])
+    observation = graph.given("observation", ["batch", n_o], np.float32)
+    graph.result(add_policy(graph, controller, observation), "action", ["batch", n_u], np.float32)
+    graph.save(path, "policy", {name: ", ".join(words) for name, words in told.items()})
+
+
+def add_policy(graph: Graph, controller: Controller, observation: Value) -> Value:
+    """Return the actions of observations `(batch, n_o)`, in single precision.
+
+    Raises:
+        ValueError: The policy is of another kind.
+    """
+    value, layers = observation, network(controller).layers()
     for k, layer in enumerate(layers):
-        for letter, tensor in (("w", layer.weight), ("b", layer.bias)):
-            weights.append(numpy_helper.from_array(tensor.detach().cpu().numpy().astype(np.float32), f"{letter}{k}"))
-        nodes.append(helper.make_node("Gemm", [value, f"w{k}", f"b{k}"], [f"sum{k}"], transB=1))
+        weight, bias = (graph.constant(part.detach().cpu().numpy(), np.float32) for part in (layer.weight, layer.bias))
+        value = graph.put("Gemm", value, weight, bias, transB=1)
         last = k == len(layers) - 1
-        value = "action" if last else f"layer{k}"
-        more: dict[str, Any] = {} if last else {"alpha": SLOPE}
-        nodes.append(helper.make_node("Tanh" if last else "LeakyRelu", [f"sum{k}"], [value], **more))
-    ends = [
-        helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", width])
-        for name, width in (("observation", layers[0].weight.shape[1]), ("action", layers[-1].weight.shape[0]))
-    ]
-    graph = helper.make_graph(nodes, "policy", ends[:1], ends[1:], weights)
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=FORMAT)
-    helper.set_model_props(model, {name: ", ".join(words) for name, words in columns(controller).items()})
-    with whole(path) as temporary:
-        temporary.write_bytes(model.SerializeToString())
+        value = graph.put("Tanh", value) if last else graph.put("LeakyRelu", value, alpha=SLOPE)
+    return value
 
 
 def columns(controller: Controller) -> dict[str, list[str]]:

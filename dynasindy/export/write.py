@@ -15,6 +15,7 @@ from dynasindy.export.c_model import model_sources
 from dynasindy.export.compiler import microseconds
 from dynasindy.export.fmu import controller_fmu, plant_fmu
 from dynasindy.export.formats import casadi_source, latex_source
+from dynasindy.export.onnx_controller import controller_onnx
 from dynasindy.export.onnx_policy import policy_onnx
 from dynasindy.systems import Stops
 from dynasindy.systems.compiler import compiler
@@ -85,10 +86,12 @@ def write(what: Exported, folder: Path, formats: Collection[str], fmi: int = 3) 
         found += _c(controller_sources(controller), folder)
     if controller is not None and "onnx" in formats:
         try:
+            controller_onnx(controller, folder / "controller.onnx")
+            found.append(_size(folder / "controller.onnx", "the whole control step"))
             policy_onnx(controller, folder / "policy.onnx")
             found.append(_size(folder / "policy.onnx", "the policy, observation to action"))
         except ModuleNotFoundError as error:
-            missing.append(f"policy.onnx is not written: {error}")
+            missing.append(f"controller.onnx and policy.onnx are not written: {error}")
     if "fmu" in formats:
         if controller is not None:
             found.append(_fmu(folder / "controller.fmu", lambda path: controller_fmu(controller, path, version=fmi)))

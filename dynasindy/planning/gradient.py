@@ -24,7 +24,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count, check_memory
 from dynasindy.planning.base import Planned, Planner
 from dynasindy.planning.imitation import Begun, arrives, hold
-from dynasindy.planning.pace import LONGEST, PlanSettings, pace_of, rests_of
+from dynasindy.planning.pace import LONGEST, UNTOLD, PlanSettings, pace_of, rests_of
 from dynasindy.planning.terminal import TerminalValue
 from dynasindy.planning.trust import Bound
 from dynasindy.planning.variation import Members, Variation, Varied
@@ -115,7 +115,7 @@ class GradientPlanning(Planner):
                 f"terminal_updates={terminal_updates}, real_starts={real_starts}, jumps={jumps}; rollouts and updates "
                 "must be >= 0 and the shares at most 1 together: mend planning"
             )
-        signature, longest = env.system.signature, window or LONGEST
+        signature, longest = env.system.signature, window or UNTOLD
         check_memory(
             8.0 * rollouts * longest * signature.n_x * (signature.n_x + signature.n_u + 4),
             f"planning.rollouts={rollouts} of planning.window={longest} periods",

@@ -37,6 +37,9 @@ WINDOW = 20
 """Windows are multiples of so many control periods."""
 LONGEST = 80
 """Longest window that follows from a model."""
+UNTOLD = 100
+"""Window where nothing tells how long what is done now matters; Pendulum-v1 is swung up by its own reward with it, and
+not with 60."""
 STEP = 1.0
 """Largest product of a Runge-Kutta step and a mode's rate; the method itself is stable up to 2.8."""
 SUBSTEPS = 10
@@ -96,7 +99,8 @@ def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettin
         finest: Runge-Kutta steps of the plant per control period, which then serve the model, too.
     """
     if rests is None:
-        return PlanSettings(substeps=min(finest, SUBSTEPS), why="the task has no references")
+        window, substeps = min(UNTOLD, env.task.max_steps), min(finest, SUBSTEPS)
+        return PlanSettings(window, 3e-3, 400, 8, substeps, why="the task has no references")
     if not len(rests):
         return PlanSettings(why="the model has no rest in the box of targets")
     moved, seconds = rests.moved, env.task.max_steps * env.dt

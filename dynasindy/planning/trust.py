@@ -21,7 +21,7 @@ class ModelError:
     """How far the model strays from real steps that it was not fitted to.
 
     Attributes:
-        reward_error: Mean absolute difference of the rewards per control period.
+        reward_error: Mean absolute difference of the rewards per control period, in the task's unit.
         state_error: Root mean square difference of the states, each divided by its range.
         states: The model's states at the ends of the replayed steps, window by window, `(n, n_x)`.
     """
@@ -57,7 +57,7 @@ def replay_error(
         following = samples[..., -1, :]
         t_next = (starts + k + 1).unsqueeze(-1) * model_env.dt
         reward = model_env.task.earned(x, u[starts + k], following, params, t_next.to(x), touched)
-        differences.append((reward - reward_real[starts + k].squeeze(-1)).abs())
+        differences.append((reward - reward_real[starts + k].squeeze(-1)).abs() / model_env.task.unit)
         squares.append(((following - x_real[starts + k]) / scale).square().mean(-1))
         states.append(following)
         x = following

@@ -87,25 +87,17 @@ class RigEnv(ControlEnv):
         super().close(raise_if_closed=raise_if_closed)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        x, u, params = (tensordict[key] for key in ("state", "action", "task_params"))
-        steps = tensordict["step_count"] + 1
+        x, u, steps = tensordict["state"], tensordict["action"], tensordict["step_count"] + 1
         if int(steps) != self.flights.k + 1:
             self.flights.end()
             raise RuntimeError("a rig goes on from its last period only; reset it first")
         x_next = self._measured(self.flights.period(u.detach().reshape(-1).double().numpy())).expand(x.shape)
-        truncated = steps >= self.task.max_steps
-        if bool(truncated):
+        if int(steps) >= self.task.max_steps:
             self.flights.end()  # before anything else: nothing more is to come
         touched = torch.zeros(x.shape[:-1], dtype=torch.bool)
         if self.stops is not None:
             touched = self.stops.apply(x_next)[1]
-        out: dict[str, Any] = self._observed(x_next, params, steps)
-        reward = self.task.earned(x, u, x_next, params, steps.to(x.dtype) * self.dt, touched)
-        out["reward"] = reward.float().unsqueeze(-1)
-        out["samples"], out["at_stop"] = x_next.unsqueeze(-2).clone(), touched.unsqueeze(-1)
-        out["truncated"], out["done"] = truncated, truncated.clone()
-        out["terminated"] = torch.zeros_like(truncated)
-        return TensorDict(out, batch_size=tensordict.batch_size, device=self.device)
+        return self._moved(tensordict, x_next.unsqueeze(-2).clone(), touched)
 
     def _measured(self, y: Any) -> Tensor:
         """Return a sample as a tensor, `(n_x,)`, NaN where there is no sensor."""

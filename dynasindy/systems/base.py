@@ -138,6 +138,11 @@ class System(nn.Module, ABC):
                 code = make(x.dtype)
             except FileNotFoundError:
                 pass  # there is no compiler
+            except TypeError as error:
+                raise TypeError(
+                    f"{type(self).__name__} says machine_code = True, but {error}; leave machine_code out of the "
+                    "class, which then stays torch code, or write forward with what dynasindy.systems.tracing reads"
+                ) from error
             except (ValueError, OSError) as error:
                 warnings.warn(f"{type(self).__name__} stays torch code, which is slower: {error}", stacklevel=3)
             self._machines[x.dtype] = code

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
-from typing import Protocol
+from typing import Any, Protocol, Self
 
 import torch
 from torch import Tensor
@@ -42,12 +43,27 @@ class Task(ABC):
     """Number of tracked outputs."""
     output_names: tuple[str, ...] = ()
     """Names of the tracked states."""
+    own: bool = False
+    """Whether the goal is what the plant itself pays; `earned` then is what is believed of that."""
+    starts: Tensor | None = None
+    """States in which the plant begins episodes, `(n, n_x)`, where it says so; a task may begin its own there."""
 
     def __init__(self, signature: Signature, max_steps: int) -> None:
         if max_steps < 1:
             raise ValueError(f"max_steps must be at least 1 control period, got {max_steps}; the paper has 400")
         self.signature = signature
         self.max_steps = max_steps
+
+    def with_starts(self, starts: Tensor) -> Self:
+        """Return the same task, told that the plant begins episodes at one of some states `(n, n_x)`."""
+        other = copy.copy(self)
+        other.starts = starts
+        return other
+
+    @property
+    def unit(self) -> float:
+        """Reward that counts as one where models are judged."""
+        return 1.0
 
     @property
     def params_shape(self) -> torch.Size:
@@ -83,3 +99,17 @@ class Task(ABC):
         reward = self.reward(x, x_next, params, t_next, at_stop)
         # Most tasks ask nothing for inputs, and a single environment feels three operations more.
         return reward if type(self).effort is Task.effort else reward - self.effort(u).to(x)
+
+    def learn(self, x: Tensor, u: Tensor, x_next: Tensor, paid: Tensor) -> None:  # noqa: B027 - most rewards are known
+        """Learn from what real periods have paid, `(N,)`, of states and inputs `(N, n)`."""
+
+    def words(self) -> str:
+        """Return in one line what was learnt; nothing for most tasks."""
+        return ""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what was learnt."""
+        return {}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:  # noqa: B027 - most tasks learn nothing
+        """Restore what `state_dict` returned."""

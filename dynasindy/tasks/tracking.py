@@ -67,7 +67,8 @@ class Tracking(Task):
         if not outputs:
             raise ValueError(
                 f"the task tracks nothing; the states are {', '.join(signature.state_names)}: name some in "
-                "plant.outputs, with the ends of their targets in plant.low and plant.high"
+                "plant.outputs, with the ends of their targets in plant.low and plant.high, or take task=own, which "
+                "earns what an environment itself pays"
             )
         reward = TrackingReward() if reward is None else reward
         counts = {len(outputs), len(rates) or len(outputs), reference.n_r}
@@ -96,7 +97,6 @@ class Tracking(Task):
         self.n_o = signature.n_x + (2 if observe_rate else 1) * self.n_r
         self._box = _boxes(signature, self.outputs, low, high)
         self.start = _ends(signature, "start", start or {}, torch.zeros(2, signature.n_x))
-        self.starts: Tensor | None = None
         unbounded = torch.tensor([[-math.inf], [math.inf]], dtype=torch.float64).expand(-1, signature.n_x)
         both = {name: [-v, v] if isinstance(v, int | float) else v for name, v in (bounds or {}).items()}
         self.bounds = _ends(signature, "bounds", both, unbounded.clone())
@@ -142,12 +142,6 @@ class Tracking(Task):
             )
         other = copy.copy(self)
         other._box = torch.tensor([float(extent) for extent in extents], dtype=torch.float64)
-        return other
-
-    def with_starts(self, starts: Tensor) -> Tracking:
-        """Return the same task whose episodes begin at one of some states `(n, n_x)`."""
-        other = copy.copy(self)
-        other.starts = starts
         return other
 
     def boxes(self) -> Tensor:

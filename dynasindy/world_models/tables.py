@@ -34,10 +34,10 @@ def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[s
                 quotient = " ".join(f.text() for f in feature.factors if f.function in QUOTIENTS)
                 above = " ".join(f.text() for f in feature.factors if f.function not in QUOTIENTS) or "1"
                 groups.setdefault(quotient, []).append((above if quotient else name, value))
-        written = _sum(groups.pop("", []), digits)
+        written = written_sum(groups.pop("", []), digits)
         for quotient, terms in groups.items():
             # What is divided by the same is written over it once.
-            above, sign = _sum(terms, digits), ""
+            above, sign = written_sum(terms, digits), ""
             if len(terms) > 1:
                 above = f"({above})"
             elif above.startswith("-"):
@@ -48,7 +48,7 @@ def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[s
     return lines
 
 
-def _sum(terms: Sequence[tuple[str, float]], digits: int) -> str:
+def written_sum(terms: Sequence[tuple[str, float]], digits: int) -> str:
     """Write coefficients and functions as a sum."""
     written = ""
     for name, value in terms:

@@ -50,9 +50,12 @@ def test_rows_say_what_the_run_says():
         "held": {"share": {"p": 0.0052, "theta": None}, "worst": {"p": 0.03, "theta": None}},
         "cost": {"plant_seconds": 30.0, "real_steps": 600},
         "evaluation": {"own_return": -212.946},
-        "verdict": {"controlled": False},
+        "verdict": {"held": "NOT CONTROLLED: errors"},
     }
     first, second = rows_of("cart_pole", 3, metrics, 63.97)
     assert (first["error_percent"], first["worst_percent"], first["cpu_seconds"]) == (0.52, 3.0, 64.0)
     assert first["own_return"] == -212.95
     assert (second["output"], second["error_percent"], second["verdict"]) == ("theta", float("inf"), "NOT CONTROLLED")
+    (only,) = rows_of("pendulum_own", 3, metrics | {"held": {"share": {}}, "verdict": {"held": "NOT JUDGED: x"}}, 1.0)
+    assert (only["verdict"], only["output"], only["error_percent"]) == ("NOT JUDGED", "", "")
+    assert only["own_return"] == -212.95

@@ -1,6 +1,7 @@
 """Every option of every group composes and its parts are built."""
 
 import math
+import re
 from dataclasses import fields
 from pathlib import Path
 
@@ -32,6 +33,24 @@ def build(*overrides):
 @pytest.mark.parametrize("option", sorted(set(OPTIONS) - {"system=logged"}))
 def test_every_option_is_built(option):
     build(option)
+
+
+def test_the_environment_of_the_page_is_built_of_its_own_words(tmp_path):
+    page = (CONF.parent / "docs" / "gymnasium.md").read_text()
+    (block,) = re.findall(r"```yaml\n# my_conf/system/my_env.yaml\n(.*?)```", page, re.S)
+    (tmp_path / "system").mkdir()
+    (tmp_path / "system" / "my_env.yaml").write_text(block)
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        cfg = compose("train", overrides=["system=my_env", f"hydra.searchpath=[file://{tmp_path}]"])
+    assert list(cfg.world_model.library) == ["1", "p", "v", "omega", "force", "sin(theta)", "cos(theta)"]
+    assert (cfg.env.dt, cfg.task.outputs, cfg.task.reference.high) == (0.04, ["p", "theta"], [0.3, 0.0])
+
+
+def test_a_task_without_targets_is_flown_as_it_draws_episodes():
+    cfg, parts = build("system=gymnasium", "task=own")
+    assert cfg.scenario.name == "task" and parts.plant.task.own
+    assert parts.plant.task.starts.shape == (256, 3)
+    assert parts.plant.task.library.names[-2:] == ("w^2", "torque^2")
 
 
 @pytest.mark.parametrize("setting", sorted(file.stem for file in (CONF / "setting").glob("*.yaml")))

@@ -65,9 +65,14 @@ def test_a_mileage_that_runs_on_is_named_and_no_failure():
 @pytest.mark.parametrize(
     ("trained", "away", "controlled", "words"),
     [
-        (-1.0, {}, True, "CONTROLLED: the task tracks nothing, so that its return counts, which grew."),
-        (-9.0, {}, False, "NOT CONTROLLED: the task tracks nothing, so that its return counts, which did not grow."),
-        (-1.0, {"v": 0.25}, False, "which grew; v, which is not tracked, runs away .* in 25 % of the runs"),
+        (-1.0, {}, None, "^NOT JUDGED: the task names no targets, .* said of control; .* untrained one, and it grew.$"),
+        (-9.0, {}, None, "^NOT JUDGED: the task names no targets, .* untrained one, and it did not grow.$"),
+        (
+            -1.0,
+            {"v": 0.25},
+            False,
+            "^NOT CONTROLLED: .* grew; v, which is not tracked, runs away .* in 25 % of the runs",
+        ),
     ],
 )
 def test_where_nothing_is_tracked_the_return_counts(trained, away, controlled, words):

@@ -13,7 +13,8 @@ COUNTS = {2: 44 - 10, 3: 75}
 
 @pytest.mark.parametrize("version", [2, 3])
 def test_each_is_there_once(version):
-    text = fill(f"fmi{version}.c", {"token": "t", "answers": answers(version)})
+    words = {"version": version, "reference": "unsigned", "token": "t", "answers": answers(version)}
+    text = fill("fmi.c", words) + fill(f"fmi{version}.c", words)
     written = re.findall(rf"^(?:EXPORT .*?\b|ANSWER\(|NOTHING\()(fmi{version}\w+)", text, re.M)
     assert len(written) == len(set(written)) == COUNTS[version]
     assert len({*FINE[version], *ABSENT[version]}) == len(FINE[version]) + len(ABSENT[version])

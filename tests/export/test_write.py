@@ -85,8 +85,8 @@ def test_a_package_that_is_missing_is_named_and_the_rest_is_written(pendulum, tm
     monkeypatch.setitem(sys.modules, "onnx", None)
     save(pendulum(), tmp_path / "controller.json")
     lines = write.write(Exported.read(tmp_path), tmp_path / "out", ["c", "onnx"])
-    assert "policy.onnx is not written: ONNX needs the package onnx" in lines[-1]
-    with pytest.raises(ValueError, match=r"policy\.onnx is not written"):
+    assert "controller.onnx and policy.onnx are not written: ONNX needs the package onnx" in lines[-1]
+    with pytest.raises(ValueError, match=r"policy\.onnx are not written"):
         write.write(Exported.read(tmp_path), tmp_path / "none", ["onnx"])
 
 

@@ -92,5 +92,5 @@ def test_without_references_a_model_takes_the_steps_of_the_plant(settle):
     env = ControlEnv(plant, settle(plant.signature))
     assert rests_of(env) is None
     found = pace_of(env, None, 5)
-    assert found == PlanSettings(substeps=5, why="the task has no references")
+    assert found == PlanSettings(100, 3e-3, 400, 8, 5, why="the task has no references")
     assert not found.held

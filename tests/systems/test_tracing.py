@@ -143,6 +143,20 @@ def test_what_cannot_be_read_is_told(forward, words):
     assert "\n" not in str(error.value)
 
 
+def test_a_class_whose_code_cannot_be_read_is_named_with_what_to_do():
+    class Rooted(System):
+        machine_code = True
+
+        def forward(self, x, u):
+            return torch.stack([torch.erf(x[..., 0])], -1)
+
+    plant = Rooted(Signature(("a",), ("rad",), ("u",), (1.0,)))
+    with pytest.raises(
+        TypeError, match=r"Rooted says machine_code = True, .*torch.erf is called; leave machine_code out"
+    ):
+        plant.compiled(torch.zeros(2, 1), torch.zeros(2, 1))
+
+
 @needs_compiler
 def test_a_plant_whose_numbers_are_set_anew_moves_by_them():
     system = Pendulum()

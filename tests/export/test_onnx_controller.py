@@ -1,0 +1,97 @@
+"""The control step as ONNX flies plants behind sensors as the controller in Python does."""
+
+import importlib.util
+import math
+
+import numpy as np
+import pytest
+
+from dynasindy.export.onnx_controller import controller_onnx
+from dynasindy.systems import Pendulum, Tras
+
+onnx = pytest.importorskip("onnx", reason="onnx is not installed: pip install -e '.[export]'")
+runtime = pytest.importorskip("onnxruntime", reason="onnxruntime is not installed: pip install -e '.[export]'")
+
+spec = importlib.util.spec_from_file_location("flights_in_c", __file__.replace("onnx_controller", "c_controller"))
+assert spec is not None and spec.loader is not None
+flights_in_c = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(flights_in_c)
+
+
+class Step:
+    """A control step out of its file, and what it remembers."""
+
+    def __init__(self, path):
+        options = runtime.SessionOptions()
+        options.intra_op_num_threads = 1
+        self.session = runtime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        self.reset()
+
+    def reset(self):
+        self.state = np.zeros(self.session.get_inputs()[0].shape)
+
+    def act(self, y, r, rate):
+        given = zip(("measurement", "reference", "rate"), (y, r, rate), strict=True)
+        fed = {"state": self.state} | {name: np.array(values, dtype=np.float64) for name, values in given}
+        u, self.state = self.session.run(["u", "next_state"], fed)
+        return u
+
+
+def written(controller, tmp_path):
+    path = tmp_path / "controller.onnx"
+    controller_onnx(controller, path)
+    onnx.checker.check_model(str(path), full_check=True)
+    return Step(path)
+
+
+def difference(controller, plant, n_r, step):
+    def r(k):
+        return [0.3 * math.sin(2.0 * k * controller.dt)] * n_r
+
+    def rate(k):
+        return [0.6 * math.cos(2.0 * k * controller.dt)] * n_r
+
+    controller.reset()
+    expected = flights_in_c.flown(controller.act, plant, controller, r, rate)
+    assert expected.std() > 0.005
+    return np.abs(flights_in_c.flown(step.act, plant, controller, r, rate) - expected).max()
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"integral": {"gain": 3.0, "band": 0.9, "rate": 0.4, "limit": 0.05}},
+        {"delay": 0.0, "disturbance": False},
+        {"delay": 0.04, "stops": False},
+        {"observer": False},
+        {"observer": False, "integral": {"band": 0.9}},
+    ],
+    ids=str,
+)
+def test_it_flies_a_pendulum_as_python_does(pendulum, settings, tmp_path):
+    controller = pendulum(**settings)
+    assert difference(controller, Pendulum(), 1, written(controller, tmp_path)) < 1e-6
+
+
+@pytest.mark.parametrize("integral", [None, {"band": 0.5, "gain": 2.0}])
+def test_it_flies_two_rotors_as_python_does(rotors, integral, tmp_path):
+    controller = rotors(integral)
+    assert difference(controller, Tras(), 2, written(controller, tmp_path)) < 1e-6
+
+
+def test_what_is_no_number_changes_nothing(pendulum, tmp_path):
+    step = written(pendulum(), tmp_path)
+    first = step.act([0.1, math.nan], [0.2], [0.0])
+    before = step.state.copy()
+    assert step.act([0.1, math.nan], [math.nan], [0.0]).tolist() == first.tolist()
+    assert np.array_equal(step.state, before)
+    second = step.act([0.1, math.nan], [0.2], [0.0])
+    assert second != first and not np.array_equal(step.state, before)
+
+
+def test_the_file_says_what_goes_in_and_comes_out(rotors, tmp_path):
+    told = written(rotors(), tmp_path).session.get_modelmeta().custom_metadata_map
+    assert told["reference"] == "alpha_a, alpha_p" and told["period"] == "0.05 s"
+    # begun, 2 inputs, 8 states with 64 covariances, two inputs more than whole periods of delay, 8 of the shift
+    assert told["state"] == f"{1 + 2 + 8 + 64 + 2 * 2 + 8} numbers, zeros at the start"
