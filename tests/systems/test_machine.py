@@ -37,6 +37,14 @@ def test_known_solutions(dtype, close):
     torch.testing.assert_close(b[0, :, 0], torch.stack([0.75 * (1 - c), 1.5 * s]), rtol=0, atol=close)
 
 
+def test_double_precision_rounds_after_every_operation():
+    """The square of x is rounded before it is compared with itself; a fused product and sum would leave its remainder."""
+    x = torch.tensor([[1 / 3, 0.0], [0.1, 0.0], [1.7, 0.0]], dtype=torch.float64)
+    code = Machine(Program(2, 1, (), ("0.0", "x[0] * x[0] - u[0]")), torch.float64)
+    samples, _ = code.integrate(x, x[:, :1] * x[:, :1], 1.0, 1)
+    assert samples[:, 0, 1].tolist() == [0.0, 0.0, 0.0]
+
+
 def test_it_fits_one_kind_of_numbers_in_one_shape():
     decay = Machine(DECAY, torch.float64)
     x, u = torch.zeros(3, 1, dtype=torch.float64), torch.zeros(3, 1, dtype=torch.float64)
