@@ -52,6 +52,18 @@ def test_it_fits_one_kind_of_numbers_in_one_shape():
     assert not decay.fits(x, u[0]) and not decay.fits(x.to("meta"), u.to("meta"))
 
 
+def test_batches_of_any_shape_are_moved_row_by_row():
+    wall, code = Stops((0,), (1,), (-1.0,), (1.0,)), Machine(SPRING, torch.float64)
+    x = torch.linspace(-1.2, 1.2, 12, dtype=torch.float64).reshape(2, 3, 2)
+    samples, touched = code.integrate(x, torch.ones(2, 3, 1, dtype=torch.float64), 0.1, 4, wall)
+    assert samples.shape == (2, 3, 4, 2) and touched.shape == (2, 3) and 0 < int(touched.sum()) < 6
+    for i in range(2):
+        for j in range(3):
+            alone, hit = code.integrate(x[i, j], torch.ones(1, dtype=torch.float64), 0.1, 4, wall)
+            assert alone.shape == (4, 2) and hit.shape == () and hit == touched[i, j]
+            assert torch.equal(alone, samples[i, j])
+
+
 def test_no_rows_are_no_rows():
     for dtype in (torch.float32, torch.float64):
         samples, touched = Machine(DECAY, dtype).integrate(
