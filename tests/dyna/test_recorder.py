@@ -162,6 +162,23 @@ def test_both_errors_of_the_model_stand_under_their_names(recorded, tmp_path):
     assert spent == pytest.approx([7, 7 * 0.05, 8, 9])
 
 
+@pytest.mark.parametrize(("number", "name"), [(1, "first"), (2, None), (3, "last")])
+def test_the_first_and_the_last_episode_stand_beside_their_predictions(recorded, tmp_path, number, name):
+    _, parts, recorder = recorded
+    again = Recorder(tmp_path, parts, recorder.scenario, every=5, episodes=3)
+    again.begin()
+    rollout = parts.env.rollout(4)
+    rollout["next", "predicted_reward"] = rollout["next", "reward"]
+    predicted = torch.arange(24.0).reshape(4, 6)
+    again.episode(Episode(number, rollout, ModelError(0.0, 0.0, predicted), True), Cost())
+    assert [file.stem for file in (tmp_path / "data").glob("*.csv")] == ([f"prediction_{name}_episode"] if name else [])
+    for written in (tmp_path / "data").glob("*.csv"):
+        told = rows(written)
+        assert [float(row["predicted_alpha_p [rad]"]) for row in told] == [1.0, 7.0, 13.0, 19.0]
+        flown = [float(row["alpha_p [rad]"]) for row in told]
+        assert flown == pytest.approx(rollout["next", "state"][:, 1].tolist(), abs=1e-6)
+
+
 def test_what_began_anew_has_a_gap_before_it():
     """Three tries of two, one and two rows: an empty row before the second and the third."""
     values = torch.arange(5.0).unsqueeze(-1)
