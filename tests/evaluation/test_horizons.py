@@ -60,7 +60,7 @@ def test_a_poor_sensor_does_not_spoil_what_a_good_one_sees():
     after = torch.cat([data.x_next[:, :1], torch.from_numpy(x[1:, 1:]) + 3 * noise[1:]], -1)
     rows = torch.arange(50, 1400, 50)
     begin, _ = estimate(oscillator(), Transitions(both, data.u, after, DT, data.segment), rows, 25)
-    # The angle alone gives the state to some 2 / sqrt(26) of its noise; the rate's noise is three thousand times larger.
+    # The angle alone gives the state to some 2 / sqrt(26) of its noise; that of the rate is three thousand times larger.
     assert float((begin[:, 0] - torch.tensor(x[rows, 0])).std()) < 0.001 * 2 / math.sqrt(26) * 1.5
 
 
@@ -117,6 +117,13 @@ def test_a_second_order_plant_is_met_exactly_by_a_linear_model_on_two_past_sampl
     assert np.allclose(predicted[..., 0], x[later + 1, 0], atol=1e-6) and bool(predicted[..., 1].isnan().all())
     if model.order == 2:  # the recursion of an oscillator: q+ = 2 cos(w dt) q - q-
         assert model.weights[:2, 0].tolist() == pytest.approx([2 * math.cos(OMEGA * DT), -1.0], abs=1e-6)
+
+
+def test_starts_are_estimated_from_fewer_samples_where_the_data_are_short():
+    data, _ = recording()
+    found = forecast(oscillator(), data, data.select(torch.arange(1500) < 15), [8 * DT])
+    assert found is not None and found.starts == 3  # five rows before, eight from it on: rows 5, 6 and 7 of 15
+    assert float(found.model[0, 0]) < 1e-3
 
 
 def test_too_short_validation_data_are_not_judged():
