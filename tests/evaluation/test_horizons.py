@@ -60,7 +60,7 @@ def test_a_poor_sensor_does_not_spoil_what_a_good_one_sees():
     after = torch.cat([data.x_next[:, :1], torch.from_numpy(x[1:, 1:]) + 3 * noise[1:]], -1)
     rows = torch.arange(50, 1400, 50)
     begin, _ = estimate(oscillator(), Transitions(both, data.u, after, DT, data.segment), rows, 25)
-    # The angle alone gives the state to some 2 / sqrt(26) of its noise; that of the rate is three thousand times larger.
+    # The angle alone gives the state to some 2 / sqrt(26) of its noise; the rate's is three thousand times larger.
     assert float((begin[:, 0] - torch.tensor(x[rows, 0])).std()) < 0.001 * 2 / math.sqrt(26) * 1.5
 
 

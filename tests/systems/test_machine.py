@@ -38,7 +38,7 @@ def test_known_solutions(dtype, close):
 
 
 def test_double_precision_rounds_after_every_operation():
-    """The square of x is rounded before it is compared with itself; a fused product and sum would leave its remainder."""
+    """The square of x is rounded before it is compared with itself; fused with the sum it would leave a remainder."""
     x = torch.tensor([[1 / 3, 0.0], [0.1, 0.0], [1.7, 0.0]], dtype=torch.float64)
     code = Machine(Program(2, 1, (), ("0.0", "x[0] * x[0] - u[0]")), torch.float64)
     samples, _ = code.integrate(x, x[:, :1] * x[:, :1], 1.0, 1)
