@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from dynasindy.agents import TD3
+from dynasindy.control import load
 from dynasindy.data import DynaReplay
 from dynasindy.dyna import recorder as module
 from dynasindy.dyna.callback import Cost, Episode
@@ -21,7 +22,7 @@ from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, ModelError, NoPlanning
 from dynasindy.systems import Tras
 from dynasindy.tasks import RandomStep, Step, Tracking
-from dynasindy.world_models import Oracle
+from dynasindy.world_models import Oracle, SindyModel
 
 
 @pytest.fixture(scope="module")
