@@ -3,6 +3,7 @@ import json
 import math
 import sys
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -159,6 +160,8 @@ def test_both_errors_of_the_model_stand_under_their_names(recorded, tmp_path):
     assert [float(decided[key]) for key in ("judged_reward_error", "judged_state_error")] == [2.0, 3.0]
     assert [float(logged[key]) for key in ("reward_error", "state_error", "model_trusted")] == [0.25, 0.75, 0.0]
     assert float(logged["one_step_reward_error"]) == pytest.approx(0.5)
+    assert float(logged["episode"]) == 2.0
+    assert float(logged["return"]) == pytest.approx(float(rollout["next", "reward"].sum()), rel=1e-5)
     spent = [float(logged[key]) for key in ("real_steps", "plant_seconds", "imagined_transitions", "updates")]
     assert spent == pytest.approx([7, 7 * 0.05, 8, 9])
 
