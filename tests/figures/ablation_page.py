@@ -145,7 +145,7 @@ def _tuned_without_model() -> Iterator[Tie]:
         ends,
     )
     ends = tuple(_end("tras", name, 3) for name in ("rollouts_0_tuned", "rollouts_0", "rollouts_800"))
-    words = "ends them at {} rad on the worse axis, where `rollouts_0`, five seeds, stands at {} and 800 rollouts at {}."
+    words = "on the worse axis is {} rad, where it is {} with `rollouts_0` (five seeds) and {} with 800 rollouts."
     yield Tie(PAGE, words, ends)
 
 
