@@ -2,6 +2,7 @@ import csv
 import json
 import math
 import sys
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 
@@ -234,3 +235,37 @@ def test_tensorboard_that_is_not_there_is_missed_at_once(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "tensorboard", None)
     with pytest.raises(ModuleNotFoundError, match="tensorboard"):
         record(tmp_path, tensorboard=True)
+
+
+def test_seconds_are_those_of_this_process_and_of_the_ones_before(recorded, tmp_path, monkeypatch):
+    now = iter((100.0, 107.5))
+    monkeypatch.setattr(module.time, "perf_counter", lambda: next(now))
+    again = Recorder(tmp_path, recorded[1], recorded[2].scenario, every=5, episodes=3)
+    again.seconds_before = 5.0
+    assert again._spent(Cost())["wall_seconds"] == 12.5
+
+
+def test_a_sparse_model_leaves_a_controller_that_acts_as_the_policy_and_another_model_none(recorded, tmp_path):
+    _, parts, recorder = recorded
+    sparse = SindyModel(parts.plant.system.signature, ["u_a"])
+    for model, wanted in ((parts.world_model, False), (sparse, True)):
+        folder = tmp_path / type(model).__name__
+        again = Recorder(folder, replace(parts, world_model=model), recorder.scenario, 5, 3)
+        again.untrained = recorder.untrained
+        again.finish({})
+        assert (folder / "controller.json").is_file() is wanted
+    saved = load(folder)
+    assert (saved.dt, saved.pace.substeps, saved.pace.stops) == (0.05, parts.plant.substeps, Tras().stops)
+    rollout = parts.env.rollout(3)
+    acted = parts.agent.deployed(rollout[2].select("observation"))["action"]
+    found = saved.act(rollout["state"][2].tolist(), rollout["reference"][2].tolist())
+    assert found == pytest.approx(acted.detach().numpy(), abs=1e-6)
+
+
+def test_behind_sensors_the_state_of_the_observer_is_left_too(recorded, tmp_path):
+    _, parts, recorder = recorded
+    watched = SimpleNamespace(observer=SimpleNamespace(state_dict=lambda: {"nis": 1.25}))
+    again = Recorder(tmp_path, replace(parts, sensing=watched), recorder.scenario, 5, 3)
+    again.untrained, again.evaluate = recorder.untrained, recorder.evaluate  # which flies without sensors
+    assert again.finish({})["observer"] == {"nis": 1.25}
+    assert json.loads((tmp_path / "observer.json").read_text()) == {"nis": 1.25}
