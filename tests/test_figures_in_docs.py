@@ -102,8 +102,6 @@ def test_the_report_is_that_of_the_saved_results(tmp_path, monkeypatch):
 
 ORIGINS = sorted(RESULTS.rglob("origin.json"))
 DIRTY = {
-    "tras_dyna_rollouts_0": "2a53b11-dirty",
-    "xi_paper_rollouts_0": "2a53b11-dirty",
     "xi_paper_rollouts_400": "2a53b11-dirty",
     "xi_paper_rollouts_800": "2a53b11-dirty",
 }

@@ -163,9 +163,9 @@ class Loop:
         data = transitions(rows, parts.plant.log_dt)
         middle = 0.5 * (data.x + data.x_next) - home
         near = (middle.abs() <= NEAR * scale).all(-1)
-        a, b, c = _linear(middle[near] / scale, data.u[near], ((data.x_next - data.x) / data.dt)[near] / scale)
         if not bool(near.any()):
             return
+        a, b, c = _linear(middle[near] / scale, data.u[near], ((data.x_next - data.x) / data.dt)[near] / scale)
         a, b, c = a * scale.unsqueeze(-1) / scale, b * scale.unsqueeze(-1), c * scale
         found = riccati(*zero_order_hold(a, b, parts.plant.dt), 1.0 / scale.square(), 1.0)
         if found is None:
@@ -179,7 +179,5 @@ def _linear(x: Tensor, u: Tensor, dx: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return A, B and c of dx = A x + B u + c by least squares; the smallest where the data leave a choice."""
     rows = torch.cat([x, u, torch.ones_like(x[:, :1])], -1)
     n_x, n_u = x.shape[-1], u.shape[-1]
-    if not len(rows):
-        return torch.zeros(n_x, n_x).double(), torch.zeros(n_x, n_u).double(), torch.zeros(n_x).double()
     a, b, c = torch.linalg.lstsq(rows, dx, driver="gelsd").solution.split([n_x, n_u, 1])
     return a.mT, b.mT, c[0]

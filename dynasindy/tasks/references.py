@@ -73,7 +73,7 @@ def _finite(name: str, *values: Sequence[float]) -> None:
             f"{name} has no targets; name the states to hold in plant.outputs, the ends of their targets in plant.low "
             "and plant.high"
         )
-    if len(lengths) != 1 or lengths == {0} or not all(math.isfinite(v) for row in values for v in row):
+    if len(lengths) != 1 or not all(math.isfinite(v) for row in values for v in row):
         raise ValueError(f"{name} needs one finite number per output in each list, got {values}; complete the lists")
 
 

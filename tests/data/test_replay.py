@@ -162,6 +162,7 @@ def test_seed_decides_the_batches_and_the_global_generator_does_not():
         drawn.append(filled(seed=seed).sample()["next", "reward"])
     assert torch.equal(drawn[0], drawn[1])
     assert not torch.equal(drawn[0], drawn[2])
+    assert torch.equal(filled().sample()["next", "reward"], filled(seed=0).sample()["next", "reward"])
 
 
 @pytest.mark.parametrize("model", [0, 400])
@@ -197,6 +198,25 @@ def test_rows_in_order_begin_with_the_oldest_also_after_the_ring_wrapped():
     for number in range(7):
         replay.extend_real(rows(1, number))
     assert replay.real_in_order()["next", "reward"].flatten().tolist() == [2, 3, 4, 5, 6]
+
+
+@pytest.mark.parametrize("written", [4, 5, 7, 8])
+def test_the_newest_real_rows_are_replaced_in_the_order_of_time_also_across_the_end_of_the_ring(written):
+    replay = DynaReplay(5, 2, 1.0, keys=LEARN_KEYS)
+    for number in range(written):
+        replay.extend_real(rows(1, number))
+    before = replay.real_in_order()["next", "reward"].flatten().tolist()
+    columns = replay._columns(replay.real)
+    stored = replay.real_in_order()[-3:]
+    stored["next", "reward"] = torch.tensor([[100.0], [200.0], [300.0]])
+    replay.rewrite_newest(stored)
+    assert replay.real_in_order()["next", "reward"].flatten().tolist() == [*before[:-3], 100, 200, 300]
+    assert replay._columns(replay.real) is not columns  # batches are drawn from the new rows
+    replay.extend_real(rows(1, 50.0))
+    expected = [*before[:-3], 100, 200, 300, 50][-5:]
+    assert replay.real_in_order()["next", "reward"].flatten().tolist() == expected
+    with pytest.raises(ValueError, match="given 6 to replace them"):
+        replay.rewrite_newest(rows(6))
 
 
 def test_the_newest_imagined_rows_stay():

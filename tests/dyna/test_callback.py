@@ -1,4 +1,6 @@
-from dynasindy.dyna.callback import Callback, Callbacks, Cost
+import json
+
+from dynasindy.dyna.callback import Callback, Callbacks, Cost, Place
 from dynasindy.planning import Planned
 
 
@@ -22,3 +24,12 @@ def test_callbacks_are_called_in_order():
 
     Callbacks([Named("a"), Named("b")]).fitted("report", None, Cost())
     assert heard == [("a", "report"), ("b", "report")]
+
+
+def test_a_place_that_is_restored_is_the_same_place_and_the_same_cost():
+    here = Place(True, True, 7, Cost(3000, 20, 5))
+    other = Place()
+    other.load_state_dict(json.loads(json.dumps(here.state_dict())))
+    assert other == here and isinstance(other.cost, Cost)
+    other.cost.add(Planned(imagined=1, updates=2))
+    assert (other.cost.imagined, other.cost.updates) == (21, 7) and here.cost.updates == 5

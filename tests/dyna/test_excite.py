@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 from dynasindy.dyna.excite import Loop, excite, interact, restarts, within
 from dynasindy.envs import ControlEnv
@@ -109,6 +110,33 @@ class Bursting(Inverted):
     def forward(self, x, u):
         dx = super().forward(x, u)
         return torch.where(x[..., :1].abs() > 0.5, torch.nan, dx)
+
+
+def test_a_plant_that_blows_up_at_once_leaves_its_one_row():
+    experiment = parts(Bursting(), start={"theta": 0.6})
+    ends = (torch.tensor([-9.0, -9.0]), torch.tensor([9.0, 9.0]))
+    rows = interact(experiment.env, experiment.excitation, 5, ends)
+    assert len(rows) == 1 and rows["state"][0, 0] == pytest.approx(0.6)
+    assert not rows["next", "state"].isfinite().all()
+
+
+def test_without_a_loop_the_signal_acts_alone_from_where_earlier_tries_left_it():
+    signal = parts(Xi(), 2).excitation
+    pilot, steps = Loop(signal), TensorDict({"step_count": torch.tensor([[3], [17]])}, [2])
+    wanted = signal(steps.clone())["action"]
+    assert torch.equal(pilot(steps.clone())["action"], wanted)
+    pilot.begun = 14
+    assert torch.equal(pilot(steps[:1].clone())["action"], wanted[1:])
+
+
+def test_far_from_its_start_no_loop_is_fitted():
+    experiment, pilot = parts(Inverted()), Loop(parts(Inverted()).excitation)
+    far = interact(experiment.env, experiment.excitation, 6, (torch.full((2,), -9.0), torch.full((2,), 9.0)))
+    far["state"][1:] += 50.0
+    far["next", "state"] += 50.0
+    far["next", "samples"] += 50.0
+    pilot.close(far, experiment)
+    assert pilot.gain is None
 
 
 def test_a_plant_that_blows_up_within_one_period_is_caught_too():

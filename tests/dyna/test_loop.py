@@ -11,6 +11,7 @@ from dynasindy.data import DynaReplay
 from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import Settings, train
+from dynasindy.dyna.refit import Refit
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, ImaginedReplay, NoPlanning, Planned, Planner
@@ -64,12 +65,13 @@ def recipe(planning, gate=None, seed=0, model=None, **settings):
 
 class Listener(Callback):
     def __init__(self, log):
-        self.log = log
+        self.log, self.episodes = log, []
 
     def fitted(self, report, excited, cost):
         self.log.append(f"fitted after {cost.real_steps}")
 
     def episode(self, episode, cost):
+        self.episodes.append(episode)
         self.log.append(
             f"episode {episode.number}: {cost.real_steps} real, {cost.imagined} imagined, {cost.updates} updates"
         )
@@ -77,7 +79,12 @@ class Listener(Callback):
 
 def test_the_phases_come_in_the_order_of_algorithm_1():
     log, made = recipe(Recording)
-    train(made.build(), made.train, Listener(log))
+    listener = Listener(log)
+    train(made.build(), made.train, listener)
+    assert [(episode.trusted, type(episode.refit)) for episode in listener.episodes] == [
+        (True, type(None)),
+        (True, Refit),
+    ]
     assert log == [
         "fit 25",  # the excitation: 5 control periods of 5 samples, model learning
         "fitted after 5",

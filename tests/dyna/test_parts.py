@@ -52,6 +52,43 @@ def test_every_fourth_second_is_held_out_by_default():
     assert Settings(7) == Settings(7, 1.0, None, 4) and Settings(1, held_out=2).held_out == 2
 
 
+class Part:
+    """Any part of a run: it holds a number, and draws."""
+
+    def __init__(self, number):
+        self.number, self.rng, self.is_open = number, torch.Generator().manual_seed(number), number > 5
+
+    def check(self):
+        pass
+
+    def state_dict(self):
+        return {"number": self.number}
+
+    def load_state_dict(self, state):
+        self.number = state["number"]
+
+
+@pytest.mark.parametrize("behind_sensors", [False, True])
+def test_every_part_goes_on_where_it_was(behind_sensors):
+    one, other = (
+        Parts(**{f.name: Part(start + k) for k, f in enumerate(fields(Parts)) if f.name != "sensing" or behind_sensors})
+        for start in (0, 100)
+    )
+    state = one.state_dict()
+    torch.rand(3)
+    drawn = [getattr(one, name).rng.get_state() for name in ("plant", "model_env")]
+    wanted = torch.rand(2)
+    other.load_state_dict(one.state_dict() | {"global": state["global"]})
+    torch.rand(3)
+    assert torch.equal(torch.rand(2), wanted)
+    kept = ["world_model", "agent", "replay", "planner", *(["sensing"] if behind_sensors else [])]
+    assert [getattr(other, name).number for name in kept] == [getattr(one, name).number for name in kept]
+    assert [state[name]["number"] for name in kept] == [getattr(one, name).number for name in kept]
+    assert other.gate.is_open == one.gate.is_open
+    now = [getattr(other, name).rng.get_state() for name in ("plant", "model_env")]
+    assert all(torch.equal(a, b) for a, b in zip(now, drawn, strict=True))
+
+
 def test_weights_that_are_not_finite_are_in_no_state_to_go_on_from():
     agent = TD3(n_obs=2, n_u=1, hidden=(4,))
     with torch.no_grad():

@@ -2,12 +2,15 @@ import csv
 import json
 import math
 import sys
+from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 import torch
 
 from dynasindy.agents import TD3
+from dynasindy.control import load
 from dynasindy.data import DynaReplay
 from dynasindy.dyna import recorder as module
 from dynasindy.dyna.callback import Cost, Episode
@@ -21,7 +24,7 @@ from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, ModelError, NoPlanning
 from dynasindy.systems import Tras
 from dynasindy.tasks import RandomStep, Step, Tracking
-from dynasindy.world_models import Oracle
+from dynasindy.world_models import Oracle, SindyModel
 
 
 @pytest.fixture(scope="module")
@@ -158,8 +161,27 @@ def test_both_errors_of_the_model_stand_under_their_names(recorded, tmp_path):
     assert [float(decided[key]) for key in ("judged_reward_error", "judged_state_error")] == [2.0, 3.0]
     assert [float(logged[key]) for key in ("reward_error", "state_error", "model_trusted")] == [0.25, 0.75, 0.0]
     assert float(logged["one_step_reward_error"]) == pytest.approx(0.5)
+    assert float(logged["episode"]) == 2.0
+    assert float(logged["return"]) == pytest.approx(float(rollout["next", "reward"].sum()), rel=1e-5)
     spent = [float(logged[key]) for key in ("real_steps", "plant_seconds", "imagined_transitions", "updates")]
     assert spent == pytest.approx([7, 7 * 0.05, 8, 9])
+
+
+@pytest.mark.parametrize(("number", "name"), [(1, "first"), (2, None), (3, "last")])
+def test_the_first_and_the_last_episode_stand_beside_their_predictions(recorded, tmp_path, number, name):
+    _, parts, recorder = recorded
+    again = Recorder(tmp_path, parts, recorder.scenario, every=5, episodes=3)
+    again.begin()
+    rollout = parts.env.rollout(4)
+    rollout["next", "predicted_reward"] = rollout["next", "reward"]
+    predicted = torch.arange(24.0).reshape(4, 6)
+    again.episode(Episode(number, rollout, ModelError(0.0, 0.0, predicted), True), Cost())
+    assert [file.stem for file in (tmp_path / "data").glob("*.csv")] == ([f"prediction_{name}_episode"] if name else [])
+    for written in (tmp_path / "data").glob("*.csv"):
+        told = rows(written)
+        assert [float(row["predicted_alpha_p [rad]"]) for row in told] == [1.0, 7.0, 13.0, 19.0]
+        flown = [float(row["alpha_p [rad]"]) for row in told]
+        assert flown == pytest.approx(rollout["next", "state"][:, 1].tolist(), abs=1e-6)
 
 
 def test_what_began_anew_has_a_gap_before_it():
@@ -213,3 +235,37 @@ def test_tensorboard_that_is_not_there_is_missed_at_once(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "tensorboard", None)
     with pytest.raises(ModuleNotFoundError, match="tensorboard"):
         record(tmp_path, tensorboard=True)
+
+
+def test_seconds_are_those_of_this_process_and_of_the_ones_before(recorded, tmp_path, monkeypatch):
+    now = iter((100.0, 107.5))
+    monkeypatch.setattr(module.time, "perf_counter", lambda: next(now))
+    again = Recorder(tmp_path, recorded[1], recorded[2].scenario, every=5, episodes=3)
+    again.seconds_before = 5.0
+    assert again._spent(Cost())["wall_seconds"] == 12.5
+
+
+def test_a_sparse_model_leaves_a_controller_that_acts_as_the_policy_and_another_model_none(recorded, tmp_path):
+    _, parts, recorder = recorded
+    sparse = SindyModel(parts.plant.system.signature, ["u_a"])
+    for model, wanted in ((parts.world_model, False), (sparse, True)):
+        folder = tmp_path / type(model).__name__
+        again = Recorder(folder, replace(parts, world_model=model), recorder.scenario, 5, 3)
+        again.untrained = recorder.untrained
+        again.finish({})
+        assert (folder / "controller.json").is_file() is wanted
+    saved = load(folder)
+    assert (saved.dt, saved.pace.substeps, saved.pace.stops) == (0.05, parts.plant.substeps, Tras().stops)
+    rollout = parts.env.rollout(3)
+    acted = parts.agent.deployed(rollout[2].select("observation"))["action"]
+    found = saved.act(rollout["state"][2].tolist(), rollout["reference"][2].tolist())
+    assert found == pytest.approx(acted.detach().numpy(), abs=1e-6)
+
+
+def test_behind_sensors_the_state_of_the_observer_is_left_too(recorded, tmp_path):
+    _, parts, recorder = recorded
+    watched = SimpleNamespace(observer=SimpleNamespace(state_dict=lambda: {"nis": 1.25}))
+    again = Recorder(tmp_path, replace(parts, sensing=watched), recorder.scenario, 5, 3)
+    again.untrained, again.evaluate = recorder.untrained, recorder.evaluate  # which flies without sensors
+    assert again.finish({})["observer"] == {"nis": 1.25}
+    assert json.loads((tmp_path / "observer.json").read_text()) == {"nis": 1.25}

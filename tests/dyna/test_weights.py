@@ -43,3 +43,12 @@ def test_a_file_may_unpack_to_eight_times_the_weights_and_a_megabyte_and_to_no_m
             read_weights(file, network.state_dict())
     else:
         assert read_weights(file, network.state_dict()).keys() == {"weight", "bias"}
+
+
+@pytest.mark.parametrize("kind", ["meta", "sparse", "list"])
+def test_what_is_no_tensor_of_numbers_in_memory_is_no_weight(tmp_path, kind):
+    network = nn.Linear(3, 2)
+    given = {"meta": torch.empty(2, 3, device="meta"), "sparse": torch.eye(3)[:2].to_sparse(), "list": [[0.0] * 3] * 2}
+    torch.save({**network.state_dict(), "weight": given[kind]}, tmp_path / "policy.pt")
+    with pytest.raises(ValueError, match=r"policy\.pt holds no weights of a policy; restore it"):
+        read_weights(tmp_path / "policy.pt", network.state_dict())

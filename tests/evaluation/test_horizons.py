@@ -53,6 +53,17 @@ def test_noise_of_the_sensor_is_averaged_over_the_fit():
     assert float((begin[:, 0] - torch.tensor(x[rows, 0])).std()) < 0.01 * 2 / math.sqrt(26) * 1.3
 
 
+def test_a_poor_sensor_does_not_spoil_what_a_good_one_sees():
+    data, x = recording(noise=0.001)
+    noise = torch.from_numpy(np.random.default_rng(5).normal(size=(1501, 1)))
+    both = torch.cat([data.x[:, :1], torch.from_numpy(x[:-1, 1:]) + 3 * noise[:-1]], -1)
+    after = torch.cat([data.x_next[:, :1], torch.from_numpy(x[1:, 1:]) + 3 * noise[1:]], -1)
+    rows = torch.arange(50, 1400, 50)
+    begin, _ = estimate(oscillator(), Transitions(both, data.u, after, DT, data.segment), rows, 25)
+    # The angle alone gives the state to some 2 / sqrt(26) of its noise; the rate's is three thousand times larger.
+    assert float((begin[:, 0] - torch.tensor(x[rows, 0])).std()) < 0.001 * 2 / math.sqrt(26) * 1.5
+
+
 @pytest.mark.parametrize("delay", [0, 3])
 def test_the_right_model_has_the_noise_for_its_error_over_all_horizons(delay):
     data, _ = recording(noise=0.01, delay=delay)
@@ -65,6 +76,13 @@ def test_the_right_model_has_the_noise_for_its_error_over_all_horizons(delay):
     if delay:
         wrong = forecast(oscillator(), data, data, [0.1, 1.0, 4.0])
         assert wrong is not None and float(wrong.model[1, 0]) > 0.03
+
+
+def test_horizons_are_round_times_from_a_tenth_to_three_times_the_time_in_which_the_plant_changes():
+    data, _ = recording()
+    found = forecast(oscillator(), data, data)
+    assert found is not None and 0.34 < found.characteristic < 0.5  # a swing changes by its spread in pi / 3 / 3 s
+    assert found.horizons == pytest.approx((0.04, 0.1, 0.2, 0.5, 1.0))  # 0.05 s are two samples and a half
 
 
 def test_the_error_of_the_last_value_held_on_a_random_walk_is_that_of_its_steps():
@@ -99,6 +117,13 @@ def test_a_second_order_plant_is_met_exactly_by_a_linear_model_on_two_past_sampl
     assert np.allclose(predicted[..., 0], x[later + 1, 0], atol=1e-6) and bool(predicted[..., 1].isnan().all())
     if model.order == 2:  # the recursion of an oscillator: q+ = 2 cos(w dt) q - q-
         assert model.weights[:2, 0].tolist() == pytest.approx([2 * math.cos(OMEGA * DT), -1.0], abs=1e-6)
+
+
+def test_starts_are_estimated_from_fewer_samples_where_the_data_are_short():
+    data, _ = recording()
+    found = forecast(oscillator(), data, data.select(torch.arange(1500) < 15), [8 * DT])
+    assert found is not None and found.starts == 3  # five rows before, eight from it on: rows 5, 6 and 7 of 15
+    assert float(found.model[0, 0]) < 1e-3
 
 
 def test_too_short_validation_data_are_not_judged():

@@ -1,6 +1,7 @@
 """From a source of data to a model, its figures and its files."""
 
 import json
+import math
 from functools import partial
 
 import pytest
@@ -67,6 +68,15 @@ def test_settings_that_make_no_sense_are_refused():
         Logged(None, {"a": "a"}, {"u": "u"})
     with pytest.raises(ValueError, match="validation_share 2"):
         Logged("x.csv", {"a": "a"}, {"u": "u"}, validation_share=2.0)
+
+
+def test_a_log_whose_headings_say_nothing_is_read_by_its_maps_alone(tmp_path):
+    rows = [f"{0.05 * k!r},{math.sin(0.1 * k)!r},{math.cos(0.3 * k)!r}" for k in range(100)]
+    (tmp_path / "log.csv").write_text("\n".join(["time,angle,torque", *rows]))
+    read = Logged(str(tmp_path / "log.csv"), {"a": "angle"}, {"b": "torque"}).load(None, EXCITATION).signature
+    assert (read.state_names, read.input_names) == (("a",), ("b",))
+    with pytest.raises(ValueError, match=r"name them by data\.states and data\.inputs"):
+        Logged(str(tmp_path / "log.csv"), {"a": "angle"}).load(None, EXCITATION)
 
 
 def test_a_log_without_a_map_has_the_names_of_the_plant_or_those_of_its_headings(tmp_path):

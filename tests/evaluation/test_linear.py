@@ -32,3 +32,23 @@ def test_it_predicts_as_far_as_it_is_asked():
     predicted = model.predict(data, starts, later)
     assert torch.allclose(predicted[..., 0], data.x_next[later][..., 0], atol=1e-6)
     assert bool(predicted[..., 1].isnan().all())
+
+
+@pytest.mark.parametrize("most", [1, 2, 3, 16])
+def test_no_order_is_beyond_the_largest(most):
+    found = LinearModel.fit(recording(), 10, most)
+    assert found.order <= most and (most == 1 or found.order > 1)  # one past sample does not do
+
+
+def test_orders_are_compared_over_all_stretches_that_are_long_enough():
+    """Two stretches of 12 and 20 rows; a model that predicts zero misses all of what is there."""
+    both = recording(40)
+    data = both.select(torch.tensor([True] * 12 + [False] * 8 + [True] * 20))
+    misses = []
+    for start in range(len(data)):
+        rows = range(start, start + 5)
+        if start and rows[-1] < len(data) and data.segment[start - 1] == data.segment[rows[-1]]:
+            misses += [float(data.x_next[k, 0]) ** 2 for k in rows]
+    zero = LinearModel(2, torch.tensor([True, False]), torch.zeros(5, 1, dtype=torch.float64))
+    expected = sum(misses) / len(misses) / float(data.x_next[:, 0].var())
+    assert len(misses) == 5 * (7 + 15) and zero._error(data, 5) == pytest.approx(expected)

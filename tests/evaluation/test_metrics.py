@@ -102,12 +102,14 @@ def test_batched_equals_row_by_row() -> None:
                 torch.testing.assert_close(batched[name][i, j], value, equal_nan=True)
 
 
-@pytest.mark.parametrize("bad", ["short", "reference", "input"])
+@pytest.mark.parametrize("bad", ["short", "moment", "reference", "input"])
 def test_shapes_that_do_not_agree_are_refused(bad: str) -> None:
     time, y = torch.arange(4.0), torch.zeros(4, 2)
     r, u = y, y
     if bad == "short":
         time, y, r, u = time[:1], y[:1], y[:1], y[:1]
+    elif bad == "moment":
+        time = time[0]
     elif bad == "reference":
         r = y[:, :1]
     else:

@@ -7,11 +7,12 @@ from scipy.integrate import solve_ivp
 
 from dynasindy.dyna.verdict import judge
 from dynasindy.envs import ControlEnv
+from dynasindy.evaluation import predicted as module
 from dynasindy.evaluation.held import Held
 from dynasindy.evaluation.predicted import LateEnv, Prediction, predict
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.systems import Pendulum, System
-from dynasindy.tasks import Step, Tracking, TrackingReward
+from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
 
 
 def seen(share, away=None, worst=None, idle=None):
@@ -182,3 +183,25 @@ def test_a_plan_that_was_too_short_is_told_from_one_that_diverges():
     assert longer not in Prediction((seen(0.001),)).words()
     for gone in ((seen(0.02), None), (seen(0.02, {"cart": 0.5}),)):
         assert longer not in Prediction(gone).words() and "away" in Prediction(gone).words()
+
+
+def test_another_task_is_drawn_from_the_same_seed_as_without_a_delay():
+    plant = Pendulum()
+    task = Tracking(plant.signature, RandomStep([-0.5], [0.5]), ("theta",), ("Omega",), TrackingReward((1.0,)))
+    plain, late = ControlEnv(plant, task), LateEnv(ControlEnv(plant, task), 0.02)
+    drawn = [
+        float(env.with_task(task, *seed).reset()["reference"]) for env in (plain, late) for seed in ((), (0,), (1,))
+    ]
+    assert drawn[:3] == drawn[3:] and drawn[0] == drawn[1] != drawn[2]
+
+
+def test_what_has_to_come_to_rest_is_asked_where_a_flight_begins(monkeypatch):
+    plant, asked = Pendulum(), []
+    task = Tracking(
+        plant.signature, Step([[0.3]]), ("theta",), ("Omega",), TrackingReward((4.0,)), start={"theta": -0.2}
+    )
+    monkeypatch.setattr(module, "states_that_matter", lambda model, columns, start: asked.append(start) or [0, 1])
+    predict(
+        [plant], ControlEnv(plant, task), lambda td: td.set("action", torch.zeros(1, 1)), Scenario("step", seconds=1.0)
+    )
+    assert len(asked) == 1 and asked[0].tolist() == pytest.approx([-0.2, 0.0], abs=1e-6)

@@ -64,6 +64,11 @@ def test_the_table_names_every_metric_with_its_unit() -> None:
     row = next(line for line in lines if line.startswith("overshoot [%]"))
     assert row.split()[-2:] == ["-", "-"]
     assert len({len(line) for line in lines[2:9]}) == 1
+    assert row_of(text, "control effort (mean u^2) [-]") == row_of(text, "control variation [1/s]") == ["2"]
+
+
+def row_of(text: str, words: str) -> list[str]:
+    return next(line.removeprefix(words) for line in text.splitlines() if line.startswith(words)).split()
 
 
 def row(text: str, start: str) -> list[str]:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from dynasindy.evaluation import symptoms as module
 from dynasindy.evaluation.symptoms import closed_loop, resolution, saturated, step_of
 from dynasindy.systems.transitions import Transitions
 
@@ -49,3 +50,18 @@ def test_an_input_that_comes_to_an_end_of_its_range_again_and_again_is_saturated
     assert share == pytest.approx(2 / 3, abs=0.03)  # |sin| > 1/2 in two thirds of the time
     assert float(saturated(Transitions.from_trajectory(x, torch.sign(clipped), 0.01))[0]) == 0
     assert float(saturated(Transitions.from_trajectory(x, torch.sin(torch.tensor(T))[:, None], 0.01))[0]) == 0
+
+
+def test_an_input_that_stays_at_its_end_once_is_not_saturated():
+    ramp = torch.linspace(-1, 3, 3000, dtype=torch.float64).clamp(max=1)[:, None]
+    assert float(saturated(Transitions.from_trajectory(torch.zeros(3001, 1), ramp, 0.01))[0]) == 0
+
+
+def test_what_past_inputs_explain_is_relied_on_and_what_states_explain_is_doubted(monkeypatch):
+    """The first columns, which are certain, are the same in both fits; the others are those of the states."""
+    fits = []
+    monkeypatch.setattr(module, "_left", lambda columns, target, certain: fits.append((columns, certain)) or 1.0)
+    closed_loop(plant(lambda k, y, old, g: g.normal()))
+    (own, certain), (both, same) = fits
+    assert own.shape[1] == certain == same and torch.equal(both[:, :certain], own)
+    assert both.shape[1] == certain + 2 * module.LAGS  # of two states

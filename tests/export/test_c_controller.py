@@ -127,6 +127,9 @@ def test_the_source_says_what_is_observed(pendulum, rotors):
     told = "The observation: states by their ranges, errors by their scale"
     assert f"{told}, rates of the reference." in controller_sources(pendulum()).source
     assert f"{told}." in controller_sources(rotors()).source
+    pushes = "dx/dt of the states and, behind them, of the pushes, which stay."
+    assert pushes in controller_sources(pendulum()).source
+    assert "dx/dt of the states." in controller_sources(pendulum(disturbance=False)).source
 
 
 def test_a_policy_or_a_model_of_another_kind_is_refused(pendulum):

@@ -31,7 +31,9 @@ def test_the_header_tells_the_size_of_the_state_and_the_places_of_names(pendulum
 
 
 @needs_compiler
-@pytest.mark.parametrize("settings", [{"integral": {}}, {"stops": False}, {"observer": False}], ids=str)
+@pytest.mark.parametrize(
+    "settings", [{"integral": {}}, {"stops": False}, {"observer": False}, {"disturbance": False}], ids=str
+)
 def test_the_constants_and_the_stack_are_as_large_as_the_compiler_makes_them(pendulum, settings, tmp_path):
     sources = controller_sources(pendulum(**settings))
     for name, content in sources.files().items():

@@ -52,6 +52,9 @@ def test_operations_are_counted():
     assert found.reads("u") and found.results[1] == "0.0"
     model.set_coefficients(torch.tensor([[3.0, 0.0], [0.0, 0.0], [0.0, 0.0]]))
     assert formulas(model).flops == 1 and not formulas(model).reads("u")
+    model.set_coefficients(torch.tensor([[3.0, 0.0], [1.0, 0.0], [0.0, 0.0]]))
+    found = formulas(model)  # 3 a + sin(2 a): two products, a sum and a call
+    assert (found.operations, found.calls["sin"], found.flops) == (3, 1, 4)
 
 
 def test_a_function_of_ones_own_needs_a_formula():

@@ -23,7 +23,8 @@ def test_variances_are_those_of_sensors_and_noise(pendulum):
         [(0.013 * 1.5) ** 2 * 0.04, (0.021 * 3) ** 2 * 0.04, (0.4 * 3) ** 2 * 0.04]
     )
     assert numbers(found.words["unknown"]) == pytest.approx([0.15**2, 0.3**2, 0.3**2])
-    assert found.words["pushed"] == "1"
+    assert found.words["pushed"] == "1" and "of the pushes" in found.words["pushes_word"]
+    assert Filter.of(pendulum(disturbance=False).observer).words["pushes_word"] == ""
 
 
 @pytest.mark.parametrize(

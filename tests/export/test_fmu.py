@@ -55,6 +55,11 @@ def test_a_plant_takes_inputs_and_gives_states_that_may_be_set_at_the_start(
     time = [("time", "independent", None)] if version == 3 else []
     outputs = [(name, "output", "exact") for name in ("x_theta", "x_Omega")]
     assert variables == [*time, ("u_u", "input", None), *outputs]
+    assert {v.get("variability") for v in root.find("ModelVariables")} == {"continuous"}
+    with zipfile.ZipFile(tmp_path / "p.fmu") as archive:  # each version lists what is to be compiled in its own place
+        built = root if version == 2 else ElementTree.fromstring(archive.read("sources/buildDescription.xml"))
+    listed = built.findall(".//File") if version == 2 else built.findall(".//SourceFile")
+    assert [file.get("name") for file in listed] == ["plant.c"]
 
 
 def test_the_same_controller_is_the_same_file_and_another_has_another_token(pendulum, tmp_path, monkeypatch):

@@ -144,6 +144,9 @@ def _tuned_without_model() -> Iterator[Tie]:
         "seeds), and {} with 800 rollouts.",
         ends,
     )
+    ends = tuple(_end("tras", name, 3) for name in ("rollouts_0_tuned", "rollouts_0", "rollouts_800"))
+    words = "on the worse axis is {} rad, where it is {} with `rollouts_0` (five seeds) and {} with 800 rollouts."
+    yield Tie(PAGE, words, ends)
 
 
 def _without_model() -> Iterator[Tie]:

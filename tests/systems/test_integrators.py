@@ -78,6 +78,21 @@ def test_a_stop_touched_only_on_the_way_is_reported_and_every_sample_is_held():
     torch.testing.assert_close(samples, expected)
 
 
+def test_a_system_is_asked_for_machine_code_for_its_states_and_inputs_and_moved_by_it():
+    pendulum, heard = Pendulum(), []
+    x, u, stops = torch.zeros(3, 2), torch.ones(3, 1), Stops((0,), (1,), (-1.0,), (1.0,))
+
+    class Code:
+        def integrate(self, *given):
+            heard.append(given)
+            return "samples", "touched"
+
+    pendulum.compiled = lambda *given: heard.append(given) or Code()
+    assert integrate(pendulum, x, u, 0.1, 4, stops) == ("samples", "touched")
+    (asked_x, asked_u), (moved_x, moved_u, *rest) = heard
+    assert asked_x is moved_x is x and asked_u is moved_u is u and rest == [0.1, 4, stops]
+
+
 def test_undamped_pendulum_keeps_its_energy():
     pendulum = Pendulum(damping=0.0)
     x = torch.tensor([2.0, 0.0], dtype=torch.float64)

@@ -37,11 +37,31 @@ def test_known_solutions(dtype, close):
     torch.testing.assert_close(b[0, :, 0], torch.stack([0.75 * (1 - c), 1.5 * s]), rtol=0, atol=close)
 
 
+def test_double_precision_rounds_after_every_operation():
+    """The square of x is rounded before it is compared with itself; fused with the sum it would leave a remainder."""
+    x = torch.tensor([[1 / 3, 0.0], [0.1, 0.0], [1.7, 0.0]], dtype=torch.float64)
+    code = Machine(Program(2, 1, (), ("0.0", "x[0] * x[0] - u[0]")), torch.float64)
+    samples, _ = code.integrate(x, x[:, :1] * x[:, :1], 1.0, 1)
+    assert samples[:, 0, 1].tolist() == [0.0, 0.0, 0.0]
+
+
 def test_it_fits_one_kind_of_numbers_in_one_shape():
     decay = Machine(DECAY, torch.float64)
     x, u = torch.zeros(3, 1, dtype=torch.float64), torch.zeros(3, 1, dtype=torch.float64)
     assert decay.fits(x, u) and not decay.fits(x.float(), u.float()) and not decay.fits(x, u.float())
     assert not decay.fits(x, u[0]) and not decay.fits(x.to("meta"), u.to("meta"))
+
+
+def test_batches_of_any_shape_are_moved_row_by_row():
+    wall, code = Stops((0,), (1,), (-1.0,), (1.0,)), Machine(SPRING, torch.float64)
+    x = torch.linspace(-1.2, 1.2, 12, dtype=torch.float64).reshape(2, 3, 2)
+    samples, touched = code.integrate(x, torch.ones(2, 3, 1, dtype=torch.float64), 0.1, 4, wall)
+    assert samples.shape == (2, 3, 4, 2) and touched.shape == (2, 3) and 0 < int(touched.sum()) < 6
+    for i in range(2):
+        for j in range(3):
+            alone, hit = code.integrate(x[i, j], torch.ones(1, dtype=torch.float64), 0.1, 4, wall)
+            assert alone.shape == (4, 2) and hit.shape == () and hit == touched[i, j]
+            assert torch.equal(alone, samples[i, j])
 
 
 def test_no_rows_are_no_rows():

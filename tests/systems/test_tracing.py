@@ -133,6 +133,7 @@ def test_everything_that_can_be_read():
         (lambda x, u: torch.stack([torch.erf(x[..., 0])] * 2, -1), "torch.erf is called"),
         (lambda x, u: torch.stack([x[..., 0] * torch.ones(3)] * 2, -1), "cannot be read"),
         (lambda x, u: torch.stack(x.unbind(0), -1), r"unbind\(0\) is not of the last dimension"),
+        (lambda x, u: torch.stack([c for a, b, c in [x.unbind(-1)]] * 2, -1), "cannot be read: not enough values"),
         (lambda x, u: torch.stack([x[0]] * 2, -1), r"\[0\] is not one of its columns"),
         (lambda x, u: torch.stack([x[..., 0].cumsum(0)] * 2, -1), "has no 'cumsum'"),
     ],

@@ -67,6 +67,13 @@ def test_derivatives_are_the_sums_of_the_published_table(x, u):
     assert sum(number != 0 for row in TABLE.values() for number in row) == 19
 
 
+def test_six_states_at_once_move_as_each_alone():
+    x = torch.linspace(-1.0, 1.0, 36, dtype=torch.float64).reshape(6, 6)
+    u = torch.linspace(-0.5, 0.5, 12, dtype=torch.float64).reshape(6, 2)
+    alone = torch.stack([Xi()(x[k], u[k]) for k in range(6)])
+    torch.testing.assert_close(Xi()(x, u), alone, rtol=1e-12, atol=1e-9)
+
+
 def test_the_stops_are_where_they_are_asked_for():
     assert (Xi().stops.low, Xi().stops.high) == ((-6.0, -math.pi / 2), (6.0, math.pi / 2))
     assert Xi(azimuth_stop=2.0, pitch_stop=0.7).stops.high == (2.0, 0.7)

@@ -154,12 +154,27 @@ def test_errors_and_rates_are_paid_and_seen_in_boxes_of_targets():
     assert boxed.observation(x_next, params, t)[0, 3:].tolist() == pytest.approx([0.1 / 0.5, -0.1 / 0.5])
 
 
+@pytest.mark.parametrize("n", [1, 3])
+def test_references_of_fewer_or_more_outputs_are_refused(n):
+    with pytest.raises(ValueError, match=f"references of {n} outputs do not fit a task of 2 outputs, alpha_a, alpha_p"):
+        Tracking(SIGNATURE, WAVE).with_reference(Step([[0.0] * n]))
+
+
+def test_bounds_are_both_ways_from_zero_or_the_two_ends_that_are_given():
+    task = Tracking(SIGNATURE, WAVE, bounds={"alpha_p": 0.7, "Omega_a": [-2, 3.5]})
+    inf = math.inf
+    assert task.bounds.tolist() == [
+        [-inf, pytest.approx(-0.7), -2, -inf, -inf, -inf],
+        [inf, pytest.approx(0.7), 3.5, inf, inf, inf],
+    ]
+
+
 def test_outputs_of_one_unit_share_the_widest_box():
     task = Tracking(SIGNATURE, WAVE, low=[-0.5, -0.5], high=[0.5, 0.4])
     assert task.boxes().tolist() == [1.0, 1.0]
 
 
-@pytest.mark.parametrize("ends", [([0.0], [1.0]), ([1.0, 0.0], [0.5, 1.0])])
+@pytest.mark.parametrize("ends", [([0.0], [1.0]), ([0.0] * 3, [1.0] * 3), ([1.0, 0.0], [0.5, 1.0])])
 def test_a_box_that_is_none_is_refused(ends):
     with pytest.raises(ValueError, match="low <= high for each output"):
         Tracking(SIGNATURE, WAVE, low=ends[0], high=ends[1])

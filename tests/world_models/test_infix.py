@@ -37,3 +37,14 @@ def test_formulas_of_states_and_inputs_compute_the_sums():
 def test_an_equation_without_terms_is_zero():
     writer = Written.of(Library(SIGNATURE, [variable("a")]), torch.tensor([[0.0, 2.0]], dtype=torch.float64))
     assert float(eval(writer.results[0], {}, dict(writer.named))) == 0.0
+
+
+def test_a_model_of_too_many_terms_is_refused_by_their_number():
+    class Deep(Written):
+        def __init__(self, library, coefficients):
+            super().__init__(library, coefficients)
+            self.__init__(library, coefficients)
+
+    library = Library(SIGNATURE, [variable("a"), variable("b")])
+    with pytest.raises(ValueError, match="too many terms of 2; remove some: raise the threshold"):
+        Deep.of(library, torch.zeros(2, 2, dtype=torch.float64))

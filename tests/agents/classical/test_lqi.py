@@ -42,6 +42,12 @@ def test_gain_solves_the_riccati_recursion():
     torch.testing.assert_close(controller.gain, gain, rtol=1e-6, atol=1e-9)
 
 
+def test_the_defaults_weigh_angles_most_their_rates_little_and_rotors_not_at_all():
+    weights = {"state_weights": (30, 30, 1, 1, 0, 0), "integral_weights": (50, 50), "input_weights": (1, 1)}
+    given = LQI(Xi(), ("alpha_a", "alpha_p"), 0.05, **weights)
+    torch.testing.assert_close(LQI(Xi()).gain, given.gain, rtol=1e-12, atol=1e-12)
+
+
 @pytest.mark.parametrize(("system", "worst"), [(Tras(), (0.076, 0.084)), (Xi(), (0.074, 0.062))], ids=["tras", "xi"])
 def test_step_is_tracked_as_well_as_known_for_such_a_controller(system, worst):
     rollout = step_env(system).rollout(400, LQI(system))

@@ -68,6 +68,23 @@ def test_tuned_weights_give_a_stabilising_gain():
     assert isinstance(controller, LQI) and controller.gain.shape == (2, 8)
 
 
+def test_weights_without_a_stabilising_gain_lose(monkeypatch):
+    """Every second candidate of six has none: it costs infinitely much, and the search goes on among the others."""
+    riccati, cost, costs, calls = LQI.riccati, Tuning.cost, [], []
+
+    def every_second(self, *weights):
+        calls.append(weights)
+        if len(calls) in (3, 5, 7):  # the first is that of the controller that begins the search
+            raise ValueError("no gain")
+        return riccati(self, *weights)
+
+    monkeypatch.setattr(LQI, "riccati", every_second)
+    monkeypatch.setattr(Tuning, "cost", lambda *given: costs.append(cost(*given)) or costs[-1])
+    controller = tuned_lqi(Trial(Xi(), WANTED), Tuning(population=6, elites=2, draws=1, seconds=1.0))
+    assert controller.gain.isfinite().all()
+    assert costs[0].isinf().tolist() == [False, True] * 3
+
+
 def test_the_cost_of_each_candidate_is_that_of_a_loop_over_its_flights():
     """Two candidates on a step, a sine and a square that jumps 3 s before the end: only the step has settled."""
     system, tuning = Xi(), Tuning(seconds=12.0, substeps=2, variation=0.7)
