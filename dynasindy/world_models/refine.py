@@ -107,9 +107,9 @@ class Refinement:
         longest_delay: longest delay of the inputs that is looked for [s], in whole samples, by `trajectory` in
             fractions of them; 0 takes the inputs as they are.
         error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), of
-            windows that begin anew (`prediction`), for plants that are unstable, or what a Kalman filter leaves over
-            in such windows (`innovation`), for plants that are pushed at random, the sizes of pushes and of noise
-            estimated; `auto` takes innovations where windows that begin anew leave over much less than a trajectory.
+            windows that begin anew (`prediction`), for plants that are pushed at random or unstable, or what a Kalman
+            filter leaves over in such windows (`innovation`), the sizes of pushes and of noise estimated; `auto` takes
+            windows that begin anew where they leave over much less than a trajectory.
             The default is `auto` for the method `auto`, and `simulation` for others.
         correlated: whether a coefficient of `trajectory` must be worth the more, the longer errors last: for real
             plants, of which every model leaves over more than noise. If not, every sample counts.
@@ -217,8 +217,8 @@ class Refinement:
                 return found, delay, (f"error=simulation: {why}, which noise of the sensors explains",)
             else:
                 why += ", so that something pushes the plant, or functions are missing"
-        note = f"error=innovation, over windows of {descent.window} samples: {why}"
-        return *self._in_turn(first, rough, constraints, recording, kinds["innovation"]), (note,)
+        note = f"error=prediction, over windows of {descent.window} samples: {why}"
+        return *self._in_turn(first, rough, constraints, recording, kinds["prediction"]), (note,)
 
     def _in_turn(
         self, found: Model, delay: float, constraints: Constraints, recording: Recording, descent: Descent

@@ -230,13 +230,13 @@ def fitted(data: Transitions, **settings) -> tuple[SindyModel, str]:
 
 
 @pytest.mark.parametrize("hidden", [False, True])
-@pytest.mark.parametrize(("push", "noise", "chosen"), [(0.05, 0.01, "innovation"), (0.0, 0.05, "simulation")])
-def test_a_plant_that_is_pushed_is_fitted_by_innovations_and_noise_of_sensors_by_simulation(
+@pytest.mark.parametrize(("push", "noise", "chosen"), [(0.05, 0.01, "prediction"), (0.0, 0.05, "simulation")])
+def test_a_plant_that_is_pushed_is_fitted_by_predictions_and_noise_of_sensors_by_simulation(
     push, noise, chosen, hidden
 ):
     data = oscillator(push, noise, hidden, 2)
     model, note = fitted(data, error="auto")
-    assert f"error={chosen}" in note and ("pushes the plant" in note) == (chosen == "innovation")
+    assert f"error={chosen}" in note and ("pushes the plant" in note) == (chosen == "prediction")
     told, _ = fitted(data, error=chosen)
     assert torch.equal(model.coefficients, told.coefficients)
     assert model.coefficients[:3, 1].tolist() == pytest.approx([-4.0, -0.8, 3.0], rel=0.15 if push else 0.05)
@@ -254,11 +254,11 @@ def test_a_trajectory_that_no_function_or_no_number_survives_is_no_choice(monkey
             raise RunsAway("it runs away")
         return through(library, xi, free, data, descent, start)
 
-    told = fitted(data, error="innovation")[0].coefficients
+    told = fitted(data, error="prediction")[0].coefficients
     for spoilt, said in ((emptied, "no function is left"), (lost, "runs away")):
         monkeypatch.setattr(refine, "refine_trajectory", spoilt)
         model, note = fitted(data, error="auto")
-        assert torch.equal(model.coefficients, told) and "error=innovation" in note and said in note
+        assert torch.equal(model.coefficients, told) and "error=prediction" in note and said in note
 
 
 def test_only_the_method_auto_chooses_the_error_unasked():
@@ -266,4 +266,4 @@ def test_only_the_method_auto_chooses_the_error_unasked():
     for settings, chosen in (({}, False), ({"error": "simulation"}, False), ({"error": "auto"}, True)):
         assert ("error=" in fitted(data, **settings)[1]) == chosen
     model = SindyModel(OSCILLATOR, WORDS, Regression("bic"), Refinement("auto"), known={"y": "w"})
-    assert "error=innovation" in " ".join(model.fit(data).notes)
+    assert "error=prediction" in " ".join(model.fit(data).notes)
