@@ -208,7 +208,7 @@ def test_the_package_says_what_it_has():
 
 def test_the_lines_of_the_readme_run(tmp_path, monkeypatch, capsys):
     """Its log has an angle and a rate; planning is cut short."""
-    (block,) = re.findall(r"```python\n(.*?)```", (Path(__file__).parents[1] / "README.md").read_text(), re.S)
+    block, *_ = re.findall(r"```python\n(.*?)```", (Path(__file__).parents[1] / "README.md").read_text(), re.S)
     data = record(Pendulum(), Multisine(1, duration=8, dt=0.05, amplitude=[0.4], seed=0).samples(0.01), 0.01)
     with (tmp_path / "log.csv").open("w", newline="") as stream:
         writer = csv.writer(stream)

@@ -43,6 +43,12 @@ class Constraints:
             ValueError: a state or a function does not exist.
         """
         states = library.signature
+        for key, given in (("allowed", allowed), ("fixed", fixed), ("known", known)):
+            if absent := sorted(map(str, set(given) - set(states.state_names))):
+                raise ValueError(
+                    f"world_model.{key} names {', '.join(absent)}, which is no state; the states are "
+                    f"{', '.join(states.state_names)}: correct the name"
+                )
         free = torch.ones(len(library), states.n_x, dtype=torch.bool)
         offset = torch.zeros(len(library), states.n_x, dtype=torch.float64)
         for state, names in {**library.allowed, **allowed}.items():

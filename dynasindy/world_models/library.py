@@ -60,7 +60,10 @@ class Library:
                 "correct the name"
             )
         if not self.features:
-            raise ValueError("the library is empty; allowed is one feature or more: add functions to it")
+            raise ValueError(
+                "the library is empty; allowed is one function or more: add some to world_model.library, or to "
+                "plant.library in the file of the plant"
+            )
         self.names = tuple(f.name() for f in self.features)
         self.allowed: dict[str, tuple[str, ...]] = {}
         for state, group in (allowed or {}).items():

@@ -49,12 +49,12 @@ def test_a_given_coefficient_is_no_longer_estimated():
 @pytest.mark.parametrize(
     ("knowledge", "said"),
     [
-        ({"known": {"c": "b"}}, "state 'c' does not exist"),
+        ({"known": {"c": "b"}}, "world_model.known names c, which is no state; the states are"),
         ({"known": {"a": "c"}}, "feature 'c' is not in the library"),
         ({"allowed": {"b": ["cos(a)"]}}, "feature 'cos(a)' is not in the library"),
-        ({"allowed": {"u": ["a"]}}, "state 'u' does not exist"),
+        ({"allowed": {"u": ["a"]}}, "world_model.allowed names u, which is no state; the states are"),
         ({"fixed": {"b": {"b^2": 1.0}}}, "feature 'b^2' is not in the library"),
-        ({"fixed": {"c": {"b": 1.0}}}, "state 'c' does not exist"),
+        ({"fixed": {"c": {"b": 1.0}}}, "world_model.fixed names c, which is no state; the states are"),
     ],
 )
 def test_names_that_do_not_exist_are_refused_in_one_line(knowledge, said):
