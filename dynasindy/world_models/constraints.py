@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -43,8 +43,9 @@ class Constraints:
             ValueError: a state or a function does not exist.
         """
         states = library.signature
-        for key, given in (("allowed", allowed), ("fixed", fixed), ("known", known)):
-            if absent := sorted(map(str, set(given) - set(states.state_names))):
+        named: dict[str, Iterable[str]] = {"allowed": allowed, "fixed": fixed, "known": known}
+        for key, stated in named.items():
+            if absent := sorted(map(str, set(stated) - set(states.state_names))):
                 raise ValueError(
                     f"world_model.{key} names {', '.join(absent)}, which is no state; the states are "
                     f"{', '.join(states.state_names)}: correct the name"
