@@ -101,27 +101,20 @@ def test_the_report_is_that_of_the_saved_results(tmp_path, monkeypatch):
 
 
 ORIGINS = sorted(RESULTS.rglob("origin.json"))
-DIRTY = {
-    "xi_paper_rollouts_400": "2a53b11-dirty",
-    "xi_paper_rollouts_800": "2a53b11-dirty",
-}
-"""Saved runs of a changed checkout: not repeated yet, docs/results/README.md says so. No other may join them."""
 
 
 @pytest.mark.parametrize("file", ORIGINS, ids=lambda file: file.parent.name)
 def test_a_saved_run_names_its_command_and_a_commit_without_changes(file):
     origin = json.loads(file.read_text())
     assert origin["command"].startswith("python scripts/")
-    if origin["commit"] != DIRTY.get(file.parent.name):
-        assert re.fullmatch(r"[0-9a-f]{7,40}", origin["commit"]), f"{file.parent} was made at {origin['commit']}"
-        assert file.parent.name not in DIRTY, f"{file.parent} is of a clean checkout now: take it out of DIRTY"
+    assert re.fullmatch(r"[0-9a-f]{7,40}", origin["commit"]), f"{file.parent} was made at {origin['commit']}"
 
 
 @pytest.mark.parametrize("name", ["ablation.csv", "gradient.csv"])
 def test_every_row_names_a_commit_without_changes(name):
     dirty = {("_".join(row.get(key, "") for key in ("system", "experiment", "setting")), row["commit"])
              for row in table(name) if not re.fullmatch(r"[0-9a-f]{7,40}", row["commit"])}  # fmt: skip
-    assert dirty == (set(DIRTY.items()) if name == "ablation.csv" else set())
+    assert not dirty
 
 
 def test_rows_of_the_ablation_are_those_of_the_saved_runs():
