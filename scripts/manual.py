@@ -11,6 +11,7 @@ from typing import Any
 import hydra
 import yaml
 from commands import called, purpose
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from mistakes import CONF
 from omegaconf import DictConfig, OmegaConf
 
@@ -33,6 +34,9 @@ def manual(name: str, words: Sequence[str]) -> str:
     given, words = parser.parse_known_args(words)
     words = [word for word in words if not word.startswith("-")]
     overrides = [word for word in words if "=" in word]
+    # A sweep has no single value to show.
+    read = OverridesParser.create().parse_overrides(overrides)
+    overrides = [word for word, override in zip(overrides, read) if not override.is_sweep_override()]
     if given.config_dir:
         overrides.append(f"hydra.searchpath=['file://{given.config_dir.absolute()}']")
     with hydra.initialize_config_dir(str(CONF), version_base="1.3"):

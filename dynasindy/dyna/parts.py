@@ -18,7 +18,7 @@ from dynasindy.excitation import Excitation
 from dynasindy.limits import Count
 from dynasindy.planning import Gate, Planner
 from dynasindy.sensing import Sensing
-from dynasindy.tasks import Tracking
+from dynasindy.tasks import Task, Tracking
 from dynasindy.world_models import WorldModel
 
 
@@ -90,7 +90,9 @@ class Parts:
 
     def _kept(self) -> dict[str, Any]:
         parts = {name: getattr(self, name) for name in ("world_model", "agent", "replay", "planner", "sensing")}
-        parts |= {"task": self.plant.task if self.plant.task.own else None}
+        task = self.plant.task
+        learns = task.own or type(task).state_dict is not Task.state_dict
+        parts |= {"task": task if learns else None}
         return {name: part for name, part in parts.items() if part is not None}
 
     _drawing: ClassVar = ("plant", "model_env")

@@ -60,14 +60,14 @@ def fit(parts: Parts, settings: Settings, held_out: Tensor | None = None) -> obj
         used[-len(held_out) :] &= ~held_out[-len(rows) :]
         rows = rows[used]
     report = parts.world_model.fit(transitions(rows, parts.model_env.log_dt))
-    following = rows["next"]
-    parts.plant.task.learn(rows["state"], rows["action"], following["state"], following["reward"].squeeze(-1))
     for name, learnt in parts.world_model.state_dict().items():
         if isinstance(learnt, Tensor) and not bool(learnt.isfinite().all()):
             raise Diverged(
                 f"model learning: the fit to {len(rows)} real steps left {name} that are not finite in "
                 f"{type(parts.world_model).__name__}; choose a smaller library, or check what the plant logged"
             )
+    following = rows["next"]
+    parts.plant.task.learn(rows["state"], rows["action"], following["state"], following["reward"].squeeze(-1))
     return report
 
 
@@ -114,6 +114,8 @@ def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
         report, after, kept = lost, replace(before, reward_error=torch.inf, state_error=torch.inf), False
     if not kept:
         parts.world_model.load_state_dict(earlier)
+        if parts.plant.task.own:  # a reward is told by all data, whatever became of the model: the gate judges both
+            before = replay_error(parts.model_env, rollout, starts, length)
     _observe(parts)
     return Refit(report, before.state_error, after.state_error, kept, after if kept else before)
 

@@ -119,8 +119,9 @@ class Sensing(Transform):
         self._show(after, belief, held | {"measurements": measurements, "nis": nis.unsqueeze(-1)})
         x, x_next = tensordict["estimate"], after["state"]
         t_next, touched = after["step_count"].to(x.dtype) * self.env.dt, after["at_stop"].squeeze(-1)
-        reward = task.earned(x, before["inputs"][..., -1, :], x_next, after["task_params"], t_next, touched)
-        after["reward"] = reward.float().unsqueeze(-1)
+        if not task.own:  # what the plant itself pays is known as it is
+            reward = task.earned(x, before["inputs"][..., -1, :], x_next, after["task_params"], t_next, touched)
+            after["reward"] = reward.float().unsqueeze(-1)
         after["true_state"] = self.sensors.truth(true_state, after["state"])
         after["true_reward"] = self.sensors.truth(true_reward, after["reward"])
         return after
@@ -138,8 +139,9 @@ class Sensing(Transform):
         shown["state"], shown["next", "state"] = x[:-1], x[1:]
         shown["observation"] = task.observation(x[:-1], params, t).float()
         shown["next", "observation"] = task.observation(x[1:], params, t + self.env.dt).float()
-        reward = task.earned(x[:-1], rows["action"], x[1:], params, t + self.env.dt, touched)
-        shown["next", "reward"] = reward.float().unsqueeze(-1)
+        if not task.own:
+            reward = task.earned(x[:-1], rows["action"], x[1:], params, t + self.env.dt, touched)
+            shown["next", "reward"] = reward.float().unsqueeze(-1)
         return shown
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:

@@ -96,9 +96,14 @@ class OwnReward(Task):
             paid: What the plant paid, `(N,)`.
 
         Raises:
-            Diverged: The plant pays the same whatever happens, or for inputs alone, or the library cannot express it.
+            Diverged: The plant pays the same whatever happens, or for inputs alone, or the library cannot express it,
+                or a number is not finite, or the given reward returns another shape.
         """
         x, u, x_next, paid = (values.double() for values in (x, u, x_next, paid))
+        if not bool(paid.isfinite().all()):
+            raise Diverged(
+                f"the plant paid what is no finite number in {int((~paid.isfinite()).sum())} periods; mend it"
+            )
         spread = float(paid.std())
         if not spread > 1e-9 * (1.0 + float(paid.abs().max())):
             raise Diverged(
@@ -106,7 +111,13 @@ class OwnReward(Task):
                 "from a bad one; say what is wanted in plant.outputs, with a task that tracks them"
             )
         if self.given is not None:
-            missed = float((self.given(x, u, x_next) - paid).square().mean().sqrt()) / spread
+            believed = self.given(x, u, x_next)
+            if believed.shape != paid.shape or not bool(believed.isfinite().all()):
+                raise Diverged(
+                    f"task.reward returned numbers of shape {tuple(believed.shape)}, or some that are not finite; it "
+                    f"has to return one finite number per period, {tuple(paid.shape)}: mend the function"
+                )
+            missed = float((believed - paid).square().mean().sqrt()) / spread
             self.learnt |= {"missed": missed, "spread": spread, "periods": len(paid)}
             return
         missed, later, coefficients = min(

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import FrozenInstanceError, fields
-from types import SimpleNamespace
 
 import pytest
 import torch
@@ -10,6 +9,7 @@ import torch
 from dynasindy.agents import TD3
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.systems import Diverged
+from dynasindy.tasks import Task
 
 
 @pytest.mark.parametrize(
@@ -53,12 +53,27 @@ def test_every_fourth_second_is_held_out_by_default():
     assert Settings(7) == Settings(7, 1.0, None, 4) and Settings(1, held_out=2).held_out == 2
 
 
+class Goal:
+    own, state_dict = False, Task.state_dict
+
+
+class Learner(Goal):
+    def __init__(self):
+        self.learnt = 0
+
+    def state_dict(self):
+        return {"learnt": self.learnt}
+
+    def load_state_dict(self, state):
+        self.learnt = state["learnt"]
+
+
 class Part:
     """Any part of a run: it holds a number, and draws."""
 
     def __init__(self, number):
         self.number, self.rng, self.is_open = number, torch.Generator().manual_seed(number), number > 5
-        self.task = SimpleNamespace(own=False)
+        self.task = Goal()
 
     def check(self):
         pass
@@ -98,3 +113,12 @@ def test_weights_that_are_not_finite_are_in_no_state_to_go_on_from():
     parts = Parts(*[None] * 5, agent, *[None] * 3)
     with pytest.raises(Diverged):
         parts.state_dict()
+
+
+def test_what_a_task_has_learnt_goes_on_with_the_run():
+    one, other = (Parts(**{f.name: Part(k) for k, f in enumerate(fields(Parts)) if f.name != "sensing"}) for _ in "ab")
+    for parts in (one, other):
+        parts.plant.task = Learner()
+    one.plant.task.learnt = 7
+    other.load_state_dict(one.state_dict())
+    assert other.plant.task.learnt == 7

@@ -80,6 +80,29 @@ def test_a_worse_refit_is_rolled_back_and_a_better_one_stays():
     assert parts.world_model.factor == 1.0
 
 
+class Learning(Tracking):
+    """A task that pays more for everything after each fit."""
+
+    own, learnt = True, 0
+
+    def learn(self, *_):
+        self.learnt += 1
+
+    def earned(self, *given):
+        return (1 + self.learnt) * super().earned(*given)
+
+
+@pytest.mark.parametrize(("factor", "learnt", "kept"), [(1.5, 2, False), (1.0, 2, True), (math.nan, 1, False)])
+def test_what_a_task_learns_stays_and_the_gate_judges_the_model_that_stays_by_it(factor, learnt, kept):
+    parts, rollout = setting(1.0, factor)
+    parts.plant.task.__class__ = Learning
+    fit(parts, Settings(1))
+    result = refit(parts, Settings(1), rollout)
+    assert (result.kept, parts.plant.task.learnt, parts.world_model.factor) == (kept, learnt, 1.0)
+    starts = held_out_windows(rollout.numel(), 20, 4)
+    assert result.error.reward_error == replay_error(parts.model_env, rollout, starts, 20).reward_error
+
+
 def test_a_refit_that_diverges_is_rolled_back():
     parts, rollout = setting(1.2, math.nan)
     fit(parts, Settings(1))

@@ -147,6 +147,10 @@ def test_every_option_says_at_its_top_what_it_is(module):
             assert module.heading(group / f"{option}.yaml").endswith("."), (group.name, option)
 
 
+def test_help_of_a_sweep_is_that_of_the_command(module):
+    assert module.manual("train", ["-m", "seed=0,1"]) == module.manual("train", [])
+
+
 def test_configs_of_the_users_own_are_composed_too(small, tmp_path):
     (tmp_path / "mine" / "part").mkdir(parents=True)
     (tmp_path / "mine" / "part" / "tiny.yaml").write_text("# @package _global_\nlow: -7.0\n")

@@ -104,6 +104,18 @@ def test_observation_and_reward_are_those_of_the_estimates():
         assert row["next", "reward"].item() != row["next", "true_reward"].item()
 
 
+def test_what_a_plant_itself_pays_is_known_as_it_is():
+    class Own(Tracking):
+        own = True
+
+    _, sensing, sensed = behind(task=Own(Tras().signature, Wave([0.3, 0.2], [0.5, 0.4])))
+    rows = sensed.rollout(5, chirp())
+    torch.testing.assert_close(rows["next", "reward"], rows["next", "true_reward"].float())
+    again = sensing.reestimated(rows, torch.zeros(6, 6))
+    assert torch.equal(again["next", "reward"], rows["next", "reward"])
+    assert (again["next", "state"] == 0).all()
+
+
 def test_the_filter_is_better_than_what_the_sensors_say():
     _, sensing, sensed = behind()
     sensing.observer.q = torch.full((6,), 1e-3, dtype=torch.float64)

@@ -96,6 +96,25 @@ def test_a_given_reward_is_used_and_compared_with_what_was_paid():
     assert "leaves 50 % over of what 300 periods paid" in task.words()
 
 
+@pytest.mark.parametrize(
+    "reward", [lambda x, u, x_next: x[..., :1], lambda x, u, x_next: x[..., 0] / 0.0, lambda x, u, x_next: x.sum()]
+)
+def test_a_given_reward_of_another_shape_or_without_a_number_is_refused(reward):
+    x, u, x_next = drawn()
+    with pytest.raises(
+        Diverged, match=r"task\.reward returned numbers of shape .*one finite number per period, \(300,\)"
+    ):
+        OwnReward(SIGNATURE, reward).learn(x, u, x_next, x[:, 0])
+
+
+def test_a_plant_that_pays_no_number_is_told():
+    x, u, x_next = drawn()
+    paid = x[:, 0].clone()
+    paid[3] = torch.nan
+    with pytest.raises(Diverged, match="paid what is no finite number in 1 periods"):
+        OwnReward(SIGNATURE, lambda x, u, x_next: x[..., 0]).learn(x, u, x_next, paid)
+
+
 def test_what_was_learnt_is_kept():
     x, u, x_next = drawn()
     task, other = OwnReward(SIGNATURE), OwnReward(SIGNATURE)
