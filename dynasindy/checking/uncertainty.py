@@ -86,8 +86,8 @@ class Spread:
 
     @property
     def worst(self) -> Tensor:
-        """Largest spectral radius of each change over the targets, `(n,)`."""
-        return self.radius.amax(0) if len(self.radius) else self.radius.new_zeros(len(self.labels))
+        """Largest spectral radius of each change over the targets, `(n,)`; infinite if none has a rest."""
+        return self.radius.amax(0) if len(self.radius) else self.radius.new_full((len(self.labels),), torch.inf)
 
     @property
     def farthest(self) -> Tensor:

@@ -112,7 +112,7 @@ def steps(
 
 @styled
 def coefficients(
-    labels: Sequence[str], radius: ArrayLike, title: str = "One coefficient is other than thought"
+    labels: Sequence[str], radius: ArrayLike, title: str = "Stability if one coefficient is wrong"
 ) -> Figure:
     """Draw the spectral radius with each change, the worst first; what never rests is drawn at the right edge.
 
@@ -126,13 +126,13 @@ def coefficients(
     finite = values[np.isfinite(values)]
     low, high = float(finite.min(initial=1.0)), float(finite.max(initial=1.0))
     edge = high + 0.1 * max(high - low, 1e-3)
-    figure, (axis,) = panels(1, 1, (7.0, 0.26 * len(order) + 1.2), title)
+    figure, (axis,) = panels(1, 1, (9.0, 0.26 * len(order) + 1.2), title)
     places = np.arange(len(order))[::-1]
     shown = np.where(np.isfinite(values[order]), values[order], edge)
     axis.scatter(shown, places, color=np.where(values[order] < 1, GREEN, RED), zorder=3)
     axis.set_yticks(places, [_plain(labels[k]) for k in order])
     axis.axvline(1.0, color=BLACK, linestyle="--", linewidth=1.0)
-    axis.set_xlabel("largest spectral radius over the targets; stable below 1")
+    axis.set_xlabel("largest spectral radius (stable below 1)")
     return figure
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, NullFormatter
 from numpy.typing import ArrayLike
 
 from dynasindy.viz.style import BLACK, BLUE, GREY, ORANGE, RED, Array, array, legend_beside, panels, styled
@@ -74,6 +74,7 @@ def _once(columns: Mapping[str, float], title: str) -> Figure:
     for name, line, words in (("open_below", ":", "opens below"), ("close_above", "--", "closes above")):
         if np.isfinite(columns[name]):
             upper.axvline(columns[name], color=BLACK, linestyle=line, linewidth=0.9, label=words)
+            upper.set_xlim(right=max(upper.get_xlim()[1], 3 * columns[name]))
     if upper.get_legend_handles_labels()[0]:
         legend_beside(upper)
     tests = {
@@ -95,7 +96,9 @@ def _rows(axis: Axes, columns: Mapping[str, float], rows: Mapping[str, tuple[str
     seen = values[np.isfinite(values) & (values > 0)]
     if len(seen):
         axis.set_xscale("log")
-        axis.set_xlim(0.3 * seen.min(), 10 * seen.max())  # room for the figures beside the dots
+        low, high = _decades(np.append(seen, 5 * seen.max()))  # room for the figures beside the dots
+        axis.set_xlim(low, high)
+        axis.xaxis.set_minor_formatter(NullFormatter())
     axis.set_yticks(range(len(rows)), list(rows))
     axis.set_ylim(len(rows) - 0.5, -0.5)
     axis.set_xlabel(what)

@@ -1,5 +1,7 @@
 """Coefficients are moved one at a time and drawn, and what becomes of the loop is what paper says."""
 
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -47,4 +49,4 @@ def test_the_worst_is_over_the_targets():
     found = Spread(["a", "b"], radius, radius.unsqueeze(-1), 0)
     assert found.worst.tolist() == pytest.approx([0.9, 1.2]) == found.farthest.flatten().tolist()
     none = Spread(["a"], torch.zeros(0, 1), torch.zeros(0, 1, 1), 0)
-    assert none.worst.tolist() == [0.0]
+    assert none.worst.tolist() == [math.inf]  # nothing rests anywhere
