@@ -72,7 +72,7 @@ def test_a_comment_is_the_sentence_of_the_key_below_it_and_an_argument_that_of_i
     assert found["close_above"].comment.startswith("Reward error per control period above which an open gate closes")
     assert found["other.key"].comment == "Deeper, over two lines."
     assert (found["other.key"].value, found["open_below"].value) == ("[1, 2]", "0.05")
-    assert settings.header(file) == "What the file is for."
+    assert settings.heading(file) == "What the file is for."
 
 
 def test_pages_show_values_and_what_is_allowed(settings):

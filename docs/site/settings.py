@@ -21,6 +21,7 @@ REPOSITORY = Path(__file__).parents[2]
 sys.path += [str(REPOSITORY), str(REPOSITORY / "scripts")]  # MkDocs takes them back when this file is read
 import schema  # noqa: E402
 from annotations import words  # noqa: E402
+from manual import heading  # noqa: E402
 
 CONF = REPOSITORY / "conf"
 GROUPS = {
@@ -108,17 +109,6 @@ def keys(file: Path) -> Iterator[Key]:
         comment = []
 
 
-def header(file: Path) -> str:
-    """Return the sentences at the top of a file, which say what it is for."""
-    found: list[str] = []
-    for line in file.read_text().splitlines():
-        if not line.startswith("#"):
-            break
-        if not line.startswith("# @package"):
-            found.append(line.lstrip("# "))
-    return " ".join(found)
-
-
 def explained(file: Path) -> Iterator[Key]:
     """Yield the keys of a file that hold a value, each with a sentence and with what it belongs to.
 
@@ -135,7 +125,7 @@ def explained(file: Path) -> Iterator[Key]:
             comment = f"Copied from `{key.value.strip('${}').removeprefix('oc.select:').partition(',')[0]}`."
         above[key.name] = comment = comment or above.get(key.name.rpartition(".")[0], "")
         if key.value:
-            yield replace(key, comment=comment or header(file), target=target)
+            yield replace(key, comment=comment or heading(file), target=target)
 
 
 @cache
@@ -163,7 +153,7 @@ def _section(file: Path, title: str, anchor: str) -> str:
         for key in explained(file)
     ]
     table = ["| key | value | allowed | meaning |", "| --- | --- | --- | --- |", *rows] if rows else []
-    return "\n\n".join(filter(None, [f"## {title} {{ #{anchor} }}", _cell(header(file)), "\n".join(table)]))
+    return "\n\n".join(filter(None, [f"## {title} {{ #{anchor} }}", _cell(heading(file)), "\n".join(table)]))
 
 
 def _code(text: str) -> str:

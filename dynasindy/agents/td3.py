@@ -184,11 +184,12 @@ class TD3:
 
         Raises:
             Diverged: a loss is not finite; no weight of the network that it is of has moved by it on the CPU.
+            ValueError: a tensor of the batch has another shape or kind than the networks take.
         """
         s = self.settings
         self.updates += 1
 
-        critic_loss, value = self._critics(batch)
+        critic_loss, value = self._steps.critics(batch, self._require_finite)
 
         if self.updates % s.policy_delay == 0:
             self.actor_loss = self._steps.actor(batch, self._require_finite)
@@ -209,14 +210,11 @@ class TD3:
 
         Raises:
             Diverged: their loss is not finite.
+            ValueError: a tensor of the batch has another shape or kind than the networks take.
         """
         self.updates += 1
-        self._critics(batch)
+        self._steps.critics(batch, self._require_finite)
         self._targets()
-
-    def _critics(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
-        """Take one step of the critics and return their loss and mean value."""
-        return self._steps.critics(batch, self._require_finite)
 
     def check(self) -> None:
         """Check all weights, as at the end of a phase or before the agent is saved.

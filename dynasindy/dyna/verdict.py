@@ -79,7 +79,9 @@ def _held(held: Mapping[str, Mapping[str, float | None]], within: float, usable:
         f"{name} runs on in {_percent(_number(share))} of the runs, which nothing depends on"
         for name, share in held["idle"].items()
     ]
-    controlled = (True if told else None) if not missed and not held["away"] else False
+    controlled = True if told else None
+    if missed or held["away"]:
+        controlled = False
     word = {True: "CONTROLLED", False: "NOT CONTROLLED", None: "NOT JUDGED"}[controlled]
     return controlled, f"{word}: {'; '.join(lines)}."
 

@@ -102,7 +102,7 @@ class OwnReward(Task):
         x, u, x_next, paid = (values.double() for values in (x, u, x_next, paid))
         if not bool(paid.isfinite().all()):
             raise Diverged(
-                f"the plant paid what is no finite number in {int((~paid.isfinite()).sum())} periods; mend it"
+                f"the plant paid what is no finite number in {int((~paid.isfinite()).sum())} periods; mend its reward"
             )
         spread = float(paid.std())
         if not spread > 1e-9 * (1.0 + float(paid.abs().max())):
