@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from dynasindy.evaluation.ablation import Row, read_rows
 from dynasindy.evaluation.given import plain_name
+from dynasindy.viz.controllers import named
 from dynasindy.viz.learning import average_rewards, draw_bands
 from dynasindy.viz.style import BLACK, Array, legend_beside, panels, save, styled
 
@@ -67,7 +68,7 @@ def controls(
     for axis, (family, curves) in zip(axes, families.items()):
         _draw_errors(axis, curves, level, episode)
         axis.set_title(family)
-        axis.set_ylabel("error [rad]")
+        axis.set_ylabel("steady-state error,\nworse axis [rad]")
         axis.label_outer(remove_inner_ticks=False)
     return figure
 
@@ -96,22 +97,27 @@ def draw_ablation(results: Path, level: float, formats: tuple[str, ...] = ("png"
         errors = _curves(lines, _worst)
         episodes = sorted({float(row["episode"] or 0.0) for row in lines})
         chosen = [name for name in errors if _family(name) == MAIN] or list(errors)
-        figure = average_rewards({name: returns[name] for name in chosen}, episodes, window=1, title=average, log=True)
+        figure = average_rewards(
+            {named(name): returns[name] for name in chosen}, episodes, window=1, title=average, log=True
+        )
         files += save(figure, results / f"average_rewards_{case}", formats)
         main = {name: errors.pop(name) for name in chosen}
-        figure = steady_state_errors(main, level, episodes, f"Steady-state error, {title}")
+        shown = {named(name): values for name, values in main.items()}
+        figure = steady_state_errors(shown, level, episodes, f"Steady-state error, {title}")
         files += save(figure, results / f"steady_state_error_{case}", formats)
         if errors:
-            figure = controls(
-                families(errors, main.get(REFERENCE)), level, episodes, f"Controls: steady-state error, {title}"
-            )
+            told = {
+                family: {named(name): values for name, values in members.items()}
+                for family, members in families(errors, main.get(REFERENCE)).items()
+            }
+            figure = controls(told, level, episodes, f"Controls: steady-state error, {title}")
             files += save(figure, results / f"controls_{case}", formats)
     return files
 
 
 def _draw_errors(axis: Axes, curves: Mapping[str, ArrayLike], level: float, episode: ArrayLike | None) -> None:
     draw_bands(axis, curves, episode)
-    axis.axhline(level, color=BLACK, linestyle="--", linewidth=0.9, label=f"required: {level:g} rad")
+    axis.axhline(level, color=BLACK, linestyle="--", linewidth=0.9, label=f"required: at most {level:g} rad")
     axis.set_yscale("log")
     axis.set_ylabel("mean abs error of the last 5 s, worse axis [rad]")
     legend_beside(axis)

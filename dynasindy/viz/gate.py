@@ -30,25 +30,27 @@ def gate(decisions: Mapping[str, ArrayLike], title: str = "Trust in the model") 
     if len(columns["episode"]) == 1:
         return _once({name: float(values[0]) for name, values in columns.items()}, title)
     x, before, after = (columns[name] for name in ("episode", "held_out_error_before", "held_out_error_after"))
-    figure, (upper, lower) = panels(2, 1, (7.0, 5.0), title)
-    dots: dict[str, Any] = {"marker": "o", "markersize": 3}
+    figure, (upper, lower) = panels(2, 1, (8.5, 5.0), title)
+    dots: dict[str, Any] = {"marker": "o", "markersize": 3, "clip_on": False}
     upper.plot(x, columns["reward_error"], color=GREY, label="whole episode, before the refit", **dots)
     upper.plot(x, columns["judged_reward_error"], color=BLUE, label="held-out windows, judged", **dots)
     # Half an episode to each side, as the shade of a closed one is as wide.
     wide = np.concatenate([x[:1] - 0.5, x, x[-1:] + 0.5])
     for name, line, words in (("open_below", ":", "opens below"), ("close_above", "--", "closes above")):
         bound = np.pad(columns[name], 1, mode="edge")
-        upper.plot(wide, bound, color=BLACK, linestyle=line, linewidth=0.9, label=words)
-    for closed in x[columns["open"] == 0]:
-        upper.axvspan(closed - 0.5, closed + 0.5, color=GREY, alpha=0.25, linewidth=0)
+        upper.plot(wide, bound, color=BLACK, linestyle=line, linewidth=0.9, label=f"{words} {columns[name][0]:g}")
+    for number, closed in enumerate(x[columns["open"] == 0]):
+        told = "_" * (number > 0) + "model not trusted"
+        upper.axvspan(closed - 0.5, closed + 0.5, color=GREY, alpha=0.25, linewidth=0, label=told)
     upper.set_yscale("log")
     upper.set_ylabel("reward error [per period]")
-    upper.legend()
+    legend_beside(upper)
     lower.plot(x, before, color=ORANGE, label="before the refit", **dots)
     lower.plot(x, after, color=BLUE, label="after the refit", **dots)
     back = columns["refit_kept"] == 0
     if back.any():
-        ring: dict[str, Any] = {"marker": "o", "markersize": 8, "markerfacecolor": "none", "linestyle": "none"}
+        ring: dict[str, Any] = {"marker": "o", "markersize": 8, "markerfacecolor": "none"}
+        ring |= {"linestyle": "none", "clip_on": False}
         lower.plot(x[back], after[back], color=RED, label="rolled back", **ring)
     if np.isfinite(before).any():
         lower.set_yscale("log")
@@ -57,7 +59,7 @@ def gate(decisions: Mapping[str, ArrayLike], title: str = "Trust in the model") 
     lower.set_xlim(wide[0], wide[-1])
     lower.set_xlabel("real episode")
     lower.set_ylabel("held-out state error [ranges]")
-    lower.legend()
+    legend_beside(lower)
     return figure
 
 

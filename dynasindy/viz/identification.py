@@ -1,6 +1,7 @@
 """What the model was fitted to and how well it predicts: inputs, training data, prediction, coefficients."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import cycle
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,10 +11,27 @@ from numpy.typing import ArrayLike
 
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.response import INPUTS
-from dynasindy.viz.style import BLACK, BLUE, GREY, RED, Array, array, label, name_single, panels, styled, symbol
+from dynasindy.viz.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    RED,
+    Array,
+    array,
+    held,
+    label,
+    legend_beside,
+    name_single,
+    panels,
+    span,
+    styled,
+    symbol,
+)
 
 STATES = SIGNATURE.state_names
 UNITS = SIGNATURE.state_units
+BEYOND = 0.6
+"""A prediction is drawn as far as this part of the plant's own range beyond it."""
 
 
 @styled
@@ -22,7 +40,7 @@ def excitation(time: ArrayLike, u: ArrayLike, input_names: Sequence[str] = INPUT
     seconds, values = array(time), array(u)
     figure, axes = panels(len(input_names), 1, (7.0, 1.5 * len(input_names) + 0.6), title)
     for i, (axis, name) in enumerate(zip(axes, input_names, strict=True)):
-        axis.step(seconds, values[:, i], where="post", color=BLUE)
+        axis.step(*held(seconds, values[:, i]), where="post", color=BLUE)
         axis.set_ylim(-1.08, 1.08)
         axis.set_ylabel(label(name, "-"))
     _finish(axes, 1, seconds)
@@ -80,15 +98,15 @@ def prediction(
     seconds, truth, model = array(time), array(real), array(predicted)
     figure, axes, columns = _states(names, units, title)
     for i in range(len(names)):
-        span = truth[:, i].max() - truth[:, i].min()
+        wide = truth[:, i].max() - truth[:, i].min()
         x, real, free = (_broken(v, segment) for v in (seconds, truth[:, i], model[:, i]))
         axes[i].plot(x, real, color=BLACK, linewidth=1.2, label="real")
         axes[i].plot(x, free, color=RED, linestyle=":", linewidth=1.8, label="predicted")
-        axes[i].set_title(_fit(truth[:, i], model[:, i], span), fontsize=8.5, loc="right")
-        if span > 0:
+        axes[i].set_title(_fit(truth[:, i], model[:, i], wide), fontsize=8.5, loc="right")
+        if wide > 0:
             # A model that runs away must not flatten the plant's own curve.
-            axes[i].set_ylim(truth[:, i].min() - 0.6 * span, truth[:, i].max() + 0.6 * span)
-    axes[0].legend(loc="best", ncols=2)
+            axes[i].set_ylim(truth[:, i].min() - BEYOND * wide, truth[:, i].max() + BEYOND * wide)
+    axes[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     _finish(axes, columns, seconds, segment)
     return figure
 
@@ -100,6 +118,7 @@ def model_error(
     refits: ArrayLike | None = None,
     what: str = "reward error, |real - model|",
     title: str = "SINDy model learning progress",
+    thresholds: Mapping[str, float] | None = None,
 ) -> Figure:
     """Draw the model's error over real episodes on a log axis, with a tick at each refit.
 
@@ -109,6 +128,7 @@ def model_error(
         refits: episodes after which the model was fitted anew.
         what: the error in words, the label of the axis.
         title: of the figure.
+        thresholds: levels that the error is compared with, in words; drawn as lines.
     """
     x, y = array(episode), array(error)
     # Zero has no place on a log axis: it is drawn on the floor.
@@ -125,6 +145,10 @@ def model_error(
     if refits is not None and len(array(refits)):
         axis.legend(loc="upper right")
     axis.set_yscale("log")
+    for (words, level), line in zip((thresholds or {}).items(), cycle((":", "--"))):
+        axis.axhline(level, color=BLACK, linestyle=line, linewidth=0.9, label=f"{words} {level:g}")
+    if thresholds:
+        legend_beside(axis)
     axis.set_xlabel("real episode")
     axis.set_ylabel(f"{what} [-]")
     return figure
@@ -198,14 +222,16 @@ def _finish(axes: Sequence[Axes], columns: int, seconds: Array, segment: ArrayLi
     gaps = segment is not None and bool(np.diff(array(segment)).any())
     for axis in axes[-columns:]:
         axis.set_xlabel("time without the gaps [s]" if gaps else "time [s]")
-    axes[0].set_xlim(seconds[0], seconds[-1])
+    axes[0].set_xlim(*span(seconds))
 
 
-def _fit(real: Array, predicted: Array, span: float) -> str:
+def _fit(real: Array, predicted: Array, wide: float) -> str:
     if not np.isfinite(predicted).all():
         return "runs away"
     rmse = float(np.sqrt(np.mean((real - predicted) ** 2)))
-    if not span > 0:
+    if not wide > 0:
         return f"RMSE {rmse:.2g}"
-    percent = 100 * rmse / span
-    return f"RMSE {percent:.0f} % of range" if percent >= 99.5 else f"RMSE {percent:.2g} % of range"
+    percent = 100 * rmse / wide
+    cut = (predicted.max() - real.max() > BEYOND * wide) or (real.min() - predicted.min() > BEYOND * wide)
+    words = f"{percent:.0f}" if percent >= 99.5 else f"{percent:.2g}"
+    return f"RMSE {words} % of range" + ", leaves the picture" * bool(cut)

@@ -1,18 +1,24 @@
 """How learning went: the return over episodes of one run, and of several settings over seeds."""
 
 from collections.abc import Mapping
-from itertools import cycle
 
 import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from dynasindy.evaluation.statistics import bootstrap_interval, interquartile_mean
 from dynasindy.evaluation.table import FEWEST
-from dynasindy.viz.style import BLUE, CYCLE, RED, Array, array, legend_beside, name_single, panels, styled
+from dynasindy.viz.controllers import colours
+from dynasindy.viz.style import BLUE, GREY, RED, Array, array, legend_beside, name_single, panels, styled
+
+LINEAR = 10.0
+"""Returns within this of zero are drawn on a linear part of a logarithmic axis."""
+WIDE = 30.0
+"""Returns that differ by more than this factor are drawn on a logarithmic axis, if one is asked for."""
 
 
 @styled
@@ -71,25 +77,28 @@ def average_rewards(
         window: episodes in the moving mean taken of each seed before the statistics.
         seed: of the bootstrap.
         title: of the figure.
-        log: logarithmic returns, linear within 10 of zero.
+        log: logarithmic returns, linear within 10 of zero, if they differ by more than a factor of `WIDE`.
     """
     figure, (axis,) = panels(1, 1, (8.5, 3.8), title)
-    if log:
-        axis.set_yscale("symlog", linthresh=10.0)
     smooth = {
         name: np.stack([moving_mean(row, window) for row in np.atleast_2d(array(values))])
         for name, values in curves.items()
     }
+    words = f"return, mean of {window} episodes" if window > 1 else "return"
+    if log and _wide(smooth):
+        axis.set_yscale("symlog", linthresh=LINEAR)
+        words += f", logarithmic beyond {LINEAR:g}"
     draw_bands(axis, smooth, episode, seed)
     legend_beside(axis)
-    axis.set_ylabel(f"return, mean of {window} episodes [-]" if window > 1 else "return [-]")
+    axis.set_ylabel(f"{words} [-]")
     return figure
 
 
 def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike | None = None, seed: int = 0) -> None:
     """Draw interquartile mean and 95 % bootstrap band over seeds into an axis, one line per setting.
 
-    Of fewer than three seeds every one is a line of its own, and nothing is a band.
+    Of fewer than three seeds every one is a line of its own, and nothing is a band. Where there is a band, the single
+    seeds are lines that are not visible, for a page that can switch them on.
 
     Args:
         axis: Where to draw.
@@ -97,18 +106,38 @@ def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike |
         episode: `(n_episodes,)` numbers of the episodes, by default 1, 2, ...
         seed: Seed of the bootstrap.
     """
-    for (name, values), color in zip(curves.items(), cycle(CYCLE)):
+    banded = False
+    for (name, values), color in zip(curves.items(), colours(curves).values()):
         rows = np.atleast_2d(array(values))
         x = np.arange(1, rows.shape[1] + 1) if episode is None else array(episode)[: rows.shape[1]]
         words = name.replace("$", r"\$")  # names of settings are no mathematics
         label = f"{words} ({len(rows)} seed{'s' * (len(rows) > 1)})"
         if len(rows) < FEWEST:
-            axis.plot(x, rows.T, color=color, label=[label, *["_"] * (len(rows) - 1)])
+            axis.plot(x, rows.T, color=color, label=[label, *[f"_{label}"] * (len(rows) - 1)])
         else:
             middle, low, high = band(rows, seed)
             axis.plot(x, middle, color=color, label=label)
-            axis.fill_between(x, low, high, color=color, alpha=0.2, linewidth=0)
+            axis.fill_between(x, low, high, color=color, alpha=0.2, linewidth=0, label=f"_{label}")
+            for row in rows:  # added apart, so that they do not widen the limits
+                axis.add_artist(Line2D(x, row, color=color, linewidth=0.9, label=f"_{label}", visible=False))
+            banded = True
+    if banded:
+        axis.plot([], [], color=GREY, label="line: interquartile mean over seeds")
+        axis.plot([], [], color=GREY, alpha=0.3, linewidth=7, label="band: its 95 % bootstrap interval")
+    if not curves:
+        return
+    last = max(np.atleast_2d(array(values)).shape[1] for values in curves.values())
+    x = np.arange(1, last + 1) if episode is None else array(episode)[:last]
+    axis.set_xlim(x[0] - 0.02 * (x[-1] - x[0]) - 1e-3, x[-1] + 0.02 * (x[-1] - x[0]) + 1e-3)
+    axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axis.set_xlabel("real episode")
+
+
+def _wide(curves: Mapping[str, Array]) -> bool:
+    """Return whether the magnitudes of all values, those within `LINEAR` of zero aside, differ by more than `WIDE`."""
+    size = np.abs(np.concatenate([values.ravel() for values in curves.values()])) if curves else np.ones(1)
+    size = np.maximum(size[np.isfinite(size)], LINEAR)
+    return len(size) > 0 and bool(size.max() > WIDE * size.min())
 
 
 def moving_mean(values: Array, window: int) -> Array:

@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike
 
 from dynasindy.evaluation.metrics import SETTLING_BAND, steady_seconds
 from dynasindy.systems.twin_rotor import SIGNATURE
-from dynasindy.viz.style import BLACK, BLUE, CYCLE, GREY, Array, array, label, panels, styled
+from dynasindy.viz.controllers import colours
+from dynasindy.viz.style import BLACK, BLUE, GREY, Array, array, held, label, panels, span, styled
 
 AXES = SIGNATURE.state_names[:2]
 INPUTS = SIGNATURE.input_names
@@ -49,7 +50,7 @@ def tracking(
         _inputs(axes[len(names) + i], seconds, inputs, i, name)
     _legend(axes[0])
     axes[-1].set_xlabel("time [s]")
-    axes[-1].set_xlim(*_span(seconds))
+    axes[-1].set_xlim(*span(seconds))
     return figure
 
 
@@ -72,7 +73,8 @@ def step_response(
         half = SETTLING_BAND * max((abs(target[-1, i] - start) for start in starts), default=0.0)
         band = f"{100 * SETTLING_BAND:g} % band"
         axis.axhspan(target[-1, i] - half, target[-1, i] + half, color=GREY, alpha=0.2, lw=0, label=band)
-        axis.axvspan(seconds[-1] - steady, seconds[-1], color=GREY, alpha=0.08, lw=0, label="steady state")
+        end = span(seconds)[1]
+        axis.axvspan(end - steady, end, color=GREY, alpha=0.08, lw=0, label=f"steady state: last {steady:g} s")
     _legend(figure.axes[0])
     return figure
 
@@ -112,7 +114,7 @@ def error_fan(
         axis.set_ylabel(f"|error| of {label(*_with_unit(name))}")
     axes[0].legend(loc="upper right", ncols=2)
     axes[-1].set_xlabel("time [s]")
-    axes[-1].set_xlim(*_span(seconds))
+    axes[-1].set_xlim(*span(seconds))
     return figure
 
 
@@ -129,19 +131,13 @@ def _legend(axis: Axes) -> None:
 
 
 def _lines(axis: Axes, seconds: ArrayLike, outputs: Mapping[str, ArrayLike], column: int) -> None:
-    for k, (name, values) in enumerate(outputs.items()):
-        axis.plot(seconds, array(values)[:, column], color=CYCLE[k % len(CYCLE)], label=name)
+    for (name, values), colour in zip(outputs.items(), colours(outputs).values()):
+        axis.plot(seconds, array(values)[:, column], color=colour, label=name)
 
 
-def _inputs(axis: Axes, seconds: ArrayLike, inputs: Mapping[str, ArrayLike], column: int, name: str) -> None:
-    for k, values in enumerate(inputs.values()):
-        # Zero-order hold: the input is constant until the next sample.
-        axis.step(seconds, array(values)[:, column], where="post", color=CYCLE[k % len(CYCLE)], linewidth=1.0)
+def _inputs(axis: Axes, seconds: Array, inputs: Mapping[str, ArrayLike], column: int, name: str) -> None:
+    for (of, values), colour in zip(inputs.items(), colours(inputs).values()):
+        # Zero-order hold: the input is constant until the next sample, the last one until the end.
+        axis.step(*held(seconds, array(values)[:, column]), where="post", color=colour, linewidth=1.0, label=of)
     axis.set_ylim(-1.08, 1.08)
     axis.set_ylabel(label(name, "-"))
-
-
-def _span(seconds: Array) -> tuple[float, float]:
-    """Return start and end of a run: its last sample is held for a period, too."""
-    period = seconds[-1] - seconds[-2] if len(seconds) > 1 else 0.0
-    return float(seconds[0]), round(float(seconds[-1] + period), 9)

@@ -107,6 +107,22 @@ def array(values: ArrayLike) -> Array:
     return np.asarray(values, dtype=np.float64)
 
 
+def span(seconds: Array) -> tuple[float, float]:
+    """Return the start and the end of a run in time: the last sample is held for a period, too.
+
+    A start or an end that misses a whole second by less than a period is drawn at it, as every other sample is saved.
+    """
+    start, last = float(seconds[0]), float(seconds[-1])
+    period = last - float(seconds[-2]) if len(seconds) > 1 else 0.0
+    end = np.ceil(last) if 0 < np.ceil(last) - last <= period + 1e-9 else last + period
+    return 0.0 if 0 < start < period + 1e-9 else start, round(float(end), 9)
+
+
+def held(seconds: Array, values: Array) -> tuple[Array, Array]:
+    """Return times and values of an input that is held, its last sample up to the end of the run."""
+    return np.append(seconds, span(seconds)[1]), np.concatenate([values, values[-1:]])
+
+
 def name_single(axis: Axes, x: Array, y: Array, color: str) -> None:
     """Write its value beside a curve that has only one point, which is easily overlooked."""
     seen = np.isfinite(y)

@@ -11,7 +11,7 @@ def test_the_error_figure_has_a_line_per_setting_and_the_level():
     lines = {line.get_label(): line.get_ydata() for line in axis.lines}
     np.testing.assert_allclose(lines["a (3 seeds)"], 0.1)
     np.testing.assert_allclose(lines["b (2 seeds)"], 0.02)
-    assert list(lines["required: 0.05 rad"]) == [0.05, 0.05]
+    assert list(lines["required: at most 0.05 rad"]) == [0.05, 0.05]
     assert axis.get_yscale() == "log"
 
 

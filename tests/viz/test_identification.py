@@ -16,8 +16,10 @@ def test_prediction_titles_say_the_error_in_percent_of_the_range() -> None:
     assert set(titles[1:]) == {"RMSE 0 % of range"}
     figure = prediction(TIME, STATES, STATES + np.array([3.2e-5, 1.5, 0, 0, 0, 40.0]))
     titles = [figure.axes[k].get_title(loc="right") for k in (0, 1, 5)]
-    assert titles == ["RMSE 0.0032 % of range", "RMSE 75 % of range", "RMSE 2 % of range"]
-    assert prediction(TIME, STATES, 3 * STATES).axes[0].get_title(loc="right") == "RMSE 116 % of range"
+    assert titles == ["RMSE 0.0032 % of range", "RMSE 75 % of range, leaves the picture", "RMSE 2 % of range"]
+    assert prediction(TIME, STATES, 3 * STATES).axes[0].get_title(loc="right") == (
+        "RMSE 116 % of range, leaves the picture"
+    )
     assert figure.axes[4].get_ylabel().endswith("[rpm]")
 
 
@@ -36,7 +38,9 @@ def test_training_data_and_excitation_draw_their_columns() -> None:
         np.testing.assert_array_equal(axis.lines[0].get_ydata(), STATES[:, k])
     u = np.stack([np.sin(TIME), np.cos(TIME)], -1)
     figure = excitation(TIME, u)
-    np.testing.assert_array_equal(figure.axes[1].lines[0].get_ydata(), u[:, 1])
+    np.testing.assert_array_equal(figure.axes[1].lines[0].get_ydata(), [*u[:, 1], u[-1, 1]])
+    # The last input is held for its period, to the end of the second.
+    assert figure.axes[1].lines[0].get_xdata()[-1] == figure.axes[1].get_xlim()[1] == 1.0
 
 
 def test_one_state_gets_one_panel() -> None:
@@ -52,6 +56,13 @@ def test_model_error_is_the_median_on_a_log_axis_with_refits() -> None:
     np.testing.assert_allclose(axis.lines[0].get_ydata(), [3.0, 0.2])
     assert axis.get_yscale() == "log"
     assert axis.lines[1].get_xdata()[0] == 1.5
+
+
+def test_the_thresholds_of_the_models_error_are_drawn_and_named() -> None:
+    (axis,) = model_error([1, 2], [0.3, 0.1], thresholds={"opens below": 0.05, "closes above": 0.2}).axes
+    levels = {line.get_label(): line.get_ydata()[0] for line in axis.lines[1:]}
+    assert levels == {"opens below 0.05": 0.05, "closes above 0.2": 0.2}
+    assert [text.get_text() for text in axis.get_legend().get_texts()] == list(levels)
 
 
 def test_an_error_of_zero_stays_on_the_figure() -> None:

@@ -26,7 +26,25 @@ def test_average_rewards_draw_the_interquartile_mean_within_its_band() -> None:
     low, high = (f(figure.axes[0].collections[0].get_paths()[0].vertices[:, 1]) for f in (np.min, np.max))
     assert 0 <= low <= 15 <= high <= 1000
     assert "(4 seeds)" in figure.axes[0].get_legend().get_texts()[0].get_text()
-    assert len(figure.axes[0].lines) == len(figure.axes[0].collections) == 2  # three seeds have a band, too
+    axis = figure.axes[0]
+    assert len(axis.collections) == 2  # three seeds have a band, too
+    assert [text.get_text() for text in axis.get_legend().get_texts()][2:] == [
+        "line: interquartile mean over seeds",
+        "band: its 95 % bootstrap interval",
+    ]
+    hidden = [line for line in axis.lines if not line.get_visible()]
+    np.testing.assert_array_equal([line.get_ydata() for line in hidden], [*one, *np.ones((3, 6))])
+    assert {line.get_label() for line in hidden} == {"_wild (4 seeds)", "_calm (3 seeds)"}
+    assert axis.get_ylim()[1] < 1000 + 60  # what nobody sees does not widen the limits
+
+
+def test_a_logarithmic_axis_is_for_returns_that_differ_much_and_says_so() -> None:
+    def axis(low: float):
+        return average_rewards({"a": [[low, -1000.0]]}, window=1, log=True).axes[0]
+
+    assert axis(-100.0).get_yscale() == "linear"
+    assert axis(-20.0).get_yscale() == axis(5.0).get_yscale() == "symlog"
+    assert axis(-20.0).get_ylabel() == "return, logarithmic beyond 10 [-]"
 
 
 def test_fewer_than_three_seeds_are_lines_without_a_band() -> None:

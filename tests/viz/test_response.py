@@ -23,14 +23,17 @@ def test_tracking_draws_reference_and_every_controller() -> None:
 
 def test_inputs_are_drawn_as_held() -> None:
     figure = tracking(TIME, REFERENCE, {"a": OUTPUT}, {"a": OUTPUT})
-    assert figure.axes[2].lines[0].get_drawstyle() == "steps-post"
+    (line,) = figure.axes[2].lines
+    assert line.get_drawstyle() == "steps-post"
+    np.testing.assert_allclose(line.get_xydata()[-2:, 0], [19.95, 20.0], rtol=1e-6)
+    assert line.get_ydata()[-1] == line.get_ydata()[-2]
 
 
 def test_step_response_shows_the_five_percent_band_and_the_last_five_seconds() -> None:
     figure = step_response(TIME, REFERENCE, {"a": OUTPUT})
     band, steady = figure.axes[0].patches
     assert (band.get_y(), band.get_height()) == pytest.approx((0.38, 0.04))
-    assert (steady.get_x(), steady.get_width()) == pytest.approx((14.95, 5.0))
+    assert (steady.get_x(), steady.get_width()) == pytest.approx((15.0, 5.0))
 
 
 def test_error_fan_draws_the_median_of_the_absolute_error() -> None:
