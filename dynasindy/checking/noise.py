@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import solve_discrete_lyapunov
+from scipy.linalg import matrix_balance, solve_discrete_lyapunov
 
 from dynasindy.checking.linear import Array, Linear
 
@@ -19,11 +19,15 @@ def noise_gain(linear: Linear) -> Array:
     """
     if np.abs(np.linalg.eigvals(linear.a)).max() >= 1:
         raise ValueError("the loop is not stable, so its inputs have no steady spread")
+    # States in rpm beside states in rad: what is balanced solves without a loss of digits.
+    a, scale = matrix_balance(linear.a, permute=False)
+    units = np.diag(scale)
     found = np.zeros(linear.f.shape)
     for i in range(linear.f.shape[1]):
         if not (linear.e[:, i].any() or linear.f[:, i].any()):
             continue
-        spread = solve_discrete_lyapunov(linear.a, np.outer(linear.e[:, i], linear.e[:, i]))
-        inputs = linear.c @ spread @ linear.c.T + np.outer(linear.f[:, i], linear.f[:, i])
+        e = linear.e[:, i] / units
+        c = linear.c * units
+        inputs = c @ solve_discrete_lyapunov(a, np.outer(e, e)) @ c.T + np.outer(linear.f[:, i], linear.f[:, i])
         found[:, i] = np.sqrt(np.diag(inputs).clip(0))
     return found

@@ -276,7 +276,8 @@ class Recorder(Callback):
         self._write_series(name, [*states, *(f"predicted_{state}" for state in states)], values, first=1)
 
     def _write_series(self, name: str, columns: Sequence[str], values: Tensor, first: int = 0) -> None:
-        time_column = (first + torch.arange(len(values))).unsqueeze(-1) * self.plant.dt
+        # Double precision, so that the fifth period of 0.05 s is at 0.25 s and not at 0.25000000372.
+        time_column = (first + torch.arange(len(values), dtype=torch.float64)).unsqueeze(-1) * self.plant.dt
         rows = [
             [None if math.isnan(value) else value for value in row]
             for row in torch.cat([time_column, values], -1).tolist()

@@ -280,7 +280,7 @@ def _check_action(policy: Policy, start: TensorDictBase, n_u: int, name: str) ->
 
 def _measure(env: ControlEnv, task: Task, scenario: Scenario, trajectory: TensorDictBase) -> Evaluation:
     # Root entries: state and reference at the moment an action is chosen, so that a step begins at time zero.
-    time = torch.arange(trajectory.shape[-1]) * env.dt
+    time = torch.arange(trajectory.shape[-1], dtype=torch.float64) * env.dt
     outputs = [env.system.signature.state_index(name) for name in task.output_names]
     y, r, u = trajectory["state"][..., outputs], trajectory["reference"], trajectory["action"]
     boxes = task.boxes() if isinstance(task, Tracking) else torch.ones(len(outputs))

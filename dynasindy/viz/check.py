@@ -8,12 +8,25 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Patch
 from numpy.typing import ArrayLike
 
 from dynasindy.checking import Check
 from dynasindy.checking.margins import broken, frequencies
-from dynasindy.viz.style import BLACK, BLUE, GREEN, GREY, ORANGE, RED, array, label, panels, styled
+from dynasindy.viz.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    RED,
+    array,
+    held,
+    label,
+    legend_above,
+    panels,
+    styled,
+)
 
 SHOWN = 15
 """Changes of single coefficients that are drawn, the worst first."""
@@ -54,7 +67,7 @@ def nyquist(curves: Sequence[ArrayLike], names: Sequence[str], title: str = "Loo
         names: Inputs.
         title: of the figure.
     """
-    figure, axes = panels(1, len(names), (4.2 * len(names), 4.2), title, sharex=False)
+    figure, axes = panels(1, len(names), (4.2 * len(names), 4.5), title, sharex=False)
     angle = np.linspace(0, 2 * np.pi, 200)
     for i, (axis, name) in enumerate(zip(axes, names, strict=True)):
         for k, curve in enumerate(curves):
@@ -69,7 +82,7 @@ def nyquist(curves: Sequence[ArrayLike], names: Sequence[str], title: str = "Loo
         axis.set_aspect("equal")
         axis.set_xlabel(f"real part, {label(name)}")
         axis.set_ylabel("imaginary part")
-    axes[0].legend(loc="upper left")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 
 
@@ -96,15 +109,17 @@ def steps(
     """
     y, u, r = array(outputs), array(inputs), array(reference)
     figure, axes = panels(len(names) + len(input_names), 1, (7.0, 2.1 * len(names) + 1.4 * len(input_names)), title)
-    seconds = dt * np.arange(y.shape[1])
+    seconds = array(dt * np.arange(y.shape[1]))
     for i, (axis, (name, unit)) in enumerate(zip(axes, names, strict=False)):
-        axis.plot(seconds, y[:, :, i].T, color=BLUE, alpha=0.4, linewidth=0.8)
-        axis.axhline(r[i], color=BLACK, linestyle="--", linewidth=1.2)
+        axis.axhline(r[i], color=BLACK, linestyle="--", linewidth=1.2, label="target")
+        lines = axis.plot(seconds, y[:, :, i].T, color=BLUE, alpha=0.4, linewidth=0.8)
+        lines[0].set_label(f"{len(y)} plants")
         axis.set_ylabel(label(name, unit))
     for i, (axis, name) in enumerate(zip(axes[len(names) :], input_names, strict=True)):
-        axis.step(seconds[:-1], u[:, :, i].T, where="post", color=BLUE, alpha=0.4, linewidth=0.8)
+        axis.step(*held(seconds[:-1], u[:, :, i].T), where="post", color=BLUE, alpha=0.4, linewidth=0.8)
         axis.set_ylim(-1.08, 1.08)
         axis.set_ylabel(label(name, "-"))
+    legend_above(axes[0])
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(0, float(seconds[-1]))
     return figure
@@ -154,6 +169,8 @@ def recovery(planes: Sequence[Drawn], title: str = "Comes back from these errors
         )
         axis.set_title(f"{np.mean(array(back)):.0%} come back")
         _named(axis, names, units)
+    told = [Patch(color=color, alpha=0.6, label=words) for color, words in ((GREEN, "comes back"), (RED, "does not"))]
+    figure.legend(handles=told, loc="outside lower center", ncols=2)
     return figure
 
 

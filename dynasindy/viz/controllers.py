@@ -56,7 +56,7 @@ def colours(names: Iterable[str]) -> dict[str, str]:
 
     One that is known has the same colour everywhere; others take those of the cycle that are left, in their order.
     """
-    known = COLOURS | {named(setting): colour for setting, colour in COLOURS.items()}
+    known = {**COLOURS, **{named(setting): colour for setting, colour in COLOURS.items()}}
     chosen = list(names)
     taken = {known[name] for name in chosen if name in known}
     free = [colour for colour in CYCLE if colour not in taken] or list(CYCLE)

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.viz.response import error_fan, step_response, tracking
-from dynasindy.viz.style import ORANGE, save
+from dynasindy.viz.style import ORANGE, legend_above, save, styled
 
 
 def draw_evaluation(
@@ -83,11 +83,11 @@ def _untracked(evaluation: Evaluation, label: str, row: int, title: str) -> Figu
     return figure
 
 
+@styled
 def _shade(figure: Figure, evaluation: Evaluation) -> None:
     """Shade when the plant was disturbed."""
     for start, end in evaluation.windows:
         for axis in figure.axes:
-            axis.axvspan(start, end, color=ORANGE, alpha=0.2, lw=0)
-        first = figure.axes[0]
-        place = (0.5 * (start + end), 0.98)
-        first.text(*place, "disturbed", transform=first.get_xaxis_transform(), ha="center", va="top", fontsize=8)
+            axis.axvspan(start, end, color=ORANGE, alpha=0.2, lw=0, label="disturbed")
+    if evaluation.windows:
+        legend_above(figure.axes[0])

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter
 from numpy.typing import ArrayLike
 
-from dynasindy.viz.style import BLACK, BLUE, GREY, ORANGE, RED, Array, array, legend_beside, panels, styled
+from dynasindy.viz.style import BLACK, BLUE, GREY, ORANGE, RED, Array, array, legend_beside, named_dots, panels, styled
 
 
 @styled
@@ -89,21 +89,14 @@ def _once(columns: Mapping[str, float], title: str) -> Figure:
 
 def _rows(axis: Axes, columns: Mapping[str, float], rows: Mapping[str, tuple[str, str]], what: str) -> None:
     """Draw figures along a logarithmic axis, each with its name in front and its value beside it."""
+    named_dots(axis, {words: (columns[name], color) for words, (name, color) in rows.items()}, what)
     values = np.array([columns[name] for name, _ in rows.values()])
-    for height, (value, (_, color)) in enumerate(zip(values, rows.values())):
-        if np.isfinite(value):
-            axis.plot(value, height, color=color, marker="o", markersize=6)
-            at = (float(value), height)
-            axis.annotate(f"{value:.3g}", at, (8, 0), textcoords="offset points", va="center", color=color)
     seen = values[np.isfinite(values) & (values > 0)]
     if len(seen):
         axis.set_xscale("log")
         low, high = _decades(np.append(seen, 5 * seen.max()))  # room for the figures beside the dots
         axis.set_xlim(low, high)
         axis.xaxis.set_minor_formatter(NullFormatter())
-    axis.set_yticks(range(len(rows)), list(rows))
-    axis.set_ylim(len(rows) - 0.5, -0.5)
-    axis.set_xlabel(what)
 
 
 def _decades(values: Array) -> tuple[float, float]:

@@ -203,7 +203,7 @@ def coefficient_table(
 def _states(names: Sequence[str], units: Sequence[str], title: str) -> tuple[Figure, list[Axes], int]:
     columns = 2 if len(names) > 3 else 1
     rows = -(-len(names) // columns)
-    figure, axes = panels(rows, columns, (4.5 * columns, 1.9 * rows + 0.5), title)
+    figure, axes = panels(rows, columns, (9.0 if columns > 1 else 7.0, 1.9 * rows + 0.5), title)
     for axis, name, unit in zip(axes, names, units, strict=False):
         axis.set_ylabel(label(name, unit))
     for axis in axes[len(names) :]:

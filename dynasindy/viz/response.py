@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from dynasindy.evaluation.metrics import SETTLING_BAND, steady_seconds
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.controllers import colours
-from dynasindy.viz.style import BLACK, BLUE, GREY, Array, array, held, label, panels, span, styled
+from dynasindy.viz.style import BLACK, BLUE, GREY, Array, array, held, label, legend_above, panels, span, styled
 
 AXES = SIGNATURE.state_names[:2]
 INPUTS = SIGNATURE.input_names
@@ -48,7 +48,7 @@ def tracking(
         axes[i].set_ylabel(label(*_with_unit(name)))
     for i, name in enumerate(input_names[:n_u]):
         _inputs(axes[len(names) + i], seconds, inputs, i, name)
-    _legend(axes[0])
+    legend_above(axes[0])
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(*span(seconds))
     return figure
@@ -75,7 +75,7 @@ def step_response(
         axis.axhspan(target[-1, i] - half, target[-1, i] + half, color=GREY, alpha=0.2, lw=0, label=band)
         end = span(seconds)[1]
         axis.axvspan(end - steady, end, color=GREY, alpha=0.08, lw=0, label=f"steady state: last {steady:g} s")
-    _legend(figure.axes[0])
+    legend_above(figure.axes[0])
     return figure
 
 
@@ -112,7 +112,7 @@ def error_fan(
         axis.axhline(bands[i], color=BLACK, linestyle=":", linewidth=1.0, label=told)
         axis.set_yscale("log")
         axis.set_ylabel(f"|error| of {label(*_with_unit(name))}")
-    axes[0].legend(loc="upper right", ncols=2)
+    legend_above(axes[0])
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(*span(seconds))
     return figure
@@ -122,12 +122,6 @@ def _with_unit(name: str) -> tuple[str, str]:
     """Return the name and the unit of `name [unit]`."""
     bare, _, unit = name.partition(" [")
     return bare, unit.removesuffix("]") or "rad"
-
-
-def _legend(axis: Axes) -> None:
-    """Put the legend above an axis: what moves leaves no corner free."""
-    entries = len(axis.get_legend_handles_labels()[0])
-    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=entries, columnspacing=1.2, handlelength=1.6)
 
 
 def _lines(axis: Axes, seconds: ArrayLike, outputs: Mapping[str, ArrayLike], column: int) -> None:

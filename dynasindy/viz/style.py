@@ -1,6 +1,6 @@
 """The one style of all figures: colours, labels with units, saving; pyplot and its global state stay out."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -123,6 +123,25 @@ def held(seconds: Array, values: Array) -> tuple[Array, Array]:
     return np.append(seconds, span(seconds)[1]), np.concatenate([values, values[-1:]])
 
 
+def named_dots(axis: Axes, values: Mapping[str, tuple[float, str]], what: str) -> None:
+    """Draw single values along an axis, one below the other, each with its name in front and its number beside it.
+
+    Args:
+        axis: Where.
+        values: Value, NaN if there is none, and colour by name.
+        what: Label of the axis.
+    """
+    for height, (value, color) in enumerate(values.values()):
+        if np.isfinite(value):
+            axis.plot(value, height, color=color, marker="o", markersize=6)
+            at = (value, height)
+            told = f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+            axis.annotate(told, at, (8, 0), textcoords="offset points", va="center", color=color)
+    axis.set_yticks(range(len(values)), list(values))
+    axis.set_ylim(len(values) - 0.5, -0.5)
+    axis.set_xlabel(what)
+
+
 def name_single(axis: Axes, x: Array, y: Array, color: str) -> None:
     """Write its value beside a curve that has only one point, which is easily overlooked."""
     seen = np.isfinite(y)
@@ -131,6 +150,12 @@ def name_single(axis: Axes, x: Array, y: Array, color: str) -> None:
         axis.annotate(
             f"{y[seen][0]:.3g}", (x[seen][0], y[seen][0]), (7, 0), textcoords="offset points", va="center", color=color
         )
+
+
+def legend_above(axis: Axes) -> None:
+    """Put the legend above an axis: what moves leaves no corner free."""
+    entries = len(axis.get_legend_handles_labels()[0])
+    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=entries, columnspacing=1.2, handlelength=1.6)
 
 
 def legend_beside(axis: Axes) -> None:

@@ -125,6 +125,12 @@ def test_the_paper_experiment_holds_every_row_of_its_table():
     assert parts.planner.rollouts in (400, 800)
 
 
+def test_an_ablation_of_the_paper_s_experiment_has_the_paper_s_budget():
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        assert compose("ablation", overrides=["experiment=paper"]).train.episodes == 1200
+        assert compose("ablation").train.episodes == 20
+
+
 def test_the_excitation_of_the_default_is_a_thousand_samples():
     cfg, parts = build()
     assert parts.excitation.n_steps * cfg.env.substeps == 1000

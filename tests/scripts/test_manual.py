@@ -128,7 +128,7 @@ def test_every_key_of_a_command_is_shown_once_with_all_that_is_said_of_it(module
 
 
 def test_values_are_those_of_a_run_not_of_the_file(module):
-    # The file has 10 episodes and planning=dyna; its experiment, gradient, changes both.
+    # The file has 20 episodes and planning=dyna; its experiment, gradient, changes both.
     page = module.manual("train", [])
     assert "\n  train.episodes=1\n" in page and "\n  planning=gradient  " in page and "gate.state_error=.inf\n" in page
     page = module.manual("train", ["experiment=dyna", "seed=3"])

@@ -29,6 +29,12 @@ def test_a_plane_is_drawn_with_the_first_state_to_the_right():
     figure = recovery([(("p", "v"), ("m", "m/s"), [-1.0, 1.0], [-2.0, 0.0, 2.0], back)])
     (axis,) = figure.axes
     np.testing.assert_array_equal(axis.collections[0].get_array().reshape(3, 2), back.T)
+    told = {
+        t.get_text(): p.get_facecolor()[:3] for t, p in zip(figure.legends[0].texts, figure.legends[0].get_patches())
+    }
+    # What is 0 in `back` has the first colour of the map, what is 1 the last.
+    colors = axis.collections[0].cmap([0.0, 1.0])[:, :3]
+    assert told["does not"] == tuple(colors[0]) and told["comes back"] == tuple(colors[1])
     assert axis.get_title() == "33% come back" and "[m/s]" in axis.get_ylabel()
 
 
@@ -36,6 +42,8 @@ def test_steps_of_all_plants_are_drawn_under_their_reference():
     y, u = np.random.default_rng(0).normal(size=(4, 6, 1)), np.zeros((4, 5, 1))
     figure = steps(0.1, y, u, [0.3], [("p", "m")], ("force",))
     upper, lower = figure.axes
-    np.testing.assert_allclose(upper.lines[2].get_ydata(), y[2, :, 0])
-    assert upper.lines[-1].get_ydata()[0] == 0.3 and upper.lines[0].get_xdata()[-1] == 0.5
-    assert len(lower.lines) == 4
+    np.testing.assert_allclose(upper.lines[3].get_ydata(), y[2, :, 0])
+    assert upper.lines[0].get_ydata()[0] == 0.3 and upper.lines[1].get_xdata()[-1] == 0.5
+    assert [text.get_text() for text in upper.get_legend().get_texts()] == ["target", "4 plants"]
+    # The last of five inputs is held to the end of its period.
+    assert len(lower.lines) == 4 and lower.lines[0].get_xdata()[-1] == 0.5

@@ -45,7 +45,7 @@ def test_the_gust_is_shaded_in_every_panel() -> None:
         for axis in figure.axes:
             shades = [patch for patch in axis.patches if patch.get_facecolor()[:3] == to_rgb(ORANGE)]
             assert [(shade.get_x(), shade.get_width()) for shade in shades] == [(1, 1)]
-        assert figure.axes[0].texts[-1].get_text() == "disturbed"
+        assert figure.axes[0].get_legend().get_texts()[-1].get_text() == "disturbed"
 
 
 def test_other_plants_get_their_own_labels() -> None:

@@ -59,5 +59,7 @@ def test_fewer_than_three_seeds_are_lines_without_a_band() -> None:
 
 def test_the_evaluated_return_of_a_single_episode_is_written_out() -> None:
     axis = learning_curve([1], [-12.5], [0, 1], [-300.0, 57.6]).axes[0]
-    assert [text.get_text() for text in axis.texts] == ["57.6"]
-    assert axis.get_xlim() == (-0.5, 1.5)
+    assert [text.get_text() for text in axis.texts] == ["-300", "57.6", "-12.5"]
+    names = [text.get_text() for text in axis.get_yticklabels()]
+    assert names == ["untrained policy", "evaluated policy", "real episode, exploring"]
+    assert [line.get_xdata()[0] for line in axis.lines] == [-300.0, 57.6, -12.5]
