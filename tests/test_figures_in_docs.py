@@ -18,7 +18,7 @@ from dynasindy.benchmarks import baselines
 from dynasindy.evaluation.ablation import Level, read_rows, to_markdown
 from dynasindy.evaluation.rows import read_rows as read_cells
 from dynasindy.viz.report import document
-from dynasindy.viz.report.build import TITLE, sections, summary
+from dynasindy.viz.report.build import TITLE, pages
 from dynasindy.viz.report.sources import Results
 
 TIED = {
@@ -90,11 +90,12 @@ def test_the_tables_of_controllers_are_those_of_their_rows():
 def test_the_report_is_that_of_the_saved_results(tmp_path, monkeypatch):
     from omegaconf import OmegaConf
 
-    monkeypatch.setattr(document, "_save", lambda part, path: path)  # words and tables only: drawing takes a minute
+    monkeypatch.setattr(
+        document, "write_figure", lambda figure, name, path: path
+    )  # words and tables only: drawing takes a minute
     files = RESULTS.glob("runs/*/config.yaml")
     settings = {file.parent.name: OmegaConf.to_container(OmegaConf.load(file)) for file in files}
-    found = sections(Results(RESULTS, settings))
-    document.write_markdown(TITLE, [summary(found), *found], tmp_path / "report.md", ["svg"])
+    document.write_markdown(TITLE, pages(Results(RESULTS, settings)), tmp_path / "report.md", ["svg"])
     shown = (REPOSITORY / "docs/report/report.md").read_text()
     assert (tmp_path / "report.md").read_text() == shown, "run: python scripts/report.py"
     assert "a column of" not in shown  # a caption names commits

@@ -106,7 +106,7 @@ def prediction(
         if wide > 0:
             # A model that runs away must not flatten the plant's own curve.
             axes[i].set_ylim(truth[:, i].min() - BEYOND * wide, truth[:, i].max() + BEYOND * wide)
-    axes[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     _finish(axes, columns, seconds, segment)
     return figure
 

@@ -29,6 +29,8 @@ BLACK, ORANGE, SKY, GREEN, BLUE, RED, PURPLE = (
 """Colour-blind safe palette (Okabe and Ito 2008); black is always the reference or the real plant."""
 CYCLE = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
 GREY = "#7f7f7f"
+ROW = 95
+"""Letters that a row of a legend above an axis holds."""
 
 # Any: the stubs want a literal type of every setting.
 STYLE: Any = {
@@ -154,8 +156,11 @@ def name_single(axis: Axes, x: Array, y: Array, color: str) -> None:
 
 def legend_above(axis: Axes) -> None:
     """Put the legend above an axis: what moves leaves no corner free."""
-    entries = len(axis.get_legend_handles_labels()[0])
-    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=entries, columnspacing=1.2, handlelength=1.6)
+    labels = axis.get_legend_handles_labels()[1]
+    # An entry takes its letters and a sample of its line; more than a row holds would press the axis together.
+    rows = -(-sum(len(label) + 6 for label in labels) // ROW)
+    columns = max(1, -(-len(labels) // max(1, rows)))
+    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, columnspacing=1.2, handlelength=1.6)
 
 
 def legend_beside(axis: Axes) -> None:

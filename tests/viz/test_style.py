@@ -5,8 +5,9 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
-from dynasindy.viz.style import CYCLE, label, panels, save, styled, symbol
+from dynasindy.viz.style import CYCLE, held, label, legend_above, panels, save, span, styled, symbol
 
 
 @pytest.mark.parametrize(
@@ -55,3 +56,33 @@ def test_equal_data_give_equal_files(tmp_path: Path) -> None:
 
 def test_a_dot_in_the_name_is_kept(tmp_path: Path) -> None:
     assert save(panels(1)[0], tmp_path / "lambda_0.9")[0].name == "lambda_0.9.png"
+
+
+def test_a_legend_above_an_axis_takes_a_second_row_before_it_is_wider_than_the_axis() -> None:
+    for names, columns in ((["reference", "policy"], 2), ([f"{k} controllers of a kind" for k in range(6)], 3)):
+        axis = Figure().subplots()
+        for name in names:
+            axis.plot([0, 1], label=name)
+        legend_above(axis)
+        assert axis.get_legend()._ncols == columns
+
+
+@pytest.mark.parametrize(
+    ("times", "ends"),
+    [
+        (np.arange(0, 20, 0.05), (0, 20)),
+        (np.arange(0, 20, 0.1), (0, 20)),
+        (np.arange(0.05, 20, 0.1), (0, 20)),  # every other sample, from the second on
+        (np.arange(0, 200, 0.2), (0, 200)),
+        (np.arange(0, 7.3, 0.05), (0, 7.3)),
+        (np.arange(3.0, 5.0, 0.5), (3, 5)),
+        (np.array([2.0]), (2, 2)),
+    ],
+)
+def test_a_run_ends_with_its_last_period(times, ends) -> None:
+    assert span(times) == pytest.approx(ends)
+
+
+def test_the_last_input_is_held_to_the_end() -> None:
+    times, values = held(np.array([0.0, 0.5]), np.array([[1.0, 2.0], [3.0, 4.0]]))
+    assert times.tolist() == [0.0, 0.5, 1.0] and values.tolist() == [[1, 2], [3, 4], [3, 4]]

@@ -12,6 +12,7 @@ from dynasindy.evaluation.statistics import interquartile_mean
 from dynasindy.evaluation.summary import WORDS
 from dynasindy.evaluation.table import FEWEST
 from dynasindy.systems.twin_rotor import SIGNATURE
+from dynasindy.viz.controllers import named
 from dynasindy.viz.gate import gate
 from dynasindy.viz.report.document import Part, Picture, Section, Table, Text
 from dynasindy.viz.report.sources import CASES, PLANTS, Results, each
@@ -31,7 +32,8 @@ def trust(results: Results) -> Section:
             Picture(
                 f"gate_{plant}_{experiment}",
                 figure,
-                f"Model of `{plant}`, `{experiment}`; grey: not trusted. {run.source}",
+                f"Trust in the model of `{plant}`, `{experiment}`.",
+                run.source,
             )
         ]
 
@@ -63,13 +65,14 @@ def gradient(results: Results) -> Section:
         step = scenario == "step"
         columns = run.table("data/step_response.csv" if step else f"evaluation/{scenario}.csv")
         target = stacked(columns, [f"reference_{name}" for name in AXES])
-        y = {"policy": stacked(columns, AXES)}
-        u = {"policy": stacked(columns, SIGNATURE.input_names)} if step else None
+        name = named("gradient")
+        y = {name: stacked(columns, AXES)}
+        u = {name: stacked(columns, SIGNATURE.input_names)} if step else None
         title = f"{scenario.capitalize()}, planning by gradient: plant {plant}"
         figure = (step_response if step else tracking)(columns["time"], target, y, u, title=title)
         cost = run.record("metrics.json")["cost"]
-        caption = f"The {scenario} on `{plant}` after {cost['plant_seconds']:.0f} s of plant time. {run.source}"
-        return [Picture(f"gradient_{scenario}_{plant}", figure, caption)]
+        caption = f"The {scenario} on `{plant}` after {cost['plant_seconds']:.0f} s of plant time."
+        return [Picture(f"gradient_{scenario}_{plant}", figure, caption, run.source)]
 
     words = (
         "The main job follows the gradient of the reward through the identified model instead of sampling imagined "

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from dynasindy.evaluation.given import understood
 from dynasindy.viz.framework import framework
 from dynasindy.viz.report import beyond, control, data, model
-from dynasindy.viz.report.document import Picture, Section, Table, Text, write_html, write_markdown
-from dynasindy.viz.report.sources import REPORT, Results
+from dynasindy.viz.report.document import Picture, Section, Text, write_markdown
+from dynasindy.viz.report.overview import overview
+from dynasindy.viz.report.page import write_html
+from dynasindy.viz.report.sources import CASES, MissingResult, Results, told
 
 TITLE = "The paper's figures and tables, beside ours"
-WORDS = (
-    f"Made by `{REPORT}` from the results saved in the repository. The paper is Dyna-Style Reinforcement Learning "
-    "Modeling and Control of Non-linear Dynamics. Each statement is something that one of its figures or tables shows, "
-    "in our words; our numbers, and whether they agree, are computed from the files named below each figure. Our "
-    "plants are `xi`, the paper's published model taken as a plant, and `tras`, the physics of its laboratory rig."
-)
 
 
 def sections(results: Results) -> list[Section]:
@@ -61,24 +58,27 @@ def build(results: Results, folder: Path, formats: Sequence[str] = ("svg", "png"
     if not formats or formats[0] not in ("svg", "png") or not all(suffix.isalnum() for suffix in formats):
         raise ValueError(f"formats is {list(formats)}; a page shows svg or png, name one of them first")
     with understood(results.folder):
-        found = sections(results)
-    pages = [summary(found), *found]
+        found = pages(results)
     return [
-        write_html(TITLE, pages, folder / "report.html"),
-        *write_markdown(TITLE, pages, folder / "report.md", formats),
+        write_html(TITLE, found, folder / "report.html"),
+        *write_markdown(TITLE, found, folder / "report.md", formats),
     ]
 
 
-def summary(found: Sequence[Section]) -> Section:
-    """Return how many statements of each section agree."""
-    rows = []
-    for section in found:
-        verdicts = [finding.agrees for finding in section.findings]
-        if verdicts or not section.title.startswith("Beyond"):
-            counts = [str(verdicts.count(verdict)) for verdict in (True, False, None)]
-            rows.append([section.title, *(counts if verdicts else ["-"] * 3)])
-    header = ["of the paper", "statements that agree", "that do not", "not measured"]
-    return Section("What agrees", [Text(WORDS), Table(header, rows)])
+def pages(results: Results) -> list[Section]:
+    """Return the verdict and all sections, the page from top to bottom."""
+    found = sections(results)
+    return [*overview(found, _lengths(results)), *found]
+
+
+def _lengths(results: Results) -> dict[str, int]:
+    """Return after how many real episodes the runs with 800 rollouts ended, by their cases in words."""
+    found = {}
+    for plant, experiment in CASES:
+        with suppress(MissingResult):
+            run = results.compared(plant, experiment, "rollouts_800")
+            found[told(plant, experiment)] = int(run.setting("train.episodes") or 0)
+    return found
 
 
 def _drawings() -> Section:
@@ -87,8 +87,9 @@ def _drawings() -> Section:
         "as they are here are drawn below; Algorithm 1 stands line by line beside the code in `docs/algorithm.md`, and "
         "the rig moves in `docs/figures/tras_sine.gif`."
     )
-    caption = (
-        "What acts on the plant, what is learnt from it, and where experience goes. Drawn by `dynasindy.viz.framework`."
-    )
+    caption = "What acts on the plant, what is learnt from it, and where experience goes."
     title = "Figures 1 to 4: framework, control loop, rig, schematic"
-    return Section(title, [Text(words), Picture("framework", framework(), caption)])
+    return Section(
+        title,
+        [Text(words), Picture("framework", framework(), caption, "Drawn by `dynasindy.viz.framework`, of no run.")],
+    )

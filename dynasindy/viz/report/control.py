@@ -9,8 +9,8 @@ import numpy as np
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.learning import average_rewards
 from dynasindy.viz.report.document import Part, Picture, Section, Table, Text
-from dynasindy.viz.report.sources import CASES, MODEL_FREE, SETTINGS, MissingResult, Results, Run, each
-from dynasindy.viz.report.verdicts import rewards_agree, sine_agrees, square_agrees, steps_agree
+from dynasindy.viz.report.sources import CASES, MODEL_FREE, SETTINGS, MissingResult, Results, Run, each, told
+from dynasindy.viz.report.verdicts import MANY, NONE, rewards_agree, sine_agrees, square_agrees, steps_agree
 from dynasindy.viz.response import step_response, tracking
 from dynasindy.viz.run import stacked
 from dynasindy.viz.style import Array
@@ -42,13 +42,13 @@ def rewards(results: Results) -> Section:
         episodes = np.array(sorted({float(row["episode"]) for row in rows if row["evaluated_return"]}))
         title = f"Dyna-style vs. direct TD3, average rewards: plant {plant}, experiment {experiment}"
         return [
-            *rewards_agree(f"{plant}, `{experiment}`", curves, to_level),
+            *rewards_agree(told(plant, experiment), curves, to_level),
             Picture(
                 f"average_rewards_{plant}_{experiment}",
                 average_rewards(curves, episodes, window=1, title=title, log=True),
                 "Return of the policy without noise over 64 fixed steps after real episodes: interquartile mean and "
-                "95 % bootstrap interval over seeds, of fewer than three seeds a line each. "
-                + results.of_runs("ablation_curves.csv", drawn, [(plant, experiment, name) for name in names]),
+                "95 % bootstrap interval over seeds, of fewer than three seeds a line each.",
+                results.of_runs("ablation_curves.csv", drawn, [(plant, experiment, name) for name in names]),
             ),
         ]
 
@@ -82,14 +82,14 @@ def steps(results: Results) -> Section:
             f"Step tracking: plant {plant}, experiment {experiment}",
         )
         scores = {words: run.record("metrics.json")["evaluation"] for words, run in runs.items()}
-        caption = f"One step of the first seed on `{plant}`, after {_episodes(runs)} real episodes. "
+        caption = f"One step of the first seed on `{plant}`, after {_episodes(runs)} real episodes."
         return [
-            *steps_agree(f"{plant}, `{experiment}`", scores),
+            *steps_agree(told(plant, experiment), scores),
             Text(
                 f"**Plant `{plant}`, `experiment={experiment}`**: means over 64 steps, first seed; overshoot: median."
             ),
             _score_table(scores, {"steady-state error [rad]": "steady_state_error", "overshoot [%]": "overshoot"}),
-            Picture(f"step_{plant}_{experiment}", figure, caption + " ".join(run.source for run in runs.values())),
+            Picture(f"step_{plant}_{experiment}", figure, caption, " ".join(run.source for run in runs.values())),
         ]
 
     words = (
@@ -105,24 +105,21 @@ def wave(results: Results, shape: str) -> Section:
     """Return figure 14 (`shape` is "sine") or 15 ("square"), with and without the model."""
 
     def _of(plant: str, experiment: str) -> list[Part]:
-        runs = {
-            "SINDy-TD3": results.compared(plant, experiment, "rollouts_800"),
-            "TD3": results.compared(plant, experiment, "rollouts_0"),
-        }
+        runs = {SETTINGS[name]: results.compared(plant, experiment, name) for name in ("rollouts_800", "rollouts_0")}
         tables = {words: run.table(f"evaluation/{shape}.csv") for words, run in runs.items()}
-        first = tables["SINDy-TD3"]
+        first = tables[MANY]
         target = stacked(first, [f"reference_{name}" for name in AXES])
         outputs = {words: stacked(table, tuple(AXES)) for words, table in tables.items()}
         title = f"{shape.capitalize()} wave: plant {plant}, experiment {experiment}"
         figure = tracking(first["time"], target, outputs, None, tuple(AXES), title=title)
         judge = sine_agrees if shape == "sine" else square_agrees
         return [
-            *judge(f"{plant}, `{experiment}`", first["time"], target, outputs["SINDy-TD3"], outputs["TD3"]),
+            *judge(told(plant, experiment), first["time"], target, outputs[MANY], outputs[NONE]),
             Picture(
                 f"{shape}_{plant}_{experiment}",
                 figure,
-                f"The {shape} wave on `{plant}`, after {_episodes(runs)} real episodes. "
-                + " ".join(run.source for run in runs.values()),
+                f"The {shape} wave on `{plant}`, after {_episodes(runs)} real episodes.",
+                " ".join(run.source for run in runs.values()),
             ),
         ]
 

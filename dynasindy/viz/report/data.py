@@ -8,8 +8,9 @@ import numpy as np
 
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.identification import excitation, training_data
-from dynasindy.viz.report.document import Finding, Part, Picture, Section, Text
-from dynasindy.viz.report.sources import PLANTS, Results, Run, each
+from dynasindy.viz.report.document import Part, Picture, Section, Text
+from dynasindy.viz.report.model_verdicts import excitation_agrees, samples_agree
+from dynasindy.viz.report.sources import PLANTS, Results, Run, each, told
 from dynasindy.viz.run import Table, stacked
 
 STATES, INPUTS = SIGNATURE.state_names, SIGNATURE.input_names
@@ -49,32 +50,28 @@ def _chirp(plant: str, run: Run, table: Table) -> list[Part]:
     ranges = ", ".join(f"`{name}` {u[:, k].min():.2f} to {u[:, k].max():.2f}" for k, name in enumerate(INPUTS))
     reversals = ", ".join(str(int(np.sum(np.diff(np.sign(np.diff(u[:, k]))) != 0))) for k in range(len(INPUTS)))
     return [
-        Finding(
-            f"{plant}: a chirp excites both inputs for 10 s",
-            f"{duration:.4g} s, {ranges}; turning points: {reversals}",
-            abs(duration - 10.0) < 0.1,
-        ),
+        excitation_agrees(told(plant, "dyna"), float(duration), f"{ranges}; turning points: {reversals}"),
         Picture(
             f"excitation_{plant}",
             excitation(table["time"], u, INPUTS, f"Excitation of {plant}"),
-            f"Inputs that excite `{plant}`, held for a control period of 0.05 s. {run.source}",
+            f"Inputs that excite `{plant}`, held for a control period of 0.05 s.",
+            run.source,
         ),
     ]
 
 
 def _samples(plant: str, run: Run, table: Table) -> list[Part]:
     x, substeps = stacked(table, STATES), int(run.setting("env.substeps") or 1)
+    azimuth, pitch = np.abs(x[:, :2]).max(0)
     samples, step = len(x) * substeps, (table["time"][1] - table["time"][0]) / substeps
     return [
-        Finding(
-            f"{plant}: 10 s sampled every 0.01 s, 1000 samples",
-            f"{samples} samples, {step:.3g} s apart; azimuth up to {np.abs(x[:, 0]).max():.2f} rad, pitch up to "
-            f"{np.abs(x[:, 1]).max():.2f} rad",
-            samples == 1000,
+        samples_agree(
+            told(plant, "dyna"), samples, float(step), f"azimuth up to {azimuth:.2f} rad, pitch up to {pitch:.2f} rad"
         ),
         Picture(
             f"training_data_{plant}",
             training_data(table["time"], x, STATES, SIGNATURE.state_units, f"Training data of {plant}"),
-            f"What the first model of `{plant}` was fitted to, drawn every 0.05 s. {run.source}",
+            f"What the first model of `{plant}` was fitted to, drawn every 0.05 s.",
+            run.source,
         ),
     ]

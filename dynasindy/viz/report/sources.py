@@ -10,6 +10,7 @@ from typing import Any
 
 from dynasindy.evaluation.given import read_record, read_text, understood
 from dynasindy.evaluation.rows import read_rows
+from dynasindy.viz.controllers import named
 from dynasindy.viz.report.document import Finding, Part, Text
 from dynasindy.viz.run import Table, read_table
 
@@ -17,13 +18,9 @@ REPORT = "python scripts/report.py"
 PLANTS = ("xi", "tras")
 CASES = tuple((plant, experiment) for plant in PLANTS for experiment in ("dyna", "paper"))
 """What the ablation compares its settings in."""
-SETTINGS = {"rollouts_0": "no planning", "rollouts_400": "400 rollouts", "rollouts_800": "800 rollouts"}
+SETTINGS = {setting: named(setting) for setting in ("rollouts_0", "rollouts_400", "rollouts_800")}
 MODEL_FREE = {
-    "rollouts_0_tuned": "TD3 tuned for no planning",
-    "sb3_sac": "SAC",
-    "sb3_sac_5": "SAC with five updates per step",
-    "sb3_td3": "Stable-Baselines3's TD3",
-    "sb3_td3_5": "the same with five updates per step",
+    setting: named(setting) for setting in ("rollouts_0_tuned", "sb3_sac", "sb3_sac_5", "sb3_td3", "sb3_td3_5")
 }
 """Other settings of the ablation that have no model, which planning is compared with too."""
 
@@ -161,6 +158,11 @@ class Results:
         saved = [place for place in first if "_".join(place) in self.settings]
         runs = " ".join(self.compared(*place).source for place in saved)
         return f"Table `{_shown(self.folder / name)}`{of}." + (f" First seeds: {runs}" if runs else "")
+
+
+def told(plant: str, experiment: str) -> str:
+    """Return a case in words."""
+    return f"{plant}, `{experiment}`"
 
 
 def commits(rows: Iterable[Mapping[str, str]]) -> str:

@@ -10,16 +10,24 @@ import torch
 from dynasindy.evaluation.statistics import interquartile_mean
 from dynasindy.viz.report.document import Finding
 from dynasindy.viz.report.sources import SETTINGS
+from dynasindy.viz.report.thresholds import (
+    EARLY,
+    FINE,
+    FOLLOWS,
+    LEVEL,
+    NEAR,
+    SETTLED,
+    SOON,
+    TRANSIENT,
+    judged,
+)
 from dynasindy.viz.style import Array
 
 NONE, SOME, MANY = SETTINGS.values()
 AXES = ("azimuth", "pitch")
-NEAR = 0.05
-"""Final returns are nearly the same within this part of the whole rise of the returns."""
-FOLLOWS = 0.1
-"""A wave is followed at an RMSE under this part of its amplitude, the first seconds left out."""
-TRANSIENT, SETTLED = 10.0, 5.0
-"""Seconds left out at the start of a sine, and seconds before a jump of a square that count as steady."""
+SOONER = "Planning on the model lets the policy learn from fewer real episodes."
+EXACT = "With planning the policy holds a reference more exactly than without."
+WAVES = "With the model, sines and square waves are followed."
 Score = Mapping[str, float | None]
 
 
@@ -33,7 +41,7 @@ def rewards_agree(case: str, curves: Mapping[str, Array], to_level: Mapping[str,
             have no curve here are other agents without a model, all of which planning has to be ahead of.
     """
     mean = {name: _middle(returns.T) for name, returns in curves.items()}
-    early = {name: float(values[: max(1, len(values) // 4)].mean()) for name, values in mean.items()}
+    early = {name: float(values[: max(1, int(EARLY.value * len(values)))].mean()) for name, values in mean.items()}
     ends = {name: (float(values[0]), float(values[-1])) for name, values in mean.items()}
     level = {name: float(_middle(np.array(values))) for name, values in to_level.items()}
     rise = max(last for _, last in ends.values()) - min(first for first, _ in ends.values())
@@ -45,29 +53,37 @@ def rewards_agree(case: str, curves: Mapping[str, Array], to_level: Mapping[str,
     sooner = compared and max(level[name] for name in planned) < min(modelless)
     return [
         Finding(
-            f"{case}: rewards are low at first and rise",
+            case,
+            "rewards are low at first and rise",
             "; ".join(f"{name} {first:.4g} to {final:.4g}" for name, (first, final) in ends.items()),
-            all(final > first for first, final in ends.values()),
+            judged(all(final > first for first, final in ends.values())),
         ),
         Finding(
-            f"{case}: planning has the greater rewards early",
-            f"mean of the first quarter: {_listed(early)}",
-            all(early[name] > early[NONE] for name in planned) if compared else None,
+            case,
+            "planning has the greater rewards early",
+            f"mean of the first {100 * EARLY.value:g} %: {_listed(early)}",
+            judged(all(early[name] > early[NONE] for name in planned) if compared else None),
+            SOONER,
         ),
         Finding(
-            f"{case}: planning reaches the required level sooner",
+            case,
+            "planning reaches the required level sooner",
             f"real episodes to the level: {_listed(level)}",
-            sooner if compared else None,
+            judged(sooner if compared else None),
+            SOONER,
         ),
         Finding(
-            f"{case}: 800 rollouts converge sooner than 400",
+            case,
+            f"800 rollouts converge sooner than 400, there in about {SOON.value:g} episodes",
             f"real episodes to the level: {_listed(level, planned)}",
-            level[MANY] < level[SOME] if both else None,
+            judged(level[MANY] < level[SOME], max(level[MANY], level[SOME]) <= SOON.value) if both else judged(None),
+            SOONER,
         ),
         Finding(
-            f"{case}: all settings end nearly the same (within {100 * NEAR:g} % of the rise)",
+            case,
+            f"all settings end nearly the same (within {100 * NEAR.value:g} % of the rise)",
             f"final return: {_listed(last)}; the rise is {rise:.4g}",
-            max(last.values()) - min(last.values()) <= NEAR * rise if compared else None,
+            judged(max(last.values()) - min(last.values()) <= NEAR.value * rise if compared else None),
         ),
     ]
 
@@ -78,22 +94,29 @@ def steps_agree(case: str, scores: Mapping[str, Score]) -> list[Finding]:
     for axis, name in zip(AXES, ("alpha_a", "alpha_p"), strict=True):
         error = {setting: _number(score[f"steady_state_error/{name}"]) for setting, score in scores.items()}
         above = {setting: _number(score[f"overshoot/{name}"]) for setting, score in scores.items()}
-        offset = ", by about 0.08 rad" if axis == "azimuth" else ""
+        planned, held = max(error[SOME], error[MANY]), error[SOME] <= LEVEL.value
+        offset = " (there by about 0.08 rad)" if axis == "azimuth" else ""
         findings += [
             Finding(
-                f"{case}, {axis}: without planning it settles further from the reference than with it{offset}",
+                case,
+                f"{axis}: without planning it settles further from the reference than with it{offset}",
                 f"steady-state error [rad]: {_listed(error, none='not finite')}",
-                error[NONE] > max(error[SOME], error[MANY]),
+                judged(LEVEL.value >= planned < error[NONE]),
+                EXACT,
             ),
             Finding(
-                f"{case}, {axis}: 400 rollouts overshoot more than no planning",
-                f"overshoot [%]: {_listed(above, (NONE, SOME), 'not finite')}",
-                above[SOME] > above[NONE],
+                case,
+                f"{axis}: 400 rollouts overshoot more than no planning",
+                f"overshoot [%]: {_listed(above, (NONE, SOME), 'not finite')}; steady-state error with 400 rollouts "
+                f"{error[SOME]:.3g} rad",
+                judged(held and above[SOME] > above[NONE], held),
             ),
             Finding(
-                f"{case}, {axis}: 800 rollouts have the smallest steady-state error",
-                f"{error[MANY]:.3g} rad against {min(error[NONE], error[SOME]):.3g}",
-                error[MANY] < min(error[NONE], error[SOME]),
+                case,
+                f"{axis}: 800 rollouts have the smallest steady-state error",
+                f"{error[MANY]:.3g} rad against {min(error[NONE], error[SOME]):.3g} rad",
+                judged(LEVEL.value >= error[MANY] < min(error[NONE], error[SOME]), planned <= FINE.value),
+                EXACT,
             ),
         ]
     return findings
@@ -101,7 +124,7 @@ def steps_agree(case: str, scores: Mapping[str, Score]) -> list[Finding]:
 
 def sine_agrees(case: str, time: Array, target: Array, model: Array, direct: Array) -> list[Finding]:
     """Judge a sine, `(T, 2)` each: the reference, and the outputs with and without the model [rad]."""
-    late = time >= TRANSIENT
+    late = time >= TRANSIENT.value
     size = np.abs(target).max(0)
     ours, other = (np.sqrt(np.mean((y - target)[late] ** 2, axis=0)) for y in (model, direct))
     sway, other_sway = (_sway(time, y, target)[late[1:]].mean(0) for y in (model, direct))
@@ -109,15 +132,18 @@ def sine_agrees(case: str, time: Array, target: Array, model: Array, direct: Arr
     for k, axis in enumerate(AXES):
         findings += [
             Finding(
-                f"{case}, {axis}: with the model the sine is followed (RMSE under {100 * FOLLOWS:g} % of it)",
-                f"RMSE after {TRANSIENT:g} s: {ours[k]:.3g} rad of {size[k]:.3g} rad",
-                bool(ours[k] < FOLLOWS * size[k]),
+                case,
+                f"{axis}: with the model the sine is followed (RMSE under {100 * FOLLOWS.value:g} % of it)",
+                f"RMSE after {TRANSIENT.value:g} s: {ours[k]:.3g} rad of {size[k]:.3g} rad",
+                judged(bool(ours[k] < FOLLOWS.value * size[k])),
+                WAVES,
             ),
             Finding(
-                f"{case}, {axis}: without it too, with more oscillation",
+                case,
+                f"{axis}: without the model the sine is followed too, with more oscillation",
                 f"RMSE {other[k]:.3g} rad; motion beyond the reference's {other_sway[k]:.3g} against "
                 f"{sway[k]:.3g} rad/s",
-                bool(other[k] < FOLLOWS * size[k] and other_sway[k] > sway[k]),
+                judged(bool(other[k] < FOLLOWS.value * size[k] and other_sway[k] > sway[k])),
             ),
         ]
     return findings
@@ -131,15 +157,18 @@ def square_agrees(case: str, time: Array, target: Array, model: Array, direct: A
         (error, spike), (other, other_spike) = (_levels(time, target[:, k], y[:, k]) for y in (model, direct))
         findings += [
             Finding(
-                f"{case}, {axis}: with the model each level is held with little steady-state error",
-                f"{error:.3g} rad over the last {SETTLED:g} s of each level of {size[k]:.3g} rad",
-                error < FOLLOWS * size[k],
+                case,
+                f"{axis}: with the model each level is held with little steady-state error",
+                f"{error:.3g} rad over the last {SETTLED.value:g} s of each level of {size[k]:.3g} rad",
+                judged(error < FOLLOWS.value * size[k]),
+                WAVES,
             ),
             Finding(
-                f"{case}, {axis}: without it the steady-state error is larger, and the spikes are smaller",
+                case,
+                f"{axis}: without the model the steady-state error is larger, and the spikes are smaller",
                 f"error {other:.3g} against {error:.3g} rad; beyond the level after a jump {other_spike:.3g} against "
                 f"{spike:.3g} rad",
-                other > error and other_spike < spike,
+                judged(other > error and other_spike < spike, error < FOLLOWS.value * size[k] and other > error),
             ),
         ]
     return findings
@@ -150,7 +179,7 @@ def _levels(time: Array, target: Array, y: Array) -> tuple[float, float]:
     starts = [0, *(np.flatnonzero(np.diff(target)) + 1).tolist(), len(target)]
     errors, spikes = [], []
     for first, end in zip(starts, starts[1:], strict=False):
-        late = np.arange(first, end)[time[first:end] > time[end - 1] - SETTLED]
+        late = np.arange(first, end)[time[first:end] > time[end - 1] - SETTLED.value]
         errors.append(np.abs(y[late] - target[first]).mean())
         spikes.append(np.max(np.sign(target[first] - y[first]) * (y[first:end] - target[first])))
     return float(np.mean(errors)), float(max(0.0, *spikes))

@@ -86,7 +86,7 @@ def test_a_trained_run_is_drawn_in_three_scenarios(results, tmp_path):
 
 def test_the_gates_decisions_are_drawn(results):
     picture = one(beyond.trust(results), Picture)
-    assert picture.name == "gate_xi_dyna" and "made by `python scripts/x.py`" in picture.caption
+    assert picture.name == "gate_xi_dyna" and "made by `python scripts/x.py`" in picture.source
 
 
 def test_cells_without_numbers_are_counted():

@@ -3,7 +3,7 @@ import shutil
 import numpy as np
 
 from dynasindy.viz.report import control
-from dynasindy.viz.report.document import Picture, Table, Text
+from dynasindy.viz.report.document import Picture, Table, Text, Verdict
 from dynasindy.viz.report.sources import Results
 
 
@@ -21,9 +21,9 @@ def test_average_rewards_are_the_numbers_of_the_table(results):
     curves = {line.get_label(): line.get_ydata() for line in axis.lines}
     np.testing.assert_allclose(curves["800 rollouts (3 seeds)"], [-10.0 / k + 1.0 for k in range(1, 7)])
     np.testing.assert_allclose(curves["no planning (3 seeds)"], [-200.0 / k + 1.0 for k in range(1, 7)])
-    said = {finding.paper.partition(": ")[2]: finding for finding in section.findings}
+    said = {finding.paper: finding for finding in section.findings}
     level = said["planning reaches the required level sooner"]
-    assert level.agrees and level.ours.endswith("no planning never, 400 rollouts 6, 800 rollouts 4")
+    assert level.verdict is Verdict.AS and level.ours.endswith("no planning never, 400 rollouts 6, 800 rollouts 4")
     assert "`python scripts/ablation.py system=xi experiment=paper` makes them" in lines(section)[0]
     assert len(lines(section)) == 3
 
@@ -34,15 +34,16 @@ def test_other_agents_without_a_model_stand_beside_where_the_level_is_compared(r
     with (more / "ablation.csv").open("a") as file:
         file.write("xi,dyna,sb3_sac_5,0,7,5,abc1234\r\nxi,dyna,sb3_sac_5,1,7,5,abc1234\r\n")
     section = control.rewards(Results(more, results.settings))
-    said = {finding.paper.partition(": ")[2]: finding for finding in section.findings}
+    said = {finding.paper: finding for finding in section.findings}
     level = said["planning reaches the required level sooner"]
-    assert level.ours.endswith("800 rollouts 4, SAC with five updates per step (7 episodes) 5") and not level.agrees
+    assert level.ours.endswith("800 rollouts 4, SAC, five updates per step (7 episodes) 5")
+    assert level.verdict is Verdict.SHORT
     (axis,) = pictures(section)["average_rewards_xi_dyna"].axes
     assert not any("SAC" in str(line.get_label()) for line in axis.lines)
 
 
 def test_the_caption_of_curves_over_seeds_names_the_commits_of_their_runs_and_the_commands_of_the_saved_ones(results):
-    (caption,) = [part.caption for part in control.rewards(results).parts if isinstance(part, Picture)]
+    (caption,) = [part.source for part in control.rewards(results).parts if isinstance(part, Picture)]
     assert "ablation_curves.csv`, of runs at commit abc1234 and def5678. First seeds: Run" in caption
     for name in ("rollouts_0", "rollouts_400", "rollouts_800"):
         assert f"xi_dyna_{name}`, made by `python scripts/x.py` at commit abc1234." in caption
@@ -60,7 +61,7 @@ def test_steps_of_the_three_settings_share_axes_and_their_errors_are_those_of_th
         ["800 rollouts", "0.01", "0.01", "5"],
     ]
     assert table.rows[0][4] == "-"  # no number
-    assert [finding.agrees for finding in section.findings[:3]] == [True, False, True]
+    assert [finding.verdict for finding in section.findings[:3]] == [Verdict.AS, Verdict.BETTER, Verdict.AS]
 
 
 def test_waves_compare_the_model_with_none(results):
@@ -68,7 +69,7 @@ def test_waves_compare_the_model_with_none(results):
         section = control.wave(results, shape)
         figure = pictures(section)[f"{shape}_xi_dyna"]
         lines_of = {line.get_label(): line.get_ydata() for line in figure.axes[0].lines}
-        np.testing.assert_allclose(lines_of["SINDy-TD3"] - lines_of["reference"], 0.01, atol=1e-12)
-        np.testing.assert_allclose(lines_of["TD3"] - lines_of["reference"], 0.2, atol=1e-12)
-        assert section.findings[0].agrees
+        np.testing.assert_allclose(lines_of["800 rollouts"] - lines_of["reference"], 0.01, atol=1e-12)
+        np.testing.assert_allclose(lines_of["no planning"] - lines_of["reference"], 0.2, atol=1e-12)
+        assert section.findings[0].verdict is Verdict.AS
         assert len(lines(section)) == 3

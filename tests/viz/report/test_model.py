@@ -1,7 +1,7 @@
 import pytest
 
 from dynasindy.viz.report import model
-from dynasindy.viz.report.document import Picture, Table, Text
+from dynasindy.viz.report.document import Picture, Table, Text, Verdict
 from dynasindy.viz.report.sources import Results
 
 MISSING = 3  # of four cases, xi and tras in two experiments, one is there
@@ -18,23 +18,27 @@ def pictures(section):
 def test_the_models_error_falls_and_its_trust_is_told(results):
     section = model.learning_progress(results)
     (finding,) = section.findings
-    assert finding.agrees and finding.ours == "0.5 per period in episode 1, 5e-06 in episode 6; trusted from episode 2"
+    assert finding.verdict is Verdict.AS and finding.case == "xi, `dyna`"
+    assert finding.ours == "0.5 per period in episode 1, 5e-06 in episode 6, trusted below 0.2; trusted from episode 2"
+    (picture,) = [part for part in section.parts if isinstance(part, Picture)]
+    levels = [line.get_label() for line in picture.figure.axes[0].lines[1:]]
+    assert levels == ["trusted below 0.2", "no longer trusted above 0.5"]
     assert len(missing(section)) == MISSING
 
 
 def test_states_before_and_after_are_judged_by_their_error(results):
     before, after = (model.states(results, when) for when in ("first", "last"))
-    assert [finding.agrees for finding in before.findings] == [True, True]
+    assert [finding.verdict for finding in before.findings] == [Verdict.AS, Verdict.AS]
     assert "`alpha_a` 50" in before.findings[1].ours  # an offset of 0.1 on a sine of amplitude 0.1
-    assert after.findings[0].agrees and pictures(after) == ["states_after_xi_dyna"]
+    assert after.findings[0].verdict is Verdict.AS and pictures(after) == ["states_after_xi_dyna"]
     # The states of the fixture are sines, which no such model gives under its inputs.
-    assert after.findings[1].agrees is False
+    assert after.findings[1].verdict is Verdict.SHORT
 
 
 def test_coefficients_stand_beside_the_published_ones(results):
     section = model.coefficients(results)
     (finding,) = section.findings
-    assert finding.agrees and finding.ours == "19 of them found, the worst 0 % off; 0 functions besides"
+    assert finding.verdict is Verdict.AS and finding.ours == "19 of them found, the worst 0 % off; 0 functions besides"
     (table,) = [part for part in section.parts if isinstance(part, Table)]
     cells = {(row[0], name): cell for row in table.rows for name, cell in zip(table.header[1:], row[1:])}
     assert cells["`Omega_a`", "d `Omega_a`/dt"] == "-10.057 (-10.057)"
@@ -44,7 +48,7 @@ def test_coefficients_stand_beside_the_published_ones(results):
 def test_a_false_function_is_told_with_its_size(results, monkeypatch):
     monkeypatch.setattr(model, "XI", {**model.XI, "omega_p": {"1": -8.54, "omega_p": -1.4193}})
     (finding,) = model.coefficients(results).findings
-    assert not finding.agrees and "1 functions besides, the largest 1 of the largest" in finding.ours
+    assert finding.verdict is Verdict.SHORT and "1 functions besides, the largest 1 of the largest" in finding.ours
 
 
 @pytest.mark.parametrize("experiment", ["paper", "dyna"])
@@ -62,5 +66,5 @@ def test_hyperparameters_are_those_of_the_saved_runs(empty, experiment):
     section = model.hyperparameters(Results(empty.folder, {name: nested}))
     (table,) = [part for part in section.parts if isinstance(part, Table)]
     assert len(table.rows) == 11 and all(row[2] == row[4] for row in table.rows)
-    assert [finding.agrees for finding in section.findings] == [True] * (experiment == "paper")
+    assert [finding.verdict for finding in section.findings] == [Verdict.AS] * (experiment == "paper")
     assert len(missing(section)) == 1

@@ -42,7 +42,7 @@ def test_a_missing_result_or_column_becomes_a_line_and_findings_come_first(resul
             raise MissingResult("Not measured: x; `make` makes it.")
         if name == "old":
             results.compared("xi", "dyna", "rollouts_0").table("gate.csv")["new_column"]
-        return [Text("words"), Finding("a", "b")]
+        return [Text("words"), Finding("xi", "a", "b")]
 
     finding, *lines = each(build, ("gone",), ("old",), ("good",))
     assert isinstance(finding, Finding)

@@ -1,13 +1,15 @@
 import numpy as np
 import pytest
 
+from dynasindy.viz.report.document import Verdict
 from dynasindy.viz.report.verdicts import rewards_agree, sine_agrees, square_agrees, steps_agree
 
 NONE, SOME, MANY = "no planning", "400 rollouts", "800 rollouts"
 
 
 def answers(findings):
-    return [finding.agrees for finding in findings]
+    known = {Verdict.AS: True, Verdict.UNKNOWN: None}
+    return [known.get(finding.verdict, finding.verdict is Verdict.BETTER and "better") for finding in findings]
 
 
 def test_rewards_that_go_as_in_the_paper_agree_in_every_statement():
@@ -37,8 +39,10 @@ def test_planning_is_sooner_only_if_it_is_ahead_of_every_agent_without_a_model()
     curves = {name: np.array([[-2.0, -1.0]]) for name in (NONE, SOME, MANY)}
     planned = {NONE: [np.inf], SOME: [5], MANY: [4]}
     found = rewards_agree("xi", curves, planned | {"SAC": [15, 16]})[2]
-    assert found.agrees and found.ours.endswith("no planning never, 400 rollouts 5, 800 rollouts 4, SAC 15.5")
-    assert not rewards_agree("xi", curves, planned | {"SAC": [4.5]})[2].agrees
+    assert found.verdict is Verdict.AS and found.ours.endswith(
+        "no planning never, 400 rollouts 5, 800 rollouts 4, SAC 15.5"
+    )
+    assert rewards_agree("xi", curves, planned | {"SAC": [4.5]})[2].verdict is Verdict.SHORT
 
 
 def test_without_a_setting_what_compares_it_is_not_measured():
@@ -46,7 +50,7 @@ def test_without_a_setting_what_compares_it_is_not_measured():
     assert answers(found) == [True, None, None, None, None]
 
 
-@pytest.mark.parametrize(("errors", "right"), [((0.08, 0.04, 0.01), True), ((0.01, 0.04, 0.08), False)])
+@pytest.mark.parametrize(("errors", "right"), [((0.08, 0.04, 0.01), True), ((0.01, 0.06, 0.08), False)])
 def test_steps_are_judged_by_error_and_overshoot(errors, right):
     scores = {
         name: {f"{metric}/{axis}": value for axis in ("alpha_a", "alpha_p") for metric, value in both.items()}
@@ -75,7 +79,7 @@ def test_a_square_is_judged_at_the_end_of_its_levels_and_after_its_jumps():
     spiked[100] += -0.2  # beyond the lower level, after the jump down from 0.4
     spiked[100 - 1] = 0.4
     found = square_agrees("xi", time, target, spiked, target + 0.03)
-    assert found[0].agrees and found[0].ours.startswith("0 rad over the last 5 s")
+    assert found[0].verdict is Verdict.AS and found[0].ours.startswith("0 rad over the last 5 s")
     offset = square_agrees("xi", time, target, target + 0.1, target)
     assert answers(offset) == [False] * 4
     assert offset[0].ours.startswith("0.1 rad")
