@@ -62,7 +62,7 @@ def controls(
         episode: `(n_episodes,)` numbers of the evaluated episodes, by default 1, 2, ...
         title: of the figure.
     """
-    figure, axes = panels(len(families), 1, (8.5, 0.6 + 2.6 * len(families)), title)
+    figure, axes = panels(len(families), 1, (10.0, 0.6 + 2.6 * len(families)), title)
     for axis in axes[1:]:
         axis.sharey(axes[0])
     for axis, (family, curves) in zip(axes, families.items()):

@@ -2,8 +2,10 @@
 
 from collections.abc import Iterable, Mapping
 
-from dynasindy.viz.style import BLUE, CYCLE, GREEN, GREY, ORANGE, PURPLE, RED, SKY
+from dynasindy.viz.style import BLUE, CYCLE, GREEN, ORANGE, PURPLE, RED, SKY
 
+BROWN = "#5D3A1A"
+"""For the one controller for which the palette has no colour left; grey explains lines and bands in legends."""
 NAMES: Mapping[str, str] = {
     "rollouts_0": "no planning",
     "rollouts_400": "400 rollouts",
@@ -30,7 +32,7 @@ COLOURS: Mapping[str, str] = {
     "sb3_sac": GREEN,
     "sb3_sac_5": PURPLE,
     "sb3_td3": SKY,
-    "sb3_td3_5": GREY,
+    "sb3_td3_5": BROWN,
     "oracle": ORANGE,
     "pysindy": GREEN,
     "pysindy_gate_off": PURPLE,

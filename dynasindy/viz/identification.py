@@ -234,4 +234,4 @@ def _fit(real: Array, predicted: Array, wide: float) -> str:
     percent = 100 * rmse / wide
     cut = (predicted.max() - real.max() > BEYOND * wide) or (real.min() - predicted.min() > BEYOND * wide)
     words = f"{percent:.0f}" if percent >= 99.5 else f"{percent:.2g}"
-    return f"RMSE {words} % of range" + ", leaves the picture" * bool(cut)
+    return f"RMSE {words} % of range" + ", cut off" * bool(cut)

@@ -5,7 +5,7 @@ import pytest
 from dynasindy.evaluation.ablation import read_rows
 from dynasindy.viz.ablation import families
 from dynasindy.viz.controllers import COLOURS, NAMES, colours, named
-from dynasindy.viz.style import BLUE, GREEN, RED
+from dynasindy.viz.style import BLACK, BLUE, GREEN, GREY, RED
 
 ROWS = Path(__file__).parents[2] / "docs/results/ablation.csv"
 
@@ -23,6 +23,7 @@ def test_no_two_controllers_of_a_figure_of_the_ablation_share_a_colour(system):
     for members in families(settings, [0.0]).values():
         chosen = colours(map(named, members))
         assert len(set(chosen.values())) == len(members), chosen
+        assert not {BLACK, GREY} & set(chosen.values())  # the reference, and what explains a legend
 
 
 def test_names_are_words_and_unique():

@@ -16,10 +16,8 @@ def test_prediction_titles_say_the_error_in_percent_of_the_range() -> None:
     assert set(titles[1:]) == {"RMSE 0 % of range"}
     figure = prediction(TIME, STATES, STATES + np.array([3.2e-5, 1.5, 0, 0, 0, 40.0]))
     titles = [figure.axes[k].get_title(loc="right") for k in (0, 1, 5)]
-    assert titles == ["RMSE 0.0032 % of range", "RMSE 75 % of range, leaves the picture", "RMSE 2 % of range"]
-    assert prediction(TIME, STATES, 3 * STATES).axes[0].get_title(loc="right") == (
-        "RMSE 116 % of range, leaves the picture"
-    )
+    assert titles == ["RMSE 0.0032 % of range", "RMSE 75 % of range, cut off", "RMSE 2 % of range"]
+    assert prediction(TIME, STATES, 3 * STATES).axes[0].get_title(loc="right") == ("RMSE 116 % of range, cut off")
     assert figure.axes[4].get_ylabel().endswith("[rpm]")
 
 

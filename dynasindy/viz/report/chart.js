@@ -134,7 +134,7 @@ const Report = (() => {
   function panelText(place, number, id, state) {
     const { panel, box } = place, clip = `${id}-clip-${number}`, edge = state.zoom ? 0 : 4;
     const xs = ticks(panel.x[2], ...place.range, Math.max(3, Math.floor((box.right - box.left) / 70)), panel.linear);
-    const ys = ticks(panel.y[2], ...place.limits, 5, panel.linear);
+    const ys = ticks(panel.y[2], ...place.limits, panel.y[2] === "linear" ? 5 : 7, panel.linear);
     const grid = xs.map((v) => `M${short(place.x.of(v))} ${box.top}V${box.bottom}`)
       .concat(ys.map((v) => `M${box.left} ${short(place.y.of(v))}H${box.right}`)).join("");
     const spans = panel.spans.filter((part) => shown(part, state)).map((part) => {
