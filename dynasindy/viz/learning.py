@@ -137,7 +137,9 @@ def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike |
                 axis.add_artist(Line2D(x, row, color=color, linewidth=0.9, label=f"_{label}", visible=False))
             banded = True
     if banded:
-        axis.plot([], [], color=GREY, label="line: interquartile mean over seeds")
+        few = any(len(np.atleast_2d(array(values))) < FEWEST for values in curves.values())
+        words = f"; of fewer than {FEWEST}, each" if few else ""
+        axis.plot([], [], color=GREY, label=f"line: interquartile mean over seeds{words}")
         axis.plot([], [], color=GREY, alpha=0.3, linewidth=7, label="band: its 95 % bootstrap interval")
     if not curves:
         return

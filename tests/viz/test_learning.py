@@ -47,6 +47,12 @@ def test_a_logarithmic_axis_is_for_returns_that_differ_much_and_says_so() -> Non
     assert axis(-20.0).get_ylabel() == "return, logarithmic beyond 10 [-]"
 
 
+def test_the_legend_says_which_lines_are_single_seeds_where_both_stand_together() -> None:
+    (axis,) = average_rewards({"a": np.ones((3, 2)), "b": np.ones((2, 2))}, window=1).axes
+    words = [text.get_text() for text in axis.get_legend().get_texts()]
+    assert words[2] == "line: interquartile mean over seeds; of fewer than 3, each"
+
+
 def test_fewer_than_three_seeds_are_lines_without_a_band() -> None:
     two = np.array([np.arange(5.0), 2 * np.arange(5.0)])
     (axis,) = average_rewards({"one": two[0], "two": two}, episode=[10, 20, 30, 40, 50], window=1).axes
