@@ -66,6 +66,7 @@ const Report = (() => {
     }
     return [...found.values()];
   }
+  const place = (number) => `${number}${["st", "nd", "rd"][number - 1] || "th"}`; // seeds stand in the order of the table
   const seeds = (chart) => [...new Set(chart.panels.flatMap((panel) => panel.lines.map((line) => line.seed)))]
     .filter(Boolean).sort((a, b) => a - b);
   const shown = (part, state) => !state.off.includes(part.name) && (!part.seed || state.seeds.includes(part.seed));
@@ -167,10 +168,10 @@ const Report = (() => {
       const all = numbers(line.x);
       let best = 0;
       all.forEach((v, k) => { if (line.step ? v <= x : Math.abs(v - x) < Math.abs(all[best] - x)) best = k; });
-      const seed = line.seed ? `, seed ${line.seed}` : "";
+      const seed = line.seed ? `, ${place(line.seed)} seed` : "";
       return { name: (line.name || "value") + seed, color: line.color, x: all[best], y: numbers(line.y)[best] };
     });
   }
-  return { scale, ticks, written, legend, seeds, limits, layout, render, values, escaped, START };
+  return { scale, ticks, written, legend, place, seeds, limits, layout, render, values, escaped, START };
 })();
 if (typeof module !== "undefined") module.exports = Report;

@@ -7,7 +7,7 @@ function mount(figure, number) {
   const swatch = (part) => `<i style="--pen:${part.color};--style:${part.dash ? (part.dash[0] === "2" ? "dotted" : "dashed") : "solid"}"${part.width ? "" : ' class="area"'}></i>`;
   const names = Report.legend(chart).map((part) => button("name", part.name, part.name, swatch(part))).join("");
   const notes = [...new Set(chart.panels.flatMap((panel) => panel.notes))];
-  const single = Report.seeds(chart).map((seed) => button("seed", seed, `seed ${seed}`)).join("");
+  const single = Report.seeds(chart).map((seed) => button("seed", seed, Report.place(seed))).join("");
   box.className = "chart";
   box.innerHTML = `<p class="name">${Report.escaped(chart.title)}</p><div class="tools">${names}`
     + (single ? `<span>compare single seeds:</span>${single}` : "")

@@ -106,8 +106,8 @@ def test_a_series_that_is_switched_off_is_not_drawn_and_a_seed_is_on_demand():
     read = run("R.values(c.panels[0], s, 3.9)", c=found, s=states[2])
     assert [(v["name"], v["x"], v["y"]) for v in read] == [
         ("b (3 seeds)", 4, pytest.approx(run("c.panels[0].lines[4].y[1]", c=found))),
-        ("b (3 seeds), seed 2", 4, 6.0),
-        ("b (3 seeds), seed 3", 4, 91.0),
+        ("b (3 seeds), 2nd seed", 4, 6.0),
+        ("b (3 seeds), 3rd seed", 4, 91.0),
     ]
     found["panels"][0]["y"][1] = 50.0
     high = [run("R.limits(c.panels[0], s)", c=found, s=state)[1] for state in states]
