@@ -76,9 +76,9 @@ def _claims(places: Sequence[tuple[Finding, str]], lengths: Mapping[str, int]) -
     return [
         Text(
             f"**The paper makes {len(CLAIMS)} claims. These numbers of them hold here in full: {counts}.** The paper's "
-            f"controllers with a model have learnt for {PAPER_EPISODES} episodes; what `paper` does not reach here it does "
-            "not reach in the few episodes of these runs. Each cell leads to its evidence, and says how many of the "
-            "statements behind it hold."
+            f"controllers with a model have learnt for {PAPER_EPISODES} episodes; what `paper` does not reach here it "
+            "does not reach in the few episodes of these runs. Each cell leads to its evidence, and says how many of "
+            "the statements behind it hold."
         ),
         Table(["what the paper claims, in our words", *COLUMNS], rows),
     ]
