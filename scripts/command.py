@@ -18,7 +18,7 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from manual import manual
 from mistakes import CONF, MENDABLE, in_words
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from places import complete, require_writable
 from reader import while_read
 
@@ -30,16 +30,18 @@ os.environ["PYTHONWARNINGS"] = ",".join(
 )
 
 
-def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
+def command(config_name: str) -> Callable[[Callable[[DictConfig], float | None]], Callable[[], None]]:
     """Make a function of a config a command: a bad setting or file costs one line and exit code 2.
+
+    What the function returns is the score of a job, by which a sweeper such as Optuna chooses the next ones.
 
     A run folder without files is removed; one with files keeps them, and the line, as `error.txt`. A job of a sweep
     that fails does not end the others. Set DYNASINDY_TRACEBACK=1 to see where an error comes from.
     """
 
-    def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
+    def decorate(task: Callable[[DictConfig], float | None]) -> Callable[[], None]:
         @wraps(task)
-        def guarded(cfg: DictConfig) -> None:
+        def guarded(cfg: DictConfig) -> float | None:
             from schema import check  # it imports torch, which a command that only prints its help does without
 
             if not Sweep.here:  # a worker of a launcher, in which no command was started
@@ -50,7 +52,8 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
                 check(cfg)
                 for folder in filter(None, (cfg.get("folder"), cfg.get("output"))):
                     require_writable(Path(folder))
-                task(cfg)
+                return task(cfg)
+            return None  # a job of a sweep that failed
 
         main = hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)(guarded)
 
@@ -92,6 +95,10 @@ class Sweep(Callback):
         """Look for the lines that failed jobs left."""
         folder = Path(config.hydra.sweep.dir)
         print(f"Sweep: {folder}")
+        if (found := folder / "optimization_results.yaml").is_file():
+            best = OmegaConf.load(found)
+            values = " ".join(f"{name}={value:.4g}" for name, value in best.best_params.items())
+            print(f"Best trial: {values}, score {best.best_value:.4g}; plan with these words, and judge on another log")
         Sweep.failed.extend(str(file.parent) for file in sorted(folder.rglob("error.txt")))
 
 
