@@ -11,11 +11,11 @@ from job import command_and_commit
 from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.dyna.from_log import Wanted, controller_of, judged, model_of, report, write
-from dynasindy.dyna.progress import say
 from dynasindy.evaluation.files import write_json, write_text
 from dynasindy.evaluation.given import read_record, understood
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.planning import GradientPlanning
+from dynasindy.terminal import say
 from dynasindy.viz.evaluation import draw_evaluation
 
 

@@ -30,10 +30,11 @@ def main(cfg: DictConfig) -> float:
         print(f"finished before: {folder}")
         return max(shares, default=math.inf)
     from dynasindy.dyna.run import report
+    from dynasindy.terminal import say
     from dynasindy.viz.run import draw_run  # Matplotlib, when there is something to draw
 
     draw_run(folder, done.recipe.system.signature)
-    print(report(done.metrics, folder))
+    say(report(done.metrics, folder))
     if not (done.enough or swept):
         sys.exit(1)
     return max(shares, default=math.inf)

@@ -25,6 +25,7 @@ from dynasindy.dyna.parts import Parts
 from dynasindy.excitation import Excitation
 from dynasindy.planning.regulator import riccati
 from dynasindy.tasks import Tracking
+from dynasindy.told import tell
 
 BEYOND = 10.0
 """Ranges of a state that limit the excitation where the plant names no bounds."""
@@ -39,6 +40,7 @@ def excite(parts: Parts) -> TensorDict:
 
     Behind sensors the plant is excited open loop and without limits, as its states are not seen.
     """
+    tell("excitation")
     signal, steps = parts.excitation, parts.excitation.n_steps
     if parts.sensing is not None:
         return interact(parts.env, signal, steps)
