@@ -18,7 +18,7 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.evaluation.scenarios import evaluate
     from dynasindy.evaluation.summary import heading, summarise, to_text
     from dynasindy.planning.integral import IntegralAction
-    from dynasindy.terminal import say
+    from dynasindy.terminal import say, width
     from dynasindy.viz.animation import animate
     from dynasindy.viz.evaluation import draw_evaluation
 
@@ -40,7 +40,7 @@ def main(cfg: DictConfig) -> None:
         draw_evaluation(result, out, formats=cfg.formats)
         if cfg.animate:
             animate(result, out / f"{scenario.name}.{cfg.animation}")
-        say(to_text(summarise(result), heading(result), result.units, result.steady_seconds), "")
+        say(to_text(summarise(result), heading(result), result.units, result.steady_seconds, width()), "")
     say(f"Figures, tables and trajectories: {out}")
 
 

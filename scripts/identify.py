@@ -4,6 +4,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from command import command
+from commands import called
+from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
@@ -29,6 +31,12 @@ def main(cfg: DictConfig) -> None:
     write(found, source, folder)
     draw(found, source, folder, list(cfg.formats))
     say(to_words(found, source), f"written to {folder}")
+    if cfg.data.get("path"):
+        words = f"data=csv data.path={cfg.data.path} plant.outputs=[NAME] plant.low=[NUMBER] plant.high=[NUMBER]"
+        say(f"next: {called('train')} {words} plans a controller on the log")
+    else:
+        system = HydraConfig.get().runtime.choices.system
+        say(f"next: {called('train')} system={system} excites, identifies and plans in one go")
 
 
 def draw(found: "Identified", source: "Source", folder: Path, formats: list[str]) -> None:

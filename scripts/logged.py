@@ -5,7 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from commands import called
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from hydra.utils import instantiate
 from job import command_and_commit
 from omegaconf import DictConfig, OmegaConf
@@ -44,6 +46,11 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     if prediction.shown:
         draw_evaluation(prediction.shown, folder / "figures", place=prediction.place)
     say(report(model, prediction), f"Controller: {folder / 'controller.json'}")
+    if HydraConfig.get().mode != RunMode.MULTIRUN:
+        say(
+            f"next: {called('check')} run={folder} tells margins and worst cases on the model, {called('export')} "
+            f"run={folder} writes the controller for a microcontroller"
+        )
     return prediction.record()
 
 

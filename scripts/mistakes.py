@@ -12,7 +12,7 @@ os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors reach us instead of Hyd
 
 import hydra
 from hydra.core.global_hydra import GlobalHydra
-from hydra.errors import HydraException, InstantiationException
+from hydra.errors import HydraException, InstantiationException, OverrideParseException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -58,6 +58,11 @@ def in_words(error: BaseException, config_name: str) -> str:
     if isinstance(error, OSError) and error.errno is not None:
         path = error.filename if error.filename is not None else "a file"
         return f"{path}: {CAUSES.get(error.errno, error.strerror or 'it cannot be read or written')}"
+    if isinstance(error, OverrideParseException):
+        return (
+            f"'{error.override}' cannot be read; write key=value, close all brackets and quotes, and put a word with "
+            "brackets, quotes, commas or blanks between quotes of the shell, such as 'plant.outputs=[angle]'"
+        )
     if missing := _missing_package(error):
         return missing
     if part and not isinstance(error, ValueError):

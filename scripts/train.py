@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 from command import command
+from commands import called
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
@@ -35,6 +36,11 @@ def main(cfg: DictConfig) -> float:
 
     draw_run(folder, done.recipe.system.signature)
     say(report(done.metrics, folder))
+    if not swept:
+        say(
+            f"next: {called('evaluate')} run={folder} flies it in other scenarios, {called('check')} run={folder} "
+            f"tells its margins, {called('export')} run={folder} writes it for a microcontroller"
+        )
     if not (done.enough or swept):
         sys.exit(1)
     return max(shares, default=math.inf)

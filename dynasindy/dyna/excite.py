@@ -91,6 +91,17 @@ def restarts(parts: Parts, rows: TensorDict) -> str:
     return f"The excitation ended early and began anew at the start {times}: {', '.join(why) or 'an episode was over'}."
 
 
+def left_out(rows: TensorDict) -> str:
+    """Say in one line how many control periods of the excitation no model is fitted to; empty if to all of them."""
+    count = int(rows["next", "at_stop"].sum())
+    if not count:
+        return ""
+    return (
+        f"The excitation reached a mechanical stop in {count} of {rows.numel()} control periods, which the fit leaves "
+        "out; a smaller excitation.amplitude, or another offset, would leave more data."
+    )
+
+
 def within(x: Tensor, low: Tensor, high: Tensor) -> Tensor:
     """Return whether states `(*batch, n_x)` lie within their limits, bool `(*batch,)`."""
     return ((x >= low) & (x <= high)).all(-1)

@@ -18,7 +18,7 @@ from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.summary import heading, summarise, to_text
 from dynasindy.sensing import Sensors
 from dynasindy.tasks import Tracking
-from dynasindy.terminal import say
+from dynasindy.terminal import say, width
 from dynasindy.told import tell
 from dynasindy.workbench import foretell, plan
 from dynasindy.world_models import SindyModel
@@ -100,5 +100,5 @@ def report(model: SindyModel, prediction: Prediction) -> str:
     lines = ["", "Identified equations", *(f"  {line}" for line in model.equations()), ""]
     if prediction.shown is not None:
         title = f"{heading(prediction.shown)}, {prediction.place}"
-        lines += [to_text(summarise(prediction.shown), title, prediction.shown.units), ""]
+        lines += [to_text(summarise(prediction.shown), title, prediction.shown.units, width=width()), ""]
     return "\n".join([*lines, prediction.words()])

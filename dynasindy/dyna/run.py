@@ -22,7 +22,7 @@ from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.summary import to_text
 from dynasindy.systems import Diverged
-from dynasindy.terminal import Shown
+from dynasindy.terminal import Shown, width
 
 
 class Kept(Protocol):
@@ -82,12 +82,14 @@ class Saving:
 
     Attributes:
         every: Episodes between two checkpoints; 0 keeps none.
+        again: How the command is called that goes on with a run.
 
     Raises:
         ValueError: `every` is negative.
     """
 
     every: int = 1
+    again: str = "dynasindy train"
 
     def __post_init__(self) -> None:
         if self.every < 0:
@@ -140,8 +142,9 @@ def run(
             (folder / "error.txt").unlink(missing_ok=True)
             checkpoints.remove()  # of a process that was killed before it did
             return metrics
+        saving = saving or Saving()
         saver = Saver(
-            checkpoints, (saving or Saving()).every, lambda: {name: p.state_dict() for name, p in kept.items()}
+            checkpoints, saving.every, lambda: {name: p.state_dict() for name, p in kept.items()}, saving.again
         )
         with _left_in_order(saver, folder, lambda: place.present(recipe.train.episodes)):
             state = checkpoints.newest()
@@ -217,7 +220,8 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
         lines[-1:] = [f"What the excitation alone could tell, the first fit: {folder / 'identification.txt'}", ""]
     untrained = metrics["untrained"]["return"]
     title = f"Policy on the real plant, scenario '{metrics['scenario']}' (untrained return {untrained:.1f})"
-    lines.append(to_text(metrics["evaluation"], title, metrics.get("units"), metrics.get("steady_seconds", 5.0)))
+    steady = metrics.get("steady_seconds", 5.0)
+    lines.append(to_text(metrics["evaluation"], title, metrics.get("units"), steady, width()))
     lines += [
         "",
         f"Cost: {cost['real_steps']} real steps = {cost['plant_seconds']:.0f} s of plant time, "
