@@ -1,6 +1,5 @@
 """A search of Optuna on a log: its score is the one that each trial foretold, and the same command goes on with it."""
 
-import csv
 import json
 import os
 import subprocess
@@ -29,14 +28,10 @@ def tune(log, folder):
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory):
+def log(tmp_path_factory, write_log):
     data = record(Pendulum(), Multisine(1, duration=6, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
     path = tmp_path_factory.mktemp("log") / "log.csv"
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["time [s]", "theta [rad]", "Omega [rad/s]", "u"])
-        writer.writerows([[0.01 * k, *data.x[k].tolist(), *data.u[k].tolist()] for k in range(len(data))])
-    return path
+    return write_log(path, ["theta [rad]", "Omega [rad/s]", "u"], data.x, data.u)
 
 
 @pytest.mark.slow
