@@ -119,8 +119,8 @@ class Sweep(Callback):
         Sweep.running = str(config.hydra.sweep.dir)
         for name in ("hydra", "hydra_plugins"):  # which would list the jobs, too
             logging.getLogger(name).setLevel(logging.WARNING)
-        os.environ[JOBS] = str(number_of_jobs(config.hydra))
         show()
+        os.environ[JOBS] = str(number_of_jobs(config.hydra))
         threading.Thread(target=_watch, args=(Path(Sweep.running),), daemon=True).start()
 
     def on_job_start(self, config: DictConfig, **kwargs: object) -> None:

@@ -26,7 +26,7 @@ def main(cfg: DictConfig) -> float:
 
     folder = Path(cfg.folder)
     done = run_job(cfg)
-    shares = [score(share) for share in done.metrics["held"]["share"].values()]
+    shares = [score(share) for share in done.metrics.get("held", {}).get("share", {}).values()]
     if done.before and swept:
         print(f"finished before: {folder}")
         return max(shares, default=math.inf)
