@@ -44,21 +44,27 @@ SHOWN = ExitStack()
 """What shows the work of the command that was started in this process."""
 
 
-def command(config_name: str) -> Callable[[Callable[[DictConfig], float | None]], Callable[[], None]]:
+def command(
+    config_name: str, shown: bool = True
+) -> Callable[[Callable[[DictConfig], float | None]], Callable[[], None]]:
     """Make a function of a config a command: a bad setting or file costs one line and exit code 2.
 
     What the function returns is the score of a job, by which a sweeper such as Optuna chooses the next ones.
 
     A run folder without files is removed; one with files keeps them, and the line, as `error.txt`. A job of a sweep
     that fails does not end the others. Set DYNASINDY_TRACEBACK=1 to see where an error comes from.
+
+    Args:
+        config_name: File `conf/NAME.yaml`.
+        shown: Whether what is under way is shown; a thread that draws would disturb one that keeps a clock.
     """
 
     def decorate(task: Callable[[DictConfig], float | None]) -> Callable[[], None]:
         @wraps(task)
         def guarded(cfg: DictConfig) -> float | None:
-            if Sweep.here:
+            if Sweep.here and shown:
                 show()
-            else:  # a worker of a launcher, in which no command was started
+            elif not Sweep.here:  # a worker of a launcher, in which no command was started
                 end_with_parent()
                 listen(stop)
             from schema import check  # it imports torch, which a command that only prints its help does without
