@@ -179,21 +179,23 @@ def _progress() -> Progress:
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
     from rich.table import Column
 
-    class Steady(Console):
+    class _Steady(Console):
         def show_cursor(self, show: bool = True) -> bool:
+            """Leave the cursor as it is."""
             return False
 
-    class Known(BarColumn):
+    class _Known(BarColumn):
         def render(self, task: Any) -> Any:
+            """Return a bar where the total is known."""
             return super().render(task) if task.total else ""
 
     return Progress(
         SpinnerColumn("line"),
         TimeElapsedColumn(),
-        Known(bar_width=20),
+        _Known(bar_width=20),
         TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1)),
         expand=True,
-        console=Steady(stderr=True),
+        console=_Steady(stderr=True),
         transient=True,
         refresh_per_second=4,
         redirect_stdout=is_terminal(sys.stdout),

@@ -246,13 +246,13 @@ def _run(
     """Roll the policy out phase by phase, each phase with its own plant."""
     parts, total = [], round((scenario.seconds or 0.0) / calm.dt)
 
-    def told(env: EnvBase, step: TensorDictBase) -> None:
+    def _told(env: EnvBase, step: TensorDictBase) -> None:
         tell(f"flight '{scenario.name}'", int(step["step_count"].max()), total, "control periods")
 
     for steps, disturbed in _phases(scenario, calm.dt):
         plant = calm.with_system(scenario.plant(calm.system)) if disturbed and scenario.plant else calm
         env = plant if sensing is None else sensing.around(plant)
-        part = env.rollout(steps, policy, told, auto_reset=False, tensordict=start, break_when_any_done=False)
+        part = env.rollout(steps, policy, _told, auto_reset=False, tensordict=start, break_when_any_done=False)
         start = env.step_mdp(part[..., -1])
         parts.append(part)
     trajectory: TensorDictBase = torch.cat(parts, -1)
