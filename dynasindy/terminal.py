@@ -102,12 +102,16 @@ class Lines:
                 self.written = now
                 self._write("...")
 
-    def close(self) -> None:
-        """Write what came of the last phase."""
-        self.ended.set()
+    def rest(self) -> None:
+        """Write what came of the latest phase, which is over."""
         with self.lock:
             self._end()
             self.told = None
+
+    def close(self) -> None:
+        """Write nothing more."""
+        self.ended.set()
+        self.rest()
 
     def _end(self) -> None:
         if self.told is not None and self.clock() - self.begun >= MOMENT:
@@ -154,10 +158,14 @@ class Bars:
             assert self.task is not None
             self._update(self.task, told)
 
-    def close(self) -> None:
-        """Take the lines away."""
+    def rest(self) -> None:
+        """Leave a line of the latest phase, which is over."""
         with self.lock:
             self._end()
+
+    def close(self) -> None:
+        """Take the lines away."""
+        self.rest()
         self.progress.stop()
 
     def _update(self, task: TaskID, told: Told) -> None:
@@ -220,6 +228,8 @@ def width() -> int | None:
 
 def say(*texts: str) -> None:
     """Print texts at once: on a terminal within its width and with its colours, elsewhere as they are."""
+    if Shown.active is not None and Shown.active.view is not None:
+        Shown.active.view.rest()
     if (columns := width()) is None:
         print(*texts, sep="\n", flush=True)
         return

@@ -176,6 +176,8 @@ def _mistakes_in_words(config_name: str) -> Iterator[None]:
         line = f"error: {in_words(error, config_name)}"
         with suppress(OSError):  # the disk may be what is wrong
             _leave_word(line)
+        if Sweep.running is None:
+            SHOWN.close()  # so that the line is the last one
         print(line, file=sys.stderr)
         sys.exit(1 if diverged else 2)
 

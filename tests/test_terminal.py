@@ -88,7 +88,9 @@ def test_a_file_sees_no_control_characters_and_the_inner_of_two_shows_nothing(ca
         with Shown():
             tell("fit", 1, 2, "steps")
         tell("plan")
-    assert capsys.readouterr().err.splitlines() == ["fit: 1 of 2 steps, 0 s", "plan: 0 s"]
+        say("done")
+        assert capsys.readouterr().err.splitlines() == ["fit: 1 of 2 steps, 0 s", "plan: 0 s"]
+    assert capsys.readouterr().err == ""  # a phase that was over when something was said is not told again
     assert Shown.OWNER not in os.environ
 
 
