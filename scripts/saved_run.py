@@ -1,5 +1,6 @@
 """Finished runs, loaded again: the environment they were made for and the policy they found."""
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -112,6 +113,6 @@ def load_scenario(name: str, config: DictConfig) -> Scenario:
     scenario: Scenario = instantiate(merged.scenario, _convert_="all")
     own = OmegaConf.select(config, "scenario.seconds")
     # A run that was judged in short flights is flown in short ones, unless a scenario has its disturbance later.
-    if own and scenario.seconds and own < scenario.seconds and not scenario.windows:
+    if own and own < (scenario.seconds or math.inf) and not scenario.windows:
         scenario = replace(scenario, seconds=own)
     return scenario
