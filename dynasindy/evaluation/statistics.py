@@ -6,7 +6,6 @@ Source: Agarwal et al., *Deep Reinforcement Learning at the Edge of the Statisti
 from collections.abc import Callable
 
 import torch
-from scipy.stats import trim_mean
 from torch import Tensor
 
 Statistic = Callable[[Tensor], Tensor]
@@ -18,7 +17,9 @@ def interquartile_mean(values: Tensor) -> Tensor:
 
     As in the source, `floor(n / 4)` values are dropped at each end: up to three values give their mean.
     """
-    return torch.as_tensor(trim_mean(values.numpy(), 0.25, axis=-1)).to(values)
+    n = values.shape[-1]
+    drop = n // 4
+    return values.sort(dim=-1).values[..., drop : n - drop].mean(-1)
 
 
 def bootstrap_interval(
