@@ -1,9 +1,13 @@
 """What the scripts share: a Hydra command whose user's errors, and whose end by a signal, are one line each."""
 
+import gc
+import logging
 import os
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from functools import wraps
 from pathlib import Path
 from typing import ClassVar
@@ -13,14 +17,18 @@ from stopping import end_with_parent, leave, listen, say, stop  # isort: split
 
 import hydra
 from commands import asks
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from manual import manual
 from mistakes import CONF, MENDABLE, in_words
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from places import complete, require_writable
 from reader import while_read
+
+from dynasindy.told import tell
 
 # The jobs of a sweep run in processes of their own, which have to find the modules beside this one.
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(Path(__file__).parent), os.environ.get("PYTHONPATH")]))
@@ -30,27 +38,44 @@ os.environ["PYTHONWARNINGS"] = ",".join(
 )
 
 
-def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
+JOBS = "DYNASINDY_JOBS"
+"""Variable that tells the workers of a sweep how many jobs there are."""
+SHOWN = ExitStack()
+"""What shows the work of the command that was started in this process."""
+
+
+def command(
+    config_name: str, shown: bool = True
+) -> Callable[[Callable[[DictConfig], float | None]], Callable[[], None]]:
     """Make a function of a config a command: a bad setting or file costs one line and exit code 2.
+
+    What the function returns is the score of a job, by which a sweeper such as Optuna chooses the next ones.
 
     A run folder without files is removed; one with files keeps them, and the line, as `error.txt`. A job of a sweep
     that fails does not end the others. Set DYNASINDY_TRACEBACK=1 to see where an error comes from.
+
+    Args:
+        config_name: File `conf/NAME.yaml`.
+        shown: Whether what is under way is shown; a thread that draws would disturb one that keeps a clock.
     """
 
-    def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
+    def decorate(task: Callable[[DictConfig], float | None]) -> Callable[[], None]:
         @wraps(task)
-        def guarded(cfg: DictConfig) -> None:
-            from schema import check  # it imports torch, which a command that only prints its help does without
-
-            if not Sweep.here:  # a worker of a launcher, in which no command was started
+        def guarded(cfg: DictConfig) -> float | None:
+            if Sweep.here and shown:
+                show()
+            elif not Sweep.here:  # a worker of a launcher, in which no command was started
                 end_with_parent()
                 listen(stop)
+            from schema import check  # it imports torch, which a command that only prints its help does without
+
             swept = HydraConfig.get().mode == RunMode.MULTIRUN
             with suppress(SystemExit) if swept else nullcontext(), while_read(), _mistakes_in_words(config_name):
                 check(cfg)
                 for folder in filter(None, (cfg.get("folder"), cfg.get("output"))):
                     require_writable(Path(folder))
-                task(cfg)
+                return task(cfg)
+            return None  # a job of a sweep that failed
 
         main = hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)(guarded)
 
@@ -63,8 +88,10 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
                     print(manual(config_name, sys.argv[1:]))
                     return
                 complete(sys.argv)
-                main()
+                with SHOWN:
+                    main()
             listen(leave)
+            gc.freeze()  # else the interpreter looks for a second whether anything that torch made is garbage
             if Sweep.failed:
                 folders = ", ".join(Sweep.failed)
                 print(f"error: {len(Sweep.failed)} jobs failed; error.txt says why in {folders}", file=sys.stderr)
@@ -75,8 +102,17 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
     return decorate
 
 
+def show() -> None:
+    """Show from here on what the command is doing; it begins with imports, which take a moment."""
+    from dynasindy.terminal import LOADING, Shown
+
+    if Shown.active is None:
+        SHOWN.enter_context(Shown())
+        tell(LOADING)
+
+
 class Sweep(Callback):
-    """When every job of a sweep is done, say where they are, and remember which failed."""
+    """Say which jobs of a sweep there are, where they are when all are done, and remember which failed."""
 
     here = False
     """Whether the command was started in this process."""
@@ -85,14 +121,48 @@ class Sweep(Callback):
     failed: ClassVar[list[str]] = []
 
     def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:
-        """Remember the folder."""
+        """Remember the folder, and show how many of the jobs are done."""
         Sweep.running = str(config.hydra.sweep.dir)
+        for name in ("hydra", "hydra_plugins"):  # which would list the jobs, too
+            logging.getLogger(name).setLevel(logging.WARNING)
+        show()
+        os.environ[JOBS] = str(number_of_jobs(config.hydra))
+        threading.Thread(target=_watch, args=(Path(Sweep.running),), daemon=True).start()
+
+    def on_job_start(self, config: DictConfig, **kwargs: object) -> None:
+        """Say which job of a sweep begins."""
+        if JOBS in os.environ and config.hydra.mode == RunMode.MULTIRUN:
+            words = config.hydra.job.override_dirname.replace("__", " ")
+            print(f"Job {config.hydra.job.num + 1} of {os.environ[JOBS]}: {words}", flush=True)
 
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
         """Look for the lines that failed jobs left."""
-        folder = Path(config.hydra.sweep.dir)
+        folder, Sweep.running = Path(config.hydra.sweep.dir), None
         print(f"Sweep: {folder}")
+        if (found := folder / "optimization_results.yaml").is_file():
+            best = OmegaConf.load(found)
+            values = " ".join(f"{name}={value:.4g}" for name, value in best.best_params.items())
+            print(f"Best trial: {values}, score {best.best_value:.4g}; plan with these words, and judge on another log")
         Sweep.failed.extend(str(file.parent) for file in sorted(folder.rglob("error.txt")))
+
+
+def number_of_jobs(hydra_config: DictConfig) -> int:
+    """Return how many jobs a sweep has; a sweeper that proposes them one by one says how many in `n_trials`."""
+    if "n_trials" in hydra_config.sweeper:
+        return int(hydra_config.sweeper.n_trials)
+    words = [*(f"{name}={value}" for name, value in (hydra_config.sweeper.params or {}).items())]
+    words += hydra_config.overrides.task
+    overrides = OverridesParser.create().parse_overrides(words)
+    return sum(len(batch) for batch in BasicSweeper.split_arguments(overrides, None))
+
+
+def _watch(folder: Path) -> None:
+    """Tell how many jobs of a sweep have left their results, wherever they run."""
+    while Sweep.running:
+        done, failed = (sum(1 for _ in folder.rglob(name)) for name in ("metrics.json", "error.txt"))
+        words = f"{failed} failed" if failed else ""
+        tell("sweep", done, int(os.environ[JOBS]), "jobs", words, around=True)
+        time.sleep(1.0)
 
 
 @contextmanager
@@ -106,6 +176,8 @@ def _mistakes_in_words(config_name: str) -> Iterator[None]:
         line = f"error: {in_words(error, config_name)}"
         with suppress(OSError):  # the disk may be what is wrong
             _leave_word(line)
+        if Sweep.running is None:
+            SHOWN.close()  # so that the line is the last one
         print(line, file=sys.stderr)
         sys.exit(1 if diverged else 2)
 

@@ -18,6 +18,7 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.evaluation.scenarios import evaluate
     from dynasindy.evaluation.summary import heading, summarise, to_text
     from dynasindy.planning.integral import IntegralAction
+    from dynasindy.terminal import say, width
     from dynasindy.viz.animation import animate
     from dynasindy.viz.evaluation import draw_evaluation
 
@@ -39,8 +40,8 @@ def main(cfg: DictConfig) -> None:
         draw_evaluation(result, out, formats=cfg.formats)
         if cfg.animate:
             animate(result, out / f"{scenario.name}.{cfg.animation}")
-        print(to_text(summarise(result), heading(result), result.units, result.steady_seconds), end="\n\n")
-    print(f"Figures, tables and trajectories: {out}")
+        say(to_text(summarise(result), heading(result), result.units, result.steady_seconds, width()), "")
+    say(f"Figures, tables and trajectories: {out}")
 
 
 if __name__ == "__main__":

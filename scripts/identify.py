@@ -4,6 +4,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from command import command
+from commands import called
+from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
@@ -17,18 +19,24 @@ def main(cfg: DictConfig) -> None:
     import torch
 
     from dynasindy.evaluation.identification import identify, to_words, write
-    from dynasindy.world_models.progress import Progress
+    from dynasindy.terminal import say
+    from dynasindy.told import tell
 
     torch.set_num_threads(cfg.threads)
     built = {name: instantiate(cfg[name], _convert_="all") for name in ("data", "system", "excitation", "world_model")}
+    tell("data")
     source = built["data"].load(built["system"], built["excitation"])
-    with Progress():
-        found = identify(built["world_model"](signature=source.signature), source, cfg.horizons)
+    found = identify(built["world_model"](signature=source.signature), source, cfg.horizons)
     folder = Path(cfg.folder)
     write(found, source, folder)
     draw(found, source, folder, list(cfg.formats))
-    print(to_words(found, source))
-    print(f"written to {folder}")
+    say(to_words(found, source), f"written to {folder}")
+    if cfg.data.get("path"):
+        words = f"data=csv data.path={cfg.data.path} plant.outputs=[NAME] plant.low=[NUMBER] plant.high=[NUMBER]"
+        say(f"next: {called('train')} {words} plans a controller on the log")
+    else:
+        system = HydraConfig.get().runtime.choices.system
+        say(f"next: {called('train')} system={system} excites, identifies and plans in one go")
 
 
 def draw(found: "Identified", source: "Source", folder: Path, formats: list[str]) -> None:

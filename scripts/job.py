@@ -57,7 +57,8 @@ def run_job(cfg: DictConfig, progress: bool = True) -> Done:
     if progress:
         print(f"Run folder: {cfg.folder}", flush=True)
     known = result(Path(cfg.folder), recipe.train.episodes) is not None
-    metrics = run(recipe, evaluating, Path(cfg.folder), provenance, Saving(**cfg.checkpoint), progress, cfg.finish)
+    saving = Saving(**cfg.checkpoint, again=called("train"))
+    metrics = run(recipe, evaluating, Path(cfg.folder), provenance, saving, progress, cfg.finish)
     usable = metrics["verdict"]["usable"] or not cfg.evaluation.must_improve
     controlled = metrics["verdict"].get("controlled") is not False or not cfg.evaluation.get("must_control", False)
     return Done(recipe, metrics, known, usable and controlled)

@@ -2,31 +2,39 @@
 
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import torch
+from commands import called
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from hydra.utils import instantiate
 from job import command_and_commit
 from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.dyna.from_log import Wanted, controller_of, judged, model_of, report, write
-from dynasindy.dyna.progress import say
 from dynasindy.evaluation.files import write_json, write_text
+from dynasindy.evaluation.given import read_record, understood
 from dynasindy.evaluation.held import WITHIN
-from dynasindy.evaluation.predicted import Prediction
 from dynasindy.planning import GradientPlanning
+from dynasindy.terminal import say
 from dynasindy.viz.evaluation import draw_evaluation
 
 
-def plan_from_log(cfg: DictConfig) -> Prediction:
-    """Identify, plan and foretell, write the folder, and print what came of it."""
+def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
+    """Identify, plan and foretell, write the folder, print what came of it, and return what is foretold."""
     planning = _required(cfg)
     torch.set_num_threads(cfg.threads)
-    say(f"Run folder: {(folder := Path(cfg.folder))}")
+    folder, settings = Path(cfg.folder), OmegaConf.to_yaml(cfg, resolve=True)
+    if (before := _finished(folder, settings)) is not None:
+        say(f"finished before: {folder}")
+        return before
+    say(f"Run folder: {folder}")
     parts = {name: instantiate(cfg.get(name), _convert_="all") for name in ("data", "system", "task", "sensors")}
     source = parts["data"] and parts["data"].load(parts["system"], None)
     model = model_of(source, instantiate(cfg.world_model, _convert_="all"), cfg.model)
-    write_text(folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))  # before the plan, which may fail
+    (folder / "metrics.json").unlink(missing_ok=True)  # of other settings
+    write_text(folder / "config.yaml", settings)  # before the plan, which may fail
     write_json(folder / "origin.json", command_and_commit(HydraConfig.get()))
     model.save(folder / "model.json")
     scenario, task = instantiate(cfg.scenario, _convert_="all"), parts["task"](signature=model.signature)
@@ -38,7 +46,22 @@ def plan_from_log(cfg: DictConfig) -> Prediction:
     if prediction.shown:
         draw_evaluation(prediction.shown, folder / "figures", place=prediction.place)
     say(report(model, prediction), f"Controller: {folder / 'controller.json'}")
-    return prediction
+    if HydraConfig.get().mode != RunMode.MULTIRUN:
+        say(
+            f"next: {called('check')} run={folder} tells margins and worst cases on the model, {called('export')} "
+            f"run={folder} writes the controller for a microcontroller"
+        )
+    return prediction.record()
+
+
+def _finished(folder: Path, settings: str) -> dict[str, Any] | None:
+    """Return what a job of the same settings has foretold in this folder, as in a sweep that goes on."""
+    kept, metrics = folder / "config.yaml", folder / "metrics.json"
+    if not (kept.is_file() and metrics.is_file() and kept.read_text() == settings):
+        return None
+    with understood(metrics):
+        found = read_record(metrics)["prediction"]
+        return {"controlled": bool(found["controlled"]), "score": found["score"]}
 
 
 def _required(cfg: DictConfig) -> dict[str, object]:

@@ -64,29 +64,47 @@ def sentences(file: Path) -> dict[str, str]:
     A key has dots, as a command line has them. What is said above several is said of the first.
     """
     text = file.read_text()
-    node, lines = yaml.compose(text, Loader=yaml.SafeLoader), text.splitlines()
     found: dict[str, str] = {}
     for entry in (yaml.safe_load(text) or {}).get("defaults", ()):
         if isinstance(entry, str) and entry != "_self_" and "@" not in entry:
             found |= sentences(file.parent / f"{entry}.yaml")
     is_global = file.parent == CONF or text.startswith("# @package _global_")
-    for key, said in _keys(node, lines, "" if is_global else f"{file.parent.name}."):
-        found[key] = said or found.get(key, "")
+    above: dict[str, str] = {}
+    for key, value, said in entries(file):
+        names = key.split(".")
+        if any(name.startswith("_") for name in names) or (is_global and names[0] in SILENT):
+            continue
+        group = key.removesuffix(names[-1])
+        said = f"{above.pop(group, '')} {said}".strip()  # what is said above a group is said of its first key
+        if value is None:
+            above[f"{key}."] = said
+        else:
+            place = key if is_global else f"{file.parent.name}.{key}"
+            found[place] = said or found.get(place, "")
     return found
 
 
-def _keys(node: yaml.MappingNode, lines: list[str], prefix: str) -> Iterator[tuple[str, str]]:
-    """Yield the keys of a mapping and of those below it, each with what is said above it."""
-    above = ""  # what is said above a mapping is said of its first key
-    for key, value in node.value if isinstance(node, yaml.MappingNode) else ():
-        if key.value.startswith("_") or (not prefix and key.value in SILENT):
-            continue
-        said = f"{above} {_sentences(lines, key.start_mark.line)}".strip()
-        if isinstance(value, yaml.MappingNode) and value.value and not value.flow_style:
-            inner = list(_keys(value, lines, f"{prefix}{key.value}."))
-            yield from ((name, f"{said} {words}".strip() if not n else words) for n, (name, words) in enumerate(inner))
-        else:
-            yield f"{prefix}{key.value}", said
+def entries(file: Path) -> Iterator[tuple[str, str | None, str]]:
+    """Yield the keys of a file as a command line has them, each with its value as it is written and what is said above.
+
+    The value of a group, whose keys follow, is None, that of a list whose parts stand below it empty.
+    """
+    text = file.read_text()
+    lines = text.splitlines()
+
+    def walk(node: yaml.Node | None, prefix: str) -> Iterator[tuple[str, str | None, str]]:
+        if isinstance(node, yaml.SequenceNode):
+            for part in node.value:
+                yield from () if getattr(part, "flow_style", True) else walk(part, prefix)
+        for key, value in node.value if isinstance(node, yaml.MappingNode) else ():
+            below = isinstance(value, yaml.CollectionNode) and bool(value.value) and not value.flow_style
+            written = "" if below else text[value.start_mark.index : value.end_mark.index].rstrip()
+            group = below and isinstance(value, yaml.MappingNode)
+            yield f"{prefix}{key.value}", None if group else written, _sentences(lines, key.start_mark.line)
+            if below:
+                yield from walk(value, f"{prefix}{key.value}.")
+
+    yield from walk(yaml.compose(text, Loader=yaml.SafeLoader), "")
 
 
 def _sentences(lines: list[str], end: int) -> str:

@@ -12,7 +12,7 @@ os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors reach us instead of Hyd
 
 import hydra
 from hydra.core.global_hydra import GlobalHydra
-from hydra.errors import HydraException, InstantiationException
+from hydra.errors import HydraException, InstantiationException, OverrideParseException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -21,12 +21,14 @@ MENDABLE = (ValueError, TypeError, KeyError, OSError, ModuleNotFoundError, Hydra
 EXTRAS = {
     "joblib": "sweep",
     "submitit": "slurm",
+    "ray": "ray",
+    "optuna": "tune",
     "casadi": "mpc",
     "stable_baselines3": "bench",
     "onnx": "export",
     "tensorboard": "tensorboard",
 }
-"""Optional packages by the first word of a launcher or module, and the extra of ours that installs them."""
+"""Optional packages by the first word of a launcher, sweeper or module, and the extra of ours that installs them."""
 CAUSES = {
     errno.ENOSPC: "the disk is full: free some of it, or choose a folder on another",
     errno.EDQUOT: "your quota of the disk is used up: free some of it, or choose a folder on another",
@@ -56,6 +58,11 @@ def in_words(error: BaseException, config_name: str) -> str:
     if isinstance(error, OSError) and error.errno is not None:
         path = error.filename if error.filename is not None else "a file"
         return f"{path}: {CAUSES.get(error.errno, error.strerror or 'it cannot be read or written')}"
+    if isinstance(error, OverrideParseException):
+        return (
+            f"'{error.override}' cannot be read; write key=value, close all brackets and quotes, and put a word with "
+            "brackets, quotes, commas or blanks between quotes of the shell, such as 'plant.outputs=[angle]'"
+        )
     if missing := _missing_package(error):
         return missing
     if part and not isinstance(error, ValueError):
@@ -73,12 +80,12 @@ def in_words(error: BaseException, config_name: str) -> str:
 
 def _missing_package(error: BaseException) -> str:
     """Return how to install what an error misses, nothing if it misses no optional package."""
-    launcher = re.search(r"Could not find 'hydra/launcher/((\w+?)(_\w+)?)'", str(error))
-    name = launcher[2] if launcher else str(getattr(error, "name", None)).partition(".")[0]
+    engine = re.search(r"Could not find '(hydra/(?:launcher|sweeper))/((\w+?)(_\w+)?)'", str(error))
+    name = engine[3] if engine else str(getattr(error, "name", None)).partition(".")[0]
     if name not in EXTRAS:
         return ""
-    wanted = f"hydra/launcher={launcher[1]}" if launcher else f"what was asked for needs {name}, which"
-    instead = ", or choose hydra/launcher=basic" if launcher else ""
+    wanted = f"{engine[1]}={engine[2]}" if engine else f"what was asked for needs {name}, which"
+    instead = f", or choose {engine[1]}=basic" if engine else ""
     return f"{wanted} is not installed; install it by pip install 'dynasindy[{EXTRAS[name]}]'{instead}"
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from dynasindy.rig.session import Session
 
 
-@command("rig")
+@command("rig", shown=False)  # a clock of its own keeps the time
 def main(cfg: DictConfig) -> None:
     """Excite, identify, plan while the rig rests, fly; or fly a controller that is there."""
     import torch

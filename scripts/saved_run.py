@@ -1,7 +1,9 @@
 """Finished runs, loaded again: the environment they were made for and the policy they found."""
 
+import math
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import hydra
@@ -70,8 +72,8 @@ def load_policy(config: DictConfig, folder: Path) -> tuple[ControlEnv, Policy]:
         raise ValueError(f"{folder}/config.yaml builds no environment and agent: {error}; restore it") from error
     if not (folder / "policy.pt").is_file():
         raise FileNotFoundError(
-            f"{folder} has no policy.pt, its run did not end; go on with train.py resume={folder}, or end it there "
-            f"with train.py resume={folder} finish=true"
+            f"{folder} has no policy.pt, its run did not end; go on with {called('train')} resume={folder}, or end it "
+            f"there with finish=true beside it"
         )
     policy.load_state_dict(read_weights(folder / "policy.pt", wanted))
     return env, policy
@@ -109,4 +111,8 @@ def load_scenario(name: str, config: DictConfig) -> Scenario:
     with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
         merged = OmegaConf.merge({"plant": config.plant}, hydra.compose(overrides=[f"+scenario={name}"]))
     scenario: Scenario = instantiate(merged.scenario, _convert_="all")
+    own = OmegaConf.select(config, "scenario.seconds")
+    # A run that was judged in short flights is flown in short ones, unless a scenario has its disturbance later.
+    if own and own < (scenario.seconds or math.inf) and not scenario.windows:
+        scenario = replace(scenario, seconds=own)
     return scenario

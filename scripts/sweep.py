@@ -9,7 +9,6 @@ from hydra.experimental.callback import Callback
 from hydra.utils import instantiate
 from mistakes import MENDABLE, in_words
 from omegaconf import DictConfig, open_dict
-from schema import check
 
 
 class Checking(Callback):
@@ -25,6 +24,8 @@ class Checking(Callback):
 
 
 def _check(config: DictConfig) -> None:
+    from schema import check  # it imports torch; this module is imported before anything is shown
+
     launcher = config.hydra.launcher._target_.rpartition(".")[2]
     if launcher == "SlurmLauncher" and shutil.which("srun") is None:
         raise ValueError(

@@ -1,37 +1,54 @@
 """Train a controller: `python scripts/train.py [system=xi] [-m seed=0,1]`, or from a log alone: `data=csv`."""
 
+import math
 import sys
 from pathlib import Path
 
 from command import command
+from commands import called
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
 
 @command("train")
-def main(cfg: DictConfig) -> None:
-    """Build the experiment, run it, draw its figures and print what came of it."""
+def main(cfg: DictConfig) -> float:
+    """Build the experiment, run it, draw its figures, print what came of it and return its score."""
+    swept = HydraConfig.get().mode == RunMode.MULTIRUN
     if cfg.get("data") is not None or cfg.model is not None:
         from logged import plan_from_log
 
-        if not plan_from_log(cfg).controlled and cfg.evaluation.get("must_control"):
+        found = plan_from_log(cfg)
+        if not (found["controlled"] or swept) and cfg.evaluation.get("must_control"):
             sys.exit(1)
-        return
+        return score(found["score"])
     from job import run_job
 
     folder = Path(cfg.folder)
-    done, swept = run_job(cfg), HydraConfig.get().mode == RunMode.MULTIRUN
+    done = run_job(cfg)
+    shares = [score(share) for share in done.metrics.get("held", {}).get("share", {}).values()]
     if done.before and swept:
         print(f"finished before: {folder}")
-        return
+        return max(shares, default=math.inf)
     from dynasindy.dyna.run import report
+    from dynasindy.terminal import say
     from dynasindy.viz.run import draw_run  # Matplotlib, when there is something to draw
 
     draw_run(folder, done.recipe.system.signature)
-    print(report(done.metrics, folder))
+    say(report(done.metrics, folder))
+    if not swept:
+        say(
+            f"next: {called('evaluate')} run={folder} flies it in other scenarios, {called('check')} run={folder} "
+            f"tells its margins, {called('export')} run={folder} writes it for a microcontroller"
+        )
     if not (done.enough or swept):
         sys.exit(1)
+    return max(shares, default=math.inf)
+
+
+def score(error: float | None) -> float:
+    """Return an error by which jobs compare; what ran away has none, and is the worst."""
+    return math.inf if error is None else float(error)
 
 
 if __name__ == "__main__":

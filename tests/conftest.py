@@ -30,3 +30,35 @@ def settle() -> Any:
     module: dict[str, Any] = {}
     exec(compile(block, "docs/extending.md", "exec"), module)
     return module["Settle"]
+
+
+@pytest.fixture(scope="session")
+def hearing() -> Any:
+    """Return a callback of a run that keeps what the plant showed."""
+    from dynasindy.dyna.callback import Callback, Cost, Episode
+
+    class Hearing(Callback):
+        def __init__(self) -> None:
+            self.rollouts: list[Any] = []
+
+        def fitted(self, report: object, excited: Any, cost: Cost) -> None:
+            self.rollouts.append(excited)
+
+        def episode(self, episode: Episode, cost: Cost) -> None:
+            self.rollouts.append(episode.rollout)
+
+    return Hearing
+
+
+@pytest.fixture(scope="session")
+def write_log() -> Any:
+    """Return what writes samples of 0.01 s of a pendulum as a log, with the headings of its columns."""
+
+    def write(path: Path, headings: list[str], *columns: torch.Tensor) -> Path:
+        lines = [",".join(["time [s]", *headings])]
+        rows = torch.cat(columns, -1).tolist()
+        lines += [",".join(map(repr, [0.01 * k, *row])) for k, row in enumerate(rows)]
+        path.write_text("\n".join(lines) + "\n")
+        return path
+
+    return write

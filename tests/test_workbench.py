@@ -30,16 +30,11 @@ WORDS = ["1", "u", "theta", "Omega", "sin(theta)", "Omega^2"]
 
 
 @pytest.fixture(scope="module")
-def path(tmp_path_factory):
+def path(tmp_path_factory, write_log):
     """Write a log of the pendulum, whose angle is read by an encoder and whose rate by nobody."""
     data = record(Pendulum(), Multisine(1, duration=8, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
     file = tmp_path_factory.mktemp("log") / "log.csv"
-    with file.open("w", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(["time [s]", "theta [rad]", "u"])
-        for k in range(len(data)):
-            writer.writerow([0.01 * k, round(float(data.x[k, 0]) / COUNT) * COUNT, float(data.u[k, 0])])
-    return file
+    return write_log(file, ["theta [rad]", "u"], (data.x[:, :1] / COUNT).round() * COUNT, data.u)
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ REPOSITORY = Path(__file__).parents[2]
 sys.path += [str(REPOSITORY), str(REPOSITORY / "scripts")]  # MkDocs takes them back when this file is read
 import schema  # noqa: E402
 from annotations import words  # noqa: E402
-from manual import heading  # noqa: E402
+from manual import entries, heading  # noqa: E402
 
 CONF = REPOSITORY / "conf"
 GROUPS = {
@@ -39,7 +39,6 @@ GROUPS = {
     "rig": "Rigs",
 }
 """Folders of conf/ in the order of their pages, with titles."""
-KEY = re.compile(r"^( *)(- )?([\w.\-/@ ]+?):(?: +(.*?))?(?:  +#.*)?$")
 SILENT = {"_target_", "_partial_", "defaults", "hydra"}
 """Keys that configure Hydra, not dynasindy."""
 
@@ -86,27 +85,13 @@ def keys(file: Path) -> Iterator[Key]:
 
     The comment at the top of a file is about the whole file and so no key's.
     """
-    comment: list[str] = []
-    path: list[tuple[int, str]] = []
-    top, latest, built = True, Key(""), _targets(yaml.safe_load(file.read_text()) or {})
-    for line in file.read_text().splitlines():
-        if line.lstrip().startswith("#"):
-            comment += [] if top else [line.strip().removeprefix("#").strip()]
-            continue
-        found, top = KEY.match(line), False
-        if found is None or found[2]:
-            comment = []
-            continue
-        depth = len(found[1])
-        path = [*[(d, n) for d, n in path if d < depth], (depth, found[3])]
-        name = ".".join(n for _, n in path)
-        if not SILENT & {n for _, n in path}:
-            group, said = name.rpartition(".")[0], " ".join(comment)
+    latest, built = Key(""), _targets(yaml.safe_load(file.read_text()) or {})
+    for name, value, said in entries(file):
+        if not SILENT & set(name.split(".")):
+            group = name.rpartition(".")[0]
             shared = not said and latest.name.rpartition(".")[0] == group and bool(latest.comment)
-            said = latest.comment if shared else said
-            latest = Key(name, found[4] or "", said, shared, built.get(group, ""))
+            latest = Key(name, value or "", latest.comment if shared else said, shared, built.get(group, ""))
             yield latest
-        comment = []
 
 
 def explained(file: Path) -> Iterator[Key]:

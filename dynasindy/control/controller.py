@@ -87,6 +87,15 @@ class Controller:
         """Names of the tracked states, in the order of the references."""
         return self.pace.task.output_names
 
+    def __repr__(self) -> str:
+        names, units = self.signature.state_names, self.signature.state_units
+        outputs = ", ".join(f"{name} [{units[names.index(name)]}]" for name in self.outputs)
+        seen = ", ".join(f"{name} [{unit}]" for name, unit in zip(names, units, strict=True))
+        parts = [part for part, there in (("observer", self.observer), ("integral action", self.integral)) if there]
+        more = f", with {' and '.join(parts)}" if parts else ""
+        inputs = ", ".join(self.signature.input_names)
+        return f"Controller(holds {outputs}; reads {seen}; sets {inputs} in [-1, 1] every {self.dt:g} s{more})"
+
     def reset(self) -> None:
         """Forget what was measured; the next call of `act` takes the plant as at rest, its inputs zero."""
         self._integral = None if self.integral is None else IntegralAction(self.policy, self.pace, **self.integral)

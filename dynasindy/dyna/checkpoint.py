@@ -82,10 +82,13 @@ class Saver(Callback):
         checkpoints: Where to.
         every: Episodes between two checkpoints; 0 saves nothing. What comes before the first episode is saved too.
         state: Returns the state of the run as it is.
+        again: How the command is called that goes on with a run.
     """
 
-    def __init__(self, checkpoints: Checkpoints, every: int, state: Callable[[], State]) -> None:
-        self.checkpoints, self.every, self.state = checkpoints, every, state
+    def __init__(
+        self, checkpoints: Checkpoints, every: int, state: Callable[[], State], again: str = "dynasindy train"
+    ) -> None:
+        self.checkpoints, self.every, self.state, self.again = checkpoints, every, state, again
         self.seconds, self.bytes = 0.0, 0
 
     def words(self, folder: Path) -> str:
@@ -97,7 +100,7 @@ class Saver(Callback):
         near = folder.absolute()
         near = near.relative_to(Path.cwd()) if near.is_relative_to(Path.cwd()) else folder
         return (
-            f"the run is kept up to the end of {done.words()}: go on with dynasindy train resume={near} "
+            f"the run is kept up to the end of {done.words()}: go on with {self.again} resume={near} "
             "(with finish=true, to evaluate and draw what it has learnt instead)"
         )
 

@@ -25,6 +25,7 @@ from dynasindy.dyna.parts import Parts
 from dynasindy.excitation import Excitation
 from dynasindy.planning.regulator import riccati
 from dynasindy.tasks import Tracking
+from dynasindy.told import tell
 
 BEYOND = 10.0
 """Ranges of a state that limit the excitation where the plant names no bounds."""
@@ -39,6 +40,7 @@ def excite(parts: Parts) -> TensorDict:
 
     Behind sensors the plant is excited open loop and without limits, as its states are not seen.
     """
+    tell("excitation")
     signal, steps = parts.excitation, parts.excitation.n_steps
     if parts.sensing is not None:
         return interact(parts.env, signal, steps)
@@ -87,6 +89,17 @@ def restarts(parts: Parts, rows: TensorDict) -> str:
     ]
     times = "once" if len(ends) == 1 else f"{len(ends)} times"
     return f"The excitation ended early and began anew at the start {times}: {', '.join(why) or 'an episode was over'}."
+
+
+def left_out(rows: TensorDict) -> str:
+    """Say in one line how many control periods of the excitation no model is fitted to; empty if to all of them."""
+    count = int(rows["next", "at_stop"].sum())
+    if not count:
+        return ""
+    return (
+        f"The excitation reached a mechanical stop in {count} of {rows.numel()} control periods, which the fit leaves "
+        "out; a smaller excitation.amplitude, or another offset, would leave more data."
+    )
 
 
 def within(x: Tensor, low: Tensor, high: Tensor) -> Tensor:

@@ -10,7 +10,6 @@ from typing import Any
 from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
 from dynasindy.data.csv import Recording
-from dynasindy.dyna.progress import say
 from dynasindy.evaluation.files import write_json
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.identification import Source, missing_rates
@@ -19,9 +18,10 @@ from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.summary import heading, summarise, to_text
 from dynasindy.sensing import Sensors
 from dynasindy.tasks import Tracking
+from dynasindy.terminal import say, width
+from dynasindy.told import tell
 from dynasindy.workbench import foretell, plan
 from dynasindy.world_models import SindyModel
-from dynasindy.world_models.progress import Progress
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,8 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
     built = build(signature=source.signature)
     if not isinstance(built, SindyModel):
         raise TypeError(f"world_model is a {type(built).__name__}, which no log is fitted by; leave world_model=sindy")
-    with Progress():
-        report = built.fit(source.training)
+    tell("fit")
+    report = built.fit(source.training)
     say(report.to_text(), *(f"note: {note}" for note in source.notes), *missing_rates(built, source))
     return built
 
@@ -79,7 +79,6 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
 def controller_of(model: SindyModel, source: Source | None, wanted: Wanted) -> Controller:
     """Plan a controller on a model and, with a log, on what the log leaves open of it."""
     log = None if source is None else Recording(source.training, model.signature)
-    say("planning")
     return plan(model, wanted.task, log, wanted.sensors, wanted.dt, wanted.seed, **wanted.planning)
 
 
@@ -101,5 +100,5 @@ def report(model: SindyModel, prediction: Prediction) -> str:
     lines = ["", "Identified equations", *(f"  {line}" for line in model.equations()), ""]
     if prediction.shown is not None:
         title = f"{heading(prediction.shown)}, {prediction.place}"
-        lines += [to_text(summarise(prediction.shown), title, prediction.shown.units), ""]
+        lines += [to_text(summarise(prediction.shown), title, prediction.shown.units, width=width()), ""]
     return "\n".join([*lines, prediction.words()])

@@ -19,6 +19,7 @@ from dynasindy.dyna.excite import excite, interact
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.dyna.refit import first_fit, refit
 from dynasindy.planning import replay_error
+from dynasindy.told import counted, tell
 
 
 def train(parts: Parts, settings: Settings, callback: Callback, place: Place | None = None) -> TensorDictModuleBase:
@@ -51,11 +52,13 @@ def train(parts: Parts, settings: Settings, callback: Callback, place: Place | N
         callback.reached(place.past_planning())
     for number in range(place.episodes + 1, settings.episodes + 1):
         # Real interaction.
+        tell("real episode")
         rollout = interact(env, parts.explore, parts.model_env.task.max_steps, parts.bounds)
         replay.extend_real(rollout)
         cost.real_steps += rollout.numel()
         # Policy learning.
-        for _ in range(round(settings.updates_per_step * rollout.numel()) if planner.learns_by_td3 else 0):
+        updates = round(settings.updates_per_step * rollout.numel()) if planner.learns_by_td3 else 0
+        for _ in counted("policy learning", range(updates), updates, "updates"):
             agent.update(replay.sample())
             cost.updates += 1
         agent.check()

@@ -1,48 +1,37 @@
-"""What a command says while it works: lines, and a progress bar over the real episodes."""
+"""What a run says while it works: the episode, what came of the last one, and the steps so far."""
 
 from __future__ import annotations
 
 from tensordict import TensorDict
 
 from dynasindy.dyna.callback import Callback, Cost, Episode, Place
-from dynasindy.world_models.progress import Steps
+from dynasindy.told import tell
 
 
-def say(*lines: str) -> None:
-    """Print lines at once, whoever reads them."""
-    print(*lines, sep="\n", flush=True)
-
-
-class ProgressBar(Callback):
-    """Show episode, return, open-loop reward error of the model, real steps and the time left.
+class Progress(Callback):
+    """Tell episode, return, open-loop reward error of the model and real steps.
 
     Args:
         episodes: Episodes of the run.
-        shown: Show the bar at all.
         place: Where a resumed run goes on.
     """
 
-    def __init__(self, episodes: int, shown: bool = True, place: Place | None = None) -> None:
-        place = place or Place()
-        self.bar = Steps(
-            total=episodes, initial=place.episodes, unit="episode", disable=not shown,
-            desc="learning" if place.planned else "planning" if place.excited else "exciting the plant",
-        )  # fmt: skip
+    def __init__(self, episodes: int, place: Place | None = None) -> None:
+        self.episodes, self.words = episodes, ""
+        self._tell((place or Place()).episodes)
 
     def fitted(self, report: object, excited: TensorDict, cost: Cost) -> None:
-        """Say that the model is identified."""
-        self.bar.set_description("planning")
-        self.bar.set_postfix_str(f"real steps {cost.real_steps}")
+        """Tell how long the plant was excited."""
+        self.words = f"real steps {cost.real_steps}"
+        self._tell(0)
 
     def episode(self, episode: Episode, cost: Cost) -> None:
-        """Advance by an episode."""
+        """Tell what came of an episode."""
         total = episode.rollout["next", "reward"].sum().item()
-        self.bar.set_description("learning")
-        self.bar.set_postfix_str(
+        self.words = (
             f"return {total:.1f}, open-loop reward error {episode.error.reward_error:.3g}, real steps {cost.real_steps}"
         )
-        self.bar.update()
+        self._tell(episode.number)
 
-    def close(self) -> None:
-        """Leave the bar as it is."""
-        self.bar.close()
+    def _tell(self, done: int) -> None:
+        tell("run", done, self.episodes, "episodes", self.words, around=True)

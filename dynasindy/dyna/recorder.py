@@ -21,7 +21,7 @@ from dynasindy.control import Controller, save
 from dynasindy.control.controller import Pace
 from dynasindy.control.files import NAME
 from dynasindy.dyna.callback import Callback, Cost, Episode
-from dynasindy.dyna.excite import restarts
+from dynasindy.dyna.excite import left_out, restarts
 from dynasindy.dyna.parts import Parts
 from dynasindy.dyna.verdict import judge
 from dynasindy.evaluation.files import whole, with_units, write_csv, write_json, write_text
@@ -109,7 +109,8 @@ class Recorder(Callback):
         if isinstance(report, FitReport):
             head = "The first fit, of the excitation alone; the equations in model.json are those of the last one.\n"
             write_text(self.folder / "identification.txt", f"{head}{report.to_text()}\n")
-        self.restarts = "" if self.parts.sensing is not None else restarts(self.parts, excited)
+        words = ["" if self.parts.sensing is not None else restarts(self.parts, excited), left_out(excited)]
+        self.restarts = " ".join(filter(None, words))
         self._write_rollout("excitation", excited)
 
     def episode(self, episode: Episode, cost: Cost) -> None:

@@ -13,6 +13,7 @@ from dynasindy.data.recording import transitions
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.planning import ModelError, replay_error
 from dynasindy.systems import Diverged
+from dynasindy.told import tell
 
 WINDOW = 20
 """Control periods of a held-out window: an imagined rollout."""
@@ -52,6 +53,7 @@ def fit(parts: Parts, settings: Settings, held_out: Tensor | None = None) -> obj
     Raises:
         Diverged: What the model has learnt is not finite.
     """
+    tell("fit")
     rows = parts.replay.real_in_order()
     if settings.recent_steps is not None:
         rows = rows[-settings.recent_steps :]

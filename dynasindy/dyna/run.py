@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -13,7 +13,7 @@ from dynasindy.dyna.checkpoint import Checkpoints, Saver
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.folder import check_settings, claimed, clear, result
 from dynasindy.dyna.loop import train
-from dynasindy.dyna.progress import ProgressBar
+from dynasindy.dyna.progress import Progress
 from dynasindy.dyna.recorder import Recorder
 from dynasindy.dyna.stopped import Stopped
 from dynasindy.evaluation.files import write_json, write_text
@@ -22,6 +22,7 @@ from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.summary import to_text
 from dynasindy.systems import Diverged
+from dynasindy.terminal import Shown, width
 
 
 class Kept(Protocol):
@@ -81,12 +82,14 @@ class Saving:
 
     Attributes:
         every: Episodes between two checkpoints; 0 keeps none.
+        again: How the command is called that goes on with a run.
 
     Raises:
         ValueError: `every` is negative.
     """
 
     every: int = 1
+    again: str = "dynasindy train"
 
     def __post_init__(self) -> None:
         if self.every < 0:
@@ -110,7 +113,7 @@ def run(
         folder: Run folder.
         provenance: Where the run is from.
         saving: How it is kept.
-        progress: Show a progress bar.
+        progress: Show on standard error what is under way.
         finish: End the run with what it has learnt so far.
 
     Returns:
@@ -139,8 +142,9 @@ def run(
             (folder / "error.txt").unlink(missing_ok=True)
             checkpoints.remove()  # of a process that was killed before it did
             return metrics
+        saving = saving or Saving()
         saver = Saver(
-            checkpoints, (saving or Saving()).every, lambda: {name: p.state_dict() for name, p in kept.items()}
+            checkpoints, saving.every, lambda: {name: p.state_dict() for name, p in kept.items()}, saving.again
         )
         with _left_in_order(saver, folder, lambda: place.present(recipe.train.episodes)):
             state = checkpoints.newest()
@@ -152,11 +156,12 @@ def run(
             else:
                 _restore(kept, state, checkpoints.folder)
                 _resume(folder, provenance)
-            if not finish:
-                with closing(ProgressBar(recipe.train.episodes, progress, place)) as bar:
-                    train(parts, recipe.train, Callbacks([recorder, bar, saver]), place)
-            facts = {"seed": recipe.seed, "system": type(recipe.system).__name__.lower()}
-            metrics = recorder.finish({**facts, "checkpoint": {"bytes": saver.bytes, "seconds": saver.seconds}})
+            with Shown() if progress else nullcontext():
+                if not finish:
+                    told = Progress(recipe.train.episodes, place)
+                    train(parts, recipe.train, Callbacks([recorder, told, saver]), place)
+                facts = {"seed": recipe.seed, "system": type(recipe.system).__name__.lower()}
+                metrics = recorder.finish({**facts, "checkpoint": {"bytes": saver.bytes, "seconds": saver.seconds}})
         (folder / "error.txt").unlink(missing_ok=True)  # of a process that was refused meanwhile
         if place.episodes == recipe.train.episodes:
             checkpoints.remove()
@@ -215,7 +220,8 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
         lines[-1:] = [f"What the excitation alone could tell, the first fit: {folder / 'identification.txt'}", ""]
     untrained = metrics["untrained"]["return"]
     title = f"Policy on the real plant, scenario '{metrics['scenario']}' (untrained return {untrained:.1f})"
-    lines.append(to_text(metrics["evaluation"], title, metrics.get("units"), metrics.get("steady_seconds", 5.0)))
+    steady = metrics.get("steady_seconds", 5.0)
+    lines.append(to_text(metrics["evaluation"], title, metrics.get("units"), steady, width()))
     lines += [
         "",
         f"Cost: {cost['real_steps']} real steps = {cost['plant_seconds']:.0f} s of plant time, "

@@ -9,6 +9,9 @@ from typing import Any
 
 from dynasindy.evaluation.held import LOST, WITHIN
 
+HARDLY = 0.01
+"""Gain, as a share of the untrained policy's return, below which a policy is said to be hardly better."""
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -51,7 +54,9 @@ def _compared(metrics: Mapping[str, Any]) -> tuple[bool, str]:
         )
     returns = f"its return {where} is {trained:.6g}, the untrained policy's {untrained:.6g}"
     if trained > untrained:
-        return True, f"The trained policy is better than the untrained one: {returns}."
+        share = (trained - untrained) / max(abs(untrained), 1e-300)
+        word = "better" if share >= HARDLY else f"hardly better, by {100 * share:.2g} %,"
+        return True, f"The trained policy is {word} than the untrained one: {returns}."
     how = "worse than" if trained < untrained else "no better than"
     return False, (
         f"There is no usable result: the trained policy is {how} the untrained one: {returns}; train for more "

@@ -20,6 +20,7 @@ from dynasindy.evaluation.horizons import Forecasts, begun, forecast
 from dynasindy.excitation import Excitation, HeldRandom
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
+from dynasindy.told import tell
 from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.delay import delayed
 from dynasindy.world_models.order import moving_on
@@ -228,7 +229,9 @@ def identify(model: SindyModel, source: Source, horizons: Sequence[float] | None
             f"world_model is a {type(model).__name__}, which has no coefficients to identify; choose world_model=sindy "
             "or another that builds a SindyModel"
         )
+    tell("fit")
     report = model.fit(source.training)
+    tell("prediction of the validation data")
     validation, names = source.validation, source.signature.state_names
     predicted = open_loop(model, begun(model, validation))
     missing = (validation.x.isnan() | validation.x_next.isnan()).any(0).tolist()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -29,12 +30,15 @@ class Prediction:
         shown: The evaluation on the first model that did not run away, for figures; None if all did.
         own: Whether the model is the one that was planned on, which promises nothing of the plant.
         within: Mean absolute error at the end that is asked for, in boxes of targets.
+        errors: Mean absolute error of each model's whole flights, of the worst output, in boxes of targets; infinite of
+            one that ran away.
     """
 
     flights: tuple[Held | None, ...]
     shown: Evaluation | None = None
     own: bool = False
     within: float = WITHIN
+    errors: tuple[float, ...] = ()
 
     @property
     def controlled(self) -> bool:
@@ -45,6 +49,11 @@ class Prediction:
     def promised(self) -> bool:
         """Whether it is controlled on models that the plan never saw."""
         return not self.own and self.controlled
+
+    @property
+    def score(self) -> float:
+        """The error of the worst model, ways to the targets included, by which settings compare."""
+        return max(self.errors, default=math.inf)
 
     @property
     def place(self) -> str:
@@ -92,7 +101,8 @@ class Prediction:
         """Return what `metrics.json` holds of it."""
         flights = [None if flight is None else asdict(flight) for flight in self.flights]
         judged = {"promised": self.promised, "controlled": self.controlled, "within": self.within}
-        return {"models": len(flights), **judged, "sentence": self.words(), "flights": flights}
+        score = self.score if math.isfinite(self.score) else None
+        return {"models": len(flights), **judged, "score": score, "sentence": self.words(), "flights": flights}
 
 
 class LateEnv(ControlEnv):
@@ -159,6 +169,7 @@ def predict(
         within: Mean absolute error at the end that is asked for, in boxes of targets.
     """
     flights: list[Held | None] = []
+    errors: list[float] = []
     shown: Evaluation | None = None
     for model in models:
         env = LateEnv(plan.with_system(model, torch.float64), float(getattr(model, "delay", 0.0)))
@@ -166,11 +177,20 @@ def predict(
             result = evaluate(env, policy, scenario, None if sensing is None else sensing.on(env, sensing.rng))
         except Diverged:
             flights.append(None)
+            errors.append(math.inf)
             continue
         shown = shown or result
         start = result.trajectory["state"][0, 0]
         flights.append(held(result, states_that_matter(model, result.columns, start)))
-    return Prediction(tuple(flights), shown, within=within)
+        errors.append(_whole(result))
+    return Prediction(tuple(flights), shown, within=within, errors=tuple(errors))
+
+
+def _whole(result: Evaluation) -> float:
+    """Return the mean absolute error over whole flights, of the worst output, in boxes of targets."""
+    boxes = torch.tensor(result.boxes or (1.0,) * len(result.columns), dtype=torch.float64)
+    errors = (result.outputs - result.references).double().abs().mean((0, 1)) / boxes
+    return float(errors.amax()) if bool(errors.isfinite().all()) else math.inf
 
 
 def _fate(away: bool) -> str:

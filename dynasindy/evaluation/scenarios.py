@@ -14,6 +14,7 @@ from itertools import pairwise
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
+from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.data.sound import require_finite
@@ -25,6 +26,7 @@ from dynasindy.limits import Count, check_memory
 from dynasindy.sensing import Sensing, unveiled
 from dynasindy.systems import Signature, System
 from dynasindy.tasks import Reference, Step, Task, Tracking
+from dynasindy.told import tell
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 """Reads `observation` (or `state` and `reference`) of a tensordict and writes `action`."""
@@ -242,11 +244,15 @@ def _run(
     calm: ControlEnv, policy: Policy, scenario: Scenario, start: TensorDictBase, sensing: Sensing | None
 ) -> TensorDictBase:
     """Roll the policy out phase by phase, each phase with its own plant."""
-    parts = []
+    parts, total = [], round((scenario.seconds or 0.0) / calm.dt)
+
+    def _told(env: EnvBase, step: TensorDictBase) -> None:
+        tell(f"flight '{scenario.name}'", int(step["step_count"].max()), total, "control periods")
+
     for steps, disturbed in _phases(scenario, calm.dt):
         plant = calm.with_system(scenario.plant(calm.system)) if disturbed and scenario.plant else calm
         env = plant if sensing is None else sensing.around(plant)
-        part = env.rollout(steps, policy, auto_reset=False, tensordict=start, break_when_any_done=False)
+        part = env.rollout(steps, policy, _told, auto_reset=False, tensordict=start, break_when_any_done=False)
         start = env.step_mdp(part[..., -1])
         parts.append(part)
     trajectory: TensorDictBase = torch.cat(parts, -1)

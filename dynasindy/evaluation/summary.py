@@ -18,6 +18,7 @@ WORDS = {
     "rise_time": "rise time (10-90 %)",
     "settling_time": "settling time (5 %)",
     "settled": "settled within the run",
+    "steps": "targets that are steps",
     "control_effort": "control effort (mean u^2)",
     "control_variation": "control variation",
 }
@@ -30,7 +31,7 @@ def summarise(evaluation: Evaluation) -> Summary:
 
     Errors and control figures are means over the rows. Overshoot and times are medians over the rows that are
     steps, because one step that never settles has an infinite time; a median that is infinite, or that no row
-    defines, is None. `settled/<axis>` is the share of steps that settle.
+    defines, is None. `settled/<axis>` is the share of steps that settle, `steps/<axis>` how many rows are steps.
     """
     summary: Summary = {
         "return": _number(evaluation.returns.mean()),
@@ -46,6 +47,7 @@ def summarise(evaluation: Evaluation) -> Summary:
         times = evaluation.metrics["settling_time"][:, i]
         steps = times[~times.isnan()]
         summary[f"settled/{axis}"] = _number(steps.isfinite().float().mean())
+        summary[f"steps/{axis}"] = float(len(steps))
     for i, name in enumerate(evaluation.signature.input_names):
         for metric in CONTROL:
             summary[f"{metric}/{name}"] = _number(evaluation.metrics[metric][:, i].mean())
@@ -61,7 +63,11 @@ def heading(evaluation: Evaluation) -> str:
 
 
 def to_text(
-    summary: Mapping[str, float | None], title: str = "", units: Mapping[str, str] | None = None, steady: float = 5.0
+    summary: Mapping[str, float | None],
+    title: str = "",
+    units: Mapping[str, str] | None = None,
+    steady: float = 5.0,
+    width: int | None = None,
 ) -> str:
     """Return a table of a summary, metrics down and axes across, aligned for a terminal.
 
@@ -72,6 +78,7 @@ def to_text(
         title: First line.
         units: Unit of each axis; rad if omitted.
         steady: Length of the part that counts as steady state [s].
+        width: Columns of the terminal; axes that do not fit beside each other stand below. None lets lines be long.
     """
     units, words = units or {}, {**WORDS, "steady_state_error": f"steady-state error (last {steady:g} s)"}
     axes = _columns(summary, "rmse")
@@ -79,22 +86,28 @@ def to_text(
     lines = [title] if title else []
     told = [units.get(axis, "rad") for axis in axes]
     shared = told[0] if len(set(told)) == 1 else ""
-    heads = axes if shared else [f"{axis} [{unit}]" for axis, unit in zip(axes, told, strict=True)]
-    if axes:
-        lines.append(f"{'':38s}" + "".join(f" {name:>11s}" for name in heads))
+    beside = len(axes) + len(inputs) if width is None else max(1, (width - 38) // 12)
     stepped = any(summary[f"settled/{axis}"] is not None for axis in axes)
-    for name in (*TRACKING, *((*STEP, "settled") if stepped else ())) if axes else ():
-        unit = shared if name in TRACKING else UNITS.get(name, "%")
-        lines.append(_row(name, f"{words[name]} [{unit}]" if unit else words[name], summary, axes))
-    lines.append(f"{'':38s}" + "".join(f"{name:>12s}" for name in inputs))
-    for name in CONTROL:
-        lines.append(_row(name, f"{words[name]} [{UNITS[name]}]", summary, inputs))
+    steps = ("steps", *STEP, "settled") if any(key.startswith("steps/") for key in summary) else (*STEP, "settled")
+    for some in _split(axes, beside):
+        heads = some if shared else [f"{axis} [{units.get(axis, 'rad')}]" for axis in some]
+        lines.append(f"{'':38s}" + "".join(f" {name:>11s}" for name in heads))
+        for name in (*TRACKING, *(steps if stepped else ())):
+            unit = shared if name in TRACKING else "" if name == "steps" else UNITS.get(name, "%")
+            lines.append(_row(name, f"{words[name]} [{unit}]" if unit else words[name], summary, some))
+    for some in _split(inputs, beside):
+        lines.append(f"{'':38s}" + "".join(f"{name:>12s}" for name in some))
+        lines += [_row(name, f"{words[name]} [{UNITS[name]}]", summary, some) for name in CONTROL]
     total, stops = summary["return"], summary["stop_share"]
     lines.append(f"{'return':38s}{_cell(total):>12s}")
     if summary.get("own_return") is not None:
         lines.append(f"{'return of the environment itself':38s}{_cell(summary['own_return']):>12s}")
     lines.append(f"{'share of time at a stop [%]':38s}{_cell(stops, 100.0):>12s}")
     return "\n".join(lines)
+
+
+def _split(names: Sequence[str], beside: int) -> list[Sequence[str]]:
+    return [names[k : k + beside] for k in range(0, len(names), beside)]
 
 
 def _row(metric: str, words: str, summary: Mapping[str, float | None], columns: Sequence[str]) -> str:

@@ -31,6 +31,7 @@ from dynasindy.planning.variation import Members, Variation, Varied
 from dynasindy.planning.window import Network, Rows, backward, imagine
 from dynasindy.systems import Diverged, System
 from dynasindy.tasks import Task, Tracking
+from dynasindy.told import tell
 
 FOLLOWING = ("window", "lr", "updates", "patience", "substeps", "held")
 """Settings that follow the plant where they are not given."""
@@ -145,6 +146,7 @@ class GradientPlanning(Planner):
         first, self.phase = self.phase == 0, self.phase + 1
         if not self.rollouts or not (self.given.get("updates", 1) if first else self.more_updates):
             return Planned()
+        tell("planning")
         rests, was_afar = rests_of(self.env), self.pace.afar
         self.pace = pace = dataclasses.replace(pace_of(self.env, rests, self.finest), **self.given)
         self.env.substeps = pace.substeps
@@ -164,6 +166,7 @@ class GradientPlanning(Planner):
         optimizer = torch.optim.Adam(self.network.parameters(), lr=lr, betas=(0.9, 0.99), fused=True)
         best_weights, failures, done, made = self._weights(), 0, 0, 0
         for done in range(1, updates + 1):
+            tell("planning", done, updates, "updates", f"imagined score {best:.3g}" if math.isfinite(best) else "")
             optimizer.param_groups[0]["lr"] = lr * _schedule(done - 1, updates)
             made += self._update(episodes, optimizer)
             if done % self.check_every == 0 or done == updates:

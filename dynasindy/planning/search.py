@@ -20,6 +20,7 @@ from torch import Tensor
 from dynasindy.envs import ControlEnv
 from dynasindy.systems import integrate
 from dynasindy.tasks import Tracking
+from dynasindy.told import counted
 
 POPULATION, ELITE, ROUNDS = 1024, 0.1, 30
 """Signals per start, the share of them around which is drawn anew, and how often."""
@@ -61,7 +62,7 @@ def search(env: ControlEnv, x: Tensor, params: Tensor, periods: int, rng: torch.
     mean, deviation = torch.zeros(n, 1, knots, n_u), torch.ones(n, 1, knots, n_u)
     best, most = mean[:, 0].clone(), torch.full((n,), -torch.inf)
     starts, repeated = x.repeat_interleave(POPULATION, 0), params.repeat_interleave(POPULATION, 0)
-    for _ in range(ROUNDS):
+    for _ in counted("search for ways from afar", range(ROUNDS), ROUNDS, "rounds"):
         drawn = mean + deviation * torch.randn(n, POPULATION, knots, n_u, generator=rng)
         drawn[:, 0] = best
         drawn = drawn.clamp(-1.5, 1.5)

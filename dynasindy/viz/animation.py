@@ -16,6 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from dynasindy.envs.drawing import HEIGHT, Frame, draw, draw_beam, is_beam
 from dynasindy.evaluation.scenarios import Evaluation
+from dynasindy.told import counted
 from dynasindy.viz.style import BLACK, BLUE, CYCLE, STYLE, WORDS, Array, label
 
 SUFFIXES = (".gif", ".mp4")
@@ -131,7 +132,8 @@ def animate(evaluation: Evaluation, path: Path, row: int = 0, seconds: float = 1
     speed = max(1, math.ceil(len(evaluation.time) * dt / seconds - 1e-6))
     every = max(1, round(speed / (RATE * dt)))
     write = _write_gif if path.suffix == ".gif" else _write_mp4
-    write(frames(evaluation, row, every), path, every * dt / speed)
+    pictures = counted("animation", frames(evaluation, row, every), math.ceil(len(evaluation.time) / every), "pictures")
+    write(pictures, path, every * dt / speed)
     return path
 
 

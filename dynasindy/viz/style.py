@@ -13,6 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
+from dynasindy.told import tell
+
 P = ParamSpec("P")
 T = TypeVar("T")
 Array = NDArray[np.float64]
@@ -171,6 +173,7 @@ def legend_beside(axis: Axes) -> None:
 def save(figure: Figure, path: str | Path, formats: Sequence[str] = ("png",)) -> list[Path]:
     """Write a figure once per format as `path` with the format's suffix and return the files."""
     target = Path(path)
+    tell("figures", words=target.name)
     target.parent.mkdir(parents=True, exist_ok=True)
     files = [target.with_name(f"{target.name}.{suffix}") for suffix in formats]
     with matplotlib.rc_context(STYLE):

@@ -64,7 +64,8 @@ class Identifiability:
     def to_text(self) -> str:
         """Write rank, condition, weakest direction and advice in a few lines."""
         direction = ", ".join(f"{w:+.2f} {n}" for n, w in self.weakest)
-        alike = "; below it, some functions are sums of others on these data" if self.rank < self.n_features else ""
+        full = self.rank == self.n_features
+        alike = "" if full else "; at less than the full rank, some functions are sums of others on these data"
         lines = [
             f"rank {self.rank} of {self.n_features} functions, condition number {self.condition:.2g}{alike}",
             f"least excited direction: {direction}",

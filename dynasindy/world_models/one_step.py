@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
+from dynasindy.told import tell
 from dynasindy.world_models.library import Library
-from dynasindy.world_models.progress import LOG
 from dynasindy.world_models.regression import least_squares
 from dynasindy.world_models.selection import reconsider, walk_down
 from dynasindy.world_models.sensitivity import Parameters, Propagator
@@ -54,7 +54,7 @@ def refine_one_step(
         active, others = Parameters.where(support), Parameters.where(free & ~support)
         if not len(active) or not len(others):
             break
-        LOG.info("choice among %d coefficients that might be missing", len(others))
+        tell("fit", words=f"choice among {len(others)} coefficients that might be missing")
         rows, target, scale = linear_model(library, xi, active + others, data, floor)
         triangle, n_shapes = torch.linalg.qr(torch.cat([rows, target], -1), mode="r")[1], len(library.shapes)
         better = reconsider(triangle, n_shapes, active, others, limit)
@@ -78,7 +78,7 @@ def _descend(
         parameters = Parameters.where(support)
         if not len(parameters):
             break
-        LOG.info("fit of %d coefficients to single steps, %d rows", len(parameters), len(data))
+        tell("fit", words=f"{len(parameters)} coefficients to single steps, {len(data)} rows")
         rows, target, scale = linear_model(library, xi, parameters, data, floor)
         triangle = torch.linalg.qr(torch.cat([rows, target], -1), mode="r")[1]
         kept, values = walk_down(triangle, torch.arange(rows.shape[1]) >= n_shapes, math.log(len(data)))

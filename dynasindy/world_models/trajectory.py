@@ -18,8 +18,8 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
+from dynasindy.told import tell
 from dynasindy.world_models.library import Library
-from dynasindy.world_models.progress import LOG
 from dynasindy.world_models.repeated import repetition
 from dynasindy.world_models.selection import reconsider, walk_down
 from dynasindy.world_models.sensitivity import Parameters
@@ -204,7 +204,7 @@ def _search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) 
         active, others = Parameters.where(support), Parameters.where(free & ~support)
         if not len(active) or not len(others):
             break
-        LOG.info("choice among %d coefficients that might be missing", len(others))
+        tell("fit", words=f"choice among {len(others)} coefficients that might be missing")
         flow = Flow.of(estimate, active + others, windows)
         model = linearise(estimate, active + others, windows, None, flow)
         n_fixed = len(model.scale) - len(active) - len(others)
@@ -359,9 +359,8 @@ def _converge(estimate: Estimate, parameters: Parameters, windows: Windows, max_
     damping = 0.0
     model = linearise(estimate, parameters, windows)
     for _ in range(max_rounds):
-        LOG.info(
-            "fit of %d coefficients to trajectories, %d rows", len(parameters), len(windows) * windows.mask.shape[1]
-        )
+        rows = len(windows) * windows.mask.shape[1]
+        tell("fit", words=f"{len(parameters)} coefficients to trajectories, {rows} rows")
         candidate = move(estimate, model, parameters, torch.arange(len(model.scale)), damping)
         flow = Flow.of(candidate, parameters, windows)
         lost = bool(flow.lost().any())

@@ -237,3 +237,13 @@ def test_a_number_beyond_all_limits_is_refused_and_changes_nothing(observed, int
     with pytest.raises(ValueError, match="no action follows"):
         controller.act([1e300, 1e300], [-1e300])
     np.testing.assert_array_equal(later(), expected)
+
+
+def test_it_says_what_it_holds_reads_and_sets():
+    env, policy = setting()
+    assert repr(Controller(policy, Pace(env.task, 0.02))) == (
+        "Controller(holds theta [rad]; reads theta [rad], Omega [rad/s]; sets u in [-1, 1] every 0.02 s)"
+    )
+    gains = {"rate": 0.1}
+    watched = Controller(policy, Pace(env.task, 0.02), watching(env), gains)
+    assert repr(watched).endswith("with observer and integral action)")

@@ -6,7 +6,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from dynasindy.dyna.excite import Loop, excite, interact, restarts, within
+from dynasindy.data.recording import transitions
+from dynasindy.dyna.excite import Loop, excite, interact, left_out, restarts, within
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Multisine
 from dynasindy.systems import Signature, System, Xi
@@ -151,3 +152,12 @@ def test_an_episode_that_the_task_ends_closes_no_loop(monkeypatch):
     monkeypatch.setattr(Loop, "close", lambda *_: pytest.fail("the loop is closed"))
     excited = excite(parts(Xi(), 2, 2.0, max_steps=15))
     assert excited["step_count"].flatten().tolist() == [*range(15), *range(15), *range(10)]
+
+
+def test_periods_at_a_stop_are_told_as_they_are_left_out():
+    rows = excite(parts(Xi(), 2, 2.0))
+    assert left_out(rows) == ""
+    rows["next", "at_stop"][[3, 4, 17]] = True
+    fine = transitions(rows, 0.01)
+    assert left_out(rows).startswith("The excitation reached a mechanical stop in 3 of 40 control periods")
+    assert len(fine) == (40 - 3) * rows["next", "samples"].shape[-2]

@@ -23,7 +23,8 @@ def metrics(untrained, trained, **held):
         (-10.0, -10.0, False, "no usable result: the trained policy is no better than"),
         (-10.0, None, False, "no usable result: the return in scenario 'step' is not finite"),
         (None, -10.0, False, "not finite"),
-        (1.0, 2.0, True, "better"),
+        (1.0, 2.0, True, "is better than"),
+        (-1000.0, -998.0, True, "is hardly better, by 0.2 %, than the untrained one"),
     ],
 )
 def test_the_trained_policy_has_to_be_better_than_the_untrained_one(untrained, trained, usable, words):

@@ -110,3 +110,23 @@ def test_the_table_carries_the_units_of_the_outputs() -> None:
     assert "RMSE [m]" in one and "steady-state error (last 40 s) [m]" in one and "rad" not in one
     two = to_text(summarise(evaluation()), units={"alpha_a": "m", "alpha_p": "rad"}).splitlines()
     assert two[0].split() == ["alpha_a", "[m]", "alpha_p", "[rad]"] and two[1].startswith("RMSE  ")
+
+
+def test_axes_that_do_not_fit_the_terminal_stand_below() -> None:
+    summary = summarise(evaluation())
+    wide, narrow = to_text(summary), to_text(summary, width=60)
+    assert max(map(len, narrow.splitlines())) <= 60 < max(map(len, wide.splitlines()))
+    assert narrow.splitlines()[0].split() == ["alpha_a"] and wide.splitlines()[0].split() == ["alpha_a", "alpha_p"]
+    assert [line.split()[-1] for line in narrow.splitlines() if line.startswith("RMSE")] == (
+        next(line for line in wide.splitlines() if line.startswith("RMSE")).split()[-2:]
+    )
+
+
+def test_it_is_said_over_how_many_steps_overshoot_and_times_are_medians() -> None:
+    times = torch.tensor([[math.inf, math.nan], [math.inf, math.nan], [2.0, 3.0]])
+    summary = summarise(evaluation(settling_time=times))
+    assert (summary["steps/alpha_a"], summary["steps/alpha_p"]) == (3, 1)
+    (row,) = (line for line in to_text(summary).splitlines() if line.startswith("targets that are steps"))
+    assert row.split()[-2:] == ["3", "1"]
+    del summary["steps/alpha_a"], summary["steps/alpha_p"]  # as earlier runs have saved it
+    assert "targets that are steps" not in to_text(summary) and "overshoot" in to_text(summary)

@@ -11,7 +11,6 @@ from torchrl.envs import Transform, TransformedEnv, check_env_specs
 
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
-from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import Settings, train
 from dynasindy.envs import ControlEnv
@@ -236,7 +235,7 @@ def test_an_episode_is_rehearsed_and_the_rehearsal_moves_nothing():
 
 
 @pytest.mark.parametrize("sensors", [None, Sensors(THETA, {"theta": "Omega"})], ids=["states", "sensors"])
-def test_training_on_a_rig_is_training_on_the_plant(sensors):
+def test_training_on_a_rig_is_training_on_the_plant(sensors, hearing):
     """Algorithm 1, line by line, ends at the same weights."""
 
     def trained(env, sensors):
@@ -256,19 +255,9 @@ def test_training_on_a_rig_is_training_on_the_plant(sensors):
             sensors=sensors,
         )
         parts = recipe.build()
-        heard = Hearing()
+        heard = hearing()
         policy = train(parts, recipe.train, heard)
         return torch.cat([p.flatten() for p in policy.parameters()]), heard.rollouts
-
-    class Hearing(Callback):
-        def __init__(self):
-            self.rollouts = []
-
-        def fitted(self, report, excited, cost):
-            self.rollouts.append(excited)
-
-        def episode(self, episode, cost):
-            self.rollouts.append(episode.rollout)
 
     rig, env = rigged(sensors, step=0.05, max_steps=30)
     flown, flights = trained(partial(RigEnv, flights=env.flights), sensors and Wired.of(sensors))

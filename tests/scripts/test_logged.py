@@ -1,6 +1,5 @@
 """From a log to a controller by the command of README, and what it says where something is missing."""
 
-import csv
 import json
 import os
 import subprocess
@@ -27,14 +26,10 @@ SHORT = [
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory):
+def log(tmp_path_factory, write_log):
     data = record(Pendulum(), Multisine(1, duration=10, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
     path = tmp_path_factory.mktemp("log") / "log.csv"
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["time [s]", "theta [rad]", "Omega [rad/s]", "u"])
-        writer.writerows([[0.01 * k, *data.x[k].tolist(), *data.u[k].tolist()] for k in range(len(data))])
-    return path
+    return write_log(path, ["theta [rad]", "Omega [rad/s]", "u"], data.x, data.u)
 
 
 def train(*words):

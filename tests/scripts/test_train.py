@@ -53,6 +53,7 @@ def test_the_smoke_run_leaves_a_complete_folder_and_says_what_came_of_it(tmp_pat
             "system=logged is no plant to train on, only a log of one; choose one of gymnasium, pendul",
         ),
         ("env.dt=-0.05", "need dt > 0 s"),
+        ("plant.outputs=[yaw", "'plant.outputs=[yaw' cannot be read; write key=value, close all brackets"),
         ("task.outputs=[yaw,alpha_p]", "state 'yaw' does not exist; the states are alpha_a"),
     ],
 )

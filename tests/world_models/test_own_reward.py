@@ -10,7 +10,6 @@ import torch
 
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
-from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import Settings, train
 from dynasindy.envs import Foreign, GymnasiumEnv
@@ -150,19 +149,6 @@ def of_pendulum(planning, seed=0):
     ).build()
 
 
-class Hearing(Callback):
-    """Keep what the plant showed."""
-
-    def __init__(self):
-        self.rollouts = []
-
-    def fitted(self, report, excited, cost):
-        self.rollouts.append(excited)
-
-    def episode(self, episode, cost):
-        self.rollouts.append(episode.rollout)
-
-
 @pytest.mark.parametrize(
     "planning",
     [
@@ -171,11 +157,11 @@ class Hearing(Callback):
     ],
     ids=["dyna", "gradient"],
 )
-def test_pendulum_v1_pays_itself_and_both_planners_imagine_it(planning):
+def test_pendulum_v1_pays_itself_and_both_planners_imagine_it(planning, hearing):
     """-(angle^2 + 0.1 w^2 + 0.001 torque^2) of the state at the start, as Gymnasium documents it; torques up to 2."""
     parts = of_pendulum(planning)
     assert parts.model_env.task is parts.plant.task
-    heard = Hearing()
+    heard = hearing()
     train(parts, Settings(1, 0.1), heard)
     for rows in heard.rollouts:
         angle = torch.atan2(rows["state"][:, 1], rows["state"][:, 0])

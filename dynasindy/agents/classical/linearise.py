@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from scipy.linalg import expm
+from scipy.signal import cont2discrete
 from torch import Tensor
 from torch.autograd.functional import jacobian
 
@@ -24,18 +24,14 @@ def jacobians(system: System, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
 def zero_order_hold(a: Tensor, b: Tensor, dt: float) -> tuple[Tensor, Tensor]:
     """Sample a linear system exactly: x[k+1] = Ad x[k] + Bd u[k] under an input held for `dt` [s].
 
-    (Ad, Bd) is the upper part of exp([[A, B], [0, 0]] dt); Astrom, Wittenmark, Computer-Controlled Systems, eq. 2.5.
-
     Args:
         a: `(n_x, n_x)` [1/s].
         b: `(n_x, n_u)` [1/s].
         dt: sampling time [s].
     """
-    n_x, n_u = b.shape
-    block = np.zeros((n_x + n_u, n_x + n_u))
-    block[:n_x, :n_x], block[:n_x, n_x:] = a.numpy(), b.numpy()
-    sampled = torch.as_tensor(expm(block * dt))
-    return sampled[:n_x, :n_x], sampled[:n_x, n_x:]
+    unseen = np.zeros((1, a.shape[1])), np.zeros((1, b.shape[1]))  # an output, which SciPy asks for
+    sampled = cont2discrete((a.numpy(), b.numpy(), *unseen), dt)
+    return torch.as_tensor(sampled[0]), torch.as_tensor(sampled[1])
 
 
 class Equilibria:
