@@ -2,7 +2,7 @@
 
 Pendulum-v1 and MountainCarContinuous-v0 pay their own reward, with the settings that rl-baselines3-zoo publishes for
 them. The cart-pole of docs/examples has the task of its run, whose episodes end at the ends of the track, without a
-cost of its own; agents have the settings of Stable-Baselines3 there.
+cost of its own. No zoo has settings for it: SAC has those of Pendulum-v1 there, TD3 those of Stable-Baselines3.
 """
 
 from __future__ import annotations
@@ -94,6 +94,7 @@ def mountain_car(seed: int) -> ControlEnv:
     return of_gymnasium(system, {"p": 0.47}, 999, 1.0, seed)
 
 
+PENDULUM_SAC: Settings = {"learning_rate": 1e-3}
 PENDULUM_TD3 = {"gamma": 0.98, "buffer_size": 200_000, "learning_starts": 10_000, "learning_rate": 1e-3}
 CAR_SAC: Settings = {
     **{"buffer_size": 50_000, "batch_size": 512, "ent_coef": 0.1, "train_freq": 32, "gradient_steps": 32},
@@ -106,9 +107,14 @@ SWINGS = {
         pendulum,
         lambda: gymnasium.make("Pendulum-v1"),
         lambda x: torch.atan2(x[..., 1], x[..., 0]),
-        settings={"sac": {"learning_rate": 1e-3}, "td3": {"train_freq": 1, "gradient_steps": 1, **PENDULUM_TD3}},
+        settings={"sac": PENDULUM_SAC, "td3": {"train_freq": 1, "gradient_steps": 1, **PENDULUM_TD3}},
     ),
-    "swing_up": Swing(30_000, cart_pole, None, lambda x: torch.remainder(x[..., 1] + math.pi, 2 * math.pi) - math.pi),
+    "swing_up": Swing(
+        30_000,
+        cart_pole,
+        angle=lambda x: torch.remainder(x[..., 1] + math.pi, 2 * math.pi) - math.pi,
+        settings={"sac": PENDULUM_SAC},
+    ),
     "mountain_car": Swing(
         50_000, mountain_car, lambda: gymnasium.make("MountainCarContinuous-v0"), within=0.05, settings={"sac": CAR_SAC}
     ),
