@@ -24,7 +24,7 @@ from dynasindy.evaluation.held import LOST, held
 from dynasindy.evaluation.rows import Row, append_rows, read_rows, write_rows
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 
-AGENTS: dict[str, type[OffPolicyAlgorithm]] = {"sac": SAC, "td3": TD3}
+AGENTS: dict[str, type[OffPolicyAlgorithm]] = {"sac": SAC, "sac_bullet": SAC, "td3": TD3}
 EVERY, EPISODES = 1000, 16
 """Real steps between two evaluations, and the episodes of one."""
 UPRIGHT = 0.1
@@ -46,6 +46,8 @@ def main(argv: list[str]) -> None:
     arguments = parser.parse_args(argv)
     torch.set_num_threads(1)
     for agent, plant, seed in product(arguments.agents, arguments.plants, arguments.seeds):
+        if agent == "sac_bullet" and agent not in SWINGS[plant].settings:
+            continue  # the settings of another plant
         steps = arguments.steps or SWINGS[plant].steps
         if is_finished(arguments.out, {"plant": plant, "agent": agent, "seed": str(seed)}, steps):
             print(f"finished before: {plant}, {agent}, seed {seed}", flush=True)

@@ -2,7 +2,8 @@
 
 Pendulum-v1 and MountainCarContinuous-v0 pay their own reward, with the settings that rl-baselines3-zoo publishes for
 them. The cart-pole of docs/examples has the task of its run, whose episodes end at the ends of the track, without a
-cost of its own. No zoo has settings for it: SAC has those of Pendulum-v1 there, TD3 those of Stable-Baselines3.
+cost of its own. SAC has the settings of Pendulum-v1 there, or, as `sac_bullet`, those that the zoo has for the swing-up
+of Bullet's cart-pole; TD3 has those of Stable-Baselines3.
 """
 
 from __future__ import annotations
@@ -95,6 +96,11 @@ def mountain_car(seed: int) -> ControlEnv:
 
 
 PENDULUM_SAC: Settings = {"learning_rate": 1e-3}
+BULLET_SAC: Settings = {
+    **{"learning_rate": 7.3e-4, "buffer_size": 300_000, "batch_size": 256, "ent_coef": "auto", "gamma": 0.98},
+    **{"tau": 0.02, "train_freq": 8, "gradient_steps": 8, "learning_starts": 10_000, "use_sde": True},
+    "policy_kwargs": {"log_std_init": -3, "net_arch": [400, 300]},
+}
 PENDULUM_TD3 = {"gamma": 0.98, "buffer_size": 200_000, "learning_starts": 10_000, "learning_rate": 1e-3}
 CAR_SAC: Settings = {
     **{"buffer_size": 50_000, "batch_size": 512, "ent_coef": 0.1, "train_freq": 32, "gradient_steps": 32},
@@ -110,10 +116,10 @@ SWINGS = {
         settings={"sac": PENDULUM_SAC, "td3": {"train_freq": 1, "gradient_steps": 1, **PENDULUM_TD3}},
     ),
     "swing_up": Swing(
-        30_000,
+        60_000,
         cart_pole,
         angle=lambda x: torch.remainder(x[..., 1] + math.pi, 2 * math.pi) - math.pi,
-        settings={"sac": PENDULUM_SAC},
+        settings={"sac": PENDULUM_SAC, "sac_bullet": BULLET_SAC},
     ),
     "mountain_car": Swing(
         50_000, mountain_car, lambda: gymnasium.make("MountainCarContinuous-v0"), within=0.05, settings={"sac": CAR_SAC}
