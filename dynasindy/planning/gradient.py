@@ -24,6 +24,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count, check_memory
 from dynasindy.planning.base import Planned, Planner
 from dynasindy.planning.imitation import Begun, arrives, hold
+from dynasindy.planning.improve import Improved, improve, rewards
 from dynasindy.planning.pace import LONGEST, UNTOLD, PlanSettings, pace_of, rests_of
 from dynasindy.planning.terminal import TerminalValue
 from dynasindy.planning.trust import Bound
@@ -64,6 +65,8 @@ class GradientPlanning(Planner):
         check_every: Updates between two tests on held-out imagined references; the best policy is kept.
         patience: Tests in a row without improvement after which a phase ends early.
         terminal_updates: Critic updates per window; the critics then value what follows a window. 0 for no such value.
+        searches: Most searches for ways that earn more than the policy's, after the updates of a phase, where the task
+            tracks no reference.
         variation: How imagined plants stray from the model; none by default.
         others: Other models of the same plant, each of which moves as many imagined episodes as the model.
         every: Episodes between two planning phases.
@@ -99,6 +102,7 @@ class GradientPlanning(Planner):
         patience: int | None = None,
         held: bool | None = None,
         terminal_updates: Count = 0,
+        searches: Count = 10,
         variation: Variation | None = None,
         others: Sequence[System] = (),
         every: int = 1,
@@ -122,7 +126,7 @@ class GradientPlanning(Planner):
             f"planning.rollouts={rollouts} of planning.window={longest} periods",
         )
         self.agent, self.replay, self.network = agent, replay, _network(agent)
-        self.more_updates, self.more_lr = more_updates, more_lr
+        self.more_updates, self.more_lr, self.searches = more_updates, more_lr, searches
         self.rollouts, self.max_grad_norm = rollouts, max_grad_norm
         # TD3's critics know nothing of the imagined windows and would pull the actor away.
         self.learns_by_td3 = rollouts == 0
@@ -181,8 +185,12 @@ class GradientPlanning(Planner):
         self.network.load_state_dict(best_weights)
         if best == -math.inf:
             raise self._diverged(done, made, episodes.diverged, finite, lr)
+        improved = Improved(best, 0, 0)
+        if rests is None and self.searches:  # there is no rest that ways could have been searched to
+            improved = improve(self.network, self.env, self.held_out, self.test, self.rng, pace.window, self.searches)
         self._deploy()
-        return Planned(begun.imagined + done * self.rollouts * pace.window, begun.updates + made)
+        imagined = begun.imagined + done * self.rollouts * pace.window + improved.imagined
+        return Planned(imagined, begun.updates + made + improved.updates)
 
     def distrust(self) -> None:
         """Do nothing: no imagined data are kept."""
@@ -210,13 +218,7 @@ class GradientPlanning(Planner):
         whole = imagine(
             self.env, self.env.system, network or self.network, rows, self.env.task.max_steps, False, self.rng
         )
-        free = torch.zeros(whole.applied.shape[:-1], dtype=torch.bool)
-        params = rows.params.expand(len(free), *rows.params.shape)
-        x, u, x_next = whole.states[:-1], whole.actions, whole.states[1:]
-        reward = self.env.task.earned(x, u, x_next, params, whole.times[1:], free)
-        alive = whole.alive[1:]
-        # What comes after divergence earns as little as the worst before it.
-        return reward.where(alive, reward[alive].amin()).mean().item() if bool(alive.any()) else -math.inf
+        return rewards(self.env, rows, whole).mean().item()
 
     def _update(self, episodes: Episodes, optimizer: torch.optim.Adam) -> bool:
         """Take a gradient step, and return whether it was one: an explosion in the model is no direction."""

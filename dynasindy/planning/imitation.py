@@ -134,15 +134,27 @@ def imitate(
         pilot: Network = network if k else _trembling(law, rng)
         seen.append(_visited(pilot, law, env, rng))
         told.append(law(seen[-1]))
-        observations, wanted = torch.cat(seen), torch.cat(told)
-        optimizer = torch.optim.Adam(network.parameters(), lr=3e-3, betas=(0.9, 0.99), fused=True)
-        for step in range(steps):
-            optimizer.param_groups[0]["lr"] = 3e-3 * (1 - step / steps) ** 2 + 1e-5
-            pick = torch.randint(len(observations), (BATCH,), generator=rng)
-            loss = (network(observations[pick]) - wanted[pick]).square().mean()
-            optimizer.zero_grad()
-            torch.autograd.backward(loss)
-            optimizer.step()
+        lesson(network, torch.cat(seen), torch.cat(told), steps, rng)
+
+
+def lesson(network: nn.Module, observations: Tensor, wanted: Tensor, steps: int, rng: torch.Generator) -> None:
+    """Train a policy to give inputs `(n, n_u)` for observations `(n, n_o)`, by least squares.
+
+    Args:
+        network: Policy; trained in place.
+        observations: What it sees.
+        wanted: What it is to do.
+        steps: Gradient updates.
+        rng: Source of the batches.
+    """
+    optimizer = torch.optim.Adam(network.parameters(), lr=3e-3, betas=(0.9, 0.99), fused=True)
+    for step in range(steps):
+        optimizer.param_groups[0]["lr"] = 3e-3 * (1 - step / steps) ** 2 + 1e-5
+        pick = torch.randint(len(observations), (BATCH,), generator=rng)
+        loss = (network(observations[pick]) - wanted[pick]).square().mean()
+        optimizer.zero_grad()
+        torch.autograd.backward(loss)
+        optimizer.step()
 
 
 @torch.no_grad()

@@ -1,0 +1,173 @@
+"""What the gradient cannot find: signals on top of the policy that earn more in the model, which it then imitates.
+
+Where two ways lead to the same end, one swing more or less, a policy changes from one to the other at a border in the
+space of states. No gradient moves that border, as it follows each way alone. So signals are searched that lead over it,
+by cross-entropy as in `dynasindy.planning.search`; once a signal is over, the policy acts alone.
+
+| name      | symbol | equation                                                                                  |
+| --------- | ------ | ----------------------------------------------------------------------------------------- |
+| input     | u_k    | clip(pi(o_k) + s_k) to [-1, 1], s_k = 0 after `ACTING` of the way                          |
+| signal    | s_k    | straight lines through knots `KNOT` periods apart, none at first: the policy as it is      |
+| objective | J      | what the way earns in the model                                                            |
+| imitated  |        | least squares of pi(o_k) to u_k along the best way from each start                         |
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor, nn
+
+from dynasindy.envs import ControlEnv
+from dynasindy.planning.imitation import lesson
+from dynasindy.planning.search import LEAST
+from dynasindy.planning.window import Network, Rows, Window, imagine
+
+STARTS, POPULATION, ELITE, DRAWS = 128, 64, 0.1, 8
+"""Starts of a round, signals for each, the share of them around which is drawn anew, and how often."""
+ACTING, KNOT, MOST = 0.6, 6, 2.0
+"""Share of a way on which a signal acts, control periods between its knots, and their largest size; with 2 it decides
+the input, whatever the policy says."""
+PATIENCE, UPDATES = 3, 3000
+"""Rounds in a row without a better policy after which it is given up, and updates of the imitation in a round."""
+
+
+@dataclass(frozen=True)
+class Improved:
+    """What came of it.
+
+    Attributes:
+        score: What the policy earns in the model.
+        imagined: Control periods that were imagined.
+        updates: Gradient updates of the imitation.
+    """
+
+    score: float
+    imagined: int
+    updates: int
+
+
+def improve(
+    network: nn.Module,
+    env: ControlEnv,
+    rows: Rows,
+    score: Callable[[], float],
+    rng: torch.Generator,
+    periods: int,
+    rounds: int,
+) -> Improved:
+    """Improve a policy by ways that earn more than its own; it is left as the best that it was.
+
+    Args:
+        network: Policy, observations to inputs; trained in place.
+        env: Imagined environment.
+        rows: Tells how far its states may go and how they are measured; not changed.
+        score: What the policy earns in the model.
+        rng: Source of starts, signals and batches.
+        periods: Length of a way [control periods].
+        rounds: Most rounds of search and imitation.
+    """
+    best, weights, imagined, updates, failures = score(), copy.deepcopy(network.state_dict()), 0, 0, 0
+    for _ in range(rounds):
+        if failures >= PATIENCE:
+            break
+        begun = starts(network, env, rows, rng, periods)
+        way = better(network, env, begun, rng, periods)
+        imagined += STARTS * periods * (POPULATION * DRAWS + 1)
+        alive = way.alive[1:]
+        seen = env.task.observation(way.seen, begun.params.expand(periods, *begun.params.shape), way.times[:-1])
+        lesson(network, seen[alive].float(), way.actions[alive], UPDATES, rng)
+        updates += UPDATES
+        now = score()
+        failures = 0 if now > best else failures + 1
+        if now > best:
+            best, weights = now, copy.deepcopy(network.state_dict())
+    network.load_state_dict(weights)
+    return Improved(best, imagined, updates)
+
+
+@torch.no_grad()
+def starts(network: Network, env: ControlEnv, rows: Rows, rng: torch.Generator, periods: int) -> Rows:
+    """Return where ways begin: half of them where episodes do, the others at a moment of an episode of the policy."""
+    task, batch = env.task, torch.Size((STARTS,))
+    nothing, zero = torch.zeros(STARTS, env.system.signature.n_u), torch.zeros(STARTS, 1)
+    x, params = task.initial_state(batch, rng).float(), task.sample(batch, rng)
+    begun = replace(rows, x=x, held=nothing, params=params, t=zero, kept=False)
+    flown = imagine(env, env.system, network, begun, periods, False, rng)
+    moment = torch.randint(periods + 1, (STARTS,), generator=rng)
+    moment[::2] = 0
+    each = torch.arange(STARTS)
+    return replace(begun, x=flown.states[moment, each], t=flown.times.expand(-1, STARTS, 1)[moment, each])
+
+
+@torch.no_grad()
+def better(network: Network, env: ControlEnv, begun: Rows, rng: torch.Generator, periods: int) -> Window:
+    """Return the best way from each start that was found; it earns no less than that of the policy.
+
+    Args:
+        network: Policy.
+        env: Imagined environment.
+        begun: The starts.
+        rng: Source of the signals.
+        periods: Length of a way [control periods].
+    """
+    n, n_u = begun.held.shape
+    acting = max(1, round(ACTING * periods))
+    knots, each = max(2, acting // KNOT), torch.arange(n)
+    mean, deviation = torch.zeros(n, 1, knots, n_u), torch.ones(n, 1, knots, n_u)
+    best, most = mean[:, 0].clone(), torch.full((n,), -torch.inf)
+    many = replace(
+        begun,
+        **{name: getattr(begun, name).repeat_interleave(POPULATION, 0) for name in ("x", "held", "params", "t")},
+    )
+    for _ in range(DRAWS):
+        drawn = mean + deviation * torch.randn(n, POPULATION, knots, n_u, generator=rng)
+        drawn[:, 0] = best  # none at first, so that the policy itself is among them
+        drawn = drawn.clamp(-MOST, MOST)
+        flown = imagine(env, env.system, OnTop(network, drawn.flatten(0, 1), acting), many, periods, False, rng)
+        earned = rewards(env, many, flown).sum(0).reshape(n, POPULATION)
+        top = earned.topk(round(ELITE * POPULATION), 1).indices
+        elite = drawn[each.unsqueeze(-1), top]
+        mean, deviation = elite.mean(1, keepdim=True), elite.std(1, keepdim=True).clamp_min(LEAST)
+        better = earned[each, top[:, 0]] > most
+        most = torch.where(better, earned[each, top[:, 0]], most)
+        best = torch.where(better[:, None, None], drawn[each, top[:, 0]], best)
+    return imagine(env, env.system, OnTop(network, best, acting), begun, periods, False, rng)
+
+
+class OnTop:
+    """A policy with a signal on top of it, one for each row, for a single flight.
+
+    Args:
+        network: Policy.
+        knots: Knots of the signals, `(rows, n_knots, n_u)`.
+        acting: Control periods on which the signals act.
+    """
+
+    def __init__(self, network: Network, knots: Tensor, acting: int) -> None:
+        lines = torch.nn.functional.interpolate(knots.mT, size=acting, mode="linear", align_corners=True)
+        self.network, self.signal, self.k = network, lines.permute(2, 0, 1), 0
+
+    def __call__(self, observation: Tensor) -> Tensor:
+        """Return the inputs `(rows, n_u)` of the next control period."""
+        u, k = self.network(observation), self.k
+        self.k += 1
+        return (u + self.signal[k]).clamp(-1.0, 1.0) if k < len(self.signal) else u
+
+
+def rewards(env: ControlEnv, rows: Rows, window: Window) -> Tensor:
+    """Return what each period of a window earns, `(T, rows)`; those after divergence earn as little as the worst.
+
+    Args:
+        env: Imagined environment.
+        rows: Where the window began.
+        window: What was imagined.
+    """
+    free = torch.zeros(window.actions.shape[:-1], dtype=torch.bool)
+    params = rows.params.expand(len(free), *rows.params.shape)
+    x, x_next, alive = window.states[:-1], window.states[1:], window.alive[1:]
+    reward = env.task.earned(x, window.actions, x_next, params, window.times[1:], free)
+    return reward.where(alive, reward[alive].amin()) if bool(alive.any()) else torch.full_like(reward, -torch.inf)

@@ -1,0 +1,136 @@
+"""Ways over the border that a gradient cannot see, on a plant whose best way is known by hand."""
+
+import math
+
+import pytest
+import torch
+from torch import nn
+
+from dynasindy.envs import ControlEnv
+from dynasindy.planning import improve as module
+from dynasindy.planning.improve import OnTop, better, improve, rewards, starts
+from dynasindy.planning.window import Rows, imagine
+from dynasindy.systems import Signature, System
+from dynasindy.world_models import OwnReward
+
+HERE, THERE, PERIODS = -0.3, 1.0, 40
+
+
+class Sledge(System):
+    """A sledge on a line that goes at most 1 m/s."""
+
+    def __init__(self):
+        super().__init__(Signature(("p",), ("m",), ("speed",), (1.0,)))
+
+    def forward(self, x, u):
+        return u
+
+
+def two_hills(x, u, x_next):
+    """Pay half a point a period about the start, two about a place far off, and next to nothing between."""
+    low, high = (torch.exp(-((x_next[..., 0] - place) ** 2) / 0.01) for place in (HERE, THERE))
+    return 0.5 * low + 2.0 * high
+
+
+def setting():
+    env = ControlEnv(Sledge(), OwnReward(Sledge().signature, two_hills, max_steps=PERIODS), 0.1, 1)
+    env.task = env.task.with_starts(torch.tensor([[HERE]], dtype=torch.float64))
+    rows = Rows(torch.zeros(1, 1), torch.zeros(1, 1), torch.zeros(1, 0), torch.zeros(1, 1))
+    return env, rows
+
+
+def lazy():
+    """Return a policy that rests where it is."""
+    network = nn.Sequential(nn.Linear(1, 32), nn.ReLU(), nn.Linear(32, 1), nn.Tanh())
+    nn.init.zeros_(network[2].weight)
+    nn.init.zeros_(network[2].bias)
+    return network
+
+
+def earned(env, network):
+    x = torch.tensor([[HERE]])
+    rows = Rows(x, torch.zeros(1, 1), torch.zeros(1, 0), torch.zeros(1, 1))
+    return float(rewards(env, rows, imagine(env, env.system, network, rows, PERIODS, False, torch.Generator())).sum())
+
+
+STAYED = 0.5 * PERIODS
+GONE = sum(float(two_hills(None, None, torch.tensor([min(HERE + 0.1 * k, THERE)]))) for k in range(1, PERIODS + 1))
+"""13 periods at full speed, then the far hill: 27 periods of two points and what lies on the way."""
+
+
+def test_the_oracle_is_worth_the_trip():
+    assert STAYED == 20.0 and 55.0 < GONE < 60.0
+
+
+def test_a_signal_is_added_as_long_as_it_acts_and_no_input_leaves_its_ends():
+    policy = OnTop(lambda o: 0.5 * o, torch.tensor([[[0.0], [1.0]], [[-2.0], [0.0]]]), 3)
+    seen = torch.tensor([[0.4], [-0.4]])
+    # Straight lines over three periods: 0, 0.5, 1 and -2, -1, 0; the policy itself says 0.2 and -0.2.
+    for wanted in ([0.2, -1.0], [0.7, -1.0], [1.0, -0.2], [0.2, -0.2]):
+        assert policy(seen).flatten().tolist() == pytest.approx(wanted)
+
+
+def test_the_best_way_is_that_over_the_border():
+    env, rows = setting()
+    rng, network = torch.Generator().manual_seed(0), lazy()
+    begun = starts(network, env, rows, rng, PERIODS)
+    way = better(network, env, begun, rng, PERIODS)
+    found = rewards(env, begun, way).sum(0)
+    assert earned(env, network) == pytest.approx(STAYED)
+    assert float(found.min()) >= STAYED - 1e-4  # no less than the policy
+    assert float(found.mean()) > 0.85 * GONE
+    assert float(found.max()) <= GONE + 1.0 + 1e-4  # one who goes round the first hill quicker than by hand is not
+
+
+def test_the_gradient_alone_stays_and_imitation_of_ways_goes(monkeypatch):
+    monkeypatch.setattr(module, "UPDATES", 800)
+    env, rows = setting()
+    network, rng = lazy(), torch.Generator().manual_seed(0)
+    slope = torch.autograd.functional.jacobian(lambda p: two_hills(None, None, p), torch.tensor([HERE]))
+    assert abs(float(slope)) < 1e-6
+    done = improve(network, env, rows, lambda: earned(env, network), rng, PERIODS, 2)
+    assert done.score == pytest.approx(earned(env, network))
+    assert done.score > 0.85 * GONE
+    assert done.updates == 1600 and done.imagined >= module.STARTS * PERIODS * module.POPULATION
+
+
+def test_a_policy_is_left_as_its_best(monkeypatch):
+    monkeypatch.setattr(module, "UPDATES", 2)
+    env, rows = setting()
+    network, told = lazy(), iter([0.0, -1.0, 2.0, 1.0, 1.9, -math.inf])
+    weights = []
+
+    def score():
+        weights.append([w.clone() for w in network.parameters()])
+        return next(told)
+
+    done = improve(network, env, rows, score, torch.Generator().manual_seed(0), PERIODS, 9)
+    # Given up after three rounds without a better one: the last of six scores.
+    assert (done.score, len(weights), done.updates) == (2.0, 6, 10)
+    assert all(torch.equal(a, b) for a, b in zip(network.parameters(), weights[2]))
+    assert not all(torch.equal(a, b) for a, b in zip(weights[2], weights[1]))
+
+
+def test_half_of_the_ways_begin_where_episodes_do_and_the_others_on_their_way():
+    env, rows = setting()
+    rows.reach = torch.tensor([50.0])
+    begun = starts(lambda o: torch.full_like(o, 0.5), env, rows, torch.Generator().manual_seed(0), 20)
+    assert begun.x[::2].unique().tolist() == pytest.approx([HERE]) and not begun.t[::2].any()
+    torch.testing.assert_close(begun.x, HERE + 0.5 * begun.t)
+    assert begun.t.unique().numel() > 10 and begun.t.max() <= 2.0 + 1e-6
+    assert torch.equal(begun.reach, rows.reach)
+
+
+def test_what_comes_after_divergence_earns_as_little_as_the_worst_before():
+    env, rows = setting()
+    rows = Rows(torch.tensor([[0.95], [0.0]]), torch.zeros(2, 1), torch.zeros(2, 0), torch.zeros(2, 1))
+    rows.reach = torch.tensor([1.02])
+    window = imagine(env, env.system, lambda o: torch.ones(2, 1), rows, 2, False, torch.Generator())
+    found = rewards(env, rows, window)
+    p = torch.tensor([[0.1], [0.2]])
+    wanted = two_hills(None, None, p)
+    torch.testing.assert_close(found[:, 1], wanted)
+    assert found[:, 0].tolist() == pytest.approx([float(wanted.min())] * 2)
+    rows.reach = torch.tensor([1e-9])
+    window = imagine(env, env.system, lambda o: torch.ones(2, 1), rows, 2, False, torch.Generator())
+    assert rewards(env, rows, window).isneginf().all()
