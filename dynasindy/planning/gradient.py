@@ -102,7 +102,7 @@ class GradientPlanning(Planner):
         patience: int | None = None,
         held: bool | None = None,
         terminal_updates: Count = 0,
-        searches: Count = 10,
+        searches: Count = 16,
         variation: Variation | None = None,
         others: Sequence[System] = (),
         every: int = 1,

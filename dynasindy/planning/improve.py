@@ -33,6 +33,9 @@ ACTING, KNOT, MOST = 0.6, 6, 2.0
 the input, whatever the policy says."""
 PATIENCE, UPDATES = 3, 3000
 """Rounds in a row without a better policy after which it is given up, and updates of the imitation in a round."""
+GAINED = 0.1
+"""Share of the largest gain of a round from which a way is imitated in the later rounds, too: it leads over a border,
+about which few ways tell."""
 
 
 @dataclass(frozen=True)
@@ -71,15 +74,20 @@ def improve(
         rounds: Most rounds of search and imitation.
     """
     best, weights, imagined, updates, failures = score(), copy.deepcopy(network.state_dict()), 0, 0, 0
+    kept: list[tuple[Tensor, Tensor]] = []
     for _ in range(rounds):
         if failures >= PATIENCE:
             break
         begun = starts(network, env, rows, rng, periods)
+        own = rewards(env, begun, imagine(env, env.system, network, begun, periods, False, rng)).sum(0)
         way = better(network, env, begun, rng, periods)
-        imagined += STARTS * periods * (POPULATION * DRAWS + 1)
-        alive = way.alive[1:]
-        seen = env.task.observation(way.seen, begun.params.expand(periods, *begun.params.shape), way.times[:-1])
-        lesson(network, seen[alive].float(), way.actions[alive], UPDATES, rng)
+        imagined += STARTS * periods * (POPULATION * DRAWS + 2)
+        more = rewards(env, begun, way).sum(0) - own
+        alive, gained = way.alive[1:], more > GAINED * more.amax()
+        seen = env.task.observation(way.seen, begun.params.expand(periods, *begun.params.shape), way.times[:-1]).float()
+        lessons = [*kept, (seen[alive], way.actions[alive])]
+        lesson(network, *(torch.cat(part) for part in zip(*lessons, strict=True)), UPDATES, rng)
+        kept.append((seen[alive & gained], way.actions[alive & gained]))
         updates += UPDATES
         now = score()
         failures = 0 if now > best else failures + 1

@@ -7,9 +7,11 @@ as found if little is left of f.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from scipy.linalg import expm
 from torch import Tensor
@@ -104,7 +106,7 @@ def _slope(f: Callable[[Tensor], Tensor], n: int, dtype: torch.dtype) -> Tensor:
 
 
 def growth(a: Tensor, scale: Tensor, seconds: float) -> float:
-    """Return by how much a deviation of a state may have grown after some time, in ranges of the states.
+    """Return by how much a deviation of a state may have grown after some time, in ranges; inf beyond all numbers.
 
     Args:
         a: df/dx, `(n_x, n_x)` [1/s].
@@ -112,7 +114,9 @@ def growth(a: Tensor, scale: Tensor, seconds: float) -> float:
         seconds: The time [s].
     """
     scaled = a * scale / scale.unsqueeze(-1)
-    return float(torch.linalg.matrix_norm(torch.as_tensor(expm((scaled * seconds).numpy())), 2))
+    with np.errstate(over="ignore", invalid="ignore"):
+        grown = torch.as_tensor(expm((scaled * seconds).numpy()))
+    return float(torch.linalg.matrix_norm(grown, 2)) if bool(grown.isfinite().all()) else math.inf
 
 
 def states_that_matter(system: System, outputs: Sequence[int], start: Tensor) -> Tensor:

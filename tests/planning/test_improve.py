@@ -6,7 +6,9 @@ import pytest
 import torch
 from torch import nn
 
+from dynasindy.agents import Actor
 from dynasindy.envs import ControlEnv
+from dynasindy.planning import GradientPlanning
 from dynasindy.planning import improve as module
 from dynasindy.planning.improve import OnTop, better, improve, rewards, starts
 from dynasindy.planning.window import Rows, imagine
@@ -134,3 +136,18 @@ def test_what_comes_after_divergence_earns_as_little_as_the_worst_before():
     rows.reach = torch.tensor([1e-9])
     window = imagine(env, env.system, lambda o: torch.ones(2, 1), rows, 2, False, torch.Generator())
     assert rewards(env, rows, window).isneginf().all()
+
+
+def test_planning_searches_where_there_are_no_references(monkeypatch):
+    monkeypatch.setattr(module, "UPDATES", 50)
+    monkeypatch.setattr(module, "STARTS", 8)
+    planned, scores = [], []
+    for searches in (0, 2):
+        env, _ = setting()
+        planner = GradientPlanning(env, Actor(1, 1, hidden=(8,)), updates=3, rollouts=4, searches=searches)
+        planned.append(planner.plan())
+        scores.append(planner.test())
+    assert [found.updates for found in planned] == [3, 103]
+    # Two rounds from 8 starts, each of 8 times 64 signals, the policy alone and the best way, 40 periods long.
+    assert planned[1].imagined - planned[0].imagined == 2 * 8 * 40 * (8 * 64 + 2)
+    assert scores[1] >= scores[0]

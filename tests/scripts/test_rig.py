@@ -6,7 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
+
+from dynasindy.world_models import SindyModel
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
@@ -52,3 +56,31 @@ def test_ctrl_c_says_that_the_rig_rests_and_where_its_logs_are(tmp_path):
         _, said = flying.communicate(timeout=100)
     assert flying.returncode == 130
     assert "the rig was asked for its safe input, its logs are in" in said
+
+
+@pytest.mark.slow
+def test_a_rig_in_another_process_is_excited_identified_planned_for_flown_and_refined(tmp_path):
+    """The pendulum behind its encoder, over UDP in real time: Omega' = 12 u - 9.81 sin(theta) - 0.5 Omega."""
+    small = ["plant.amplitude=[0.25]", "planner={updates: 150}"]  # with more the pendulum goes over the top
+    given = ["flights=2", "seconds=5", "targets=[[0.5],[-0.4]]", *small]
+    patient = ["guard.late=20", "guard.lost=100"]  # other jobs may hold the cores; nothing here can be damaged
+    words = command(f"folder={tmp_path}/run", "sensors=bench", *given, *patient)
+    done = subprocess.run(words, capture_output=True, text=True, env=ENVIRONMENT, timeout=1500, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    said = [line.split(":")[0] for line in done.stdout.splitlines() if not line.startswith(" ")]
+    assert said[:4] == ["excitation", "planning while the rig rests", "flight 1", "planning while the rig rests"]
+    files = [tmp_path / "run" / f"{name}.csv" for name in ("excitation", "flight_1", "flight_2")]
+    # The encoder measures the angle alone.
+    assert {file.read_text().splitlines()[0] for file in files} == {"time [s],theta [rad],u [-]"}
+    excited, first, second = (np.genfromtxt(file, delimiter=",", skip_header=1).T for file in files)
+    for time, *_ in (excited, first, second):
+        assert np.allclose(np.diff(time), 0.05)
+    assert np.nanmax(excited[1]) - np.nanmin(excited[1]) > 0.2
+    # While it planned, the rig came to rest at its safe input.
+    assert abs(first[1, 0]) < 0.01 and abs(second[1, 0]) < 0.01
+    end = second[1].reshape(2, -1)[:, -20:]
+    assert np.nanmean(np.abs(end - [[0.5], [-0.4]])) < 0.1
+    model = SindyModel.load(tmp_path / "run" / "model.json")
+    theta, omega, u = (torch.linspace(-1, 1, 9).double() * k for k in (0.6, 1.0, 0.5))
+    found = model(torch.stack([theta, omega], -1), u.unsqueeze(-1))[:, 1]
+    torch.testing.assert_close(found, 12 * u - 9.81 * theta.sin() - 0.5 * omega, atol=0.3, rtol=0.02)
