@@ -261,7 +261,10 @@ class GradientPlanning(Planner):
         if not finite:
             mend = f"the actor's weights left all bounds: lower planning.lr and planning.more_lr, now {lr}"
         elif lost == windows:
-            mend = "the model explodes: excite longer or with less noise, shorten planning.window, or close the gate"
+            mend = (
+                "the model explodes: identification.txt says what each equation leaves over; name the functions that "
+                "it lacks in plant.library, excite longer or with less noise, or shorten planning.window"
+            )
         else:
             mend = "gradient or reward is not finite: check the task's reward and shorten planning.window"
         return Diverged(

@@ -59,3 +59,4 @@ def test_growth_is_that_of_the_largest_deviation_in_ranges():
     scale = torch.tensor([1.0, 10.0], dtype=torch.float64)
     wanted = torch.linalg.matrix_norm(torch.as_tensor(expm([[0.0, 30.0], [0.0, 0.0]])), 2)  # in ranges: 10 * 3 s
     assert growth(double, scale, 3.0) == pytest.approx(float(wanted))
+    assert growth(torch.tensor([[1000.0]]).double(), torch.ones(1), 10.0) == math.inf  # e^10000 is no double
