@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+from stable_baselines3 import SAC
 
 from dynasindy.benchmarks import swing_up
 from dynasindy.benchmarks.instruments.swings import SWINGS
@@ -39,6 +40,15 @@ def test_rows_come_as_the_run_goes_on_and_a_finished_run_stays(short, tmp_path, 
     assert all(float(row["own_return"]) < -200 and row["held"] == "0" for row in rows)
     swing_up.main(command)
     assert read_rows(out) == rows and "finished before" in capsys.readouterr().out
+
+
+def test_settings_of_another_plant_are_not_tried(tmp_path, monkeypatch):
+    trained = []
+    monkeypatch.setattr(swing_up, "train", lambda *job: trained.append(job[:3]))
+    swing_up.main(["--agents", "sac_bullet", "--seeds", "7", "--out", str(tmp_path / "rows.csv")])
+    assert trained == [("swing_up", "sac_bullet", 7)]
+    agent = swing_up.build(SWINGS["swing_up"], "sac_bullet", 7)
+    assert isinstance(agent, SAC) and agent.use_sde and (agent.gamma, agent.tau) == (0.98, 0.02)  # the zoo's
 
 
 def test_a_run_that_was_stopped_is_made_anew_and_one_that_held_is_not(tmp_path):
@@ -99,5 +109,5 @@ def test_td3_explores_and_settings_are_those_published():
     td3 = swing_up.build(SWINGS["pendulum_v1"], "td3", 0)
     assert (td3.gamma, td3.learning_starts, td3.learning_rate, td3.buffer_size) == (0.98, 10_000, 1e-3, 200_000)
     sac = swing_up.build(SWINGS["swing_up"], "sac", 0)
-    assert (sac.gamma, sac.learning_rate, sac.action_noise) == (0.99, 3e-4, None)
+    assert (sac.gamma, sac.learning_rate, sac.action_noise) == (0.99, 1e-3, None)
     assert swing_up.build(SWINGS["pendulum_v1"], "sac", 0).learning_rate == 1e-3

@@ -221,7 +221,17 @@ def _own_returns() -> Iterator[Tie]:
     place = max(numbers(rows("plants.csv", plant="inverted_pendulum", output="p"), "error_percent"))
     yield Tie(PAGE, "Its place is off by {} % at most.", (f"{place:.3g}",))
     own = [f"{value:.0f}" for value in numbers(rows("plants.csv", plant="pendulum_own"), "own_return")]
-    yield Tie(PAGE, "Pendulum-v1 pays {}, {} and {} on average over 64 starts", tuple(own))
+    yield Tie(
+        PAGE, f"Pendulum-v1 pays {', '.join(['{}'] * (len(own) - 1))} and {{}} on average over 64 starts", tuple(own)
+    )
+    ours = numbers(rows("plants.csv", plant="swing_up"), "periods")
+    theirs = [rows("swing_up.csv", plant="swing_up", agent=agent) for agent in ("sac", "sac_bullet")]
+    assert not any(row["upright"] == "1" for found in theirs for row in found)
+    assert [len({row["seed"] for row in found}) for found in theirs] == [1, 1]
+    steps = [f"{max(numbers(found, 'real_steps')):.0f}" for found in theirs]
+    words = "hangs after {} steps with the settings of Pendulum-v1, and after {} with those of Bullet's cart-pole"
+    yield Tie(PAGE, words, tuple(steps))
+    yield Tie(PAGE, "Ours stands after {} to {}.", (f"{min(ours):.0f}", f"{max(ours):.0f}"))
 
 
 def _other_words() -> Iterator[Tie]:
