@@ -84,9 +84,11 @@ def improve(
         imagined += STARTS * periods * (POPULATION * DRAWS + 2)
         more = rewards(env, begun, way).sum(0) - own
         alive, gained = way.alive[1:], more > GAINED * more.amax()
+        if not bool(alive.any()):
+            break
         seen = env.task.observation(way.seen, begun.params.expand(periods, *begun.params.shape), way.times[:-1]).float()
-        lessons = [*kept, (seen[alive], way.actions[alive])]
-        lesson(network, *(torch.cat(part) for part in zip(*lessons, strict=True)), UPDATES, rng)
+        observations, wanted = zip(*kept, (seen[alive], way.actions[alive]), strict=True)
+        lesson(network, torch.cat(observations), torch.cat(wanted), UPDATES, rng)
         kept.append((seen[alive & gained], way.actions[alive & gained]))
         updates += UPDATES
         now = score()

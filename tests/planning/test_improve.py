@@ -138,6 +138,25 @@ def test_what_comes_after_divergence_earns_as_little_as_the_worst_before():
     assert rewards(env, rows, window).isneginf().all()
 
 
+def test_ways_over_the_border_stay_in_later_lessons_and_others_do_not(monkeypatch):
+    monkeypatch.setattr(module, "STARTS", 12)
+    told = []
+    monkeypatch.setattr(module, "lesson", lambda network, seen, wanted, *a: told.append((seen, wanted)))
+    env, rows = setting()
+    rng = torch.Generator().manual_seed(0)
+    # The policy stays as it is; half of the ways begin half way, where staying is all that can be imitated.
+    place = torch.tensor([[HERE], [THERE]], dtype=torch.float64)
+    env.task = env.task.with_starts(place)
+    improve(lazy(), env, rows, lambda: 0.0, rng, PERIODS, 2)
+    (first, _), (second, wanted) = told
+    assert len(first) == 12 * PERIODS
+    kept = second[: len(second) - 12 * PERIODS].reshape(PERIODS, -1)
+    assert 1 <= kept.shape[1] < 12
+    # Those who begin on the far hill gain nothing; those who are kept leave the near one.
+    torch.testing.assert_close(kept[0], torch.full_like(kept[0], HERE))
+    assert (kept[-1] > 0.8).all() and wanted.abs().max() <= 1.0
+
+
 def test_planning_searches_where_there_are_no_references(monkeypatch):
     monkeypatch.setattr(module, "UPDATES", 50)
     monkeypatch.setattr(module, "STARTS", 8)
