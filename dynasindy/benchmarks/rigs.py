@@ -256,7 +256,7 @@ def tanks(folder: Path) -> list[Row]:
             signature,
             words,
             Regression("bic"),
-            Refinement("trajectory", window=20, rounds=0, correlated=True),
+            Refinement("trajectory", window=20, rounds=0, error="coloured", correlated=True),
             allowed={
                 "level_1": [pump, out],
                 "level_2": [over, root],
