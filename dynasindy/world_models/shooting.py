@@ -24,6 +24,8 @@ from dynasindy.world_models.windows import Windows
 
 EXACT = 1e-100
 """Error taken for that of a state that is met exactly, as one that never moves; its inverse has a finite square."""
+FAINT = 0.01
+"""Weighted error below which a start that moves by a whole spread of its state is taken to change nothing."""
 FINE, STABLE, MOST_STEPS = 0.1, 1.5, 10
 """Runge-Kutta step times the fastest rate of the model: for an error of 1e-7, and the most that is stable; and how many
 steps of an interval the first may ask for."""
@@ -150,6 +152,7 @@ def _joined(
     starts[..., -1] = start_error - starts[..., -1]
     starts = torch.where(start_error.isnan().unsqueeze(-1), 0.0, starts * start_weight.unsqueeze(-1))
     rows = torch.cat([columns.reshape(-1, columns.shape[-1]), starts.reshape(-1, columns.shape[-1])])
+    rows = torch.cat([rows, _held(estimate, begun, rows)])
     # A gap shifts all samples that follow, so closing it is worth more than the errors it hid.
     gap_weight = 10.0 * windows.mask.shape[1]
     weighed = _white(error.unsqueeze(-1), windows).squeeze(-1) / sigma
@@ -192,6 +195,19 @@ def _every(estimate: Estimate, flow: Flow, windows: Windows) -> tuple[Tensor, Te
     error = torch.cat([start_error.nan_to_num().unsqueeze(1), windows.measured - flow.predicted], 1)
     seen = torch.cat([(~start_error.isnan()).to(error.dtype).unsqueeze(1), windows.mask], 1)
     return torch.cat([slopes, error.unsqueeze(-1)], -1) * seen.unsqueeze(-1), seen
+
+
+def _held(estimate: Estimate, begun: Tensor, rows: Tensor) -> Tensor:
+    """Return rows that keep starts where they are which nothing measured depends on, `(S n_x, F + P + 1)`.
+
+    The start of a state that forgets it within a sample would move to any number for an error that is not its own.
+    """
+    n_start = int(begun.sum()) * estimate.nodes.shape[1]
+    spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12).repeat(int(begun.sum()))
+    faint = rows[:, :n_start].norm(dim=0) * spread < FAINT
+    held = torch.zeros(n_start, rows.shape[1], dtype=rows.dtype)
+    held[:, :n_start] = torch.diag(torch.where(faint, 1 / spread, 0.0))
+    return held
 
 
 def _white(rows: Tensor, windows: Windows) -> Tensor:
