@@ -216,7 +216,8 @@ def test_the_start_of_a_state_that_forgets_it_within_a_sample_stays_near():
     signature = Signature(("y", "h"), ("-", "-"), ("u",), (1.0, 1.0))
     library = Library(signature, [variable("y"), variable("h"), variable("u")])
     xi = torch.tensor([[-100.0, 0.0], [100.0, -100.0], [0.0, 80.0]], dtype=torch.float64)
-    y = torch.from_numpy(np.stack([INPUTS, np.full(40, math.nan)], -1)).roll(1, 0)
+    noisy = INPUTS + 0.01 * np.random.default_rng(8).normal(size=40)
+    y = torch.from_numpy(np.stack([noisy, np.full(40, math.nan)], -1)).roll(1, 0)
     data = Transitions.from_trajectory(y, torch.from_numpy(INPUTS[:-1, None]), 0.4)
     windows = Windows.of(data, 10, substeps=40)
     estimate = Estimate(library, xi, torch.from_numpy(0.1 * INPUTS[:40:10, None].repeat(2, 1)))
@@ -224,4 +225,4 @@ def test_the_start_of_a_state_that_forgets_it_within_a_sample_stays_near():
     model = linearise(estimate, parameters, windows)
     moved = move(estimate, model, parameters, torch.arange(len(model.scale)))
     assert float((moved.nodes - estimate.nodes).abs().max()) < 10
-    assert float(moved.xi[2, 1]) == pytest.approx(100.0, rel=1e-6)
+    assert float(moved.xi[2, 1]) == pytest.approx(100.0, rel=0.02)
