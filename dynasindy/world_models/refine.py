@@ -30,7 +30,7 @@ AGAIN = 3
 STEPS = 6
 """Gauss-Newton steps after which two delays are compared."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
-ERRORS = ("auto", "simulation", "prediction", "innovation")
+ERRORS = ("auto", "simulation", "coloured", "prediction", "innovation")
 Model = tuple[Library, Tensor]
 """A library with the numbers inside its fitted factors, and coefficients, `(n_features, n_x)`."""
 
@@ -106,10 +106,11 @@ class Refinement:
         window: sampling intervals between two states that `trajectory` estimates.
         longest_delay: longest delay of the inputs that is looked for [s], in whole samples, by `trajectory` in
             fractions of them; 0 takes the inputs as they are.
-        error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), of
-            windows that begin anew (`prediction`), for plants that are pushed at random or unstable, or what a Kalman
-            filter leaves over in such windows (`innovation`), the sizes of pushes and of noise estimated; `auto` takes
-            windows that begin anew where they leave over much less than a trajectory.
+        error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), what
+            is new in such errors, as they last from sample to sample (`coloured`), of windows that begin anew
+            (`prediction`), for plants that are pushed at random or unstable, or what a Kalman filter leaves over in
+            such windows (`innovation`), the sizes of pushes and of noise estimated; `auto` takes windows that begin
+            anew where they leave over much less than a trajectory.
             The default is `auto` for the method `auto`, and `simulation` for others.
         correlated: whether a coefficient of `trajectory` must be worth the more, the longer errors last: for real
             plants, of which every model leaves over more than noise. If not, every sample counts.
@@ -123,7 +124,7 @@ class Refinement:
     tolerance: float = 1e-6
     window: int = 20
     longest_delay: float = 0.0
-    error: Literal["auto", "simulation", "prediction", "innovation"] | None = None
+    error: Literal["auto", "simulation", "coloured", "prediction", "innovation"] | None = None
     correlated: bool = False
 
     def __post_init__(self) -> None:
@@ -195,6 +196,7 @@ class Refinement:
         descent = Descent(min(self.window, int(recording.known.sum())), correlated=self.correlated)
         kinds = {
             "simulation": descent,
+            "coloured": replace(descent, coloured=True),
             "prediction": replace(descent, joined=False),
             "innovation": replace(descent, joined=False, pushed=True),
         }

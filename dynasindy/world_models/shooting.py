@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
+from dynasindy.world_models.coloured import news, remaining
 from dynasindy.world_models.library import Library
 from dynasindy.world_models.pushes import Noise, estimated, whiten
 from dynasindy.world_models.sensitivity import Parameters, Propagator
@@ -23,6 +24,8 @@ from dynasindy.world_models.windows import Windows
 
 EXACT = 1e-100
 """Error taken for that of a state that is met exactly, as one that never moves; its inverse has a finite square."""
+FAINT = 0.01
+"""Weighted error below which a start that moves by a whole spread of its state is taken to change nothing."""
 FINE, STABLE, MOST_STEPS = 0.1, 1.5, 10
 """Runge-Kutta step times the fastest rate of the model: for an error of 1e-7, and the most that is stable; and how many
 steps of an interval the first may ask for."""
@@ -71,8 +74,9 @@ class Flow:
         return ~finite.all(-1)
 
     def sigma(self, windows: Windows) -> Tensor:
-        """Return the error of each state, `(n_x,)`; `EXACT` where none was measured."""
-        error = (windows.measured - self.predicted) * windows.mask
+        """Return the error of each state, `(n_x,)`; `EXACT` where none was measured. Of lasting ones what is new."""
+        error = _white((windows.measured - self.predicted).unsqueeze(-1) * windows.mask.unsqueeze(-1), windows)
+        error = error.squeeze(-1)
         return (error.square().sum((0, 1)) / windows.mask.sum((0, 1)).clamp_min(1)).sqrt().clamp_min(EXACT)
 
 
@@ -134,6 +138,7 @@ def _joined(
     """Return weighted rows `(M, F + P + 1)`, moves of the nodes, weighted errors, and the cost, of one trajectory."""
     error = (windows.measured - flow.predicted) * windows.mask
     begun = ~windows.joined
+    start_weight = 1 / sigma if windows.lasting is None else (1 - windows.lasting.square()).sqrt() / sigma
     start_error = (windows.first - estimate.nodes)[begun]
     moves, gaps = _condense(estimate.nodes, flow, windows, n_p)
     n_x = estimate.xi.shape[1]
@@ -142,19 +147,21 @@ def _joined(
     n_own = flow.s.shape[-1] - n_x
     columns[..., -1 - n_own : -1] += flow.s[..., n_x:]
     columns[..., -1] = error - columns[..., -1]
-    columns = columns * (windows.mask / sigma).unsqueeze(-1)
+    columns = _white(columns * windows.mask.unsqueeze(-1), windows) / sigma.unsqueeze(-1)
     starts = moves[begun].clone()
     starts[..., -1] = start_error - starts[..., -1]
-    starts = torch.where(start_error.isnan().unsqueeze(-1), 0.0, starts / sigma.unsqueeze(-1))
+    starts = torch.where(start_error.isnan().unsqueeze(-1), 0.0, starts * start_weight.unsqueeze(-1))
     rows = torch.cat([columns.reshape(-1, columns.shape[-1]), starts.reshape(-1, columns.shape[-1])])
+    rows = torch.cat([rows, _held(estimate, begun, rows)])
     # A gap shifts all samples that follow, so closing it is worth more than the errors it hid.
     gap_weight = 10.0 * windows.mask.shape[1]
+    weighed = _white(error.unsqueeze(-1), windows).squeeze(-1) / sigma
     weighted = (
-        (1.0, error / sigma),
-        (1.0, start_error.nan_to_num() / sigma),
+        (1.0, weighed),
+        (1.0, start_error.nan_to_num() * start_weight),
         (gap_weight, gaps / _gap_sigma(sigma, estimate)),
     )
-    return rows, moves, error / sigma, float(sum((w * e.square().sum() for w, e in weighted), torch.zeros(())))
+    return rows, moves, weighed, float(sum((w * e.square().sum() for w, e in weighted), torch.zeros(())))
 
 
 def _alone(estimate: Estimate, flow: Flow, windows: Windows, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
@@ -164,7 +171,7 @@ def _alone(estimate: Estimate, flow: Flow, windows: Windows, sigma: Tensor) -> t
     """
     n_x, (every, seen) = estimate.xi.shape[1], _every(estimate, flow, windows)
     if windows.noise is None:
-        every = every * (seen / sigma).unsqueeze(-1)
+        every = _white(every, replace(windows, mask=seen)) / sigma.unsqueeze(-1)
     else:
         every = whiten(every, seen, _steps(estimate, flow, windows), windows.noise, windows.dt)[0]
     rows = every.flatten(1, 2)
@@ -188,6 +195,24 @@ def _every(estimate: Estimate, flow: Flow, windows: Windows) -> tuple[Tensor, Te
     error = torch.cat([start_error.nan_to_num().unsqueeze(1), windows.measured - flow.predicted], 1)
     seen = torch.cat([(~start_error.isnan()).to(error.dtype).unsqueeze(1), windows.mask], 1)
     return torch.cat([slopes, error.unsqueeze(-1)], -1) * seen.unsqueeze(-1), seen
+
+
+def _held(estimate: Estimate, begun: Tensor, rows: Tensor) -> Tensor:
+    """Return rows that keep starts where they are which nothing measured depends on, `(S n_x, F + P + 1)`.
+
+    The start of a state that forgets it within a sample would move to any number for an error that is not its own.
+    """
+    n_start = int(begun.sum()) * estimate.nodes.shape[1]
+    spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12).repeat(int(begun.sum()))
+    faint = rows[:, :n_start].norm(dim=0) * spread < FAINT
+    held = torch.zeros(n_start, rows.shape[1], dtype=rows.dtype)
+    held[:, :n_start] = torch.diag(torch.where(faint, 1 / spread, 0.0))
+    return held
+
+
+def _white(rows: Tensor, windows: Windows) -> Tensor:
+    """Return errors and slopes, zero where not measured, `(W, L, n_x, C)`; of errors that last what is new."""
+    return rows if windows.lasting is None else news(rows, windows.mask, windows.joined, windows.lasting)
 
 
 def _steps(estimate: Estimate, flow: Flow, windows: Windows) -> Tensor:
@@ -215,6 +240,18 @@ def noise_of(estimate: Estimate, windows: Windows, pushed: Tensor) -> Noise:
     rows = torch.cat([rows[..., :n_x], rows[..., -1:]], -1)
     spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12)
     return estimated(rows, seen, _steps(estimate, flow, windows), pushed, spread, windows.dt)
+
+
+def lasting_of(estimate: Estimate, windows: Windows) -> Tensor:
+    """Return which part of an error of each state is left a sample later, `(n_x,)`, by what a trajectory leaves over.
+
+    Args:
+        estimate: coefficients and nodes.
+        windows: the recording.
+    """
+    flow = Flow.of(estimate, Parameters.where(torch.zeros_like(estimate.xi, dtype=torch.bool)), windows)
+    _require_bounded(flow, windows)
+    return remaining(windows.measured - flow.predicted, windows.mask, windows.joined)
 
 
 def _gap_sigma(sigma: Tensor, estimate: Estimate) -> Tensor:

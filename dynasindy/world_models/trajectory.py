@@ -30,6 +30,7 @@ from dynasindy.world_models.shooting import (
     Linearised,
     RunsAway,
     growth,
+    lasting_of,
     linearise,
     move,
     noise_of,
@@ -65,6 +66,7 @@ class Descent:
         correlated: whether a coefficient must be worth the more, the longer errors last.
         pushed: whether windows on their own are corrected by a Kalman filter, as far as random pushes on the plant and
             noise of the sensors, both estimated, explain what it leaves over.
+        coloured: whether errors of a trajectory are taken to last, as long as they do.
     """
 
     window: int
@@ -72,6 +74,7 @@ class Descent:
     max_rounds: int = 30
     correlated: bool = False
     pushed: bool = False
+    coloured: bool = False
 
     @property
     def joins(self) -> bool:
@@ -128,8 +131,8 @@ def refine_trajectory(
     some = spread(len(data), ENOUGH)
     part, limits = data.select(some), Limits(price(int(some.sum()), free), descent.max_rounds, descent.correlated)
     found, windows = _grown(Estimate(library, xi, guess[some]), (xi != 0) & free, part, descent)
-    if descent.pushed:
-        return _refine_pushed(found, free, windows, (data, guess), limits, descent)
+    if descent.pushed or descent.coloured:
+        return _refine_weighed(found, free, windows, (data, guess), limits, descent)
     may_begin_anew = joined is None and not bool(data.x_next.isnan().any())
     if may_begin_anew and _grows(found, windows)[0] > GROWN:
         alone = replace(windows, joined=torch.zeros_like(windows.joined))
@@ -149,14 +152,15 @@ def refine_trajectory(
     return found.library, found.xi
 
 
-def _refine_pushed(
+def _refine_weighed(
     found: Estimate, free: Tensor, windows: Windows, whole: tuple[Transitions, Tensor], limits: Limits, descent: Descent
 ) -> tuple[Library, Tensor]:
-    """Minimise what a Kalman filter leaves over, and the sizes of pushes and noise in turn with it."""
+    """Minimise errors made white, and what makes them so in turn with it: pushes and noise, or how long errors last."""
     data, guess = whole
-    pushed = free.any(0)
+    if descent.coloured:  # errors of a first guess last whatever the plant does
+        found = _search(found, free, windows, limits)
     for _ in range(TURNS):
-        windows = replace(windows, noise=noise_of(found, windows, pushed))
+        windows = _weighed(found, free, windows, descent)
         last, found = found, _search(found, free, windows, limits)
         if bool(((found.xi != 0) == (last.xi != 0)).all()) and bool(
             ((found.xi - last.xi).abs() <= SETTLED * found.xi.abs()).all()
@@ -165,9 +169,16 @@ def _refine_pushed(
     if len(data) > ENOUGH:
         support = (found.xi != 0) & free
         found, every = _grown(replace(found, nodes=guess), support, data, descent)
-        every = replace(every, noise=noise_of(found, every, pushed))
+        every = _weighed(found, free, every, descent)
         found, _ = _descend(found, support, every, replace(limits, price=price(len(data), free)))
     return found.library, found.xi
+
+
+def _weighed(found: Estimate, free: Tensor, windows: Windows, descent: Descent) -> Windows:
+    """Return the recording with what makes the errors of an estimate white."""
+    if descent.pushed:
+        return replace(windows, noise=noise_of(found, windows, free.any(0)))
+    return replace(windows, lasting=lasting_of(found, windows))
 
 
 def price(n: int, free: Tensor) -> float:

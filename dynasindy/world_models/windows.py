@@ -31,6 +31,8 @@ class Windows:
         substeps: Runge-Kutta steps in an interval.
         noise: sizes of noise and of pushes, by which errors of windows on their own are weighed; without, every state
             is weighed by its own errors, as if nothing pushed the plant.
+        lasting: part of an error of each state that is left a sample later, `(n_x,)`; without, errors are taken for
+            white.
     """
 
     rows: Tensor
@@ -42,6 +44,7 @@ class Windows:
     dt: float
     substeps: int = 1
     noise: Noise | None = None
+    lasting: Tensor | None = None
 
     @classmethod
     def of(cls, data: Transitions, length: int, joined: bool = True, substeps: int = 1) -> Windows:
