@@ -38,10 +38,10 @@ from dynasindy.systems import Diverged
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 from dynasindy.world_models import Refinement, Regression, SindyModel
-from dynasindy.world_models.ensemble import refits
 from dynasindy.world_models.libraries import LibraryBuilder
-from dynasindy.world_models.measured import rates_known
-from dynasindy.world_models.order import moving_on
+from dynasindy.world_models.models.ensemble import refits
+from dynasindy.world_models.refinement.measured import rates_known
+from dynasindy.world_models.refinement.order import moving_on
 
 PERIOD = 0.05
 """Control period unless another is given [s]; with a log the multiple of its sampling time that is nearest."""

@@ -16,7 +16,7 @@ from dynasindy.evaluation.identification import Logged, Simulated
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.rig import Guard
 from dynasindy.systems import System
-from dynasindy.world_models.formulas import register_formula
+from dynasindy.world_models.libraries.formulas import register_formula
 
 HYDRA = {"_target_", "_partial_", "_args_", "_convert_", "_recursive_"}
 GIVEN = {"signature", "dt", "system", "task", "n_u", "n_obs", "env", "agent", "replay", "policy"}

@@ -22,8 +22,8 @@ from schema import check
 
 from dynasindy.data.csv import CsvLog, infer
 from dynasindy.dyna.experiment import Recipe
-from dynasindy.world_models.files import load
-from dynasindy.world_models.sindy import SindyModel
+from dynasindy.world_models.models.sindy import SindyModel
+from dynasindy.world_models.writers.files import load
 
 CONF = mistakes.CONF
 VALUES = (

@@ -25,12 +25,12 @@ from dynasindy.evaluation.rows import Row, append_rows
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models.bounded import stays_near
-from dynasindy.world_models.delay import delayed
-from dynasindy.world_models.measured import rates_known, reconstruct
-from dynasindy.world_models.refine import Refinement
-from dynasindy.world_models.regression import Regression
-from dynasindy.world_models.sindy import SindyModel
+from dynasindy.world_models.models.bounded import stays_near
+from dynasindy.world_models.models.sindy import SindyModel
+from dynasindy.world_models.refinement.delay import delayed
+from dynasindy.world_models.refinement.measured import rates_known, reconstruct
+from dynasindy.world_models.refinement.refine import Refinement
+from dynasindy.world_models.regression.regression import Regression
 
 Array = NDArray[np.float64]
 COLUMNS = ("rig", "model", "metric", "value", "unit", "coefficients", "delay_seconds", "cpu_seconds", "commit")

@@ -23,8 +23,8 @@ from dynasindy.evaluation.linear import LinearModel
 from dynasindy.evaluation.symptoms import resolution, samples_of
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
-from dynasindy.world_models.delay import delayed
-from dynasindy.world_models.measured import rates_known, reconstruct
+from dynasindy.world_models.refinement.delay import delayed
+from dynasindy.world_models.refinement.measured import rates_known, reconstruct
 
 STARTS = 200
 """Start times, at most."""

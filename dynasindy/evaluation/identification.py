@@ -22,10 +22,10 @@ from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell
 from dynasindy.world_models import FitReport, SindyModel
-from dynasindy.world_models.delay import delayed
-from dynasindy.world_models.order import moving_on
-from dynasindy.world_models.prediction import nrmse, one_step_error, open_loop
-from dynasindy.world_models.tables import to_csv, to_latex, to_text
+from dynasindy.world_models.models.prediction import nrmse, one_step_error, open_loop
+from dynasindy.world_models.refinement.delay import delayed
+from dynasindy.world_models.refinement.order import moving_on
+from dynasindy.world_models.writers.tables import to_csv, to_latex, to_text
 
 ExcitationBuilder = Callable[..., Excitation]
 LONGEST = 1e8

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models.regression import least_squares
+from dynasindy.world_models.regression.regression import least_squares
 
 ORDERS = (1, 2, 4, 8, 16)
 """Numbers of past samples to choose from."""

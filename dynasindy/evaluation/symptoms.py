@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models.measured import best_length, filled, local_cubic
+from dynasindy.world_models.refinement.measured import best_length, filled, local_cubic
 
 Array = NDArray[np.float64]
 LAGS = 10

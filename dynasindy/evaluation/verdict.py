@@ -12,8 +12,8 @@ from dynasindy.evaluation.symptoms import closed_loop, samples_of, saturated, st
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
-from dynasindy.world_models.features import Feature
-from dynasindy.world_models.measured import rates_known
+from dynasindy.world_models.libraries.features import Feature
+from dynasindy.world_models.refinement.measured import rates_known
 
 RESOLVED = 2.0
 """Error up to which a prediction is as good as a sensor can tell [what the sensor resolves]."""

@@ -1,7 +1,7 @@
 """The equations of a sparse model as plain formulas, which C, NumPy and CasADi read alike.
 
-They are written by the very code that writes them for torch, `dynasindy.world_models.fast_field`: what several terms
-share is computed once. Operators are infix, and what is called are `functions.FORMULA_FUNCTIONS` alone.
+They are written by the very code that writes them for torch, `dynasindy.world_models.writers.fast_field`: what several
+terms share is computed once. Operators are infix, and what is called are `functions.FORMULA_FUNCTIONS` alone.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 from dynasindy.export.names import number
 from dynasindy.world_models import SindyModel
-from dynasindy.world_models.functions import FORMULA_FUNCTIONS
-from dynasindy.world_models.infix import InfixWriter
+from dynasindy.world_models.libraries.functions import FORMULA_FUNCTIONS
+from dynasindy.world_models.writers.infix import InfixWriter
 
 _OPERATOR = re.compile(r" [-+*/] |-(?=square)")
 _CALL = re.compile(rf"\b({'|'.join(FORMULA_FUNCTIONS)})\(")

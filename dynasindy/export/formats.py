@@ -1,6 +1,6 @@
 """The model for other tools: Python source for CasADi, LaTeX, a NumPy function and a system of python-control.
 
-SymPy expressions are in `dynasindy.world_models.interchange.to_sympy`.
+SymPy expressions are in `dynasindy.world_models.models.interchange.to_sympy`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dynasindy.export.expressions import formulas
 from dynasindy.export.names import comment, identifiers, module_name
 from dynasindy.world_models import SindyModel
-from dynasindy.world_models.tables import equations_to_latex
+from dynasindy.world_models.writers.tables import equations_to_latex
 
 NumpyField = Callable[[Any, Any], NDArray[np.float64]]
 

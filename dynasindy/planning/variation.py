@@ -14,7 +14,7 @@ from dynasindy.limits import Count
 from dynasindy.systems import System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
-from dynasindy.world_models.ensemble import bag
+from dynasindy.world_models.models.ensemble import bag
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import torch
 from dynasindy.benchmarks.rigs import Log, _ahead_rows, _columns, _simulated, main
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models.sindy import SindyModel
+from dynasindy.world_models.models.sindy import SindyModel
 
 
 def test_a_thinned_log_keeps_samples_and_the_means_of_inputs():

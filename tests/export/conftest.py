@@ -10,9 +10,9 @@ from dynasindy.sensing import Observer, Sensors
 from dynasindy.systems import Signature, Stops, Tras
 from dynasindy.tasks import Step, Tracking, TrackingReward
 from dynasindy.world_models import SindyModel
-from dynasindy.world_models.features import of, variable
 from dynasindy.world_models.libraries import rotor
-from dynasindy.world_models.library import Library
+from dynasindy.world_models.libraries.features import of, variable
+from dynasindy.world_models.libraries.library import Library
 
 PENDULUM = Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.5, 3.0))
 

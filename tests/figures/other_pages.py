@@ -6,7 +6,7 @@ from results_page import limit_cycle
 from tables import cell, middle, numbers, pair, record, rows, setting, short, table
 from ties import Tie, Untied
 
-from dynasindy.world_models.trajectory import WORSE
+from dynasindy.world_models.refinement.trajectory import WORSE
 
 README, IDENTIFICATION, BASELINES = "README.md", "docs/identification.md", "docs/results/baselines.md"
 SPEED = "docs/speed.md"

@@ -11,7 +11,7 @@ from dynasindy.planning import Variation, Varied
 from dynasindy.planning.variation import Members
 from dynasindy.systems import Tras, Xi
 from dynasindy.world_models import Oracle, Regression, SindyModel
-from dynasindy.world_models.ensemble import bag
+from dynasindy.world_models.models.ensemble import bag
 
 ALL = torch.ones(5, dtype=torch.bool)
 

@@ -6,10 +6,10 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models.library import Library
-from dynasindy.world_models.sensitivity import Parameters
-from dynasindy.world_models.shooting import Estimate, linearise
-from dynasindy.world_models.windows import Windows
+from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.refinement.shooting import Estimate, linearise
+from dynasindy.world_models.refinement.windows import Windows
+from dynasindy.world_models.regression.sensitivity import Parameters
 
 
 def cramer_rao(library: Library, truth: Tensor, clean: Transitions, sigma: Tensor) -> Tensor:

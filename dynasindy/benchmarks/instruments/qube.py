@@ -14,7 +14,7 @@ from dynasindy.sensing import Observer, Sensors
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models.delay import delayed
+from dynasindy.world_models.refinement.delay import delayed
 
 STEP = 2 * math.pi / 2048
 """Resolution of both encoders [rad]."""

@@ -12,9 +12,9 @@ from scipy.signal import savgol_filter
 from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models.library import Library
-from dynasindy.world_models.measured import Seen, reconstruct
-from dynasindy.world_models.regression import Rows, integral_form, simpson_form
+from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.refinement.measured import Seen, reconstruct
+from dynasindy.world_models.regression.regression import Rows, integral_form, simpson_form
 
 Score = tuple[int, int, float]
 THRESHOLDS = (0.1, 0.3, 0.9, 3.0, 10.0, 30.0, 100.0, 300.0)

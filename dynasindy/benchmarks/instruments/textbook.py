@@ -19,9 +19,9 @@ from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.libraries import polynomial
-from dynasindy.world_models.library import Library
-from dynasindy.world_models.regression import Rows
-from dynasindy.world_models.sensitivity import Parameters
+from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.regression.regression import Rows
+from dynasindy.world_models.regression.sensitivity import Parameters
 
 LEVELS = (0.01, 0.05, 0.1, 0.2)
 """Standard deviation of the noise, relative to that of each state."""

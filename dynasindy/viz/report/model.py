@@ -26,7 +26,7 @@ from dynasindy.viz.report.thresholds import CLOSE
 from dynasindy.viz.run import stacked
 from dynasindy.viz.style import Array
 from dynasindy.world_models import SindyModel
-from dynasindy.world_models.prediction import open_loop
+from dynasindy.world_models.models.prediction import open_loop
 
 STATES, INPUTS = SIGNATURE.state_names, SIGNATURE.input_names
 

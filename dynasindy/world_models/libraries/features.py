@@ -1,0 +1,262 @@
+"""Candidate functions as data: products of powers of elementary functions of states and inputs.
+
+A feature that is data can be named, printed as LaTeX, saved, multiplied, differentiated and turned into code.
+
+| name              | meaning                                         | example                         |
+| ----------------- | ----------------------------------------------- | ------------------------------- |
+| Factor            | function of `frequency * variable`, to a power   | `cos(2 alpha_p)^3`              |
+| shape             | a factor whose frequency is fitted with the rest | `tanh(~20 Omega_a)`             |
+| Feature           | product of factors; `1` is the empty product      | `omega_a |omega_a| cos(alpha_p)` |
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from dynasindy.world_models.libraries.functions import function
+
+FARTHEST = 30.0
+"""Factor between the first guess of a number inside a function and what is fitted, either way."""
+LARGEST_POWER = 100
+"""Power beyond which a function of a file or of words is taken for a mistake."""
+
+
+@dataclass(frozen=True, order=True)
+class Factor:
+    """Raise `function(frequency * variables)`, or `function(variables, frequency)`, to a power.
+
+    Attributes:
+        variables: states and inputs.
+        function: name of an elementary function.
+        power: whole number.
+        frequency: the number inside the function: a frequency, the inverse of a width, an offset.
+        fitted: first guess of that number if it is fitted with the coefficients, 0 if it is given.
+    """
+
+    variables: tuple[str, ...]
+    function: str = "id"
+    power: int = 1
+    frequency: float = 1.0
+    fitted: float = 0.0
+
+    def with_number(self, number: float) -> Factor:
+        """Return the factor with another number inside, not farther from its first guess than `FARTHEST` allows.
+
+        A number that is not finite, of a step that led nowhere, changes nothing.
+        """
+        if not math.isfinite(number):
+            return self
+        low, high = sorted((self.fitted / FARTHEST, self.fitted * FARTHEST))
+        return replace(self, frequency=min(max(number, low), high))
+
+    def compute(self) -> Callable[..., Tensor]:
+        """Return the function of the variables alone, its power left out."""
+        known = function(self.function)
+        if known.parametric:
+            return lambda *args: known.compute(*args, self.frequency)
+        if self.frequency == 1:
+            return known.compute
+        return lambda *args: known.compute(*(self.frequency * a for a in args))
+
+    def slope(self, *args: Tensor) -> Tensor:
+        """Return the derivative of the function of some variables by the number inside it."""
+        known = function(self.function)
+        if known.parametric and known.by_number is not None:
+            return known.by_number(*args, self.frequency)
+        if not known.parametric and known.slope is not None and len(args) == 1:
+            return args[0] * known.slope(self.frequency * args[0])
+        p = torch.full_like(args[0], self.frequency)
+        inside = (
+            known.compute if known.parametric else lambda *given: known.compute(*(given[-1] * a for a in given[:-1]))
+        )
+        derivative: Tensor = torch.func.jvp(lambda q: inside(*args, q), (p,), (torch.ones_like(p),))[1]
+        return derivative
+
+    @property
+    def base(self) -> Factor:
+        """Return the same factor to the power of one."""
+        return replace(self, power=1)
+
+    def text(self, latex: bool = False) -> str:
+        """Write the factor as a reader would."""
+        known = function(self.function)
+        form = known.latex if latex else known.text
+        number = f"{self.frequency:g}"
+        scale = "" if self.frequency == 1 or known.parametric else f"{number} "
+        names = [scale + (latex_name(v) if latex else v) for v in self.variables]
+        written = form.format(", ".join(names), number)
+        if self.power == 1:
+            return written
+        if latex and self.function in ("sin", "cos", "tanh", "sign"):
+            return form.replace(" {0}", f"^{{{{{self.power}}}}} {{0}}").format(", ".join(names), number)
+        if latex and not known.atomic:
+            written = rf"\left({written}\right)"
+        return f"{written}^{{{self.power}}}" if latex else f"{written}^{self.power}"
+
+
+@dataclass(frozen=True)
+class Feature:
+    """Multiply factors; no factor is the constant 1."""
+
+    factors: tuple[Factor, ...] = ()
+
+    @classmethod
+    def of(cls, factors: Iterable[Factor]) -> Feature:
+        """Multiply factors, joining powers of the same function of the same variable."""
+        powers: dict[Factor, int] = {}
+        for factor in factors:
+            powers[factor.base] = powers.get(factor.base, 0) + factor.power
+        return cls(tuple(replace(base, power=p) for base, p in powers.items() if p))
+
+    def __mul__(self, other: Feature) -> Feature:
+        """Multiply two features."""
+        return Feature.of(self.factors + other.factors)
+
+    @property
+    def key(self) -> frozenset[Factor]:
+        """Return what makes two features the same function, whatever the order of factors."""
+        return frozenset(self.factors)
+
+    @property
+    def variables(self) -> set[str]:
+        """Collect the states and inputs it reads."""
+        return {v for factor in self.factors for v in factor.variables}
+
+    def name(self) -> str:
+        """Write the feature in the names of states and inputs, e.g. `Omega_a^2 sin(alpha_p)`."""
+        return " ".join(f.text() for f in self.factors) or "1"
+
+    def latex(self) -> str:
+        """Write the feature as LaTeX."""
+        return r" \, ".join(f.text(latex=True) for f in self.factors) or "1"
+
+    def to_list(self) -> list[list]:
+        """Return plain lists for JSON."""
+        return [
+            [list(f.variables), f.function, f.power, f.frequency, *([f.fitted] if f.fitted else [])]
+            for f in self.factors
+        ]
+
+    @classmethod
+    def from_list(cls, data: list[list]) -> Feature:
+        """Read what `to_list` wrote.
+
+        Raises:
+            ValueError: a function is not known (user functions are registered before loading).
+            ValueError: a power is not whole or larger than `LARGEST_POWER`, or a frequency is not finite.
+        """
+        return cls(
+            tuple(
+                _checked(Factor(tuple(v), function(f).name, p, float(w), *map(float, fit))) for v, f, p, w, *fit in data
+            )
+        )
+
+
+def _checked(factor: Factor) -> Factor:
+    """Return a factor from a file or from words if its numbers are those of a function."""
+    if type(factor.power) is not int or abs(factor.power) > LARGEST_POWER:
+        shown = str(factor.power)[:20] if abs(factor.power) < 10**20 else "a number of more than 20 digits"
+        raise ValueError(f"a function has the power {shown}; allowed are whole ones up to {LARGEST_POWER}: correct it")
+    if not (math.isfinite(factor.frequency) and math.isfinite(factor.fitted)):
+        raise ValueError(f"a function has the frequency {factor.frequency}; allowed are finite ones: correct it")
+    if factor.function == "id" and len(factor.variables) != 1:
+        raise ValueError(f"a product has a factor of {len(factor.variables)} variables; allowed is one: correct it")
+    return factor
+
+
+def variable(name: str, power: int = 1) -> Feature:
+    """Return a power of a state or an input as a feature."""
+    return Feature((Factor((name,), "id", power),))
+
+
+def of(function_name: str, *variables: str, power: int = 1, frequency: float = 1.0, fitted: bool = False) -> Feature:
+    """Return a function of states or inputs as a feature, e.g. `of("sin", "alpha_p")`."""
+    guess = frequency if fitted else 0.0
+    return Feature((Factor(variables, function(function_name).name, power, frequency, guess),))
+
+
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_TOKEN = re.compile(
+    rf"\s*(?:\|(?P<abs>[^|]+)\||/\(1 \+ (?P<per>{_NUMBER}) cos\((?P<angle>[^()]+)\)\^2\)|"
+    rf"max\(0, (?P<over>[^()]+) - (?P<edge>{_NUMBER})\)|sqrt\((?P<under>[^()]+) - (?P<start>{_NUMBER})\)|"
+    r"exp\(-\((?P<bell>[^()]+)\)\^2\)|(?P<function>[A-Za-z_]\w*)\((?P<args>[^()]*)\)|(?P<name>[A-Za-z_]\w*)|(?P<one>1))"
+    r"(?:\^(?P<power>\d+))?\s*\*?"
+)
+_ARGUMENT = re.compile(rf"\s*(?:(?P<fitted>~?)(?P<number>{_NUMBER})[ *]+)?(?P<name>[A-Za-z_]\w*)\s*")
+
+
+def parse(text: str) -> Feature:
+    """Read a feature from its name, e.g. `omega_a |omega_a|`, `Omega_a^2 sin(2 alpha_p)`, `1`.
+
+    Raises:
+        ValueError: the text is no product of states, inputs and known functions, or a power is too large.
+    """
+    factors, place = [], 0
+    while place < len(text.rstrip()):
+        token = _TOKEN.match(text, place)
+        if token is None:
+            raise ValueError(
+                f"feature {text!r} cannot be read at {text[place:]!r}; allowed are products such as "
+                "'Omega_a^2 sin(alpha_p)': separate factors by spaces"
+            )
+        place = token.end()
+        power = int((token["power"] or "1")[:9])  # more digits than that are refused below, whatever they are
+        if token["per"]:
+            factors.append(Factor((token["angle"].strip(),), "per_cos2", power, float(token["per"])))
+        elif token["edge"]:
+            factors.append(Factor((token["over"].strip(),), "hinge", power, float(token["edge"])))
+        elif token["start"]:
+            factors.append(Factor((token["under"].strip(),), "root", power, float(token["start"])))
+        elif token["bell"]:
+            factors.append(_written("bell", token["bell"], power))
+        elif token["abs"]:
+            factors.append(_written("abs", token["abs"], power))
+        elif token["function"]:
+            factors.append(_written(token["function"], token["args"], power))
+        elif token["name"]:
+            factors.append(Factor((token["name"],), "id", power))
+    return Feature.of(map(_checked, factors))
+
+
+def _written(name: str, arguments: str, power: int) -> Factor:
+    """Read the arguments of a function: `alpha_p`, `2 alpha_p`, or `~2 alpha_p` whose number is to be fitted.
+
+    A number that multiplies no argument comes last: `a, b; 2` or `a, b; ~2`.
+    """
+    arguments, semicolon, last = arguments.partition(";")
+    if semicolon:
+        arguments = ",".join(f"{last.strip()} {argument}" for argument in arguments.split(","))
+    read = [_ARGUMENT.fullmatch(argument) for argument in arguments.split(",")]
+    found = [match for match in read if match is not None]
+    numbers = {(bool(match["fitted"]), float(match["number"] or 1)) for match in found}
+    if len(found) < len(read) or len(numbers) > 1 or (True, 0.0) in numbers:
+        raise ValueError(
+            f"{name}({arguments}) cannot be read; allowed are 'name', '2 name', or '~2 name' for a first guess that is "
+            "not 0, the same number before each name: correct it"
+        )
+    fitted, number = numbers.pop()
+    return Factor(tuple(m["name"] for m in found), function(name).name, power, number, number if fitted else 0.0)
+
+
+_GREEK = ("alpha", "beta", "gamma", "delta", "theta", "phi", "psi", "omega", "Omega", "Theta", "Phi", "Psi")
+
+
+def latex_name(name: str) -> str:
+    r"""Write a state or input name as LaTeX, e.g. `Omega_a` as `\Omega_{a}`."""
+    head, _, tail = name.partition("_")
+    number = re.fullmatch(r"([A-Za-z]+?)(\d+)", head)
+    if number and not tail:
+        head, tail = number.groups()
+    head = "\\" + head if head in _GREEK else (head if len(head) == 1 else rf"\mathrm{{{head}}}")
+    # A second subscript within the first is an error of LaTeX.
+    return f"{head}_{{{tail}}}".replace("_", r"\_").replace(r"\_{", "_{", 1) if tail else head
+
+
+CONSTANT: Feature = Feature()
+"""The function 1."""

@@ -1,0 +1,55 @@
+"""Libraries of machines with angles: what an equation of motion M(q) q'' = f(q, q', u) holds, solved for q''.
+
+Of two coupled axes whose mass matrix depends on an angle a, the inverse of the matrix is a quotient,
+
+    M = [m1, m2 cos a; m2 cos a, m3],   M^-1 = [m3, -m2 cos a; -m2 cos a, m1] / (m1 m3 (1 + p cos^2 a)),
+
+with p = -m2^2 / (m1 m3) between -1 and 0, as of a pole on a cart or of a pendulum on an arm. So every force, with and
+without cos a, may stand over 1 + p cos^2 a, whose p is fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import combinations_with_replacement
+
+from dynasindy.systems.base import Signature
+from dynasindy.world_models.libraries.features import CONSTANT, Feature, of, variable
+from dynasindy.world_models.libraries.library import Library
+
+COUPLING = -0.03
+"""First guess of p; a fit goes 30 times as far at most, so 1 + p cos^2 a stays positive."""
+
+
+def angles_of(signature: Signature) -> tuple[str, ...]:
+    """Return the states in rad, if there is a state in rad/s; none without one."""
+    units = dict(zip(signature.state_names, signature.state_units, strict=True))
+    return tuple(name for name, unit in units.items() if unit == "rad" and "rad/s" in units.values())
+
+
+def mechanical(signature: Signature, angles: Iterable[str] | None = None) -> Library:
+    """Build the functions of an equation of motion with angles: gravity, turned forces, centrifugal forces, quotients.
+
+    They are linear functions; of each angle a: sin a, cos a, their product; every input and every rate times each of
+    both; products of two angular rates times sin a, or sin a cos a. With two rates or more, which may be coupled, all
+    forces with and without cos a are divided by 1 + p cos^2 a, too.
+
+    Args:
+        signature: names and units of states and inputs; rates are the states whose unit is one per second.
+        angles: states that are angles; by default those in rad, where there is a state in rad/s.
+    """
+    units = list(zip(signature.state_names, signature.state_units, strict=True))
+    rates = [variable(name) for name, unit in units if unit.endswith("/s")]
+    turning = [variable(name) for name, unit in units if unit == "rad/s"]
+    spun = [one * other for one, other in combinations_with_replacement(turning, 2)]
+    inputs = [variable(name) for name in signature.input_names]
+    functions: list[Feature] = [CONSTANT, *(variable(n) for n in (*signature.state_names, *signature.input_names))]
+    for angle in angles_of(signature) if angles is None else angles:
+        s, c = of("sin", angle), of("cos", angle)
+        functions += [s, c, s * c, *(f * g for f in (*inputs, *rates) for g in (s, c))]
+        functions += [f * g for f in spun for g in (s, s * c)]
+        if len(rates) > 1:
+            over = of("per_cos2", angle, frequency=COUPLING, fitted=True)
+            forces = [CONSTANT, s, *inputs, *rates, *(f * s for f in spun)]
+            functions += [f * g * over for f in forces for g in (CONSTANT, c)]
+    return Library(signature, functions)

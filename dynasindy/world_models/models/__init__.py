@@ -1,0 +1,1 @@
+"""World models, and what is known of each: its report, its spread, how well it predicts."""

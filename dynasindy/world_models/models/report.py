@@ -1,0 +1,71 @@
+"""What a fit found, in figures and in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from torch import Tensor
+
+from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.regression.identifiability import Identifiability
+from dynasindy.world_models.regression.regression import RunningSums
+
+
+@dataclass(frozen=True)
+class FitReport:
+    """Summarise a fit.
+
+    Attributes:
+        samples: number of transitions behind the fit.
+        seconds: wall time [s].
+        terms: number of non-zero coefficients of each equation.
+        residual: unexplained part of each state's rate of change, 2-norm relative to the rate's.
+        notes: sentences on what a reader would not expect.
+        dt: time that a transition takes [s].
+    """
+
+    samples: int
+    seconds: float
+    terms: dict[str, int]
+    residual: dict[str, float]
+    _source: tuple[Library, Tensor, RunningSums] = field(repr=False)
+    notes: tuple[str, ...] = ()
+    dt: float | None = None
+
+    @classmethod
+    def of(
+        cls,
+        library: Library,
+        coefficients: Tensor,
+        sums: RunningSums,
+        seconds: float,
+        notes: Sequence[str] = (),
+        dt: float | None = None,
+    ) -> FitReport:
+        """Summarise the coefficients of a fit against the sums it was made from."""
+        relative = sums.residual(coefficients) / sums.norms()[sums.n_features :].clamp_min(1e-300)
+        names = library.signature.state_names
+        return cls(
+            samples=sums.count,
+            seconds=seconds,
+            terms=dict(zip(names, (coefficients != 0).sum(0).tolist(), strict=True)),
+            residual=dict(zip(names, relative.tolist(), strict=True)),
+            _source=(library, coefficients.clone(), sums.copy()),
+            notes=tuple(notes),
+            dt=dt,
+        )
+
+    @cached_property
+    def identifiability(self) -> Identifiability:
+        """Judge what the samples can tell; computed when first asked for."""
+        return Identifiability.of(*self._source)
+
+    def to_text(self) -> str:
+        """Write the report in a few lines."""
+        each = f" of {self.dt:g} s" if self.dt else ""
+        lines = [f"fit of {self.samples} transitions{each} in {self.seconds:.3g} s"]
+        counts = {name: f"{count} term{'s' * (count != 1)}" for name, count in self.terms.items()}
+        lines += [f"  {s}': {counts[s]}, unexplained {100 * r:.3g} %" for s, r in self.residual.items()]
+        return "\n".join([*lines, *(f"note: {note}" for note in self.notes), self.identifiability.to_text()])

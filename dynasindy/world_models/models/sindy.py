@@ -1,0 +1,343 @@
+"""The sparse world model: dx/dt = Xi' Theta(x, u), fitted to transitions.
+
+| name         | symbol          | unit                     | source                          |
+| ------------ | --------------- | ------------------------ | ------------------------------- |
+| library      | Theta(x, u)     | that of each function    | the paper, eq. (library)        |
+| coefficients | Xi              | dx per unit of Theta     | the paper, eq. SINDY-EQ         |
+| threshold    | lambda          | 1                        | the paper, 0.9; see `Regression` |
+
+Departure: the paper regresses derivatives; here changes over sampling intervals are regressed on the functions
+averaged over the intervals, which is exact for inputs held by a zero-order hold.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from dynasindy.systems.base import PRECISIONS, Signature
+from dynasindy.systems.diverged import Diverged
+from dynasindy.systems.integrators import rk4
+from dynasindy.systems.machine import Machine
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.libraries import LibraryBuilder, build_library
+from dynasindy.world_models.libraries.constraints import Constraints
+from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.models.base import WorldModel
+from dynasindy.world_models.models.report import FitReport
+from dynasindy.world_models.refinement.delay import known_inputs
+from dynasindy.world_models.refinement.measured import imagined, rates_known, reconstruct
+from dynasindy.world_models.refinement.refine import Recording, Refinement
+from dynasindy.world_models.refinement.shooting import RunsAway
+from dynasindy.world_models.refinement.windows import ENOUGH, STRETCHES
+from dynasindy.world_models.regression.regression import Regression, Rows, RunningSums, integral_form
+from dynasindy.world_models.regression.selection import DEPENDENT
+from dynasindy.world_models.writers.fast_field import Field, generate
+from dynasindy.world_models.writers.files import load, record, save, understand
+from dynasindy.world_models.writers.machine import machine
+from dynasindy.world_models.writers.tables import equations
+
+
+class SindyModel(WorldModel):
+    """A vector field that is a sparse sum of candidate functions.
+
+    Args:
+        signature: names, units and ranges of the plant.
+        library: candidate functions: a library, its builder, a name of `libraries.NAMED`, or functions in words.
+        regression: settings of the sparse regression; the paper's by default.
+        refinement: settings of the refinement on the prediction error; none by default.
+        known: equations that are known, e.g. `{"alpha_a": "Omega_a"}`: the state's rate is that function, nothing else.
+        allowed: functions that may occur in an equation, by state; all by default.
+        fixed: coefficients that are given, by state and function name.
+        initial: first guess of the equations, by state and function name, instead of a regression: for plants with a
+            state that no sensor sees in any form.
+        machine_code: whether states are moved by machine code, where a C compiler is found.
+
+    Raises:
+        ValueError: a name of a state, an input or a function does not exist.
+    """
+
+    coefficients: Tensor
+
+    def __init__(
+        self,
+        signature: Signature,
+        library: str | Sequence[str] | Library | LibraryBuilder = "paper_table",
+        regression: Regression | None = None,
+        refinement: Refinement | None = None,
+        known: Mapping[str, str] | None = None,
+        allowed: Mapping[str, Sequence[str]] | None = None,
+        fixed: Mapping[str, Mapping[str, float]] | None = None,
+        initial: Mapping[str, Mapping[str, float]] | None = None,
+        machine_code: bool = True,
+    ) -> None:
+        super().__init__(signature)
+        self.machine_code = machine_code
+        self.library = build_library(library, signature)
+        self.regression = regression or Regression()
+        self.refinement = refinement
+        self.constraints = Constraints.build(self.library, known or {}, allowed or {}, fixed or {})
+        self.initial = None if initial is None else Constraints.build(self.library, {}, {}, initial).offset
+        self.sums = RunningSums(len(self.library), signature.n_x)
+        self.register_buffer("coefficients", self.constraints.offset.clone())
+        self._field: Field | None = None
+        self._field_of: tuple[Tensor, int] | None = None
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Compute dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
+        return self._written()(x, u)
+
+    def compiled(self, x: Tensor, u: Tensor) -> Machine | None:
+        """Return the model as machine code for such states and inputs, in the memory of the CPU."""
+        if not self.machine_code or x.dtype not in PRECISIONS or type(self).forward is not SindyModel.forward:
+            return None
+        self._written()
+        return self._machine(x, u, lambda dtype: machine(self.library, self.coefficients, dtype))
+
+    def _written(self) -> Field:
+        """Return the equations as torch code, written anew where they have changed."""
+        made_of, version = self._field_of or (None, 0)
+        # The tensor itself is compared and so kept alive: its id may be that of a later one once it is gone.
+        if self._field is None or made_of is not self.coefficients or version != self.coefficients._version:
+            self._field = generate(self.library, self.coefficients.cpu())
+            self._machines.clear()
+            self._field_of = self.coefficients, self.coefficients._version
+        return self._field
+
+    def __getstate__(self) -> dict[str, object]:
+        """Leave generated code out of copies and pickles; it is written again when needed."""
+        return {**super().__getstate__(), "_field": None}
+
+    def get_extra_state(self) -> dict[str, object]:
+        """Return what `state_dict` keeps besides the coefficients: the running sums, the fitted factors, the delay."""
+        shapes = [shape.frequency for shape in self.library.shapes]
+        return {"r": self.sums.r, "count": self.sums.count, "shapes": shapes, "delay": self.delay}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Restore what `get_extra_state` returned."""
+        self.sums = RunningSums(len(self.library), self.signature.n_x)
+        self.sums.r, self.sums.count = state["r"].clone(), state["count"]
+        self.library, self.delay = self.library.with_shapes(state["shapes"]), state["delay"]
+        self._field = None
+
+    def predict(self, x: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
+        """Predict states one sampling time ahead, `(*batch, n_x)`, by `substeps` Runge-Kutta steps."""
+        # State-major memory: every row of an elementwise operation is contiguous.
+        x, u = (t.movedim(-1, 0).contiguous().movedim(0, -1) for t in (x, u))
+        for _ in range(substeps):
+            x = rk4(self, x, u, dt / substeps)
+        return x
+
+    def simulate(self, x0: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
+        """Predict trajectories open loop.
+
+        Args:
+            x0: start states, `(*batch, n_x)`.
+            u: inputs held in each interval, `(*batch, T, n_u)`.
+            dt: sampling time [s].
+            substeps: Runge-Kutta steps per interval.
+
+        Returns:
+            States, `(*batch, T + 1, n_x)`, the start first.
+        """
+        states = [x0]
+        for held in u.unbind(-2):
+            states.append(self.predict(states[-1], held, dt, substeps))
+        return torch.stack(states, -2)
+
+    def fit(self, transitions: Transitions) -> FitReport:
+        """Identify the model from transitions alone, forgetting earlier data.
+
+        Args:
+            transitions: samples; those that touch a stop are no smooth dynamics and belong left out.
+
+        Returns:
+            What was found and how well it fits.
+
+        Raises:
+            ValueError: there are fewer samples than functions.
+            ValueError: a sample is not finite.
+            Diverged: a coefficient is not finite; the model stays as it was.
+        """
+        return self._identify(transitions, RunningSums(len(self.library), self.signature.n_x), 0.0)
+
+    def update(self, transitions: Transitions) -> FitReport:
+        """Identify the model anew from all earlier data and new transitions, at the cost of the new ones.
+
+        The refinement, if any, works on the new transitions. Where it changes a number inside a function or the delay
+        of the inputs, what was summed of earlier data is of other functions, and left out.
+
+        Raises:
+            ValueError: there are fewer samples than functions.
+            ValueError: a sample is not finite.
+            Diverged: a coefficient is not finite; the model stays as it was.
+        """
+        return self._identify(transitions, self.sums, self.delay)
+
+    def _identify(self, transitions: Transitions, sums: RunningSums, delay: float) -> FitReport:
+        """Fit to the sums of earlier data and to new transitions, whose inputs act `delay` seconds later."""
+        start = time.perf_counter()
+        data, self.sums, earlier = transitions.to(torch.float64), sums, sums.count
+        self._check(data)
+        rates, first = rates_known(self.library, self.constraints), None
+        guess = reconstruct(data, rates)
+        if self.initial is not None:
+            first = torch.where(self.constraints.free, self.initial, self.constraints.offset)
+            guess = imagined(self.library, first, data, guess, rates)
+        recording = Recording.of(data, guess, rates, delay)
+        self.sums.add(self._rows(recording, delay))
+        if first is None:
+            self._solve(self.sums, recording.seen(delay).dependent)
+        else:
+            self.set_coefficients(first)
+        self.delay = delay
+        notes = self._refine(data, guess)
+        seconds = time.perf_counter() - start
+        report = FitReport.of(self.library, self.coefficients, self.sums, seconds, notes, data.dt)
+        # The sums may be of fewer rows than that, each of them the average of many transitions.
+        samples = int(known_inputs(data, self.delay).sum()) + (earlier if self.sums is sums else 0)
+        return replace(report, samples=samples)
+
+    def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
+        """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`."""
+        x, u, dx = (t.to(torch.float64) for t in (x, u, dx))
+        self.sums = RunningSums(len(self.library), self.signature.n_x)
+        self.sums.add((self.library(x, u), dx))
+        self._solve(self.sums)
+
+    def equations(self, digits: int = 4) -> list[str]:
+        """Write one equation per state, e.g. `Omega_p' = -0.414 Omega_p + ...`."""
+        return equations(self.library, self.coefficients, digits)
+
+    def set_coefficients(self, coefficients: Tensor) -> None:
+        """Replace Xi, `(n_features, n_x)`.
+
+        Raises:
+            ValueError: the shape does not fit the library.
+        """
+        if coefficients.shape != self.coefficients.shape:
+            raise ValueError(
+                f"coefficients got shape {tuple(coefficients.shape)}; allowed is {tuple(self.coefficients.shape)}: "
+                "one row per function, one column per state"
+            )
+        self.coefficients = coefficients.detach().to(torch.float64).clone()
+
+    def save(self, path: str | Path) -> None:
+        """Write the model as readable JSON, with what was known of its equations before the data."""
+        save(self.library, self.coefficients, path, self.constraints, self.delay)
+
+    @classmethod
+    def load(
+        cls, path: str | Path, regression: Regression | None = None, refinement: Refinement | None = None
+    ) -> SindyModel:
+        """Read a model that `save` wrote; it predicts as the saved one did, to the last digit.
+
+        Args:
+            path: the file.
+            regression: settings of a later fit, which the file does not hold; the paper's by default.
+            refinement: settings of its refinement; none by default.
+
+        Raises:
+            ValueError: the file is not such a model, or needs a function that is not registered.
+        """
+        return cls._of(load(path), regression, refinement)
+
+    def record(self) -> dict[str, Any]:
+        """Return what `save` writes, as keys and values."""
+        return record(self.library, self.coefficients, self.constraints, self.delay)
+
+    @classmethod
+    def of_record(cls, given: object, source: str | Path) -> SindyModel:
+        """Return the model whose `record` is given.
+
+        Args:
+            given: the record.
+            source: where it is from, for the message.
+
+        Raises:
+            ValueError: it is none, or needs a function that is not registered.
+        """
+        return cls._of(understand(given, source))
+
+    @classmethod
+    def _of(
+        cls,
+        found: tuple[Library, Tensor, Constraints, float],
+        regression: Regression | None = None,
+        refinement: Refinement | None = None,
+    ) -> SindyModel:
+        library, coefficients, constraints, delay = found
+        model = cls(library.signature, library, regression, refinement)
+        model.constraints, model.delay = constraints, delay
+        model.set_coefficients(coefficients)
+        return model
+
+    def _check(self, data: Transitions) -> None:
+        shape = (data.x.shape[1], data.u.shape[1])
+        if shape != (self.signature.n_x, self.signature.n_u):
+            raise ValueError(
+                f"fit got {shape[0]} states and {shape[1]} inputs; allowed are {self.signature.n_x} and "
+                f"{self.signature.n_u}, as in the signature: check the columns"
+            )
+        if len(data) + self.sums.count < len(self.library):
+            raise ValueError(
+                f"fit got {len(data) + self.sums.count} samples; allowed are {len(self.library)} or more, one per "
+                "function: collect more data or choose a smaller library"
+            )
+
+    def _refine(self, data: Transitions, guess: Transitions) -> list[str]:
+        """Refine the coefficients and return what is to be said of it."""
+        if self.refinement is None:
+            return []
+        try:
+            found = self.refinement.run(self.library, self.coefficients, self.constraints, data, guess)
+        except RunsAway as error:
+            raise Diverged(f"model learning: {error}") from error
+        refined = self._finite(found.coefficients, "refinement")
+        if self.coefficients[self.constraints.free].any() and not refined[self.constraints.free].any():
+            return ["the refinement dropped every function, so the fit before it stays; collect more or cleaner data"]
+        self.set_coefficients(refined)
+        if found.library is not self.library or found.delay != self.delay:
+            # The functions are others now, and so are the sums of their products.
+            self.library, self.delay = found.library, found.delay
+            self.sums = RunningSums(len(self.library), self.signature.n_x)
+            recording = Recording.of(data, guess, rates_known(self.library, self.constraints), self.delay)
+            self.sums.add(self._rows(recording, self.delay))
+        if self.refinement.method == "integral" or len(data) <= ENOUGH:
+            return list(found.notes)
+        return [
+            *found.notes,
+            f"functions were chosen on {ENOUGH} of {len(data)} rows, in {STRETCHES} stretches spread evenly over them; "
+            "the coefficients were fitted on all rows",
+        ]
+
+    def _rows(self, recording: Recording, delay: float) -> Rows:
+        """Return averaged functions and rates of change, under inputs that act `delay` seconds later."""
+        seen = recording.seen(delay)
+        return seen.rows(self.library, self) if seen.half else integral_form(self.library, seen.guess)
+
+    def _solve(self, sums: RunningSums, dependent: float = DEPENDENT) -> None:
+        regression = replace(self.regression, dependent=dependent) if dependent > DEPENDENT else self.regression
+        found = regression.solve(sums, self.constraints.free, self.constraints.offset)
+        self.set_coefficients(self._finite(found, "regression"))
+
+    def _finite(self, coefficients: Tensor, source: str) -> Tensor:
+        """Return coefficients as they are.
+
+        Raises:
+            Diverged: one of them is not finite.
+        """
+        if len(wrong := (~coefficients.isfinite()).nonzero()):
+            k, i = wrong[0].tolist()
+            raise Diverged(
+                f"model learning: the {source} on {self.sums.count} samples left {len(wrong)} coefficients that are "
+                f"not finite, such as {coefficients[k, i].item()} of {self.library.names[k]} in "
+                f"{self.signature.state_names[i]}'; leave that function out of the library, or check the data's units"
+            )
+        return coefficients

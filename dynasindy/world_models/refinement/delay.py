@@ -1,0 +1,110 @@
+"""The time between an input and its effect, out of a recording, in fractions of a sample."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.regression.regression import Rows, least_squares
+
+Cost = Callable[[float], float]
+"""Delay [s] to N/2 times the logarithm of the squared error of a model fitted with it, summed over the states."""
+
+
+def delayed(data: Transitions, delay: float) -> Transitions:
+    """Return a recording whose inputs act `delay` seconds later; before its first sample the first input held.
+
+    A delay that is no whole number of samples changes the input within an interval; its mean is taken.
+
+    Args:
+        data: the recording, under zero-order hold.
+        delay: delay [s], 0 or more.
+
+    Raises:
+        ValueError: the delay is negative.
+    """
+    if delay < 0:
+        raise ValueError(f"an input delay is {delay} s; allowed is 0 or more")
+    whole, part = divmod(delay / data.dt, 1.0)
+    if delay == 0:
+        return data
+    places, begin = torch.arange(len(data)), _begin(data)
+    late, later = (data.u[torch.maximum(places - int(whole) - more, begin)] for more in (0, 1))
+    return replace(data, u=(1 - part) * late + part * later)
+
+
+def known_inputs(data: Transitions, longest: float) -> Tensor:
+    """Return which rows know the input of `longest` seconds before, bool `(N,)`: not the first ones of a segment."""
+    return torch.arange(len(data)) - _begin(data) >= math.ceil(longest / data.dt - 1e-9)
+
+
+def rough_delay(free: Tensor, rows: Callable[[float], Rows], dt: float, longest: float) -> float:
+    """Return the delay of whole samples with which all functions explain the rates of change best [s].
+
+    Args:
+        free: functions that each equation may have, bool `(n_features, n_x)`.
+        rows: averaged functions and rates of change of the recording under inputs delayed by so much [s].
+        dt: length of a sample [s].
+        longest: longest delay that is tried [s].
+    """
+    most = math.floor(longest / dt + 1e-9)
+    costs = [_regressed(free, *rows(k * dt)) for k in range(most + 1)]
+    return min(range(most + 1), key=costs.__getitem__) * dt
+
+
+def fine_delay(rough: float, dt: float, longest: float, worth: float, cost: Cost) -> float:
+    """Return the delay that explains a recording best, in fractions of a sample [s]; 0 if none is hardly worse.
+
+    Args:
+        rough: delay to begin with [s].
+        dt: length of a sample [s].
+        longest: longest delay [s].
+        worth: what a delay must lower the cost by.
+        cost: what a fit to the recording under inputs delayed by so much leaves over.
+    """
+    costs: dict[float, float] = {}
+
+    def _at(delay: float) -> float:
+        if not 0 <= delay <= longest * (1 + 1e-9):
+            return math.inf
+        if delay not in costs:
+            costs[delay] = cost(delay)
+        return costs[delay]
+
+    best, step = rough, dt
+    while True:
+        better = min((best - step, best, best + step), key=_at)
+        if better != best:
+            best = better
+        elif step > dt / 4:
+            step /= 2
+        else:
+            break
+    if best and _at(0.0) - _at(best) < worth:
+        return 0.0
+    before, here, after = (_at(best + k * step) for k in (-1, 0, 1))
+    bend = before - 2 * here + after
+    return best + step * 0.5 * (before - after) / bend if math.isfinite(bend) and bend > 0 else best
+
+
+def _regressed(support: Tensor, theta: Tensor, dx: Tensor) -> float:
+    """Return N/2 log of what the regression of the rates of change leaves over, summed over the states."""
+    cost = 0.0
+    for i in range(dx.shape[1]):
+        if not bool(support[:, i].any()):
+            continue
+        columns = theta[:, support[:, i]]
+        columns = columns / columns.norm(dim=0).clamp_min(1e-300)
+        error = dx[:, i] - columns @ least_squares(columns, dx[:, i])
+        cost += 0.5 * len(dx) * math.log(float(error.square().sum()) + 1e-300)
+    return cost
+
+
+def _begin(data: Transitions) -> Tensor:
+    """Return the row at which the segment of each row begins, `(N,)`."""
+    return torch.where(data.begins(), torch.arange(len(data)), 0).cummax(0).values

@@ -1,0 +1,198 @@
+"""States out of what sensors saw: the first guess of a fit to measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dynasindy.systems.integrators import rk4
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.libraries.constraints import Constraints
+from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.refinement.shooting import substeps_for
+from dynasindy.world_models.regression.regression import Rows, Theta, simpson_form
+from dynasindy.world_models.regression.selection import DEPENDENT
+from dynasindy.world_models.regression.weak import weak_form
+from dynasindy.world_models.writers.fast_field import generate
+
+LENGTHS = (5, 7, 9, 13, 17, 25, 35, 51, 71, 101)
+"""Samples under a local cubic that are tried."""
+AS_GOOD = 1.1
+"""Factor on the smallest error of prediction up to which the longer cubic is taken: rates want a longer one."""
+
+NOISY = 1e-5
+"""Part of a function of measured states that others leave over, below which it depends on them."""
+SHORTEST_BUMP, LONGEST_BUMP = 8, 20
+"""Samples in half a bump: fewer leave the noise in, more leave fewer rows than a library has functions."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Hold a recording as its regressions read it.
+
+    Attributes:
+        guess: the recording, the states that were not measured guessed.
+        measured: the same, NaN where a state was not measured.
+        rates: which state is the rate of which other one, `{rate: state}`.
+        half: half of the length of the bump of the weak form [samples]; 0 where all states were measured.
+    """
+
+    guess: Transitions
+    measured: Transitions
+    rates: Mapping[int, int]
+    half: int
+
+    @classmethod
+    def of(cls, guess: Transitions, measured: Transitions, rates: Mapping[int, int], noisy: bool = False) -> Seen:
+        """Choose the bump by the noise of what was measured; none where all was measured and it is not said noisy."""
+        half = 0
+        if noisy or bool(has_gaps(measured)):
+            columns = (filled(column.numpy()) for column in measured.x_next.double().unbind(-1))
+            half = max(best_length(column) for column in columns if column is not None) // 2
+            half = min(max(half, SHORTEST_BUMP), LONGEST_BUMP)
+        return cls(guess.to(torch.float64), measured.to(torch.float64), rates, half)
+
+    @property
+    def dependent(self) -> float:
+        """Return the part that other functions leave over of one below which noise cannot tell it from them."""
+        return NOISY if self.half else DEPENDENT
+
+    def rows(self, theta: Theta, field: Theta) -> Rows:
+        """Average functions and rates of change: by the weak form, or within intervals if all states were measured.
+
+        Args:
+            theta: `(x, u) -> (N, n_features)`.
+            field: first model `(x, u) -> dx`, `(N, n_x)`.
+        """
+        if not self.half:
+            return simpson_form(theta, field, self.guess)
+        return weak_form(theta, self.measured, self.guess, self.rates, self.half)
+
+
+def rates_known(library: Library, constraints: Constraints) -> dict[int, int]:
+    """Return which state is known to be the rate of which other one, by their positions: `{rate: state}`.
+
+    Args:
+        library: candidate functions.
+        constraints: what is known of the equations.
+    """
+    found = {}
+    for i in range(library.signature.n_x):
+        given = constraints.offset[:, i].nonzero().flatten().tolist()
+        if bool(constraints.free[:, i].any()) or len(given) != 1 or float(constraints.offset[given[0], i]) != 1:
+            continue
+        if (name := library.names[given[0]]) in library.signature.state_names:
+            found[library.signature.state_index(name)] = i
+    return found
+
+
+def reconstruct(data: Transitions, rates: Mapping[int, int], noisy: bool = False) -> Transitions:
+    """Guess all states from measurements by local cubics: the measured ones smoothed, their rates differentiated.
+
+    A state that was not measured and is no rate of one that was is guessed to be zero.
+
+    Args:
+        data: the recording, NaN where a state was not measured.
+        rates: which state is the rate of which other one, `{rate: state}`.
+        noisy: whether states that were all measured are smoothed too; if not, they stay as they are.
+    """
+    data = data.to(torch.float64)
+    if not noisy and not bool(has_gaps(data)):
+        return data
+    x, x_next = torch.zeros_like(data.x), torch.zeros_like(data.x)
+    lengths: dict[int, int] = {}
+    for segment in data.segment.unique_consecutive().tolist():
+        rows = (data.segment == segment).nonzero().flatten()
+        samples = torch.cat([data.x[rows[:1]], data.x_next[rows]])
+        guessed = torch.zeros_like(samples)
+        for i in range(samples.shape[1]):
+            rate_of = rates.get(i) if bool(samples[:, i].isnan().all()) else None
+            column = filled(samples[:, i if rate_of is None else rate_of].numpy())
+            if column is None:
+                continue
+            source = i if rate_of is None else rate_of
+            lengths.setdefault(source, best_length(column))
+            guessed[:, i] = torch.from_numpy(local_cubic(column, lengths[source], data.dt, int(rate_of is not None)))
+        x[rows], x_next[rows] = guessed[:-1], guessed[1:]
+    return replace(data, x=x, x_next=x_next)
+
+
+def imagined(
+    library: Library, xi: Tensor, data: Transitions, guess: Transitions, rates: Mapping[int, int]
+) -> Transitions:
+    """Guess the states that no sensor sees in any form by a first model, which the measured states lead.
+
+    The rate of a measured state is seen in that state, and stays as it was reconstructed.
+
+    Args:
+        library: candidate functions.
+        xi: coefficients of the first model, `(n_features, n_x)`.
+        data: the recording, NaN where a state was not measured.
+        guess: the same, as far as it can be guessed without a model.
+        rates: which state is the rate of which other one, `{rate: state}`.
+    """
+    unseen = data.x.isnan().all(0) & data.x_next.isnan().all(0)
+    hidden = unseen.clone()
+    for rate, state in rates.items():
+        hidden[rate] &= unseen[state]
+    if not bool(hidden.any()):
+        return guess
+    field, x, x_next = generate(library, xi), guess.x.clone(), guess.x_next.clone()
+    substeps = substeps_for(library, xi, guess.x, guess.u, guess.dt)
+    for k in range(len(guess)):
+        if k and bool(guess.segment[k] == guess.segment[k - 1]):
+            x[k] = torch.where(hidden, x_next[k - 1], x[k])
+        after = x[k]
+        for _ in range(substeps):
+            after = rk4(field, after, guess.u[k], guess.dt / substeps)
+        x_next[k] = torch.where(hidden & after.isfinite(), after, x_next[k])
+    return replace(guess, x=x, x_next=x_next)
+
+
+def filled(column: Array) -> Array | None:
+    """Return samples with the lost ones interpolated, `(n,)`; None if none was measured."""
+    seen = np.flatnonzero(~np.isnan(column))
+    return np.interp(np.arange(len(column)), seen, column[seen]) if len(seen) else None
+
+
+def best_length(column: Array) -> int:
+    """Choose how many samples lie under a local cubic: as many as predict the samples left out hardly worse.
+
+    Args:
+        column: samples, `(n,)`.
+    """
+    from scipy.signal import savgol_coeffs, savgol_filter  # a second of imports that most runs do without
+
+    errors = {}
+    for length in LENGTHS:
+        if length > len(column):
+            break
+        own = savgol_coeffs(length, 3)[length // 2]  # weight of a sample in its own smoothed value
+        errors[length] = float(np.square((column - savgol_filter(column, length, 3)) / (1 - own)).mean())
+    if not errors:
+        return LENGTHS[0]
+    least = min(errors.values())
+    return max(length for length, error in errors.items() if error <= AS_GOOD * least + 1e-300)
+
+
+def local_cubic(column: Array, length: int, dt: float, derivative: int) -> Array:
+    """Smooth or differentiate samples, `(n,)`, by a cubic through `length` neighbours; fewer where there are fewer."""
+    length = min(length, len(column) - 1 + len(column) % 2)
+    if length < 5:
+        return np.gradient(column, dt) if derivative and len(column) > 1 else column * (1 - derivative)
+    from scipy.signal import savgol_filter
+
+    smooth: Array = savgol_filter(column, length, 3, deriv=derivative, delta=dt)
+    return smooth
+
+
+def has_gaps(data: Transitions) -> Tensor:
+    """Tell whether a state was not measured, bool `()`."""
+    return data.x.isnan().any() | data.x_next.isnan().any()

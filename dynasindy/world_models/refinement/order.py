@@ -1,0 +1,103 @@
+"""Whether a state of a recording moves on by itself, as an angle does whose rate is no state of the model."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.libraries import polynomial
+from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.refinement.measured import best_length, local_cubic
+
+CLEAR = 20.0
+"""Movement over a step that is looked at [deviation of what no local cubic follows]."""
+UNEXPLAINED = 0.1
+"""Part of the movement that states and inputs have to leave unexplained."""
+EXPLAINED = 0.9
+"""Part of that which the movement just before has to explain."""
+ROWS = 5000
+"""Rows that are looked at."""
+ALIKE = 0.01
+"""Part of the movement of a state that another one may leave over which is its rate."""
+WINDOW = 10
+"""Samples over which the rate of another state is told by its integral, which noise leaves as it is."""
+CUBIC = 8
+"""States and inputs up to which cubic functions of them are looked at; of more, quadratic ones."""
+
+
+def moving_on(library: Library, data: Transitions) -> list[str]:
+    """Return the states that go on as they went before, whatever states and inputs say: a rate of theirs is missing.
+
+    Where all states are there, what happens next follows from them and from the inputs. A state that is the rate of
+    another one is taken to have none of its own. The movement over a step is
+    regressed on the candidate functions, on polynomials, which stand for functions that the library lacks, and on the
+    inputs of the step before; then also on the movement over the step before.
+
+    Args:
+        library: candidate functions.
+        data: the recording; one with a state that was not measured is not judged.
+    """
+    if len(data) < WINDOW or bool(data.x.isnan().any() | data.x_next.isnan().any()):
+        return []
+    data, signature = data.to(torch.float64), library.signature
+    smooth = polynomial(signature, 3 if signature.n_x + signature.n_u <= CUBIC else 2)
+    library = Library(signature, [*library.features, *smooth.features])
+    rates = _rates(data)
+    return [name for i, name in enumerate(signature.state_names) if i not in rates and _moves_on(library, data, i)]
+
+
+def _rates(data: Transitions) -> set[int]:
+    """Return the states that are rates of others: their integrals by the trapezoidal rule are what others move by."""
+    rows = torch.arange(len(data) - WINDOW + 1)
+    last = rows + WINDOW - 1
+    rows, last = (k[data.segment[rows] == data.segment[last]] for k in (rows, last))
+    moved = data.x_next[last] - data.x[rows]
+    sums = torch.cat([torch.zeros_like(data.x[:1]), (0.5 * data.dt * (data.x + data.x_next)).cumsum(0)])
+    left = (moved.unsqueeze(-1) - (sums[last + 1] - sums[rows]).unsqueeze(-2)).square().sum(0)  # (state, rate)
+    return set((left < ALIKE * moved.square().sum(0).unsqueeze(-1)).nonzero()[:, 1].tolist())
+
+
+def _moves_on(library: Library, data: Transitions, i: int) -> bool:
+    found = _steps(data, i)
+    if found is None:
+        return False
+    rows, length = found
+    now, past = rows, rows - length
+    moved = data.x[now + length, i] - data.x[now, i]
+    before = (data.x[now, i] - data.x[past, i]).unsqueeze(-1)
+    sums = torch.cat([torch.zeros_like(data.u[:1]), data.u.cumsum(0)])
+    u, u_past = ((sums[k + length] - sums[k]) / length for k in (now, past))
+    columns = torch.cat([library(data.x[now], u), u_past], -1)
+    columns = columns[:, columns.isfinite().all(0)]
+    total, alone = float((moved - moved.mean()).square().sum()), _left(columns, moved)
+    if not alone[0] > UNEXPLAINED * total:
+        return False
+    left, weight = _left(torch.cat([columns, before], -1), moved)
+    return left < (1 - EXPLAINED) * alone[0] and weight > 0
+
+
+def _steps(data: Transitions, i: int) -> tuple[Tensor, int] | None:
+    """Return rows with a step before and after them in their segment, and its length in samples; None if too few."""
+    labels, counts = data.segment.unique_consecutive(return_counts=True)
+    longest = data.x[data.segment == labels[int(counts.argmax())], i].numpy()
+    if len(longest) < 8:
+        return None
+    noise = float(torch.from_numpy(longest - local_cubic(longest, best_length(longest), 1.0, 0)).square().mean().sqrt())
+    length = 1
+    while 8 * length < len(longest):
+        rows = torch.arange(length, len(data) - length)
+        rows = rows[data.segment[rows - length] == data.segment[rows + length]]
+        rows = rows[:: max(1, len(rows) // ROWS)]
+        if float((data.x[rows + length, i] - data.x[rows, i]).square().mean().sqrt()) > CLEAR * noise:
+            return rows, length
+        length *= 2
+    return None
+
+
+def _left(columns: Tensor, target: Tensor) -> tuple[float, float]:
+    """Return the squares that least squares leave over, and the weight of the last column."""
+    scale = columns.norm(dim=0).clamp_min(1e-300)
+    solution = torch.linalg.lstsq(columns / scale, target.unsqueeze(-1), driver="gelsd").solution
+    error = target.unsqueeze(-1) - columns / scale @ solution
+    return float(error.square().sum()), float(solution[-1, 0])

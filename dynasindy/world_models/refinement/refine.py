@@ -1,0 +1,292 @@
+"""Refinement of a sparse model: from the trapezoidal rule to what the data can tell."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from dynasindy.limits import Count
+from dynasindy.systems.integrators import rk4
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.libraries.constraints import Constraints
+from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.refinement.delay import delayed, fine_delay, known_inputs, rough_delay
+from dynasindy.world_models.refinement.measured import Seen, rates_known, reconstruct
+from dynasindy.world_models.refinement.one_step import refine_one_step
+from dynasindy.world_models.refinement.order import moving_on
+from dynasindy.world_models.refinement.shapes import fit_shapes
+from dynasindy.world_models.refinement.shooting import RunsAway
+from dynasindy.world_models.refinement.trajectory import WORSE, Descent, refine_trajectory, strain, trajectory_cost
+from dynasindy.world_models.regression.regression import Regression, RunningSums
+from dynasindy.world_models.writers.fast_field import generate
+
+AGAIN = 3
+"""Rounds at most in which delay and equations are fitted in turn."""
+STEPS = 6
+"""Gauss-Newton steps after which two delays are compared."""
+METHODS = ("integral", "one_step", "trajectory", "auto")
+ERRORS = ("auto", "simulation", "coloured", "prediction", "innovation")
+Model = tuple[Library, Tensor]
+"""A library with the numbers inside its fitted factors, and coefficients, `(n_features, n_x)`."""
+
+
+class Refined(NamedTuple):
+    """Hold what a refinement found.
+
+    Attributes:
+        library: candidate functions, with the numbers inside fitted factors.
+        coefficients: Xi, `(n_features, n_x)`.
+        delay: time between an input and its effect [s].
+        notes: sentences on what was chosen, and by what.
+    """
+
+    library: Library
+    coefficients: Tensor
+    delay: float = 0.0
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Hold a recording, to be read under inputs that act later than they were given.
+
+    Attributes:
+        data: transitions, NaN where a state was not measured.
+        guess: the same, the states that were not measured guessed.
+        rates: which state is the rate of which other one, `{rate: state}`.
+        known: rows whose inputs are known however late they act, bool `(N,)`.
+        noisy: whether states that were all measured are noisy: `guess` holds them smoothed then.
+    """
+
+    data: Transitions
+    guess: Transitions
+    rates: Mapping[int, int]
+    known: Tensor
+    noisy: bool = False
+
+    @classmethod
+    def of(cls, data: Transitions, guess: Transitions, rates: Mapping[int, int], longest: float) -> Recording:
+        """Leave out the rows whose inputs of up to `longest` seconds before are not known."""
+        return cls(data, guess, rates, known_inputs(data, longest))
+
+    def smoothed(self) -> Recording:
+        """Return the recording as one whose samples are noisy, wherever it is read from now on."""
+        return replace(self, guess=reconstruct(self.data, self.rates, True), noisy=True)
+
+    def measured(self, delay: float) -> Transitions:
+        """Return what was measured, under inputs that act `delay` seconds later."""
+        return delayed(self.data, delay).select(self.known)
+
+    def guessed(self, delay: float) -> Transitions:
+        """Return the same with a guess of every state."""
+        return delayed(self.guess, delay).select(self.known)
+
+    def seen(self, delay: float) -> Seen:
+        """Return what regressions read, under inputs that act `delay` seconds later."""
+        return Seen.of(self.guessed(delay), self.measured(delay), self.rates, self.noisy)
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """Settings of the refinement.
+
+    Attributes:
+        method: `integral` repeats the regression with a fourth-order integral form, at the cost of a regression;
+            `one_step` minimises the one-step prediction error after that, for data without noise; `trajectory`
+            minimises the error of whole trajectories, their start states estimated too, for data with noise;
+            `auto` takes `trajectory` where the one-step errors look like measurement noise, else `one_step`. Data in
+            which a state was not measured are always fitted by `trajectory`.
+        rounds: repetitions of the fourth-order regression.
+        tolerance: unexplained part of a rate of change that is taken as exact.
+        window: sampling intervals between two states that `trajectory` estimates.
+        longest_delay: longest delay of the inputs that is looked for [s], in whole samples, by `trajectory` in
+            fractions of them; 0 takes the inputs as they are.
+        error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), what
+            is new in such errors, as they last from sample to sample (`coloured`), of windows that begin anew
+            (`prediction`), for plants that are pushed at random or unstable, or what a Kalman filter leaves over in
+            such windows (`innovation`), the sizes of pushes and of noise estimated; `auto` takes windows that begin
+            anew where they leave over much less than a trajectory.
+            The default is `auto` for the method `auto`, and `simulation` for others.
+        correlated: whether a coefficient of `trajectory` must be worth the more, the longer errors last: for real
+            plants, of which every model leaves over more than noise. If not, every sample counts.
+
+    Raises:
+        ValueError: a setting is not allowed.
+    """
+
+    method: Literal["integral", "one_step", "trajectory", "auto"] = "integral"
+    rounds: Count = 2
+    tolerance: float = 1e-6
+    window: int = 20
+    longest_delay: float = 0.0
+    error: Literal["auto", "simulation", "coloured", "prediction", "innovation"] | None = None
+    correlated: bool = False
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise ValueError(f"refinement got method {self.method!r}; allowed are {', '.join(METHODS)}: choose one")
+        if self.error not in (None, *ERRORS):
+            raise ValueError(f"refinement got error {self.error!r}; allowed are {', '.join(ERRORS)}: choose one")
+        if not 0 <= self.longest_delay < math.inf:
+            raise ValueError(f"refinement got longest_delay {self.longest_delay} s; allowed is 0 or more")
+        if self.rounds < 0 or not self.tolerance > 0 or self.window < 1:
+            raise ValueError(
+                f"refinement got rounds {self.rounds}, tolerance {self.tolerance}, window {self.window}; allowed are "
+                "rounds >= 0, tolerance > 0, window >= 1: correct them"
+            )
+
+    def run(
+        self,
+        library: Library,
+        coefficients: Tensor,
+        constraints: Constraints,
+        data: Transitions,
+        guess: Transitions | None = None,
+    ) -> Refined:
+        """Return refined coefficients, the library with its fitted factors, and the delay of the inputs.
+
+        Args:
+            library: candidate functions.
+            coefficients: first estimate, `(n_features, n_x)`.
+            constraints: what is known of the equations.
+            data: transitions to refine on, NaN where a state was not measured.
+            guess: the same, the states that were not measured guessed; needed where there are such states.
+        """
+        guess = data if guess is None else guess
+        lacking = moving_on(library, data) if self.longest_delay else []
+        if lacking:  # a delay would stand for the rate that is missing
+            note = (
+                f"no delay of the inputs was looked for: {' and '.join(lacking)} moves on whatever states and inputs "
+                "say, as an angle or a position does whose rate is no state here"
+            )
+            alone = replace(self, longest_delay=0.0).run(library, coefficients, constraints, data, guess)
+            return alone._replace(notes=(*alone.notes, note))
+        recording = Recording.of(data, guess, rates_known(library, constraints), self.longest_delay)
+        delay = self._rough(library, coefficients, constraints, recording)
+        found = self._regressed(library, coefficients, constraints, recording.seen(delay))
+        method, noisy, notes = self._chosen(*found, data, recording.guessed(delay))
+        if method == "one_step":
+            found = refine_one_step(*found, constraints.free, recording.guessed(delay), self.tolerance)
+        if method == "trajectory":
+            if noisy:
+                recording = recording.smoothed()
+                found = self._regressed(*found, constraints, recording.seen(delay))
+            found, delay, why = self._by_trajectories(found, delay, constraints, recording)
+            notes += why
+        if delay and delay > self.longest_delay - 0.5 * data.dt:
+            notes += (f"the delay is at the end of what was looked for, {self.longest_delay:g} s; it may be longer",)
+        return Refined(*found, delay, notes)
+
+    def _rough(self, library: Library, coefficients: Tensor, constraints: Constraints, recording: Recording) -> float:
+        """Return the delay of whole samples that a regression finds [s]; 0 where none is looked for."""
+        if not self.longest_delay:
+            return 0.0
+        field, dt = generate(library, coefficients), recording.data.dt
+        return rough_delay(constraints.free, lambda d: recording.seen(d).rows(library, field), dt, self.longest_delay)
+
+    def _by_trajectories(
+        self, first: Model, rough: float, constraints: Constraints, recording: Recording
+    ) -> tuple[Model, float, tuple[str, ...]]:
+        """Return the model that trajectories tell, the delay, and which error was minimised if that was chosen."""
+        descent = Descent(min(self.window, int(recording.known.sum())), correlated=self.correlated)
+        kinds = {
+            "simulation": descent,
+            "coloured": replace(descent, coloured=True),
+            "prediction": replace(descent, joined=False),
+            "innovation": replace(descent, joined=False, pushed=True),
+        }
+        error = self.error or ("auto" if self.method == "auto" else "simulation")
+        if error != "auto":
+            return *self._in_turn(first, rough, constraints, recording, kinds[error]), ()
+        try:
+            found, delay = self._in_turn(first, rough, constraints, recording, descent)
+            start = recording.guessed(delay).x
+            ratio = strain(*found, constraints.free, recording.measured(delay), descent, start)
+        except RunsAway:
+            why = "a trajectory through all samples runs away"
+        else:
+            worst = int(ratio.argmax())
+            name = first[0].signature.state_names[worst]
+            why = f"of {name} a trajectory through all has {ratio[worst]:.2f} times the error of such windows"
+            if not math.isfinite(ratio[worst]):
+                why = "of a trajectory through all no function is left"
+            elif float(ratio[worst]) <= WORSE:
+                return found, delay, (f"error=simulation: {why}, which noise of the sensors explains",)
+            else:
+                why += ", so that something pushes the plant, or functions are missing"
+        note = f"error=prediction, over windows of {descent.window} samples: {why}"
+        return *self._in_turn(first, rough, constraints, recording, kinds["prediction"]), (note,)
+
+    def _in_turn(
+        self, found: Model, delay: float, constraints: Constraints, recording: Recording, descent: Descent
+    ) -> tuple[Model, float]:
+        """Return the model that trajectories tell, and the delay, fitted in turn with it."""
+        free = constraints.free
+
+        def _fitted(found: Model, delay: float) -> Model:
+            return refine_trajectory(*found, free, recording.measured(delay), descent, recording.guessed(delay).x)
+
+        if not self.longest_delay:
+            return _fitted(found, delay), delay
+        delay = self._fine(delay, found, free, recording, descent)
+        found = _fitted(self._regressed(*found, constraints, recording.seen(delay)), delay)
+        # The equations that were chosen tell the delay better than those they were chosen from.
+        for _ in range(AGAIN):
+            last, delay = delay, self._fine(delay, found, free, recording, descent)
+            if abs(delay - last) < 0.02 * recording.data.dt:
+                break
+            found = _fitted(found, delay)
+        return found, delay
+
+    def _fine(self, delay: float, found: Model, free: Tensor, recording: Recording, descent: Descent) -> float:
+        """Return the delay in fractions of a sample that a few steps of the fit to trajectories find [s]."""
+        few, data = replace(descent, max_rounds=STEPS), recording.data
+
+        def _cost(trial: float) -> float:
+            return trajectory_cost(*found, free, recording.measured(trial), few, recording.guessed(trial).x)
+
+        return fine_delay(delay, data.dt, self.longest_delay, math.log(max(len(data), 2)), _cost)
+
+    def _chosen(
+        self, library: Library, coefficients: Tensor, data: Transitions, guess: Transitions
+    ) -> tuple[str, bool, tuple[str, ...]]:
+        """Return the method for these data, whether samples look noisy, and what is to be said of a choice."""
+        unseen = (data.x.isnan() | data.x_next.isnan()).any(0).tolist()
+        names = [name for name, gaps in zip(library.signature.state_names, unseen, strict=True) if gaps]
+        if names:
+            return "trajectory", False, (f"fitted whole trajectories: not all of {', '.join(names)} was measured",)
+        noisy = self.method != "integral" and looks_noisy(library, coefficients, guess)
+        if self.method != "auto":
+            return self.method, noisy, ()
+        if noisy:
+            return "trajectory", True, ("fitted whole trajectories: one-step errors look like noise of the sensors",)
+        return "one_step", False, ("fitted one step ahead: one-step errors do not look like noise of the sensors",)
+
+    def _regressed(self, library: Library, coefficients: Tensor, constraints: Constraints, seen: Seen) -> Model:
+        """Repeat the regression with what is known of the states between samples, and fit numbers inside functions."""
+        regression = Regression(method="bic", tolerance=self.tolerance, dependent=seen.dependent)
+        for _ in range(self.rounds):
+            sums = RunningSums(len(library), library.signature.n_x)
+            sums.add(seen.rows(library, generate(library, coefficients)))
+            coefficients = regression.solve(sums, constraints.free, constraints.offset)
+            library, coefficients = fit_shapes(library, coefficients, constraints.free, seen.rows, self.tolerance)
+        return library, coefficients
+
+
+def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bool:
+    """Tell measurement noise from errors of the model by the one-step errors.
+
+    White noise n of the states makes errors n_k+1 - n_k, whose neighbours correlate by -0.5; errors of a model
+    last over many samples, and their neighbours correlate positively.
+    """
+    data = data.to(torch.float64)
+    error = data.x_next - rk4(generate(library, coefficients), data.x, data.u, data.dt)
+    follows = data.segment[1:] == data.segment[:-1]
+    before, after = error[:-1][follows], error[1:][follows]
+    correlation = (before * after).sum(0) / (before.norm(dim=0) * after.norm(dim=0)).clamp_min(1e-300)
+    return bool((correlation < -0.3).sum() * 2 > len(correlation))

@@ -1,0 +1,367 @@
+"""Trajectories of all windows side by side, and the linear model of their errors with most nodes eliminated.
+
+| name     | meaning                                             | shape      |
+| -------- | --------------------------------------------------- | ---------- |
+| nodes    | start states of the windows                         | `(W, n_x)` |
+| shapes   | numbers inside the fitted factors of the library    | `(S,)`     |
+| fixed    | unknowns that always stay: first nodes and shapes   | F of them  |
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.refinement.coloured import news, remaining
+from dynasindy.world_models.refinement.pushes import Noise, estimated, whiten
+from dynasindy.world_models.refinement.windows import Windows
+from dynasindy.world_models.regression.sensitivity import Parameters, Propagator
+
+EXACT = 1e-100
+"""Error taken for that of a state that is met exactly, as one that never moves; its inverse has a finite square."""
+FAINT = 0.01
+"""Weighted error below which a start that moves by a whole spread of its state is taken to change nothing."""
+FINE, STABLE, MOST_STEPS = 0.1, 1.5, 10
+"""Runge-Kutta step times the fastest rate of the model: for an error of 1e-7, and the most that is stable; and how many
+steps of an interval the first may ask for."""
+
+
+class RunsAway(ValueError):
+    """A model leaves all bounds within the shortest of windows."""
+
+
+@dataclass
+class Estimate:
+    """Hold the unknowns of a fit to trajectories: the library with its shapes, Xi, and the nodes."""
+
+    library: Library
+    xi: Tensor
+    nodes: Tensor
+
+
+@dataclass(frozen=True)
+class Flow:
+    """Hold the trajectories of all windows and their sensitivities.
+
+    Attributes:
+        predicted: states at the ends of the intervals, `(W, L, n_x)`.
+        s: their derivatives by the window's start, the shapes and the coefficients, `(W, L, n_x, n_x + S + P)`.
+    """
+
+    predicted: Tensor
+    s: Tensor
+
+    @classmethod
+    def of(cls, estimate: Estimate, parameters: Parameters, windows: Windows) -> Flow:
+        """Integrate all windows."""
+        propagator = Propagator(estimate.library, estimate.xi, parameters, estimate.library.shapes)
+        x, s = estimate.nodes, propagator.start(len(estimate.nodes))
+        states, slopes = [], []
+        for u in windows.inputs.unbind(1):
+            x, s = propagator.advance(x, s, u, windows.dt, windows.substeps)
+            states.append(x)
+            slopes.append(s)
+        return cls(torch.stack(states, 1), torch.stack(slopes, 1))
+
+    def lost(self) -> Tensor:
+        """Return which windows the model runs away in, bool `(W,)`."""
+        finite = self.predicted.square().isfinite().all(-1) & self.s.square().isfinite().all(-1).all(-1)
+        return ~finite.all(-1)
+
+    def sigma(self, windows: Windows) -> Tensor:
+        """Return the error of each state, `(n_x,)`; `EXACT` where none was measured. Of lasting ones what is new."""
+        error = _white((windows.measured - self.predicted).unsqueeze(-1) * windows.mask.unsqueeze(-1), windows)
+        error = error.squeeze(-1)
+        return (error.square().sum((0, 1)) / windows.mask.sum((0, 1)).clamp_min(1)).sqrt().clamp_min(EXACT)
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """Hold the condensed linear model at an estimate.
+
+    Attributes:
+        triangle: R of [fixed unknowns, coefficients, target], all weighted and scaled.
+        scale: norms of the columns.
+        cost: sum of squared errors and of squared gaps between windows, both weighted.
+        moves: how the node of each window moves with the unknowns, `(W, n_x, F + P + 1)`.
+        sigma: error of each state, `(n_x,)`.
+        errors: weighted errors of the samples, zero where not measured, `(W, L, n_x)`; whitened where windows tell
+            how the plant is pushed.
+    """
+
+    triangle: Tensor
+    scale: Tensor
+    cost: float
+    moves: Tensor
+    sigma: Tensor
+    errors: Tensor
+
+
+def linearise(
+    estimate: Estimate, parameters: Parameters, windows: Windows, sigma: Tensor | None = None, flow: Flow | None = None
+) -> Linearised:
+    """Integrate all windows with sensitivities and eliminate the nodes that continue a window.
+
+    Args:
+        estimate: coefficients and nodes.
+        parameters: coefficients to differentiate by, P of them.
+        windows: the recording.
+        sigma: error of each state, the weights; from the errors themselves if omitted.
+        flow: what was integrated already.
+
+    Raises:
+        RunsAway: without `sigma`, so at an estimate that is no trial, the model runs away within a window.
+    """
+    flow = flow or Flow.of(estimate, parameters, windows)
+    if sigma is None:
+        _require_bounded(flow, windows)
+        sigma = flow.sigma(windows)
+    if bool((~windows.joined).all()):
+        rows, moves, errors, cost = _alone(estimate, flow, windows, sigma)
+    else:
+        rows, moves, errors, cost = _joined(estimate, flow, windows, len(parameters), sigma)
+    n_fixed = moves.shape[-1] - len(parameters) - 1
+    scale = rows[:, :-1].norm(dim=0).clamp_min(1e-300)
+    target = rows[:, -1:] + rows[:, n_fixed:-1] @ parameters.read(estimate.xi).unsqueeze(-1)
+    triangle = torch.linalg.qr(torch.cat([rows[:, :-1] / scale, target], -1), mode="r")[1]
+    return Linearised(triangle, scale, cost, moves, sigma, errors)
+
+
+def _joined(
+    estimate: Estimate, flow: Flow, windows: Windows, n_p: int, sigma: Tensor
+) -> tuple[Tensor, Tensor, Tensor, float]:
+    """Return weighted rows `(M, F + P + 1)`, moves of the nodes, weighted errors, and the cost, of one trajectory."""
+    error = (windows.measured - flow.predicted) * windows.mask
+    begun = ~windows.joined
+    start_weight = 1 / sigma if windows.lasting is None else (1 - windows.lasting.square()).sqrt() / sigma
+    start_error = (windows.first - estimate.nodes)[begun]
+    moves, gaps = _condense(estimate.nodes, flow, windows, n_p)
+    n_x = estimate.xi.shape[1]
+    # error - d predicted: the node's move, then shapes and coefficients.
+    columns = flow.s[..., :n_x] @ moves.unsqueeze(1)
+    n_own = flow.s.shape[-1] - n_x
+    columns[..., -1 - n_own : -1] += flow.s[..., n_x:]
+    columns[..., -1] = error - columns[..., -1]
+    columns = _white(columns * windows.mask.unsqueeze(-1), windows) / sigma.unsqueeze(-1)
+    starts = moves[begun].clone()
+    starts[..., -1] = start_error - starts[..., -1]
+    starts = torch.where(start_error.isnan().unsqueeze(-1), 0.0, starts * start_weight.unsqueeze(-1))
+    rows = torch.cat([columns.reshape(-1, columns.shape[-1]), starts.reshape(-1, columns.shape[-1])])
+    rows = torch.cat([rows, _held(estimate, begun, rows)])
+    # A gap shifts all samples that follow, so closing it is worth more than the errors it hid.
+    gap_weight = 10.0 * windows.mask.shape[1]
+    weighed = _white(error.unsqueeze(-1), windows).squeeze(-1) / sigma
+    weighted = (
+        (1.0, weighed),
+        (1.0, start_error.nan_to_num() * start_weight),
+        (gap_weight, gaps / _gap_sigma(sigma, estimate)),
+    )
+    return rows, moves, weighed, float(sum((w * e.square().sum() for w, e in weighted), torch.zeros(())))
+
+
+def _alone(estimate: Estimate, flow: Flow, windows: Windows, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
+    """Return the same of windows on their own.
+
+    Each node moves as fits its window best, which leaves no unknown of its own (variable projection).
+    """
+    n_x, (every, seen) = estimate.xi.shape[1], _every(estimate, flow, windows)
+    if windows.noise is None:
+        every = _white(every, replace(windows, mask=seen)) / sigma.unsqueeze(-1)
+    else:
+        every = whiten(every, seen, _steps(estimate, flow, windows), windows.noise, windows.dt)[0]
+    rows = every.flatten(1, 2)
+    # A trial step may run away: its cost is infinite whatever these are, but the solver takes finite numbers alone.
+    finite = rows.nan_to_num(0.0, 0.0, 0.0)
+    best = torch.linalg.lstsq(finite[..., :n_x], finite[..., n_x:], driver="gelsd").solution
+    moves = torch.cat([-best[..., :-1], best[..., -1:]], -1)
+    errors = every[..., -1]
+    return (rows[..., n_x:] - rows[..., :n_x] @ best).flatten(0, 1), moves, errors[:, 1:], float(errors.square().sum())
+
+
+def _every(estimate: Estimate, flow: Flow, windows: Windows) -> tuple[Tensor, Tensor]:
+    """Return slopes and errors of each window's start and samples, `(W, L + 1, n_x, n_x + S + P + 1)`, and which count.
+
+    They are zero where nothing was measured; which were is 1 there and else 0, `(W, L + 1, n_x)`.
+    """
+    n_x, start_error = estimate.xi.shape[1], windows.first - estimate.nodes
+    first = torch.zeros_like(flow.s[:, 0])
+    first[..., :n_x] = torch.eye(n_x, dtype=first.dtype)
+    slopes = torch.cat([first.unsqueeze(1), flow.s], 1)
+    error = torch.cat([start_error.nan_to_num().unsqueeze(1), windows.measured - flow.predicted], 1)
+    seen = torch.cat([(~start_error.isnan()).to(error.dtype).unsqueeze(1), windows.mask], 1)
+    return torch.cat([slopes, error.unsqueeze(-1)], -1) * seen.unsqueeze(-1), seen
+
+
+def _held(estimate: Estimate, begun: Tensor, rows: Tensor) -> Tensor:
+    """Return rows that keep starts where they are which nothing measured depends on, `(S n_x, F + P + 1)`.
+
+    The start of a state that forgets it within a sample would move to any number for an error that is not its own.
+    """
+    n_start = int(begun.sum()) * estimate.nodes.shape[1]
+    spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12).repeat(int(begun.sum()))
+    faint = rows[:, :n_start].norm(dim=0) * spread < FAINT
+    held = torch.zeros(n_start, rows.shape[1], dtype=rows.dtype)
+    held[:, :n_start] = torch.diag(torch.where(faint, 1 / spread, 0.0))
+    return held
+
+
+def _white(rows: Tensor, windows: Windows) -> Tensor:
+    """Return errors and slopes, zero where not measured, `(W, L, n_x, C)`; of errors that last what is new."""
+    return rows if windows.lasting is None else news(rows, windows.mask, windows.joined, windows.lasting)
+
+
+def _steps(estimate: Estimate, flow: Flow, windows: Windows) -> Tensor:
+    """Return the slopes of the end of each interval by its beginning, `(W, L, n_x, n_x)`."""
+    none = Parameters.where(torch.zeros_like(estimate.xi, dtype=torch.bool))
+    propagator = Propagator(estimate.library, estimate.xi, none)
+    begins = torch.cat([estimate.nodes.unsqueeze(1), flow.predicted[:, :-1]], 1).flatten(0, 1)
+    inputs = windows.inputs.flatten(0, 1)
+    steps = propagator.advance(begins, propagator.start(len(begins)), inputs, windows.dt, windows.substeps)[1]
+    return steps.unflatten(0, windows.mask.shape[:2])
+
+
+def noise_of(estimate: Estimate, windows: Windows, pushed: Tensor) -> Noise:
+    """Return how noisy the sensors are and how hard the plant is pushed, by what windows on their own leave over.
+
+    Args:
+        estimate: coefficients and nodes.
+        windows: the recording.
+        pushed: states whose rates may be pushed, bool `(n_x,)`.
+    """
+    flow = Flow.of(estimate, Parameters.where(torch.zeros_like(estimate.xi, dtype=torch.bool)), windows)
+    _require_bounded(flow, windows)
+    rows, seen = _every(estimate, flow, windows)
+    n_x = estimate.xi.shape[1]
+    rows = torch.cat([rows[..., :n_x], rows[..., -1:]], -1)
+    spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12)
+    return estimated(rows, seen, _steps(estimate, flow, windows), pushed, spread, windows.dt)
+
+
+def lasting_of(estimate: Estimate, windows: Windows) -> Tensor:
+    """Return which part of an error of each state is left a sample later, `(n_x,)`, by what a trajectory leaves over.
+
+    Args:
+        estimate: coefficients and nodes.
+        windows: the recording.
+    """
+    flow = Flow.of(estimate, Parameters.where(torch.zeros_like(estimate.xi, dtype=torch.bool)), windows)
+    _require_bounded(flow, windows)
+    return remaining(windows.measured - flow.predicted, windows.mask, windows.joined)
+
+
+def _gap_sigma(sigma: Tensor, estimate: Estimate) -> Tensor:
+    """Return what a gap of each state is weighed against; of one that no sensor sees, by the errors of the others."""
+    spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12)
+    seen = sigma > EXACT
+    relative = (sigma / spread)[seen].median() if bool(seen.any()) else torch.ones(())
+    return torch.where(seen, sigma, relative * spread).clamp_min(EXACT)
+
+
+def _require_bounded(flow: Flow, windows: Windows) -> None:
+    if bool((lost := flow.lost()).any()):
+        raise RunsAway(
+            f"refinement.method=trajectory: the model runs away in {int(lost.sum())} of {len(lost)} windows of "
+            f"{windows.mask.shape[1]} samples, the first of them number {int(lost.nonzero()[0])}; look for outliers "
+            "there, lower refinement.window, or choose another refinement.method"
+        )
+
+
+def _condense(nodes: Tensor, flow: Flow, windows: Windows, n_p: int) -> tuple[Tensor, Tensor]:
+    """Express the move of every node by the moves of the first nodes, of the shapes and of the coefficients.
+
+    A window that continues another one starts where that one ends:
+    d node_j = gap_j + A d node_(j-1) + B d (shapes, xi), A and B the sensitivities at the end of window j - 1.
+    """
+    n_x, s = nodes.shape[1], flow.s
+    n_own, n_start = s.shape[-1] - n_x, n_x * int((~windows.joined).sum())
+    moves = torch.zeros(len(nodes), n_x, n_start + n_own + 1, dtype=nodes.dtype)
+    gaps = torch.zeros_like(nodes)
+    seen = 0
+    for j, joined in enumerate(windows.joined.tolist()):
+        if joined:
+            moves[j] = s[j - 1, -1, :, :n_x] @ moves[j - 1]
+            moves[j, :, n_start : n_start + n_own] += s[j - 1, -1, :, n_x:]
+            gaps[j] = flow.predicted[j - 1, -1] - nodes[j]
+            moves[j, :, -1] += gaps[j]
+        else:
+            moves[j, :, seen : seen + n_x] = torch.eye(n_x, dtype=nodes.dtype)
+            seen += n_x
+    return moves, gaps
+
+
+def move(
+    estimate: Estimate, model: Linearised, parameters: Parameters, kept: Tensor | Sequence[int], damping: float = 0.0
+) -> Estimate:
+    """Solve the linear model over the kept unknowns and move coefficients, shapes and nodes accordingly.
+
+    Raises:
+        RunsAway: the linear model is not finite.
+    """
+    kept = torch.as_tensor(kept)
+    square, n_fixed = model.triangle[:, kept], len(model.scale) - len(parameters)
+    old = torch.cat([torch.zeros(n_fixed), parameters.read(estimate.xi)]) * model.scale
+    target = model.triangle[:, -1]
+    if damping:
+        square = torch.cat([square, damping**0.5 * torch.eye(len(kept), dtype=square.dtype)])
+        target = torch.cat([target, damping**0.5 * old[kept]])
+    if not bool(square.isfinite().all() & target.isfinite().all()):
+        raise RunsAway(
+            "refinement.method=trajectory: the trajectories leave all finite numbers; give a better first guess, "
+            "lower refinement.window, or choose another refinement.method"
+        )
+    solution = torch.linalg.lstsq(square, target.unsqueeze(-1), driver="gelsd").solution.squeeze(-1)
+    values = torch.zeros_like(old).index_copy(0, kept, solution) / model.scale
+    step = values.clone()
+    step[n_fixed:] -= parameters.read(estimate.xi)
+    nodes = estimate.nodes + model.moves[..., :-1] @ step + model.moves[..., -1]
+    library, shapes = estimate.library, estimate.library.shapes
+    if shapes:
+        numbers = step[n_fixed - len(shapes) : n_fixed].tolist()
+        library = library.with_shapes([shape.frequency + by for shape, by in zip(shapes, numbers, strict=True)])
+    return Estimate(library, parameters.write(estimate.xi, values[n_fixed:]), nodes)
+
+
+def growth(flow: Flow, windows: Windows, nodes: Tensor, farthest: float = math.inf) -> tuple[float, Tensor]:
+    """Follow an error of a start state along the windows that join, relative to the spreads of the states.
+
+    Args:
+        flow: what was integrated.
+        windows: the recording.
+        nodes: start states of the windows, `(W, n_x)`.
+        farthest: growth beyond which a window begins at a state of its own.
+
+    Returns:
+        The largest growth without such a beginning, and which windows continue the one before with it, bool `(W,)`.
+    """
+    spread = nodes.std(0, correction=0).clamp_min(1e-12)
+    whole, part, largest, joined = torch.eye(len(spread), dtype=nodes.dtype), None, 0.0, windows.joined.clone()
+    for j, step in enumerate((flow.s[:, -1, :, : len(spread)] * spread / spread.unsqueeze(-1)).unbind()):
+        whole = step @ whole if windows.joined[j] else step
+        largest = max(largest, float(whole.norm().nan_to_num(math.inf)))
+        longer = step @ part if part is not None and windows.joined[j] else step
+        joined[j] = bool(windows.joined[j]) and bool(longer.norm() <= farthest)
+        part = longer if joined[j] else step
+    return largest, joined
+
+
+def substeps_for(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float) -> int:
+    """Return into how many Runge-Kutta steps an interval is divided, by the fastest rate of a model.
+
+    Args:
+        library: candidate functions.
+        xi: coefficients, `(n_features, n_x)`.
+        x: states that occur, `(N, n_x)`.
+        u: inputs there, `(N, n_u)`.
+        dt: length of an interval [s].
+    """
+    slopes = Propagator(library, xi, Parameters.where(xi != 0)).slopes_by_state(x, u)
+    rates = torch.linalg.eigvals(slopes[slopes.isfinite().all(-1).all(-1)]).abs().amax(-1)
+    if not len(rates):
+        return 1
+    turn = dt * float(torch.quantile(rates[-100_000:], 0.999))
+    return max(1, min(math.ceil(turn / FINE - 1e-6), MOST_STEPS), min(math.ceil(turn / STABLE), 10 * MOST_STEPS))

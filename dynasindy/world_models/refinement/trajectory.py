@@ -1,0 +1,389 @@
+"""Gauss-Newton on the error of whole trajectories, their start states estimated too: for data as sensors give them.
+
+Noise in the states makes regression biased (errors in variables), and a state that no sensor sees cannot be put into
+a function at all. Here the states are never put into the functions: the model's own trajectory is, from a start state
+that is estimated with the coefficients, which is the maximum likelihood estimate for white measurement noise. The
+trajectory is cut into windows whose start states are unknowns of their own, so that windows are integrated side by
+side and a poor first model does not run away (multiple shooting, Bock 1981); in each step the conditions that windows
+join are eliminated (condensing). Where windows are not joined, each begins at a state of its own: the error is then
+that of a prediction over one window, which random pushes on the plant spoil less.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from dynasindy.systems.transitions import Transitions
+from dynasindy.told import tell
+from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.refinement.repeated import repetition
+from dynasindy.world_models.refinement.shooting import (
+    EXACT,
+    Estimate,
+    Flow,
+    Linearised,
+    RunsAway,
+    growth,
+    lasting_of,
+    linearise,
+    move,
+    noise_of,
+    substeps_for,
+)
+from dynasindy.world_models.refinement.windows import ENOUGH, Windows, spread
+from dynasindy.world_models.regression.selection import reconsider, walk_down
+from dynasindy.world_models.regression.sensitivity import Parameters
+
+NOISY = 1e-7
+"""Part of a coefficient's effect that those of others leave over, below which data cannot tell it from them."""
+GROWN = 100.0
+"""Factor by which errors grow along a trajectory, beyond which functions are chosen on windows on their own."""
+FARTHEST = 1e6
+"""The same, beyond which a trajectory begins anew: the effects of all coefficients look alike after such a growth."""
+WORSE = 1.2
+"""Factor on the errors of windows on their own, beyond which a trajectory through all of them does not fit."""
+TURNS = 4
+"""Turns at most in which the model, and the sizes of pushes and noise, are estimated."""
+SETTLED = 1e-3
+"""Part of a coefficient by which it may still change in the last of these turns."""
+NEGLIGIBLE = 1e-6
+"""Part of the spread of a state below which its error is of the arithmetic, and tells nothing of the plant."""
+
+
+@dataclass(frozen=True)
+class Descent:
+    """Say how trajectories are fitted.
+
+    Attributes:
+        window: sampling intervals in a window; fewer to begin with where the first estimate runs away.
+        joined: whether the windows join to one trajectory; by default they do in the end, but not while functions are
+            chosen where small errors grow along the trajectory, as in chaos.
+        max_rounds: limit on Gauss-Newton steps between two changes of the equations.
+        correlated: whether a coefficient must be worth the more, the longer errors last.
+        pushed: whether windows on their own are corrected by a Kalman filter, as far as random pushes on the plant and
+            noise of the sensors, both estimated, explain what it leaves over.
+        coloured: whether errors of a trajectory are taken to last, as long as they do.
+    """
+
+    window: int
+    joined: bool | None = None
+    max_rounds: int = 30
+    correlated: bool = False
+    pushed: bool = False
+    coloured: bool = False
+
+    @property
+    def joins(self) -> bool:
+        """Tell whether windows may join."""
+        return self.joined is not False and not self.pushed
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Say what a coefficient must be worth, and how many steps are made.
+
+    Attributes:
+        price: squared error, in units of its variance, that a coefficient must be worth where errors are white.
+        max_rounds: limit on Gauss-Newton steps between two changes of the equations.
+        correlated: whether it must be worth the more, the longer errors last.
+    """
+
+    price: float
+    max_rounds: int
+    correlated: bool = False
+
+    def at(self, errors: Tensor, windows: Windows) -> float:
+        """Return what a coefficient must be worth where a model leaves over these errors, `(W, L, n_x)`."""
+        return self.price * repetition(errors, windows.mask, windows.joined) if self.correlated else self.price
+
+
+def refine_trajectory(
+    library: Library,
+    xi: Tensor,
+    free: Tensor,
+    data: Transitions,
+    descent: Descent,
+    start: Tensor | None = None,
+) -> tuple[Library, Tensor]:
+    """Minimise the error of whole trajectories over coefficients and start states; drop what does not matter.
+
+    Args:
+        library: candidate functions.
+        xi: first estimate, `(n_features, n_x)`.
+        free: coefficients that may be estimated, bool `(n_features, n_x)`.
+        data: transitions in segments that are long against the window, NaN where a state was not measured.
+        descent: how they are fitted.
+        start: guess of the states before each transition, `(N, n_x)`; the measured ones if omitted.
+
+    Returns:
+        The library with its shapes, and coefficients, `(n_features, n_x)`.
+
+    Raises:
+        RunsAway: the model runs away within the shortest of windows.
+    """
+    data = data.to(torch.float64)
+    guess = data.x if start is None else start.to(torch.float64)
+    joined = descent.joined
+    some = spread(len(data), ENOUGH)
+    part, limits = data.select(some), Limits(price(int(some.sum()), free), descent.max_rounds, descent.correlated)
+    found, windows = _grown(Estimate(library, xi, guess[some]), (xi != 0) & free, part, descent)
+    if descent.pushed or descent.coloured:
+        return _refine_weighed(found, free, windows, (data, guess), limits, descent)
+    may_begin_anew = joined is None and not bool(data.x_next.isnan().any())
+    if may_begin_anew and _grows(found, windows)[0] > GROWN:
+        alone = replace(windows, joined=torch.zeros_like(windows.joined))
+        own = _search(found, free, alone, limits)
+        windows = replace(windows, joined=_grows(own, windows)[1])
+        found = _search(own, free, windows, limits)
+        if not bool((_sigma(found, windows) < WORSE * _sigma(own, alone)).all()):
+            found, joined, may_begin_anew = own, False, False
+    else:
+        found = _search(found, free, windows, limits)
+    if not bool(some.all()):
+        support = (found.xi != 0) & free
+        whole, windows = _grown(replace(found, nodes=guess), support, data, replace(descent, joined=joined))
+        if may_begin_anew:
+            windows = replace(windows, joined=_grows(whole, windows)[1])
+        found, _ = _descend(whole, support, windows, replace(limits, price=price(len(data), free)))
+    return found.library, found.xi
+
+
+def _refine_weighed(
+    found: Estimate, free: Tensor, windows: Windows, whole: tuple[Transitions, Tensor], limits: Limits, descent: Descent
+) -> tuple[Library, Tensor]:
+    """Minimise errors made white, and what makes them so in turn with it: pushes and noise, or how long errors last."""
+    data, guess = whole
+    if descent.coloured:  # errors of a first guess last whatever the plant does
+        found = _search(found, free, windows, limits)
+    for _ in range(TURNS):
+        windows = _weighed(found, free, windows, descent)
+        last, found = found, _search(found, free, windows, limits)
+        if bool(((found.xi != 0) == (last.xi != 0)).all()) and bool(
+            ((found.xi - last.xi).abs() <= SETTLED * found.xi.abs()).all()
+        ):
+            break
+    if len(data) > ENOUGH:
+        support = (found.xi != 0) & free
+        found, every = _grown(replace(found, nodes=guess), support, data, descent)
+        every = _weighed(found, free, every, descent)
+        found, _ = _descend(found, support, every, replace(limits, price=price(len(data), free)))
+    return found.library, found.xi
+
+
+def _weighed(found: Estimate, free: Tensor, windows: Windows, descent: Descent) -> Windows:
+    """Return the recording with what makes the errors of an estimate white."""
+    if descent.pushed:
+        return replace(windows, noise=noise_of(found, windows, free.any(0)))
+    return replace(windows, lasting=lasting_of(found, windows))
+
+
+def price(n: int, free: Tensor) -> float:
+    """Return the squared weighted error that a coefficient must be worth: extended Bayesian criterion.
+
+    The more functions there are to choose from, the better is the best one of those that mean nothing (Chen and
+    Chen 2008).
+
+    Args:
+        n: transitions.
+        free: coefficients that may be estimated, bool `(n_features, n_x)`.
+    """
+    return math.log(max(n, 2)) + 2 * math.log(max(int(free.sum(0).max()), 1))
+
+
+def _grows(estimate: Estimate, windows: Windows) -> tuple[float, Tensor]:
+    """Return how much small errors grow, and which windows join if they may not grow beyond all measure."""
+    flow = Flow.of(estimate, Parameters.where(estimate.xi != 0), windows)
+    return growth(flow, windows, estimate.nodes, FARTHEST)
+
+
+def _sigma(estimate: Estimate, windows: Windows) -> Tensor:
+    """Return the error of each state; infinite where no coefficient is left."""
+    if not bool(estimate.xi.any()):
+        return torch.full((estimate.xi.shape[1],), math.inf)
+    return Flow.of(estimate, Parameters.where(estimate.xi != 0), windows).sigma(windows)
+
+
+def _search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) -> Estimate:
+    """Converge, drop and reconsider until there is nothing better."""
+    support = (estimate.xi != 0) & free
+    for _ in range(10):
+        estimate, support = _descend(estimate, support, windows, limits)
+        active, others = Parameters.where(support), Parameters.where(free & ~support)
+        if not len(active) or not len(others):
+            break
+        tell("fit", words=f"choice among {len(others)} coefficients that might be missing")
+        flow = Flow.of(estimate, active + others, windows)
+        model = linearise(estimate, active + others, windows, None, flow)
+        n_fixed = len(model.scale) - len(active) - len(others)
+        better = reconsider(model.triangle, n_fixed, active, others, limits.at(model.errors, windows))
+        if better is None:
+            break
+        chosen = (active + others).take(better)
+        kept = torch.cat([torch.arange(n_fixed), n_fixed + better])
+        changed = _changed(estimate, model, active + others, kept, windows)
+        if changed is None:
+            break
+        estimate, support = changed, chosen.support(support.shape)
+    return estimate
+
+
+def trajectory_cost(
+    library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor
+) -> float:
+    """Return N/2 times the logarithm of the squared errors that a few steps leave over, summed over measured states.
+
+    Args:
+        library: candidate functions.
+        xi: first estimate, `(n_features, n_x)`; its support stays.
+        free: coefficients that may be estimated, bool `(n_features, n_x)`.
+        data: the recording.
+        descent: how many steps, over which windows.
+        start: guess of the states before each transition, `(N, n_x)`.
+    """
+    some = spread(len(data), ENOUGH)
+    support, data = (xi != 0) & free, data.to(torch.float64).select(some)
+    estimate, windows = _grown(Estimate(library, xi, start[some]), support, data, descent)
+    parameters = Parameters.where(support)
+    estimate = _converge(estimate, parameters, windows, descent.max_rounds)
+    return _left_over(linearise(estimate, parameters, windows), windows)
+
+
+def strain(library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor) -> Tensor:
+    """Return how many times the error of windows on their own a trajectory has, `(n_x,)`; 0 of unmeasured states.
+
+    With noise of the sensors alone it is 1, but for the start states of windows on their own, which fit a part of the
+    noise and are allowed for. Where something pushes the plant, or functions are missing, a trajectory strays; it is
+    infinite where no function is left.
+
+    Args:
+        library: candidate functions.
+        xi: what was found, `(n_features, n_x)`; its support stays.
+        free: coefficients that may be estimated, bool `(n_features, n_x)`.
+        data: the recording, NaN where a state was not measured.
+        descent: how many steps, over which windows.
+        start: guess of the states before each transition, `(N, n_x)`.
+    """
+    some = spread(len(data), ENOUGH)
+    support, data = (xi != 0) & free, data.to(torch.float64).select(some)
+    if not bool(support.any()):
+        return torch.full(xi.shape[1:], math.inf, dtype=torch.float64)
+    first, windows = _grown(Estimate(library, xi, start[some]), support, data, replace(descent, joined=None))
+    if not bool(data.x_next.isnan().any()):
+        windows = replace(windows, joined=_grows(first, windows)[1])
+    alone, parameters = replace(windows, joined=torch.zeros_like(windows.joined)), Parameters.where(support)
+    error, own = (_sigma(_converge(first, parameters, part, descent.max_rounds), part) for part in (windows, alone))
+    told = float(windows.mask.sum() + (~windows.first.isnan()).sum())
+    allowed = math.sqrt(max(1 - first.nodes.numel() / max(told, 1.0), NEGLIGIBLE))
+    floor = NEGLIGIBLE * first.nodes.std(0, correction=0) + EXACT
+    return torch.where(error > EXACT, (error + floor) / (own / allowed + floor), 0.0)
+
+
+def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Descent) -> tuple[Estimate, Windows]:
+    """Return windows of the wanted length, and an estimate that does not run away in them.
+
+    Args:
+        estimate: first estimate; its nodes are a guess of the states before each transition, `(N, n_x)`.
+        support: coefficients in the model.
+        data: the recording.
+        descent: wanted length, whether the windows join, and the limit on the steps of each length.
+    """
+    substeps = substeps_for(estimate.library, estimate.xi, estimate.nodes, data.u, data.dt)
+    parameters, guess = Parameters.where(support), estimate.nodes
+    lengths = [descent.window]
+    while True:
+        windows = Windows.of(data, lengths[0], descent.joins, substeps)
+        trial = replace(estimate, nodes=guess[windows.rows])
+        if lengths[0] <= 2 or not bool(Flow.of(trial, parameters, windows).lost().any()):
+            break
+        lengths.insert(0, max(2, lengths[0] // 4))
+    for length in lengths[1:]:
+        trial = _converge(trial, parameters, windows, descent.max_rounds)
+        guess = guess.index_copy(0, windows.rows, trial.nodes)
+        windows = Windows.of(data, length, descent.joins, substeps)
+        trial = replace(trial, nodes=guess[windows.rows])
+    return trial, windows
+
+
+def _descend(estimate: Estimate, support: Tensor, windows: Windows, limits: Limits) -> tuple[Estimate, Tensor]:
+    """Converge and drop until the support stands still; what turns out worth more than was foreseen comes back."""
+    before: tuple[Estimate, Tensor] | None = None
+    left, allowed = math.inf, 0.0
+    while bool(support.any()):
+        parameters = Parameters.where(support)
+        try:
+            estimate = _converge(estimate, parameters, windows, limits.max_rounds)
+            flow = Flow.of(estimate, parameters, windows)
+            model = linearise(estimate, parameters, windows, None, flow)
+        except RunsAway:
+            if before is None:
+                raise
+            return before
+        cost = _left_over(model, windows)
+        if before is not None and 2 * (cost - left) > allowed:
+            return before
+        n_fixed = len(model.scale) - len(parameters)
+        limit = limits.at(model.errors, windows)
+        kept, _ = walk_down(model.triangle, torch.arange(len(model.scale)) >= n_fixed, limit, NOISY)
+        if len(kept) == len(model.scale):
+            break
+        changed = _changed(estimate, model, parameters, kept, windows)
+        if changed is None:
+            break
+        before, left, allowed = (estimate, support), cost, 2 * limit * (len(model.scale) - len(kept))
+        estimate, support = changed, parameters.take(kept[kept >= n_fixed] - n_fixed).support(support.shape)
+    return estimate, support
+
+
+def _left_over(model: Linearised, windows: Windows) -> float:
+    """Return N/2 times the logarithm of the squared errors, summed over measured states; of whitened ones together."""
+    counts, sigma = windows.mask.sum((0, 1)), model.sigma
+    if windows.noise is not None:
+        return 0.5 * float(counts.sum()) * math.log(max(model.cost, EXACT))
+    seen = sigma > EXACT
+    return float((counts * sigma.log())[seen].sum())
+
+
+def _changed(
+    estimate: Estimate, model: Linearised, parameters: Parameters, kept: Tensor, windows: Windows
+) -> Estimate | None:
+    """Return the estimate with the kept unknowns alone; None where that runs away however it is made.
+
+    A whole step of the linear model comes first; where it is too long, what goes is only left out.
+    """
+    n_fixed = len(model.scale) - len(parameters)
+    chosen = parameters.take(kept[kept >= n_fixed] - n_fixed)
+    if not len(chosen):
+        return move(estimate, model, parameters, kept)
+    bare = chosen.write(parameters.write(estimate.xi, 0 * parameters.read(estimate.xi)), chosen.read(estimate.xi))
+    for trial in (move(estimate, model, parameters, kept), replace(estimate, xi=bare)):
+        if not bool(Flow.of(trial, chosen, windows).lost().any()):
+            return trial
+    return None
+
+
+def _converge(estimate: Estimate, parameters: Parameters, windows: Windows, max_rounds: int) -> Estimate:
+    """Make Levenberg-Marquardt steps until the cost stands still."""
+    damping = 0.0
+    model = linearise(estimate, parameters, windows)
+    for _ in range(max_rounds):
+        rows = len(windows) * windows.mask.shape[1]
+        tell("fit", words=f"{len(parameters)} coefficients to trajectories, {rows} rows")
+        candidate = move(estimate, model, parameters, torch.arange(len(model.scale)), damping)
+        flow = Flow.of(candidate, parameters, windows)
+        lost = bool(flow.lost().any())
+        trial = model if lost else linearise(candidate, parameters, windows, model.sigma, flow)
+        if not (trial.cost < model.cost and bool(trial.triangle.isfinite().all())):
+            if damping > 1e6 or (not lost and abs(trial.cost - model.cost) < 1e-6 * model.cost):
+                break
+            damping = max(10 * damping, 1e-3)
+            continue
+        gain = (model.cost - trial.cost) / model.cost
+        estimate, damping = candidate, damping / 10 if damping > 1e-6 else 0.0
+        model = linearise(estimate, parameters, windows, None, flow)
+        if gain < 1e-5:
+            break
+    return estimate

@@ -1,0 +1,284 @@
+"""Sparse regression dX = Theta(X, U) Xi on running sums (the paper, eq. SINDY-EQ).
+
+| name         | symbol | meaning                                                                      |
+| ------------ | ------ | ---------------------------------------------------------------------------- |
+| theta        | Theta  | candidate functions over the samples, `(N, n_features)`                      |
+| dx           | dX     | change of the states per second, `(N, n_x)`                                  |
+| sums         | R      | all that a fit needs of the samples: R'R = [Theta dX]'[Theta dX], whatever N |
+| coefficients | Xi     | `(n_features, n_x)`                                                          |
+
+The sums are kept as the triangular factor R, not as the Gram matrix R'R: the condition number of the problem is
+not squared, and a fit from R equals the fit from all samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.regression.selection import DEPENDENT, least_missed
+
+Rows = tuple[Tensor, Tensor]
+Theta = Callable[[Tensor, Tensor], Tensor]
+
+
+def integral_form(library: Theta, data: Transitions) -> Rows:
+    """Average the functions over each sampling interval and take the mean rate of change over it.
+
+    Under zero-order hold the input is constant within an interval and jumps between two, so neither a centred
+    difference nor a derivative filter is right; the trapezoidal rule within the interval is.
+
+    Args:
+        library: `(x, u) -> (N, n_features)`.
+        data: transitions, N rows.
+
+    Returns:
+        `0.5 (Theta(x_k, u_k) + Theta(x_k+1, u_k))`, `(N, n_features)`, and `(x_k+1 - x_k) / dt`, `(N, n_x)`, float64.
+    """
+    data = data.to(torch.float64)
+    theta = 0.5 * (library(data.x, data.u) + library(data.x_next, data.u))
+    return theta, (data.x_next - data.x) / data.dt
+
+
+def simpson_form(library: Theta, field: Theta, data: Transitions) -> Rows:
+    """Average the functions over each interval by Simpson's rule, its midpoint taken from a first model.
+
+    The midpoint is the cubic Hermite interpolant 0.5 (x_k + x_k+1) + dt/8 (f_k - f_k+1): fourth order instead of
+    second, which is what data at the control period (0.05 s) need.
+
+    Args:
+        library: `(x, u) -> (N, n_features)`.
+        field: first model `(x, u) -> dx`, `(N, n_x)`.
+        data: transitions, N rows.
+    """
+    data = data.to(torch.float64)
+    bend = field(data.x, data.u) - field(data.x_next, data.u)
+    middle = 0.5 * (data.x + data.x_next) + data.dt / 8 * bend
+    ends = library(data.x, data.u) + library(data.x_next, data.u)
+    return (ends + 4 * library(middle, data.u)) / 6, (data.x_next - data.x) / data.dt
+
+
+class RunningSums:
+    """Hold the triangular factor R of all samples seen, so that new data cost the new data only.
+
+    Args:
+        n_features: number of candidate functions.
+        n_x: number of states.
+    """
+
+    def __init__(self, n_features: int, n_x: int) -> None:
+        self.n_features, self.n_x, self.count = n_features, n_x, 0
+        self.r = torch.zeros(n_features + n_x, n_features + n_x, dtype=torch.float64)
+
+    def add(self, rows: Rows, block: int = 20_000) -> None:
+        """Add samples.
+
+        Args:
+            rows: theta `(N, n_features)` and dx `(N, n_x)`.
+            block: samples handled at once, which bounds the memory.
+
+        Raises:
+            ValueError: a sample is not finite.
+        """
+        stacked = torch.cat([rows[0], rows[1]], -1).to(torch.float64)
+        if not bool(torch.isfinite(stacked).all()):
+            bad = int((~torch.isfinite(stacked)).any(-1).sum())
+            raise ValueError(
+                f"{bad} of {len(stacked)} samples give functions that are not finite; allowed are finite ones: "
+                "remove those samples or the function that overflows"
+            )
+        for part in stacked.split(block):
+            self.r = torch.linalg.qr(torch.cat([self.r, part]), mode="r")[1]
+            self.count += part.shape[0]
+
+    def copy(self) -> RunningSums:
+        """Return sums that no longer grow with these."""
+        copied = RunningSums(self.n_features, self.n_x)
+        copied.r, copied.count = self.r, self.count
+        return copied
+
+    def norms(self) -> Tensor:
+        """Return the 2-norm of every column of [Theta dX], `(n_features + n_x,)`."""
+        return self.r.norm(dim=0)
+
+    def theta(self) -> Tensor:
+        """Return the columns of R that belong to the functions."""
+        return self.r[:, : self.n_features]
+
+    def targets(self) -> Tensor:
+        """Return the columns of R that belong to the rates of change."""
+        return self.r[:, self.n_features :]
+
+    def residual(self, coefficients: Tensor) -> Tensor:
+        """Return the 2-norm of dX - Theta Xi of each state, `(n_x,)`."""
+        return (self.targets() - self.theta() @ coefficients).norm(dim=0)
+
+
+@dataclass(frozen=True)
+class Regression:
+    """Settings of a sparse regression.
+
+    Attributes:
+        method: `stlsq` (sequentially thresholded least squares) or `bic` (backward elimination, Bayesian criterion).
+        threshold: lambda of the paper, for `stlsq`; it acts on coefficients of columns of unit norm.
+        normalize: `two_norm` (PySINDy's rule; weakens as samples accumulate) or `rms` (the same rule at 1000 samples,
+            whatever their number).
+        scale_targets: whether the threshold is relative to the root-mean-square rate of change of each state.
+        max_iterations: limit of `stlsq`.
+        tolerance: residual, relative to the rate of change, below which `bic` takes a fit as exact.
+        dependent: part of a function that others leave over, below which `bic` takes it as one of them.
+    """
+
+    method: Literal["stlsq", "bic"] = "stlsq"
+    threshold: float = 0.9
+    normalize: Literal["two_norm", "rms"] = "two_norm"
+    scale_targets: bool = False
+    max_iterations: int = 20
+    tolerance: float = 1e-5
+    dependent: float = DEPENDENT
+
+    def __post_init__(self) -> None:
+        """Check the settings.
+
+        Raises:
+            ValueError: a word or a number is not allowed.
+        """
+        if self.method not in ("stlsq", "bic"):
+            raise ValueError(f"regression got method {self.method!r}; allowed are stlsq, bic: choose one")
+        if self.normalize not in ("two_norm", "rms"):
+            raise ValueError(f"regression got normalize {self.normalize!r}; allowed are two_norm, rms: choose one")
+        if not self.threshold >= 0:
+            raise ValueError(f"regression got threshold {self.threshold}; allowed is 0 or more: the paper's is 0.9")
+        if not self.tolerance > 0 or self.max_iterations < 1:
+            raise ValueError(
+                f"regression got tolerance {self.tolerance}, max_iterations {self.max_iterations}; allowed are "
+                "tolerance > 0 and max_iterations >= 1: correct them"
+            )
+
+    def solve(self, sums: RunningSums, support: Tensor, offset: Tensor) -> Tensor:
+        """Find sparse coefficients.
+
+        Args:
+            sums: the samples.
+            support: coefficients that may differ from zero, bool `(n_features, n_x)`.
+            offset: coefficients that are given and stay, `(n_features, n_x)`.
+
+        Returns:
+            Coefficients, offset included, in the units of the data, `(n_features, n_x)`.
+        """
+        norms = sums.norms()
+        scale = torch.where(norms > 0, norms, 1.0)
+        columns, rates = scale[: sums.n_features], scale[sums.n_features :]
+        theta = sums.theta() / columns
+        targets = sums.targets() - sums.theta() @ offset
+        if self.method == "bic":
+            free = eliminate(
+                theta,
+                targets / rates,
+                support & (norms[: sums.n_features] > 0).unsqueeze(-1),
+                sums.count,
+                self.tolerance,
+                self.dependent,
+            )
+            return offset + free * rates / columns.unsqueeze(-1)
+        threshold = self.threshold / math.sqrt(1000.0)
+        threshold = threshold * math.sqrt(max(sums.count, 1)) if self.normalize == "rms" else self.threshold
+        limits = threshold * (rates / math.sqrt(max(sums.count, 1)) if self.scale_targets else torch.ones_like(rates))
+        return offset + stlsq(theta, targets, support, limits, self.max_iterations) / columns.unsqueeze(-1)
+
+
+def least_squares(theta: Tensor, target: Tensor) -> Tensor:
+    """Solve min |target - theta xi|, of least norm where theta is rank-deficient."""
+    return torch.linalg.lstsq(theta, target.reshape(target.shape[0], -1), driver="gelsd").solution.reshape(
+        theta.shape[1], *target.shape[1:]
+    )
+
+
+def stlsq(theta: Tensor, targets: Tensor, support: Tensor, limits: Tensor, max_iterations: int = 20) -> Tensor:
+    """Threshold and refit until the support stands still (Brunton, Proctor, Kutz 2016), ridge 0.
+
+    Args:
+        theta: columns of unit norm, `(M, n_features)`.
+        targets: `(M, n_x)`.
+        support: coefficients to begin with, bool `(n_features, n_x)`.
+        limits: smallest coefficient that stays, per target, `(n_x,)`.
+        max_iterations: limit on the refits of a target.
+    """
+    coefficients = torch.zeros(theta.shape[1], targets.shape[1], dtype=theta.dtype)
+    if bool(support.all()):
+        coefficients = least_squares(theta, targets)
+    for i in range(targets.shape[1]):
+        active = support[:, i].nonzero().squeeze(-1)
+        xi = coefficients[active, i] if bool(support.all()) else least_squares(theta[:, active], targets[:, i])
+        for _ in range(max_iterations):
+            big = xi.abs() >= limits[i]
+            if bool(big.all()):
+                break
+            active = active[big]
+            if not len(active):
+                xi = xi[:0]
+                break
+            xi = least_squares(theta[:, active], targets[:, i])
+        coefficients[:, i] = 0
+        coefficients[active, i] = xi
+    return coefficients
+
+
+def eliminate(
+    theta: Tensor, targets: Tensor, support: Tensor, count: int, tolerance: float, dependent: float = DEPENDENT
+) -> Tensor:
+    """Drop, one at a time, the coefficient that is missed least, and keep the set of best Bayesian criterion.
+
+    Args:
+        theta: columns of unit norm, `(M, n_features)`.
+        targets: columns of unit norm, `(M, n_x)`.
+        support: coefficients to begin with, bool `(n_features, n_x)`.
+        count: number of samples behind the columns.
+        tolerance: residual norm below which a fit is exact, so that more terms gain nothing.
+        dependent: part of a column that others leave over, below which it depends on them.
+
+    Returns:
+        Coefficients, `(n_features, n_x)`.
+    """
+    coefficients = torch.zeros(theta.shape[1], targets.shape[1], dtype=theta.dtype)
+    for i in range(targets.shape[1]):
+        mine = support[:, i].nonzero().squeeze(-1)
+        active = _best_subset(theta, targets[:, i], mine, count, tolerance, dependent)
+        if len(active):
+            coefficients[active, i] = least_squares(theta[:, active], targets[:, i])
+    return coefficients
+
+
+def _best_subset(
+    theta: Tensor, target: Tensor, active: Tensor, count: int, tolerance: float, dependent: float
+) -> Tensor:
+    """Walk down from all functions by the growth of the squared residual xi_j^2 / C_jj, C = inv(theta'theta).
+
+    The triangle is factored anew after each drop: nearly collinear functions (alpha, sin alpha, alpha cos alpha at
+    small angles) ruin cheaper updates of C.
+    """
+    n = len(active)
+    if n == 0:
+        return active
+    triangle = torch.linalg.qr(torch.cat([theta[:, active], target.unsqueeze(-1)], -1), mode="r")[1]
+    triangle = torch.nn.functional.pad(triangle, (0, 0, 0, max(0, n + 1 - triangle.shape[0])))
+    best, best_score = active, math.inf
+    while True:
+        n = len(active)
+        squared = float(triangle[n:, n].square().sum())
+        score = count * math.log(squared + tolerance**2) + n * math.log(max(count, 2))
+        # Dependent columns leave a row of R to nobody, which would count as explained: they go before a set is scored.
+        if score < best_score and (not n or float(triangle[:n, :n].diagonal().abs().min()) >= dependent):
+            best, best_score = active, score
+        if not n:
+            return best
+        j, _ = least_missed(triangle, n, dependent=dependent)
+        keep = [k for k in range(n) if k != j]
+        triangle = torch.linalg.qr(triangle[:, [*keep, n]], mode="r")[1]
+        active = active[keep]

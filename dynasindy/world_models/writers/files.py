@@ -1,0 +1,183 @@
+"""Save and load sparse models as JSON that a person can read."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from dynasindy.systems.base import Signature
+from dynasindy.world_models.libraries.constraints import Constraints
+from dynasindy.world_models.libraries.features import Feature
+from dynasindy.world_models.libraries.formulas import forget, register_formula, texts
+from dynasindy.world_models.libraries.functions import is_registered
+from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.writers.tables import equations
+
+FORMAT = "dynasindy sparse model 1"
+LARGEST = 20_000_000
+"""Size beyond which no model is read [bytes]; that of a plant here has 30 000."""
+LARGEST_SYSTEM = 200
+"""Number of states beyond which a model is taken for damaged."""
+
+
+def save(
+    library: Library,
+    coefficients: Tensor,
+    path: str | Path,
+    constraints: Constraints | None = None,
+    delay: float = 0.0,
+) -> None:
+    """Write signature, library, coefficients, constraints and the equations in words.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`.
+        path: file to write.
+        constraints: what is known of the equations; nothing by default.
+        delay: time between an input and its effect [s].
+    """
+    data = record(library, coefficients, constraints, delay)
+    Path(path).write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+
+
+def record(
+    library: Library, coefficients: Tensor, constraints: Constraints | None = None, delay: float = 0.0
+) -> dict[str, Any]:
+    """Return what `save` writes, as keys and values."""
+    signature, table = library.signature, coefficients.tolist()
+    states = signature.state_names
+    data: dict[str, Any] = {
+        "format": FORMAT,
+        "equations": equations(library, coefficients),
+        "signature": asdict(signature),
+        "coefficients": {
+            s: {n: table[k][i] for k, n in enumerate(library.names) if table[k][i]} for i, s in enumerate(states)
+        },
+        "library": {f.name(): f.to_list() for f in library.features},
+    }
+    if own := texts(factor.function for feature in library.features for factor in feature.factors):
+        data["functions"] = own
+    if delay:
+        data["delay"] = delay
+    if constraints is not None and not bool(constraints.free.all()):
+        data["constraints"] = {s: _constraint(library, constraints, i) for i, s in enumerate(states)}
+    return data
+
+
+def load(path: str | Path) -> tuple[Library, Tensor, Constraints, float]:
+    """Read a library, its coefficients and its constraints, exact to the last digit.
+
+    Args:
+        path: file that `save` wrote.
+
+    Returns:
+        The library, Xi, `(n_features, n_x)` float64, what is known of the equations, and the delay of the inputs [s];
+        without a word of them in the file, nothing and 0.
+
+    Raises:
+        FileNotFoundError: the file does not exist.
+        ValueError: the file cannot be read, is too large, not JSON, not of this format, or damaged.
+        ValueError: the library uses a function that is not registered.
+    """
+    try:
+        if Path(path).stat().st_size > LARGEST or Path(path).is_fifo():
+            raise ValueError(f"it is a pipe, or larger than {LARGEST} bytes")
+        data = json.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise
+    except (OSError, ValueError, RecursionError) as error:
+        raise ValueError(f"{path} is not JSON ({error}); allowed is a file that SindyModel.save wrote") from error
+    return understand(data, path)
+
+
+def understand(data: object, path: str | Path) -> tuple[Library, Tensor, Constraints, float]:
+    """Return what `load` does, from keys and values.
+
+    Args:
+        data: what `record` returned.
+        path: where it is from, for the message.
+
+    Raises:
+        ValueError: it is not of this format, or damaged.
+        ValueError: the library uses a function that is not registered.
+    """
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        raise ValueError(f"{path} is not of the format {FORMAT!r}; allowed is a file that SindyModel.save wrote")
+    try:
+        return _model(data)
+    except (ArithmeticError, AttributeError, IndexError, KeyError, RuntimeError, TypeError) as error:
+        raise ValueError(
+            f"{path} is damaged ({type(error).__name__}: {error}); allowed is a file that "
+            "SindyModel.save wrote: save it anew"
+        ) from error
+
+
+def _constraint(library: Library, constraints: Constraints, state: int) -> dict[str, Any]:
+    free, offset = constraints.free[:, state].tolist(), constraints.offset[:, state].tolist()
+    return {
+        "free": [name for name, may in zip(library.names, free, strict=True) if may],
+        "given": {name: value for name, value in zip(library.names, offset, strict=True) if value},
+    }
+
+
+def _constraints(library: Library, data: dict[str, Any] | None) -> Constraints:
+    shape = (len(library), library.signature.n_x)
+    if data is None:
+        return Constraints(torch.ones(shape, dtype=torch.bool), torch.zeros(shape, dtype=torch.float64))
+    free, offset = torch.zeros(shape, dtype=torch.bool), torch.zeros(shape, dtype=torch.float64)
+    for i, state in enumerate(library.signature.state_names):
+        for name in data[state]["free"]:
+            free[library.index(name), i] = True
+        for name, value in data[state]["given"].items():
+            offset[library.index(name), i] = _number(value)
+    return Constraints(free, offset)
+
+
+def _model(data: dict[str, Any]) -> tuple[Library, Tensor, Constraints, float]:
+    new = [name for name in data.get("functions", {}) if not is_registered(name)]
+    try:
+        for name, formula in data.get("functions", {}).items():
+            register_formula(name, formula)
+        return _parts(data)
+    except Exception:  # any: a file that is damaged leaves nothing behind
+        forget(new)
+        raise
+
+
+def _parts(data: dict[str, Any]) -> tuple[Library, Tensor, Constraints, float]:
+    signature = _signature(data["signature"])
+    library = Library(signature, [_feature(f) for f in data["library"].values()])
+    coefficients = torch.zeros(len(library), signature.n_x, dtype=torch.float64)
+    place = {name: k for k, name in enumerate(library.names)}
+    for i, state in enumerate(signature.state_names):
+        for name, value in data["coefficients"][state].items():
+            coefficients[place[name] if name in place else library.index(name), i] = _number(value)
+    with torch.no_grad():  # a function with other arguments than it takes fails here, not in the middle of a run
+        library(torch.ones(1, signature.n_x, dtype=torch.float64), torch.ones(1, signature.n_u, dtype=torch.float64))
+    if (delay := _number(data.get("delay", 0.0))) < 0:
+        raise TypeError(f"its delay is {delay} s, which is negative")
+    return library, coefficients, _constraints(library, data.get("constraints")), delay
+
+
+def _number(value: Any) -> float:
+    if type(value) not in (int, float) or not math.isfinite(value):
+        raise TypeError(f"{str(value)[:40]!r} stands where a finite number belongs")
+    return float(value)
+
+
+def _signature(words: dict[str, Any]) -> Signature:
+    if not all(isinstance(given, list) for given in words.values()) or len(words["state_names"]) > LARGEST_SYSTEM:
+        raise TypeError(f"its signature is no lists of names, units and ranges of up to {LARGEST_SYSTEM} states")
+    return Signature(**words)
+
+
+def _feature(factors: list[list[Any]]) -> Feature:
+    if any(len(factor) not in (4, 5) or not isinstance(factor[0], list) for factor in factors):
+        raise TypeError("a function has no variables, name, power and frequency")
+    return Feature.from_list([[*factor[:3], *map(_number, factor[3:])] for factor in factors])

@@ -1,0 +1,148 @@
+"""Write Xi for readers: equations, text, LaTeX and CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+
+from torch import Tensor
+
+from dynasindy.world_models.libraries.features import latex_name
+from dynasindy.world_models.libraries.library import Library
+
+QUOTIENTS = ("per_cos2",)
+"""Functions that are written as a division."""
+
+
+def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[str]:
+    """Write one equation per state.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`.
+        digits: significant digits.
+
+    Returns:
+        Lines such as `Omega_p' = -0.414 Omega_p + 0.0013 omega_p`.
+    """
+    lines = []
+    for i, state in enumerate(library.signature.state_names):
+        groups: dict[str, list[tuple[str, float]]] = {}
+        for feature, name, value in zip(library.features, library.names, coefficients[:, i].tolist(), strict=True):
+            if value:
+                quotient = " ".join(f.text() for f in feature.factors if f.function in QUOTIENTS)
+                above = " ".join(f.text() for f in feature.factors if f.function not in QUOTIENTS) or "1"
+                groups.setdefault(quotient, []).append((above if quotient else name, value))
+        written = written_sum(groups.pop("", []), digits)
+        for quotient, terms in groups.items():
+            # What is divided by the same is written over it once.
+            above, sign = written_sum(terms, digits), ""
+            if len(terms) > 1:
+                above = f"({above})"
+            elif above.startswith("-"):
+                above, sign = above[1:], "-"
+            joint = (" - " if sign else " + ") if written else sign
+            written += f"{joint}{above} {quotient}"
+        lines.append(f"{state}' = {written or '0'}")
+    return lines
+
+
+def written_sum(terms: Sequence[tuple[str, float]], digits: int) -> str:
+    """Write coefficients and functions as a sum."""
+    written = ""
+    for name, value in terms:
+        sign = (" - " if written else "-") if value < 0 else (" + " if written else "")
+        size = f"{abs(value):.{digits}g}"
+        written += sign + (size if name == "1" else name if size == "1" else f"{size} {name}")
+    return written
+
+
+def _rows(library: Library, coefficients: Tensor, digits: int, latex: bool, active_only: bool) -> list[list[str]]:
+    rows = []
+    for feature, values in zip(library.features, coefficients.tolist(), strict=True):
+        if active_only and not any(values):
+            continue
+        name = f"${feature.latex()}$" if latex else feature.name()
+        rows.append([name, *(_number(v, digits, latex) for v in values)])
+    return rows
+
+
+def _number(value: float, digits: int, latex: bool) -> str:
+    written = f"{value:.{digits}g}"
+    if latex and "e" in written:
+        mantissa, exponent = written.split("e")
+        return rf"${mantissa}\times10^{{{int(exponent)}}}$"
+    return f"${written}$" if latex and value < 0 else written
+
+
+def to_text(library: Library, coefficients: Tensor, digits: int = 5, active_only: bool = False) -> str:
+    """Write the Xi table with aligned columns.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`.
+        digits: significant digits.
+        active_only: whether functions without any coefficient are left out.
+    """
+    header = ["function", *(f"{s}'" for s in library.signature.state_names)]
+    rows = [header, *_rows(library, coefficients, digits, False, active_only)]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(header))]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(w) if k == 0 else cell.rjust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True))
+        )
+        for row in rows
+    )
+
+
+def to_latex(library: Library, coefficients: Tensor, digits: int = 5, active_only: bool = False) -> str:
+    """Write the Xi table as a LaTeX tabular, as in the paper.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`.
+        digits: significant digits.
+        active_only: whether functions without any coefficient are left out.
+    """
+    states = [rf"$\dot{{{latex_name(s)}}}$" for s in library.signature.state_names]
+    rows = _rows(library, coefficients, digits, True, active_only)
+    lines = [r"\begin{tabular}{|" + "c|" * (len(states) + 1) + "}", r"\hline"]
+    lines += [" & ".join(["Library function", *states]) + r" \\ \hline"]
+    lines += [" & ".join(row) + r" \\ \hline" for row in rows]
+    return "\n".join([*lines, r"\end{tabular}"]) + "\n"
+
+
+def equations_to_latex(library: Library, coefficients: Tensor, digits: int = 5) -> str:
+    """Write one equation per state as LaTeX, an `align*` of amsmath, three terms to a line.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`.
+        digits: significant digits.
+    """
+    written = []
+    for i, state in enumerate(library.signature.state_names):
+        terms = []
+        for feature, value in zip(library.features, coefficients[:, i].tolist(), strict=True):
+            if value:
+                size = _number(abs(value), digits, True).strip("$")
+                name = feature.latex()
+                terms.append(
+                    ("-" if value < 0 else "+", size if name == "1" else name if size == "1" else rf"{size} \, {name}")
+                )
+        lines = [" ".join(f"{sign} {term}" for sign, term in terms[k : k + 3]) for k in range(0, len(terms), 3)]
+        right = " \\\\\n    &\\quad ".join(lines).removeprefix("+ ") or "0"
+        written.append(rf"    \dot{{{latex_name(state)}}} &= {right}")
+    return "\\begin{align*}\n" + " \\\\\n".join(written) + "\n\\end{align*}\n"
+
+
+def to_csv(library: Library, coefficients: Tensor) -> str:
+    """Write the Xi table as CSV at full precision: one row per function, one column per state."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    units = zip(library.signature.state_names, library.signature.state_units, strict=True)
+    writer.writerow(["function", *(f"d({s})/dt [{unit}/s]" for s, unit in units)])
+    for name, values in zip(library.names, coefficients.tolist(), strict=True):
+        writer.writerow([name, *(repr(v) for v in values)])
+    return out.getvalue()

@@ -1,0 +1,50 @@
+"""Libraries hold the functions they say, and no others."""
+
+import pytest
+import torch
+
+from dynasindy.systems import Xi
+from dynasindy.systems.base import Signature
+from dynasindy.world_models.libraries import (
+    build_library,
+    paper_table,
+    polynomial,
+)
+from dynasindy.world_models.libraries import library as library_module
+from dynasindy.world_models.libraries.features import variable
+from dynasindy.world_models.libraries.library import Library
+
+SIGNATURE = Signature(("a", "b"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
+
+
+def _points(n: int = 5) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(0)
+    return tuple(2 * torch.rand(n, k, generator=generator, dtype=torch.float64) - 1 for k in (6, 2))
+
+
+def test_values_are_those_of_the_formulas():
+    x, u = _points()
+    theta = paper_table(Xi().signature)(x, u)
+    assert torch.allclose(theta[:, 14], x[:, 5] * torch.cos(x[:, 1]))
+    assert torch.allclose(theta[:, 23], u[:, 0] ** 2 * torch.sin(x[:, 1]))
+
+
+def test_a_library_may_be_as_large_as_is_said_and_no_larger(monkeypatch):
+    monkeypatch.setattr(library_module, "LARGEST", 3)
+    features = [variable("a", power) for power in range(1, 5)]
+    assert len(Library(SIGNATURE, features[:3])) == 3
+    with pytest.raises(ValueError, match="more than 3 functions"):
+        Library(SIGNATURE, features)
+
+
+def test_names_that_do_not_exist_are_refused():
+    with pytest.raises(ValueError, match=r"names beta, which do not exist; allowed are a, b, u"):
+        Library(SIGNATURE, [variable("beta")])
+    with pytest.raises(ValueError, match="allowed are paper_table"):
+        build_library("papertable", SIGNATURE)
+    with pytest.raises(ValueError, match="not in the library"):
+        polynomial(SIGNATURE).index("a^9")
+    with pytest.raises(ValueError, match="empty"):
+        Library(SIGNATURE, [])
+    with pytest.raises(ValueError, match="does not exist"):
+        Library(SIGNATURE, [variable("a")], allowed={"c": [variable("a")]})

@@ -1,0 +1,61 @@
+"""A report's figures are those of the samples."""
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy.systems.base import Signature
+from dynasindy.world_models.libraries.features import CONSTANT, variable
+from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.models.report import FitReport
+from dynasindy.world_models.regression.regression import RunningSums
+
+LIBRARY = Library(Signature(("a", "b"), ("rad", "rad/s"), ("u",), (1.0, 1.0)), [CONSTANT, variable("a"), variable("u")])
+XI = torch.tensor([[0.0, 1.0], [2.0, 0.0], [0.0, -1.0]], dtype=torch.float64)
+
+
+def rows(seed: int = 0, noise: float = 0.3) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = np.random.default_rng(seed)
+    theta = LIBRARY(torch.from_numpy(generator.normal(size=(90, 2))), torch.from_numpy(generator.normal(size=(90, 1))))
+    return theta, theta @ XI + noise * torch.from_numpy(generator.normal(size=(90, 2)))
+
+
+def report(*data) -> tuple[FitReport, RunningSums]:
+    sums = RunningSums(3, 2)
+    for part in data:
+        sums.add(part)
+    return FitReport.of(LIBRARY, XI, sums, 0.25, dt=0.01), sums
+
+
+def test_unexplained_parts_are_those_of_the_samples():
+    theta, dx = rows()
+    found, _ = report((theta, dx))
+    expected = np.linalg.norm(dx - theta @ XI, axis=0) / np.linalg.norm(dx, axis=0)
+    assert list(found.residual) == ["a", "b"]
+    assert list(found.residual.values()) == pytest.approx(expected.tolist(), rel=1e-9)
+    assert found.terms == {"a": 1, "b": 2} and found.samples == 90 and found.seconds == 0.25
+
+
+def test_a_state_that_does_not_move_has_no_unexplained_part():
+    theta, _ = rows()
+    sums = RunningSums(3, 2)
+    sums.add((theta, torch.zeros(90, 2)))
+    assert FitReport.of(LIBRARY, torch.zeros(3, 2).double(), sums, 0.0).residual == {"a": 0.0, "b": 0.0}
+
+
+def test_later_samples_and_coefficients_do_not_change_a_report():
+    found, sums = report(rows())
+    again, _ = report(rows())
+    sums.add(rows(1, noise=9.0))
+    assert found.samples == 90
+    assert torch.equal(found.identifiability.standard_error, again.identifiability.standard_error)
+    assert found.identifiability is found.identifiability
+
+
+def test_the_text_says_the_figures():
+    found, _ = report(rows(), rows(1))
+    first, a, b, *rest = found.to_text().splitlines()
+    assert first == "fit of 180 transitions of 0.01 s in 0.25 s"
+    assert a == f"  a': 1 term, unexplained {100 * found.residual['a']:.3g} %"
+    assert b.startswith("  b': 2 terms, unexplained")
+    assert "\n".join(rest) == found.identifiability.to_text() and "rank 3 of 3" in rest[0]

@@ -1,0 +1,270 @@
+"""Refinement goes beyond the trapezoidal rule, and chooses its criterion by what the errors look like."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.linalg import expm
+from scipy.optimize import brentq
+
+from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import SindyModel
+from dynasindy.world_models.libraries.constraints import Constraints
+from dynasindy.world_models.libraries.features import CONSTANT, variable
+from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.refinement import refine
+from dynasindy.world_models.refinement.measured import reconstruct
+from dynasindy.world_models.refinement.one_step import refine_one_step
+from dynasindy.world_models.refinement.refine import METHODS, Refinement, looks_noisy
+from dynasindy.world_models.refinement.shooting import RunsAway
+from dynasindy.world_models.refinement.trajectory import Descent, refine_trajectory
+from dynasindy.world_models.regression.regression import Regression, RunningSums, integral_form, simpson_form
+
+SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
+LIBRARY = Library(SIGNATURE, [variable("y"), variable("u"), CONSTANT, variable("y", 2)])
+A, B = -2.0, 3.0
+FREE = Constraints.build(LIBRARY, {}, {}, {})
+
+
+def recording(dt: float, noise: float = 0.0, n: int = 150) -> Transitions:
+    """Exact motion of y' = A y + B u under held inputs, with white noise on the states."""
+    generator, phi, y = np.random.default_rng(3), math.exp(A * dt), [0.3]
+    u = generator.uniform(-1, 1, n)
+    for held in u:
+        y.append(phi * y[-1] + B * (phi - 1) / A * held)
+    x = torch.tensor(y, dtype=torch.float64) + noise * torch.from_numpy(generator.normal(size=n + 1))
+    return Transitions.from_trajectory(x.unsqueeze(-1), torch.from_numpy(u).unsqueeze(-1), dt)
+
+
+def first(data: Transitions) -> torch.Tensor:
+    sums = RunningSums(4, 1)
+    sums.add(integral_form(LIBRARY, data))
+    return Regression("bic").solve(sums, FREE.free, FREE.offset)
+
+
+def error(xi: torch.Tensor) -> float:
+    return float((xi.flatten() - torch.tensor([A, B, 0, 0])).abs().max())
+
+
+def column(*values: float) -> torch.Tensor:
+    return torch.tensor(values, dtype=torch.float64).unsqueeze(-1)
+
+
+def test_each_method_is_nearer_to_the_plant_than_the_one_before():
+    data = recording(0.05)
+    start = first(data)
+    once = Refinement("integral", rounds=1).run(LIBRARY, start, FREE, data)[1]
+    twice = Refinement("integral", rounds=2).run(LIBRARY, start, FREE, data)[1]
+    exact = Refinement("one_step", tolerance=1e-9).run(LIBRARY, start, FREE, data)[1]
+    errors = [error(xi) for xi in (start, once, twice, exact)]
+    assert errors[1] < 0.2 * errors[0] and errors[2] <= errors[1] and errors[3] < 0.1 * errors[2]
+    assert errors[3] < 1e-7
+
+
+def test_no_rounds_of_the_integral_form_change_nothing():
+    data = recording(0.05)
+    assert torch.equal(Refinement(rounds=0).run(LIBRARY, column(1, 2, 3, 4), FREE, data)[1], column(1, 2, 3, 4))
+
+
+def test_what_is_given_stays_in_every_method():
+    constraints = Constraints.build(LIBRARY, {}, {"y": ["y"]}, {"y": {"u": 2.9}})
+    data = recording(0.02)
+    for method in METHODS:
+        found = Refinement(method, window=10).run(LIBRARY, column(A, 2.9, 0, 0), constraints, data)[1]
+        assert found[1, 0] == 2.9 and found[2:].flatten().tolist() == [0, 0] and found[0, 0].item() != A
+
+
+def test_white_noise_is_told_from_a_wrong_model():
+    assert looks_noisy(LIBRARY, column(A, B, 0, 0), recording(0.02, 0.03))
+    assert not looks_noisy(LIBRARY, column(A, B, 0.5, 0), recording(0.02))  # a constant error correlates by +1
+    assert not looks_noisy(LIBRARY, column(0.5 * A, B, 0, 0), recording(0.02))
+
+
+def test_auto_takes_trajectories_for_noise_and_single_steps_without():
+    auto = Refinement("auto", rounds=0, window=10)
+    noisy, clean, start = recording(0.02, 0.03), recording(0.02), column(-1.9, 2.8, 0, 0)
+    smooth = reconstruct(noisy, {}, True).x
+    assert not torch.equal(smooth, noisy.x)
+    wanted = refine_trajectory(LIBRARY, start, FREE.free, noisy, Descent(10), smooth)[1]
+    assert torch.equal(auto.run(LIBRARY, start, FREE, noisy)[1], wanted)
+    wanted = refine_one_step(LIBRARY, start, FREE.free, clean, auto.tolerance)[1]
+    assert torch.equal(auto.run(LIBRARY, start, FREE, clean)[1], wanted)
+
+
+@pytest.mark.parametrize("longest", [0.0, 0.03])
+def test_noisy_samples_are_smoothed_under_every_delay_that_is_tried(longest, monkeypatch):
+    true, noisy, errors = recording(0.01, n=300).x[round(longest / 0.01) :], recording(0.01, 0.03, 300), []
+
+    def kept(function):
+        def called(library, xi, free, data, descent, start):
+            errors.append(float((start - true).square().mean().sqrt()))
+            return function(library, xi, free, data, descent, start)
+
+        return called
+
+    for name in ("refine_trajectory", "trajectory_cost"):
+        monkeypatch.setattr(refine, name, kept(getattr(refine, name)))
+    refinement = Refinement("trajectory", window=10, longest_delay=longest)
+    found = refinement.run(LIBRARY, column(A, B, 0, 0), FREE, noisy)
+    assert len(errors) >= (5 if longest else 1) and max(errors) < 0.7 * 0.03
+    assert error(found.coefficients) < 0.4 and found.delay == pytest.approx(0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"method": "newton"}, {"rounds": -1}, {"tolerance": 0.0}, {"window": 0}, {"error": "both"}]
+)
+def test_settings_that_are_not_allowed_are_refused(wrong):
+    with pytest.raises(ValueError, match="allowed") as refused:
+        Refinement(**wrong)
+    assert "\n" not in str(refused.value)
+
+
+def errors_as_data(errors: np.ndarray, segments: list[int]) -> tuple[Library, torch.Tensor, Transitions]:
+    """Transitions whose one-step errors, of a model that says that nothing moves, are the given ones."""
+    n_x = errors.shape[1]
+    names = tuple(f"y{k}" for k in range(n_x))
+    library = Library(Signature(names, ("-",) * n_x, ("u",), (1.0,) * n_x), [variable(names[0])])
+    x = torch.zeros(len(errors), n_x, dtype=torch.float64)
+    data = Transitions(x, torch.zeros(len(errors), 1), torch.from_numpy(errors), 0.1, torch.tensor(segments))
+    return library, torch.zeros(1, n_x, dtype=torch.float64), data
+
+
+def with_correlation(rho: float) -> np.ndarray:
+    """Twelve errors whose neighbours correlate by rho exactly."""
+    a, b = np.ones(12), (-1.0) ** np.arange(12)
+
+    def correlation(share: float) -> float:
+        e = a + share * b
+        return float(e[:-1] @ e[1:] / (np.linalg.norm(e[:-1]) * np.linalg.norm(e[1:])))
+
+    share = brentq(lambda s: correlation(s) - rho, 0.01, 100.0)
+    return a + share * b
+
+
+@pytest.mark.parametrize(
+    ("correlations", "noisy"),
+    [
+        ([-0.31], True),
+        ([-0.29], False),
+        ([0.31], False),
+        ([-0.5, 0.5], False),  # one of two is not the majority
+        ([-0.5, 0.5, -0.5], True),
+        ([-0.5, 0.5, 0.5], False),
+    ],
+)
+def test_noise_is_where_most_states_have_neighbours_that_correlate_below_minus_three_tenths(correlations, noisy):
+    errors = np.stack([with_correlation(rho) for rho in correlations], -1)
+    assert looks_noisy(*errors_as_data(errors, [0] * 12)) == noisy
+
+
+def test_neighbours_across_two_segments_are_none():
+    # Within each segment errors are equal; only across the gaps they change their sign.
+    errors = np.array([1.0, 1.0, -1.0, -1.0] * 3 + [-3.0] + [3.0] * 3)[:, None]
+    assert not looks_noisy(*errors_as_data(errors, [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 7, 7, 7]))
+    alternating = np.array([1.0, -1.0] * 8)[:, None]
+    assert looks_noisy(*errors_as_data(alternating, [0] * 16))
+    assert not looks_noisy(*errors_as_data(alternating, [*range(16)]))
+
+
+def test_each_round_is_a_simpson_regression_with_the_model_of_the_round_before():
+    data, xi = recording(0.05), first(recording(0.05))
+    for rounds in (1, 2):
+        coefficients = xi
+        for _ in range(rounds):
+            theta, dx = simpson_form(LIBRARY, lambda x, u, c=coefficients: LIBRARY(x, u) @ c, data)
+            sums = RunningSums(4, 1)
+            sums.add((theta, dx))
+            coefficients = Regression("bic", tolerance=1e-3).solve(sums, FREE.free, FREE.offset)
+        found = Refinement("integral", rounds=rounds, tolerance=1e-3).run(LIBRARY, xi, FREE, data)[1]
+        torch.testing.assert_close(found, coefficients, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_the_play_of_a_sensor_is_found_from_what_it_reads():
+    n, dt, fine = 200, 0.1, 20
+    u = np.repeat(np.random.default_rng(0).uniform(-1, 1, n // 10), 10)
+    level, reading, seen = 0.0, 0.0, [0.0]
+    for k in range(n):
+        for _ in range(fine):  # by Euler's steps; the play as it is, without a rate
+            level += dt / fine * (u[k] - 0.5 * level)
+            reading = min(max(reading, level - 0.1), level + 0.1)
+        seen.append(reading)
+    y = torch.full((n + 1, 2), torch.nan, dtype=torch.float64)
+    y[:, 1] = torch.tensor(seen)
+    model = SindyModel(
+        Signature(("level", "reading"), ("-", "-"), ("u",), (1.0, 1.0)),
+        ["u", "level", "slack(level, reading; ~0.2)"],
+        Regression("bic"),
+        Refinement("trajectory", rounds=0),
+        allowed={"level": ["level"], "reading": []},
+        fixed={"level": {"u": 1.0}, "reading": {"slack(level, reading; 0.2)": 60.0}},
+        initial={"level": {"level": -0.3}},
+    )
+    model.fit(Transitions.from_trajectory(y, torch.from_numpy(u)[:, None], dt))
+    assert float(model.coefficients[1, 0]) == pytest.approx(-0.5, rel=0.05)
+    assert model.library.shapes[0].frequency == pytest.approx(0.1, rel=0.1)
+
+
+OSCILLATOR = Signature(("y", "w"), ("m", "m/s"), ("u",), (1.0, 1.0))
+WORDS = Library(OSCILLATOR, [variable("y"), variable("w"), variable("u"), variable("y", 2)])
+
+
+def oscillator(push: float, noise: float, hidden: bool, seed: int) -> Transitions:
+    """Exact motion of y'' = -4 y - 0.8 y' + 3 u, a random push on y' in each sample, and noise of the sensors."""
+    step = expm(0.05 * np.array([[0.0, 1.0, 0.0], [-4.0, -0.8, 3.0], [0.0, 0.0, 0.0]]))
+    rng = np.random.default_rng(seed)
+    u, x = rng.uniform(-1, 1, 60).repeat(10), [np.zeros(2)]
+    for held in u:
+        x.append((step @ [*x[-1], held])[:2] + np.array([0.0, push * rng.normal()]))
+    seen = np.array(x) + noise * rng.normal(size=(601, 2))
+    if hidden:
+        seen[:, 1] = np.nan
+    return Transitions.from_trajectory(torch.from_numpy(seen), torch.from_numpy(u)[:, None], 0.05)
+
+
+def fitted(data: Transitions, **settings) -> tuple[SindyModel, str]:
+    refinement = Refinement("trajectory", **settings)
+    model = SindyModel(OSCILLATOR, WORDS, Regression("bic"), refinement, known={"y": "w"})
+    return model, " ".join(model.fit(data).notes)
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+@pytest.mark.parametrize(("push", "noise", "chosen"), [(0.05, 0.01, "prediction"), (0.0, 0.05, "simulation")])
+def test_a_plant_that_is_pushed_is_fitted_by_predictions_and_noise_of_sensors_by_simulation(
+    push, noise, chosen, hidden
+):
+    data = oscillator(push, noise, hidden, 2)
+    model, note = fitted(data, error="auto")
+    assert f"error={chosen}" in note and ("pushes the plant" in note) == (chosen == "prediction")
+    told, _ = fitted(data, error=chosen)
+    assert torch.equal(model.coefficients, told.coefficients)
+    assert model.coefficients[:3, 1].tolist() == pytest.approx([-4.0, -0.8, 3.0], rel=0.15 if push else 0.05)
+
+
+def test_a_trajectory_that_no_function_or_no_number_survives_is_no_choice(monkeypatch):
+    data, through = oscillator(0.0, 0.05, False, 2), refine.refine_trajectory
+
+    def emptied(library, xi, free, data, descent, start):
+        found = through(library, xi, free, data, descent, start)
+        return (found[0], torch.where(free, 0.0, found[1])) if descent.joined is None else found
+
+    def lost(library, xi, free, data, descent, start):
+        if descent.joined is None:
+            raise RunsAway("it runs away")
+        return through(library, xi, free, data, descent, start)
+
+    told = fitted(data, error="prediction")[0].coefficients
+    for spoilt, said in ((emptied, "no function is left"), (lost, "runs away")):
+        monkeypatch.setattr(refine, "refine_trajectory", spoilt)
+        model, note = fitted(data, error="auto")
+        assert torch.equal(model.coefficients, told) and "error=prediction" in note and said in note
+
+
+def test_only_the_method_auto_chooses_the_error_unasked():
+    data = oscillator(0.05, 0.01, True, 2)
+    for settings, chosen in (({}, False), ({"error": "simulation"}, False), ({"error": "auto"}, True)):
+        assert ("error=" in fitted(data, **settings)[1]) == chosen
+    model = SindyModel(OSCILLATOR, WORDS, Regression("bic"), Refinement("auto"), known={"y": "w"})
+    assert "error=prediction" in " ".join(model.fit(data).notes)

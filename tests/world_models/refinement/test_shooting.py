@@ -1,0 +1,228 @@
+"""Trajectories of windows and their condensed linear model: closed forms, and one step to least squares."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.libraries.features import CONSTANT, of, variable
+from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.refinement.shooting import EXACT, Estimate, Flow, RunsAway, linearise, move, substeps_for
+from dynasindy.world_models.refinement.windows import Windows
+from dynasindy.world_models.regression.sensitivity import Parameters
+
+SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
+LIBRARY = Library(SIGNATURE, [variable("y"), variable("u"), CONSTANT, variable("y", 2)])
+A, B, Y0, DT = -2.0, 3.0, 0.3, 0.01
+TWO = torch.tensor([[True], [True], [False], [False]])
+INPUTS = np.random.default_rng(7).uniform(-1, 1, 4).repeat(10)
+
+
+def column(*values: float) -> torch.Tensor:
+    return torch.tensor(values, dtype=torch.float64).unsqueeze(-1)
+
+
+def motion(a: float, b: float, y0: float, u: np.ndarray) -> np.ndarray:
+    """Exact states of y' = a y + b u under held inputs."""
+    phi, y = math.exp(a * DT), [y0]
+    for held in u:
+        y.append(phi * y[-1] + b * (phi - 1) / a * held)
+    return np.array(y)
+
+
+def test_condensing_leaves_the_slopes_of_one_long_trajectory():
+    # Windows that join exactly are one trajectory: the moves of the nodes are the slopes of its closed form.
+    y = motion(A, B, Y0, INPUTS)
+    data = Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.from_numpy(INPUTS)[:, None], DT)
+    windows = Windows.of(data, 10)
+    estimate = Estimate(LIBRARY, column(A, B, 0.0, 0.0), torch.from_numpy(y[:40:10])[:, None])
+    model = linearise(estimate, Parameters.where(TWO), windows, torch.ones(1).double())
+    place, slopes = np.array([Y0, A, B]), []
+    for step in 1e-5 * np.eye(3):
+        up, down = (motion(p[1], p[2], p[0], INPUTS) for p in (place + step, place - step))
+        slopes.append((up - down) / 2e-5)
+    slopes = np.array(slopes).T
+    assert np.allclose(model.moves[:, 0, :3], slopes[:40:10], atol=1e-6)
+    assert np.allclose(model.moves[:, 0, 3], 0.0, atol=1e-6)
+    # The triangle holds the start's own error and those of all 40 samples.
+    square = (model.triangle[:, :3] * model.scale).numpy()
+    assert np.allclose(square.T @ square, slopes.T @ slopes, rtol=1e-4, atol=1e-6)
+    assert model.cost < 1e-9
+
+
+def test_the_cost_counts_samples_starts_and_gaps_each_by_its_weight():
+    # y' = 0: every state stays where its window begins.
+    x = torch.tensor([1.0, 2.0, 4.0, 8.0, 16.0, 32.0]).double().unsqueeze(-1)
+    data = Transitions.from_trajectory(x, torch.zeros(5, 1).double(), 0.1)
+    windows = Windows.of(data, 2)
+    nodes = torch.tensor([1.5, 5.0, 17.0]).double().unsqueeze(-1)
+    none = torch.zeros(4, 1).double()
+    parameters = Parameters.where(torch.tensor([[False], [False], [True], [False]]))
+    model = linearise(Estimate(LIBRARY, none, nodes), parameters, windows, torch.tensor([2.0]).double())
+    samples = (2 - 1.5) ** 2 + (4 - 1.5) ** 2 + (8 - 5) ** 2 + (16 - 5) ** 2 + (32 - 17) ** 2
+    start = (1 - 1.5) ** 2
+    gaps = (1.5 - 5) ** 2 + (5 - 17) ** 2
+    assert model.cost == pytest.approx((samples + start + 10 * 2 * gaps) / 2.0**2)
+    free = linearise(Estimate(LIBRARY, none, nodes), parameters, windows, None)
+    assert free.sigma.item() == pytest.approx((samples / 5) ** 0.5)
+    # The first node moves by itself; each other one closes its gap and follows: by the start, 0.2 s of the constant.
+    expected = [[1.0, 0.0, 0.0], [1.0, 0.2, -3.5], [1.0, 0.4, -15.5]]
+    torch.testing.assert_close(model.moves[:, 0], torch.tensor(expected).double())
+
+
+def test_a_step_solves_the_linear_problem_of_starts_and_coefficients():
+    # y' = c is linear in all unknowns: one undamped step is the least-squares line, whatever the nodes.
+    generator = np.random.default_rng(0)
+    y = generator.normal(size=8)
+    data = Transitions.from_trajectory(torch.from_numpy(y).unsqueeze(-1), torch.zeros(7, 1).double(), 0.5)
+    windows = Windows.of(data, 3)
+    parameters = Parameters.where(torch.tensor([[False], [False], [True], [False]]))
+    estimate = Estimate(LIBRARY, column(0.0, 0.0, 3.0, 0.0), torch.from_numpy(generator.normal(size=(3, 1))))
+    model = linearise(estimate, parameters, windows, torch.ones(1).double())
+    found = move(estimate, model, parameters, torch.arange(2))
+    slope, start = np.polyfit(0.5 * np.arange(8), y, 1)
+    assert found.xi.flatten().tolist() == pytest.approx([0, 0, slope, 0], abs=1e-9)
+    assert found.nodes.flatten().tolist() == pytest.approx([start + 1.5 * k * slope for k in range(3)], abs=1e-9)
+    # Without the constant the best start is the mean, and an infinite damping leaves the start where it is.
+    mean = move(estimate, model, parameters, torch.tensor([0]))
+    assert mean.xi[2, 0] == 0 and mean.nodes[0, 0].item() == pytest.approx(y.mean())
+    still = move(estimate, model, parameters, torch.arange(2), damping=1e12)
+    assert still.xi[2, 0].item() == pytest.approx(3.0, rel=1e-6)
+    assert still.nodes[0, 0].item() == pytest.approx(estimate.nodes[0, 0].item(), abs=1e-6)
+
+
+def test_a_flow_is_the_closed_form_and_its_errors_are_those_of_what_was_measured():
+    y = motion(A, B, Y0, INPUTS)
+    data = Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.from_numpy(INPUTS)[:, None], DT)
+    windows = Windows.of(data, 20)
+    nodes = torch.from_numpy(y[:40:20])[:, None]
+    flow = Flow.of(Estimate(LIBRARY, column(A, B, 0.0, 0.0), nodes + 0.5), Parameters.where(TWO), windows)
+    decay = np.exp(A * DT * np.arange(1, 21))
+    expected = y[1:].reshape(2, 20) + 0.5 * decay
+    assert np.allclose(flow.predicted[..., 0], expected, atol=1e-9)
+    assert np.allclose(flow.s[..., 0, 0], decay, atol=1e-9)
+    assert flow.sigma(windows).item() == pytest.approx(0.5 * np.sqrt(np.mean(decay**2)), rel=1e-6)
+    # Half of the samples lost: the root mean square of the others.
+    data.x_next[::2] = torch.nan
+    seen = Windows.of(data, 20)
+    assert flow.sigma(seen).item() == pytest.approx(0.5 * np.sqrt(np.mean(decay[1::2] ** 2)), rel=1e-6)
+    data.x_next[:] = torch.nan
+    assert flow.sigma(Windows.of(data, 20)).item() == EXACT
+
+
+def test_windows_that_run_away_are_counted_and_the_first_is_named():
+    # y' = y^2 from 1 is 1 / (1 - t): it passes all bounds after a second, from -1 and from 0.1 it does not.
+    data = Transitions.from_trajectory(torch.ones(61, 1).double(), torch.zeros(60, 1).double(), 0.1)
+    windows = Windows.of(data, 20)
+    estimate = Estimate(LIBRARY, column(0.0, 0.0, 0.0, 1.0), column(0.1, 1.0, -1.0))
+    parameters = Parameters.where(torch.tensor([[False], [False], [False], [True]]))
+    flow = Flow.of(estimate, parameters, windows)
+    assert flow.lost().tolist() == [False, True, False]
+    assert flow.predicted[2, -1].item() == pytest.approx(-1 / (1 + 2.0), rel=1e-4)
+    with pytest.raises(RunsAway, match="1 of 3 windows of 20 samples, the first of them number 1;"):
+        linearise(estimate, parameters, windows)
+
+
+def test_a_trial_that_runs_away_in_windows_on_their_own_costs_more_than_anything():
+    # As above; at a trial, which is given its weights, the descent asks for the cost and turns back.
+    data = Transitions.from_trajectory(torch.ones(61, 1).double(), torch.zeros(60, 1).double(), 0.1)
+    windows = Windows.of(data, 20, joined=False)
+    estimate = Estimate(LIBRARY, column(0.0, 0.0, 0.0, 1.0), column(0.1, 1.0, -1.0))
+    parameters = Parameters.where(torch.tensor([[False], [False], [False], [True]]))
+    trial = linearise(estimate, parameters, windows, torch.ones(1).double())
+    assert not trial.cost < 1e300
+
+
+def test_a_gap_of_a_hidden_state_is_weighed_by_the_errors_of_the_others():
+    # Both states stand still; the second is seen by nobody, so its gaps count as those of the first do.
+    two = Signature(("y", "h"), ("-", "-"), ("u",), (1.0, 1.0))
+    library = Library(two, [CONSTANT])
+    x = torch.stack([torch.tensor([0.0, 1.0, 0.0, 3.0, 0.0]), torch.full((5,), torch.nan)], -1).double()
+    windows = Windows.of(Transitions.from_trajectory(x, torch.zeros(4, 1).double(), 0.1), 2)
+    nodes = torch.tensor([[0.5, 2.0], [1.5, 6.0]]).double()
+    parameters = Parameters.where(torch.ones(1, 2, dtype=torch.bool))
+    model = linearise(Estimate(library, torch.zeros(1, 2).double(), nodes), parameters, windows)
+    errors = [0.5, -0.5, 1.5, -1.5]
+    sigma = math.sqrt(np.square(errors).mean())
+    spread = nodes.std(0, correction=0)
+    gaps = (1.0 / sigma) ** 2 + (4.0 / (sigma / spread[0] * spread[1])) ** 2
+    start = (0.5 / sigma) ** 2
+    assert model.cost == pytest.approx(4 + start + 20 * float(gaps))
+    # A start that nothing measured depends on stays where it is, within the spread of its state, which is 2.
+    square = model.triangle[:, :4] * model.scale
+    assert (square.mT @ square)[1].tolist() == pytest.approx([0.0, 0.25, 0.0, 0.0])
+
+
+def test_windows_that_are_not_joined_have_a_start_each():
+    y = np.random.default_rng(1).normal(size=8)
+    data = Transitions.from_trajectory(torch.from_numpy(y).unsqueeze(-1), torch.zeros(7, 1).double(), 0.5)
+    windows = Windows.of(data, 3, joined=False)
+    parameters = Parameters.where(torch.tensor([[False], [False], [True], [False]]))
+    estimate = Estimate(LIBRARY, column(0.0, 0.0, 3.0, 0.0), torch.zeros(3, 1).double())
+    model = linearise(estimate, parameters, windows, torch.ones(1).double())
+    found = move(estimate, model, parameters, torch.arange(1))  # the starts are eliminated
+    # Least squares of three lines of one slope, each through the samples of its window, its first one included.
+    places = [(0, 0), (0, 1), (0, 2), (0, 3), (1, 3), (1, 4), (1, 5), (1, 6), (2, 6), (2, 7)]
+    rows = np.array([[float(w == j) for j in range(3)] + [0.5 * (k - 3 * w)] for w, k in places])
+    theirs = np.linalg.lstsq(rows, y[[k for _, k in places]], rcond=None)[0]
+    assert found.nodes.flatten().tolist() == pytest.approx(theirs[:3].tolist(), abs=1e-9)
+    assert found.xi[2, 0].item() == pytest.approx(theirs[3], abs=1e-9)
+
+
+def test_a_number_inside_a_function_moves_as_in_least_squares():
+    # y' = 2 max(0, u - p) with u > p is linear in p: y = y0 + sum of 2 dt (u - p).
+    rng = np.random.default_rng(2)
+    u, y = rng.uniform(1.0, 2.0, 12), rng.normal(size=13)
+    data = Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.from_numpy(u)[:, None], 0.5)
+    library = Library(SIGNATURE, [of("hinge", "u", frequency=0.4, fitted=True)])
+    windows, parameters = Windows.of(data, 5), Parameters.where(torch.zeros(1, 1, dtype=torch.bool))
+    estimate = Estimate(library, column(2.0), torch.from_numpy(rng.normal(size=(3, 1))))
+    model = linearise(estimate, parameters, windows, torch.ones(1).double())
+    found = move(estimate, model, parameters, torch.arange(2))
+    time, driven = np.arange(13), np.concatenate([[0], np.cumsum(u)])
+    start, number = np.linalg.lstsq(np.stack([np.ones(13), -1.0 * time], -1), y - driven, rcond=None)[0]
+    assert 0.4 / 30 < number < 0.4 * 30
+    assert found.library.shapes[0].frequency == pytest.approx(number)
+    assert found.nodes[:, 0].tolist() == pytest.approx((start + driven - number * time)[[0, 5, 10]].tolist())
+    assert found.xi.item() == 2.0 and estimate.library.shapes[0].frequency == 0.4
+
+
+# y' = a y + 5: the fastest rate is |a|. An error of 1e-7 wants steps of 0.1 / |a|, at most 10; stability 1.5 / |a|.
+@pytest.mark.parametrize(
+    ("a", "dt", "steps"),
+    [(-2, 0.01, 1), (10, 0.01, 1), (-11, 0.01, 2), (-30, 0.01, 3), (-50, 0.1, 10), (-300, 0.1, 20), (-1e5, 0.1, 100)],
+)
+def test_steps_follow_the_fastest_rate(a, dt, steps):
+    x, u = torch.linspace(-1, 1, 9, dtype=torch.float64)[:, None], torch.zeros(9, 1).double()
+    assert substeps_for(LIBRARY, column(float(a), 0.0, 5.0, 0.0), x, u, dt) == steps
+
+
+def test_steps_follow_the_rates_where_the_states_are():
+    # y' = -y^2 has the rate 2 |y|; an oscillator of 40 rad/s has imaginary ones.
+    u = torch.zeros(1, 1).double()
+    assert [substeps_for(LIBRARY, column(0, 0, 0, -1.0), column(y), u, 0.1) for y in (0.1, 2.0)] == [1, 4]
+    two = Signature(("y", "v"), ("-", "-"), ("u",), (1.0, 1.0))
+    library = Library(two, [variable("y"), variable("v")])
+    xi = torch.tensor([[0.0, -1600.0], [1.0, 0.0]]).double()
+    assert substeps_for(library, xi, torch.ones(1, 2).double(), u, 0.01) == 4
+    assert substeps_for(LIBRARY, column(0, 0, 0, -1.0), column(math.nan), u, 0.1) == 1
+
+
+def test_the_start_of_a_state_that_forgets_it_within_a_sample_stays_near():
+    # h follows u and y follows h, both within a sample: of where h began, e^-40 is left in what was measured.
+    signature = Signature(("y", "h"), ("-", "-"), ("u",), (1.0, 1.0))
+    library = Library(signature, [variable("y"), variable("h"), variable("u")])
+    xi = torch.tensor([[-100.0, 0.0], [100.0, -100.0], [0.0, 80.0]], dtype=torch.float64)
+    noisy = INPUTS + 0.01 * np.random.default_rng(8).normal(size=40)
+    y = torch.from_numpy(np.stack([noisy, np.full(40, math.nan)], -1)).roll(1, 0)
+    data = Transitions.from_trajectory(y, torch.from_numpy(INPUTS[:-1, None]), 0.4)
+    windows = Windows.of(data, 10, substeps=40)
+    estimate = Estimate(library, xi, torch.from_numpy(0.1 * INPUTS[:40:10, None].repeat(2, 1)))
+    parameters = Parameters.where(torch.tensor([[False, False], [False, False], [False, True]]))
+    model = linearise(estimate, parameters, windows)
+    moved = move(estimate, model, parameters, torch.arange(len(model.scale)))
+    assert float((moved.nodes - estimate.nodes).abs().max()) < 10
+    assert float(moved.xi[2, 1]) == pytest.approx(100.0, rel=0.02)
