@@ -88,6 +88,8 @@ class SimulatedRig:
         self._socket.bind(("127.0.0.1", port))
         self.port: int = self._socket.getsockname()[1]
         self.record = Record()
+        # The first period makes machine code of the plant, which would take longer than a control period.
+        self._moved(torch.zeros(system.signature.n_x, dtype=torch.float64), self.safe)
 
     def serve(self, periods: int) -> Record:
         """Wait for a caller, then run so many periods.
@@ -113,9 +115,13 @@ class SimulatedRig:
                 self.record.applied.append(u)
                 self.record.answered.append(found is not None)
                 self.record.asked.append(found is self.safe)
-            x = integrate(self.system, x, torch.from_numpy(u), self.dt, 5, self.system.stops)[0][-1]
+            x = self._moved(x, u)
         self._socket.close()
         return self.record
+
+    def _moved(self, x: torch.Tensor, u: Array) -> torch.Tensor:
+        """Return the state after a control period."""
+        return integrate(self.system, x, torch.from_numpy(u), self.dt, 5, self.system.stops)[0][-1]
 
     def _wrong(self, fault: str, k: int) -> bool:
         return fault in self.faults and k >= self.faults[fault]

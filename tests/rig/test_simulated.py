@@ -6,9 +6,11 @@ import threading
 import numpy as np
 import pytest
 
+from dynasindy.rig import simulated
 from dynasindy.rig.simulated import SimulatedRig, rehearsal
 from dynasindy.rig.udp import REST, pack
 from dynasindy.systems import Pendulum
+from dynasindy.systems.integrators import integrate
 
 SAFE = np.array([0.25])
 
@@ -72,6 +74,14 @@ def test_a_rehearsal_is_a_rig_in_another_process():
         # Full torque takes hold for two periods at least: one in which it arrives, and one that is bridged.
         turned = [y[0] for y in (rig.read(10.0) for _ in range(4)) if y is not None]
         assert max(turned) > 0.01
+
+
+def test_the_plant_is_ready_before_anybody_calls(monkeypatch):
+    """Its first period takes long, as it is made machine code: no caller may lose samples to that."""
+    asked = []
+    monkeypatch.setattr(simulated, "integrate", lambda *given: asked.append(given) or integrate(*given))
+    SimulatedRig(Pendulum(), 0.05, safe=SAFE)
+    assert [float(given[2][0]) for given in asked] == [0.25]
 
 
 def test_an_unknown_fault_is_refused():
