@@ -1,5 +1,6 @@
 """The benchmark counts the periods in which the plant has something else than its safe input."""
 
+import signal
 import threading
 
 import numpy as np
@@ -48,6 +49,16 @@ def test_a_fault_of_the_controller_is_counted():
 def test_a_sample_that_is_no_number_is_counted():
     row = rig.injected(Here(), 20.0, "nan", 4)
     assert (row["ended_by"], row["at_period"], row["periods_to_safe"]) == ("invalid", 4, 0)
+
+
+def test_ctrl_c_ends_the_flight_and_not_the_benchmark():
+    """Whatever handler the command has, which ends the process."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        row = rig.injected(Here(), 20.0, "ctrl_c", 3)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert (row["ended_by"], row["periods_to_request"], row["rows_lost"]) == ("stopped", 0, 0)
 
 
 def test_inputs_that_go_on_are_counted_against_it(monkeypatch):
