@@ -182,12 +182,16 @@ def _from_log() -> Iterator[Tie]:
     yield Tie(PAGE, "Of {} faults, ten kinds", (str(len(faults)),))
     yield Tie(PAGE, "{} ended in the safe input within one period", (str(len(safe)),))
     calm = [row for row in table("rig.csv") if row["fault"] == "none"]
-    first = {row["hertz"]: row["milliseconds"] for row in calm if row["ended_by"] == "nothing"}
-    yield Tie(PAGE, "within {} ms (20 Hz) and {} ms (100 Hz) of their time", (first["20.0"], first["100.0"]))
+    free = [row for row in calm if row["ended_by"] == "nothing"]
+    latest = [
+        max(numbers([row for row in free if row["hertz"] == hertz], "milliseconds")) for hertz in ("20.0", "100.0")
+    ]
+    kept = tuple(f"{value:g}" for value in latest)
+    yield Tie(PAGE, "within {} ms (20 Hz) and {} ms (100 Hz) of their time", kept)
     busy = [row for row in calm if row["ended_by"] != "nothing"]
-    late = [numbers([row for row in busy if row["hertz"] == hertz], "milliseconds") for hertz in ("20.0", "100.0")]
-    ends = [f"{end(values):.3g}" for values in late for end in (min, max)]
-    yield Tie(PAGE, "they came within {} to {} ms and {} to {} ms, and all {} flights", (*ends, str(len(busy))))
+    assert all(row["hertz"] == "100.0" for row in busy)
+    ends = [f"{end(numbers(busy, 'milliseconds')):.3g}" for end in (min, max)]
+    yield Tie(PAGE, "samples came within {} to {} ms, and all {} flights", (*ends, str(len(busy))))
 
 
 def _plants() -> Iterator[Tie]:
@@ -264,6 +268,7 @@ REACHED = "what had to be reached, fixed before the runs"
 UNTIED = [
     *(Untied(PAGE, f"{target} |", REACHED) for target in (" .004", " .002", ".02 within 3 episodes", ".02 (10 of 10)")),
     *(Untied(PAGE, f"{pair} (LQI) |", REACHED) for pair in (".003/.009", ".077/.110", ".001/.002", ".083/.102")),
+    Untied(PAGE, "errors of at most .0004/.0005 rad over the last", "what the command prints; a flight in real time"),
     Untied(PAGE, "(`xi` .001/.002 and .083/.102, `tras` .003/.009 and .077/.110)", REACHED),
     Untied(
         PAGE,
