@@ -1,5 +1,7 @@
 """From a log to a controller: what `train.py data=csv` and `train.py model=PATH` do, without a plant."""
 
+import hashlib
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,7 +28,9 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     planning = _required(cfg)
     torch.set_num_threads(cfg.threads)
     folder, settings = Path(cfg.folder), OmegaConf.to_yaml(cfg, resolve=True)
-    if (before := _finished(folder, settings)) is not None:
+    swept = HydraConfig.get().mode == RunMode.MULTIRUN
+    read = {"read": _digests(cfg)}
+    if swept and (before := _finished(folder, settings, read)) is not None:
         say(f"finished before: {folder}")
         return before
     say(f"Run folder: {folder}")
@@ -35,7 +39,7 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     model = model_of(source, instantiate(cfg.world_model, _convert_="all"), cfg.model)
     (folder / "metrics.json").unlink(missing_ok=True)  # of other settings
     write_text(folder / "config.yaml", settings)  # before the plan, which may fail
-    write_json(folder / "origin.json", command_and_commit(HydraConfig.get()))
+    write_json(folder / "origin.json", command_and_commit(HydraConfig.get()) | read)
     model.save(folder / "model.json")
     scenario, task = instantiate(cfg.scenario, _convert_="all"), parts["task"](signature=model.signature)
     within = cfg.evaluation.get("within", WITHIN)
@@ -46,7 +50,7 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     if prediction.shown:
         draw_evaluation(prediction.shown, folder / "figures", place=prediction.place)
     say(report(model, prediction), f"Controller: {folder / 'controller.json'}")
-    if HydraConfig.get().mode != RunMode.MULTIRUN:
+    if not swept:
         say(
             f"next: {called('check')} run={folder} tells margins and worst cases on the model, {called('export')} "
             f"run={folder} writes the controller for a microcontroller"
@@ -54,12 +58,21 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     return prediction.record()
 
 
-def _finished(folder: Path, settings: str) -> dict[str, Any] | None:
-    """Return what a job of the same settings has foretold in this folder, as in a sweep that goes on."""
-    kept, metrics = folder / "config.yaml", folder / "metrics.json"
-    if not (kept.is_file() and metrics.is_file() and kept.read_text() == settings):
+def _digests(cfg: DictConfig) -> dict[str, str]:
+    """Return the SHA-256 of what is read: a log that was recorded anew has the same name."""
+    files = (cfg.model, OmegaConf.select(cfg, "data.path", default=None))
+    found = sorted(str(file) for file in files if file and Path(file).is_file())
+    return {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in found}
+
+
+def _finished(folder: Path, settings: str, read: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return what a job of the same settings has foretold of the same files, as in a sweep that goes on."""
+    kept, origin, metrics = (folder / name for name in ("config.yaml", "origin.json", "metrics.json"))
+    if not (all(file.is_file() for file in (kept, origin, metrics)) and kept.read_text() == settings):
         return None
     with understood(metrics):
+        if read_record(origin).get("read") != read["read"]:
+            return None
         found = read_record(metrics)["prediction"]
         return {"controlled": bool(found["controlled"]), "score": found["score"]}
 

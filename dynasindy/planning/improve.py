@@ -15,6 +15,7 @@ by cross-entropy as in `dynasindy.planning.search`; once a signal is over, the p
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -78,11 +79,14 @@ def improve(
     for _ in range(rounds):
         if failures >= PATIENCE:
             break
-        begun = starts(network, env, rows, rng, periods)
-        own = rewards(env, begun, imagine(env, env.system, network, begun, periods, False, rng)).sum(0)
-        way = better(network, env, begun, rng, periods)
-        imagined += STARTS * periods * (POPULATION * DRAWS + 2)
-        more = rewards(env, begun, way).sum(0) - own
+        begun, floor = starts(network, env, rows, rng, periods), Floor()
+        flown = imagine(env, env.system, network, begun, periods, False, rng)
+        rewards(env, begun, flown, floor)
+        way = better(network, env, begun, rng, periods, floor)
+        # The way to the starts, that of the policy, those of all signals, and the best one once more.
+        imagined += STARTS * periods * (POPULATION * DRAWS + 3)
+        more, own = (rewards(env, begun, window, floor).sum(0) for window in (way, flown))
+        more = more - own
         alive, gained = way.alive[1:], more > GAINED * more.amax()
         if not bool(alive.any()):
             break
@@ -97,6 +101,19 @@ def improve(
             best, weights = now, copy.deepcopy(network.state_dict())
     network.load_state_dict(weights)
     return Improved(best, imagined, updates)
+
+
+class Floor:
+    """The least that any period has earned in what was imagined so far; what has diverged earns no more than that."""
+
+    def __init__(self) -> None:
+        self.least = math.inf
+
+    def under(self, reward: Tensor, alive: Tensor) -> Tensor:
+        """Return rewards `(T, rows)` with those that are not alive replaced; minus infinity if none ever was."""
+        if bool(alive.any()):
+            self.least = min(self.least, float(reward[alive].amin()))
+        return reward.where(alive, self.least if math.isfinite(self.least) else -math.inf)
 
 
 @torch.no_grad()
@@ -114,7 +131,9 @@ def starts(network: Network, env: ControlEnv, rows: Rows, rng: torch.Generator, 
 
 
 @torch.no_grad()
-def better(network: Network, env: ControlEnv, begun: Rows, rng: torch.Generator, periods: int) -> Window:
+def better(
+    network: Network, env: ControlEnv, begun: Rows, rng: torch.Generator, periods: int, floor: Floor | None = None
+) -> Window:
     """Return the best way from each start that was found; it earns no less than that of the policy.
 
     Args:
@@ -123,8 +142,10 @@ def better(network: Network, env: ControlEnv, begun: Rows, rng: torch.Generator,
         begun: The starts.
         rng: Source of the signals.
         periods: Length of a way [control periods].
+        floor: What has earned least so far, so that a crash is worth the same in every draw.
     """
     n, n_u = begun.held.shape
+    floor = floor or Floor()
     acting = max(1, round(ACTING * periods))
     knots, each = max(2, acting // KNOT), torch.arange(n)
     mean, deviation = torch.zeros(n, 1, knots, n_u), torch.ones(n, 1, knots, n_u)
@@ -138,7 +159,7 @@ def better(network: Network, env: ControlEnv, begun: Rows, rng: torch.Generator,
         drawn[:, 0] = best  # none at first, so that the policy itself is among them
         drawn = drawn.clamp(-MOST, MOST)
         flown = imagine(env, env.system, OnTop(network, drawn.flatten(0, 1), acting), many, periods, False, rng)
-        earned = rewards(env, many, flown).sum(0).reshape(n, POPULATION)
+        earned = rewards(env, many, flown, floor).sum(0).reshape(n, POPULATION)
         top = earned.topk(round(ELITE * POPULATION), 1).indices
         elite = drawn[each.unsqueeze(-1), top]
         mean, deviation = elite.mean(1, keepdim=True), elite.std(1, keepdim=True).clamp_min(LEAST)
@@ -168,16 +189,17 @@ class OnTop:
         return (u + self.signal[k]).clamp(-1.0, 1.0) if k < len(self.signal) else u
 
 
-def rewards(env: ControlEnv, rows: Rows, window: Window) -> Tensor:
+def rewards(env: ControlEnv, rows: Rows, window: Window, floor: Floor | None = None) -> Tensor:
     """Return what each period of a window earns, `(T, rows)`; those after divergence earn as little as the worst.
 
     Args:
         env: Imagined environment.
         rows: Where the window began.
         window: What was imagined.
+        floor: What has earned least in windows that this one is compared with; none if omitted.
     """
     free = torch.zeros(window.actions.shape[:-1], dtype=torch.bool)
     params = rows.params.expand(len(free), *rows.params.shape)
     x, x_next, alive = window.states[:-1], window.states[1:], window.alive[1:]
     reward = env.task.earned(x, window.actions, x_next, params, window.times[1:], free)
-    return reward.where(alive, reward[alive].amin()) if bool(alive.any()) else torch.full_like(reward, -torch.inf)
+    return (floor or Floor()).under(reward, alive)

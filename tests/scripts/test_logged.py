@@ -1,5 +1,6 @@
 """From a log to a controller by the command of README, and what it says where something is missing."""
 
+import hashlib
 import json
 import os
 import subprocess
@@ -7,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from omegaconf import OmegaConf
 
 import dynasindy
 from dynasindy.data.simulated import record
@@ -112,3 +114,23 @@ def test_a_folder_that_is_a_file_is_found_before_the_fit(log, tmp_path):
     assert done.returncode == 2
     assert done.stdout == ""  # no fit, and no run folder
     assert done.stderr == f"error: {tmp_path}/here/run: part of it is a file: give the path of a folder\n"
+
+
+def test_a_job_of_a_sweep_is_done_again_if_its_log_is_another_one(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "scripts")
+    import logged
+
+    file, run = tmp_path / "log.csv", tmp_path / "run"
+    run.mkdir()
+    cfg = OmegaConf.create({"model": None, "data": {"path": str(file)}})
+    file.write_text("time,y,u\n")
+    read = {"read": logged._digests(cfg)}
+    assert read["read"] == {str(file): hashlib.sha256(b"time,y,u\n").hexdigest()}
+    (run / "config.yaml").write_text("settings")
+    (run / "origin.json").write_text(json.dumps({"command": "train.py"} | read))
+    assert logged._finished(run, "settings", read) is None  # it has foretold nothing yet
+    (run / "metrics.json").write_text('{"prediction": {"controlled": true, "score": 0.25}}')
+    assert logged._finished(run, "settings", read) == {"controlled": True, "score": 0.25}
+    assert logged._finished(run, "other settings", read) is None
+    file.write_text("time,y,u\n0,1,2\n")
+    assert logged._finished(run, "settings", {"read": logged._digests(cfg)}) is None
