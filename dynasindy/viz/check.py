@@ -59,23 +59,28 @@ def draw(found: Check) -> dict[str, Figure]:
 
 
 @styled
-def nyquist(curves: Sequence[ArrayLike], names: Sequence[str], title: str = "Loop opened at each input") -> Figure:
+def nyquist(
+    curves: Sequence[ArrayLike], names: Sequence[str], disk: float = 0.5, title: str = "Loop opened at each input"
+) -> Figure:
     """Draw the loop opened at each input, one curve per target, and the point -1 that it must not go around.
 
     Args:
         curves: Loops `(n_omega, n_u)`, complex, one per target.
         names: Inputs.
+        disk: Least disk margin that passes the check.
         title: of the figure.
     """
     figure, axes = panels(1, len(names), (4.2 * len(names), 4.5), title, sharex=False)
     angle = np.linspace(0, 2 * np.pi, 200)
+    # Inside of this circle, some factor between (2 - disk)/(2 + disk) and its inverse makes the loop unstable.
+    near, far = -(2 - disk) / (2 + disk), -(2 + disk) / (2 - disk)
     for i, (axis, name) in enumerate(zip(axes, names, strict=True)):
         for k, curve in enumerate(curves):
             values = np.asarray(curve)[:, i]
             axis.plot(values.real, values.imag, color=BLUE, alpha=0.6, linewidth=1.0, label="loop" if not k else None)
         axis.plot(np.cos(angle), np.sin(angle), color=GREY, linestyle=":", linewidth=0.9, label="gain 1")
-        # Inside of it, the effect of the input is outside of half to twice, at some frequency.
-        axis.add_patch(Circle((-1.25, 0), 0.75, color=ORANGE, alpha=0.2, linewidth=0, label="disk margin < 2/3"))
+        told = f"disk margin < {disk:g}"
+        axis.add_patch(Circle((0.5 * (near + far), 0), 0.5 * (near - far), color=ORANGE, alpha=0.2, lw=0, label=told))
         axis.plot([-1], [0], color=RED, marker="+", markersize=10, linestyle="none", label="-1")
         axis.set_xlim(-3, 1.5)
         axis.set_ylim(-2.25, 2.25)

@@ -1,5 +1,6 @@
 """The one style of all figures: colours, labels with units, saving; pyplot and its global state stay out."""
 
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
@@ -89,7 +90,7 @@ def panels(
     for axis in axes.flat:
         axis.xaxis.set_major_locator(MaxNLocator(steps=[1, 2, 5, 10]))
     if title:
-        figure.suptitle(title, fontsize=11)
+        figure.suptitle(textwrap.fill(title, int(11 * size[0])), fontsize=11)  # some eleven letters an inch
     return figure, list(axes.flat)
 
 

@@ -1,18 +1,20 @@
 import numpy as np
+import pytest
 
 from dynasindy.viz.check import coefficients, nyquist, recovery, steps
 
 
 def test_a_loop_is_drawn_for_each_input_beside_the_point_that_it_must_not_go_around():
     curve = np.exp(1j * np.linspace(0, 3, 20))[:, None] * np.array([0.5, 2.0])
-    figure = nyquist([curve, curve], ("u_a", "u_p"))
+    figure = nyquist([curve, curve], ("u_a", "u_p"), 2 / 3)
     assert len(figure.axes) == 2
     drawn = figure.axes[1].lines[0].get_xydata()
     np.testing.assert_allclose(drawn, np.stack([curve[:, 1].real, curve[:, 1].imag], -1))
     assert [-1.0, 0.0] in figure.axes[0].lines[-1].get_xydata().tolist()
-    # L with |1 + L| / |1 - L| = 1/3: the disk meets the real axis at -1/2 and -2.
+    # Factors between (2 - d)/(2 + d) and its inverse: for d = 2/3 the disk meets the real axis at -1/2 and -2.
     (disk,) = figure.axes[0].patches
-    assert (disk.center[0] + disk.radius, disk.center[0] - disk.radius) == (-0.5, -2.0)
+    assert [disk.center[0] + disk.radius, disk.center[0] - disk.radius] == pytest.approx([-0.5, -2.0])
+    assert nyquist([curve], ("u",)).legends[0].texts[2].get_text() == "disk margin < 0.5"
 
 
 def test_the_worst_changes_stand_on_top_and_what_never_rests_at_the_edge():

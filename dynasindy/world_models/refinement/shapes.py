@@ -51,6 +51,10 @@ def fit_shapes(
             moved = numbers + (size * step).clamp(-0.9 * numbers.abs(), 9 * numbers.abs())
             trial = library.with_shapes(moved.tolist())
             found, lower = _solved(trial, xi, active, rows, tolerance)
+            if lower >= cost:
+                # Rates are averaged along a first model. With the moved numbers and the old coefficients that is a poor
+                # one, and a good step looks bad; with the coefficients of these numbers it shows what it is worth.
+                found, lower = _solved(trial, found, active, rows, tolerance)
             if lower < cost:
                 break
             size /= 4

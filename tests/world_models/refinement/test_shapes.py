@@ -5,6 +5,9 @@ import pytest
 import torch
 from scipy.integrate import solve_ivp
 
+from dynasindy.data.simulated import record
+from dynasindy.excitation import Multisine
+from dynasindy.systems import Tras
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import Refinement, Regression, SindyModel
@@ -112,3 +115,12 @@ def test_what_is_not_free_stays_and_what_is_not_in_the_model_is_not_fitted():
 def test_no_number_goes_farther_from_its_guess_than_thirtyfold(guess, limit):
     number, _ = fitted(guess, exact(5.0 if guess == 0.1 else 2.0), rounds=40)
     assert number == pytest.approx(limit)
+
+
+def test_the_inertia_of_the_azimuth_is_found_from_a_guess_that_is_far_off():
+    """The bench's J_h is .02379038 cos^2 + .00300962 kg m^2; the guess of their quotient is 3."""
+    u = Multisine(2, duration=10.0, amplitude=(0.5, 0.3), offset=(-0.1, 0.2)).samples(0.05).repeat_interleave(5, 0)
+    rates = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
+    model = SindyModel(Tras().signature, "rotor", Regression("bic"), Refinement("integral"), known=rates)
+    model.fit(record(Tras(), u, dt=0.01))
+    assert model.library.shapes[0].frequency == pytest.approx(0.02379038 / 0.00300962, rel=1e-3)
