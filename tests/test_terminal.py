@@ -179,8 +179,8 @@ def test_a_file_hears_nothing_after_the_end(clock):
     shown.hear(Told("sweep", 3, 8, "jobs", around=True))
     shown.close()
     for clock.now[0] in (5.0, 50.0):
-        shown.hear(Told("fit"))
         shown.tick()
+        shown.hear(Told("fit"))
         shown.rest()
     assert shown.file.getvalue() == ""
 
@@ -208,7 +208,8 @@ def test_a_terminal_that_is_closed_does_not_end_the_work(monkeypatch, front):
 
 
 def test_lines_that_cannot_be_shown_leave_nothing_behind(monkeypatch):
-    screen = in_front(monkeypatch)
+    in_front(monkeypatch)
+
     def broken(file):
         raise ImportError("no rich")
 
