@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self, TextIO
+from typing import TYPE_CHECKING, Any, Self, TextIO, cast
 
 from dynasindy.told import Told, hearing
 
@@ -51,10 +51,11 @@ class Shown:
         """Begin to show."""
         if Shown.active is not None or os.environ.get(self.OWNER, str(os.getpid())) != str(os.getpid()):
             return self
+        file = cast("TextIO", Lasting(sys.stderr))
+        self.view = Bars(file) if is_terminal(sys.stderr) else Lines(file, self.clock)  # first, as it may fail
         Shown.active, os.environ[self.OWNER] = self, str(os.getpid())
         self.stack.callback(os.environ.pop, self.OWNER, None)
         self.stack.callback(setattr, Shown, "active", None)
-        self.view = Bars() if is_terminal(sys.stderr) else Lines(sys.stderr, self.clock)
         self.stack.callback(self.view.close)
         self.stack.enter_context(hearing(self.view.hear))
         return self
@@ -62,6 +63,38 @@ class Shown:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         """Take away what moves."""
         self.stack.close()
+
+
+class Lasting:
+    """A file that whoever reads it may close, as a terminal: from then on nothing is written, and the work goes on.
+
+    Args:
+        file: Where it is written.
+    """
+
+    def __init__(self, file: TextIO) -> None:
+        self.file = file
+        self.gone = False
+
+    def write(self, text: str) -> int:
+        """Write a text, unless the file is gone."""
+        if not self.gone:
+            try:
+                self.file.write(text)
+            except OSError:
+                self.gone = True
+        return len(text)
+
+    def flush(self) -> None:
+        """Hand on what was written, unless the file is gone."""
+        if not self.gone:
+            try:
+                self.file.flush()
+            except OSError:
+                self.gone = True
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.file, name)
 
 
 class Lines:
@@ -75,8 +108,9 @@ class Lines:
     def __init__(self, file: TextIO, clock: Callable[[], float]) -> None:
         self.file, self.clock = file, clock
         self.told: Told | None = None
-        self.around: Told | None = None
+        self.around: dict[str, tuple[Told, float]] = {}  # each with its begin, in the order of their begins
         self.begun = self.written = clock()
+        self.fresh = True
         self.lock, self.ended = threading.RLock(), threading.Event()
         threading.Thread(target=self._watch, daemon=True).start()  # a phase may be silent for long
 
@@ -84,12 +118,16 @@ class Lines:
         """Take note of what is told; write what came of the phase before."""
         with self.lock:
             if told.around:
-                if self.around is None and self.told is None:
-                    self.begun = self.written = self.clock()
-                self.around = told
+                if not self.around and self.told is None:
+                    self._begin()
+                before, begun = self.around.get(told.phase, (told, self.clock()))
+                if told.done < before.done:  # that of the next job of a sweep
+                    begun = self.clock()
+                self.around[told.phase] = told, begun
             elif self.told is None or told.phase != self.told.phase:
                 self._end()
-                self.told, self.begun, self.written = told, self.clock(), self.clock()
+                self.told = told
+                self._begin()
             else:
                 self.told = told
 
@@ -97,32 +135,44 @@ class Lines:
         """Write where a long phase is, if the last line is long enough ago."""
         with self.lock:
             now = self.clock()
-            first = self.written == self.begun and now - self.begun >= MOMENT
-            if (self.told or self.around) is not None and (first or now - self.written >= EVERY):
-                self.written = now
+            first = self.fresh and now - self.begun >= MOMENT
+            if (self.told is not None or self.around) and (first or now - self.written >= EVERY):
+                self.written, self.fresh = now, False
                 self._write("...")
 
     def rest(self) -> None:
         """Write what came of the latest phase, which is over."""
         with self.lock:
             self._end()
-            self.told = None
+            if self.told is not None:
+                self.told, self.written, self.fresh = None, self.clock(), False
 
     def close(self) -> None:
         """Write nothing more."""
-        self.ended.set()
-        self.rest()
+        with self.lock:
+            self.rest()
+            self.ended.set()
+
+    def _begin(self) -> None:
+        self.begun = self.written = self.clock()
+        self.fresh = True
 
     def _end(self) -> None:
-        if self.told is not None and self.clock() - self.begun >= MOMENT:
+        if self._working() and self.clock() - self.begun >= MOMENT:
             self._write()
 
+    def _working(self) -> bool:
+        return self.told is not None and self.told.phase != LOADING
+
     def _write(self, more: str = "") -> None:
-        working = self.told is not None and self.told.phase != LOADING
-        parts = [self.around.counted()] if working and self.around is not None else []
-        shown = self.told if working else self.around
-        if shown is not None:
-            parts.append(line(shown, self.clock() - self.begun))
+        if self.ended.is_set():  # the thread that watches may come late
+            return
+        shown = list(self.around.values())
+        if self.told is not None and self._working():
+            shown.append((self.told, self.begun))
+        if shown:
+            told, begun = shown.pop()
+            parts = [*(one.counted() for one, _ in shown), line(told, self.clock() - begun)]
             self.file.write(f"{', '.join(filter(None, parts))}{more}\n")
             self.file.flush()
 
@@ -132,11 +182,15 @@ class Lines:
 
 
 class Bars:
-    """Lines that move, on a terminal; what is printed meanwhile stands above them."""
+    """Lines that move, on a terminal; what is printed meanwhile stands above them.
 
-    def __init__(self) -> None:
-        self.progress = _progress()
-        self.around: dict[str, TaskID] = {}
+    Args:
+        file: The terminal.
+    """
+
+    def __init__(self, file: TextIO) -> None:
+        self.progress = _progress(file)
+        self.around: dict[str, tuple[TaskID, int]] = {}  # each with how much of it was done when it was last told
         self.told: Told | None = None
         self.task: TaskID | None = None
         self.begun = 0.0
@@ -147,9 +201,7 @@ class Bars:
         """Show what is told; leave a line of a phase that took a moment and is over."""
         with self.lock:
             if told.around:
-                if told.phase not in self.around:
-                    self.around[told.phase] = self.progress.add_task(told.phase)
-                self._update(self.around[told.phase], told)
+                self._surround(told)
                 return
             if self.told is None or told.phase != self.told.phase:
                 self._end()
@@ -168,6 +220,15 @@ class Bars:
         self.rest()
         self.progress.stop()
 
+    def _surround(self, told: Told) -> None:
+        task, done = self.around.get(told.phase, (None, 0))
+        if task is None:
+            task = self.progress.add_task(told.phase)
+        elif told.done < done:
+            self.progress.reset(task, completed=told.done)  # else the next job would go on with the clock of the last
+        self.around[told.phase] = task, told.done
+        self._update(task, told)
+
     def _update(self, task: TaskID, told: Told) -> None:
         words = ", ".join(filter(None, (told.counted(), told.words)))
         said = f"{told.phase}: {words}" if words else told.phase
@@ -181,8 +242,8 @@ class Bars:
         self.told = self.task = None
 
 
-def _progress() -> Progress:
-    """Return rich's display, which leaves the cursor as it is: a process that is killed could not give it back."""
+def _progress(file: TextIO) -> Progress:
+    """Return rich's display, which leaves the cursor of a terminal: a process that is killed could not give it back."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
     from rich.table import Column
@@ -203,7 +264,7 @@ def _progress() -> Progress:
         _Known(bar_width=20),
         TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1)),
         expand=True,
-        console=_Steady(stderr=True),
+        console=_Steady(file=file),
         transient=True,
         refresh_per_second=4,
         redirect_stdout=is_terminal(sys.stdout),
@@ -218,6 +279,7 @@ def line(told: Told, seconds: float) -> str:
 
 def is_terminal(file: TextIO) -> bool:
     """Return whether somebody sits in front of a file who can be shown a line that moves."""
+    file = getattr(file, "rich_proxied_file", file)  # what stands in for it while lines move need not know
     return file.isatty() and os.environ.get("TERM") != "dumb"
 
 
@@ -228,16 +290,18 @@ def width() -> int | None:
 
 def say(*texts: str) -> None:
     """Print texts at once: on a terminal within its width and with its colours, elsewhere as they are."""
-    if Shown.active is not None and Shown.active.view is not None:
-        Shown.active.view.rest()
+    view = Shown.active.view if Shown.active is not None else None
+    if view is not None:
+        view.rest()
     if (columns := width()) is None:
         print(*texts, sep="\n", flush=True)
         return
     from rich.console import Console
 
-    console = Console(highlight=False)
+    # Only the console of the lines that move knows where they are; what another one writes, they would erase.
+    console = view.progress.console if isinstance(view, Bars) else Console()
     for text in texts:
-        console.print(_coloured(fitted(text, columns)), soft_wrap=True)
+        console.print(_coloured(fitted(text, columns)), soft_wrap=True, highlight=False)
 
 
 def fitted(text: str, columns: int) -> str:

@@ -136,19 +136,31 @@ class Sweep(Callback):
             print(f"Job {config.hydra.job.num + 1} of {os.environ[JOBS]}: {words}", flush=True)
 
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
-        """Look for the lines that failed jobs left."""
+        """Look for the lines that failed jobs left; then say where the results are, and which are best."""
         folder, Sweep.running = Path(config.hydra.sweep.dir), None
+        Sweep.failed.extend(str(file.parent) for file in sorted(folder.rglob("error.txt")))  # whatever fails below
         print(f"Sweep: {folder}")
         if (found := folder / "optimization_results.yaml").is_file():
             best = OmegaConf.load(found)
-            values = " ".join(f"{name}={value:.4g}" for name, value in best.best_params.items())
-            print(f"Best trial: {values}, score {best.best_value:.4g}; plan with these words, and judge on another log")
-        Sweep.failed.extend(str(file.parent) for file in sorted(folder.rglob("error.txt")))
+            if "best_params" in best:  # a search with several objectives has no best trial
+                values = " ".join(f"{name}={_short(value)}" for name, value in best.best_params.items())
+                score = _short(best.best_value)
+                print(f"Best trial: {values}, score {score}; plan with these words, and judge on another log")
+
+
+def _short(value: object) -> str:
+    """Return a value of a setting as it may be given again; fractions have four digits."""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def needs_score(hydra_config: DictConfig) -> bool:
+    """Return whether the sweeper chooses its next jobs by the score of those before, as Optuna does."""
+    return "n_trials" in hydra_config.sweeper
 
 
 def number_of_jobs(hydra_config: DictConfig) -> int:
     """Return how many jobs a sweep has; a sweeper that proposes them one by one says how many in `n_trials`."""
-    if "n_trials" in hydra_config.sweeper:
+    if needs_score(hydra_config):
         return int(hydra_config.sweeper.n_trials)
     words = [*(f"{name}={value}" for name, value in (hydra_config.sweeper.params or {}).items())]
     words += hydra_config.overrides.task

@@ -4,10 +4,11 @@ import math
 import sys
 from pathlib import Path
 
-from command import command
+from command import command, needs_score
 from commands import called
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
+from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 
@@ -22,6 +23,8 @@ def main(cfg: DictConfig) -> float:
         if not (found["controlled"] or swept) and cfg.evaluation.get("must_control"):
             sys.exit(1)
         return score(found["score"])
+    if swept and needs_score(HydraConfig.get()) and cfg.resume is None and cfg.system is not None:
+        require_targets(cfg)
     from job import run_job
 
     folder = Path(cfg.folder)
@@ -44,6 +47,21 @@ def main(cfg: DictConfig) -> float:
     if not (done.enough or swept):
         sys.exit(1)
     return max(shares, default=math.inf)
+
+
+def require_targets(cfg: DictConfig) -> None:
+    """Refuse a task without targets, before a search spends runs on scores that are all the same.
+
+    Raises:
+        ValueError: The task tracks no output.
+    """
+    task = instantiate(cfg.task, _convert_="all")(signature=instantiate(cfg.system, _convert_="all").signature)
+    if task.n_r == 0:
+        given = HydraConfig.get().runtime.choices.get("task", "own")
+        raise ValueError(
+            f"task={given} has no targets, so its jobs have no score by which the sweeper could choose the next; "
+            "take a task that tracks plant.outputs, such as task=random_step, or hydra/sweeper=basic"
+        )
 
 
 def score(error: float | None) -> float:

@@ -1,5 +1,6 @@
 """A file gets few plain lines, a terminal a line that moves; texts are as wide as the terminal."""
 
+import errno
 import io
 import os
 import re
@@ -7,6 +8,7 @@ import sys
 
 import pytest
 
+from dynasindy import terminal
 from dynasindy.terminal import LOADING, Lines, Shown, fitted, say
 from dynasindy.told import Told, tell
 
@@ -18,6 +20,54 @@ class Screen(io.StringIO):
 
     def isatty(self):
         return True
+
+
+class Dead(io.StringIO):
+    """A file whose reader has left, such as a terminal that was closed."""
+
+    def __init__(self, front=False):
+        super().__init__()
+        self.front, self.tried = front, 0
+
+    def isatty(self):
+        return self.front
+
+    def write(self, text):
+        self.tried += 1
+        raise OSError(errno.EIO, "Input/output error")
+
+
+def replayed(raw, columns=100):
+    """Return the lines that a terminal shows after what was written to it: text, line ends, cursor up, erased lines."""
+    rows, row, column = [""], 0, 0
+    for code in re.finditer(r"\x1b\[([0-9;?]*)([A-Za-z])|\r|\n|[^\x1b]", raw):
+        if code[0] == "\r":
+            column = 0
+        elif code[0] == "\n" or (code[2] is None and column == columns):
+            row, column = row + 1, 0
+            rows += [""] * (row + 1 - len(rows))
+        elif code[2] == "A":
+            row -= int(code[1] or 1)
+        elif code[2] == "K":
+            assert code[1] == "2"
+            rows[row] = ""
+        else:
+            assert code[2] in (None, "m"), code[0]
+        if code[2] is None and code[0] not in "\r\n":
+            rows[row] = rows[row][:column].ljust(column) + code[0] + rows[row][column + 1 :]
+            column += 1
+        assert row >= 0
+    return [text.rstrip() for text in rows if text.strip()]
+
+
+def in_front(monkeypatch, columns=100):
+    """Return a terminal that both outputs are; no fixture, as pytest exchanges the outputs before a test begins."""
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", str(columns))
+    screen = Screen()
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.setattr(sys, "stdout", screen)
+    return screen
 
 
 @pytest.fixture
@@ -82,6 +132,142 @@ def test_a_file_hears_how_a_sweep_goes_whose_jobs_run_elsewhere(clock):
     assert shown.file.getvalue().splitlines() == ["sweep: 0 of 3 jobs, 2 s...", "sweep: 2 of 3 jobs, 12 s..."]
 
 
+def test_each_phase_in_a_file_has_a_clock_of_its_own(clock):
+    """A run that began at 0 s and goes on after a phase of its own, which began at 100 s and is over at 110 s."""
+    shown = lines(clock)
+    shown.hear(Told("run", 0, 10, "episodes", around=True))
+    clock.now[0] = 100.0
+    shown.hear(Told("planning"))
+    clock.now[0] = 110.0
+    shown.rest()
+    for clock.now[0] in (118.0, 120.0):
+        shown.tick()
+    clock.now[0] = 121.0
+    shown.hear(Told("run", 1, 10, "episodes", around=True))
+    clock.now[0] = 130.0
+    shown.tick()
+    assert shown.file.getvalue().splitlines() == [
+        "0 of 10 episodes, planning: 10 s",
+        "run: 0 of 10 episodes, 120 s...",
+        "run: 1 of 10 episodes, 130 s...",
+    ]
+
+
+def test_a_sweep_and_the_run_of_its_job_stand_side_by_side_in_a_file(clock):
+    shown = lines(clock)
+    shown.hear(Told("sweep", 3, 8, "jobs", around=True))
+    clock.now[0] = 10.0
+    shown.hear(Told("run", 4, 5, "episodes", around=True))
+    shown.hear(Told("sweep", 3, 8, "jobs", around=True))
+    shown.tick()
+    clock.now[0] = 30.0
+    shown.hear(Told("run", 0, 5, "episodes", around=True))  # the run of the next job
+    clock.now[0] = 35.0
+    shown.tick()
+    shown.hear(Told("fit"))
+    clock.now[0] = 40.0
+    shown.close()
+    assert shown.file.getvalue().splitlines() == [
+        "3 of 8 jobs, run: 4 of 5 episodes, 0 s...",
+        "3 of 8 jobs, run: 0 of 5 episodes, 5 s...",
+        "3 of 8 jobs, 0 of 5 episodes, fit: 5 s",
+    ]
+
+
+def test_a_file_hears_nothing_after_the_end(clock):
+    shown = lines(clock)
+    shown.hear(Told("sweep", 3, 8, "jobs", around=True))
+    shown.close()
+    for clock.now[0] in (5.0, 50.0):
+        shown.tick()
+        shown.hear(Told("fit"))
+        shown.rest()
+    assert shown.file.getvalue() == ""
+
+
+@pytest.mark.parametrize("front", [False, True])
+def test_a_terminal_that_is_closed_does_not_end_the_work(monkeypatch, front):
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(terminal, "MOMENT", 0.0)
+    monkeypatch.setattr(sys, "stderr", dead := Dead(front))
+    out = Dead(front) if front else io.StringIO()
+    monkeypatch.setattr(sys, "stdout", out)
+    with Shown() as shown:
+        for done in range(3):
+            tell("run", done, 3, "episodes", around=True)
+            tell("fit")
+            tell("plan")
+            if front:
+                shown.view.progress.refresh()
+            else:
+                shown.view.tick()
+            say("text")
+    assert dead.tried == 1  # then it is left alone
+    assert front or out.getvalue() == "text\n" * 3
+    assert Shown.active is None
+
+
+def test_lines_that_cannot_be_shown_leave_nothing_behind(monkeypatch):
+    in_front(monkeypatch)
+
+    def broken(file):
+        raise ImportError("no rich")
+
+    monkeypatch.setattr(terminal, "Bars", broken)
+    with pytest.raises(ImportError), Shown():
+        pass
+    assert Shown.active is None and Shown.OWNER not in os.environ
+
+
+@pytest.mark.parametrize("columns", [30, 100])
+@pytest.mark.parametrize("around", [False, True])
+def test_what_is_said_stays_on_a_terminal_and_lines_that_moved_do_not(monkeypatch, around, columns):
+    screen = in_front(monkeypatch, columns)
+    long = "x" * 45  # a word is not broken, so it runs on in the next row
+    with Shown() as shown:
+        tell("sweep", 1, 9, "jobs", "words that are longer than a narrow terminal", around=True)
+        tell("run" if around else "planning", 2, 9, "steps", "words that are longer than it, too", around=around)
+        for _ in range(2):
+            shown.view.progress.refresh()
+            say("first", f"second\n{long}", "CONTROLLED")
+            print("printed")
+        tell("figures")
+        shown.view.progress.refresh()
+        during = replayed(screen.getvalue(), columns)
+    said = ["first", "second", *(long[i : i + columns] for i in range(0, 45, columns)), "CONTROLLED", "printed"] * 2
+    assert replayed(screen.getvalue(), columns) == said
+    assert during[: len(said)] == said and len(during) == len(said) + (3 if around else 2)
+
+
+def test_what_is_said_to_a_file_is_written_to_it_while_a_terminal_shows_the_work(monkeypatch):
+    screen = in_front(monkeypatch)
+    monkeypatch.setattr(sys, "stdout", file := io.StringIO())
+    with Shown() as shown:
+        tell("planning")
+        shown.view.progress.refresh()
+        say("first", "second")
+    assert file.getvalue() == "first\nsecond\n" and replayed(screen.getvalue()) == []
+
+
+def test_the_clock_of_a_line_begins_anew_with_the_next_job(monkeypatch):
+    in_front(monkeypatch)
+    with Shown() as shown:
+        now = [0.0]
+        shown.view.progress.get_time = lambda: now[0]
+        tell("run", 0, 2, "episodes", around=True)
+        (task,) = shown.view.progress.tasks
+        task._get_time = shown.view.progress.get_time
+        task.start_time = 0.0
+        now[0] = 60.0
+        tell("run", 2, 2, "episodes", around=True)
+        assert (task.finished_time, task.completed) == (60.0, 2)
+        now[0] = 100.0
+        tell("run", 0, 2, "episodes", around=True)
+        now[0] = 107.0
+        assert (task.finished_time, task.elapsed, task.completed) == (None, 7.0, 0)
+        assert "0 of 2 episodes" in task.description
+
+
 def test_a_file_sees_no_control_characters_and_the_inner_of_two_shows_nothing(capsys, monkeypatch):
     monkeypatch.setattr("dynasindy.terminal.MOMENT", 0.0)
     with Shown():
@@ -103,12 +289,8 @@ def test_a_worker_of_a_sweep_shows_nothing(capsys, monkeypatch):
 
 
 def test_a_terminal_sees_phases_and_what_is_printed_and_keeps_its_cursor(monkeypatch):
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setenv("COLUMNS", "100")
+    screen = in_front(monkeypatch)
     monkeypatch.setattr("dynasindy.terminal.MOMENT", 0.0)
-    screen = Screen()
-    monkeypatch.setattr(sys, "stderr", screen)
-    monkeypatch.setattr(sys, "stdout", screen)
     with Shown() as shown:
         tell("run", 1, 2, "episodes", around=True)
         tell("planning", 3, 50, "updates", "imagined score -0.5")

@@ -1,4 +1,4 @@
-"""How many jobs a sweep has, counted in a process of its own, as a command listens to signals."""
+"""How many jobs a sweep has and what is said at its end, in a process of its own, as a command listens to signals."""
 
 import subprocess
 import sys
@@ -15,6 +15,18 @@ from omegaconf import OmegaConf
 print(number_of_jobs(OmegaConf.create(sys.argv[2])))
 """
 
+END = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from command import Sweep
+from omegaconf import OmegaConf
+try:
+    Sweep().on_multirun_end(OmegaConf.create({"hydra": {"sweep": {"dir": sys.argv[2]}}}))
+except Exception:
+    print("it failed")
+print(Sweep.failed)
+"""
+
 
 @pytest.mark.parametrize(
     ("config", "jobs"),
@@ -27,3 +39,24 @@ print(number_of_jobs(OmegaConf.create(sys.argv[2])))
 def test_the_jobs_of_a_sweep_are_counted(config, jobs):
     done = subprocess.run([sys.executable, "-c", COUNT, SCRIPTS, config], capture_output=True, text=True, check=False)
     assert (done.stdout, done.stderr) == (f"{jobs}\n", "")
+
+
+@pytest.mark.parametrize(
+    ("found", "said"),
+    [
+        (
+            "{best_params: {planning.lr: 0.0123456, planning.width: 12345, agent: td3}, best_value: 0.0456789}",
+            "Best trial: planning.lr=0.01235 planning.width=12345 agent=td3, score 0.04568; plan with these words, "
+            "and judge on another log\n",
+        ),
+        ("{solutions: [{params: {seed: 1}, values: [0.1, 0.2]}]}", ""),  # two objectives
+        ("{best_params: {seed: 1}}", "it failed\n"),
+        ("", ""),  # nothing was found
+    ],
+)
+def test_the_end_of_a_sweep_tells_the_best_trial_and_knows_the_failed_jobs(tmp_path, found, said):
+    (tmp_path / "optimization_results.yaml").write_text(found)
+    (tmp_path / "1").mkdir()
+    (tmp_path / "1" / "error.txt").write_text("error: a job\n")
+    done = subprocess.run([sys.executable, "-c", END, SCRIPTS, tmp_path], capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == (f"Sweep: {tmp_path}\n{said}['{tmp_path / '1'}']\n", "")

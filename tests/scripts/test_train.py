@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -12,9 +13,25 @@ ROOT = Path(__file__).resolve().parents[2]
 DATA = ("excitation", "prediction_first_episode", "step_response")
 
 
-def run(*overrides, cwd):
+ASKING = """
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.config_store import ConfigStore
+
+class Asking(BasicSweeper):
+    def __init__(self, n_trials):
+        super().__init__(None, {"seed": "0,1"})
+
+ConfigStore.instance().store(
+    group="hydra/sweeper", name="asking", node={"_target_": "hydra_plugins.asking.Asking", "n_trials": 2}
+)
+"""
+"""A sweeper that wants a score for each of its trials, as Optuna does, which need not be installed."""
+
+
+def run(*overrides, cwd, **more):
     command = [sys.executable, str(ROOT / "scripts" / "train.py"), *overrides]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300)
+    environment = os.environ | more
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, env=environment)
 
 
 def test_the_smoke_run_leaves_a_complete_folder_and_says_what_came_of_it(tmp_path):
@@ -63,6 +80,28 @@ def test_a_bad_setting_costs_one_line_and_leaves_nothing(tmp_path, override, wor
     assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
     assert words in done.stderr
     assert not [file for file in tmp_path.rglob("*") if file.is_file()]
+
+
+@pytest.mark.parametrize(
+    ("sweeper", "task", "words"),
+    [
+        ("asking", "own", "task=own has no targets, so its jobs have no score"),
+        ("asking", "random_step", "an excitation of 90 s does not fit"),  # what is found next, before any work
+        ("basic", "own", "an excitation of 90 s does not fit"),
+    ],
+)
+def test_a_search_refuses_a_task_that_has_no_score_and_a_plain_sweep_does_not(tmp_path, sweeper, task, words):
+    (tmp_path / "hydra_plugins").mkdir()
+    (tmp_path / "hydra_plugins" / "asking.py").write_text(ASKING)
+    path = os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")]))
+    jobs = tmp_path / "sweep"
+    done = run(
+        "-m", "experiment=smoke", f"task={task}", "excitation.duration=90", f"hydra/sweeper={sweeper}",
+        f"hydra.sweep.dir={jobs}", *(["seed=0,1"] if sweeper == "basic" else []), cwd=tmp_path, PYTHONPATH=path,
+    )  # fmt: skip
+    lines = [file.read_text() for file in jobs.rglob("error.txt")]
+    assert done.returncode == 2 and "2 jobs failed" in done.stderr, done.stderr
+    assert len(lines) == 2 and all(line.startswith(f"error: {words}") and line.count("\n") == 1 for line in lines)
 
 
 @pytest.mark.slow
