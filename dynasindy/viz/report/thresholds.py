@@ -29,8 +29,8 @@ FALL = Threshold(
     0.1,
     "of the first error",
     "The reward error of the model has fallen if that of the last episode is less than this part of the first, and "
-    "below `gate.open_below` of the run, at which the model is trusted; one that is below it from the first episode to "
-    "the last is better than the paper's.",
+    "below `gate.open_below` of the run, at which the model is trusted; one that is below it in every episode, none of "
+    "them left out, is better than the paper's.",
 )
 CLOSE = Threshold(
     5.0,

@@ -146,12 +146,14 @@ def test_a_level_is_judged_at_its_last_seconds_alone():
         assert verdicts.square_agrees("xi", time, target, target + off, target)[0].verdict is verdict, second
 
 
-def test_the_course_of_an_error_is_better_only_if_it_is_small_from_the_first_to_the_last():
+def test_the_course_of_an_error_is_better_only_if_it_is_small_in_every_episode():
     def course(*error: float, below: float = 0.05) -> Verdict:
         of = (np.arange(len(error)) + 1.0, np.array(error), np.array([]), below)
         return model_verdicts.learning_agrees("xi", *of).verdict
 
-    assert course(0.049, 0.9, 0.049) is BETTER
+    assert course(0.049, 0.048, 0.049) is course(0.04, 0.049, 0.04) is BETTER
+    assert course(0.049, 0.051, 0.049) is course(0.04, 0.04, 0.34, 0.04, 0.04) is SHORT
+    assert [course(0.049, away, 0.049) for away in (np.nan, np.inf)] == [SHORT, SHORT]
     assert course(0.051, 0.9, 0.049) is course(0.049, 0.9, 0.051) is SHORT
     assert course(1.0, 0.049) is AS and course(1.0, 0.051) is SHORT
 
