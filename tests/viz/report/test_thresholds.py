@@ -106,6 +106,21 @@ def square(part: float, before_the_end: float = np.inf) -> Finding:
     return verdicts.square_agrees("xi", time, target, target + np.reshape(off, (-1, 1)), target)[0]
 
 
+def worse(part: float) -> Finding:
+    """Held with an offset and a spike; without the model the error is larger and there is no spike."""
+    time, since = np.arange(0.0, 40.0, 0.1), np.arange(400) % 100
+    target = np.where(np.arange(400) % 200 < 100, 0.4, -0.4)[:, None].repeat(2, 1)
+    shown = target * np.select([since == 0, since < 10], [0.0, 3.0], 1 + part)[:, None]
+    return verdicts.square_agrees("xi", time, target, shown, target * 0.2)[1]
+
+
+def worse_and_wilder(part: float) -> Finding:
+    """Held with an offset and no spike; without the model error and spikes are larger."""
+    time = np.arange(0.0, 40.0, 0.1)
+    target = np.where(time % 20 < 10, 0.4, -0.4)[:, None].repeat(2, 1)
+    return verdicts.square_agrees("xi", time, target, target * (1 - part), target * 2)[1]
+
+
 CASES = [
     ("LASTS", chirp, 0.1, AS, SHORT),
     ("LASTS", lambda off: chirp(-off), 0.1, AS, SHORT),
@@ -123,6 +138,8 @@ CASES = [
     ("FINE", fine, 0.01, BETTER, SHORT),
     ("FOLLOWS", sine, 0.1, AS, SHORT),
     ("FOLLOWS", square, 0.1, AS, SHORT),
+    ("FOLLOWS", worse, 0.1, AS, SHORT),
+    ("FOLLOWS", worse_and_wilder, 0.1, BETTER, SHORT),
     ("TRANSIENT", lambda until: sine(3.0, until), 10.0, AS, SHORT),
 ]
 

@@ -83,3 +83,13 @@ def test_a_square_is_judged_at_the_end_of_its_levels_and_after_its_jumps():
     offset = square_agrees("xi", time, target, target + 0.1, target)
     assert answers(offset) == [False] * 4
     assert offset[0].ours.startswith("0.1 rad")
+
+
+def test_a_model_that_holds_nothing_is_not_as_in_the_paper_because_none_is_worse_still():
+    time = np.arange(0, 40, 0.1)
+    target = np.where(time % 20 < 10, 0.4, -0.4)[:, None].repeat(2, 1)
+    spiked = target + 1.42 * np.sign(target)  # beyond each level, and never back
+    spiked[::100] = 0.0
+    found = square_agrees("xi", time, target, spiked, target - 6.0 * np.sign(target))
+    assert found[1].ours == "error 6 against 1.42 rad; beyond the level after a jump 0 against 1.42 rad"
+    assert answers(found) == [False] * 4
