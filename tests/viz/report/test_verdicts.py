@@ -64,6 +64,25 @@ def test_steps_are_judged_by_error_and_overshoot(errors, right):
     assert answers(steps_agree("xi", scores)) == [right] * 6
 
 
+@pytest.mark.parametrize(
+    ("none", "some", "verdict"),
+    [(1.0, 2.0, Verdict.AS), (2.0, 1.0, Verdict.BETTER)]
+    + [(none, some, Verdict.UNKNOWN) for none, some in ((None, 2.0), (1.0, None), (None, None))],
+)
+def test_an_overshoot_that_no_step_defines_is_not_compared(none, some, verdict):
+    scores = {
+        name: {f"{metric}/{axis}": value for axis in ("alpha_a", "alpha_p") for metric, value in both.items()}
+        for name, both in (
+            (setting, {"steady_state_error": error, "overshoot": above})
+            for setting, error, above in ((NONE, 0.1, none), (SOME, 0.02, some), (MANY, 0.01, 0.0))
+        )
+    }
+    found = steps_agree("xi", scores)
+    assert [found[1].verdict, found[4].verdict] == [verdict] * 2
+    assert ("not finite" in found[1].ours) is (None in (none, some))
+    assert answers([found[0], found[2]]) == [True, True]
+
+
 def test_a_sine_is_followed_within_a_tenth_and_oscillation_is_motion_beyond_the_reference():
     time = np.arange(0, 60, 0.1)
     target = 0.4 * np.sin(0.1 * time)[:, None].repeat(2, 1)
