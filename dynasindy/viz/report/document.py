@@ -132,7 +132,7 @@ def write_markdown(title: str, sections: Sequence[Section], path: Path, formats:
                 files += [write_figure(part.figure, part.name, file) for file in names]
             lines += [_markdown(part, formats), ""]
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join(lines).rstrip() + "\n")
+    path.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
     return files
 
 

@@ -79,8 +79,8 @@ def learning_progress(results: Results) -> Section:
                 ),
                 "Mean difference of the reward per control period between a real episode and its replay through the "
                 "model that had not seen it. The lines are levels of the gate, which looks at held-out windows."
-                + " Where there is none, the replay ran away."
-                * bool(np.isnan(error).any()),
+                + " Where no error is drawn, the replay ran away."
+                * (not np.isfinite(error).all()),
                 run.source,
             ),
         ]

@@ -39,18 +39,19 @@ def learning_agrees(case: str, episode: Array, error: Array, opened: Array, belo
     Args:
         case: Plant and experiment.
         episode: `(n,)` numbers of the episodes.
-        error: `(n,)` reward error per period of each.
+        error: `(n,)` reward error per period of each; not finite where the replay ran away, which is not below.
         opened: Episodes in which the model was trusted.
         below: Error at which it becomes trusted.
     """
     trusted = f"trusted from episode {opened[0]:.0f}" if len(opened) else "never trusted"
     fallen = bool(error[-1] < FALL.value * error[0] and error[-1] < below)
+    worst = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
     return Finding(
         case,
         "the reward error of the model is high at first and falls to almost none",
-        f"{error[0]:.2g} per period in episode 1, {error[-1]:.2g} in episode {episode[-1]:.0f}, trusted below "
-        f"{below:g}; {trusted}",
-        judged(fallen, bool(max(error[0], error[-1]) < below)),
+        f"{error[0]:.2g} per period in episode 1, {error[-1]:.2g} in episode {episode[-1]:.0f}, the greatest "
+        f"{error[worst]:.2g} in episode {episode[worst]:.0f}; trusted below {below:g}, {trusted}",
+        judged(fallen, bool((error < below).all())),
         MODEL,
     )
 

@@ -27,7 +27,8 @@ MEANINGS = {
     Verdict.BETTER: "They do not show it because ours is better in the very sense of the statement, which so no longer "
     "applies.",
     Verdict.SHORT: "Our runs, as long as they are, do not show it, and are not better either.",
-    Verdict.UNKNOWN: "No saved result says anything about it; a line in its section says which command would.",
+    Verdict.UNKNOWN: "No saved result says anything about it: a line in its section says which command would, or a "
+    "number that it compares is not finite.",
 }
 
 
@@ -47,13 +48,13 @@ def overview(sections: Sequence[Section], lengths: Mapping[str, int]) -> list[Se
 
 
 def holds(findings: Sequence[Finding]) -> str:
-    """Return in words how much of a claim holds; a claim does if each of its statements does."""
-    measured = [finding for finding in findings if finding.verdict is not Verdict.UNKNOWN]
-    if not measured:
+    """Return in words how much of a claim holds; a claim does if each of its statements is measured and does."""
+    unknown = sum(finding.verdict is Verdict.UNKNOWN for finding in findings)
+    if unknown == len(findings):
         return Verdict.UNKNOWN.value
-    count = sum(finding.verdict in HOLDS for finding in measured)
-    share = f"({count} of {len(measured)})"
-    return f"holds {share}" if count == len(measured) else f"in part {share}" if count else f"not reached {share}"
+    count = sum(finding.verdict in HOLDS for finding in findings)
+    share = f"({count} of {len(findings)}" + (f", {unknown} not measured)" if unknown else ")")
+    return f"holds {share}" if count == len(findings) else f"in part {share}" if count else f"not reached {share}"
 
 
 def _claims(places: Sequence[tuple[Finding, str]], lengths: Mapping[str, int]) -> list[Part]:

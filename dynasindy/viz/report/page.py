@@ -28,7 +28,7 @@ from dynasindy.viz.report.document import (
     anchor,
     joined,
 )
-from dynasindy.viz.report.vector import svg
+from dynasindy.viz.report.vector import in_tags, svg
 
 MARKS = {
     Verdict.AS.value: "as",
@@ -111,9 +111,8 @@ def _figure(part: Picture) -> str:
 
 def _themed(element: str) -> str:
     """Let what is black, white or grid in a figure follow the colours of the page."""
-    for colour, named in (("#000000", "currentColor"), ("#ffffff", "var(--page)"), ("#d9d9d9", "var(--line)")):
-        element = element.replace(colour, named)
-    return element
+    named = {"#000000": "currentColor", "#ffffff": "var(--page)", "#d9d9d9": "var(--line)"}
+    return in_tags("|".join(named), lambda colour: named[colour[0]], element)
 
 
 def _cell(cell: Cell) -> str:

@@ -29,8 +29,8 @@ FALL = Threshold(
     0.1,
     "of the first error",
     "The reward error of the model has fallen if that of the last episode is less than this part of the first, and "
-    "below `gate.open_below` of the run, at which the model is trusted; one that is below it from the first episode to "
-    "the last is better than the paper's.",
+    "below `gate.open_below` of the run, at which the model is trusted; one that is below it in every episode, none of "
+    "them left out, is better than the paper's.",
 )
 CLOSE = Threshold(
     5.0,
@@ -61,7 +61,10 @@ FINE = Threshold(
     "have at most this: more rollouts have nothing left to add.",
 )
 FOLLOWS = Threshold(
-    0.1, "of the amplitude", "A wave is followed if the RMSE, a level held if the error at its end, is less."
+    0.1,
+    "of the amplitude",
+    "A wave is followed if the RMSE, a level held if the error at its end, is less. That the error without the model "
+    "is larger is as in the paper, or better, only if with the model the levels are held.",
 )
 TRANSIENT = Threshold(10.0, "s", "Left out at the start of a sine.")
 SETTLED = Threshold(5.0, "s", "The end of each level of a square wave, at which its error is taken.")

@@ -6,6 +6,7 @@ import io
 import re
 import zlib
 from collections import Counter
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,8 @@ from dynasindy.viz.style import STYLE, save
 
 TEXT: dict[Any, Any] = {"svg.fonttype": "none", "path.simplify_threshold": 0.3}
 """Letters stay text, which is smaller than outlines and can be searched."""
+TAG = re.compile(r"<style[^>]*>[^<]*</style>|<[^>]*>")
+"""A tag, or rules of style with what they say."""
 OFTEN = 4
 """A style that stands more often in a figure gets a name."""
 
@@ -29,14 +32,25 @@ def svg(figure: Figure, name: str) -> str:
         figure: What to draw.
         name: Begins its ids, so that several share a page.
     """
-    return re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", _svg(figure))
+    return in_tags(r'(\bid="|href="#|url\(#)', lambda found: f"{found[1]}{name}-", _svg(figure))
+
+
+def in_tags(pattern: str, change: Callable[[re.Match[str]], str], element: str) -> str:
+    """Return an SVG element with a pattern replaced in its tags and rules; what a label says stays as it is.
+
+    Args:
+        pattern: What to replace.
+        change: What stands for a match.
+        element: The element; in its labels `<` and `>` are escaped, as Matplotlib does, quotes are not.
+    """
+    return TAG.sub(lambda tag: re.sub(pattern, change, tag[0]), element)
 
 
 def write_figure(figure: Figure, name: str, path: Path) -> Path:
     """Write a figure as a small file: outlines rounded, or pixels of 64 colours."""
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".svg":
-        path.write_text(svg(figure, name) + "\n")
+        path.write_text(svg(figure, name) + "\n", encoding="utf-8")
     elif path.suffix == ".png":
         file = io.BytesIO()
         with matplotlib.rc_context(STYLE):
@@ -58,20 +72,18 @@ def _svg(figure: Figure) -> str:
     element = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", element, flags=re.S)
     element = element.replace('\n" ', '" ')
     element = re.sub(r'<g id="[^"]*"', "<g", element)  # nothing refers to a group
-    element = re.sub(r' d="[^"]+"', lambda outline: _rounded(outline[0]), element)
-    element = re.sub(r' [xy]="[^"]+"', lambda place: _rounded(place[0]), element)
-    element = re.sub(r"'DejaVu Sans'(, sans-serif)?", "sans-serif", element)
+    element = in_tags(r' (?:d|x|y)="[^"]+"', lambda outline: _rounded(outline[0]), element)
+    element = in_tags(r"'DejaVu Sans'(, sans-serif)?", lambda _: "sans-serif", element)
     return _named(re.sub(r"\s*\n\s*", "\n", element))
 
 
 def _named(element: str) -> str:
     """Write a style that stands often only once; its name is that of its content, the same in every figure."""
-    counts = Counter(re.findall(r' style="([^"]+)"', element))
-    names = {style: f"s{zlib.crc32(style.encode()):x}" for style, count in counts.items() if count > OFTEN}
-    rules = "".join(f".{name}{{{style}}}" for style, name in names.items())
-    short = re.sub(
-        r' style="([^"]+)"', lambda found: f' class="{names[found[1]]}"' if found[1] in names else found[0], element
-    )
+    style = r' style="([^"]+)"'
+    counts = Counter(one for tag in TAG.findall(element) for one in re.findall(style, tag))
+    names = {one: f"s{zlib.crc32(one.encode()):x}" for one, count in counts.items() if count > OFTEN}
+    rules = "".join(f".{name}{{{one}}}" for one, name in names.items())
+    short = in_tags(style, lambda found: f' class="{names[found[1]]}"' if found[1] in names else found[0], element)
     return short.replace("</style>", f"{rules}</style>", 1)
 
 

@@ -1,4 +1,5 @@
 import re
+from pathlib import Path
 
 import pytest
 from matplotlib.figure import Figure
@@ -74,6 +75,14 @@ def test_paragraphs_of_the_markdown_page_are_wrapped_and_lose_no_word(tmp_path):
     write_markdown("t", [Section("s", [Text(words)])], tmp_path / "page.md", ["svg"])
     lines = (tmp_path / "page.md").read_text().splitlines()[4:]
     assert " ".join(lines) == words.strip() and 100 < max(map(len, lines)) <= 120
+
+
+def test_a_page_is_written_in_utf_8_whatever_the_machine_writes_in(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        Path, "write_text", lambda path, text, encoding="cp1252": path.write_bytes(text.encode(encoding))
+    )
+    files = write_markdown("t", [Section("s", [Text("from \N{MINUS SIGN}1")])], tmp_path / "page.md", ["svg"])
+    assert "from \N{MINUS SIGN}1".encode() in files[0].read_bytes()
 
 
 HOSTILE = (

@@ -1,3 +1,5 @@
+import shutil
+
 import pytest
 
 from dynasindy.viz.report import model
@@ -19,11 +21,26 @@ def test_the_models_error_falls_and_its_trust_is_told(results):
     section = model.learning_progress(results)
     (finding,) = section.findings
     assert finding.verdict is Verdict.AS and finding.case == "xi, `dyna`"
-    assert finding.ours == "0.5 per period in episode 1, 5e-06 in episode 6, trusted below 0.2; trusted from episode 2"
+    assert finding.ours == (
+        "0.5 per period in episode 1, 5e-06 in episode 6, the greatest 0.5 in episode 1; trusted below 0.2, "
+        "trusted from episode 2"
+    )
     (picture,) = [part for part in section.parts if isinstance(part, Picture)]
     levels = [line.get_label() for line in picture.figure.axes[0].lines[1:]]
     assert levels == ["trusted below 0.2", "no longer trusted above 0.5"]
     assert len(missing(section)) == MISSING
+
+
+@pytest.mark.parametrize(("error", "away"), [("inf", True), ("nan", True), ("7", False)])
+def test_a_replay_that_ran_away_is_told_below_its_picture(results, tmp_path, error, away):
+    folder = shutil.copytree(results.folder, tmp_path / "results")
+    gate = folder / "runs" / "xi_dyna_rollouts_800" / "gate.csv"
+    header, first, second, *others = gate.read_text().splitlines()
+    number, _, *columns = second.split(",")
+    gate.write_text("\n".join([header, first, ",".join([number, error, *columns]), *others]) + "\n")
+    section = model.learning_progress(Results(folder, results.settings))
+    (picture,) = [part for part in section.parts if isinstance(part, Picture)]
+    assert ("the replay ran away" in picture.caption) is away
 
 
 def test_states_before_and_after_are_judged_by_their_error(results):

@@ -19,13 +19,14 @@ def of(*verdicts: Verdict) -> list[Finding]:
     [
         ((AS, BETTER), "holds (2 of 2)"),
         ((AS, SHORT), "in part (1 of 2)"),
-        ((SHORT, SHORT, UNKNOWN), "not reached (0 of 2)"),
-        ((AS, UNKNOWN), "holds (1 of 1)"),
+        ((SHORT, SHORT, UNKNOWN), "not reached (0 of 3, 1 not measured)"),
+        ((AS, UNKNOWN, BETTER), "in part (2 of 3, 1 not measured)"),
+        ((UNKNOWN, UNKNOWN), "not measured"),
         ((UNKNOWN,), "not measured"),
         ((), "not measured"),
     ],
 )
-def test_a_claim_holds_if_each_of_its_measured_statements_does(verdicts, words):
+def test_a_claim_holds_if_each_of_its_statements_is_measured_and_does(verdicts, words):
     assert holds(of(*verdicts)) == words
 
 
@@ -33,6 +34,15 @@ def sections() -> list[Section]:
     first = [Finding(XI, "a", "1", AS, MODEL), Finding(TRAS, "a", "2", SHORT, MODEL), Finding(XI, "b", "3", BETTER)]
     second = [Finding(XI, "c", "4", SHORT, MODEL), Finding(XI, "d", "5", AS, SOONER)]
     return [Section("Figure 1: one", first), Section("Figure 2: two", second), Section("Beyond the paper: x")]
+
+
+def test_a_claim_with_a_statement_that_is_not_measured_does_not_hold_in_full():
+    def words(*verdicts: Verdict) -> str:
+        findings = [Finding(XI, f"{k}", "o", verdict, MODEL) for k, verdict in enumerate(verdicts)]
+        return overview([Section("Figure 1: one", findings)], {})[0].parts[1].words
+
+    assert "with our settings 1 on `xi`" in words(AS, BETTER)
+    assert "with our settings 0 on `xi`" in words(AS, UNKNOWN)
 
 
 def tables(section):

@@ -1,10 +1,12 @@
+import html
 import re
+from pathlib import Path
 
 import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from dynasindy.viz.report.vector import svg, write_figure
+from dynasindy.viz.report.vector import OFTEN, svg, write_figure
 from dynasindy.viz.response import tracking
 
 TIME = [0.0, 0.1, 0.2]
@@ -41,6 +43,33 @@ def test_ids_begin_with_the_name_of_the_figure():
 def test_text_in_a_figure_is_no_element_of_the_page():
     element = svg(figure("--><script>x</script>", "<script>"), "p")
     assert "<script" not in element and "-->" not in element and "<!--" not in element
+
+
+def test_a_minus_sign_is_written_in_utf_8_whatever_the_machine_writes_in(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        Path, "write_text", lambda path, text, encoding="cp1252": path.write_bytes(text.encode(encoding))
+    )
+    text = write_figure(figure("\N{MINUS SIGN}1"), "f", tmp_path / "f.svg").read_bytes()
+    assert "\N{MINUS SIGN}1</text>".encode() in text
+
+
+@pytest.mark.parametrize(
+    "label",
+    [
+        ' style="}*{display:none}"',
+        ' d="M 1.2345 L 6.789"',
+        ' x="1.2345"',
+        ' id="a" href="#b" url(#c)',
+        "'DejaVu Sans', sans-serif",
+    ],
+)
+def test_a_label_that_reads_like_an_attribute_stays_a_label(label):
+    several = Figure()
+    for row in range(OFTEN + 2):
+        several.text(0.1, 0.1 * row, f"k{label}")
+    element = svg(several, "f")
+    assert [html.unescape(words) for words in re.findall(r">(k[^<]*)</text>", element)] == [f"k{label}"] * (OFTEN + 2)
+    assert "display" not in "".join(re.findall(r"<[^>]*>|\{[^}]*\}(?=[^<]*</style>)", element))
 
 
 @pytest.mark.parametrize("suffix", ["svg", "png", "pdf"])

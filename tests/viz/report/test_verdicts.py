@@ -64,6 +64,25 @@ def test_steps_are_judged_by_error_and_overshoot(errors, right):
     assert answers(steps_agree("xi", scores)) == [right] * 6
 
 
+@pytest.mark.parametrize(
+    ("none", "some", "verdict"),
+    [(1.0, 2.0, Verdict.AS), (2.0, 1.0, Verdict.BETTER)]
+    + [(none, some, Verdict.UNKNOWN) for none, some in ((None, 2.0), (1.0, None), (None, None))],
+)
+def test_an_overshoot_that_no_step_defines_is_not_compared(none, some, verdict):
+    scores = {
+        name: {f"{metric}/{axis}": value for axis in ("alpha_a", "alpha_p") for metric, value in both.items()}
+        for name, both in (
+            (setting, {"steady_state_error": error, "overshoot": above})
+            for setting, error, above in ((NONE, 0.1, none), (SOME, 0.02, some), (MANY, 0.01, 0.0))
+        )
+    }
+    found = steps_agree("xi", scores)
+    assert [found[1].verdict, found[4].verdict] == [verdict] * 2
+    assert ("not finite" in found[1].ours) is (None in (none, some))
+    assert answers([found[0], found[2]]) == [True, True]
+
+
 def test_a_sine_is_followed_within_a_tenth_and_oscillation_is_motion_beyond_the_reference():
     time = np.arange(0, 60, 0.1)
     target = 0.4 * np.sin(0.1 * time)[:, None].repeat(2, 1)
@@ -83,3 +102,13 @@ def test_a_square_is_judged_at_the_end_of_its_levels_and_after_its_jumps():
     offset = square_agrees("xi", time, target, target + 0.1, target)
     assert answers(offset) == [False] * 4
     assert offset[0].ours.startswith("0.1 rad")
+
+
+def test_a_model_that_holds_nothing_is_not_as_in_the_paper_because_none_is_worse_still():
+    time = np.arange(0, 40, 0.1)
+    target = np.where(time % 20 < 10, 0.4, -0.4)[:, None].repeat(2, 1)
+    spiked = target + 1.42 * np.sign(target)  # beyond each level, and never back
+    spiked[::100] = 0.0
+    found = square_agrees("xi", time, target, spiked, target - 6.0 * np.sign(target))
+    assert found[1].ours == "error 6 against 1.42 rad; beyond the level after a jump 0 against 1.42 rad"
+    assert answers(found) == [False] * 4
