@@ -33,6 +33,19 @@ IN_CLONE = (SCRIPTS.parent / "pyproject.toml").is_file()
 HELP, COMPLETION = ("-h", "--help"), ("-sc", "--shell-completion")
 
 
+NEXT = {
+    "evaluate": "it in other scenarios, as wind and noise",
+    "check": "its margins and worst cases, on the model",
+    "export": "the controller as C, for a microcontroller",
+}
+"""What a command shows or makes of a run."""
+
+
+def following(folder: object, *names: str) -> str:
+    """Return what to do next with a run: a command a line, which can be copied, and what comes of it."""
+    return "\n".join(["next:", *(f"  {called(name)} run={folder}  # {NEXT[name]}" for name in names)])
+
+
 def called(name: str) -> str:
     """Return how a command is called here: as its script in a clone, unless it was called otherwise."""
     installed = not IN_CLONE or Path(sys.argv[0]).name == "dynasindy"

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from commands import called
+from commands import following
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from hydra.utils import instantiate
@@ -51,10 +51,7 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
         draw_evaluation(prediction.shown, folder / "figures", place=prediction.place)
     say(report(model, prediction), f"Controller: {folder / 'controller.json'}")
     if not swept:
-        say(
-            f"next: {called('check')} run={folder} tells margins and worst cases on the model, {called('export')} "
-            f"run={folder} writes the controller for a microcontroller"
-        )
+        print(following(folder, "check", "export"))
     return prediction.record()
 
 

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from command import command, needs_score
-from commands import called
+from commands import following
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from hydra.utils import instantiate
@@ -40,10 +40,7 @@ def main(cfg: DictConfig) -> float:
     draw_run(folder, done.recipe.system.signature)
     say(report(done.metrics, folder))
     if not swept:
-        say(
-            f"next: {called('evaluate')} run={folder} flies it in other scenarios, {called('check')} run={folder} "
-            f"tells its margins, {called('export')} run={folder} writes it for a microcontroller"
-        )
+        print(following(folder, "evaluate", "check", "export"))
     if not (done.enough or swept):
         sys.exit(1)
     return max(shares, default=math.inf)

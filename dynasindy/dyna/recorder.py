@@ -107,7 +107,9 @@ class Recorder(Callback):
         """Write the excitation data, and what the fit says of itself and of them."""
         self.cost = cost
         if isinstance(report, FitReport):
-            head = "The first fit, of the excitation alone; the equations in model.json are those of the last one.\n"
+            head = (
+                "The first fit, of the excitation alone; model.json has the equations of the last fit that was kept.\n"
+            )
             write_text(self.folder / "identification.txt", f"{head}{report.to_text()}\n")
         words = ["" if self.parts.sensing is not None else restarts(self.parts, excited), left_out(excited)]
         self.restarts = " ".join(filter(None, words))

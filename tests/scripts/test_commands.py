@@ -48,6 +48,13 @@ def test_a_command_is_called_as_it_was_and_by_its_script_in_a_clone(commands, mo
     assert commands.called("check") == "dynasindy check"
 
 
+def test_what_to_do_next_is_a_command_a_line(commands, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["scripts/train.py"])
+    first, check, export = commands.following("runs/a b", "check", "export").split("\n")
+    assert first == "next:" and check.startswith("  python scripts/check.py run=runs/a b  # its margins")
+    assert export.startswith("  python scripts/export.py run=")
+
+
 @pytest.mark.parametrize("words", [[], ["--help"], ["-h"]])
 def test_without_a_command_all_of_them_are_listed(commands, words, tmp_path):
     done = dynasindy(*words, cwd=tmp_path)
