@@ -153,7 +153,7 @@ def of_pendulum(planning, seed=0):
     "planning",
     [
         partial(ImaginedReplay, rollouts=4, horizon=3),
-        partial(GradientPlanning, updates=2, more_updates=1, rollouts=4, window=5),
+        partial(GradientPlanning, updates=2, more_updates=1, rollouts=4, window=5, searches=1),
     ],
     ids=["dyna", "gradient"],
 )
