@@ -34,9 +34,9 @@ HELP, COMPLETION = ("-h", "--help"), ("-sc", "--shell-completion")
 
 
 NEXT = {
-    "evaluate": "it in other scenarios, as wind and noise",
-    "check": "its margins and worst cases, on the model",
-    "export": "the controller as C, for a microcontroller",
+    "evaluate": "flies it in other scenarios, as wind and noise",
+    "check": "tells its margins and worst cases, on the model",
+    "export": "writes the controller as C, for a microcontroller",
 }
 """What a command shows or makes of a run."""
 

@@ -51,7 +51,7 @@ def test_a_command_is_called_as_it_was_and_by_its_script_in_a_clone(commands, mo
 def test_what_to_do_next_is_a_command_a_line(commands, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["scripts/train.py"])
     first, check, export = commands.following("runs/a b", "check", "export").split("\n")
-    assert first == "next:" and check.startswith("  python scripts/check.py run=runs/a b  # its margins")
+    assert first == "next:" and check.startswith("  python scripts/check.py run=runs/a b  # tells its margins")
     assert export.startswith("  python scripts/export.py run=")
 
 
