@@ -33,6 +33,7 @@ def main(cfg: DictConfig) -> float:
     if done.before and swept:
         print(f"finished before: {folder}")
         return max(shares, default=math.inf)
+    from dynasindy.control.files import NAME
     from dynasindy.dyna.run import report
     from dynasindy.terminal import say
     from dynasindy.viz.run import draw_run  # Matplotlib, when there is something to draw
@@ -40,7 +41,9 @@ def main(cfg: DictConfig) -> float:
     draw_run(folder, done.recipe.system.signature)
     say(report(done.metrics, folder))
     if not swept:
-        print(following(folder, "evaluate", "check", "export"))
+        # A task without targets leaves no controller to check or to export.
+        more = ("check", "export") if (folder / NAME).is_file() else ()
+        print(following(folder, "evaluate", *more))
     if not (done.enough or swept):
         sys.exit(1)
     return max(shares, default=math.inf)

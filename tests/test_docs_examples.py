@@ -91,6 +91,8 @@ def test_a_task_without_references_trains_and_is_judged_by_its_return(extended, 
     printed = run(extended, *COMMANDS[1].split(), *short)
     assert "NOT JUDGED: the task names no targets, so nothing is said of control" in printed
     assert "RMSE" not in printed and "return  " in printed
+    # What is named as the next step works: there is no controller to check or to export.
+    assert "evaluate.py run=" in printed and "check.py" not in printed and "export.py" not in printed
     assert (folder / "figures" / "step_response.png").is_file()
     assert not (folder / "controller.json").exists()
     printed = run(extended, "scripts/evaluate.py", f"run={folder}", "scenarios=[task]")
