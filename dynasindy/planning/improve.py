@@ -24,11 +24,11 @@ from torch import Tensor, nn
 
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.imitation import lesson
-from dynasindy.planning.search import LEAST
+from dynasindy.planning.search import cross_entropy
 from dynasindy.planning.window import Network, Rows, Window, imagine
 
-STARTS, POPULATION, ELITE, DRAWS = 128, 64, 0.1, 8
-"""Starts of a round, signals for each, the share of them around which is drawn anew, and how often."""
+STARTS, POPULATION, DRAWS = 128, 64, 8
+"""Starts of a round, signals for each, and how often they are drawn."""
 ACTING, KNOT, MOST = 0.6, 6, 2.0
 """Share of a way on which a signal acts, control periods between its knots, and their largest size; with 2 it decides
 the input, whatever the policy says."""
@@ -85,8 +85,7 @@ def improve(
         way = better(network, env, begun, rng, periods, floor)
         # The way to the starts, that of the policy, those of all signals, and the best one once more.
         imagined += STARTS * periods * (POPULATION * DRAWS + 3)
-        more, own = (rewards(env, begun, window, floor).sum(0) for window in (way, flown))
-        more = more - own
+        more = rewards(env, begun, way, floor).sum(0) - rewards(env, begun, flown, floor).sum(0)
         alive, gained = way.alive[1:], more > GAINED * more.amax()
         if not bool(alive.any()):
             break
@@ -147,25 +146,17 @@ def better(
     n, n_u = begun.held.shape
     floor = floor or Floor()
     acting = max(1, round(ACTING * periods))
-    knots, each = max(2, acting // KNOT), torch.arange(n)
-    mean, deviation = torch.zeros(n, 1, knots, n_u), torch.ones(n, 1, knots, n_u)
-    best, most = mean[:, 0].clone(), torch.full((n,), -torch.inf)
     many = replace(
         begun,
         **{name: getattr(begun, name).repeat_interleave(POPULATION, 0) for name in ("x", "held", "params", "t")},
     )
-    for _ in range(DRAWS):
-        drawn = mean + deviation * torch.randn(n, POPULATION, knots, n_u, generator=rng)
-        drawn[:, 0] = best  # none at first, so that the policy itself is among them
-        drawn = drawn.clamp(-MOST, MOST)
-        flown = imagine(env, env.system, OnTop(network, drawn.flatten(0, 1), acting), many, periods, False, rng)
-        earned = rewards(env, many, flown, floor).sum(0).reshape(n, POPULATION)
-        top = earned.topk(round(ELITE * POPULATION), 1).indices
-        elite = drawn[each.unsqueeze(-1), top]
-        mean, deviation = elite.mean(1, keepdim=True), elite.std(1, keepdim=True).clamp_min(LEAST)
-        better = earned[each, top[:, 0]] > most
-        most = torch.where(better, earned[each, top[:, 0]], most)
-        best = torch.where(better[:, None, None], drawn[each, top[:, 0]], best)
+
+    def _earned(drawn: Tensor) -> Tensor:
+        flown = imagine(env, env.system, OnTop(network, drawn, acting), many, periods, False, rng)
+        return rewards(env, many, flown, floor).sum(0)
+
+    nothing = torch.zeros(n, max(2, acting // KNOT), n_u)  # the policy itself is among the ways
+    best = cross_entropy(_earned, nothing, POPULATION, range(DRAWS), MOST, rng)
     return imagine(env, env.system, OnTop(network, best, acting), begun, periods, False, rng)
 
 

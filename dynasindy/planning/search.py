@@ -12,6 +12,7 @@ whole input signals are drawn, `POPULATION` for each start, and drawn anew aroun
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import torch
@@ -26,8 +27,8 @@ POPULATION, ELITE, ROUNDS = 1024, 0.1, 30
 """Signals per start, the share of them around which is drawn anew, and how often."""
 KNOT = 4
 """Control periods between two knots of a signal."""
-LEAST = 0.03
-"""Least deviation of the knots."""
+LEAST, LARGEST = 0.03, 1.5
+"""Least deviation of the knots, and their largest size."""
 FAR = 20.0
 """Ranges of a state beyond which a signal counts as none."""
 OUTSIDE = 1e3
@@ -59,24 +60,53 @@ def search(env: ControlEnv, x: Tensor, params: Tensor, periods: int, rng: torch.
         rng: Source of the signals.
     """
     n, n_u, knots = len(x), env.system.signature.n_u, max(2, periods // KNOT)
-    mean, deviation = torch.zeros(n, 1, knots, n_u), torch.ones(n, 1, knots, n_u)
-    best, most = mean[:, 0].clone(), torch.full((n,), -torch.inf)
     starts, repeated = x.repeat_interleave(POPULATION, 0), params.repeat_interleave(POPULATION, 0)
-    for _ in counted("search for ways from afar", range(ROUNDS), ROUNDS, "rounds"):
-        drawn = mean + deviation * torch.randn(n, POPULATION, knots, n_u, generator=rng)
-        drawn[:, 0] = best
-        drawn = drawn.clamp(-1.5, 1.5)
-        inputs = signal(drawn.flatten(0, 1), periods)
-        earned = objective(env, roll(env, starts, inputs), repeated).reshape(n, POPULATION)
-        top = earned.topk(round(ELITE * POPULATION), 1).indices
-        elite = drawn[torch.arange(n).unsqueeze(-1), top]
-        mean, deviation = elite.mean(1, keepdim=True), elite.std(1, keepdim=True).clamp_min(LEAST)
-        better = earned[torch.arange(n), top[:, 0]] > most
-        most = torch.where(better, earned[torch.arange(n), top[:, 0]], most)
-        best = torch.where(better[:, None, None], drawn[torch.arange(n), top[:, 0]], best)
-    inputs = signal(best, periods)
+
+    def _earned(drawn: Tensor) -> Tensor:
+        return objective(env, roll(env, starts, signal(drawn, periods)), repeated)
+
+    rounds = counted("search for ways from afar", range(ROUNDS), ROUNDS, "rounds")
+    inputs = signal(cross_entropy(_earned, torch.zeros(n, knots, n_u), POPULATION, rounds, LARGEST, rng), periods)
     states = roll(env, x, inputs)
     return [Way(states[:, i], inputs[:, i]) for i in range(n)]
+
+
+@torch.no_grad()
+def cross_entropy(
+    earned: Callable[[Tensor], Tensor],
+    first: Tensor,
+    population: int,
+    rounds: Iterable[object],
+    largest: float,
+    rng: torch.Generator,
+) -> Tensor:
+    """Return the best knots of each start that were drawn, `(n, n_knots, n_u)`.
+
+    They are drawn from normal distributions, which are fitted anew to the best share of them (Rubinstein 1999).
+
+    Args:
+        earned: What knots `(n population, n_knots, n_u)` earn, `(n population,)`.
+        first: Knots that are among the first drawn, and their mean, `(n, n_knots, n_u)`.
+        population: Draws per start.
+        rounds: How often is drawn: as many items.
+        largest: Largest size of a knot.
+        rng: Source of the draws.
+    """
+    n, each = len(first), torch.arange(len(first))
+    best, most = first, torch.full((n,), -torch.inf)
+    mean, deviation = first.unsqueeze(1), torch.ones_like(first).unsqueeze(1)
+    for _ in rounds:
+        drawn = mean + deviation * torch.randn(n, population, *first.shape[1:], generator=rng)
+        drawn[:, 0] = best
+        drawn = drawn.clamp(-largest, largest)
+        found = earned(drawn.flatten(0, 1)).reshape(n, population)
+        top = found.topk(round(ELITE * population), 1).indices
+        elite = drawn[each.unsqueeze(-1), top]
+        mean, deviation = elite.mean(1, keepdim=True), elite.std(1, keepdim=True).clamp_min(LEAST)
+        better = found[each, top[:, 0]] > most
+        most = torch.where(better, found[each, top[:, 0]], most)
+        best = torch.where(better[:, None, None], drawn[each, top[:, 0]], best)
+    return best
 
 
 def signal(knots: Tensor, periods: int) -> Tensor:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch
 from numpy.typing import ArrayLike
 
-from dynasindy.checking import Check
+from dynasindy.checking import Check, Thresholds
 from dynasindy.checking.margins import broken, frequencies
 from dynasindy.viz.style import (
     BLACK,
@@ -60,7 +60,10 @@ def draw(found: Check) -> dict[str, Figure]:
 
 @styled
 def nyquist(
-    curves: Sequence[ArrayLike], names: Sequence[str], disk: float = 0.5, title: str = "Loop opened at each input"
+    curves: Sequence[ArrayLike],
+    names: Sequence[str],
+    disk: float = Thresholds.disk,
+    title: str = "Loop opened at each input",
 ) -> Figure:
     """Draw the loop opened at each input, one curve per target, and the point -1 that it must not go around.
 

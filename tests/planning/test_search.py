@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.search import FAR, OUTSIDE, objective, roll, search, signal
+from dynasindy.planning.search import FAR, OUTSIDE, cross_entropy, objective, roll, search, signal
 from dynasindy.systems import Signature, System
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -38,6 +38,22 @@ def test_a_signal_runs_straight_between_its_knots_and_stays_within_the_inputs():
     # Five periods through three knots: knots at periods 0, 2 and 4.
     wanted = torch.tensor([0.0, 0.75, 1.0, 0.5, -0.5])
     torch.testing.assert_close(signal(knots, 5)[:, 0, 0], wanted)
+
+
+def test_cross_entropy_finds_the_top_of_a_hill_for_each_start_and_no_less_than_it_began_with():
+    top = torch.tensor([[[0.4], [-0.7]], [[1.2], [0.3]]])
+    seen = []
+
+    def height(drawn):
+        hill = -(drawn.reshape(2, -1, 2, 1) - top.unsqueeze(1)).square().sum((2, 3)).flatten()
+        seen.append(hill.reshape(2, -1)[:, 0])
+        return hill
+
+    found = cross_entropy(height, torch.zeros(2, 2, 1), 128, range(25), 1.0, torch.Generator().manual_seed(0))
+    # The second start's first knot may not grow beyond 1.
+    torch.testing.assert_close(found, top.clamp(-1.0, 1.0), atol=0.02, rtol=0.0)
+    torch.testing.assert_close(seen[0], -top.square().sum((1, 2)))  # what it began with, then the best so far
+    assert (torch.stack(seen).diff(dim=0) >= 0).all()
 
 
 def test_a_way_is_what_the_environment_does():
