@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dynasindy.benchmarks.instruments.commit import commit
+from dynasindy.benchmarks.instruments.axis import published_axis
 from dynasindy.benchmarks.instruments.qube import PublishedQube, ahead
 from dynasindy.benchmarks.instruments.rivals import THRESHOLDS, stlsq
 from dynasindy.evaluation.rows import Row, append_rows
@@ -134,7 +135,9 @@ def emps(folder: Path) -> list[Row]:
     signature = Signature(("q", "v"), ("m", "m/s"), ("u",), (0.25, 0.15))
     # Friction grows with the speed otherwise forth than back. Powers of the speed are left out: beyond the speeds of
     # the training log they turn.
-    words = ["1", "u", "v", "|v|", "tanh(1000 v)", "q"]
+    # What rubs rubs more at one end of the screw than at the other: of parts of the training log that were simulated
+    # by models of other parts, the error fell with this from 3.5 to 3.2 mm in the mean.
+    words = ["1", "u", "v", "|v|", "tanh(1000 v)", "q", "q tanh(1000 v)"]
     # Ripple of the screw and friction push the axis at random: of a trajectory through the whole log they leave a
     # drift, which gain and friction would be bent to. Predictions are over 1 s.
     refinement = Refinement("trajectory", window=200, error="prediction")
@@ -168,8 +171,10 @@ def emps(folder: Path) -> list[Row]:
             | facts
             for log in ("train", "test")
         ]
-    theirs = _pysindy(_model(words), data, lambda model: _error(model, "train"))
-    rows += [_row("pysindy", f"{log} simulated, RMSE", _error(theirs, log), "mm") for log in ("train", "test")]
+    others = {"pysindy": _pysindy(_model(words), data, lambda model: _error(model, "train"))}
+    others["published physics"] = published_axis(signature)
+    for name, other in others.items():
+        rows += [_row(name, f"{log} simulated, RMSE", _error(other, log), "mm") for log in ("train", "test")]
     q = logs["test"].y[:, 0]
     return [
         *rows,
