@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from dynasindy.systems.base import Signature
+from dynasindy.systems.base import Signature, System
 from dynasindy.world_models.models.sindy import SindyModel
 
 MASS, VISCOUS, DRY, PUSH = 95.1089, 203.5034, 20.3935, -3.1648
@@ -24,3 +24,16 @@ def published_axis(signature: Signature) -> SindyModel:
     place = torch.tensor([0.0, 0.0, 1.0, 0.0], dtype=torch.float64)
     model.set_coefficients(torch.stack([place, forces / MASS], 1))
     return model
+
+
+def steady_force(model: System, speed: float) -> float:
+    """Return the force [N] at which a model keeps a speed [m/s] in the middle of the axis, at 0.125 m.
+
+    Args:
+        model: states are the place [m] and the speed [m/s], the input is the force in 100 N.
+        speed: what is kept.
+    """
+    x = torch.tensor([0.125, speed], dtype=torch.float64)
+    with torch.no_grad():
+        none, full = (float(model(x, torch.tensor([u], dtype=torch.float64))[1]) for u in (0.0, 1.0))
+    return FORCE * none / (none - full)

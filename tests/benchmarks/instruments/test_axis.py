@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from dynasindy.benchmarks.instruments.axis import published_axis
+from dynasindy.benchmarks.instruments.axis import published_axis, steady_force
 from dynasindy.systems.base import Signature
 
 SIGNATURE = Signature(("q", "v"), ("m", "m/s"), ("u",), (0.25, 0.15))
@@ -24,3 +24,8 @@ def test_the_force_that_keeps_a_speed(speed, newton, acceleration):
     x = torch.tensor([0.2, speed], dtype=torch.float64)
     dx = published_axis(SIGNATURE)(x, torch.tensor([newton / 100], dtype=torch.float64))
     assert dx.tolist() == pytest.approx([speed, acceleration], abs=1e-9)
+
+
+def test_the_force_at_a_speed_is_read_from_any_model():
+    assert steady_force(published_axis(SIGNATURE), 0.1) == pytest.approx(37.57904)
+    assert steady_force(published_axis(SIGNATURE), -0.1) == pytest.approx(-43.90864)
