@@ -19,8 +19,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from dynasindy.benchmarks.instruments.commit import commit
 from dynasindy.benchmarks.instruments.axis import published_axis, steady_force
+from dynasindy.benchmarks.instruments.commit import commit
 from dynasindy.benchmarks.instruments.qube import PublishedQube, ahead
 from dynasindy.benchmarks.instruments.rivals import THRESHOLDS, stlsq
 from dynasindy.evaluation.rows import Row, append_rows
