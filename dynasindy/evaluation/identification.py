@@ -22,12 +22,15 @@ from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell
 from dynasindy.world_models import FitReport, SindyModel
+from dynasindy.world_models.models.actuators import Found, behind, find_actuator
 from dynasindy.world_models.models.prediction import nrmse, one_step_error, open_loop
 from dynasindy.world_models.refinement.delay import delayed
 from dynasindy.world_models.refinement.order import moving_on
 from dynasindy.world_models.writers.tables import to_csv, to_latex, to_text
 
 ExcitationBuilder = Callable[..., Excitation]
+BEHIND = "model_with_actuator.json"
+"""File of a model one of whose states is an actuator, which no sensor sees."""
 LONGEST = 1e8
 """Steps of a simulated plant, beyond which a recording would take days."""
 
@@ -203,6 +206,7 @@ class Identified:
         predicted: open-loop prediction of the validation data, `(N, n_x)`.
         metrics: error of each measured state, open loop and over each horizon.
         forecasts: errors from many start times; None where the validation data are too short for them.
+        found: what the training data tell of a rate limit or play of an input; None where it was not looked for.
     """
 
     model: SindyModel
@@ -210,6 +214,7 @@ class Identified:
     predicted: Tensor
     metrics: dict[str, dict[str, float]]
     forecasts: Forecasts | None = None
+    found: Found | None = None
 
 
 def identify(model: SindyModel, source: Source, horizons: Sequence[float] | None = None) -> Identified:
@@ -231,6 +236,7 @@ def identify(model: SindyModel, source: Source, horizons: Sequence[float] | None
         )
     tell("fit")
     report = model.fit(source.training)
+    found = find_actuator(model, source.training)
     tell("prediction of the validation data")
     validation, names = source.validation, source.signature.state_names
     predicted = open_loop(model, begun(model, validation))
@@ -243,7 +249,7 @@ def identify(model: SindyModel, source: Source, horizons: Sequence[float] | None
     forecasts = forecast(model, source.training, validation, horizons)
     if forecasts is not None:
         metrics |= verdict.errors(forecasts, source.signature)
-    return Identified(model, report, predicted, metrics, forecasts)
+    return Identified(model, report, predicted, metrics, forecasts, found)
 
 
 def missing_rates(model: SindyModel, source: Source) -> list[str]:
@@ -260,6 +266,8 @@ def to_words(found: Identified, source: Source) -> str:
     """Write equations, fit, identifiability, what the data show, errors, notes and a verdict for a reader."""
     signature, shown = source.signature, found.forecasts
     seen = [*verdict.found_in_model(found.model), *(verdict.found_in_data(source.training, signature))]
+    if found.found is not None and found.found.actuator:
+        seen.append(f"{found.found.words}; {BEHIND} has it")
     lines = [*found.model.equations(), "", found.report.to_text(), *(f"found: {line}" for line in seen), ""]
     if shown is not None:
         lines += verdict.table(shown, signature)
@@ -278,10 +286,15 @@ def _percent(error: float) -> str:
 
 
 def write(found: Identified, source: Source, folder: Path) -> None:
-    """Write model.json, metrics.json, report.txt and the coefficients as text, LaTeX and CSV."""
+    """Write model.json, metrics.json, report.txt and the coefficients as text, LaTeX and CSV.
+
+    Where an input has a rate limit or play, the model that has it too is written beside.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     library, coefficients = found.model.library, found.model.coefficients
     found.model.save(folder / "model.json")
+    if found.found is not None and found.found.actuator:
+        behind(found.model, found.found, source.training.dt).save(folder / BEHIND)
     (folder / "metrics.json").write_text(json.dumps(found.metrics, indent=1) + "\n")
     (folder / "report.txt").write_text(to_words(found, source) + "\n")
     (folder / "coefficients.txt").write_text(to_text(library, coefficients) + "\n")

@@ -53,7 +53,7 @@ def rough_delay(free: Tensor, rows: Callable[[float], Rows], dt: float, longest:
         longest: longest delay that is tried [s].
     """
     most = math.floor(longest / dt + 1e-9)
-    costs = [_regressed(free, *rows(k * dt)) for k in range(most + 1)]
+    costs = [unexplained(free, *rows(k * dt)) for k in range(most + 1)]
     return min(range(most + 1), key=costs.__getitem__) * dt
 
 
@@ -92,8 +92,14 @@ def fine_delay(rough: float, dt: float, longest: float, worth: float, cost: Cost
     return best + step * 0.5 * (before - after) / bend if math.isfinite(bend) and bend > 0 else best
 
 
-def _regressed(support: Tensor, theta: Tensor, dx: Tensor) -> float:
-    """Return N/2 log of what the regression of the rates of change leaves over, summed over the states."""
+def unexplained(support: Tensor, theta: Tensor, dx: Tensor) -> float:
+    """Return N/2 log of what the regression of the rates of change leaves over, summed over the states.
+
+    Args:
+        support: functions in each equation, bool `(n_features, n_x)`.
+        theta: averaged functions, `(N, n_features)`.
+        dx: averaged rates of change, `(N, n_x)`.
+    """
     cost = 0.0
     for i in range(dx.shape[1]):
         if not bool(support[:, i].any()):

@@ -244,12 +244,20 @@ def trajectory_cost(
         descent: how many steps, over which windows.
         start: guess of the states before each transition, `(N, n_x)`.
     """
+    return few_steps(library, xi, free, data, descent, start)[0]
+
+
+def few_steps(
+    library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor
+) -> tuple[float, Estimate, Tensor]:
+    """Return what `trajectory_cost` does, the estimate it is of, and the squared errors by window, `(W, n_x)`."""
     some = spread(len(data), ENOUGH)
     support, data = (xi != 0) & free, data.to(torch.float64).select(some)
     estimate, windows = _grown(Estimate(library, xi, start[some]), support, data, descent)
     parameters = Parameters.where(support)
     estimate = _converge(estimate, parameters, windows, descent.max_rounds)
-    return _left_over(linearise(estimate, parameters, windows), windows)
+    model = linearise(estimate, parameters, windows)
+    return _left_over(model, windows), estimate, (model.errors * model.sigma).square().sum(1)
 
 
 def strain(library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor) -> Tensor:

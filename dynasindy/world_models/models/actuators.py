@@ -1,0 +1,289 @@
+"""What stands between a command and its effect, as data tell it: nothing, a rate limit, or play.
+
+Each input is tried behind either. The size is found on the first part of a recording, first by the regression, then by
+trajectories; then windows of the rest, which no fit has seen, have to be predicted better, by a margin, than the
+equations alone do, and than they do with what looks alike: a dead zone, a lag, or dry friction.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.libraries.features import Feature, of, variable
+from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.models.sindy import SindyModel
+from dynasindy.world_models.refinement.actuator import Actuator, Kind
+from dynasindy.world_models.refinement.delay import delayed, unexplained
+from dynasindy.world_models.refinement.measured import Seen, has_gaps, imagined, rates_known, reconstruct
+from dynasindy.world_models.refinement.refine import STEPS, looks_noisy
+from dynasindy.world_models.refinement.shooting import Estimate, RunsAway
+from dynasindy.world_models.refinement.trajectory import Descent, few_steps
+from dynasindy.world_models.refinement.windows import spread
+from dynasindy.world_models.writers.fast_field import generate
+
+WANTED: tuple[Kind, ...] = ("rate limit", "play")
+RIVALS: tuple[Kind, ...] = ("dead zone", "lag")
+FRACTIONS = (0.01, 0.02, 0.04, 0.08, 0.15, 0.25, 0.4)
+"""Sizes that the regression tries, in ranges of the input, a rate limit per interval; a lag in 20 intervals."""
+CLOSER = (0.8, 1.0, 1.25)
+"""Factors on a size that trajectories compare."""
+FITTED = 2 / 3
+"""Part of a recording on which sizes and coefficients are fitted; the rest judges."""
+MOST, ALONE, FEWEST = 3000, 10, 8
+"""Rows that are looked at, at most; samples in a window; windows that must be left to judge."""
+MARGIN, DEVIATIONS = 0.1, 2.0
+"""Part of the error by which an actuator must lower it, and standard errors that its gain must be above zero."""
+FULL = 20.0
+"""Ranges of a state within which dry friction is not yet full: one by so many."""
+FAST = 2.5
+"""How much of its way to the command an actuator makes in a sampling interval, were it not held back [1/interval]."""
+FEW = Descent(ALONE, joined=False, max_rounds=STEPS)
+"""How trajectories are fitted: in windows on their own, by a few steps."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """Hold what was found out about the actuators of a recording.
+
+    Attributes:
+        actuator: the one that data ask for, if any.
+        coefficients: Xi of the same equations behind it, `(n_features, n_x)`.
+        gain: part of the error of windows that no fit has seen by which it is lower.
+        words: what is to be said.
+    """
+
+    actuator: Actuator | None
+    coefficients: Tensor
+    gain: float
+    words: str
+
+
+def find_actuator(model: SindyModel, data: Transitions) -> Found:
+    """Say whether an input has a rate limit or play; at most one is found.
+
+    Args:
+        model: what was fitted to the recording.
+        data: the recording, NaN where a state was not measured.
+    """
+    bench = _Bench.of(model, data)
+    none = Found(None, model.coefficients, 0.0, "no rate limit and no play of an input was found")
+    if bench is None:
+        return replace(none, words="rate limits and play of inputs were not looked for: the recording is too short")
+    library, support = model.library, (model.coefficients != 0) & model.constraints.free
+    names = model.signature.input_names
+    best: tuple[Tensor, Actuator, Estimate] | None = None
+    for place in range(len(names)):
+        for kind in WANTED:
+            actuator = bench.size(place, kind)
+            judged = None if actuator is None else bench.judged(library, support, actuator)
+            if actuator and judged and (best is None or float(judged[0].sum()) < float(best[0].sum())):
+                best = judged[0], actuator, judged[1]
+    if best is None:
+        return none
+    gain = math.inf
+    for rival in bench.rivals(library, support, best[1].place):
+        gain = min(gain, _gain(rival, best[0]))
+        if gain < MARGIN:
+            return none
+    said = f"{best[1].kind} of {best[1].size:.3g}" + (" per second" if best[1].kind == "rate limit" else "")
+    words = f"{names[best[1].place]} has a {said}: samples that were not fitted are met {100 * gain:.0f} % more closely"
+    return Found(best[1], best[2].xi, gain, words)
+
+
+def behind(model: SindyModel, found: Found, dt: float) -> SindyModel:
+    """Return a model whose actuator is one state more, which no sensor sees and which its equations read.
+
+    With `slack(u, a; p)`, which is what u - a has beyond p on either side, play is `a' = k slack(u, a; p)`, and a rate
+    limit is `a' = k (u - a - slack(u, a; p))`, at most k p; k is fast against a sampling interval. Both are functions
+    that models are made of anyway, so such a model is saved, printed and exported as any other.
+
+    Args:
+        model: the equations.
+        found: the actuator, and the coefficients behind it.
+        dt: sampling interval [s].
+
+    Raises:
+        ValueError: no actuator was found.
+    """
+    if found.actuator is None:
+        raise ValueError("behind got no actuator; allowed is what find_actuator found: keep the model as it is")
+    given, fast = model.signature, FAST / dt
+    name = given.input_names[found.actuator.place]
+    follower = f"applied_{name}"
+    signature = Signature(
+        (*given.state_names, follower), (*given.state_units, "1"), given.input_names, (*given.x_scale, 1.0)
+    )
+    play = found.actuator.kind == "play"
+    held = of("slack", name, follower, frequency=found.actuator.size / (1 if play else fast))
+    own = {held: fast} if play else {variable(name): fast, variable(follower): -fast, held: -fast}
+    read = [_reading(feature, name, follower) for feature in model.library.features]
+    library = Library(signature, [*read, *own])
+    xi = torch.zeros(len(library), signature.n_x, dtype=torch.float64)
+    places = {feature.key: k for k, feature in enumerate(library.features)}
+    xi[[places[feature.key] for feature in read], :-1] = found.coefficients
+    for feature, value in own.items():
+        xi[places[feature.key], -1] = value
+    wider = SindyModel(signature, library, model.regression, model.refinement, machine_code=model.machine_code)
+    wider.set_coefficients(xi)
+    wider.delay = model.delay
+    return wider
+
+
+@dataclass(frozen=True)
+class _Bench:
+    """Fit equations behind an actuator to the first part of a recording, and judge them by the rest."""
+
+    model: SindyModel
+    data: Transitions
+    guess: Transitions
+    noisy: bool
+    fitted: Tensor
+
+    @classmethod
+    def of(cls, model: SindyModel, data: Transitions) -> _Bench | None:
+        """Guess what was not measured; None where too little is left to judge."""
+        data = delayed(data.to(torch.float64), model.delay).select(spread(len(data), MOST))
+        rates = rates_known(model.library, model.constraints)
+        guess = imagined(model.library, model.coefficients, data, reconstruct(data, rates), rates)
+        noisy = not bool(has_gaps(data)) and looks_noisy(model.library, model.coefficients, guess)
+        guess = reconstruct(data, rates, True) if noisy else guess
+        first = torch.arange(len(data)) < FITTED * len(data)
+        enough = len(data) * (1 - FITTED) >= FEWEST * ALONE
+        return cls(model, data, guess, noisy, first) if enough else None
+
+    def size(self, place: int, kind: Kind) -> Actuator | None:
+        """Return the actuator of a kind that explains the first part best, None where the equations alone do."""
+        library, support = self.model.library, (self.model.coefficients != 0) & self.model.constraints.free
+        rough = self.rough(place, kind)
+        if rough is None or kind not in WANTED:
+            return rough
+        costs = {}
+
+        def _at(size: float) -> float:
+            if size not in costs:
+                try:
+                    costs[size] = self._fit(library, support, replace(rough, size=size))[0]
+                except RunsAway:
+                    costs[size] = math.inf
+            return costs[size]
+
+        best, step = rough.size, CLOSER[-1]
+        while step > 1.01:
+            better = min((best / step, best, best * step), key=_at)
+            if better == best:
+                step = math.sqrt(step)
+            best = better
+        return replace(rough, size=best) if math.isfinite(_at(best)) else None
+
+    def rough(self, place: int, kind: Kind) -> Actuator | None:
+        """Return the actuator whose rates of change the regression explains best; None where it is not worth it."""
+        u = self.data.u[:, place]
+        whole = float(u.max() - u.min())
+        unit = {"rate limit": whole / self.data.dt, "lag": 20 * self.data.dt}.get(kind, whole)
+        if not whole:
+            return None
+        trials = [Actuator(place, kind, part * unit) for part in FRACTIONS]
+        costs = [self._explained(trial) for trial in trials]
+        worth = math.log(len(self.data)) / int(self.fitted.sum())
+        return trials[costs.index(min(costs))] if min(costs) < self._explained(None) - worth else None
+
+    def judged(self, library: Library, support: Tensor, actuator: Actuator | None) -> tuple[Tensor, Estimate] | None:
+        """Return squared errors of windows that no fit has seen, `(W, n_x)`, and the fit; None where there is none."""
+        rest, known = self._acts(self.data, actuator)
+        if not bool(known[~self.fitted].all()):
+            return None
+        try:
+            estimate = self._fit(library, support, actuator)[1]
+            free, start = torch.zeros_like(support), self.guess.x[~self.fitted]
+            last = rest.select(~self.fitted)
+            return few_steps(_frozen(estimate.library), estimate.xi, free, last, FEW, start)[2], estimate
+        except RunsAway:
+            return None
+
+    def rivals(self, library: Library, support: Tensor, place: int) -> Iterator[Tensor]:
+        """Yield the errors of the equations alone, and with what looks like an actuator."""
+        for actuator in (None, *(self.rough(place, kind) for kind in RIVALS)):
+            if found := self.judged(library, support, actuator):
+                yield found[0]
+        signature = library.signature
+        dry = [
+            of("tanh", name, frequency=FULL / scale)
+            for name, scale in zip(signature.state_names, signature.x_scale, strict=True)
+        ]
+        wider = Library(signature, [*library.features, *dry])
+        more = torch.zeros(len(wider), signature.n_x, dtype=torch.bool)
+        more[: len(library)] = support
+        more[len(library) :] = support.any(0)
+        if found := self.judged(wider, more, None):
+            yield found[0]
+
+    def _fit(self, library: Library, support: Tensor, actuator: Actuator | None) -> tuple[float, Estimate]:
+        """Return the logarithm of the errors that a few steps on the first part leave over, and the estimate.
+
+        Raises:
+            RunsAway: too little is known of what acts, or the model runs away.
+        """
+        xi = torch.zeros(support.shape, dtype=torch.float64)
+        xi[: len(self.model.library)] = self.model.coefficients
+        xi = torch.where(support & (xi == 0), 1e-9, xi)  # what is zero is no part of a model
+        data, known = self._acts(self.data, actuator)
+        rows = known & self.fitted
+        if 2 * int(rows.sum()) < int(self.fitted.sum()):
+            raise RunsAway("too little is known of what acts")
+        cost, estimate, _ = few_steps(library, xi, support, data.select(rows), FEW, self.guess.x[rows])
+        return cost / int(rows.sum()), estimate
+
+    def _explained(self, actuator: Actuator | None) -> float:
+        """Return the logarithm of what the regression of the first part leaves over; infinite if too little is known."""
+        model = self.model
+        support = (model.coefficients != 0) & model.constraints.free
+        (guess, known), (data, _) = (self._acts(part, actuator) for part in (self.guess, self.data))
+        rows = known & self.fitted
+        if 2 * int(rows.sum()) < int(self.fitted.sum()):
+            return math.inf
+        seen = Seen.of(guess.select(rows), data.select(rows), rates_known(model.library, model.constraints), self.noisy)
+        theta, dx = seen.rows(model.library, generate(model.library, model.coefficients))
+        fixed = torch.where(model.constraints.free, 0.0, model.coefficients)
+        n, states = len(dx), int(support.any(0).sum())
+        return unexplained(support, theta, dx - theta @ fixed) / n - 0.5 * states * math.log(n)
+
+    @staticmethod
+    def _acts(data: Transitions, actuator: Actuator | None) -> tuple[Transitions, Tensor]:
+        return (data, torch.ones(len(data), dtype=torch.bool)) if actuator is None else actuator.acts(data)
+
+
+def _gain(rival: Tensor, ours: Tensor) -> float:
+    """Return by which part of the rival's error ours is lower; 0 where that may be chance. Errors squared, `(W, n_x)`.
+
+    Every state counts alike, by what the rival makes of it.
+    """
+    seen = rival.sum(0) > 0
+    unit = rival[:, seen].mean(0)
+    before, after = ((errors[:, seen] / unit).mean(1) for errors in (rival, ours))
+    better = before - after
+    if not bool(better.mean() > DEVIATIONS * better.std() / math.sqrt(len(better))):
+        return 0.0
+    return float(1 - (after.mean() / before.mean()).sqrt())
+
+
+def _frozen(library: Library) -> Library:
+    """Return a library whose numbers inside functions stay as they are."""
+    features = [Feature(tuple(replace(f, fitted=0.0) for f in feature.factors)) for feature in library.features]
+    return Library(library.signature, features)
+
+
+def _reading(feature: Feature, name: str, follower: str) -> Feature:
+    """Return a function that reads another variable in place of one."""
+    return Feature(
+        tuple(
+            replace(factor, variables=tuple(follower if v == name else v for v in factor.variables))
+            for factor in feature.factors
+        )
+    )
