@@ -241,7 +241,7 @@ class _Bench:
         return cost / int(rows.sum()), estimate
 
     def _explained(self, actuator: Actuator | None) -> float:
-        """Return the logarithm of what the regression of the first part leaves over; infinite if too little is known."""
+        """Return the logarithm of what the regression of the first part leaves over; infinite if little is known."""
         model = self.model
         support = (model.coefficients != 0) & model.constraints.free
         (guess, known), (data, _) = (self._acts(part, actuator) for part in (self.guess, self.data))
