@@ -111,8 +111,8 @@ class Recorder(Callback):
                 "The first fit, of the excitation alone; model.json has the equations of the last fit that was kept.\n"
             )
             write_text(self.folder / "identification.txt", f"{head}{report.to_text()}\n")
-        seen = [] if self.parts.sensing is not None else [restarts(self.parts, excited), coarse(self.plant, excited)]
-        words = [*seen, left_out(excited)]
+        fine = "" if self.parts.sensing is not None else coarse(self.plant, excited)
+        words = [restarts(self.parts, excited), fine, left_out(excited)]
         self.restarts = " ".join(filter(None, words))
         self._write_rollout("excitation", excited)
 
