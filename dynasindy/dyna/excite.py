@@ -22,8 +22,10 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from dynasindy.agents.classical.linearise import zero_order_hold
 from dynasindy.data.recording import transitions
 from dynasindy.dyna.parts import Parts
+from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
 from dynasindy.planning.regulator import riccati
+from dynasindy.systems import steps_needed
 from dynasindy.tasks import Tracking
 from dynasindy.told import tell
 
@@ -38,11 +40,12 @@ MARGIN = 0.9
 def excite(parts: Parts) -> TensorDict:
     """Return the excitation's control periods on the real system, try after try, `(T,)`.
 
-    Behind sensors the plant is excited open loop and without limits, as its states are not seen.
+    Behind sensors, states are what the observer makes of the measurements. A rig, which stays where it fell, is excited
+    open loop; its guard ends what goes too far.
     """
     tell("excitation")
     signal, steps = parts.excitation, parts.excitation.n_steps
-    if parts.sensing is not None:
+    if not parts.plant.begins_anew:
         return interact(parts.env, signal, steps)
     low, high = limits(parts)
     tries: list[TensorDict] = []
@@ -99,6 +102,25 @@ def left_out(rows: TensorDict) -> str:
     return (
         f"The excitation reached a mechanical stop in {count} of {rows.numel()} control periods, which the fit leaves "
         "out; a smaller excitation.amplitude, or another offset, would leave more data."
+    )
+
+
+def coarse(plant: ControlEnv, rows: TensorDict) -> str:
+    """Say in one line that the Runge-Kutta steps of a simulated plant are too long for it; empty if they are not.
+
+    Args:
+        plant: The environment, whose states are seen as they are.
+        rows: What `excite` returned.
+    """
+    if type(plant) is not ControlEnv:
+        return ""  # another simulator, or a rig, moves it
+    x, u = rows["state"], rows["action"].to(rows["state"].dtype)
+    needed, apart = steps_needed(plant.system, x, u, plant.dt, plant.substeps, plant.stops)
+    if needed == plant.substeps:
+        return ""
+    return (
+        f"The simulation of the plant is coarse: with twice as many Runge-Kutta steps a control period ends "
+        f"{apart:.2g} ranges of a state elsewhere, so give env.substeps={needed}, or a shorter env.dt."
     )
 
 
@@ -173,12 +195,12 @@ class Loop:
         """
         scale = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)
         home = rows["state"][0].double()
-        data = transitions(rows, parts.plant.log_dt)
-        middle = 0.5 * (data.x + data.x_next) - home
+        x, u, x_next, dt = _moves(rows, parts)
+        middle = 0.5 * (x + x_next) - home
         near = (middle.abs() <= NEAR * scale).all(-1)
         if not bool(near.any()):
             return
-        a, b, c = _linear(middle[near] / scale, data.u[near], ((data.x_next - data.x) / data.dt)[near] / scale)
+        a, b, c = _linear(middle[near] / scale, u[near], ((x_next - x) / dt)[near] / scale)
         a, b, c = a * scale.unsqueeze(-1) / scale, b * scale.unsqueeze(-1), c * scale
         found = riccati(*zero_order_hold(a, b, parts.plant.dt), 1.0 / scale.square(), 1.0)
         if found is None:
@@ -186,6 +208,14 @@ class Loop:
         self.home, self.gain = home, found.gain
         self.mean = torch.linalg.lstsq(b / scale.unsqueeze(-1), -c / scale, driver="gelsd").solution
         self.mean = self.mean.clamp(-MARGIN, MARGIN)
+
+
+def _moves(rows: TensorDict, parts: Parts) -> tuple[Tensor, Tensor, Tensor, float]:
+    """Return states, inputs, the states some time later, and that time: samples, or estimates behind sensors."""
+    if parts.sensing is None:
+        data = transitions(rows, parts.plant.log_dt)
+        return data.x, data.u, data.x_next, data.dt
+    return rows["state"].double(), rows["action"].double(), rows["next", "state"].double(), parts.plant.dt
 
 
 def _linear(x: Tensor, u: Tensor, dx: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -7,9 +7,10 @@ import torch
 from tensordict import TensorDict
 
 from dynasindy.data.recording import transitions
-from dynasindy.dyna.excite import Loop, excite, interact, left_out, restarts, within
+from dynasindy.dyna.excite import Loop, coarse, excite, interact, left_out, restarts, within
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Multisine
+from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.systems import Signature, System, Xi
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -62,6 +63,32 @@ def test_a_plant_that_falls_is_caught_after_its_first_fall():
         f"The excitation ended early and began anew at the start {times}: theta beyond -0.5 to 0.5 rad "
         f"{len(lengths) - 1} times."
     )
+
+
+def test_a_plant_that_falls_is_caught_by_its_encoder_alone():
+    experiment = parts(Inverted(), bounds={"theta": 0.5})
+    sensors = Sensors({"theta": {"resolution": 1.5e-3}}, rates={"theta": "Omega"})
+    experiment.sensing = Sensing(
+        experiment.plant, Observer(Inverted(), sensors, experiment.plant), torch.Generator().manual_seed(0)
+    )
+    experiment.env = experiment.sensing.around(experiment.plant)
+    excited = excite(experiment)
+    begins = [*(excited["step_count"].flatten() == 0).nonzero().flatten().tolist(), 200]
+    lengths = [b - a for a, b in zip(begins, begins[1:], strict=False)]
+    # Open loop it falls within some 20 periods of every try; held, it is excited for most of the 200.
+    assert lengths[0] < 40 and max(lengths) > 100
+    truth = excited["next", "true_state"][..., 0].abs()
+    assert float(truth.max()) < 0.7
+    assert restarts(experiment, excited).startswith("The excitation ended early and began anew at the start ")
+    blind = excited.clone()
+    blind["next", "true_state"].fill_(torch.nan)
+    assert restarts(experiment, blind) == restarts(experiment, excited)
+
+
+def test_a_rig_is_excited_open_loop_as_it_stays_where_it_fell():
+    experiment = parts(Inverted(), duration=2.0, bounds={"theta": 0.5})
+    experiment.plant.begins_anew = False
+    assert excite(experiment)["step_count"].flatten().tolist() == [*range(40)]
 
 
 def test_the_loop_is_the_regulator_of_the_plant_near_its_start():
@@ -161,3 +188,32 @@ def test_periods_at_a_stop_are_told_as_they_are_left_out():
     fine = transitions(rows, 0.01)
     assert left_out(rows).startswith("The excitation reached a mechanical stop in 3 of 40 control periods")
     assert len(fine) == (40 - 3) * rows["next", "samples"].shape[-2]
+
+
+def kept_share(rate, steps):
+    """Return what n Runge-Kutta steps of z in a period of 0.05 s leave of x - u, where e^(-0.05 rate) is right."""
+    z = 0.05 * rate / steps
+    return (1 - z + z**2 / 2 - z**3 / 6 + z**4 / 24) ** steps
+
+
+@pytest.mark.parametrize(("rate", "steps"), [(5.0, None), (100.0, None), (220.0, 10), (800.0, 20)])
+def test_runge_kutta_steps_too_long_for_the_plant_are_told_with_as_many_as_it_needs(rate, steps):
+    class Lag(System):
+        """x' = rate (u - x)."""
+
+        def __init__(self):
+            super().__init__(Signature(("x",), ("m",), ("u",), (1.0,)))
+
+        def forward(self, x, u):
+            return rate * (u - x)
+
+    experiment = parts(Lag(), duration=2.0)
+    rows = excite(experiment)
+    told, most = coarse(experiment.plant, rows), float((rows["state"] - rows["action"]).abs().max())
+    fewer = [n for n in (5, 10, 20) if n < (steps or 5)]
+    assert all(abs(kept_share(rate, n) - kept_share(rate, 2 * n)) * most > 1e-3 for n in fewer)
+    assert abs(kept_share(rate, steps or 5) - kept_share(rate, 2 * (steps or 5))) * most <= 1e-3
+    assert told == "" if steps is None else f"so give env.substeps={steps}," in told
+    if steps is not None:
+        elsewhere = float(f"{abs(kept_share(rate, 5) - kept_share(rate, 10)) * most:.2g}")
+        assert f"ends {elsewhere:g} ranges" in told or rate == 800.0  # there it leaves all numbers
