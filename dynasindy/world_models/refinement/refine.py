@@ -21,7 +21,7 @@ from dynasindy.world_models.refinement.one_step import refine_one_step
 from dynasindy.world_models.refinement.order import moving_on
 from dynasindy.world_models.refinement.shapes import fit_shapes
 from dynasindy.world_models.refinement.shooting import RunsAway
-from dynasindy.world_models.refinement.trajectory import WORSE, Descent, refine_trajectory, strain, trajectory_cost
+from dynasindy.world_models.refinement.trajectory import WORSE, Descent, few_steps, refine_trajectory, strain
 from dynasindy.world_models.regression.regression import Regression, RunningSums
 from dynasindy.world_models.writers.fast_field import generate
 
@@ -248,7 +248,7 @@ class Refinement:
         few, data = replace(descent, max_rounds=STEPS), recording.data
 
         def _cost(trial: float) -> float:
-            return trajectory_cost(*found, free, recording.measured(trial), few, recording.guessed(trial).x)
+            return few_steps(*found, free, recording.measured(trial), few, recording.guessed(trial).x)[0]
 
         return fine_delay(delay, data.dt, self.longest_delay, math.log(max(len(data), 2)), _cost)
 

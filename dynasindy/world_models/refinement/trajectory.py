@@ -235,10 +235,12 @@ def _search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) 
     return estimate
 
 
-def trajectory_cost(
+def few_steps(
     library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor
-) -> float:
-    """Return N/2 times the logarithm of the squared errors that a few steps leave over, summed over measured states.
+) -> tuple[float, Estimate, Tensor]:
+    """Return what a few steps leave over, the estimate they end at, and squared errors by window, `(W, n_x)`.
+
+    The first is N/2 times the logarithm of the squared errors, summed over measured states.
 
     Args:
         library: candidate functions.
@@ -248,13 +250,6 @@ def trajectory_cost(
         descent: how many steps, over which windows.
         start: guess of the states before each transition, `(N, n_x)`.
     """
-    return few_steps(library, xi, free, data, descent, start)[0]
-
-
-def few_steps(
-    library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor
-) -> tuple[float, Estimate, Tensor]:
-    """Return what `trajectory_cost` does, the estimate it is of, and the squared errors by window, `(W, n_x)`."""
     some = spread(len(data), ENOUGH)
     support, data = (xi != 0) & free, data.to(torch.float64).select(some)
     estimate, windows = _grown(Estimate(library, xi, start[some]), support, data, descent)

@@ -104,7 +104,7 @@ def test_noisy_samples_are_smoothed_under_every_delay_that_is_tried(longest, mon
 
         return called
 
-    for name in ("refine_trajectory", "trajectory_cost"):
+    for name in ("refine_trajectory", "few_steps"):
         monkeypatch.setattr(refine, name, kept(getattr(refine, name)))
     refinement = Refinement("trajectory", window=10, longest_delay=longest)
     found = refinement.run(LIBRARY, column(A, B, 0, 0), FREE, noisy)
