@@ -238,9 +238,7 @@ def _search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) 
 def few_steps(
     library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor
 ) -> tuple[float, Estimate, Tensor]:
-    """Return what a few steps leave over, the estimate they end at, and squared errors by window, `(W, n_x)`.
-
-    The first is N/2 times the logarithm of the squared errors, summed over measured states.
+    """Return N/2 log of the squared errors that a few steps leave, summed, their estimate, and errors by window.
 
     Args:
         library: candidate functions.
@@ -253,9 +251,8 @@ def few_steps(
     some = spread(len(data), ENOUGH)
     support, data = (xi != 0) & free, data.to(torch.float64).select(some)
     estimate, windows = _grown(Estimate(library, xi, start[some]), support, data, descent)
-    parameters = Parameters.where(support)
-    estimate = _converge(estimate, parameters, windows, descent.max_rounds)
-    model = linearise(estimate, parameters, windows)
+    estimate = _converge(estimate, Parameters.where(support), windows, descent.max_rounds)
+    model = linearise(estimate, Parameters.where(support), windows)
     return _left_over(model, windows), estimate, (model.errors * model.sigma).square().sum(1)
 
 
