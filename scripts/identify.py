@@ -45,18 +45,24 @@ def draw(found: "Identified", source: "Source", folder: Path, formats: list[str]
 
     from dynasindy import viz
 
-    names = {"names": source.signature.state_names, "units": source.signature.state_units}
     training, validation = source.training, source.validation
+    shown, against = ("log", "the log") if source.logged else ("real", "the real plant")
     figures = {
         "training_data": viz.training_data(
-            torch.arange(len(training)) * training.dt, training.x, segment=training.segment, **names
+            torch.arange(len(training)) * training.dt,
+            training.x,
+            training.u,
+            source.signature,
+            segment=training.segment,
         ),
         "prediction": viz.prediction(
             torch.arange(len(validation)) * validation.dt,
             validation.x_next,
             found.predicted,
-            segment=validation.segment,
-            **names,
+            source.signature,
+            f"Free-running prediction of data that the fit did not see, against {against}",
+            validation.segment,
+            shown,
         ),
     }
     for name, figure in figures.items():

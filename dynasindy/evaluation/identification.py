@@ -41,12 +41,14 @@ class Source:
         training: transitions to fit.
         validation: transitions that the fit does not see.
         notes: sentences on how the data came about.
+        logged: whether they are a log, so that nothing is known of the plant but what was measured.
     """
 
     signature: Signature
     training: Transitions
     validation: Transitions
     notes: tuple[str, ...] = ()
+    logged: bool = False
 
 
 @dataclass(frozen=True)
@@ -150,7 +152,7 @@ class Logged:
         recording = self.recording(system)
         data, place = recording.transitions, torch.arange(len(recording.transitions))
         cut = int(len(data) * (1 - self.validation_share))
-        return Source(recording.signature, data.select(place < cut), data.select(place >= cut), recording.notes)
+        return Source(recording.signature, data.select(place < cut), data.select(place >= cut), recording.notes, True)
 
     def recording(self, system: System | None) -> Recording:
         """Read the file, all of it; of the plant the names are used at most."""

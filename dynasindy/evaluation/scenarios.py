@@ -19,7 +19,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.data.sound import require_finite
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.disturbances import SensorNoise
+from dynasindy.evaluation.disturbances import SensorNoise, Told
 from dynasindy.evaluation.given import plain_name
 from dynasindy.evaluation.metrics import steady_seconds, tracking_metrics
 from dynasindy.limits import Count, check_memory
@@ -93,6 +93,7 @@ class Evaluation:
         metrics: Per row, see `dynasindy.evaluation.metrics`.
         windows: Times `(start, end)` at which the plant was disturbed [s], where that was not all the time.
         boxes: Extents of the outputs' targets, `(n_r,)`; one of each unit if empty.
+        disturbances: What disturbed it and by how much, in words.
     """
 
     scenario: str
@@ -103,6 +104,7 @@ class Evaluation:
     metrics: dict[str, Tensor]
     windows: tuple[Window, ...] = ()
     boxes: tuple[float, ...] = ()
+    disturbances: tuple[str, ...] = ()
 
     @property
     def steady_seconds(self) -> float:
@@ -211,8 +213,10 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensi
     scenario = replace(scenario, seconds=scenario.seconds or env.task.max_steps * env.dt)
     calm, task = _prepare(env, scenario, 0 if sensing is None else sensing.observer.width)
     wrapped = policy if sensing is None else sensing.on(calm, sensing.rng).controller(policy)
+    disturbing: list[object] = [scenario.plant(calm.system)] if scenario.plant else []
     for wrap in scenario.wrappers:
         wrapped = wrap(wrapped, calm)
+        disturbing.append(wrapped)
         if sensing is not None and isinstance(wrapped, SensorNoise):  # noise is of what the observer reads
             sensing, wrapped = sensing.noisier(wrapped.std.tolist()), wrapped.policy
     state = task.initial_state(torch.Size((scenario.episodes,)), calm.rng)
@@ -223,7 +227,8 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensi
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.random.fork_rng():
         _check_action(policy, start, env.system.signature.n_u, scenario.name)
         trajectory = _run(calm, wrapped, scenario, start, sensing)
-    return _measure(calm, task, scenario, trajectory)
+    words = tuple(each.words() for each in disturbing if isinstance(each, Told))
+    return replace(_measure(calm, task, scenario, trajectory), disturbances=words)
 
 
 def _prepare(env: ControlEnv, scenario: Scenario, width: int) -> tuple[ControlEnv, Task]:

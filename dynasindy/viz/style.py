@@ -84,13 +84,14 @@ def styled(draw: Callable[P, T]) -> Callable[P, T]:
 def panels(
     rows: int, columns: int = 1, size: tuple[float, float] = (7.0, 4.0), title: str = "", sharex: bool = True
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure of `size` [inch] and its axes row by row."""
+    """Return a figure of `size` [inch] and its axes row by row; a long line of the title is wrapped."""
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots(rows, columns, sharex=sharex, squeeze=False)
     for axis in axes.flat:
         axis.xaxis.set_major_locator(MaxNLocator(steps=[1, 2, 5, 10]))
     if title:
-        figure.suptitle(textwrap.fill(title, int(11 * size[0])), fontsize=11)  # some eleven letters an inch
+        lines = [textwrap.fill(line, int(11 * size[0])) for line in title.split("\n")]  # some eleven letters an inch
+        figure.suptitle("\n".join(lines), fontsize=11)
     return figure, list(axes.flat)
 
 

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 from dynasindy.agents import TD3
 from dynasindy.control import load
@@ -111,6 +112,16 @@ def test_the_end_leaves_policy_model_and_metrics(recorded):
         assert metrics["held"]["share"][axis] == pytest.approx(final[f"steady_state_error/{axis}"], rel=1e-5)
     assert not metrics["verdict"]["controlled"] and metrics["verdict"]["held"].startswith("NOT CONTROLLED: ")
     assert len(rows(folder / "data" / "step_response.csv")) == 120
+    assert metrics["drawn"]["row"] == 0 and metrics["drawn"]["words"].startswith("episode 1 of 2, ")
+
+
+def test_what_the_fit_leaves_out_stands_on_the_clock_of_the_table(recorded):
+    _, _, recorder = recorded
+    touched = torch.tensor([0, 1, 1, 0, 0, 1, 0, 1], dtype=torch.bool).unsqueeze(-1)
+    # A second try begins with row 5: the table has an empty row before it, so that all later ones are a period later.
+    counts = torch.tensor([0, 1, 2, 3, 4, 0, 1, 2]).unsqueeze(-1)
+    excited = TensorDict({"step_count": counts, "next": {"at_stop": touched}}, [8])
+    assert recorder._left_out(excited) == [[0.05, 0.15], [0.3, 0.35], [0.4, 0.45]]
 
 
 def test_steps_of_evaluation_are_counted_apart(tmp_path):
