@@ -55,16 +55,14 @@ def main(cfg: DictConfig) -> None:
 
 
 def draw(session: "Session") -> None:
-    """Draw each flight: references, what was measured, inputs."""
-    from dynasindy.viz import save, tracking
+    """Draw each flight: references, what was measured, inputs, and what ended it early."""
+    from dynasindy.viz.flight import flight
+    from dynasindy.viz.style import save
 
-    for name, flight in session.shown.items():
-        if not len(flight.time):  # it ended before its first sample
-            continue
-        units = [f"{output} [{unit}]" for output, unit in zip(flight.names, flight.units, strict=True)]
-        given = flight.time, flight.references, {"measured": flight.outputs}, {"measured": flight.inputs}, units
-        inputs, title = session.wiring.signature.input_names, f"{name.replace('_', ' ')} on the rig"
-        save(tracking(*given, inputs, title), session.folder / "figures" / name)
+    for name, shown in session.shown.items():
+        if len(shown.time):  # it did not end before its first sample
+            figure = flight(shown, session.wiring, session.guard, name)
+            save(figure, session.folder / "figures" / name)
 
 
 if __name__ == "__main__":

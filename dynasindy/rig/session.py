@@ -144,7 +144,8 @@ class Session:
 
         name = f"flight_{len(self.flights)}"
         flown = self._fly(name, _act, len(rows))
-        shown = Shown.of(self.folder / f"{name}.csv", self.wiring.signature, controller.outputs, rows)
+        fault = "" if flown.fault is None else f"{flown.fault.kind}: {flown.fault}"
+        shown = Shown.of(self.folder / f"{name}.csv", self.wiring.signature, controller.outputs, rows, fault)
         self.shown[name] = shown
         self.tell(f"  {shown.words()}")
         return flown

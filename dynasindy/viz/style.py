@@ -160,11 +160,16 @@ def name_single(axis: Axes, x: Array, y: Array, color: str) -> None:
 
 def legend_above(axis: Axes) -> None:
     """Put the legend above an axis: what moves leaves no corner free."""
-    labels = axis.get_legend_handles_labels()[1]
+    named = dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))  # what is drawn twice is told once
+    labels = list(named)
     # An entry takes its letters and a sample of its line; more than a row holds would press the axis together.
     rows = -(-sum(len(label) + 6 for label in labels) // ROW)
     columns = max(1, -(-len(labels) // max(1, rows)))
-    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, columnspacing=1.2, handlelength=1.6)
+    at = (1.0, 1.0)
+    axis.legend(
+        list(named.values()), labels, loc="lower right", bbox_to_anchor=at, ncols=columns, columnspacing=1.2,
+        handlelength=1.6,
+    )  # fmt: skip
 
 
 def legend_beside(axis: Axes) -> None:
