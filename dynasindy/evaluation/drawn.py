@@ -51,7 +51,7 @@ def _better(evaluation: Evaluation, row: int) -> str:
     if not evaluation.columns:
         return f"{int((evaluation.returns > evaluation.returns[row]).sum())} others earn more"
     errors = _errors(evaluation).mean(1).amax(-1)
-    return f"{int((errors < errors[row]).sum())} others have a smaller mean error"
+    return f"{int((errors < errors[row]).sum())} others have a smaller error"
 
 
 def _errors(evaluation: Evaluation) -> torch.Tensor:

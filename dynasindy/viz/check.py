@@ -232,7 +232,7 @@ def recovery(planes: Sequence[Drawn], title: str = "Comes back from these errors
         planes: Names, units, errors of the first and the second state `(n,)`, and whether it comes back `(n, n)`.
         title: of the figure.
     """
-    figure, axes = panels(1, max(1, len(planes)), (3.6 * max(1, len(planes)), 3.6), title, sharex=False)
+    figure, axes = panels(1, max(1, len(planes)), (max(6.0, 3.6 * len(planes)), 3.8), title, sharex=False)
     for axis, (names, units, first, second, back) in zip(axes, planes, strict=False):
         axis.pcolormesh(
             array(first), array(second), array(back).T, cmap=ListedColormap([RED, GREEN]), vmin=0, vmax=1, alpha=0.6

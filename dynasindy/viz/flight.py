@@ -44,7 +44,8 @@ def flight(shown: Shown, wiring: Wiring, guard: Guard, name: str) -> Figure:
         room = 0.3 * (top - bottom)
         for end in guard.ranges.get(output, ()):
             if bottom - room < end < top + room:  # one that is far off would flatten the flight
-                axis.axhline(end, color=ORANGE, linestyle="-.", linewidth=1.0, label="range of the guard")
+                axis.axhline(end, color=ORANGE, linestyle="-.", linewidth=1.0)
+                figure.axes[0].plot([], [], color=ORANGE, linestyle="-.", linewidth=1.0, label="range of the guard")
     for axis in figure.axes:
         if shown.fault:
             axis.axvline(ended, color=RED, linewidth=1.0, label="ended, safe input")

@@ -31,6 +31,8 @@ from dynasindy.viz.style import (
 
 BEYOND = 0.6
 """A prediction is drawn as far as this part of the plant's own range beyond it."""
+LOST = 10.0
+"""A prediction ends where it is off by more than this part of the range."""
 GAP = "gap: samples missing or left out"
 MOST = 50
 """More gaps than these are not marked, as the marks would hide the data."""
@@ -126,7 +128,8 @@ def prediction(
     figure, axes, columns = _panels(names, signature.state_units, title)
     for i in range(len(names)):
         wide = truths[:, i].max() - truths[:, i].min()
-        x, measured, free = (_broken(v, segment) for v in (seconds, truths[:, i], model[:, i]))
+        ended = _until_lost(model[:, i], truths[:, i], wide)
+        x, measured, free = (_broken(v, segment) for v in (seconds, truths[:, i], ended))
         axes[i].plot(x, measured, color=BLACK, linewidth=1.2, label=truth)
         axes[i].plot(x, free, color=RED, linestyle=":", linewidth=1.8, label="predicted")
         axes[i].set_title(_fit(truths[:, i], model[:, i], wide), fontsize=8.5, loc="right")
@@ -196,7 +199,7 @@ def growing_error(time: ArrayLike, error: ArrayLike, title: str = "Open-loop err
     axis.set_yscale("log")
     axis.set_xlim(0.0, array(time).max(initial=0.0) or 1.0)
     axis.set_xlabel("time [s]")
-    axis.set_ylabel("state error [ranges]")
+    axis.set_ylabel("RMS error of the states [ranges]")
     return figure
 
 
@@ -242,7 +245,7 @@ def _panels(names: Sequence[str], units: Sequence[str], title: str) -> tuple[Fig
 def _input(axis: Axes, seconds: Array, values: Array, name: str, segment: ArrayLike | None = None) -> None:
     """Draw an input as it is held, up to the end of its last period."""
     x, u = _broken(seconds, segment), _broken(values, segment)
-    axis.step(np.append(x, span(seconds)[1]), np.append(u, u[-1:]), where="post", color=BLUE, linewidth=1.0)
+    axis.step(np.append(x, span(seconds)[1]), np.append(u, u[-1:]), where="post", color=BLUE)
     axis.set_ylim(-1.08, 1.08)
     axis.set_ylabel(label(name, "-"))
 
@@ -260,6 +263,13 @@ def _mark_gaps(axes: Sequence[Axes], seconds: Array, segment: ArrayLike | None) 
     for place in places if len(places) <= MOST else []:
         for axis in axes:
             axis.axvline(seconds[place], color=GREY, linestyle=":", linewidth=0.9, label=GAP)
+
+
+def _until_lost(predicted: Array, real: Array, wide: float) -> Array:
+    """Return a prediction up to where it is so far off that what follows would only streak the panel."""
+    with np.errstate(invalid="ignore"):
+        lost = ~(np.abs(predicted - real) <= LOST * wide) if wide > 0 else ~np.isfinite(predicted)
+    return np.where(np.logical_or.accumulate(lost), np.nan, predicted)
 
 
 def _say_unmeasured(axis: Axes, values: Array) -> None:

@@ -24,7 +24,7 @@ def test_where_all_begin_alike_it_is_the_first_whatever_came_of_it() -> None:
     found = drawn(evaluation([[0.0, 0.0]] * 4, [[0.5, 0.0], [0.1, 0.0], [0.9, 0.0], [0.2, 0.3]]))
     assert found.row == 0
     # 0.1 and 0.3, the larger one of 0.2 and 0.3, are less than 0.5.
-    assert found.words == "episode 1 of 4, the same for every controller; 2 others have a smaller mean error"
+    assert found.words == "episode 1 of 4, the same for every controller; 2 others have a smaller error"
 
 
 @pytest.mark.parametrize(("boxes", "row"), [((), 2), ((1.0, 10.0), 1)])

@@ -43,8 +43,9 @@ def test_a_flight_that_did_not_end_early_has_no_line_for_it() -> None:
 
 def test_the_range_of_the_guard_is_drawn_where_it_is_near() -> None:
     figure = flight(ENDED, WIRING, Guard(low={"theta": -5.0}, high={"theta": 0.45}), "flight_1")
-    levels = [line.get_ydata()[0] for line in figure.axes[0].lines if line.get_label() == "range of the guard"]
-    assert levels == [0.45] and "range of the guard" in words(figure)
+    lines = [line for line in figure.axes[0].lines if line.get_linestyle() == "-." and len(line.get_xdata())]
+    levels = [line.get_ydata()[0] for line in lines]
+    assert levels == [0.45] and words(figure)[2:] == ["range of the guard", "ended, safe input"]
 
 
 def test_an_output_without_a_sensor_is_said_to_have_none() -> None:

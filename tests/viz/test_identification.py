@@ -155,3 +155,11 @@ def test_the_panel_above_an_empty_place_has_its_times() -> None:
     figure = training_data(TIME, STATES[:, :4], TIME[:, None], signature)
     assert [axis.get_xlabel() for axis in figure.axes] == ["", "", "", "time [s]", "time [s]", ""]
     assert not figure.axes[5].get_visible() and figure.axes[3].xaxis.get_tick_params()["labelbottom"]
+
+
+def test_a_prediction_ends_where_it_is_lost() -> None:
+    wild = STATES.copy()
+    wild[60, 0], wild[60, 1] = 20.0, 9.0  # ranges 1 and 2: ten ranges off are lost, four come back
+    drawn = [axis.lines[1].get_ydata() for axis in prediction(TIME, STATES, wild).axes]
+    assert np.isnan(drawn[0]).tolist() == [False] * 60 + [True] * 40
+    assert not np.isnan(drawn[1]).any()
