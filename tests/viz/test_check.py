@@ -1,7 +1,49 @@
 import numpy as np
 import pytest
+import torch
 
-from dynasindy.viz.check import coefficients, nyquist, recovery, steps
+from dynasindy.checking import Check, Loop, Plant, Settings, check
+from dynasindy.control import Controller
+from dynasindy.control.controller import Pace
+from dynasindy.systems import Signature
+from dynasindy.tasks import Step, Tracking, TrackingReward
+from dynasindy.viz.check import coefficients, draw, nyquist, recovery, steps
+from dynasindy.world_models import SindyModel
+
+CART = Signature(("p", "v"), ("m", "m/s"), ("force",), (2.0, 3.0))
+
+
+def held_cart(draws: int) -> Check:
+    """Return the check of p' = v, v' = force under force = 2 (r - p) - 2.5 v, at -0.4, 0 and 0.4 m."""
+
+    def law(tensordict):
+        seen = tensordict["observation"]  # p / 2, v / 3 and the error over 0.5
+        return tensordict.set("action", 2.0 * 0.5 * seen[..., 2:] - 2.5 * 3.0 * seen[..., 1:2])
+
+    model = SindyModel(CART, ["force", "v"], known={"p": "v"})
+    model.set_coefficients(torch.tensor([[0.0, 1.0], [1.0, 0.0]], dtype=torch.float64))
+    task = Tracking(CART, Step([[0.0]]), ["p"], ["v"], TrackingReward((1.0,)))
+    loop = Loop(Controller(law, Pace(task, 0.1, 2, None)), Plant(model, 0.1, 0.05, None))
+    return check(loop, Settings((-0.4,), (0.4,), points=3, seconds=5.0, grid=3, draws=draws))
+
+
+def test_the_figures_of_a_check_name_their_targets():
+    figures = draw(held_cart(draws=2))
+    loops = [line.get_label() for line in figures["nyquist"].axes[0].lines if " m" in line.get_label()]
+    assert sorted(loops) == ["$p$ = -0.4 m", "$p$ = 0 m", "$p$ = 0.4 m"]
+    assert figures["steps"].get_suptitle() == "Step from the origin to $p$ = -0.4 m, the farthest target"
+    told = " ".join(figures["recovery"].get_suptitle().split())
+    assert "comes back to $p$ = 0 m: within 5 s to 5 % of each output's range (asked for: 90% of them)" in told
+    assert figures["coefficients"].get_suptitle().endswith("at the worst of 3 targets")
+
+
+@pytest.mark.parametrize("draws", [0, 2])
+def test_the_model_itself_steps_to_the_farthest_target_with_or_without_other_plants(draws):
+    found = held_cart(draws)
+    target, model, *others = draw(found)["steps"].axes[0].lines
+    assert set(target.get_ydata()) == {-0.4} and len(others) == draws
+    np.testing.assert_allclose(model.get_ydata(), found.steps.x[0, :, 0])
+    assert model.get_ydata()[-1] == pytest.approx(-0.4, abs=0.02)
 
 
 def test_a_loop_is_drawn_for_each_input_beside_the_point_that_it_must_not_go_around():
