@@ -24,6 +24,7 @@ from dynasindy.agents import Actor
 from dynasindy.control import Controller
 from dynasindy.control.controller import Pace
 from dynasindy.data.csv import Recording
+from dynasindy.data.rates import mismatched
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.identification import Logged
@@ -120,7 +121,8 @@ def identify(
         longest_delay: Longest delay of the inputs that is looked for [s].
 
     Returns:
-        The model; `equations()` shows it, `save` keeps it. A warning says which state misses its rate.
+        The model; `equations()` shows it, `save` keeps it. A warning says which state misses its rate, and which rate is
+            in other units than its state.
 
     Raises:
         ValueError: The data or the library do not allow a fit.
@@ -128,12 +130,15 @@ def identify(
     """
     refinement = Refinement(method, longest_delay=longest_delay)
     model = SindyModel(log.signature, library, Regression("bic", tolerance=1e-4), refinement, known=known)
+    rates = {state: rate for rate, state in rates_of(model).items()}
+    for found in mismatched(log.transitions, log.signature, rates):
+        warnings.warn(SETTINGS.sub("", str(found)), stacklevel=3)  # past the context manager
     model.fit(log.transitions)
     for name in moving_on(model.library, log.transitions):
         warnings.warn(
             f"{name} moves on whatever states and inputs say, so its rate is a state, too: give identify(known={{"
             f"'{name}': '{name}_rate'}}), and read(states=...) with '{name}_rate': {{'unit': ...}} if it has no column",
-            stacklevel=3,  # past the context manager
+            stacklevel=3,
         )
     return model
 

@@ -4,6 +4,7 @@ import copy
 import csv
 import math
 import re
+import warnings
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -223,6 +224,17 @@ def test_a_warning_says_which_state_misses_its_rate(exact):
     alone = Recording(replace(t, x=t.x[:, :1], x_next=t.x_next[:, :1]), Signature(("theta",), ("rad",), ("u",), (1.0,)))
     with pytest.warns(UserWarning, match=r"theta moves on .*: give identify\(known=\{'theta': 'theta_rate'\}\)"):
         assert dynasindy.identify(alone).delay == 0
+
+
+def test_a_warning_says_which_rate_is_in_other_units(exact):
+    """The pendulum's angle in degrees, beside its rate in rad/s; neither is warned of in one unit."""
+    t, degrees = exact.transitions, torch.tensor([180 / math.pi, 1.0])
+    wrong = Recording(replace(t, x=t.x * degrees, x_next=t.x_next * degrees), exact.signature)
+    with pytest.warns(UserWarning, match=r"Omega does not fit theta, .* is 57\.3 times Omega; degrees beside rad/s\?"):
+        dynasindy.identify(wrong, WORDS, {"theta": "Omega"}, "one_step")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        dynasindy.identify(exact, WORDS, {"theta": "Omega"}, "one_step")
 
 
 def test_errors_name_arguments_and_no_settings_of_scripts(tmp_path, exact):

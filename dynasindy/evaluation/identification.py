@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.data.csv import Column, CsvLog, Recording, infer
+from dynasindy.data.rates import mismatched
 from dynasindy.data.simulated import disturb, record
 from dynasindy.data.table import all_headings, split_unit
 from dynasindy.evaluation import verdict
@@ -24,6 +25,7 @@ from dynasindy.told import tell
 from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.models.prediction import nrmse, one_step_error, open_loop
 from dynasindy.world_models.refinement.delay import delayed
+from dynasindy.world_models.refinement.measured import rates_known
 from dynasindy.world_models.refinement.order import moving_on
 from dynasindy.world_models.writers.tables import to_csv, to_latex, to_text
 
@@ -256,6 +258,13 @@ def missing_rates(model: SindyModel, source: Source) -> list[str]:
     ]
 
 
+def wrong_units(model: SindyModel, source: Source) -> list[str]:
+    """Say which measured rates are not the slopes of their states, a line for each."""
+    names = source.signature.state_names
+    known = {names[i]: names[rate] for rate, i in rates_known(model.library, model.constraints).items()}
+    return [f"warning: {found}" for found in mismatched(source.training, source.signature, known)]
+
+
 def to_words(found: Identified, source: Source) -> str:
     """Write equations, fit, identifiability, what the data show, errors, notes and a verdict for a reader."""
     signature, shown = source.signature, found.forecasts
@@ -267,7 +276,7 @@ def to_words(found: Identified, source: Source) -> str:
     lines.append("validation, open loop, relative to each state's deviation")
     lines += [f"  {state:<10} {_percent(error)}" for state, error in free.items()]
     lines += [f"note: {note}" for note in source.notes]
-    lines += missing_rates(found.model, source)
+    lines += [*wrong_units(found.model, source), *missing_rates(found.model, source)]
     if shown is None:
         return "\n".join([*lines, "the validation data are too short to judge how far ahead the model predicts"])
     return "\n".join([*lines, *verdict.judge(shown, signature)])
