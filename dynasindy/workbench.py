@@ -121,8 +121,8 @@ def identify(
         longest_delay: Longest delay of the inputs that is looked for [s].
 
     Returns:
-        The model; `equations()` shows it, `save` keeps it. A warning says which state misses its rate, and which rate is
-            in other units than its state.
+        The model; `equations()` shows it, `save` keeps it. A warning says which state misses its rate, and which
+            rate is in other units than its state.
 
     Raises:
         ValueError: The data or the library do not allow a fit.

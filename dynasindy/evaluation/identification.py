@@ -14,7 +14,7 @@ from torch import Tensor
 
 from dynasindy.data.csv import Column, CsvLog, Recording, infer
 from dynasindy.data.rates import mismatched
-from dynasindy.data.simulated import disturb, record
+from dynasindy.data.simulated import Ends, before_leaving, disturb, record
 from dynasindy.data.table import all_headings, split_unit
 from dynasindy.evaluation import verdict
 from dynasindy.evaluation.horizons import Forecasts, begun, forecast
@@ -61,6 +61,7 @@ class Simulated:
         substeps: Runge-Kutta steps of the plant between two samples.
         validation_seconds: length of the validation, random held inputs [s].
         seed: seed of noise and validation.
+        bounds: limits of states by name, beyond which nothing is recorded; one for both sides of zero, or both ends.
 
     Raises:
         ValueError: a time or the substeps are not positive, or the noise is negative.
@@ -71,6 +72,7 @@ class Simulated:
     substeps: int = 10
     validation_seconds: float = 20.0
     seed: int = 0
+    bounds: dict[str, Ends] | None = None
 
     def __post_init__(self) -> None:
         if not self.dt > 0 or not self.validation_seconds > 0 or not self.noise >= 0 or self.substeps < 1:
@@ -84,6 +86,7 @@ class Simulated:
 
         Raises:
             ValueError: there is no plant.
+            Diverged: it leaves its bounds soon.
         """
         if system is None:
             raise ValueError("data=simulated got no plant; it needs one of conf/system: give system=NAME, or data=csv")
@@ -104,10 +107,16 @@ class Simulated:
             seed=self.seed + 1,
         )
         training = record(system, signal.samples(self.dt), self.dt, self.substeps)
-        validation = record(system, unseen.samples(self.dt), self.dt, self.substeps)
         left_out = signal.samples(self.dt).shape[0] - len(training)
-        notes = (f"{left_out} samples that touched a stop were left out",) if left_out else ()
+        at_stop = f"{left_out} samples that touched a stop were left out" if left_out else ""
+        training, gone = self._before_leaving(training, system, "in the excitation")
+        validation = record(system, unseen.samples(self.dt), self.dt, self.substeps)
+        validation, lost = self._before_leaving(validation, system, "in the validation, under random inputs,")
+        notes = tuple(filter(None, (at_stop, gone, lost)))
         return Source(system.signature, disturb(training, self.noise, self.seed), validation, notes)
+
+    def _before_leaving(self, data: Transitions, system: System, what: str) -> tuple[Transitions, str]:
+        return before_leaving(data, system.signature, self.bounds or {}, what)
 
 
 @dataclass(frozen=True)
