@@ -216,5 +216,8 @@ def _leave_word(line: str) -> None:
     if any(folder.iterdir()) or HydraConfig.get().mode == RunMode.MULTIRUN:
         (folder / "error.txt").unlink(missing_ok=True)  # it may be a link in a run folder of others
         (folder / "error.txt").write_text(line + "\n")
-    else:
-        folder.rmdir()
+        return
+    folder.rmdir()
+    above = folder.parent  # runs/, which may be there for this run alone
+    if Path.cwd() in above.resolve().parents and not any(above.iterdir()):
+        above.rmdir()

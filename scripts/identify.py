@@ -24,8 +24,10 @@ def main(cfg: DictConfig) -> None:
 
     torch.set_num_threads(cfg.threads)
     built = {name: instantiate(cfg[name], _convert_="all") for name in ("data", "system", "excitation", "world_model")}
+    if (system := built["system"]) is not None and not cfg.data.get("path"):
+        built["world_model"](signature=system.signature)  # refuses functions before the plant moves
     tell("data")
-    source = built["data"].load(built["system"], built["excitation"])
+    source = built["data"].load(system, built["excitation"])
     found = identify(built["world_model"](signature=source.signature), source, cfg.horizons)
     folder = Path(cfg.folder)
     write(found, source, folder)

@@ -37,6 +37,8 @@ def main(cfg: DictConfig) -> None:
     knowledge = Knowledge(plant["library"], plant["known"] or {}, targets, planning=dict(cfg.planner or {}))
     wanted = targets_within(knowledge, cfg.targets)
     given = load(cfg.controller) if cfg.controller else None
+    if given is None:
+        knowledge.require_of(system.signature)
     with instantiate(cfg.rig, _convert_="all")(system=system, dt=cfg.dt) as rig:
         session = Session(rig, wiring, guard, Path(cfg.folder), tell=partial(print, flush=True))
         try:
