@@ -24,6 +24,7 @@ from dynasindy.excitation import Multisine
 from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
+from dynasindy.told import hearing
 from dynasindy.workbench import _period, foretell, sensors_of
 
 COUNT = 2 * math.pi / 4096
@@ -76,6 +77,17 @@ def test_the_controller_holds_the_plant_that_the_log_is_of(log, model, tmp_path)
         x = plant.advance(x, torch.from_numpy(u))[0][-1]
         if k > 150:
             assert abs(float(x[0]) - 0.4) < 0.03
+
+
+def test_what_is_under_way_is_told_and_nothing_is_printed(exact, capfd):
+    heard = []
+    with hearing(heard.append):
+        found = dynasindy.identify(exact, WORDS, {"theta": "Omega"}, "one_step")
+        dynasindy.plan(found, {"theta": (-0.6, 0.6)}, exact, updates=1, rollouts=4, window=5)
+    phases = list(dict.fromkeys(told.phase for told in heard))
+    assert phases[:2] == ["fit", "fit to each half of the log"] and "planning" in phases
+    assert capfd.readouterr() == ("", "")
+    assert dynasindy.Shown.__module__ == "dynasindy.terminal"
 
 
 def test_without_a_log_all_states_are_to_be_measured(model):
