@@ -90,7 +90,7 @@ def _required(cfg: DictConfig) -> dict[str, object]:
             "plant.outputs=[angle] plant.low=[-0.5] plant.high=[0.5]"
         )
     if not (within := cfg.evaluation.get("within", WITHIN)) > 0:
-        raise ValueError(f"evaluation.within must be positive, got {within}; give a share of the box of targets")
+        raise ValueError(f"evaluation.within must be positive, got {within}; give a share of the target range")
     build = instantiate(cfg.planning, _convert_="all")
     if not isinstance(build, partial) or build.func is not GradientPlanning:
         raise ValueError("without a plant a policy is planned through the model's gradient; leave planning=gradient")

@@ -79,8 +79,8 @@ def before_leaving(
     row = int(out.any(-1).int().argmax())
     i = int(out[row].int().argmax())
     name, unit = signature.state_names[i], signature.state_units[i]
-    ends = f"its bounds of {float(low[i]):g} to {float(high[i]):g} {unit}"
-    went = f"left {ends}" if name in bounds else f"ran away, beyond {float(high[i]):g} {unit},"
+    box = f"its bounds of {float(low[i]):g} to {float(high[i]):g} {unit}"
+    went = f"left {box}" if name in bounds else f"ran away, beyond {float(high[i]):g} {unit},"
     left = f"{what} {name} {went} after {(row + 1) * data.dt:.3g} s"
     if 2 * row < len(data):
         raise Diverged(

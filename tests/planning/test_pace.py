@@ -39,12 +39,18 @@ def test_the_twin_rotor_keeps_the_settings_that_it_was_measured_with(plant):
 def test_a_plant_that_runs_away_is_held_and_trained_in_smaller_steps():
     calm, wild = pace(Linear(-1.0, 1.0, 4.0)), pace(Linear(4.0, 0.0, 4.0))
     assert wild.held and not calm.held
+    # p'' = 4 p: exp(2 t) doubles every ln(2) / 2 s.
+    assert wild.why.startswith(
+        "the plant is unstable, without control a deviation doubles every 0.35 s; under a linear"
+    )
+    assert "unstable" not in calm.why and "fold" not in calm.why
     assert wild.lr < calm.lr
 
 
 def test_a_double_integrator_runs_away_although_no_mode_grows():
     # After 20 s a deviation of the rate has made one of 20 of the position: below the bound; after 80 s above it.
-    assert not pace(Linear(0.0, 0.0, 4.0), dt=0.05).held
+    slow = pace(Linear(0.0, 0.0, 4.0), dt=0.05)
+    assert not slow.held and slow.why.startswith("without control a deviation grows 20 times at most in an episode;")
     assert pace(Linear(0.0, 0.0, 1.0), dt=0.2).held
 
 
