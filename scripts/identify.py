@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from command import command
-from commands import called
+from commands import planning
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 if TYPE_CHECKING:
     from dynasindy.evaluation.identification import Identified, Source
@@ -33,12 +33,10 @@ def main(cfg: DictConfig) -> None:
     write(found, source, folder)
     draw(found, source, folder, list(cfg.formats))
     say(to_words(found, source), f"written to {folder}")
-    if cfg.data.get("path"):
-        words = f"data=csv data.path={cfg.data.path} plant.outputs=[NAME] plant.low=[NUMBER] plant.high=[NUMBER]"
-        say(f"next: {called('train')} {words} plans a controller on the log")
-    else:
-        system = HydraConfig.get().runtime.choices.system
-        say(f"next: {called('train')} system={system} excites, identifies and plans in one go")
+    job, logged = HydraConfig.get(), bool(cfg.data.get("path"))
+    lacking = [key for key in ("outputs", "low", "high") if OmegaConf.is_missing(cfg.plant, key)]
+    does = "plans a controller on the log" if logged else "excites, identifies and plans in one go"
+    say("next:", f"  {planning(job.overrides.task, logged, job.runtime.choices.system, lacking)}  # {does}")
 
 
 def draw(found: "Identified", source: "Source", folder: Path, formats: list[str]) -> None:
