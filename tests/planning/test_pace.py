@@ -87,7 +87,7 @@ def test_a_plant_without_a_rest_keeps_the_defaults():
 
 def test_targets_that_no_input_holds_are_told_beside_what_the_others_ask_for():
     some = pace(Linear(-1.0, 1.0, 0.25), low=(0.0,), high=(0.5,)).why  # an input of 1 holds 0.25
-    assert "slowest regulated mode" in some and "holds 32 of 64 targets, such as x = 0." in some
+    assert "slowest motion has a time constant of" in some and "holds 32 of 64 targets, such as x = 0." in some
     assert "no input" not in pace(Linear(-1.0, 1.0, 4.0)).why
 
 
