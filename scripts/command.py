@@ -74,7 +74,11 @@ def command(
                 check(cfg)
                 for folder in filter(None, (cfg.get("folder"), cfg.get("output"))):
                     require_writable(Path(folder))
-                return task(cfg)
+                try:
+                    return task(cfg)
+                finally:
+                    if not swept:
+                        _remove_empty(Path(HydraConfig.get().runtime.output_dir))
             return None  # a job of a sweep that failed
 
         main = hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)(guarded)
@@ -216,8 +220,14 @@ def _leave_word(line: str) -> None:
     if any(folder.iterdir()) or HydraConfig.get().mode == RunMode.MULTIRUN:
         (folder / "error.txt").unlink(missing_ok=True)  # it may be a link in a run folder of others
         (folder / "error.txt").write_text(line + "\n")
-        return
-    folder.rmdir()
-    above = folder.parent  # runs/, which may be there for this run alone
-    if Path.cwd() in above.resolve().parents and not any(above.iterdir()):
-        above.rmdir()
+    else:
+        _remove_empty(folder)
+
+
+def _remove_empty(folder: Path) -> None:
+    """Remove a run folder that holds nothing, as where `folder=` names another one, and runs/ if that was all in it."""
+    with suppress(OSError):  # another process may just have begun to use it
+        if folder.is_dir() and folder.resolve() != Path.cwd():
+            folder.rmdir()
+            if Path.cwd() in folder.resolve().parent.parents:
+                folder.parent.rmdir()
