@@ -73,6 +73,11 @@ def in_words(error: BaseException, config_name: str) -> str:
         return f"{part} got a setting of the wrong type or name ({' '.join(str(error).split())}); compare it with conf/"
     words = str(error).strip("'\"") if isinstance(error, KeyError) else str(error)
     text = " ".join(words.split()).partition(" Config search path:")[0]
+    if merged := re.match(r"Error merging override (.+)", text):
+        return (
+            f"'{merged[1]}' gives a group of keys where one value is wanted, or one value where a group of keys "
+            "stands; give it in a file of its own, as conf/ has it"
+        )
     misspelt = re.search(r"Could not override '([^']+)'", text)
     if not misspelt:
         return text

@@ -53,7 +53,7 @@ def test_a_file_without_a_column_costs_one_line(tmp_path):
 
 def test_a_function_that_is_not_known_is_refused_before_the_plant_moves(tmp_path):
     """A simulation as long as this would take minutes, and be refused as a file of two rows is."""
-    words = ["system=pendulum", "plant.library=['1',u,'sinh(theta)']", "excitation.duration=10000"]
+    words = ["system=tras", "plant.library=['1',u_a,'sinh(alpha_a)']", "excitation.duration=10000"]
     done = _run(tmp_path / "run", *words)
     assert (done.returncode, done.stdout) == (2, "") and not (tmp_path / "run").exists()
     assert done.stderr.startswith("error: function 'sinh' is not known; allowed are abs, bell, cos")

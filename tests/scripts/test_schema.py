@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
-from hydra.errors import MissingConfigException
+from hydra.errors import ConfigCompositionException, MissingConfigException
 from omegaconf import OmegaConf
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
@@ -177,3 +177,10 @@ def test_a_misspelt_option_of_any_group_costs_one_line_with_the_choices(group):
         f"'{options[0]}x' does not exist in '{group}'; allowed are {', '.join(options)}; did you mean"
     )
     assert "\n" not in line and "Hydra" not in line and "Could not" not in line
+
+
+def test_a_value_in_place_of_a_group_costs_one_line():
+    with initialize_config_dir(str(CONF), version_base="1.3"), pytest.raises(ConfigCompositionException) as error:
+        compose("identify", ["system=pendulum", "plant.library=[u]"])
+    line = in_words(error.value, "identify")
+    assert line.startswith("'plant.library=[u]' gives a group of keys where one value is wanted, or one value where a")
