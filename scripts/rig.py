@@ -23,6 +23,7 @@ def main(cfg: DictConfig) -> None:
     from dynasindy import load
     from dynasindy.rig import Wiring
     from dynasindy.rig.session import Knowledge, Session, targets_within
+    from dynasindy.terminal import Shown
 
     torch.set_num_threads(cfg.threads)
     system, sensors, guard = (instantiate(cfg[name], _convert_="all") for name in ("system", "sensors", "guard"))
@@ -37,6 +38,8 @@ def main(cfg: DictConfig) -> None:
     knowledge = Knowledge(plant["library"], plant["known"] or {}, targets, planning=dict(cfg.planner or {}))
     wanted = targets_within(knowledge, cfg.targets)
     given = load(cfg.controller) if cfg.controller else None
+    if given is None:
+        knowledge.require_of(system.signature)
     with instantiate(cfg.rig, _convert_="all")(system=system, dt=cfg.dt) as rig:
         session = Session(rig, wiring, guard, Path(cfg.folder), tell=partial(print, flush=True))
         try:
@@ -44,7 +47,9 @@ def main(cfg: DictConfig) -> None:
                 session.excite(instantiate(cfg.excitation, _convert_="all")(n_u=system.signature.n_u, dt=cfg.dt))
             for _ in range(cfg.flights):
                 if not session.failed:
-                    session.fly(given or session.learn(knowledge, cfg.seed), wanted, cfg.seconds)
+                    with Shown():  # while the rig rests; in a flight nothing else may draw
+                        controller = given or session.learn(knowledge, cfg.seed)
+                    session.fly(controller, wanted, cfg.seconds)
         except KeyboardInterrupt as stop:
             words = f"stopped; the rig was asked for its safe input, its logs are in {cfg.folder}"
             raise Stopped(words, getattr(stop, "signal", 2)) from stop

@@ -16,6 +16,7 @@ from dynasindy.checking.loop import Loop
 from dynasindy.checking.margins import Margins, margins
 from dynasindy.checking.noise import noise_gain
 from dynasindy.checking.uncertainty import Spread, Variants, spread, variants
+from dynasindy.told import tell
 
 
 @dataclass(frozen=True)
@@ -131,6 +132,7 @@ def check(loop: Loop, settings: Settings, errors: Tensor | None = None) -> Check
             f"low and high have {len(settings.low)} numbers; give one for each of {', '.join(loop.task.output_names)}"
         )
     targets = settings.targets
+    tell("where the loop rests", 0, len(targets), "targets")
     found = rest(loop, targets, seconds=settings.seconds)
     good = found.still & torch.from_numpy(found.linear.radius < 1)
     stable = good.tolist()
@@ -181,7 +183,8 @@ def _drawn(loop: Loop, targets: Tensor, others: Variants, seconds: float) -> Fli
         return None
     farthest = targets[_farthest(targets)]
     start = torch.zeros(others.draws, loop.signature.n_x)
-    return fly(loop.varied(others.coefficients[: others.draws]), start, farthest.expand(others.draws, -1), seconds)
+    plants = loop.varied(others.coefficients[: others.draws])
+    return fly(plants, start, farthest.expand(others.draws, -1), seconds, "steps of plants that differ from the model")
 
 
 def record(found: Check) -> dict[str, Any]:

@@ -95,11 +95,15 @@ class Recorder(Callback):
     def begin(self) -> None:
         """Open the logs and evaluate the untrained policy."""
         self._open_logs()
-        self.untrained = self.latest = summarise(self.evaluate())
+        self.untrained = self.latest = summarise(self.evaluate("untrained policy, for comparison"))
 
-    def evaluate(self) -> Evaluation:
-        """Run the deployed policy, without noise, in the scenario; its steps are counted apart from the real ones."""
-        evaluation = evaluate(self.plant, self.parts.agent.deployed, self.scenario, self.parts.sensing)
+    def evaluate(self, phase: str = "") -> Evaluation:
+        """Run the deployed policy, without noise, in the scenario; its steps are counted apart from the real ones.
+
+        Args:
+            phase: What is under way, in words.
+        """
+        evaluation = evaluate(self.plant, self.parts.agent.deployed, self.scenario, self.parts.sensing, phase)
         moved = evaluation.trajectory["next"].get("moved", None)  # of rows that may end before the others
         self.evaluation_steps += evaluation.trajectory.numel() if moved is None else int(moved.sum())
         return evaluation

@@ -192,7 +192,9 @@ def step_references(low: Sequence[float], high: Sequence[float], number: Count =
 
 
 @torch.no_grad()
-def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensing | None = None) -> Evaluation:
+def evaluate(
+    env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensing | None = None, phase: str = ""
+) -> Evaluation:
     """Run a policy, without exploration, in a scenario.
 
     The environment and all random generators are left as they were.
@@ -203,6 +205,7 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensi
         scenario: Situation to run it in.
         sensing: Sensors and observer through which the policy sees the plant; the metrics see it as it is. Noise of the
             scenario is then added to the measurements.
+        phase: What is under way, in words; the scenario's name says it by default.
 
     Raises:
         TypeError: The scenario has a reference and the task tracks none.
@@ -226,7 +229,7 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensi
         start = sensing.begin(start)
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.random.fork_rng():
         _check_action(policy, start, env.system.signature.n_u, scenario.name)
-        trajectory = _run(calm, wrapped, scenario, start, sensing)
+        trajectory = _run(calm, wrapped, scenario, start, sensing, phase or f"policy in scenario '{scenario.name}'")
     words = tuple(each.words() for each in disturbing if isinstance(each, Told))
     return replace(_measure(calm, task, scenario, trajectory), disturbances=words)
 
@@ -257,13 +260,13 @@ def _prepare(env: ControlEnv, scenario: Scenario, width: int) -> tuple[ControlEn
 
 
 def _run(
-    calm: ControlEnv, policy: Policy, scenario: Scenario, start: TensorDictBase, sensing: Sensing | None
+    calm: ControlEnv, policy: Policy, scenario: Scenario, start: TensorDictBase, sensing: Sensing | None, phase: str
 ) -> TensorDictBase:
     """Roll the policy out phase by phase, each phase with its own plant."""
     parts, total = [], round((scenario.seconds or 0.0) / calm.dt)
 
     def _told(env: EnvBase, step: TensorDictBase) -> None:
-        tell(f"flight '{scenario.name}'", int(step["step_count"].max()), total, "control periods")
+        tell(phase, int(step["step_count"].max()), total, "control periods")
 
     for steps, disturbed in _phases(scenario, calm.dt):
         plant = calm.with_system(scenario.plant(calm.system)) if disturbed and scenario.plant else calm
@@ -271,6 +274,7 @@ def _run(
         part = env.rollout(steps, policy, _told, auto_reset=False, tensordict=start, break_when_any_done=False)
         start = env.step_mdp(part[..., -1])
         parts.append(part)
+    tell(phase, total, total, "control periods")  # of the last step the environment tells no more
     trajectory: TensorDictBase = torch.cat(parts, -1)
     in_time = trajectory.transpose(0, 1).reshape(-1)
     where = f"evaluation in scenario '{scenario.name}'"

@@ -25,12 +25,18 @@ from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, ModelError, NoPlanning
 from dynasindy.systems import Tras
 from dynasindy.tasks import RandomStep, Step, Tracking
+from dynasindy.told import hearing
 from dynasindy.world_models import Oracle, SindyModel
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     return record(tmp_path_factory.mktemp("run"))
+
+
+@pytest.fixture(scope="module")
+def heard_at_begin(recorded):
+    return recorded[2].heard
 
 
 def record(folder, tensorboard=False):
@@ -50,7 +56,9 @@ def record(folder, tensorboard=False):
     parts = recipe.build()
     scenario = Scenario("step", Step([[0.1, 0.1], [0.2, -0.1]]), episodes=2, seconds=6.0)
     recorder = Recorder(folder, parts, scenario, every=2, episodes=3, tensorboard=tensorboard)
-    recorder.begin()
+    recorder.heard = []
+    with hearing(recorder.heard.append):
+        recorder.begin()
     train(parts, recipe.train, recorder)
     return folder, parts, recorder
 
@@ -58,6 +66,11 @@ def record(folder, tensorboard=False):
 def rows(path):
     with path.open() as file:
         return list(csv.DictReader(file))
+
+
+def test_the_first_evaluation_is_told_as_that_of_the_untrained_policy(heard_at_begin):
+    assert {told.phase for told in heard_at_begin} == {"untrained policy, for comparison"}
+    assert heard_at_begin[-1].done == heard_at_begin[-1].total == 120  # 6 s of 0.05 s
 
 
 def test_a_row_per_episode_with_the_cost_so_far(recorded):
