@@ -78,7 +78,7 @@ def _target(found: Check, number: int) -> str:
 
 
 def _steps(found: Check, limits: Thresholds) -> Figure:
-    """Draw the model's step to the farthest target, and those of the plants that it might have meant."""
+    """Draw the model's step to the farthest target, and those of plants within its uncertainty."""
     signature, outputs, far = found.loop.signature, found.loop.task.outputs, found.farthest
     x, u = found.steps.x[far : far + 1], found.steps.u[far : far + 1]
     if found.drawn is not None:
@@ -150,7 +150,7 @@ def steps(
     input_names: Sequence[str],
     title: str = "Step",
 ) -> Figure:
-    """Draw a step of the model and of plants that it might have meant, under one controller.
+    """Draw a step of the model and of plants within its uncertainty, under one controller.
 
     Args:
         dt: Control period [s].
@@ -164,7 +164,7 @@ def steps(
     y, u, r = array(outputs), array(inputs), array(reference)
     figure, axes = panels(len(names) + len(input_names), 1, (7.0, 2.1 * len(names) + 1.4 * len(input_names)), title)
     seconds = array(dt * np.arange(y.shape[1]))
-    others = f"{len(y) - 1} plants that it might have meant"
+    others = f"{len(y) - 1} plants within its uncertainty"
     looks: list[dict[str, Any]] = [{"color": BLUE, "zorder": 3, "label": "the model itself"}]
     looks += [{"color": SKY, "linewidth": 0.8, "label": "_" * (k > 0) + others} for k in range(len(y) - 1)]
     for i, (axis, (name, unit, error)) in enumerate(zip(axes, names, strict=False)):

@@ -106,7 +106,7 @@ def test_steps_of_the_model_and_of_other_plants_are_drawn_with_the_target_and_wh
     assert [text.get_text() for text in upper.get_legend().get_texts()] == [
         "target",
         "the model itself",
-        "3 plants that it might have meant",
+        "3 plants within its uncertainty",
         "steady error that passes",
     ]
     (band,) = upper.patches
