@@ -31,6 +31,8 @@ BEYOND = 10.0
 """Ranges of a state that limit the excitation where the plant names no bounds."""
 NEAR = 1.0
 """Ranges around the start within which the linear model is fitted."""
+ENOUGH = 2
+"""Rows near the start per number of a linear equation; fewer would fit noise, and no loop is closed."""
 MARGIN = 0.9
 """Largest mean input of the loop."""
 
@@ -176,7 +178,7 @@ class Loop:
         data = transitions(rows, parts.plant.log_dt)
         middle = 0.5 * (data.x + data.x_next) - home
         near = (middle.abs() <= NEAR * scale).all(-1)
-        if not bool(near.any()):
+        if int(near.sum()) < ENOUGH * (len(scale) + data.u.shape[-1] + 1):
             return
         a, b, c = _linear(middle[near] / scale, data.u[near], ((data.x_next - data.x) / data.dt)[near] / scale)
         a, b, c = a * scale.unsqueeze(-1) / scale, b * scale.unsqueeze(-1), c * scale
