@@ -17,12 +17,18 @@ from dynasindy.evaluation.rows import Row, append_rows, read_rows
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "docs" / "examples"
+UNTUNED = (
+    *("maglev", "reactor", "ball_on_beam", "furuta", "arm", "four_tanks"),
+    *("ship", "springs", "room", "balancer", "boost", "bioreactor"),
+)
+"""Plants of docs/examples that no setting was tuned on."""
 PLANTS = {
     **{name: [f"system={name}"] for name in ("van_der_pol", "cart_pole", "quadrotor", "tanks", "swing_up")},
     "pendulum_v1": ["system=gymnasium", "env.id=Pendulum-v1", "train.episodes=0"],
     "pendulum_own": ["system=gymnasium", "env.id=Pendulum-v1", "task=own", "train.episodes=0"],
     **{name: [f"system={name}", "train.episodes=0"] for name in ("inverted_pendulum", "double_pendulum", "reacher")},
     "mountain_car": ["system=gymnasium", "env.id=MountainCarContinuous-v0", "train.episodes=0"],
+    **{name: [f"system={name}"] for name in UNTUNED},
 }
 """Plants, and the words that choose them: those of docs/examples, and environments of Gymnasium."""
 COLUMNS = (

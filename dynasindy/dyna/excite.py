@@ -22,8 +22,10 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from dynasindy.agents.classical.linearise import zero_order_hold
 from dynasindy.data.recording import transitions
 from dynasindy.dyna.parts import Parts
+from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
 from dynasindy.planning.regulator import riccati
+from dynasindy.systems import steps_needed
 from dynasindy.tasks import Tracking
 from dynasindy.told import tell
 
@@ -101,6 +103,25 @@ def left_out(rows: TensorDict) -> str:
     return (
         f"The excitation reached a mechanical stop in {count} of {rows.numel()} control periods, which the fit leaves "
         "out; a smaller excitation.amplitude, or another offset, would leave more data."
+    )
+
+
+def coarse(plant: ControlEnv, rows: TensorDict) -> str:
+    """Say in one line that the Runge-Kutta steps of a simulated plant are too long for it; empty if they are not.
+
+    Args:
+        plant: The environment, whose states are seen as they are.
+        rows: What `excite` returned.
+    """
+    if type(plant) is not ControlEnv:
+        return ""  # another simulator, or a rig, moves it
+    x, u = rows["state"], rows["action"].to(rows["state"].dtype)
+    needed, apart = steps_needed(plant.system, x, u, plant.dt, plant.substeps, plant.stops)
+    if needed == plant.substeps:
+        return ""
+    return (
+        f"The simulation of the plant is coarse: with twice as many Runge-Kutta steps a control period ends "
+        f"{apart:.2g} ranges of a state elsewhere, so give env.substeps={needed}, or a shorter env.dt."
     )
 
 

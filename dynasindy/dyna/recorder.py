@@ -21,7 +21,7 @@ from dynasindy.control import Controller, save
 from dynasindy.control.controller import Pace
 from dynasindy.control.files import NAME
 from dynasindy.dyna.callback import Callback, Cost, Episode
-from dynasindy.dyna.excite import left_out, restarts
+from dynasindy.dyna.excite import coarse, left_out, restarts
 from dynasindy.dyna.parts import Parts
 from dynasindy.dyna.verdict import judge
 from dynasindy.evaluation.files import whole, with_units, write_csv, write_json, write_text
@@ -111,7 +111,8 @@ class Recorder(Callback):
                 "The first fit, of the excitation alone; model.json has the equations of the last fit that was kept.\n"
             )
             write_text(self.folder / "identification.txt", f"{head}{report.to_text()}\n")
-        words = ["" if self.parts.sensing is not None else restarts(self.parts, excited), left_out(excited)]
+        seen = [] if self.parts.sensing is not None else [restarts(self.parts, excited), coarse(self.plant, excited)]
+        words = [*seen, left_out(excited)]
         self.restarts = " ".join(filter(None, words))
         self._write_rollout("excitation", excited)
 

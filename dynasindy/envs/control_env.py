@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch
@@ -41,6 +42,8 @@ class ControlEnv(EnvBase):
     """
 
     batch_locked = False
+    left_beyond = math.inf
+    """Ranges of a state at whose end an episode is over and stays; a model is asked about where it runs away."""
 
     def __init__(
         self,
@@ -101,6 +104,7 @@ class ControlEnv(EnvBase):
             seed=seed,
         )
         env.stops = self.stops  # the beam's, not the model's: a model knows nothing of them
+        env.left_beyond = self.left_beyond
         return env
 
     def with_task(self, task: Task, seed: int = 0) -> ControlEnv:
@@ -175,7 +179,23 @@ class ControlEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         x = tensordict["state"]
-        return self._moved(tensordict, *self.advance(x, tensordict["action"].to(x.dtype)))
+        samples, touched = self.advance(x, tensordict["action"].to(x.dtype))
+        if math.isfinite(self.left_beyond):
+            samples = self._left(x, samples)
+        return self._moved(tensordict, samples, touched)
+
+    def _left(self, x: Tensor, samples: Tensor) -> Tensor:
+        """Return samples `(*batch, substeps, n_x)` of which an episode ends where its first states leave their ranges.
+
+        It stays there: those states at the end of their ranges, the others where the period began.
+        """
+        ends = self.left_beyond * torch.tensor(self.system.signature.x_scale, dtype=x.dtype)
+        beyond = samples.abs() > ends
+        first = samples.gather(-2, beyond.int().argmax(-2, keepdim=True)).squeeze(-2)
+        there = torch.where(beyond.any(-2), torch.minimum(torch.maximum(first, -ends), ends), x)
+        was = (x.abs() >= ends).any(-1, keepdim=True)
+        over = was | beyond.any(-2).any(-1, keepdim=True)
+        return torch.where(over.unsqueeze(-2), torch.where(was, x, there).unsqueeze(-2), samples)
 
     def _moved(self, tensordict: TensorDictBase, samples: Tensor, touched: Tensor) -> TensorDict:
         """Return what a step shows.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -173,9 +174,10 @@ def predict(
     shown: Evaluation | None = None
     for model in models:
         env = LateEnv(plan.with_system(model, torch.float64), float(getattr(model, "delay", 0.0)))
-        try:
+        result: Evaluation | None = None
+        with suppress(Diverged):
             result = evaluate(env, policy, scenario, None if sensing is None else sensing.on(env, sensing.rng))
-        except Diverged:
+        if result is None or bool(result.lost.any()):
             flights.append(None)
             errors.append(math.inf)
             continue

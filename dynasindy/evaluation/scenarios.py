@@ -24,7 +24,7 @@ from dynasindy.evaluation.given import plain_name
 from dynasindy.evaluation.metrics import steady_seconds, tracking_metrics
 from dynasindy.limits import Count, check_memory
 from dynasindy.sensing import Sensing, unveiled
-from dynasindy.systems import Signature, System
+from dynasindy.systems import Diverged, Signature, System, integrate, steps_needed
 from dynasindy.tasks import Reference, Step, Task, Tracking
 from dynasindy.told import tell
 
@@ -32,6 +32,8 @@ Policy = Callable[[TensorDictBase], TensorDictBase]
 """Reads `observation` (or `state` and `reference`) of a tensordict and writes `action`."""
 PolicyWrapper = Callable[[Policy, ControlEnv], Policy]
 Window = tuple[float, float]
+LOST = 1e4
+"""Ranges of a state at whose end a flight is over and the plant stays, as its numbers would soon overflow."""
 
 
 @dataclass(frozen=True)
@@ -143,6 +145,13 @@ class Evaluation:
         return self.trajectory["next", "at_stop"].float().mean((-1, -2))
 
     @property
+    def lost(self) -> Tensor:
+        """Whether the plant left all sensible states in an episode, so that it was over, bool `(episodes,)`."""
+        states = self.trajectory["next", "state"]
+        ends = LOST * torch.tensor(self.signature.x_scale, dtype=states.dtype)
+        return (states.abs() >= ends).any(-1).any(-1)
+
+    @property
     def own_returns(self) -> Tensor | None:
         """What a Gymnasium environment itself pays per episode, `(episodes,)`; None of other plants."""
         paid = self.trajectory["next"].get("own_reward", None)
@@ -196,8 +205,8 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensi
     Raises:
         TypeError: The scenario has a reference and the task tracks none.
         ValueError: The policy gives no action, or one of the wrong shape.
-        Diverged: The policy gives an action that is not finite, the plant leaves all finite states, or the task gives
-            a reward that is not finite.
+        Diverged: The policy gives an action that is not finite, the plant moves to no number, or the task gives a
+            reward that is not finite. A plant that runs away is left at the end of `LOST` ranges.
     """
     scenario = replace(scenario, seconds=scenario.seconds or env.task.max_steps * env.dt)
     calm, task = _prepare(env, scenario, 0 if sensing is None else sensing.observer.width)
@@ -237,7 +246,9 @@ def _prepare(env: ControlEnv, scenario: Scenario, width: int) -> tuple[ControlEn
         f"scenario.episodes={scenario.episodes} of {task.max_steps * env.dt:g} s (scenario.seconds) in periods of "
         f"{env.dt} s",
     )
-    return env.with_task(task, seed=scenario.seed), task
+    calm = env.with_task(task, seed=scenario.seed)
+    calm.left_beyond = LOST
+    return calm, task
 
 
 def _run(
@@ -257,8 +268,30 @@ def _run(
         parts.append(part)
     trajectory: TensorDictBase = torch.cat(parts, -1)
     in_time = trajectory.transpose(0, 1).reshape(-1)
-    require_finite(in_time, f"evaluation in scenario '{scenario.name}'")
+    where = f"evaluation in scenario '{scenario.name}'"
+    _require_fine(calm, in_time, where)
+    require_finite(in_time, where)
     return trajectory if sensing is None else unveiled(trajectory)
+
+
+def _require_fine(env: ControlEnv, rows: TensorDictBase, where: str) -> None:
+    """Refuse a simulation whose numbers go wrong because its Runge-Kutta steps are too long.
+
+    Raises:
+        Diverged: With shorter steps they would not.
+    """
+    lost = ~rows["next", "samples"].flatten(1).isfinite().all(-1) & rows["state"].isfinite().all(-1)
+    if type(env) is not ControlEnv or not bool(lost.any()):
+        return
+    row = rows[int(lost.int().argmax())]
+    x, u = row["state"].unsqueeze(0), row["action"].to(row["state"].dtype).unsqueeze(0)
+    needed, _ = steps_needed(env.system, x, u, env.dt, env.substeps, env.stops)
+    if needed > env.substeps and bool(integrate(env.system, x, u, env.dt, needed, env.stops)[0].isfinite().all()):
+        raise Diverged(
+            f"{where}: in control period {int(row['step_count']) + 1} the simulation of the plant breaks down, as its "
+            f"Runge-Kutta steps of {env.dt / env.substeps:g} s are too long; give env.substeps={needed}, or a shorter "
+            "env.dt"
+        )
 
 
 def _phases(scenario: Scenario, dt: float) -> list[tuple[int, bool]]:

@@ -87,7 +87,7 @@ def rests_of(env: ControlEnv) -> Rests | None:
         return None
     generator = torch.Generator().manual_seed(0)
     start = task.initial_state(torch.Size((16,)), generator).double().mean(0)
-    return find_rests(env.system, task.outputs, _targets(task, generator), start)
+    return find_rests(env.system, task.outputs, _targets(task, generator), start, env.dt)
 
 
 def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettings:
@@ -101,8 +101,9 @@ def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettin
     if rests is None:
         window, substeps = min(UNTOLD, env.task.max_steps), min(finest, SUBSTEPS)
         return PlanSettings(window, 3e-3, 400, 8, substeps, why="the task has no references")
+    unheld = _unheld(env, rests)
     if not len(rests):
-        return PlanSettings(why="the model has no rest in the box of targets")
+        return PlanSettings(why=unheld)
     moved, seconds = rests.moved, env.task.max_steps * env.dt
     scale = torch.tensor(env.system.signature.x_scale, dtype=torch.float64)[moved]
     places = torch.linspace(0, len(rests) - 1, min(LOOKED_AT, len(rests))).long()
@@ -115,12 +116,29 @@ def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettin
     window = 60 if math.isnan(slowest) else WINDOW * round(TIME_CONSTANTS * slowest / WINDOW)
     window = max(2 * WINDOW, min(window, LONGEST))
     loop = "no regulator holds it" if regulator is None else f"slowest regulated mode {slowest:.3g} periods"
+    grows = f"a deviation grows {grown:.2g}-fold in an episode; {loop}"
+    why = f"{grows}; {unheld}" if unheld else grows
     if not grown > GROWN:
-        return PlanSettings(
-            window=window, substeps=substeps, why=f"a deviation grows {grown:.2g}-fold in an episode; {loop}"
-        )
-    return PlanSettings(
-        window, 3e-3, 200, 3, substeps, regulator is not None, f"a deviation grows {grown:.2g}-fold; {loop}"
+        return PlanSettings(window=window, substeps=substeps, why=why)
+    return PlanSettings(window, 3e-3, 200, 3, substeps, regulator is not None, why)
+
+
+def _unheld(env: ControlEnv, rests: Rests) -> str:
+    """Say how many targets no input in its range holds in the model, and what one would take; empty if all are held."""
+    if not len(rests.unheld):
+        return ""
+    signature, task = env.system.signature, env.task
+    assert isinstance(task, Tracking)
+    would = rests.needed.isfinite().all(-1)
+    k = int(would.int().argmax())
+    names = [signature.state_names[i] for i in task.outputs]
+    target = ", ".join(f"{name} = {value:.3g}" for name, value in zip(names, rests.unheld[k].tolist(), strict=True))
+    inputs = zip(signature.input_names, rests.needed[k].tolist(), strict=True)
+    needs = ", ".join(f"{name} = {value:.3g}" for name, value in inputs)
+    such = f"such as {target}" + (f", which would take {needs}" if bool(would.any()) else "")
+    return (
+        f"in the model no input within [-1, 1] holds {len(rests.unheld)} of {len(rests.unheld) + len(rests)} targets, "
+        f"{such}"
     )
 
 

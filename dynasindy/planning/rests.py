@@ -25,6 +25,8 @@ ITERATIONS = 60
 LEFT, NEARLY = 1e-3, 5e-2
 """Rate of change [ranges of the states per second] that counts as none; the larger one where no reference has a rest by
 the smaller: a cosine and a sine of one angle, both tracked, have one in theory, and nearly one in a fitted model."""
+PERIOD = 0.05
+"""Control period that `LEFT` and `NEARLY` are meant for [s]; a plant of a longer one is slower, and rests with less."""
 _STEP = 1e-5
 
 
@@ -39,6 +41,8 @@ class Rests:
         a: df/dx, `(n, n_x, n_x)` [1/s].
         b: df/du, `(n, n_x, n_u)` [1/s].
         moved: States that take part: those tracked and those that anything depends on, bool `(n_x,)`.
+        unheld: Values of the tracked states that no input within its range holds, `(m, n_r)`.
+        needed: Inputs that would hold them, `(m, n_u)`, NaN where no input would.
     """
 
     targets: Tensor
@@ -47,6 +51,8 @@ class Rests:
     a: Tensor
     b: Tensor
     moved: Tensor
+    unheld: Tensor
+    needed: Tensor
 
     def __len__(self) -> int:
         """Count the references that have a rest."""
@@ -57,7 +63,7 @@ class Rests:
         return int((self.targets - self.targets.mean(0)).square().sum(-1).argmin())
 
 
-def find_rests(system: System, outputs: Sequence[int], targets: Tensor, start: Tensor) -> Rests:
+def find_rests(system: System, outputs: Sequence[int], targets: Tensor, start: Tensor, dt: float) -> Rests:
     """Return the rests that some references have; those without one, or with inputs beyond their range, are left out.
 
     Args:
@@ -65,14 +71,14 @@ def find_rests(system: System, outputs: Sequence[int], targets: Tensor, start: T
         outputs: Places of the tracked states.
         targets: References, `(n, n_r)`.
         start: State near which rests are searched, `(n_x,)`.
+        dt: Control period [s], which tells how slow a plant is that does not rest.
     """
-    targets, start = targets.double(), start.double()
-    rests = _found(system, outputs, targets, start, LEFT)
-    return rests if len(rests) else _found(system, outputs, targets, start, NEARLY)
+    targets, search = targets.double(), _Search(system, list(outputs), start.double(), dt)
+    rests = _found(search, targets, LEFT)
+    return rests if len(rests) else _found(search, targets, NEARLY)
 
 
-def _found(system: System, outputs: Sequence[int], targets: Tensor, start: Tensor, left: float) -> Rests:
-    search = _Search(system, list(outputs), start)
+def _found(search: _Search, targets: Tensor, left: float) -> Rests:
     centre = targets[(targets - targets.mean(0)).square().sum(-1).argmin()]
     first = search.solve(centre.expand(STARTS, -1), search.guesses())
     good = search.left(first, centre.expand(STARTS, -1)) < left
@@ -80,10 +86,11 @@ def _found(system: System, outputs: Sequence[int], targets: Tensor, start: Tenso
     begin = first[size.argmin()] if bool(good.any()) else search.guess
     found = search.solve(targets, begin.expand(len(targets), -1))
     x, u = search.parts(found, targets)
-    good = (search.left(found, targets) < left) & (u.abs() <= 1 + 1e-6).all(-1)
-    a, b = slopes(system, x, u)
-    good &= a.isfinite().all(-1).all(-1) & b.isfinite().all(-1).all(-1)
-    return Rests(targets[good], x[good], u[good], a[good], b[good], search.moved)
+    rests = search.left(found, targets) < left
+    a, b = slopes(search.system, x, u)
+    good = rests & (u.abs() <= 1 + 1e-6).all(-1) & a.isfinite().all(-1).all(-1) & b.isfinite().all(-1).all(-1)
+    needed = u.where(rests.unsqueeze(-1), torch.nan)
+    return Rests(targets[good], x[good], u[good], a[good], b[good], search.moved, targets[~good], needed[~good])
 
 
 def slopes(system: System, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
@@ -140,10 +147,10 @@ def states_that_matter(system: System, outputs: Sequence[int], start: Tensor) ->
 class _Search:
     """Levenberg and Marquardt's method on f(x, u) = 0, many references at once, in ranges of the states."""
 
-    def __init__(self, system: System, outputs: list[int], start: Tensor) -> None:
+    def __init__(self, system: System, outputs: list[int], start: Tensor, dt: float) -> None:
         signature = system.signature
         self.system, self.outputs, self.start = system, outputs, start
-        self.scale = torch.tensor(signature.x_scale, dtype=torch.float64)
+        self.scale, self.pace = torch.tensor(signature.x_scale, dtype=torch.float64), dt / PERIOD
         self.free = [i for i in range(signature.n_x) if i not in outputs]
         self.moved = states_that_matter(system, outputs, start)
         self.guess = torch.cat([start[self.free] / self.scale[self.free], torch.zeros(signature.n_u).double()])
@@ -164,8 +171,8 @@ class _Search:
 
     @torch.no_grad()
     def residual(self, v: Tensor, targets: Tensor) -> Tensor:
-        """Return the rates of change that count, in ranges of the states per second."""
-        dx: Tensor = self.system(*self.parts(v, targets)) / self.scale
+        """Return the rates of change that count, in ranges of the states per second of a plant of `PERIOD`."""
+        dx: Tensor = self.pace * self.system(*self.parts(v, targets)) / self.scale
         return dx[..., self.moved]
 
     def left(self, v: Tensor, targets: Tensor) -> Tensor:

@@ -2,11 +2,23 @@
 
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.diverged import Diverged
-from dynasindy.systems.integrators import integrate, rk4
+from dynasindy.systems.integrators import integrate, rk4, steps_needed
 from dynasindy.systems.pendulum import Pendulum
 from dynasindy.systems.stops import Stops
 from dynasindy.systems.tras import Tras
 from dynasindy.systems.trms33 import Trms33
 from dynasindy.systems.xi import Xi
 
-__all__ = ["Diverged", "Pendulum", "Signature", "Stops", "System", "Tras", "Trms33", "Xi", "integrate", "rk4"]
+__all__ = [
+    "Diverged",
+    "Pendulum",
+    "Signature",
+    "Stops",
+    "System",
+    "Tras",
+    "Trms33",
+    "Xi",
+    "integrate",
+    "rk4",
+    "steps_needed",
+]

@@ -12,6 +12,10 @@ from dynasindy.systems.plain import plain
 from dynasindy.systems.stops import Stops
 
 VectorField = Callable[[Tensor, Tensor], Tensor]
+COARSE = 1e-3
+"""Ranges of a state that a control period may end elsewhere when its Runge-Kutta steps are halved."""
+MOST_DOUBLINGS = 8
+"""How often they are halved at most."""
 
 
 def rk4(f: VectorField, x: Tensor, u: Tensor, dt: float) -> Tensor:
@@ -63,3 +67,33 @@ def integrate(
             touched = touched | stopped
         samples.append(x)
     return torch.stack(samples, -2), touched
+
+
+def steps_needed(
+    f: System, x: Tensor, u: Tensor, dt: float, substeps: int, stops: Stops | None = None
+) -> tuple[int, float]:
+    """Return how many Runge-Kutta steps a control period needs so that twice as many end it in the same place.
+
+    Args:
+        f: Vector field, whose signature has the ranges of the states.
+        x: States at the start of the period, `(n, n_x)`.
+        u: Inputs held over the period, `(n, n_u)`.
+        dt: Control period [s].
+        substeps: Number of Runge-Kutta steps in the period that is asked about.
+        stops: Mechanical stops, if any; periods that touch them do not count.
+
+    Returns:
+        `substeps`, doubled as often as it takes, up to eight times; and how far from where `substeps` ends a period
+        twice as many do, at most [ranges of a state], infinite where either ends at no number.
+    """
+    scale = torch.tensor(f.signature.x_scale, dtype=x.dtype)
+    (ends, touched), apart = integrate(f, x, u, dt, substeps, stops), []
+    for doublings in range(MOST_DOUBLINGS + 1):
+        finer, also = integrate(f, x, u, dt, substeps * 2 ** (doublings + 1), stops)
+        free = ~(touched | also)
+        distance = (finer[..., -1, :] - ends[..., -1, :]).abs() / scale
+        apart.append(float(distance[free].nan_to_num(torch.inf, torch.inf).amax()) if bool(free.any()) else 0.0)
+        if apart[-1] <= COARSE:
+            break
+        ends, touched = finer, also
+    return substeps * 2**doublings, apart[0]

@@ -1,6 +1,7 @@
 """The examples are plants as docs/extending.md has them, and their rows are what a run says."""
 
 import importlib.util
+import math
 from pathlib import Path
 
 import pytest
@@ -12,11 +13,17 @@ from dynasindy.benchmarks.plants import EXAMPLES, PLANTS, rows_of
 ROOT = Path(__file__).parents[2]
 
 
-def example(name):
-    spec = importlib.util.spec_from_file_location("plants", EXAMPLES / "plants.py")
+def example(name, file="plants"):
+    spec = importlib.util.spec_from_file_location(file, EXAMPLES / f"{file}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return getattr(module, name)()
+
+
+def more(name, x, u):
+    """Return the rates of change of one of the plants that no setting was tuned on."""
+    given = (torch.tensor(values, dtype=torch.float64) for values in (x, u))
+    return example(name, "more_plants")(*given).tolist()
 
 
 WRITTEN = [name for name, words in PLANTS.items() if words == [f"system={name}"] and name != "swing_up"]
@@ -25,10 +32,12 @@ WRITTEN = [name for name, words in PLANTS.items() if words == [f"system={name}"]
 @pytest.mark.parametrize("name", WRITTEN)
 def test_each_example_is_a_short_plant_with_a_file(name):
     facts = yaml.safe_load((EXAMPLES / "conf" / "system" / f"{name}.yaml").read_text())
-    system = example(facts["system"]["_target_"].partition(".")[2])
+    file, _, name = facts["system"]["_target_"].partition(".")
+    system = example(name, file)
     assert set(facts["plant"]["outputs"]) <= set(system.signature.state_names)
     x, u = torch.zeros(3, system.signature.n_x), torch.zeros(3, system.signature.n_u)
     assert system(x, u).shape == x.shape
+    assert facts["plant"]["known"].keys() <= set(system.signature.state_names)
 
 
 def test_the_examples_rest_where_physics_says():
@@ -43,6 +52,70 @@ def test_the_examples_rest_where_physics_says():
     leaning = pole(torch.tensor([0.0, 1e-3, 0.0, 0.0]), torch.zeros(1))
     assert float(leaning[3]) == pytest.approx(9.81e-3 / (0.5 * (4 / 3 - 0.1 / 1.1)), rel=1e-4)
     assert float(example("VanDerPol")(torch.tensor([0.5, 1.0]), torch.tensor([0.1]))[1]) == pytest.approx(1.5)
+
+
+def test_the_plants_that_nothing_was_tuned_on_rest_where_their_equations_say():
+    """Each equality is solved by hand from the equations of textbooks, with the constants of the docstrings."""
+    rest = pytest.approx([0.0] * 3, abs=1e-9)
+    assert more("Maglev", [10.0, 0.0, 1.0], [0.0]) == rest
+    assert more("Maglev", [8.0, 0.0, 0.8], [-0.2]) == rest  # the pull goes as (i / d)^2
+    # Steady state of the reactor at 350 K: k = 7.2e10 e^-25, c = 1 / (1 + k), and the jacket takes 209.2 k c.
+    k = 7.2e10 * math.exp(-25.0)
+    jacket = 350.0 - 209.2 * k / (1 + k) / 2.092
+    assert more("Reactor", [1 / (1 + k), 350.0], [(jacket - 300.0) / 20.0]) == pytest.approx([0.0, 0.0], abs=1e-9)
+    # A solid ball on a slope: 5/7 g sin(a); on a level beam that turns it is thrown outwards.
+    assert more("BallOnBeam", [0.2, 0.0, -0.1, 0.0], [0.0])[1] == pytest.approx(5 / 7 * 9.81 * math.sin(0.1))
+    assert more("BallOnBeam", [0.2, 0.0, 0.0, 3.0], [0.0])[1] == pytest.approx(5 / 7 * 0.2 * 9.0)
+    assert more("Arm", [0.3, 0.0], [0.4 * math.sin(0.3)]) == pytest.approx([0.0, 0.0], abs=1e-9)
+    assert more("Arm", [0.0, 1.0], [0.0])[1] == pytest.approx(-3.0)
+    assert more("Ship", [0.7, 0.01, 0.26], [0.26 / 0.6]) == pytest.approx([0.01, 0.0, 0.0], abs=1e-9)
+    # Pushed with 4 N and at rest, no spring but the wall's is bent: 5 N/m.
+    assert more("Springs", [0.8, 0.8, 0.8, 0.0, 0.0, 0.0], [0.5]) == pytest.approx([0.0] * 6, abs=1e-9)
+    assert more("Springs", [0.0, 0.5, 0.5, 0.0, 0.0, 0.0], [0.0])[3:] == pytest.approx([11.25, -11.25, 0.0])
+    wall = (20.0 / 5400 + 5.0 / 10800) / (1 / 5400 + 1 / 10800)
+    assert more("Room", [20.0, wall], [(20.0 - wall) / 9.0 - 1]) == pytest.approx([0.0, 0.0], abs=1e-12)
+    # An ideal boost converter at a duty of 0.5 would give 24 V; 2.4 A through 0.1 ohm leave 0.24 V less on its coil.
+    assert more("Boost", [2.4, 24.0], [0.0]) == pytest.approx([-240.0, 0.0])
+    assert more("Bioreactor", [3.7, 0.6], [(0.5 * 0.6 / 1.4 - 0.15) / 0.12]) == pytest.approx([0.0, 0.0], abs=1e-9)
+
+
+def test_four_tanks_keep_their_water_and_flow_as_torricelli_says():
+    x, u = [12.0, 13.0, 1.5, 2.0], [0.1, -0.2]
+    pumped = 3.34 * 3.0 * (1.1 + 0.8)
+    lower = 0.071 * math.sqrt(2 * 981 * 12.0) + 0.057 * math.sqrt(2 * 981 * 13.0)
+    stored = sum(area * rate for area, rate in zip((28.0, 32.0, 28.0, 32.0), more("FourTanks", x, u), strict=True))
+    assert stored == pytest.approx(pumped - lower)
+    assert more("FourTanks", x, u)[2] == pytest.approx((0.4 * 10.02 * 0.8 - 0.071 * math.sqrt(2 * 981 * 1.5)) / 28.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "mass", "height"),
+    [
+        ("Balancer", lambda c: [[5.0, 1.2 * c], [1.2 * c, 0.76]], 1.2 * 9.81),
+        ("Furuta", lambda c: [[8.5e-4 + 1.3e-4 * (1 - c * c), 1.3e-4 * c], [1.3e-4 * c, 1.3e-4]], 0.0152),
+    ],
+)
+def test_what_swings_freely_changes_its_energy_by_what_friction_and_motor_do(name, mass, height):
+    """The power of motor and friction is the rate of q'Mq'/2 + height cos(angle), by Lagrange."""
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(5):
+        a, b, v, w = torch.randn(4, generator=generator, dtype=torch.float64).tolist()
+        u = 0.3
+        _, _, dv, dw = more(name, [a, b, v, w], [u])
+
+        def _energy(t, b=b, v=v, w=w, dv=dv, dw=dw):
+            rates = torch.tensor([v + t * dv, w + t * dw], dtype=torch.float64)
+            angle = b + t * w
+            matrix = torch.tensor(mass(math.cos(angle)), dtype=torch.float64)
+            return float(rates @ matrix @ rates) / 2 + height * math.cos(angle)
+
+        power = (_energy(1e-5) - _energy(-1e-5)) / 2e-5
+        if name == "Balancer":
+            torque = 6.0 * u - 0.2 * (v / 0.1 - w)
+            given = torque * (v / 0.1 - w)
+        else:
+            given = (0.005 * (10.0 * u - 0.042 * v) - 2e-4 * v) * v - 5e-5 * w * w
+        assert power == pytest.approx(given, rel=1e-5, abs=1e-8)
 
 
 def test_rows_say_what_the_run_says():

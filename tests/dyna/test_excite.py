@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict
 
 from dynasindy.data.recording import transitions
-from dynasindy.dyna.excite import Loop, excite, interact, left_out, restarts, within
+from dynasindy.dyna.excite import Loop, coarse, excite, interact, left_out, restarts, within
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Multisine
 from dynasindy.systems import Signature, System, Xi
@@ -175,3 +175,32 @@ def test_periods_at_a_stop_are_told_as_they_are_left_out():
     fine = transitions(rows, 0.01)
     assert left_out(rows).startswith("The excitation reached a mechanical stop in 3 of 40 control periods")
     assert len(fine) == (40 - 3) * rows["next", "samples"].shape[-2]
+
+
+def kept_share(rate, steps):
+    """Return what n Runge-Kutta steps of z in a period of 0.05 s leave of x - u, where e^(-0.05 rate) is right."""
+    z = 0.05 * rate / steps
+    return (1 - z + z**2 / 2 - z**3 / 6 + z**4 / 24) ** steps
+
+
+@pytest.mark.parametrize(("rate", "steps"), [(5.0, None), (100.0, None), (220.0, 10), (800.0, 20)])
+def test_runge_kutta_steps_too_long_for_the_plant_are_told_with_as_many_as_it_needs(rate, steps):
+    class Lag(System):
+        """x' = rate (u - x)."""
+
+        def __init__(self):
+            super().__init__(Signature(("x",), ("m",), ("u",), (1.0,)))
+
+        def forward(self, x, u):
+            return rate * (u - x)
+
+    experiment = parts(Lag(), duration=2.0)
+    rows = excite(experiment)
+    told, most = coarse(experiment.plant, rows), float((rows["state"] - rows["action"]).abs().max())
+    fewer = [n for n in (5, 10, 20) if n < (steps or 5)]
+    assert all(abs(kept_share(rate, n) - kept_share(rate, 2 * n)) * most > 1e-3 for n in fewer)
+    assert abs(kept_share(rate, steps or 5) - kept_share(rate, 2 * (steps or 5))) * most <= 1e-3
+    assert told == "" if steps is None else f"so give env.substeps={steps}," in told
+    if steps is not None:
+        elsewhere = float(f"{abs(kept_share(rate, 5) - kept_share(rate, 10)) * most:.2g}")
+        assert f"ends {elsewhere:g} ranges" in told or rate == 800.0  # there it leaves all numbers

@@ -282,3 +282,22 @@ def test_real_equals_imagined_under_the_true_model():
     rollouts = [e.rollout(50, Constant(0.3, 0.9), auto_reset=False, tensordict=starts.clone()) for e in (env, imagined)]
     for key in ("state", "observation", "reward", "at_stop", "reference"):
         assert torch.equal(rollouts[0]["next", key], rollouts[1]["next", key]), key
+
+
+def test_an_episode_that_leaves_in_one_sample_stays_at_the_end_of_that_state_alone():
+    env = make(dtype=torch.float64)
+    env.left_beyond = 10.0
+    scale = torch.tensor(Tras().signature.x_scale, dtype=torch.float64)
+    x = 0.5 * scale.expand(3, 6).clone()
+    x[2, 1] = -10.0 * scale[1]  # has left before
+    samples = x.unsqueeze(1).expand(3, 5, 6).clone()
+    samples[0, 2, 4], samples[0, 3:, 4], samples[0, 3:, 0] = -1e3 * scale[4], math.nan, math.inf
+    samples[2] += scale
+    kept = env._left(x, samples)
+    assert torch.equal(kept[1], samples[1])
+    at_ends = x[0].clone()
+    at_ends[4], at_ends[0] = -10.0 * scale[4], 10.0 * scale[0]
+    assert torch.equal(kept[0], at_ends.expand(5, 6))
+    assert torch.equal(kept[2], x[2].expand(5, 6))
+    far = env.with_system(Xi(), seed=1)
+    assert far.left_beyond == 10.0 and make().left_beyond == math.inf

@@ -11,7 +11,7 @@ from dynasindy.agents import TD3
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, _phases, evaluate, step_references
 from dynasindy.evaluation.summary import heading, summarise, to_text
-from dynasindy.systems import Diverged, Pendulum, Tras, Xi
+from dynasindy.systems import Diverged, Pendulum, Signature, System, Tras, Xi
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward, Wave
 
 PITCH_ZERO = (-0.1223, 0.2100)
@@ -160,14 +160,58 @@ def test_a_policy_of_another_network_is_told_from_one_without_an_action() -> Non
         evaluate(make(), lambda td: td, short)
 
 
-def test_a_plant_that_runs_away_is_not_laid_on_the_policy() -> None:
-    class Explosion(Tras):
-        def forward(self, x, u):
-            return 1e3 * x**3 + 1.0
+def test_a_plant_that_runs_away_is_left_where_its_numbers_would_overflow() -> None:
+    class Growing(System):
+        """x' = 5 x + 5 u: from 0 under u = 1, x = e^(5 t) - 1; under u = 0 it stays at 0."""
 
-    scenario = Scenario("boom", seconds=2.0, plant=lambda _: Explosion(), windows=[(1.0, 2.0)])
-    with pytest.raises(Diverged, match=r"scenario 'boom': in control period 2\d the plant moves to \[.*(inf|nan)"):
+        def __init__(self) -> None:
+            super().__init__(Signature(("x",), ("m",), ("u",), (2.0,)))
+
+        def forward(self, x, u):
+            return 5 * x + 5 * u
+
+    reward = TrackingReward(error_weights=(1.0,))
+    task = Tracking(Growing().signature, Step([[1.0], [2.0]]), ["x"], [], reward)
+    env = ControlEnv(Growing(), task, 0.05, 50, dtype=torch.float64)
+
+    def policy(td: TensorDictBase) -> TensorDictBase:
+        return td.set("action", torch.tensor([[1.0], [0.0]]).expand(*td.batch_size, 1))
+
+    flown = evaluate(env, policy, Scenario("boom", Step([[1.0], [2.0]]), episodes=2, seconds=4.0))
+    x = flown.trajectory["next", "state"][..., 0]
+    # Within 1e4 ranges of 2 m as long as 5 t <= log(20001) = 9.90, that is in 39 periods of 0.05 s.
+    assert x[0, :39].tolist() == pytest.approx([math.expm1(0.25 * k) for k in range(1, 40)], rel=1e-6)
+    assert x[0, 39:].tolist() == [2e4] * 41
+    assert not x[1].any()
+    assert flown.lost.tolist() == [True, False]
+    assert bool(flown.returns.isfinite().all())
+
+
+def test_a_plant_without_a_number_is_not_laid_on_the_policy() -> None:
+    class Edge(Tras):
+        def forward(self, x, u):
+            return torch.full_like(x, math.nan)
+
+    scenario = Scenario("edge", seconds=2.0, plant=lambda _: Edge(), windows=[(1.0, 2.0)])
+    with pytest.raises(Diverged, match=r"scenario 'edge': in control period 21 the plant moves to \[nan"):
         evaluate(make(), TD3(8, 2, hidden=(8,)).deployed, scenario)
+
+
+def test_a_simulation_that_breaks_down_by_its_steps_alone_says_so() -> None:
+    class Stiff(System):
+        """h' = 10 u - 100 sqrt(h), a tank that fills in 20 ms: a step of 10 ms from empty ends below its bottom."""
+
+        def __init__(self) -> None:
+            super().__init__(Signature(("h",), ("m",), ("u",), (0.01,)))
+
+        def forward(self, x, u):
+            return 10.0 * u - 100.0 * torch.sqrt(x)
+
+    task = Tracking(Stiff().signature, Step([[1.0]]), ["h"], [], TrackingReward(error_weights=(1.0,)))
+    env, push = ControlEnv(Stiff(), task, 0.05, 5), lambda td: td.set("action", torch.ones(*td.batch_size, 1))
+    told = "scenario 'stiff': in control period 1 the simulation of the plant breaks down, as its Runge-Kutta steps of "
+    with pytest.raises(Diverged, match=rf"{told}0\.01 s are too long; give env\.substeps=\d0, or a shorter env\.dt$"):
+        evaluate(env, push, Scenario("stiff", Step([[1.0]]), episodes=1, seconds=1.0))
 
 
 def test_the_row_that_leaves_first_is_the_one_that_is_told() -> None:

@@ -72,7 +72,17 @@ def test_a_fast_mode_takes_smaller_steps(rate, steps):
 
 def test_a_plant_without_a_rest_keeps_the_defaults():
     found = pace(Linear(-100.0, 1.0, 1.0), low=(0.5,))
-    assert found == PlanSettings(why=found.why) and "no rest" in str(found)
+    assert found == PlanSettings(why=found.why)
+    # 0.5 m against a stiffness of 100 takes 50 of what pulls with 1.
+    assert str(found).endswith(
+        "in the model no input within [-1, 1] holds 64 of 64 targets, such as x = 0.5, which would take u = 50"
+    )
+
+
+def test_targets_that_no_input_holds_are_told_beside_what_the_others_ask_for():
+    some = pace(Linear(-1.0, 1.0, 0.25), low=(0.0,), high=(0.5,)).why  # an input of 1 holds 0.25
+    assert "slowest regulated mode" in some and "holds 32 of 64 targets, such as x = 0." in some
+    assert "no input" not in pace(Linear(-1.0, 1.0, 4.0)).why
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ class Cart(System):
 
 def test_a_pendulum_rests_where_its_torque_balances_gravity():
     targets = torch.tensor([[-0.8], [0.1], [0.9]])
-    rests = find_rests(Pendulum(), [0], targets, torch.zeros(2))
+    rests = find_rests(Pendulum(), [0], targets, torch.zeros(2), 0.05)
     torch.testing.assert_close(rests.x, torch.cat([targets, torch.zeros(3, 1)], -1).double(), atol=1e-6, rtol=0)
     torch.testing.assert_close(rests.u, 9.81 / 12.0 * torch.sin(targets.double()), atol=1e-6, rtol=0)
     wanted = torch.tensor([[0.0, 1.0], [-9.81 * math.cos(0.1), -0.5]], dtype=torch.float64)
@@ -35,12 +35,32 @@ def test_a_pendulum_rests_where_its_torque_balances_gravity():
 def test_a_target_beyond_the_inputs_has_no_rest():
     strong, weak = Pendulum(), Pendulum(max_torque=5.0)
     targets = torch.tensor([[0.2], [1.2]])  # the second takes 9.1 N m
-    assert len(find_rests(strong, [0], targets, torch.zeros(2))) == 2
-    assert find_rests(weak, [0], targets, torch.zeros(2)).targets.tolist() == [[pytest.approx(0.2)]]
+    assert len(find_rests(strong, [0], targets, torch.zeros(2), 0.05)) == 2
+    rests = find_rests(weak, [0], targets, torch.zeros(2), 0.05)
+    assert rests.targets.tolist() == [[pytest.approx(0.2)]] and rests.unheld.tolist() == [[pytest.approx(1.2)]]
+    assert rests.needed.tolist() == [[pytest.approx(9.81 * math.sin(1.2) / 5.0)]]
+
+
+class Hours(System):
+    """A pendulum whose seconds are hours."""
+
+    def __init__(self):
+        super().__init__(Pendulum(max_torque=5.0).signature)
+        self.plant = Pendulum(max_torque=5.0)
+
+    def forward(self, x, u):
+        return torch.stack((x[..., 1], self.plant(x, u)[..., 1] / 3600.0), -1) / 3600.0
+
+
+def test_a_plant_of_hours_rests_no_sooner_than_one_of_seconds():
+    targets = torch.tensor([[0.2], [1.2]])  # under u = 1, 4.1 N m lack: a ten-thousandth of a range a second
+    slow = find_rests(Hours(), [0], targets, torch.zeros(2), 0.05 * 3600.0)
+    assert slow.unheld.tolist() == [[pytest.approx(1.2)]]
+    torch.testing.assert_close(slow.u, torch.tensor([[9.81 * math.sin(0.2) / 5.0]]).double(), atol=1e-6, rtol=0)
 
 
 def test_a_state_that_nothing_depends_on_need_not_rest_and_spare_inputs_are_no_obstacle():
-    rests = find_rests(Cart(), [1], torch.tensor([[0.4], [1.2]]), torch.zeros(3))
+    rests = find_rests(Cart(), [1], torch.tensor([[0.4], [1.2]]), torch.zeros(3), 0.05)
     assert rests.moved.tolist() == [False, True, False] and len(rests) == 2
     torch.testing.assert_close(3 * (rests.u[:, 0] + 0.5 * rests.u[:, 1]), torch.tensor([0.08, 0.72]).double())
 

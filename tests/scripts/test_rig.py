@@ -76,8 +76,8 @@ def test_a_rig_in_another_process_is_excited_identified_planned_for_flown_and_re
     for time, *_ in (excited, first, second):
         assert np.allclose(np.diff(time), 0.05)
     assert np.nanmax(excited[1]) - np.nanmin(excited[1]) > 0.2
-    # While it planned, the rig swung towards rest at its safe input: from some 0.3 rad, and from the -0.4 rad of a flight's
-    # last target. Damping halves a swing in 2.8 s, and how long the planning takes is the machine's affair.
+    # While it planned, the rig swung towards rest at its safe input: from some 0.3 rad, and from the -0.4 rad of a
+    # flight's last target. Damping halves a swing in 2.8 s, and how long the planning takes is the machine's affair.
     assert abs(first[1, 0]) < 0.2 and abs(second[1, 0]) < 0.2
     end = second[1].reshape(2, -1)[:, -20:]
     assert np.nanmean(np.abs(end - [[0.5], [-0.4]])) < 0.1

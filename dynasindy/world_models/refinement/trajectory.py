@@ -50,6 +50,10 @@ TURNS = 4
 """Turns at most in which the model, and the sizes of pushes and noise, are estimated."""
 SETTLED = 1e-3
 """Part of a coefficient by which it may still change in the last of these turns."""
+SHORTEST = 2
+"""Sampling intervals in the shortest window."""
+LEAPS = (4, 2)
+"""Factors by which windows grow, the larger one where the model does not run away in windows as long as that."""
 NEGLIGIBLE = 1e-6
 """Part of the spread of a state below which its error is of the arithmetic, and tells nothing of the plant."""
 
@@ -283,7 +287,7 @@ def strain(library: Library, xi: Tensor, free: Tensor, data: Transitions, descen
 
 
 def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Descent) -> tuple[Estimate, Windows]:
-    """Return windows of the wanted length, and an estimate that does not run away in them.
+    """Return windows of the wanted length, or as long as there are, and an estimate that does not run away in them.
 
     Args:
         estimate: first estimate; its nodes are a guess of the states before each transition, `(N, n_x)`.
@@ -292,19 +296,26 @@ def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Desc
         descent: wanted length, whether the windows join, and the limit on the steps of each length.
     """
     substeps = substeps_for(estimate.library, estimate.xi, estimate.nodes, data.u, data.dt)
-    parameters, guess = Parameters.where(support), estimate.nodes
-    lengths = [descent.window]
-    while True:
-        windows = Windows.of(data, lengths[0], descent.joins, substeps)
-        trial = replace(estimate, nodes=guess[windows.rows])
-        if lengths[0] <= 2 or not bool(Flow.of(trial, parameters, windows).lost().any()):
-            break
-        lengths.insert(0, max(2, lengths[0] // 4))
-    for length in lengths[1:]:
+    parameters, guess, length = Parameters.where(support), estimate.nodes, descent.window
+
+    def _cut(found: Estimate, length: int) -> tuple[Estimate, Windows, bool]:
+        windows = Windows.of(data, length, descent.joins, substeps)
+        trial = replace(found, nodes=guess[windows.rows])
+        return trial, windows, bool(Flow.of(trial, parameters, windows).lost().any())
+
+    trial, windows, lost = _cut(estimate, length)
+    while lost and length > SHORTEST:
+        length = max(SHORTEST, length // LEAPS[0])
+        trial, windows, lost = _cut(estimate, length)
+    while length < descent.window:
         trial = _converge(trial, parameters, windows, descent.max_rounds)
         guess = guess.index_copy(0, windows.rows, trial.nodes)
-        windows = Windows.of(data, length, descent.joins, substeps)
-        trial = replace(trial, nodes=guess[windows.rows])
+        longer = [min(leap * length, descent.window) for leap in LEAPS]
+        cuts = ((*_cut(trial, wanted), wanted) for wanted in dict.fromkeys(longer))
+        found = next((cut for cut in cuts if not cut[2]), None)
+        if found is None:
+            break  # a model that runs away in longer windows is fitted to these
+        trial, windows, _, length = found
     return trial, windows
 
 
