@@ -149,8 +149,9 @@ def test_no_loop_is_closed_before_there_are_two_rows_per_number_of_the_linear_mo
     ends = (torch.tensor([-1.0, -9.0]), torch.tensor([1.0, 9.0]))
     rows = torch.cat([interact(experiment.env, shaken, 2, ends) for _ in range(4)])  # near the start, all of them
     few, enough = Loop(experiment.excitation), Loop(experiment.excitation)
-    few.close(rows[:7], experiment)  # of an angle, a rate, a torque and a constant: four numbers
-    enough.close(rows, experiment)
+    # An equation has four numbers: of an angle, a rate, a torque and a constant. A period has five samples.
+    few.close(rows[:1], experiment)
+    enough.close(rows[:2], experiment)
     assert few.gain is None and enough.gain is not None
 
 
