@@ -12,9 +12,10 @@ import gymnasium
 
 if TYPE_CHECKING:
     from dynasindy.control import Controller, load
+    from dynasindy.terminal import Shown
     from dynasindy.workbench import identify, plan, read
 
-__all__ = ["Controller", "__version__", "identify", "load", "plan", "read"]
+__all__ = ["Controller", "Shown", "__version__", "identify", "load", "plan", "read"]
 
 __version__ = "0.1.0"
 
@@ -27,6 +28,7 @@ gymnasium.register("dynasindy/Pendulum-v0", entry_point="dynasindy.envs.gym:pend
 _PLACES = {
     "Controller": "dynasindy.control",
     "load": "dynasindy.control",
+    "Shown": "dynasindy.terminal",
     "identify": "dynasindy.workbench",
     "plan": "dynasindy.workbench",
     "read": "dynasindy.workbench",

@@ -28,7 +28,7 @@ MOMENT = 2.0
 """Length of a phase from which on a file hears of it [s]."""
 EVERY = 10.0
 """Time between two lines of one phase in a file [s]."""
-TOLD = re.compile(r"\bNOT (?:CONTROLLED|promised|JUDGED)\b|\bCONTROLLED\b|^(?:note|hint|found|next):", re.M)
+TOLD = re.compile(r"\bNOT (?:CONTROLLED|promised|JUDGED)\b|\bCONTROLLED\b|^(?:note|hint|found|next|warning):", re.M)
 SIGN = re.compile(r" (?=[+-] )")
 
 

@@ -4,6 +4,7 @@
     model = dynasindy.identify(log)
     controller = dynasindy.plan(model, {"angle": (-0.5, 0.5)}, log=log)
 
+Nothing is printed while they work; `with dynasindy.Shown():` around them shows on standard error what is under way.
 The scripts do the same with a plant in the loop, and write down everything on the way.
 """
 
@@ -24,6 +25,7 @@ from dynasindy.agents import Actor
 from dynasindy.control import Controller
 from dynasindy.control.controller import Pace
 from dynasindy.data.csv import Recording
+from dynasindy.data.rates import mismatched
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.identification import Logged
@@ -37,6 +39,7 @@ from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.systems import Diverged
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
+from dynasindy.told import tell
 from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.libraries import LibraryBuilder
 from dynasindy.world_models.models.ensemble import refits
@@ -120,7 +123,8 @@ def identify(
         longest_delay: Longest delay of the inputs that is looked for [s].
 
     Returns:
-        The model; `equations()` shows it, `save` keeps it. A warning says which state misses its rate.
+        The model; `equations()` shows it, `save` keeps it. A warning says which state misses its rate, and which
+            rate is in other units than its state.
 
     Raises:
         ValueError: The data or the library do not allow a fit.
@@ -128,12 +132,16 @@ def identify(
     """
     refinement = Refinement(method, longest_delay=longest_delay)
     model = SindyModel(log.signature, library, Regression("bic", tolerance=1e-4), refinement, known=known)
+    tell("fit")
+    rates = {state: rate for rate, state in rates_of(model).items()}
+    for found in mismatched(log.transitions, log.signature, rates):
+        warnings.warn(SETTINGS.sub("", str(found)), stacklevel=3)  # past the context manager
     model.fit(log.transitions)
     for name in moving_on(model.library, log.transitions):
         warnings.warn(
             f"{name} moves on whatever states and inputs say, so its rate is a state, too: give identify(known={{"
             f"'{name}': '{name}_rate'}}), and read(states=...) with '{name}_rate': {{'unit': ...}} if it has no column",
-            stacklevel=3,  # past the context manager
+            stacklevel=3,
         )
     return model
 
@@ -178,7 +186,10 @@ def plan(
         sensors = sensors_of(log, model)
     observer = None if sensors is None else watching(model, sensors, pace, log)
     env = ControlEnv(model, task, pace.dt, pace.substeps, seed=seed)
-    others = [] if log is None else refits(model, log.transitions, HALVES)
+    others = []
+    if log is not None:
+        tell("fit to each half of the log")
+        others = refits(model, log.transitions, HALVES)
     actor = Actor(task.n_o, model.signature.n_u, seed=seed)
     GradientPlanning(env, actor, others=others, seed=seed, **settings).plan()
     return Controller(actor.deployed, pace, observer)
@@ -216,6 +227,7 @@ def foretell(
         sensing = Sensing(env, controller.observer, torch.Generator().manual_seed(seed))
     if unseen is None:
         return replace(predict([model], env, policy, scenario, sensing, within), own=True)
+    tell("fit to data that the plan has not seen")
     models = [*refits(model, unseen, 1), *refits(model, unseen, HALVES)]
     return predict(models, env, policy, scenario, sensing, within)
 

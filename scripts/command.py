@@ -74,7 +74,11 @@ def command(
                 check(cfg)
                 for folder in filter(None, (cfg.get("folder"), cfg.get("output"))):
                     require_writable(Path(folder))
-                return task(cfg)
+                try:
+                    return task(cfg)
+                finally:
+                    if not swept:
+                        _remove_empty(Path(HydraConfig.get().runtime.output_dir))
             return None  # a job of a sweep that failed
 
         main = hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)(guarded)
@@ -217,4 +221,13 @@ def _leave_word(line: str) -> None:
         (folder / "error.txt").unlink(missing_ok=True)  # it may be a link in a run folder of others
         (folder / "error.txt").write_text(line + "\n")
     else:
-        folder.rmdir()
+        _remove_empty(folder)
+
+
+def _remove_empty(folder: Path) -> None:
+    """Remove a run folder that holds nothing, as where `folder=` names another one, and runs/ if that was all in it."""
+    with suppress(OSError):  # another process may just have begun to use it
+        if folder.is_dir() and folder.resolve() != Path.cwd():
+            folder.rmdir()
+            if Path.cwd() in folder.resolve().parent.parents:
+                folder.parent.rmdir()

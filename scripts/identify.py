@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from command import command
-from commands import called
+from commands import planning
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 if TYPE_CHECKING:
     from dynasindy.evaluation.identification import Identified, Source
@@ -24,19 +24,19 @@ def main(cfg: DictConfig) -> None:
 
     torch.set_num_threads(cfg.threads)
     built = {name: instantiate(cfg[name], _convert_="all") for name in ("data", "system", "excitation", "world_model")}
+    if (system := built["system"]) is not None and not cfg.data.get("path"):
+        built["world_model"](signature=system.signature)  # refuses functions before the plant moves
     tell("data")
-    source = built["data"].load(built["system"], built["excitation"])
+    source = built["data"].load(system, built["excitation"])
     found = identify(built["world_model"](signature=source.signature), source, cfg.horizons)
     folder = Path(cfg.folder)
     write(found, source, folder)
     draw(found, source, folder, list(cfg.formats))
     say(to_words(found, source), f"written to {folder}")
-    if cfg.data.get("path"):
-        words = f"data=csv data.path={cfg.data.path} plant.outputs=[NAME] plant.low=[NUMBER] plant.high=[NUMBER]"
-        say(f"next: {called('train')} {words} plans a controller on the log")
-    else:
-        system = HydraConfig.get().runtime.choices.system
-        say(f"next: {called('train')} system={system} excites, identifies and plans in one go")
+    job, logged = HydraConfig.get(), bool(cfg.data.get("path"))
+    lacking = [key for key in ("outputs", "low", "high") if OmegaConf.is_missing(cfg.plant, key)]
+    does = "plans a controller on the log" if logged else "excites, identifies and plans in one go"
+    say("next:", f"  {planning(job.overrides.task, logged, job.runtime.choices.system, lacking)}  # {does}")
 
 
 def draw(found: "Identified", source: "Source", folder: Path, formats: list[str]) -> None:
@@ -45,18 +45,24 @@ def draw(found: "Identified", source: "Source", folder: Path, formats: list[str]
 
     from dynasindy import viz
 
-    names = {"names": source.signature.state_names, "units": source.signature.state_units}
     training, validation = source.training, source.validation
+    shown, against = ("log", "the log") if source.logged else ("real", "the real plant")
     figures = {
         "training_data": viz.training_data(
-            torch.arange(len(training)) * training.dt, training.x, segment=training.segment, **names
+            torch.arange(len(training)) * training.dt,
+            training.x,
+            training.u,
+            source.signature,
+            segment=training.segment,
         ),
         "prediction": viz.prediction(
             torch.arange(len(validation)) * validation.dt,
             validation.x_next,
             found.predicted,
-            segment=validation.segment,
-            **names,
+            source.signature,
+            f"Free-running prediction of data that the fit did not see, against {against}",
+            validation.segment,
+            shown,
         ),
     }
     for name, figure in figures.items():

@@ -33,17 +33,21 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     if swept and (before := _finished(folder, settings, read)) is not None:
         say(f"finished before: {folder}")
         return before
-    say(f"Run folder: {folder}")
-    parts = {name: instantiate(cfg.get(name), _convert_="all") for name in ("data", "system", "task", "sensors")}
+    names = ("data", "system", "task", "sensors", "world_model", "scenario")
+    parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
     source = parts["data"] and parts["data"].load(parts["system"], None)
-    model = model_of(source, instantiate(cfg.world_model, _convert_="all"), cfg.model)
+    if source is not None:  # what cannot be is refused before the fit
+        for name in ("task", "world_model"):
+            parts[name](signature=source.signature)
+    say(f"Run folder: {folder}")
+    model = model_of(source, parts["world_model"], cfg.model)
+    task = parts["task"](signature=model.signature)
     (folder / "metrics.json").unlink(missing_ok=True)  # of other settings
     write_text(folder / "config.yaml", settings)  # before the plan, which may fail
     write_json(folder / "origin.json", command_and_commit(HydraConfig.get()) | read)
     model.save(folder / "model.json")
-    scenario, task = instantiate(cfg.scenario, _convert_="all"), parts["task"](signature=model.signature)
     within = cfg.evaluation.get("within", WITHIN)
-    wanted = Wanted(task, scenario, parts["sensors"], cfg.env.dt, cfg.seed, within, planning)
+    wanted = Wanted(task, parts["scenario"], parts["sensors"], cfg.env.dt, cfg.seed, within, planning)
     controller = controller_of(model, source, wanted)
     prediction = judged(controller, model, source, wanted)
     write(folder, controller, model, prediction)
@@ -86,7 +90,7 @@ def _required(cfg: DictConfig) -> dict[str, object]:
             "plant.outputs=[angle] plant.low=[-0.5] plant.high=[0.5]"
         )
     if not (within := cfg.evaluation.get("within", WITHIN)) > 0:
-        raise ValueError(f"evaluation.within must be positive, got {within}; give a share of the box of targets")
+        raise ValueError(f"evaluation.within must be positive, got {within}; give a share of the target range")
     build = instantiate(cfg.planning, _convert_="all")
     if not isinstance(build, partial) or build.func is not GradientPlanning:
         raise ValueError("without a plant a policy is planned through the model's gradient; leave planning=gradient")

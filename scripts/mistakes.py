@@ -12,7 +12,7 @@ os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors reach us instead of Hyd
 
 import hydra
 from hydra.core.global_hydra import GlobalHydra
-from hydra.errors import HydraException, InstantiationException, OverrideParseException
+from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -65,10 +65,19 @@ def in_words(error: BaseException, config_name: str) -> str:
         )
     if missing := _missing_package(error):
         return missing
+    if isinstance(error, MissingConfigException) and error.options:
+        group, _, option = str(error.missing_cfg_file).rpartition("/")
+        choices = {choice for choice in error.options if not choice.startswith("_")}  # the others are parts of them
+        return unknown(option, choices, group)
     if part and not isinstance(error, ValueError):
         return f"{part} got a setting of the wrong type or name ({' '.join(str(error).split())}); compare it with conf/"
     words = str(error).strip("'\"") if isinstance(error, KeyError) else str(error)
     text = " ".join(words.split()).partition(" Config search path:")[0]
+    if merged := re.match(r"Error merging override (.+)", text):
+        return (
+            f"'{merged[1]}' gives a group of keys where one value is wanted, or one value where a group of keys "
+            "stands; give it in a file of its own, as conf/ has it"
+        )
     misspelt = re.search(r"Could not override '([^']+)'", text)
     if not misspelt:
         return text

@@ -23,6 +23,7 @@ def main(cfg: DictConfig) -> None:
     from dynasindy import load
     from dynasindy.rig import Wiring
     from dynasindy.rig.session import Knowledge, Session, targets_within
+    from dynasindy.terminal import Shown
 
     torch.set_num_threads(cfg.threads)
     system, sensors, guard = (instantiate(cfg[name], _convert_="all") for name in ("system", "sensors", "guard"))
@@ -37,6 +38,8 @@ def main(cfg: DictConfig) -> None:
     knowledge = Knowledge(plant["library"], plant["known"] or {}, targets, planning=dict(cfg.planner or {}))
     wanted = targets_within(knowledge, cfg.targets)
     given = load(cfg.controller) if cfg.controller else None
+    if given is None:
+        knowledge.require_of(system.signature)
     with instantiate(cfg.rig, _convert_="all")(system=system, dt=cfg.dt) as rig:
         session = Session(rig, wiring, guard, Path(cfg.folder), tell=partial(print, flush=True))
         try:
@@ -44,7 +47,9 @@ def main(cfg: DictConfig) -> None:
                 session.excite(instantiate(cfg.excitation, _convert_="all")(n_u=system.signature.n_u, dt=cfg.dt))
             for _ in range(cfg.flights):
                 if not session.failed:
-                    session.fly(given or session.learn(knowledge, cfg.seed), wanted, cfg.seconds)
+                    with Shown():  # while the rig rests; in a flight nothing else may draw
+                        controller = given or session.learn(knowledge, cfg.seed)
+                    session.fly(controller, wanted, cfg.seconds)
         except KeyboardInterrupt as stop:
             words = f"stopped; the rig was asked for its safe input, its logs are in {cfg.folder}"
             raise Stopped(words, getattr(stop, "signal", 2)) from stop
@@ -55,16 +60,14 @@ def main(cfg: DictConfig) -> None:
 
 
 def draw(session: "Session") -> None:
-    """Draw each flight: references, what was measured, inputs."""
-    from dynasindy.viz import save, tracking
+    """Draw each flight: references, what was measured, inputs, and what ended it early."""
+    from dynasindy.viz.flight import flight
+    from dynasindy.viz.style import save
 
-    for name, flight in session.shown.items():
-        if not len(flight.time):  # it ended before its first sample
-            continue
-        units = [f"{output} [{unit}]" for output, unit in zip(flight.names, flight.units, strict=True)]
-        given = flight.time, flight.references, {"measured": flight.outputs}, {"measured": flight.inputs}, units
-        inputs, title = session.wiring.signature.input_names, f"{name.replace('_', ' ')} on the rig"
-        save(tracking(*given, inputs, title), session.folder / "figures" / name)
+    for name, shown in session.shown.items():
+        if len(shown.time):  # it did not end before its first sample
+            figure = flight(shown, session.wiring, session.guard, name)
+            save(figure, session.folder / "figures" / name)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ import copy
 import csv
 import math
 import re
+import warnings
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -23,6 +24,7 @@ from dynasindy.excitation import Multisine
 from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
+from dynasindy.told import hearing
 from dynasindy.workbench import _period, foretell, sensors_of
 
 COUNT = 2 * math.pi / 4096
@@ -75,6 +77,17 @@ def test_the_controller_holds_the_plant_that_the_log_is_of(log, model, tmp_path)
         x = plant.advance(x, torch.from_numpy(u))[0][-1]
         if k > 150:
             assert abs(float(x[0]) - 0.4) < 0.03
+
+
+def test_what_is_under_way_is_told_and_nothing_is_printed(exact, capfd):
+    heard = []
+    with hearing(heard.append):
+        found = dynasindy.identify(exact, WORDS, {"theta": "Omega"}, "one_step")
+        dynasindy.plan(found, {"theta": (-0.6, 0.6)}, exact, updates=1, rollouts=4, window=5)
+    phases = list(dict.fromkeys(told.phase for told in heard))
+    assert phases[:2] == ["fit", "fit to each half of the log"] and "planning" in phases
+    assert capfd.readouterr() == ("", "")
+    assert dynasindy.Shown.__module__ == "dynasindy.terminal"
 
 
 def test_without_a_log_all_states_are_to_be_measured(model):
@@ -223,6 +236,17 @@ def test_a_warning_says_which_state_misses_its_rate(exact):
     alone = Recording(replace(t, x=t.x[:, :1], x_next=t.x_next[:, :1]), Signature(("theta",), ("rad",), ("u",), (1.0,)))
     with pytest.warns(UserWarning, match=r"theta moves on .*: give identify\(known=\{'theta': 'theta_rate'\}\)"):
         assert dynasindy.identify(alone).delay == 0
+
+
+def test_a_warning_says_which_rate_is_in_other_units(exact):
+    """The pendulum's angle in degrees, beside its rate in rad/s; neither is warned of in one unit."""
+    t, degrees = exact.transitions, torch.tensor([180 / math.pi, 1.0])
+    wrong = Recording(replace(t, x=t.x * degrees, x_next=t.x_next * degrees), exact.signature)
+    with pytest.warns(UserWarning, match=r"Omega does not fit theta, .* is 57\.3 times Omega; degrees beside rad/s\?"):
+        dynasindy.identify(wrong, WORDS, {"theta": "Omega"}, "one_step")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        dynasindy.identify(exact, WORDS, {"theta": "Omega"}, "one_step")
 
 
 def test_errors_name_arguments_and_no_settings_of_scripts(tmp_path, exact):

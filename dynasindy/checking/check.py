@@ -16,6 +16,7 @@ from dynasindy.checking.loop import Loop
 from dynasindy.checking.margins import Margins, margins
 from dynasindy.checking.noise import noise_gain
 from dynasindy.checking.uncertainty import Spread, Variants, spread, variants
+from dynasindy.told import tell
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,16 @@ class Check:
     planes: list[Plane]
 
     @property
+    def middle(self) -> int:
+        """Number of the target around which the errors of `planes` lie."""
+        return _middle(self.targets)
+
+    @property
+    def farthest(self) -> int:
+        """Number of the target of `drawn`."""
+        return _farthest(self.targets)
+
+    @property
     def stable(self) -> Tensor:
         """Whether the loop comes to rest and is stable there, bool `(n_targets,)`."""
         return self.rest.still & torch.from_numpy(self.rest.linear.radius < 1)
@@ -121,12 +132,13 @@ def check(loop: Loop, settings: Settings, errors: Tensor | None = None) -> Check
             f"low and high have {len(settings.low)} numbers; give one for each of {', '.join(loop.task.output_names)}"
         )
     targets = settings.targets
+    tell("where the loop rests", 0, len(targets), "targets")
     found = rest(loop, targets, seconds=settings.seconds)
     good = found.still & torch.from_numpy(found.linear.radius < 1)
     stable = good.tolist()
     rows = [found.linear.row(k) for k in range(len(targets))]
     others = variants(loop.plant.model, settings.draws, settings.seed, errors)
-    middle = int((targets - targets.mean(0)).square().sum(-1).argmin())
+    middle = _middle(targets)
     steps = fly(loop, torch.zeros(len(targets), loop.signature.n_x), targets, settings.seconds)
     return Check(
         loop,
@@ -150,6 +162,14 @@ def check(loop: Loop, settings: Settings, errors: Tensor | None = None) -> Check
     )
 
 
+def _middle(targets: Tensor) -> int:
+    return int((targets - targets.mean(0)).square().sum(-1).argmin())
+
+
+def _farthest(targets: Tensor) -> int:
+    return int(targets.square().sum(-1).argmax())
+
+
 def _stated(loop: Loop) -> Array:
     """Return the standard deviation of the noise that the file states; 0 where a state is seen as it is, or not."""
     if loop.observer is None:
@@ -161,9 +181,10 @@ def _stated(loop: Loop) -> Array:
 def _drawn(loop: Loop, targets: Tensor, others: Variants, seconds: float) -> Flights | None:
     if not others.draws:
         return None
-    farthest = targets[int(targets.square().sum(-1).argmax())]
+    farthest = targets[_farthest(targets)]
     start = torch.zeros(others.draws, loop.signature.n_x)
-    return fly(loop.varied(others.coefficients[: others.draws]), start, farthest.expand(others.draws, -1), seconds)
+    plants = loop.varied(others.coefficients[: others.draws])
+    return fly(plants, start, farthest.expand(others.draws, -1), seconds, "steps of plants that differ from the model")
 
 
 def record(found: Check) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from dynasindy.checking.linear import LAST
 from dynasindy.checking.loop import Loop
+from dynasindy.told import counted
 
 FULL = 0.99
 """Size of an input that counts as saturated."""
@@ -53,11 +54,20 @@ class Flights:
         return (self.u.abs() > FULL).double().mean(1)
 
 
-def fly(loop: Loop, x: Tensor, r: Tensor, seconds: float) -> Flights:
-    """Switch the controller on at states `(rows, n_x)` and let it hold references `(rows, n_r)`."""
+def fly(loop: Loop, x: Tensor, r: Tensor, seconds: float, phase: str = "steps to the targets") -> Flights:
+    """Switch the controller on at states `(rows, n_x)` and let it hold references `(rows, n_r)`.
+
+    Args:
+        loop: The loop.
+        x: States.
+        r: References.
+        seconds: Length of each flight [s].
+        phase: What is under way, in words.
+    """
     z, r = loop.started(x.double()), r.double()
     covariance, states, inputs = loop.uncertain(z), [x.double()], []
-    for k in range(max(1, round(seconds / loop.dt))):
+    periods = max(1, round(seconds / loop.dt))
+    for k in counted(phase, range(periods), periods, "control periods"):
         z, covariance, u = loop.step(z, covariance, r, first=k == 0)
         states.append(z[:, loop.parts["x"]])
         inputs.append(u)
@@ -119,7 +129,7 @@ def recovery(loop: Loop, x: Tensor, r: Tensor, reach: float, points: int, second
     flat = starts.flatten(0, -2)
     if loop.plant.stops is not None:
         flat = loop.plant.stops.apply(flat)[0]
-    flights = fly(loop, flat, r.expand(len(flat), -1), seconds)
+    flights = fly(loop, flat, r.expand(len(flat), -1), seconds, "recovery from initial errors")
     back = (flights.steady_error <= TOLERANCE * scale[task.outputs]).all(-1).unflatten(0, (len(pairs), points, points))
     names, units = signature.state_names, signature.state_units
     return [

@@ -1,4 +1,4 @@
-"""Plants that the model might have meant: its coefficients drawn, and moved one at a time."""
+"""Plants that differ from the model within its uncertainty: its coefficients drawn, and moved one at a time."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from torch import Tensor
 
 from dynasindy.checking.linear import Rest, rest
 from dynasindy.checking.loop import Loop
+from dynasindy.told import counted
 from dynasindy.world_models import SindyModel
 
 SHARE = 0.2
@@ -110,7 +111,8 @@ def spread(loop: Loop, r: Tensor, nominal: Rest, changed: Variants, seconds: flo
         torch.zeros(len(r), count, dtype=torch.float64),
         torch.zeros(len(r), count, r.shape[-1], dtype=torch.float64),
     )
-    for k, target in enumerate(r.double() if count else []):
+    several = counted("plants that differ from the model", r.double() if count else [], len(r), "targets")
+    for k, target in enumerate(several):
         start = nominal.select(torch.full((count,), k))
         found = rest(loop.varied(changed.coefficients), target.expand(count, -1), start, seconds)
         radii[k] = torch.from_numpy(found.linear.radius).where(found.still, torch.inf)

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from dynasindy.systems.base import System
+from dynasindy.systems import Diverged
+from dynasindy.systems.base import Signature, System
 from dynasindy.systems.integrators import integrate
 from dynasindy.systems.transitions import Transitions
+
+FAR = 1000.0
+"""Ranges of a state beyond which a plant has run away, where nobody says what its bounds are."""
+
+Ends = float | Sequence[float]
 
 
 def record(plant: System, u: Tensor, dt: float, substeps: int = 10, x0: Tensor | None = None) -> Transitions:
@@ -41,6 +48,47 @@ def record_all(plant: System, u: Tensor, dt: float, substeps: int = 10, x0: Tens
     kept = torch.stack(free, 1)
     whole = zip(torch.stack(states, 1), u, kept, strict=True)
     return [Transitions.from_trajectory(x, held, dt).select(mask) for x, held, mask in whole]
+
+
+def before_leaving(
+    data: Transitions, signature: Signature, bounds: Mapping[str, Ends], what: str
+) -> tuple[Transitions, str]:
+    """Cut a recording where the plant leaves its bounds or runs away; say so if it does.
+
+    Args:
+        data: the recording.
+        signature: names, units and ranges of the states.
+        bounds: limits of states by name, one for both sides of zero or both ends.
+        what: what moved the plant, in words.
+
+    Returns:
+        The rows before it left, and a sentence, empty if it did not.
+
+    Raises:
+        Diverged: it left in the first half.
+        ValueError: a bound is of no state.
+    """
+    far = FAR * torch.tensor(signature.x_scale, dtype=torch.float64)
+    low, high = -far, far.clone()
+    for name, ends in bounds.items():
+        i = signature.state_index(name)
+        low[i], high[i] = (-ends, ends) if isinstance(ends, int | float) else ends
+    out = ~((data.x_next >= low) & (data.x_next <= high))
+    if not bool(out.any()):
+        return data, ""
+    row = int(out.any(-1).int().argmax())
+    i = int(out[row].int().argmax())
+    name, unit = signature.state_names[i], signature.state_units[i]
+    box = f"its bounds of {float(low[i]):g} to {float(high[i]):g} {unit}"
+    went = f"left {box}" if name in bounds else f"ran away, beyond {float(high[i]):g} {unit},"
+    left = f"{what} {name} {went} after {(row + 1) * data.dt:.3g} s"
+    if 2 * row < len(data):
+        raise Diverged(
+            f"{left}, and there is too little before that to identify from; give a smaller excitation.amplitude, "
+            f"another excitation.offset{' or wider plant.bounds' if name in bounds else ''}, or use the command train, "
+            "which begins anew where the plant leaves its bounds and then holds it while it excites it"
+        )
+    return data.select(torch.arange(len(data)) < row), f"{left}; what came later was left out"
 
 
 def disturb(data: Transitions, level: float, seed: int) -> Transitions:

@@ -42,11 +42,12 @@ MARGIN = 0.9
 def excite(parts: Parts) -> TensorDict:
     """Return the excitation's control periods on the real system, try after try, `(T,)`.
 
-    Behind sensors the plant is excited open loop and without limits, as its states are not seen.
+    Behind sensors, states are what the observer makes of the measurements. A rig, which stays where it fell, is excited
+    open loop; its guard ends what goes too far.
     """
     tell("excitation")
     signal, steps = parts.excitation, parts.excitation.n_steps
-    if parts.sensing is not None:
+    if not parts.plant.begins_anew:
         return interact(parts.env, signal, steps)
     low, high = limits(parts)
     tries: list[TensorDict] = []
@@ -196,12 +197,12 @@ class Loop:
         """
         scale = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)
         home = rows["state"][0].double()
-        data = transitions(rows, parts.plant.log_dt)
-        middle = 0.5 * (data.x + data.x_next) - home
+        x, u, x_next, dt = _moves(rows, parts)
+        middle = 0.5 * (x + x_next) - home
         near = (middle.abs() <= NEAR * scale).all(-1)
         if int(near.sum()) < ENOUGH * (len(scale) + data.u.shape[-1] + 1):
             return
-        a, b, c = _linear(middle[near] / scale, data.u[near], ((data.x_next - data.x) / data.dt)[near] / scale)
+        a, b, c = _linear(middle[near] / scale, u[near], ((x_next - x) / dt)[near] / scale)
         a, b, c = a * scale.unsqueeze(-1) / scale, b * scale.unsqueeze(-1), c * scale
         found = riccati(*zero_order_hold(a, b, parts.plant.dt), 1.0 / scale.square(), 1.0)
         if found is None:
@@ -209,6 +210,14 @@ class Loop:
         self.home, self.gain = home, found.gain
         self.mean = torch.linalg.lstsq(b / scale.unsqueeze(-1), -c / scale, driver="gelsd").solution
         self.mean = self.mean.clamp(-MARGIN, MARGIN)
+
+
+def _moves(rows: TensorDict, parts: Parts) -> tuple[Tensor, Tensor, Tensor, float]:
+    """Return states, inputs, the states some time later, and that time: samples, or estimates behind sensors."""
+    if parts.sensing is None:
+        data = transitions(rows, parts.plant.log_dt)
+        return data.x, data.u, data.x_next, data.dt
+    return rows["state"].double(), rows["action"].double(), rows["next", "state"].double(), parts.plant.dt
 
 
 def _linear(x: Tensor, u: Tensor, dx: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -24,6 +24,7 @@ from dynasindy.dyna.callback import Callback, Cost, Episode
 from dynasindy.dyna.excite import coarse, left_out, restarts
 from dynasindy.dyna.parts import Parts
 from dynasindy.dyna.verdict import judge
+from dynasindy.evaluation.drawn import drawn
 from dynasindy.evaluation.files import whole, with_units, write_csv, write_json, write_text
 from dynasindy.evaluation.held import WITHIN, Held, held
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
@@ -94,11 +95,15 @@ class Recorder(Callback):
     def begin(self) -> None:
         """Open the logs and evaluate the untrained policy."""
         self._open_logs()
-        self.untrained = self.latest = summarise(self.evaluate())
+        self.untrained = self.latest = summarise(self.evaluate("untrained policy, for comparison"))
 
-    def evaluate(self) -> Evaluation:
-        """Run the deployed policy, without noise, in the scenario; its steps are counted apart from the real ones."""
-        evaluation = evaluate(self.plant, self.parts.agent.deployed, self.scenario, self.parts.sensing)
+    def evaluate(self, phase: str = "") -> Evaluation:
+        """Run the deployed policy, without noise, in the scenario; its steps are counted apart from the real ones.
+
+        Args:
+            phase: What is under way, in words.
+        """
+        evaluation = evaluate(self.plant, self.parts.agent.deployed, self.scenario, self.parts.sensing, phase)
         moved = evaluation.trajectory["next"].get("moved", None)  # of rows that may end before the others
         self.evaluation_steps += evaluation.trajectory.numel() if moved is None else int(moved.sum())
         return evaluation
@@ -111,10 +116,12 @@ class Recorder(Callback):
                 "The first fit, of the excitation alone; model.json has the equations of the last fit that was kept.\n"
             )
             write_text(self.folder / "identification.txt", f"{head}{report.to_text()}\n")
-        seen = [] if self.parts.sensing is not None else [restarts(self.parts, excited), coarse(self.plant, excited)]
-        words = [*seen, left_out(excited)]
+        fine = "" if self.parts.sensing is not None else coarse(self.plant, excited)
+        words = [restarts(self.parts, excited), fine, left_out(excited)]
         self.restarts = " ".join(filter(None, words))
         self._write_rollout("excitation", excited)
+        stops = self._left_out(excited)
+        write_json(self.folder / "data" / "left_out.json", {"unit": "s", "at_a_stop": stops})
 
     def episode(self, episode: Episode, cost: Cost) -> None:
         """Write a row, and the model's prediction of the first and of the last episode."""
@@ -150,6 +157,7 @@ class Recorder(Callback):
             What `metrics.json` holds; it is written last, so that a run that has it has ended.
         """
         final = self.evaluate()
+        shown = drawn(final)
         metrics = {
             **settings,
             "episodes": len(self.rows),
@@ -163,13 +171,14 @@ class Recorder(Callback):
             "planning": self.parts.planner.words(),
             "reward": self.plant.task.words(),
             "untrained": self.untrained,
+            "drawn": asdict(shown),
             "equations": self.parts.world_model.equations(),
         }
         if self.parts.sensing is not None:
             metrics["observer"] = self.parts.sensing.observer.state_dict()
             write_json(self.folder / "observer.json", metrics["observer"])
         metrics["verdict"] = asdict(judge(metrics, self.within))
-        self._write_rollout("step_response", final.trajectory[0])
+        self._write_rollout("step_response", final.trajectory[shown.row])
         with whole(self.folder / "model.json") as path:
             self.parts.world_model.save(path)
         with whole(self.folder / "policy.pt") as path:
@@ -272,6 +281,15 @@ class Recorder(Callback):
         columns += [f"reference_{name}" for name in self.plant.task.output_names]
         values = torch.cat([rollout["state"], rollout["action"], rollout["reference"]], -1)
         self._write_series(name, columns, _with_gaps(values, rollout["step_count"][:, 0]))
+
+    def _left_out(self, excited: TensorDict) -> list[list[float]]:
+        """Return from when to when the fit leaves the excitation out, on the clock of its table [s]."""
+        touched = excited["next", "at_stop"].reshape(-1, 1).float()
+        marks = _with_gaps(touched, excited["step_count"][:, 0]).flatten().nan_to_num(0.0)
+        edges = torch.nn.functional.pad(marks, (1, 1)).diff()
+        starts, ends = ((edges == sign).nonzero().flatten().tolist() for sign in (1, -1))
+        # A period more, and no more digits than there are.
+        return [[round(a * self.plant.dt, 9), round(b * self.plant.dt, 9)] for a, b in zip(starts, ends, strict=True)]
 
     def _write_prediction(self, name: str, episode: Episode) -> None:
         states = self.plant.system.signature.state_names

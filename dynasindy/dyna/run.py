@@ -56,9 +56,7 @@ class Evaluating:
 
     def __post_init__(self) -> None:
         if not self.within > 0:
-            raise ValueError(
-                f"evaluation.within must be positive, got {self.within}; give a share of the box of targets"
-            )
+            raise ValueError(f"evaluation.within must be positive, got {self.within}; give a share of the target range")
         if self.every < 1:
             raise ValueError(f"evaluation.every must be at least 1 episode, got {self.every}; give 1 or more")
 

@@ -37,7 +37,7 @@ def judge(metrics: Mapping[str, Any], within: float = WITHIN) -> Verdict:
     Args:
         metrics: What a run ends with: `scenario`, the summaries `untrained` and `evaluation`, each with a
             `return`, None where it is not finite, and `held`, see `dynasindy.evaluation.held`.
-        within: Mean absolute error at the end that is asked for, in boxes of targets.
+        within: Mean absolute error at the end that is asked for, in ranges of targets.
     """
     usable, sentence = _compared(metrics)
     controlled, held = _held(metrics["held"], within, usable)
@@ -69,7 +69,7 @@ def _held(held: Mapping[str, Mapping[str, float | None]], within: float, usable:
     for name, given in held["share"].items():
         share, worst = _number(given), _number(held["worst"][name])
         missed |= not (share <= within and worst <= LOST * within)
-        told.append(f"{name} to {_percent(share)} of its box, {_percent(worst)} at worst")
+        told.append(f"{name} {_percent(share)} of the target range on average, {_percent(worst)} at worst")
     lines = [f"errors at the end: {'; '.join(told)} ({_percent(within)} is asked for)"]
     if not told:
         lines = [

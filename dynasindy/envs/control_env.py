@@ -42,6 +42,8 @@ class ControlEnv(EnvBase):
     """
 
     batch_locked = False
+    begins_anew = True
+    """Whether an episode begins where the task says, wherever the last one ended."""
     left_beyond = math.inf
     """Ranges of a state at whose end an episode is over and stays; a model is asked about where it runs away."""
 

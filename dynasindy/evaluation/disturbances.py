@@ -6,7 +6,8 @@ how much noisier the sensors are.
 """
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Protocol, runtime_checkable
 
 import torch
 from tensordict import TensorDictBase
@@ -16,6 +17,14 @@ from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count
 from dynasindy.sensing.transform import Policy
 from dynasindy.systems import Signature, System
+
+
+@runtime_checkable
+class Told(Protocol):
+    """A disturbance that says how large it is."""
+
+    def words(self) -> str:
+        """Say what disturbs, by how much and in which units."""
 
 
 class Pushed(System):
@@ -39,6 +48,13 @@ class Pushed(System):
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
         return self.system(x, u) + self.push.to(x)
+
+    def words(self) -> str:
+        """Say how large the push is."""
+        signature = self.signature
+        units = [f"{u}^2" if u.endswith("/s") else "1/s" if u == "-" else f"{u}/s" for u in signature.state_units]
+        rows = zip(signature.state_names, self.push.tolist(), units, strict=True)
+        return f"pushed by {_listed(f'{value:g} {unit} on {name}' for name, value, unit in rows if value)}"
 
 
 class Detuned(System):
@@ -71,6 +87,14 @@ class Detuned(System):
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
         return self.gain.to(x) * self.system(x, self.input_gain.to(u) * u)
+
+    def words(self) -> str:
+        """Say which factors are not 1."""
+        rates = [f"{name}'" for name in self.signature.state_names]
+        factors = zip(
+            [*rates, *self.signature.input_names], [*self.gain.tolist(), *self.input_gain.tolist()], strict=True
+        )
+        return f"detuned: {_listed(f'{name} times {value:g}' for name, value in factors if value != 1)}"
 
 
 class SensorNoise:
@@ -105,13 +129,20 @@ class SensorNoise:
         seen["observation"] = self.env.task.observation(measured, tensordict["task_params"], t.to(x)).float()
         return tensordict.set("action", self.policy(seen)["action"])
 
+    def words(self) -> str:
+        """Say how large the noise of each state is."""
+        signature = self.env.system.signature
+        rows = zip(signature.state_names, self.std.tolist(), signature.state_units, strict=True)
+        told = _listed(f"{name} {value:g} {unit}" for name, value, unit in rows if value)
+        return f"measured with white noise, standard deviation {told}"
+
 
 class DelayedActuator:
     """A policy whose actions reach the plant some control periods late; until then the inputs are zero.
 
     Args:
         policy: The policy.
-        env: Environment it runs in; not used.
+        env: Environment it runs in, which has the control period.
         periods: Delay [control periods].
 
     Raises:
@@ -121,7 +152,7 @@ class DelayedActuator:
     def __init__(self, policy: Policy, env: ControlEnv, periods: Count) -> None:
         if periods < 0:
             raise ValueError(f"periods of a delayed actuator must be >= 0, got {periods}; 2 are 0.1 s at 0.05 s")
-        self.policy, self.periods = policy, periods
+        self.policy, self.periods, self.dt = policy, periods, env.dt
         self.waiting: deque[Tensor] = deque()
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -131,6 +162,15 @@ class DelayedActuator:
             self.waiting.extend(torch.zeros_like(action) for _ in range(self.periods))
         self.waiting.append(action)
         return tensordict.set("action", self.waiting.popleft())
+
+    def words(self) -> str:
+        """Say how late the inputs are."""
+        periods = "1 control period" if self.periods == 1 else f"{self.periods} control periods"
+        return f"inputs late by {periods}, {self.periods * self.dt:g} s"
+
+
+def _listed(parts: Iterable[str]) -> str:
+    return ", ".join(parts) or "nothing"
 
 
 def _by_name(signature: Signature, values: Mapping[str, float], default: float) -> Tensor:

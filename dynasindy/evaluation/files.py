@@ -11,24 +11,26 @@ from typing import Any
 
 import torch
 
+from dynasindy.evaluation.drawn import drawn
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.evaluation.summary import summarise
 from dynasindy.systems import Signature
 
 
-def save_evaluation(evaluation: Evaluation, folder: Path, row: int = 0) -> list[Path]:
+def save_evaluation(evaluation: Evaluation, folder: Path, row: int | None = None) -> list[Path]:
     """Write `<scenario>.json` (the summary) and `<scenario>.csv` (states, inputs and references of one row).
 
     Args:
         evaluation: What to write.
         folder: Where; made if missing.
-        row: Which reference goes into the CSV file.
+        row: Which episode goes into the CSV file; the one that is drawn, if omitted.
 
     Returns:
         The files.
     """
     folder.mkdir(parents=True, exist_ok=True)
     figures, table = (folder / f"{evaluation.scenario}.{suffix}" for suffix in ("json", "csv"))
+    row = drawn(evaluation).row if row is None else row
     record = {"scenario": evaluation.scenario, "rows": len(evaluation.outputs), **summarise(evaluation)}
     write_json(figures, record)
     signature = evaluation.signature

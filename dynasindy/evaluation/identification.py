@@ -13,7 +13,8 @@ import torch
 from torch import Tensor
 
 from dynasindy.data.csv import Column, CsvLog, Recording, infer
-from dynasindy.data.simulated import disturb, record
+from dynasindy.data.rates import mismatched
+from dynasindy.data.simulated import Ends, before_leaving, disturb, record
 from dynasindy.data.table import all_headings, split_unit
 from dynasindy.evaluation import verdict
 from dynasindy.evaluation.horizons import Forecasts, begun, forecast
@@ -24,6 +25,7 @@ from dynasindy.told import tell
 from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.models.prediction import nrmse, one_step_error, open_loop
 from dynasindy.world_models.refinement.delay import delayed
+from dynasindy.world_models.refinement.measured import rates_known
 from dynasindy.world_models.refinement.order import moving_on
 from dynasindy.world_models.writers.tables import to_csv, to_latex, to_text
 
@@ -41,12 +43,14 @@ class Source:
         training: transitions to fit.
         validation: transitions that the fit does not see.
         notes: sentences on how the data came about.
+        logged: whether they are a log, so that nothing is known of the plant but what was measured.
     """
 
     signature: Signature
     training: Transitions
     validation: Transitions
     notes: tuple[str, ...] = ()
+    logged: bool = False
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,7 @@ class Simulated:
         substeps: Runge-Kutta steps of the plant between two samples.
         validation_seconds: length of the validation, random held inputs [s].
         seed: seed of noise and validation.
+        bounds: limits of states by name, beyond which nothing is recorded; one for both sides of zero, or both ends.
 
     Raises:
         ValueError: a time or the substeps are not positive, or the noise is negative.
@@ -69,6 +74,7 @@ class Simulated:
     substeps: int = 10
     validation_seconds: float = 20.0
     seed: int = 0
+    bounds: dict[str, Ends] | None = None
 
     def __post_init__(self) -> None:
         if not self.dt > 0 or not self.validation_seconds > 0 or not self.noise >= 0 or self.substeps < 1:
@@ -82,6 +88,7 @@ class Simulated:
 
         Raises:
             ValueError: there is no plant.
+            Diverged: it leaves its bounds soon.
         """
         if system is None:
             raise ValueError("data=simulated got no plant; it needs one of conf/system: give system=NAME, or data=csv")
@@ -102,10 +109,16 @@ class Simulated:
             seed=self.seed + 1,
         )
         training = record(system, signal.samples(self.dt), self.dt, self.substeps)
-        validation = record(system, unseen.samples(self.dt), self.dt, self.substeps)
         left_out = signal.samples(self.dt).shape[0] - len(training)
-        notes = (f"{left_out} samples that touched a stop were left out",) if left_out else ()
+        at_stop = f"{left_out} samples that touched a stop were left out" if left_out else ""
+        training, gone = self._before_leaving(training, system, "in the excitation")
+        validation = record(system, unseen.samples(self.dt), self.dt, self.substeps)
+        validation, lost = self._before_leaving(validation, system, "in the validation, under random inputs,")
+        notes = tuple(filter(None, (at_stop, gone, lost)))
         return Source(system.signature, disturb(training, self.noise, self.seed), validation, notes)
+
+    def _before_leaving(self, data: Transitions, system: System, what: str) -> tuple[Transitions, str]:
+        return before_leaving(data, system.signature, self.bounds or {}, what)
 
 
 @dataclass(frozen=True)
@@ -150,7 +163,7 @@ class Logged:
         recording = self.recording(system)
         data, place = recording.transitions, torch.arange(len(recording.transitions))
         cut = int(len(data) * (1 - self.validation_share))
-        return Source(recording.signature, data.select(place < cut), data.select(place >= cut), recording.notes)
+        return Source(recording.signature, data.select(place < cut), data.select(place >= cut), recording.notes, True)
 
     def recording(self, system: System | None) -> Recording:
         """Read the file, all of it; of the plant the names are used at most."""
@@ -256,6 +269,13 @@ def missing_rates(model: SindyModel, source: Source) -> list[str]:
     ]
 
 
+def wrong_units(model: SindyModel, source: Source) -> list[str]:
+    """Say which measured rates are not the slopes of their states, a line for each."""
+    names = source.signature.state_names
+    known = {names[i]: names[rate] for rate, i in rates_known(model.library, model.constraints).items()}
+    return [f"warning: {found}" for found in mismatched(source.training, source.signature, known)]
+
+
 def to_words(found: Identified, source: Source) -> str:
     """Write equations, fit, identifiability, what the data show, errors, notes and a verdict for a reader."""
     signature, shown = source.signature, found.forecasts
@@ -267,7 +287,7 @@ def to_words(found: Identified, source: Source) -> str:
     lines.append("validation, open loop, relative to each state's deviation")
     lines += [f"  {state:<10} {_percent(error)}" for state, error in free.items()]
     lines += [f"note: {note}" for note in source.notes]
-    lines += missing_rates(found.model, source)
+    lines += [*wrong_units(found.model, source), *missing_rates(found.model, source)]
     if shown is None:
         return "\n".join([*lines, "the validation data are too short to judge how far ahead the model predicts"])
     return "\n".join([*lines, *verdict.judge(shown, signature)])

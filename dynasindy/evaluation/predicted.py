@@ -86,14 +86,15 @@ class Prediction:
         for name in flown[0].share:
             shares = [100 * _number(flight.share[name]) for flight in flown]
             worst = max(100 * _number(flight.worst[name]) for flight in flown)
-            told.append(f"{name} to {min(shares):.2g} to {max(shares):.2g} % of its box, {worst:.2g} % at worst")
+            ends = f"{min(shares):.2g} to {max(shares):.2g} %"
+            told.append(f"{name} {ends} of the target range on average, {worst:.2g} % at worst")
         lost = [f"{n - len(flown)} of {n} models run away"] if len(flown) < n else []
         fates = {(name, name not in flight.swings) for flight in flown for name in flight.away}
         lost += sorted(f"{name}, which is not tracked, {_fate(away)}" for name, away in fates)
         lost += sorted({f"{name} runs on, which nothing depends on" for flight in flown for name in flight.idle})
         diverged = len(flown) < n or any(away for _, away in fates)
         if not (self.controlled or diverged):
-            lost.append("nothing runs away: a longer plan, of more updates, may hold it, or a smaller box of targets")
+            lost.append("nothing runs away: a longer plan, of more updates, may hold it, or a smaller range of targets")
         asked = f", {100 * self.within:g} % is asked for, and {100 * LOST * self.within:g} % at worst"
         verdict = "CONTROLLED" if self.controlled else f"{lacking}{asked if self._missed else ''}"
         return f"{start}: {verdict}: {'; '.join([*told, *lost])}"

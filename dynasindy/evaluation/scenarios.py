@@ -19,7 +19,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.data.sound import require_finite
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.disturbances import SensorNoise
+from dynasindy.evaluation.disturbances import SensorNoise, Told
 from dynasindy.evaluation.given import plain_name
 from dynasindy.evaluation.metrics import steady_seconds, tracking_metrics
 from dynasindy.limits import Count, check_memory
@@ -93,6 +93,7 @@ class Evaluation:
         metrics: Per row, see `dynasindy.evaluation.metrics`.
         windows: Times `(start, end)` at which the plant was disturbed [s], where that was not all the time.
         boxes: Extents of the outputs' targets, `(n_r,)`; one of each unit if empty.
+        disturbances: What disturbed it and by how much, in words.
     """
 
     scenario: str
@@ -103,6 +104,7 @@ class Evaluation:
     metrics: dict[str, Tensor]
     windows: tuple[Window, ...] = ()
     boxes: tuple[float, ...] = ()
+    disturbances: tuple[str, ...] = ()
 
     @property
     def steady_seconds(self) -> float:
@@ -190,7 +192,9 @@ def step_references(low: Sequence[float], high: Sequence[float], number: Count =
 
 
 @torch.no_grad()
-def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensing | None = None) -> Evaluation:
+def evaluate(
+    env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensing | None = None, phase: str = ""
+) -> Evaluation:
     """Run a policy, without exploration, in a scenario.
 
     The environment and all random generators are left as they were.
@@ -201,6 +205,7 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensi
         scenario: Situation to run it in.
         sensing: Sensors and observer through which the policy sees the plant; the metrics see it as it is. Noise of the
             scenario is then added to the measurements.
+        phase: What is under way, in words; the scenario's name says it by default.
 
     Raises:
         TypeError: The scenario has a reference and the task tracks none.
@@ -211,8 +216,10 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensi
     scenario = replace(scenario, seconds=scenario.seconds or env.task.max_steps * env.dt)
     calm, task = _prepare(env, scenario, 0 if sensing is None else sensing.observer.width)
     wrapped = policy if sensing is None else sensing.on(calm, sensing.rng).controller(policy)
+    disturbing: list[object] = [scenario.plant(calm.system)] if scenario.plant else []
     for wrap in scenario.wrappers:
         wrapped = wrap(wrapped, calm)
+        disturbing.append(wrapped)
         if sensing is not None and isinstance(wrapped, SensorNoise):  # noise is of what the observer reads
             sensing, wrapped = sensing.noisier(wrapped.std.tolist()), wrapped.policy
     state = task.initial_state(torch.Size((scenario.episodes,)), calm.rng)
@@ -222,8 +229,9 @@ def evaluate(env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensi
         start = sensing.begin(start)
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.random.fork_rng():
         _check_action(policy, start, env.system.signature.n_u, scenario.name)
-        trajectory = _run(calm, wrapped, scenario, start, sensing)
-    return _measure(calm, task, scenario, trajectory)
+        trajectory = _run(calm, wrapped, scenario, start, sensing, phase or f"policy in scenario '{scenario.name}'")
+    words = tuple(each.words() for each in disturbing if isinstance(each, Told))
+    return replace(_measure(calm, task, scenario, trajectory), disturbances=words)
 
 
 def _prepare(env: ControlEnv, scenario: Scenario, width: int) -> tuple[ControlEnv, Task]:
@@ -252,13 +260,13 @@ def _prepare(env: ControlEnv, scenario: Scenario, width: int) -> tuple[ControlEn
 
 
 def _run(
-    calm: ControlEnv, policy: Policy, scenario: Scenario, start: TensorDictBase, sensing: Sensing | None
+    calm: ControlEnv, policy: Policy, scenario: Scenario, start: TensorDictBase, sensing: Sensing | None, phase: str
 ) -> TensorDictBase:
     """Roll the policy out phase by phase, each phase with its own plant."""
     parts, total = [], round((scenario.seconds or 0.0) / calm.dt)
 
     def _told(env: EnvBase, step: TensorDictBase) -> None:
-        tell(f"flight '{scenario.name}'", int(step["step_count"].max()), total, "control periods")
+        tell(phase, int(step["step_count"].max()), total, "control periods")
 
     for steps, disturbed in _phases(scenario, calm.dt):
         plant = calm.with_system(scenario.plant(calm.system)) if disturbed and scenario.plant else calm
@@ -266,6 +274,7 @@ def _run(
         part = env.rollout(steps, policy, _told, auto_reset=False, tensordict=start, break_when_any_done=False)
         start = env.step_mdp(part[..., -1])
         parts.append(part)
+    tell(phase, total, total, "control periods")  # of the last step the environment tells no more
     trajectory: TensorDictBase = torch.cat(parts, -1)
     in_time = trajectory.transpose(0, 1).reshape(-1)
     where = f"evaluation in scenario '{scenario.name}'"

@@ -17,27 +17,36 @@ from dynasindy.world_models.refinement.measured import rates_known
 
 RESOLVED = 2.0
 """Error up to which a prediction is as good as a sensor can tell [what the sensor resolves]."""
+LOST = 10.0
+"""Error beyond which a prediction has run away [ranges of the state]."""
 HELPFUL = 0.5
 """Part of the error of the last value held that a model may have that predicts."""
 
 
 def table(forecasts: Forecasts, signature: Signature) -> list[str]:
-    """Write the errors over all horizons: of the model, of a linear one, and of the last value held."""
-    heads = "".join(f"{f'{h:g} s':>30}" for h in forecasts.horizons)
+    """Write the errors over all horizons: of the model, of a linear one, and of the last value held, a line each.
+
+    A linear model may run away without ever being infinite: beyond `LOST` ranges of a state its error is no number.
+    """
+    kinds = {
+        "model": forecasts.model,
+        f"linear model on {forecasts.order} past samples": forecasts.linear,
+        "last value held": forecasts.held,
+    }
+    wide, heads = max(map(len, kinds)) + 2, [f"{horizon:g} s" for horizon in forecasts.horizons]
     lines = [
-        f"validation: error over the time after {forecasts.starts} starts (RMSE), of the model / of a linear model on "
-        f"{forecasts.order} past samples / of the last value held",
-        f"  {'':<18}{heads}",
+        f"validation: RMS error over the time after {forecasts.starts} starts",
+        f"  {'':<{wide + 2}}{''.join(f'{head:>11}' for head in heads)}",
     ]
     for i, (name, unit) in enumerate(zip(signature.state_names, signature.state_units, strict=True)):
         if bool(forecasts.held[:, i].isnan().all()):
             continue
-        cells = (
-            " / ".join(_short(float(kind[k, i])) for kind in (forecasts.model, forecasts.linear, forecasts.held))
-            for k in range(len(forecasts.horizons))
-        )
-        sensor = f"   the sensor resolves {_short(float(forecasts.resolution[i]))}"
-        lines.append(f"  {f'{name} [{unit}]':<18}{''.join(f'{cell:>30}' for cell in cells)}{sensor}")
+        lines.append(f"  {name} [{unit}], the sensor resolves {_short(float(forecasts.resolution[i]))}")
+        most = LOST * signature.x_scale[i]
+        for kind, found in kinds.items():
+            errors = [float(found[k, i]) for k in range(len(forecasts.horizons))]
+            cells = (_short(math.inf if error > most else error) for error in errors)
+            lines.append(f"    {kind:<{wide}}{''.join(f'{cell:>11}' for cell in cells)}")
     return lines
 
 

@@ -27,6 +27,8 @@ from dynasindy.tasks import Tracking
 
 GROWN = 30.0
 """Growth of a deviation within an episode beyond which a plant has to be held. Of the twin rotor it is 5."""
+DOUBLED = math.log(2)
+"""Exponent by which a deviation has doubled in an episode, from which on a plant is called unstable."""
 REFERENCES = 64
 """References at which rests are looked for."""
 LOOKED_AT = 8
@@ -115,9 +117,10 @@ def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettin
     slowest = regulator.slowest if regulator else math.nan
     window = 60 if math.isnan(slowest) else WINDOW * round(TIME_CONSTANTS * slowest / WINDOW)
     window = max(2 * WINDOW, min(window, LONGEST))
-    loop = "no regulator holds it" if regulator is None else f"slowest regulated mode {slowest:.3g} periods"
-    grows = f"a deviation grows {grown:.2g}-fold in an episode; {loop}"
-    why = f"{grows}; {unheld}" if unheld else grows
+    loop = "no linear regulator holds it"
+    if regulator is not None:
+        loop = f"under a linear regulator its slowest motion has a time constant of {slowest:.3g} periods"
+    why = "; ".join(filter(None, (_fate(slopes, grown, seconds), loop, unheld)))
     if not grown > GROWN:
         return PlanSettings(window=window, substeps=substeps, why=why)
     return PlanSettings(window, 3e-3, 200, 3, substeps, regulator is not None, why)
@@ -140,6 +143,22 @@ def _unheld(env: ControlEnv, rests: Rests) -> str:
         f"in the model no input within [-1, 1] holds {len(rests.unheld)} of {len(rests.unheld) + len(rests)} targets, "
         f"{such}"
     )
+
+
+def _fate(slopes: list[Tensor], grown: float, seconds: float) -> str:
+    """Say what becomes of a deviation that nothing controls.
+
+    Args:
+        slopes: df/dx at some rests, `(n_x, n_x)` each [1/s].
+        grown: By how much a deviation may have grown in an episode, in ranges.
+        seconds: Length of an episode [s].
+    """
+    fastest = max(float(torch.linalg.eigvals(a).real.max()) for a in slopes)
+    if fastest * seconds > DOUBLED:
+        return f"the plant is unstable, without control a deviation doubles every {math.log(2) / fastest:.2g} s"
+    if grown > 2.0:
+        return f"without control a deviation grows {grown:.2g} times at most in an episode"
+    return "the plant is stable, without control a deviation hardly grows"
 
 
 def _targets(task: Tracking, generator: torch.Generator) -> Tensor:

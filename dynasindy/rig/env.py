@@ -43,6 +43,8 @@ class RigEnv(ControlEnv):
         ValueError: The rig has other states or inputs than the system.
     """
 
+    begins_anew = False
+
     def __init__(
         self, system: System, task: Task, flights: Flights, *, dtype: torch.dtype = torch.float64, seed: int = 0
     ) -> None:

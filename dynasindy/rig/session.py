@@ -17,7 +17,9 @@ from dynasindy.excitation import Excitation
 from dynasindy.rig.base import Array, Rig, Wiring
 from dynasindy.rig.flight import Flown, Guard, fly
 from dynasindy.rig.shown import Shown
+from dynasindy.systems import Signature
 from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import SindyModel
 from dynasindy.world_models.libraries import LibraryBuilder
 
 Tell = Callable[[str], None]
@@ -42,6 +44,14 @@ class Knowledge:
     targets: Mapping[str, tuple[float, float]]
     longest_delay: float = 0.1
     planning: Mapping[str, Any] = field(default_factory=dict)
+
+    def require_of(self, signature: Signature) -> None:
+        """Refuse, before anything moves, what no model or no task of a plant can be made of.
+
+        Raises:
+            ValueError: A function, an equation or an output is not one of this plant.
+        """
+        workbench.tracking(SindyModel(signature, self.library, known=self.known), self.targets)
 
 
 def targets_within(knowledge: Knowledge, wanted: Sequence[Sequence[float]] | None) -> list[list[float]]:
@@ -144,7 +154,8 @@ class Session:
 
         name = f"flight_{len(self.flights)}"
         flown = self._fly(name, _act, len(rows))
-        shown = Shown.of(self.folder / f"{name}.csv", self.wiring.signature, controller.outputs, rows)
+        fault = "" if flown.fault is None else f"{flown.fault.kind}: {flown.fault}"
+        shown = Shown.of(self.folder / f"{name}.csv", self.wiring.signature, controller.outputs, rows, fault)
         self.shown[name] = shown
         self.tell(f"  {shown.words()}")
         return flown

@@ -28,6 +28,8 @@ class Shown:
         outputs: What was measured, NaN where a sample was lost, `(T, n_r)`; all NaN of an output without a sensor.
         inputs: `(T, n_u)` in [-1, 1], NaN where a sample was lost.
         ends: Rows over which errors are taken: the last part of each target, bool `(T,)`.
+        planned: Control periods that the flight was to last.
+        fault: What ended it early, in words; empty if nothing did.
     """
 
     names: tuple[str, ...]
@@ -37,9 +39,18 @@ class Shown:
     outputs: Array
     inputs: Array
     ends: Array
+    planned: int = 0
+    fault: str = ""
 
     @classmethod
-    def of(cls, path: Path, signature: Signature, outputs: Sequence[str], targets: Sequence[Sequence[float]]) -> Shown:
+    def of(
+        cls,
+        path: Path,
+        signature: Signature,
+        outputs: Sequence[str],
+        targets: Sequence[Sequence[float]],
+        fault: str = "",
+    ) -> Shown:
         """Read the log of a flight that held one target after the other, each for as long.
 
         Args:
@@ -47,6 +58,7 @@ class Shown:
             signature: Names and units of the plant.
             outputs: Tracked states.
             targets: One number per output each, of every row, `(T, n_r)`.
+            fault: What ended it early, in words.
         """
         with path.open(newline="", encoding="utf-8") as file:
             headings, *rows = list(csv.reader(file))
@@ -63,6 +75,8 @@ class Shown:
             np.stack([table.get(name, missing) for name in outputs], -1),
             np.stack([table[name] for name in signature.input_names], -1),
             _ends(wanted),
+            len(targets),
+            fault,
         )
 
     def errors(self) -> Array:

@@ -82,7 +82,7 @@ class Tracking(Task):
                 "may be none, and weights, one of which serves all; complete the task"
             )
         if not error_scale > 0:
-            raise ValueError(f"error_scale must be positive, got {error_scale}; give it in boxes of targets")
+            raise ValueError(f"error_scale must be positive, got {error_scale}; give it in ranges of the targets")
         for key, names in (("outputs", outputs), ("rates", rates)):
             if absent := [name for name in names if name not in signature.state_names]:
                 raise ValueError(

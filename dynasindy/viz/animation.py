@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
 
 from dynasindy.envs.drawing import HEIGHT, Frame, draw, draw_beam, is_beam
+from dynasindy.evaluation.drawn import drawn
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.told import counted
 from dynasindy.viz.style import BLACK, BLUE, CYCLE, STYLE, WORDS, Array, label
@@ -106,13 +107,13 @@ def frames(evaluation: Evaluation, row: int = 0, every: int = 2) -> Iterator[Fra
         yield np.hstack([scene, chart.until(k)])
 
 
-def animate(evaluation: Evaluation, path: Path, row: int = 0, seconds: float = 10.0) -> Path:
+def animate(evaluation: Evaluation, path: Path, row: int | None = None, seconds: float = 10.0) -> Path:
     """Write one row of an evaluation as an animation, in real time unless that takes too long.
 
     Args:
         evaluation: What to show.
         path: File to write; its suffix, .gif or .mp4, says how.
-        row: Which of its references.
+        row: Which of its episodes; the one that figures show, if omitted.
         seconds: Longest time it may take [s]; a longer run is shown a whole number of times as fast, and says so.
 
     Returns:
@@ -132,6 +133,7 @@ def animate(evaluation: Evaluation, path: Path, row: int = 0, seconds: float = 1
     speed = max(1, math.ceil(len(evaluation.time) * dt / seconds - 1e-6))
     every = max(1, round(speed / (RATE * dt)))
     write = _write_gif if path.suffix == ".gif" else _write_mp4
+    row = drawn(evaluation).row if row is None else row
     pictures = counted("animation", frames(evaluation, row, every), math.ceil(len(evaluation.time) / every), "pictures")
     write(pictures, path, every * dt / speed)
     return path

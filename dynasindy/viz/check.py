@@ -2,65 +2,102 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+import torch
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from dynasindy.checking import Check, Thresholds
+from dynasindy.checking.flights import TOLERANCE
 from dynasindy.checking.margins import broken, frequencies
 from dynasindy.viz.style import (
     BLACK,
     BLUE,
+    CYCLE,
     GREEN,
     GREY,
     ORANGE,
     RED,
+    SKY,
     array,
     held,
     label,
     legend_above,
+    legend_beside,
     panels,
     styled,
+    symbol,
 )
 
 SHOWN = 15
 """Changes of single coefficients that are drawn, the worst first."""
+NAMED = 9
+"""Loops that have a colour and a name of their own, those that come nearest to -1 first."""
 
 
-def draw(found: Check) -> dict[str, Figure]:
-    """Return all figures of a check by name."""
-    signature, outputs = found.loop.signature, found.loop.task.outputs
+def draw(found: Check, thresholds: Thresholds | None = None) -> dict[str, Figure]:
+    """Return all figures of a check by name, with the thresholds of its verdict."""
+    signature, limits = found.loop.signature, thresholds or Thresholds()
     figures: dict[str, Figure] = {}
     if planes := [(p.names, p.units, p.first, p.second, p.back) for p in found.planes]:
-        figures["recovery"] = recovery(planes, "Comes back from these errors, on the model")
+        words = (
+            f"Errors from which the model comes back to {_target(found, found.middle)}: within "
+            f"{found.settings.seconds:g} s to {100 * TOLERANCE:g} % of each output's range "
+            f"(asked for: {limits.recovered:.0%} of them)"
+        )
+        figures["recovery"] = recovery(planes, words)
     stable = [k for k, ok in enumerate(found.stable.tolist()) if ok]
     if stable and signature.n_u:
         rows = [found.rest.linear.row(k) for k in stable]
-        curves = [broken(row, frequencies(row)) for row in rows]
-        figures["nyquist"] = nyquist(curves, signature.input_names)
-    drawn = found.drawn or found.steps
-    figures["steps"] = steps(
-        drawn.dt,
-        array(drawn.x[:, :, outputs]),
-        array(drawn.u),
-        array(drawn.r[0]),
-        [(signature.state_names[i], signature.state_units[i]) for i in outputs],
-        signature.input_names,
-    )
+        curves = {_target(found, k): broken(row, frequencies(row)) for k, row in zip(stable, rows, strict=True)}
+        lost = len(found.targets) - len(stable)
+        title = "Loop opened at each input" + f"; {lost} of {len(found.targets)} targets have no stable loop" * (
+            lost > 0
+        )
+        figures["nyquist"] = nyquist(curves, signature.input_names, limits.disk, title)
+    figures["steps"] = _steps(found, limits)
     single = slice(found.spread.draws, None)
     if found.spread.labels[single]:
-        figures["coefficients"] = coefficients(found.spread.labels[single], found.spread.worst[single])
+        number = len(stable)
+        title = f"Stability if one coefficient is wrong, at the worst of {number} target{'s' * (number > 1)}"
+        figures["coefficients"] = coefficients(found.spread.labels[single], found.spread.worst[single], title)
     return figures
+
+
+def _target(found: Check, number: int) -> str:
+    """Return a target by the names of its outputs: `theta = 0.5 rad`."""
+    signature, outputs = found.loop.signature, found.loop.task.outputs
+    values = zip(outputs, found.targets[number].tolist(), strict=True)
+    return ", ".join(f"{symbol(signature.state_names[i])} = {v:.3g} {signature.state_units[i]}" for i, v in values)
+
+
+def _steps(found: Check, limits: Thresholds) -> Figure:
+    """Draw the model's step to the farthest target, and those of plants within its uncertainty."""
+    signature, outputs, far = found.loop.signature, found.loop.task.outputs, found.farthest
+    x, u = found.steps.x[far : far + 1], found.steps.u[far : far + 1]
+    if found.drawn is not None:
+        x, u = torch.cat([x, found.drawn.x]), torch.cat([u, found.drawn.u])
+    names, units, ranges = signature.state_names, signature.state_units, signature.x_scale
+    return steps(
+        found.steps.dt,
+        array(x[:, :, outputs]),
+        array(u),
+        array(found.targets[far]),
+        [(names[i], units[i], limits.error * ranges[i]) for i in outputs],
+        signature.input_names,
+        f"Step from the origin to {_target(found, far)}, the farthest target",
+    )
 
 
 @styled
 def nyquist(
-    curves: Sequence[ArrayLike],
+    curves: Mapping[str, ArrayLike],
     names: Sequence[str],
     disk: float = Thresholds.disk,
     title: str = "Loop opened at each input",
@@ -68,19 +105,28 @@ def nyquist(
     """Draw the loop opened at each input, one curve per target, and the point -1 that it must not go around.
 
     Args:
-        curves: Loops `(n_omega, n_u)`, complex, one per target.
+        curves: Loops `(n_omega, n_u)`, complex, by target.
         names: Inputs.
         disk: Least disk margin that passes the check.
         title: of the figure.
     """
-    figure, axes = panels(1, len(names), (4.2 * len(names), 4.5), title, sharex=False)
+    figure, axes = panels(1, len(names), (4.2 * len(names) + 2.2, 4.5), title, sharex=False)
     angle = np.linspace(0, 2 * np.pi, 200)
     # Inside of this circle, some factor between (2 - disk)/(2 + disk) and its inverse makes the loop unstable.
     near, far = -(2 - disk) / (2 + disk), -(2 + disk) / (2 - disk)
+    nearest = sorted(curves, key=lambda name: float(np.abs(np.asarray(curves[name]) + 1).min()))
+    others = f"{len(curves) - NAMED} others, farther from -1"
     for i, (axis, name) in enumerate(zip(axes, names, strict=True)):
-        for k, curve in enumerate(curves):
-            values = np.asarray(curve)[:, i]
-            axis.plot(values.real, values.imag, color=BLUE, alpha=0.6, linewidth=1.0, label="loop" if not k else None)
+        for k, target in enumerate(nearest):
+            look: dict[str, Any] = {
+                "color": CYCLE[k % len(CYCLE)],
+                "linestyle": "-" if k < len(CYCLE) else "--",
+                "label": target,
+            }
+            if k >= NAMED:
+                look = {"color": GREY, "linestyle": "-", "label": "_" * (k > NAMED) + others}
+            values = np.asarray(curves[target])[:, i]
+            axis.plot(values.real, values.imag, linewidth=1.0, zorder=2.5 - 0.01 * k, **look)
         axis.plot(np.cos(angle), np.sin(angle), color=GREY, linestyle=":", linewidth=0.9, label="gain 1")
         told = f"disk margin < {disk:g}"
         axis.add_patch(Circle((0.5 * (near + far), 0), 0.5 * (near - far), color=ORANGE, alpha=0.2, lw=0, label=told))
@@ -90,7 +136,7 @@ def nyquist(
         axis.set_aspect("equal")
         axis.set_xlabel(f"real part, {label(name)}")
         axis.set_ylabel("imaginary part")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    legend_beside(axes[-1])
     return figure
 
 
@@ -100,31 +146,37 @@ def steps(
     outputs: ArrayLike,
     inputs: ArrayLike,
     reference: ArrayLike,
-    names: Sequence[tuple[str, str]],
+    names: Sequence[tuple[str, str, float]],
     input_names: Sequence[str],
-    title: str = "Step with plants that the model might have meant",
+    title: str = "Step",
 ) -> Figure:
-    """Draw steps of many plants under one controller.
+    """Draw a step of the model and of plants within its uncertainty, under one controller.
 
     Args:
         dt: Control period [s].
-        outputs: `(rows, T + 1, n_r)`.
-        inputs: `(rows, T, n_u)`, in [-1, 1].
+        outputs: `(rows, T + 1, n_r)`; the first row is that of the model, all others are of other plants.
+        inputs: `(rows, T, n_u)`, in [-1, 1], likewise.
         reference: `(n_r,)`.
-        names: Name and unit of each output.
+        names: Name and unit of each output, and the steady error that passes the check.
         input_names: Inputs.
         title: of the figure.
     """
     y, u, r = array(outputs), array(inputs), array(reference)
     figure, axes = panels(len(names) + len(input_names), 1, (7.0, 2.1 * len(names) + 1.4 * len(input_names)), title)
     seconds = array(dt * np.arange(y.shape[1]))
-    for i, (axis, (name, unit)) in enumerate(zip(axes, names, strict=False)):
+    others = f"{len(y) - 1} plants within its uncertainty"
+    looks: list[dict[str, Any]] = [{"color": BLUE, "zorder": 3, "label": "the model itself"}]
+    looks += [{"color": SKY, "linewidth": 0.8, "label": "_" * (k > 0) + others} for k in range(len(y) - 1)]
+    for i, (axis, (name, unit, error)) in enumerate(zip(axes, names, strict=False)):
         axis.axhline(r[i], color=BLACK, linestyle="--", linewidth=1.2, label="target")
-        lines = axis.plot(seconds, y[:, :, i].T, color=BLUE, alpha=0.4, linewidth=0.8)
-        lines[0].set_label(f"{len(y)} plants")
+        for row, look in zip(y, looks, strict=True):
+            axis.plot(seconds, row[:, i], **look)
+        told = "steady error that passes"
+        axis.axhspan(r[i] - error, r[i] + error, color=GREY, alpha=0.2, lw=0, label=told)
         axis.set_ylabel(label(name, unit))
     for i, (axis, name) in enumerate(zip(axes[len(names) :], input_names, strict=True)):
-        axis.step(*held(seconds[:-1], u[:, :, i].T), where="post", color=BLUE, alpha=0.4, linewidth=0.8)
+        for row, look in zip(u, looks, strict=True):
+            axis.step(*held(seconds[:-1], row[:, i]), where="post", **{"linewidth": 1.0, **look})
         axis.set_ylim(-1.08, 1.08)
         axis.set_ylabel(label(name, "-"))
     legend_above(axes[0])
@@ -149,13 +201,23 @@ def coefficients(
     finite = values[np.isfinite(values)]
     low, high = float(finite.min(initial=1.0)), float(finite.max(initial=1.0))
     edge = high + 0.1 * max(high - low, 1e-3)
+    if len(order) < len(values):
+        title += f": the worst {len(order)} of {len(values)} changes"
     figure, (axis,) = panels(1, 1, (9.0, 0.26 * len(order) + 1.2), title)
-    places = np.arange(len(order))[::-1]
-    shown = np.where(np.isfinite(values[order]), values[order], edge)
-    axis.scatter(shown, places, color=np.where(values[order] < 1, GREEN, RED), zorder=3)
+    places, worst = np.arange(len(order))[::-1], values[order]
+    kinds: dict[str, tuple[NDArray[np.bool_], dict[str, Any]]] = {
+        "stable": (worst < 1, {"color": GREEN}),
+        "not stable": ((worst >= 1) & np.isfinite(worst), {"color": RED}),
+        "never comes to rest, drawn at the edge": (~np.isfinite(worst), {"color": RED, "marker": ">"}),
+    }
+    for words, (these, look) in kinds.items():
+        if these.any():
+            shown = np.where(np.isfinite(worst[these]), worst[these], edge)
+            axis.scatter(shown, places[these], zorder=3, label=words, **look)
     axis.set_yticks(places, [_plain(labels[k]) for k in order])
-    axis.axvline(1.0, color=BLACK, linestyle="--", linewidth=1.0)
+    axis.axvline(1.0, color=BLACK, linestyle="--", linewidth=1.0, label="limit of stability")
     axis.set_xlabel("largest spectral radius (stable below 1)")
+    legend_beside(axis)
     return figure
 
 
@@ -170,7 +232,7 @@ def recovery(planes: Sequence[Drawn], title: str = "Comes back from these errors
         planes: Names, units, errors of the first and the second state `(n,)`, and whether it comes back `(n, n)`.
         title: of the figure.
     """
-    figure, axes = panels(1, max(1, len(planes)), (3.6 * max(1, len(planes)), 3.6), title, sharex=False)
+    figure, axes = panels(1, max(1, len(planes)), (max(6.0, 3.6 * len(planes)), 3.8), title, sharex=False)
     for axis, (names, units, first, second, back) in zip(axes, planes, strict=False):
         axis.pcolormesh(
             array(first), array(second), array(back).T, cmap=ListedColormap([RED, GREEN]), vmin=0, vmax=1, alpha=0.6

@@ -1,10 +1,11 @@
-"""The figures of an evaluation: its first row over time and, over many references, the error."""
+"""The figures of an evaluation: one episode over time and, over many references, the error."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from dynasindy.evaluation.drawn import drawn
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.viz.response import error_fan, step_response, tracking
 from dynasindy.viz.style import ORANGE, legend_above, save, styled
@@ -35,19 +36,23 @@ def draw_evaluation(
     return files
 
 
-def figures(evaluation: Evaluation, label: str = "policy", row: int = 0, place: str = "") -> dict[str, Figure]:
-    """Return the figures by name of file: one row over time and, of several rows, the spread of the error.
+def figures(evaluation: Evaluation, label: str = "policy", place: str = "") -> dict[str, Figure]:
+    """Return the figures by name of file: one episode over time and, of several ones, the spread of the error.
 
-    Titles say where it was flown, unless on the plant.
+    Titles say which episode is shown, what disturbed it, and where it was flown, unless on the plant.
     """
     where = f" {place}" if place else ""
-    name, reference = evaluation.scenario, evaluation.references[row]
+    shown = drawn(evaluation)
+    row, name = shown.row, evaluation.scenario
+    scenario = "; ".join([f"Scenario '{name}'{where}", *evaluation.disturbances])
+    title = "\n".join(filter(None, [scenario, shown.words]))
     if not evaluation.columns:
-        return {name: _untracked(evaluation, label, row, f"Scenario '{name}'{where}")}
+        return {name: _untracked(evaluation, label, row, title)}
+    reference = evaluation.references[row]
     names = [f"{output} [{unit}]" for output, unit in evaluation.units.items()]
     # A constant reference is a step; what moves has no settling band.
     draw = step_response if bool((reference == reference[0]).all()) else tracking
-    drawn = {
+    found = {
         name: draw(
             evaluation.time,
             reference,
@@ -55,22 +60,21 @@ def figures(evaluation: Evaluation, label: str = "policy", row: int = 0, place: 
             {label: evaluation.inputs[row]},
             names,
             evaluation.signature.input_names,
-            title=f"Scenario '{name}'{where}",
+            title=title,
         )
     }
-    _shade(drawn[name], evaluation)
+    _shade(found[name], evaluation)
     if len(evaluation.outputs) > 1:
-        title = f"Scenario '{name}'{where}: error over all references"
-        drawn[f"{name}_errors"] = error_fan(
+        found[f"{name}_errors"] = error_fan(
             evaluation.time,
             evaluation.outputs,
             evaluation.references,
             names,
-            title,
+            f"{scenario}: error over all references",
             [0.01 * box for box in evaluation.boxes] or [0.01],
         )
-        _shade(drawn[f"{name}_errors"], evaluation)
-    return drawn
+        _shade(found[f"{name}_errors"], evaluation)
+    return found
 
 
 def _untracked(evaluation: Evaluation, label: str, row: int, title: str) -> Figure:

@@ -13,7 +13,9 @@ from dynasindy.viz.style import BLACK, BLUE, GREY, ORANGE, RED, Array, array, le
 
 
 @styled
-def gate(decisions: Mapping[str, ArrayLike], title: str = "Trust in the model") -> Figure:
+def gate(
+    decisions: Mapping[str, ArrayLike], title: str = "Trust in the model", unit: str = "reward per period"
+) -> Figure:
     """Draw the reward error with its thresholds, shaded while the gate is closed, and the test of each refit.
 
     Of a single episode each figure has a line of its own, as there is no course to draw.
@@ -25,10 +27,11 @@ def gate(decisions: Mapping[str, ArrayLike], title: str = "Trust in the model") 
             1 or 0; and of the refit `held_out_error_before`, `held_out_error_after` and `refit_kept`, NaN without a
             test.
         title: of the figure.
+        unit: of the reward error.
     """
     columns = {name: array(values) for name, values in decisions.items()}
     if len(columns["episode"]) == 1:
-        return _once({name: float(values[0]) for name, values in columns.items()}, title)
+        return _once({name: float(values[0]) for name, values in columns.items()}, title, unit)
     x, before, after = (columns[name] for name in ("episode", "held_out_error_before", "held_out_error_after"))
     figure, (upper, lower) = panels(2, 1, (8.5, 5.0), title)
     dots: dict[str, Any] = {"marker": "o", "markersize": 3, "clip_on": False}
@@ -43,7 +46,7 @@ def gate(decisions: Mapping[str, ArrayLike], title: str = "Trust in the model") 
         told = "_" * (number > 0) + "model not trusted"
         upper.axvspan(closed - 0.5, closed + 0.5, color=GREY, alpha=0.25, linewidth=0, label=told)
     upper.set_yscale("log")
-    upper.set_ylabel("reward error [per period]")
+    upper.set_ylabel(f"reward error\n[{unit}]")
     legend_beside(upper)
     lower.plot(x, before, color=ORANGE, label="before the refit", **dots)
     lower.plot(x, after, color=BLUE, label="after the refit", **dots)
@@ -63,7 +66,7 @@ def gate(decisions: Mapping[str, ArrayLike], title: str = "Trust in the model") 
     return figure
 
 
-def _once(columns: Mapping[str, float], title: str) -> Figure:
+def _once(columns: Mapping[str, float], title: str, unit: str) -> Figure:
     """Draw what the gate saw in the only episode: errors along the axis, one below the other."""
     figure, (upper, lower) = panels(2, 1, (7.0, 3.2), title, sharex=False)
     closed = "" if columns["open"] else ", closes the gate"
@@ -72,10 +75,11 @@ def _once(columns: Mapping[str, float], title: str) -> Figure:
         "whole episode, before the refit": ("reward_error", GREY),
         f"held-out windows, judged{closed}": ("judged_reward_error", BLUE),
     }
-    _rows(upper, columns, errors, "reward error [per period]")
+    _rows(upper, columns, errors, f"reward error [{unit}]")
     for name, line, words in (("open_below", ":", "opens below"), ("close_above", "--", "closes above")):
         if np.isfinite(columns[name]):
-            upper.axvline(columns[name], color=BLACK, linestyle=line, linewidth=0.9, label=words)
+            told = f"{words} {columns[name]:g}"
+            upper.axvline(columns[name], color=BLACK, linestyle=line, linewidth=0.9, label=told)
             upper.set_xlim(right=max(upper.get_xlim()[1], 3 * columns[name]))
     if upper.get_legend_handles_labels()[0]:
         legend_beside(upper)

@@ -9,17 +9,18 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
+from dynasindy.systems import Signature
 from dynasindy.systems.twin_rotor import SIGNATURE
-from dynasindy.viz.response import INPUTS
 from dynasindy.viz.style import (
     BLACK,
     BLUE,
     GREY,
+    ORANGE,
     RED,
     Array,
     array,
-    held,
     label,
+    legend_above,
     legend_beside,
     name_single,
     panels,
@@ -28,21 +29,30 @@ from dynasindy.viz.style import (
     symbol,
 )
 
-STATES = SIGNATURE.state_names
-UNITS = SIGNATURE.state_units
 BEYOND = 0.6
 """A prediction is drawn as far as this part of the plant's own range beyond it."""
+LOST = 10.0
+"""A prediction ends where it is off by more than this part of the range."""
+GAP = "gap: samples missing or left out"
+MOST = 50
+"""More gaps than these are not marked, as the marks would hide the data."""
 
 
 @styled
-def excitation(time: ArrayLike, u: ArrayLike, input_names: Sequence[str] = INPUTS, title: str = "Excitation") -> Figure:
-    """Draw the excitation signal, `(T, n_u)` in [-1, 1], over `time` `(T,)` [s]."""
+def excitation(
+    time: ArrayLike, u: ArrayLike, input_names: Sequence[str] = SIGNATURE.input_names, title: str = "Excitation"
+) -> Figure:
+    """Draw the excitation signal, `(T, n_u)` in [-1, 1], over `time` `(T,)` [s].
+
+    A row of NaN is where it began anew, and is marked.
+    """
     seconds, values = array(time), array(u)
     figure, axes = panels(len(input_names), 1, (7.0, 1.5 * len(input_names) + 0.6), title)
     for i, (axis, name) in enumerate(zip(axes, input_names, strict=True)):
-        axis.step(*held(seconds, values[:, i]), where="post", color=BLUE)
-        axis.set_ylim(-1.08, 1.08)
-        axis.set_ylabel(label(name, "-"))
+        _input(axis, seconds, values[:, i], name)
+    _mark_restarts(axes, seconds, values)
+    if axes[0].get_legend_handles_labels()[0]:
+        legend_above(axes[0])
     _finish(axes, 1, seconds)
     return figure
 
@@ -51,25 +61,43 @@ def excitation(time: ArrayLike, u: ArrayLike, input_names: Sequence[str] = INPUT
 def training_data(
     time: ArrayLike,
     x: ArrayLike,
-    names: Sequence[str] = STATES,
-    units: Sequence[str] = UNITS,
+    u: ArrayLike | None = None,
+    signature: Signature = SIGNATURE,
     title: str = "Training data",
     segment: ArrayLike | None = None,
+    left_out: Sequence[Sequence[float]] = (),
 ) -> Figure:
-    """Draw the states `(T, n_x)` that the model was fitted to over `time` `(T,)` [s].
+    """Draw the states `(T, n_x)` that the model was fitted to and the inputs that moved them, over `time` `(T,)` [s].
+
+    Marked are where the excitation ended early and began anew, a row of NaN, where a log has a gap, and what the fit
+    leaves out.
 
     Args:
         time: `(T,)` [s].
         x: `(T, n_x)` states.
-        names: states.
-        units: their units.
+        u: `(T, n_u)` inputs, each held to the next sample; without them only the states are drawn.
+        signature: Names and units.
         title: of the figure.
         segment: `(T,)` number of the unbroken stretch of each sample; lines break between them.
+        left_out: From when to when the fit leaves the samples out, as a mechanical stop was touched [s].
     """
     seconds, values = array(time), array(x)
-    figure, axes, columns = _states(names, units, title)
-    for i in range(len(names)):
+    inputs = () if u is None else signature.input_names
+    names, units = (*signature.state_names, *inputs), (*signature.state_units, *("-",) * len(inputs))
+    figure, axes, columns = _panels(names, units, title)
+    for i in range(signature.n_x):
         axes[i].plot(_broken(seconds, segment), _broken(values[:, i], segment), color=BLUE)
+        _say_unmeasured(axes[i], values[:, i])
+    moving = np.zeros((len(seconds), 0)) if u is None else array(u)
+    for i, name in enumerate(inputs):
+        _input(axes[signature.n_x + i], seconds, moving[:, i], name, segment)
+    shown = axes[: len(names)]
+    _mark_restarts(shown, seconds, values)
+    _mark_gaps(shown, seconds, segment)
+    for start, end in left_out:
+        for axis in shown:
+            axis.axvspan(start, end, color=ORANGE, alpha=0.25, lw=0, label="at a stop, left out of the fit")
+    _legend_below(figure, axes[0])
     _finish(axes, columns, seconds, segment)
     return figure
 
@@ -79,34 +107,37 @@ def prediction(
     time: ArrayLike,
     real: ArrayLike,
     predicted: ArrayLike,
-    names: Sequence[str] = STATES,
-    units: Sequence[str] = UNITS,
+    signature: Signature = SIGNATURE,
     title: str = "Model prediction against the real plant",
     segment: ArrayLike | None = None,
+    truth: str = "real",
 ) -> Figure:
     """Draw free-running prediction against the real plant, each panel with its error in percent of the range.
 
     Args:
         time: `(T,)` [s].
-        real: `(T, n_x)` states of the plant.
+        real: `(T, n_x)` states of the plant, or as a log has them; NaN of a state without a sensor.
         predicted: `(T, n_x)` states of the model under the same input; what is not finite is left out.
-        names: states.
-        units: their units.
+        signature: Names and units of the states.
         title: of the figure.
         segment: `(T,)` number of the unbroken stretch of each sample; lines break between them.
+        truth: What the model is compared with: "real" states, or a "log".
     """
-    seconds, truth, model = array(time), array(real), array(predicted)
-    figure, axes, columns = _states(names, units, title)
+    seconds, truths, model = array(time), array(real), array(predicted)
+    names = signature.state_names
+    figure, axes, columns = _panels(names, signature.state_units, title)
     for i in range(len(names)):
-        wide = truth[:, i].max() - truth[:, i].min()
-        x, real, free = (_broken(v, segment) for v in (seconds, truth[:, i], model[:, i]))
-        axes[i].plot(x, real, color=BLACK, linewidth=1.2, label="real")
+        wide = truths[:, i].max() - truths[:, i].min()
+        ended = _until_lost(model[:, i], truths[:, i], wide)
+        x, measured, free = (_broken(v, segment) for v in (seconds, truths[:, i], ended))
+        axes[i].plot(x, measured, color=BLACK, linewidth=1.2, label=truth)
         axes[i].plot(x, free, color=RED, linestyle=":", linewidth=1.8, label="predicted")
-        axes[i].set_title(_fit(truth[:, i], model[:, i], wide), fontsize=8.5, loc="right")
+        axes[i].set_title(_fit(truths[:, i], model[:, i], wide), fontsize=8.5, loc="right")
         if wide > 0:
             # A model that runs away must not flatten the plant's own curve.
-            axes[i].set_ylim(truth[:, i].min() - BEYOND * wide, truth[:, i].max() + BEYOND * wide)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+            axes[i].set_ylim(truths[:, i].min() - BEYOND * wide, truths[:, i].max() + BEYOND * wide)
+    _mark_gaps(axes[: len(names)], seconds, segment)
+    _legend_below(figure, axes[0])
     _finish(axes, columns, seconds, segment)
     return figure
 
@@ -168,7 +199,7 @@ def growing_error(time: ArrayLike, error: ArrayLike, title: str = "Open-loop err
     axis.set_yscale("log")
     axis.set_xlim(0.0, array(time).max(initial=0.0) or 1.0)
     axis.set_xlabel("time [s]")
-    axis.set_ylabel("state error [ranges]")
+    axis.set_ylabel("RMS error of the states [ranges]")
     return figure
 
 
@@ -176,7 +207,7 @@ def growing_error(time: ArrayLike, error: ArrayLike, title: str = "Open-loop err
 def coefficient_table(
     coefficients: ArrayLike,
     feature_names: Sequence[str],
-    state_names: Sequence[str] = STATES,
+    state_names: Sequence[str] = SIGNATURE.state_names,
     title: str = r"SINDy model $\Xi$",
 ) -> Figure:
     """Draw the coefficients `(n_features, n_x)` as a table; features that no state uses are left out."""
@@ -200,7 +231,7 @@ def coefficient_table(
     return figure
 
 
-def _states(names: Sequence[str], units: Sequence[str], title: str) -> tuple[Figure, list[Axes], int]:
+def _panels(names: Sequence[str], units: Sequence[str], title: str) -> tuple[Figure, list[Axes], int]:
     columns = 2 if len(names) > 3 else 1
     rows = -(-len(names) // columns)
     figure, axes = panels(rows, columns, (9.0 if columns > 1 else 7.0, 1.9 * rows + 0.5), title)
@@ -211,21 +242,70 @@ def _states(names: Sequence[str], units: Sequence[str], title: str) -> tuple[Fig
     return figure, axes, columns
 
 
+def _input(axis: Axes, seconds: Array, values: Array, name: str, segment: ArrayLike | None = None) -> None:
+    """Draw an input as it is held, up to the end of its last period."""
+    x, u = _broken(seconds, segment), _broken(values, segment)
+    axis.step(np.append(x, span(seconds)[1]), np.append(u, u[-1:]), where="post", color=BLUE)
+    axis.set_ylim(-1.08, 1.08)
+    axis.set_ylabel(label(name, "-"))
+
+
+def _mark_restarts(axes: Sequence[Axes], seconds: Array, values: Array) -> None:
+    """Mark the rows without a number, at which an excitation ended early and began anew."""
+    for at in seconds[np.isnan(values).all(-1)]:
+        for axis in axes:
+            axis.axvline(at, color=RED, linestyle="--", linewidth=1.0, label="ended early, began anew")
+
+
+def _mark_gaps(axes: Sequence[Axes], seconds: Array, segment: ArrayLike | None) -> None:
+    """Mark where samples are missing or left out, unless that is everywhere."""
+    places = _breaks(segment)
+    for place in places if len(places) <= MOST else []:
+        for axis in axes:
+            axis.axvline(seconds[place], color=GREY, linestyle=":", linewidth=0.9, label=GAP)
+
+
+def _until_lost(predicted: Array, real: Array, wide: float) -> Array:
+    """Return a prediction up to where it is so far off that what follows would only streak the panel."""
+    with np.errstate(invalid="ignore"):
+        lost = ~(np.abs(predicted - real) <= LOST * wide) if wide > 0 else ~np.isfinite(predicted)
+    return np.where(np.logical_or.accumulate(lost), np.nan, predicted)
+
+
+def _say_unmeasured(axis: Axes, values: Array) -> None:
+    if np.isnan(values).all():
+        axis.text(0.5, 0.5, "not measured", transform=axis.transAxes, ha="center", va="center", color=GREY)
+
+
+def _legend_below(figure: Figure, axis: Axes) -> None:
+    """Put what the first panel explains below all of them, each of it once."""
+    named = dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
+    if named:
+        figure.legend(list(named.values()), list(named), loc="outside lower center", ncols=len(named))
+
+
+def _breaks(segment: ArrayLike | None) -> list[int]:
+    """Return the first samples of all stretches but the first."""
+    return [] if segment is None else (np.flatnonzero(np.diff(array(segment))) + 1).tolist()
+
+
 def _broken(values: Array, segment: ArrayLike | None) -> Array:
     """Put a NaN between segments, at which a line breaks."""
-    if segment is None:
-        return values
-    return np.insert(values, np.flatnonzero(np.diff(array(segment))) + 1, np.nan)
+    return np.insert(values, _breaks(segment), np.nan)
 
 
 def _finish(axes: Sequence[Axes], columns: int, seconds: Array, segment: ArrayLike | None = None) -> None:
-    gaps = segment is not None and bool(np.diff(array(segment)).any())
-    for axis in axes[-columns:]:
-        axis.set_xlabel("time without the gaps [s]" if gaps else "time [s]")
+    words = "time without the gaps [s]" if _breaks(segment) else "time [s]"
+    shown = [axis for axis in axes if axis.get_visible()]
+    for axis in shown[-columns:]:  # the last one of each column, above an empty place, too
+        axis.set_xlabel(words)
+        axis.tick_params(labelbottom=True)
     axes[0].set_xlim(*span(seconds))
 
 
 def _fit(real: Array, predicted: Array, wide: float) -> str:
+    if np.isnan(real).all():
+        return "not measured"
     if not np.isfinite(predicted).all():
         return "runs away"
     rmse = float(np.sqrt(np.mean((real - predicted) ** 2)))

@@ -1,6 +1,7 @@
 """How learning went: the return over episodes of one run, and of several settings over seeds."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import torch
@@ -127,12 +128,16 @@ def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike |
         x = np.arange(1, rows.shape[1] + 1) if episode is None else array(episode)[: rows.shape[1]]
         words = name.replace("$", r"\$")  # names of settings are no mathematics
         label = f"{words} ({len(rows)} seed{'s' * (len(rows) > 1)})"
+        # A line through a single episode would not be seen.
+        look: dict[str, Any] = {"color": color, "marker": "o" if len(x) == 1 else None, "clip_on": len(x) > 1}
         if len(rows) < FEWEST:
-            axis.plot(x, rows.T, color=color, label=[label, *[f"_{label}"] * (len(rows) - 1)])
+            axis.plot(x, rows.T, label=[label, *[f"_{label}"] * (len(rows) - 1)], **look)
         else:
             middle, low, high = band(rows, seed)
-            axis.plot(x, middle, color=color, label=label)
+            axis.plot(x, middle, label=label, **look)
             axis.fill_between(x, low, high, color=color, alpha=0.2, linewidth=0, label=f"_{label}")
+            if len(x) == 1:
+                axis.vlines(x, low, high, color=color, alpha=0.3, linewidth=7)
             for row in rows:  # added apart, so that they do not widen the limits
                 axis.add_artist(Line2D(x, row, color=color, linewidth=0.9, label=f"_{label}", visible=False))
             banded = True
@@ -145,7 +150,8 @@ def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike |
         return
     last = max(np.atleast_2d(array(values)).shape[1] for values in curves.values())
     x = np.arange(1, last + 1) if episode is None else array(episode)[:last]
-    axis.set_xlim(x[0] - 0.02 * (x[-1] - x[0]) - 1e-3, x[-1] + 0.02 * (x[-1] - x[0]) + 1e-3)
+    room = 0.02 * (x[-1] - x[0]) + 1e-3 if len(x) > 1 else 0.5
+    axis.set_xlim(x[0] - room, x[-1] + room)
     axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axis.set_xlabel("real episode")
 

@@ -108,7 +108,8 @@ def error_fan(
         axis.fill_between(seconds, p05[:, i], p95[:, i], color=BLUE, alpha=0.15, lw=0, label="5 to 95 %")
         axis.fill_between(seconds, p25[:, i], p75[:, i], color=BLUE, alpha=0.3, lw=0, label="middle half")
         axis.plot(seconds, p50[:, i], color=BLUE, label="median")
-        told = f"{bands[i]:.3g} {_with_unit(name)[1]} (bonus band)"
+        unit = _with_unit(name)[1]
+        told = " ".join([f"{bands[i]:.3g}", *([unit] if unit != "-" else []), "(bonus band)"])
         axis.axhline(bands[i], color=BLACK, linestyle=":", linewidth=1.0, label=told)
         axis.set_yscale("log")
         axis.set_ylabel(f"|error| of {label(*_with_unit(name))}")

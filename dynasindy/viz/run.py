@@ -53,24 +53,33 @@ def draw_run(folder: Path, signature: Signature, formats: tuple[str, ...] = ("pn
 
 
 def _figures(folder: Path, signature: Signature) -> dict[str, Figure]:
-    names, units = signature.state_names, signature.state_units
-    figures = {}
+    names, figures = signature.state_names, {}
+    found = read_record(folder / "metrics.json") if (folder / "metrics.json").is_file() else {}
     excited = read_table(folder / "data" / "excitation.csv")
-    figures["excitation"] = excitation(excited["time"], stacked(excited, signature.input_names), signature.input_names)
-    figures["training_data"] = training_data(excited["time"], stacked(excited, names), names, units)
+    time, u = excited["time"], stacked(excited, signature.input_names)
+    left_out = folder / "data" / "left_out.json"
+    figures["excitation"] = excitation(time, u, signature.input_names)
+    figures["training_data"] = training_data(
+        time,
+        stacked(excited, names),
+        u,
+        signature,
+        "\n".join(filter(None, ["Training data of the first model", found.get("excitation", "")])),
+        left_out=read_record(left_out)["at_a_stop"] if left_out.is_file() else (),
+    )
     for when, data in (("first", "the excitation alone"), ("last", "the data before it")):
         path = folder / "data" / f"prediction_{when}_episode.csv"
         if path.is_file():
             table = read_table(path)
             predicted = stacked(table, [f"predicted_{name}" for name in names])
             title = f"Open-loop prediction of the {when} real episode, model of {data}"
-            figures[path.stem] = prediction(table["time"], stacked(table, names), predicted, names, units, title)
+            figures[path.stem] = prediction(table["time"], stacked(table, names), predicted, signature, title)
     if (folder / "progress.csv").is_file():
         progress = read_table(folder / "progress.csv")
         at = np.isfinite(progress["evaluated_return"])
         episodes, returns = progress["episode"][at], progress["evaluated_return"][at]
-        if (folder / "metrics.json").is_file():  # the untrained policy stands at episode 0
-            untrained = read_record(folder / "metrics.json")["untrained"]["return"]
+        if found:  # the untrained policy stands at episode 0
+            untrained = found["untrained"]["return"]
             episodes, returns = np.append(0, episodes), np.append(np.nan if untrained is None else untrained, returns)
         figures["learning_curve"] = learning_curve(progress["episode"], progress["return"], episodes, returns)
         error = progress["one_step_reward_error"]
@@ -82,8 +91,11 @@ def _figures(folder: Path, signature: Signature) -> dict[str, Figure]:
             figures["model_error"] = model_error(progress["episode"], error, what=what)
     if (folder / "gate.csv").is_file():
         decisions = read_table(folder / "gate.csv")
-        figures["gate"] = gate(decisions)
-    figures["step_response"] = _response(read_table(folder / "data" / "step_response.csv"), signature)
+        # A reward that was learnt is judged in deviations of what was paid, see `Task.unit`.
+        unit = "deviations of the reward" if found.get("reward") else "reward per period"
+        figures["gate"] = gate(decisions, unit=unit)
+    which = found.get("drawn", {}).get("words", "")
+    figures["step_response"] = _response(read_table(folder / "data" / "step_response.csv"), signature, which)
     return figures
 
 
@@ -95,15 +107,19 @@ def _windows(table: Table, signature: Signature) -> Figure:
     return growing_error(table["time"], size)
 
 
-def _response(table: Table, signature: Signature) -> Figure:
+def _response(table: Table, signature: Signature, which: str) -> Figure:
+    """Draw the episode that the run saved; its title says which of how many it is."""
     tracked = [name.removeprefix("reference_") for name in table if name.startswith("reference_")]
     outputs = tracked or signature.state_names
     y, u = {"policy": stacked(table, outputs)}, {"policy": stacked(table, signature.input_names)}
     names = [f"{name} [{signature.state_units[signature.state_index(name)]}]" for name in outputs]
-    if not tracked:
-        return tracking(table["time"], None, y, u, names, signature.input_names, "Response")
-    reference = stacked(table, [f"reference_{name}" for name in outputs])
-    return step_response(table["time"], reference, y, u, names, signature.input_names)
+    reference = stacked(table, [f"reference_{name}" for name in outputs]) if tracked else None
+    if reference is not None and bool((reference == reference[0]).all()):
+        title = "\n".join(filter(None, ["Step response", which]))
+        return step_response(table["time"], reference, y, u, names, signature.input_names, title)
+    # What moves has no settling band.
+    title = "\n".join(filter(None, ["Response", which]))
+    return tracking(table["time"], reference, y, u, names, signature.input_names, title)
 
 
 def stacked(table: Table, columns: Sequence[str]) -> NDArray[np.float64]:

@@ -84,13 +84,14 @@ def styled(draw: Callable[P, T]) -> Callable[P, T]:
 def panels(
     rows: int, columns: int = 1, size: tuple[float, float] = (7.0, 4.0), title: str = "", sharex: bool = True
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure of `size` [inch] and its axes row by row."""
+    """Return a figure of `size` [inch] and its axes row by row; a long line of the title is wrapped."""
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots(rows, columns, sharex=sharex, squeeze=False)
     for axis in axes.flat:
         axis.xaxis.set_major_locator(MaxNLocator(steps=[1, 2, 5, 10]))
     if title:
-        figure.suptitle(textwrap.fill(title, int(11 * size[0])), fontsize=11)  # some eleven letters an inch
+        lines = [textwrap.fill(line, int(11 * size[0])) for line in title.split("\n")]  # some eleven letters an inch
+        figure.suptitle("\n".join(lines), fontsize=11)
     return figure, list(axes.flat)
 
 
@@ -159,11 +160,16 @@ def name_single(axis: Axes, x: Array, y: Array, color: str) -> None:
 
 def legend_above(axis: Axes) -> None:
     """Put the legend above an axis: what moves leaves no corner free."""
-    labels = axis.get_legend_handles_labels()[1]
+    named = dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))  # what is drawn twice is told once
+    labels = list(named)
     # An entry takes its letters and a sample of its line; more than a row holds would press the axis together.
     rows = -(-sum(len(label) + 6 for label in labels) // ROW)
     columns = max(1, -(-len(labels) // max(1, rows)))
-    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, columnspacing=1.2, handlelength=1.6)
+    at = (1.0, 1.0)
+    axis.legend(
+        list(named.values()), labels, loc="lower right", bbox_to_anchor=at, ncols=columns, columnspacing=1.2,
+        handlelength=1.6,
+    )  # fmt: skip
 
 
 def legend_beside(axis: Axes) -> None:

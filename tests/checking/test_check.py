@@ -9,6 +9,7 @@ import torch
 from omegaconf import OmegaConf
 
 from dynasindy.checking.check import Settings, check, number, record
+from dynasindy.told import hearing
 
 SMALL = Settings((-0.4,), (0.4,), points=3, seconds=5.0, grid=3, draws=2)
 
@@ -44,7 +45,16 @@ def test_a_box_of_other_outputs_is_refused(loops):
 
 
 def test_a_record_is_json_of_what_was_found(loops, carts):
-    found = check(loops(model=carts(spring=1.0), observer={}), SMALL)
+    heard = []
+    with hearing(heard.append):
+        found = check(loops(model=carts(spring=1.0), observer={}), SMALL)
+    assert list(dict.fromkeys(told.phase for told in heard)) == [
+        "where the loop rests",
+        "steps to the targets",
+        "steps of plants that differ from the model",
+        "plants that differ from the model",
+        "recovery from initial errors",
+    ]
     held = json.loads(json.dumps(record(found), allow_nan=False))
     assert [row["target"]["p"] for row in held["targets"]] == pytest.approx([-0.4, 0.0, 0.4])
     assert all(row["stable"] and row["rests"] for row in held["targets"])

@@ -1,10 +1,12 @@
 """A recording of a plant is the plant's own motion, without what touched a stop."""
 
 import numpy as np
+import pytest
 import torch
 from scipy.linalg import expm
 
-from dynasindy.data.simulated import disturb, record, record_all
+from dynasindy.data.simulated import before_leaving, disturb, record, record_all
+from dynasindy.systems import Diverged
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.stops import Stops
 
@@ -109,3 +111,37 @@ def test_experiments_side_by_side_are_those_one_after_the_other():
         alone = record(plant, each, 0.05, 3)
         assert torch.allclose(one.x_next, alone.x_next, atol=1e-12) and torch.equal(one.segment, alone.segment)
     assert len(together[1]) < len(together[0]) == 30
+
+
+class Growing(System):
+    """q' = 2 q + u: under u = 1 it is (exp(2 t) - 1) / 2."""
+
+    def __init__(self):
+        super().__init__(Signature(("q",), ("m",), ("u",), (1.0,)))
+
+    def forward(self, x, u):
+        return 2 * x + u
+
+
+def test_a_recording_ends_where_the_plant_leaves_its_bounds():
+    plant, u = Growing(), torch.ones(100, 1)
+    data = record(plant, u, 0.01)  # for 1 s; the bound of 2 m is reached after log(5) / 2 = 0.805 s
+    kept, said = before_leaving(data, plant.signature, {"q": [-1.0, 2.0]}, "in the excitation")
+    assert len(kept) == 80 and float(kept.x_next.max()) < 2.0 < float(data.x_next[80])
+    assert said == "in the excitation q left its bounds of -1 to 2 m after 0.81 s; what came later was left out"
+    assert before_leaving(data, plant.signature, {"q": 4.0}, "") == (data, "")
+
+
+def test_a_plant_that_runs_away_soon_is_told_by_name_time_and_what_to_do():
+    plant, u = Growing(), torch.ones(1000, 1)
+    data = record(plant, u, 0.01)  # 1000 m are reached after log(2001) / 2 = 3.80 s
+    advice = "excitation.amplitude, another excitation.offset, or use the command train"
+    with pytest.raises(Diverged, match=rf"in the excitation q ran away, beyond 1000 m, after 3.81 s.*{advice}"):
+        before_leaving(data, plant.signature, {}, "in the excitation")
+    with pytest.raises(Diverged, match=r"wider plant\.bounds"):
+        before_leaving(data, plant.signature, {"q": 4.0}, "in the excitation")
+    with pytest.raises(ValueError, match="'speed'"):
+        before_leaving(data, plant.signature, {"speed": 4.0}, "in the excitation")
+    lost = record(plant, torch.ones(60, 1), 10.0, substeps=1000)  # no number any more after half a minute or so
+    with pytest.raises(Diverged, match="after 10 s"):
+        before_leaving(lost, plant.signature, {}, "in the excitation")

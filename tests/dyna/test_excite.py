@@ -10,6 +10,7 @@ from dynasindy.data.recording import transitions
 from dynasindy.dyna.excite import Loop, coarse, excite, interact, left_out, restarts, within
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Multisine
+from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.systems import Signature, System, Xi
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -62,6 +63,32 @@ def test_a_plant_that_falls_is_caught_after_its_first_fall():
         f"The excitation ended early and began anew at the start {times}: theta beyond -0.5 to 0.5 rad "
         f"{len(lengths) - 1} times."
     )
+
+
+def test_a_plant_that_falls_is_caught_by_its_encoder_alone():
+    experiment = parts(Inverted(), bounds={"theta": 0.5})
+    sensors = Sensors({"theta": {"resolution": 1.5e-3}}, rates={"theta": "Omega"})
+    experiment.sensing = Sensing(
+        experiment.plant, Observer(Inverted(), sensors, experiment.plant), torch.Generator().manual_seed(0)
+    )
+    experiment.env = experiment.sensing.around(experiment.plant)
+    excited = excite(experiment)
+    begins = [*(excited["step_count"].flatten() == 0).nonzero().flatten().tolist(), 200]
+    lengths = [b - a for a, b in zip(begins, begins[1:], strict=False)]
+    # Open loop it falls within some 20 periods of every try; held, it is excited for most of the 200.
+    assert lengths[0] < 40 and max(lengths) > 100
+    truth = excited["next", "true_state"][..., 0].abs()
+    assert float(truth.max()) < 0.7
+    assert restarts(experiment, excited).startswith("The excitation ended early and began anew at the start ")
+    blind = excited.clone()
+    blind["next", "true_state"].fill_(torch.nan)
+    assert restarts(experiment, blind) == restarts(experiment, excited)
+
+
+def test_a_rig_is_excited_open_loop_as_it_stays_where_it_fell():
+    experiment = parts(Inverted(), duration=2.0, bounds={"theta": 0.5})
+    experiment.plant.begins_anew = False
+    assert excite(experiment)["step_count"].flatten().tolist() == [*range(40)]
 
 
 def test_the_loop_is_the_regulator_of_the_plant_near_its_start():

@@ -38,6 +38,16 @@ def test_the_fit_is_said_with_the_notes_of_the_log(source, capsys):
     assert model.equations()[1].startswith("Omega' = ")
 
 
+def test_units_that_do_not_fit_are_said_before_the_fit(source, capsys):
+    degrees, data = torch.tensor([57.29578, 1.0]), source.training
+    wrong = replace(data, x=data.x * degrees, x_next=data.x_next * degrees)
+    model_of(replace(source, training=wrong), build)
+    said = capsys.readouterr().out
+    assert said.startswith("warning: Omega does not fit theta, whose slope over time is 57.3 times Omega; degrees")
+    model_of(source, build)
+    assert "warning" not in capsys.readouterr().out
+
+
 def test_a_file_is_taken_if_it_is_of_the_plant(source, tmp_path):
     build(source.signature).save(tmp_path / "model.json")
     assert model_of(source, build, tmp_path / "model.json").library.names == tuple(LIBRARY)

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 from dynasindy.agents import TD3
 from dynasindy.control import load
@@ -24,12 +25,18 @@ from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, ModelError, NoPlanning
 from dynasindy.systems import Tras
 from dynasindy.tasks import RandomStep, Step, Tracking
+from dynasindy.told import hearing
 from dynasindy.world_models import Oracle, SindyModel
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     return record(tmp_path_factory.mktemp("run"))
+
+
+@pytest.fixture(scope="module")
+def heard_at_begin(recorded):
+    return recorded[2].heard
 
 
 def record(folder, tensorboard=False):
@@ -49,7 +56,9 @@ def record(folder, tensorboard=False):
     parts = recipe.build()
     scenario = Scenario("step", Step([[0.1, 0.1], [0.2, -0.1]]), episodes=2, seconds=6.0)
     recorder = Recorder(folder, parts, scenario, every=2, episodes=3, tensorboard=tensorboard)
-    recorder.begin()
+    recorder.heard = []
+    with hearing(recorder.heard.append):
+        recorder.begin()
     train(parts, recipe.train, recorder)
     return folder, parts, recorder
 
@@ -57,6 +66,11 @@ def record(folder, tensorboard=False):
 def rows(path):
     with path.open() as file:
         return list(csv.DictReader(file))
+
+
+def test_the_first_evaluation_is_told_as_that_of_the_untrained_policy(heard_at_begin):
+    assert {told.phase for told in heard_at_begin} == {"untrained policy, for comparison"}
+    assert heard_at_begin[-1].done == heard_at_begin[-1].total == 120  # 6 s of 0.05 s
 
 
 def test_a_row_per_episode_with_the_cost_so_far(recorded):
@@ -111,6 +125,16 @@ def test_the_end_leaves_policy_model_and_metrics(recorded):
         assert metrics["held"]["share"][axis] == pytest.approx(final[f"steady_state_error/{axis}"], rel=1e-5)
     assert not metrics["verdict"]["controlled"] and metrics["verdict"]["held"].startswith("NOT CONTROLLED: ")
     assert len(rows(folder / "data" / "step_response.csv")) == 120
+    assert metrics["drawn"]["row"] == 0 and metrics["drawn"]["words"].startswith("episode 1 of 2, ")
+
+
+def test_what_the_fit_leaves_out_stands_on_the_clock_of_the_table(recorded):
+    _, _, recorder = recorded
+    touched = torch.tensor([0, 1, 1, 0, 0, 1, 0, 1], dtype=torch.bool).unsqueeze(-1)
+    # A second try begins with row 5: the table has an empty row before it, so that all later ones are a period later.
+    counts = torch.tensor([0, 1, 2, 3, 4, 0, 1, 2]).unsqueeze(-1)
+    excited = TensorDict({"step_count": counts, "next": {"at_stop": touched}}, [8])
+    assert recorder._left_out(excited) == [[0.05, 0.15], [0.3, 0.35], [0.4, 0.45]]
 
 
 def test_steps_of_evaluation_are_counted_apart(tmp_path):

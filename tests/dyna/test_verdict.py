@@ -39,16 +39,16 @@ def test_the_trained_policy_has_to_be_better_than_the_untrained_one(untrained, t
 def test_an_output_within_what_is_asked_for_is_controlled():
     verdict = judge(metrics(-2.0, -1.0))
     assert verdict.controlled and verdict.held.startswith("CONTROLLED: ")
-    assert "x to 0.4 % of its box, 2 % at worst (1 % is asked for)" in verdict.held
+    assert "x 0.4 % of the target range on average, 2 % at worst (1 % is asked for)" in verdict.held
 
 
 @pytest.mark.parametrize(
     ("held", "within", "words"),
     [
-        ({}, 0.003, "x to 0.4 % of its box"),
-        ({"share": {"x": None}}, 0.01, "x to no number of its box"),
+        ({}, 0.003, "x 0.4 % of the target range on average"),
+        ({"share": {"x": None}}, 0.01, "x no number of the target range"),
         ({"worst": {"x": 0.11}}, 0.01, "11 % at worst"),
-        ({"share": {"x": 0.004, "y": 700.0}, "worst": {"x": 0.0, "y": 700.0}}, 0.01, "y to 700 times of its box"),
+        ({"share": {"x": 0.004, "y": 700.0}, "worst": {"x": 0.0, "y": 700.0}}, 0.01, "y 700 times of the target range"),
         ({"away": {"theta": 0.5}}, 0.01, "theta, which is not tracked, runs away or does not .* in 50 % of the runs"),
     ],
 )

@@ -10,7 +10,7 @@ import torch
 from dynasindy.data.simulated import record
 from dynasindy.evaluation.identification import Logged, Simulated, identify, to_words, write
 from dynasindy.excitation import Chirp, HeldRandom
-from dynasindy.systems import Pendulum, Tras
+from dynasindy.systems import Diverged, Pendulum, Tras
 from dynasindy.world_models import Oracle, Refinement, Regression, SindyModel
 
 EXCITATION = partial(Chirp, duration=10.0, amplitude=0.6)
@@ -61,6 +61,18 @@ def test_a_log_of_the_pendulum_gives_the_pendulum(tmp_path):
     assert len(source.validation) == pytest.approx(250, abs=2)
 
 
+def test_a_log_with_an_angle_in_degrees_and_a_rate_in_rad_is_told(tmp_path):
+    data = Simulated().load(Pendulum(), EXCITATION).training
+    lines = ["time,theta,Omega,u"]
+    lines += [f"{k * data.dt},{data.x[k, 0] * 57.29578},{data.x[k, 1]},{data.u[k, 0]}" for k in range(len(data))]
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    source = Logged(str(tmp_path / "log.csv")).load(Pendulum(), EXCITATION)
+    words = to_words(_identified(source), source)
+    assert words.count("warning: Omega does not fit theta, whose slope over time is 57.3 times Omega;") == 1
+    exact = Simulated().load(Pendulum(), EXCITATION)
+    assert "warning" not in to_words(_identified(exact), exact)
+
+
 def test_settings_that_make_no_sense_are_refused():
     with pytest.raises(ValueError, match="noise -1"):
         Simulated(noise=-1.0)
@@ -95,6 +107,15 @@ def test_a_log_without_a_map_has_the_names_of_the_plant_or_those_of_its_headings
 def test_nothing_is_simulated_without_a_plant():
     with pytest.raises(ValueError, match=r"give system=NAME, or data=csv"):
         Simulated().load(None, EXCITATION)
+
+
+def test_a_plant_that_leaves_its_bounds_is_told_and_not_fitted():
+    source = Simulated(bounds={"theta": 1.0}, validation_seconds=1.0).load(
+        Pendulum(), partial(EXCITATION, amplitude=0.1)
+    )
+    assert source.notes == () and len(source.training) == 1000
+    with pytest.raises(Diverged, match=r"in the excitation theta left its bounds of -0.1 to 0.1 rad after"):
+        Simulated(bounds={"theta": 0.1}, validation_seconds=1.0).load(Pendulum(), EXCITATION)
 
 
 @pytest.mark.parametrize("settings", [{"dt": 1e-9}, {"substeps": 10**9}, {"validation_seconds": 1e9}])

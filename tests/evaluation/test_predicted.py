@@ -23,7 +23,7 @@ def test_it_is_promised_where_every_model_is_held():
     good = Prediction((seen(0.001), seen(0.009)))
     assert good.promised
     assert "on 2 models fitted to data that the plan never saw" in good.words()
-    assert "CONTROLLED: theta to 0.1 to 0.9 % of its box" in good.words()
+    assert "CONTROLLED: theta 0.1 to 0.9 % of the target range on average" in good.words()
 
 
 @pytest.mark.parametrize(
@@ -31,7 +31,7 @@ def test_it_is_promised_where_every_model_is_held():
     [
         (
             (seen(0.001), seen(0.02)),
-            "NOT promised, 1 % is asked for, and 10 % at worst: theta to 0.1 to 2 %",
+            "NOT promised, 1 % is asked for, and 10 % at worst: theta 0.1 to 2 %",
         ),
         ((seen(0.001, worst=0.2),), "NOT promised, 1 % is asked for.*20 % at worst"),
         ((seen(0.001), None), "NOT promised.*1 of 2 models run away"),
@@ -65,7 +65,7 @@ def test_what_is_asked_for_is_an_argument():
 
 
 def test_a_share_of_zero_is_zero():
-    assert "theta to 0 to 0.1 % of its box" in Prediction((seen(0.0), seen(0.001))).words()
+    assert "theta 0 to 0.1 % of the target range" in Prediction((seen(0.0), seen(0.001))).words()
 
 
 def test_a_mileage_breaks_no_promise():

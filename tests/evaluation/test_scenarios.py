@@ -13,6 +13,7 @@ from dynasindy.evaluation.scenarios import Evaluation, Scenario, _phases, evalua
 from dynasindy.evaluation.summary import heading, summarise, to_text
 from dynasindy.systems import Diverged, Pendulum, Signature, System, Tras, Xi
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward, Wave
+from dynasindy.told import hearing
 
 PITCH_ZERO = (-0.1223, 0.2100)
 """Inputs that hold `xi` at pitch 0 (design table of equilibria)."""
@@ -38,6 +39,16 @@ def test_an_equilibrium_held_open_loop_ends_at_its_pitch() -> None:
     assert result.metrics["steady_state_error"][0, 1] < 2e-3
     assert result.metrics["control_effort"][0, 0] == pytest.approx(PITCH_ZERO[0] ** 2, rel=1e-5)
     assert result.stop_share.item() == 0.0
+
+
+def test_an_episode_is_told_to_its_end_and_by_what_it_is() -> None:
+    heard = []
+    with hearing(heard.append):
+        evaluate(make(), constant(0.0, 0.2), Scenario("hold", Step([[0.0, 0.0]]), seconds=0.5))
+        evaluate(make(), constant(0.0, 0.2), Scenario("hold", seconds=0.5), phase="untrained")
+    assert [told.done for told in heard if "untrained" not in told.phase] == [*range(9), 10]  # the end is told
+    assert {told.phase for told in heard} == {"policy in scenario 'hold'", "untrained"}
+    assert (heard[-1].done, heard[-1].total) == (10, 10)
 
 
 def test_returns_are_sums_of_the_rewards_and_rows_are_in_order() -> None:

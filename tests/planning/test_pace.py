@@ -39,12 +39,18 @@ def test_the_twin_rotor_keeps_the_settings_that_it_was_measured_with(plant):
 def test_a_plant_that_runs_away_is_held_and_trained_in_smaller_steps():
     calm, wild = pace(Linear(-1.0, 1.0, 4.0)), pace(Linear(4.0, 0.0, 4.0))
     assert wild.held and not calm.held
+    # p'' = 4 p: exp(2 t) doubles every ln(2) / 2 s.
+    assert wild.why.startswith(
+        "the plant is unstable, without control a deviation doubles every 0.35 s; under a linear"
+    )
+    assert "unstable" not in calm.why and "fold" not in calm.why
     assert wild.lr < calm.lr
 
 
 def test_a_double_integrator_runs_away_although_no_mode_grows():
     # After 20 s a deviation of the rate has made one of 20 of the position: below the bound; after 80 s above it.
-    assert not pace(Linear(0.0, 0.0, 4.0), dt=0.05).held
+    slow = pace(Linear(0.0, 0.0, 4.0), dt=0.05)
+    assert not slow.held and slow.why.startswith("without control a deviation grows 20 times at most in an episode;")
     assert pace(Linear(0.0, 0.0, 1.0), dt=0.2).held
 
 
@@ -81,7 +87,7 @@ def test_a_plant_without_a_rest_keeps_the_defaults():
 
 def test_targets_that_no_input_holds_are_told_beside_what_the_others_ask_for():
     some = pace(Linear(-1.0, 1.0, 0.25), low=(0.0,), high=(0.5,)).why  # an input of 1 holds 0.25
-    assert "slowest regulated mode" in some and "holds 32 of 64 targets, such as x = 0." in some
+    assert "slowest motion has a time constant of" in some and "holds 32 of 64 targets, such as x = 0." in some
     assert "no input" not in pace(Linear(-1.0, 1.0, 4.0)).why
 
 

@@ -101,3 +101,18 @@ def test_targets_lie_in_the_box_of_the_plant():
     for wrong in ([[0.7]], [[0.1, 0.2]], [[]]):
         with pytest.raises(ValueError, match=r"within plant\.low=\[-0\.6\] and plant\.high=\[0\.6\]"):
             targets_within(KNOWLEDGE, wrong)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"library": ["1", "sinh(theta)"]}, "function 'sinh' is not known"),
+        ({"library": ["1", "thta", "Omega"]}, "the library names thta"),
+        ({"known": {"thta": "Omega"}}, "names thta, which is no state"),
+        ({"targets": {"thta": (-0.6, 0.6)}}, "state 'thta' does not exist"),
+    ],
+)
+def test_what_no_model_can_be_made_of_is_refused_before_anything_moves(change, message):
+    KNOWLEDGE.require_of(Pendulum().signature)
+    with pytest.raises(ValueError, match=message):
+        replace(KNOWLEDGE, **change).require_of(Pendulum().signature)

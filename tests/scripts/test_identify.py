@@ -51,6 +51,14 @@ def test_a_file_without_a_column_costs_one_line(tmp_path):
     assert "has no column 'alpha_p'" in done.stderr
 
 
+def test_a_function_that_is_not_known_is_refused_before_the_plant_moves(tmp_path):
+    """A simulation as long as this would take minutes, and be refused as a file of two rows is."""
+    words = ["system=tras", "plant.library=['1',u_a,'sinh(alpha_a)']", "excitation.duration=10000"]
+    done = _run(tmp_path / "run", *words)
+    assert (done.returncode, done.stdout) == (2, "") and not (tmp_path / "run").exists()
+    assert done.stderr.startswith("error: function 'sinh' is not known; allowed are abs, bell, cos")
+
+
 def test_a_log_of_an_unknown_plant_needs_no_file_of_its_own(tmp_path):
     generator, dt = random.Random(0), 0.01
     position, rate, u, lines = 0.5, 0.0, 0.0, ["time [s],position [m],rate [m/s],u"]

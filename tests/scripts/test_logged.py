@@ -34,10 +34,10 @@ def log(tmp_path_factory, write_log):
     return write_log(path, ["theta [rad]", "Omega [rad/s]", "u"], data.x, data.u)
 
 
-def train(*words):
+def train(*words, cwd=None):
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     command = [sys.executable, str(ROOT / "scripts" / "train.py"), *words]
-    return subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, check=False)
+    return subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, check=False, cwd=cwd)
 
 
 WORDS = "plant.library=['1',u,theta,Omega,'sin(theta)']"
@@ -89,13 +89,17 @@ def test_a_plan_that_fails_leaves_the_model(log, tmp_path):
         ([], "plant.outputs is not given; say what is to be tracked"),
         ([*TASK, "planning=dyna"], "leave planning=gradient"),
         ([*TASK, "evaluation.within=0"], "evaluation.within must be positive, got 0"),
+        (["plant.outputs=[thta]", *TASK[1:]], "state 'thta' does not exist; the states are theta, Omega"),
+        ([*TASK, "plant.library=['1',u,'sinh(theta)']"], "function 'sinh' is not known"),
+        ([*TASK, "data.path=nowhere.csv"], "nowhere.csv does not exist"),
     ],
 )
 def test_what_is_missing_costs_one_line(log, tmp_path, words, message):
-    done = train("data=csv", f"data.path={log}", f"folder={tmp_path}/run", *words)
+    done = train("data=csv", f"data.path={log}", *words, cwd=tmp_path)
     assert done.returncode == 2
     assert message in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+    assert done.stdout == "" and not list(tmp_path.iterdir())  # no fit, and no folder
 
 
 def test_a_run_of_a_log_says_that_there_is_no_plant_to_fly(tmp_path):

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
+from hydra.errors import ConfigCompositionException, MissingConfigException
 from omegaconf import OmegaConf
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 sys.path.append(str(SCRIPTS))
-from mistakes import in_words  # noqa: E402
+from mistakes import CONF, in_words  # noqa: E402
 from schema import check  # noqa: E402
 
 ALL = ("train", "ablation", "identify", "evaluate", "report", "export", "check")
@@ -160,3 +161,26 @@ def test_packages_that_are_not_installed_come_with_a_command():
     assert "pip install 'dynasindy[mpc]'" in in_words(missing, "train")
     launcher = ValueError("In 'ablation': Could not find 'hydra/launcher/joblib'\n\nAvailable options: basic")
     assert "pip install 'dynasindy[sweep]', or choose hydra/launcher=basic" in in_words(launcher, "ablation")
+
+
+GROUPS = sorted(folder.name for folder in CONF.iterdir() if folder.is_dir())
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_a_misspelt_option_of_any_group_costs_one_line_with_the_choices(group):
+    command = {"rig": "rig", "setting": "ablation"}.get(group, "train")
+    options = sorted(file.stem for file in (CONF / group).glob("*.yaml") if not file.stem.startswith("_"))
+    with initialize_config_dir(str(CONF), version_base="1.3"), pytest.raises(MissingConfigException) as error:
+        compose(command, [f"{group}={options[0]}x"])
+    line = in_words(error.value, command)
+    assert line.startswith(
+        f"'{options[0]}x' does not exist in '{group}'; allowed are {', '.join(options)}; did you mean"
+    )
+    assert "\n" not in line and "Hydra" not in line and "Could not" not in line
+
+
+def test_a_value_in_place_of_a_group_costs_one_line():
+    with initialize_config_dir(str(CONF), version_base="1.3"), pytest.raises(ConfigCompositionException) as error:
+        compose("identify", ["system=pendulum", "plant.library=[u]"])
+    line = in_words(error.value, "identify")
+    assert line.startswith("'plant.library=[u]' gives a group of keys where one value is wanted, or one value where a")

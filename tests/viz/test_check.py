@@ -1,12 +1,54 @@
 import numpy as np
 import pytest
+import torch
 
-from dynasindy.viz.check import coefficients, nyquist, recovery, steps
+from dynasindy.checking import Check, Loop, Plant, Settings, check
+from dynasindy.control import Controller
+from dynasindy.control.controller import Pace
+from dynasindy.systems import Signature
+from dynasindy.tasks import Step, Tracking, TrackingReward
+from dynasindy.viz.check import coefficients, draw, nyquist, recovery, steps
+from dynasindy.world_models import SindyModel
+
+CART = Signature(("p", "v"), ("m", "m/s"), ("force",), (2.0, 3.0))
+
+
+def held_cart(draws: int) -> Check:
+    """Return the check of p' = v, v' = force under force = 2 (r - p) - 2.5 v, at -0.4, 0 and 0.4 m."""
+
+    def law(tensordict):
+        seen = tensordict["observation"]  # p / 2, v / 3 and the error over 0.5
+        return tensordict.set("action", 2.0 * 0.5 * seen[..., 2:] - 2.5 * 3.0 * seen[..., 1:2])
+
+    model = SindyModel(CART, ["force", "v"], known={"p": "v"})
+    model.set_coefficients(torch.tensor([[0.0, 1.0], [1.0, 0.0]], dtype=torch.float64))
+    task = Tracking(CART, Step([[0.0]]), ["p"], ["v"], TrackingReward((1.0,)))
+    loop = Loop(Controller(law, Pace(task, 0.1, 2, None)), Plant(model, 0.1, 0.05, None))
+    return check(loop, Settings((-0.4,), (0.4,), points=3, seconds=5.0, grid=3, draws=draws))
+
+
+def test_the_figures_of_a_check_name_their_targets():
+    figures = draw(held_cart(draws=2))
+    loops = [line.get_label() for line in figures["nyquist"].axes[0].lines if " m" in line.get_label()]
+    assert sorted(loops) == ["$p$ = -0.4 m", "$p$ = 0 m", "$p$ = 0.4 m"]
+    assert figures["steps"].get_suptitle() == "Step from the origin to $p$ = -0.4 m, the farthest target"
+    told = " ".join(figures["recovery"].get_suptitle().split())
+    assert "comes back to $p$ = 0 m: within 5 s to 5 % of each output's range (asked for: 90% of them)" in told
+    assert figures["coefficients"].get_suptitle().endswith("at the worst of 3 targets")
+
+
+@pytest.mark.parametrize("draws", [0, 2])
+def test_the_model_itself_steps_to_the_farthest_target_with_or_without_other_plants(draws):
+    found = held_cart(draws)
+    target, model, *others = draw(found)["steps"].axes[0].lines
+    assert set(target.get_ydata()) == {-0.4} and len(others) == draws
+    np.testing.assert_allclose(model.get_ydata(), found.steps.x[0, :, 0])
+    assert model.get_ydata()[-1] == pytest.approx(-0.4, abs=0.02)
 
 
 def test_a_loop_is_drawn_for_each_input_beside_the_point_that_it_must_not_go_around():
     curve = np.exp(1j * np.linspace(0, 3, 20))[:, None] * np.array([0.5, 2.0])
-    figure = nyquist([curve, curve], ("u_a", "u_p"), 2 / 3)
+    figure = nyquist({"a": curve, "b": curve}, ("u_a", "u_p"), 2 / 3)
     assert len(figure.axes) == 2
     drawn = figure.axes[1].lines[0].get_xydata()
     np.testing.assert_allclose(drawn, np.stack([curve[:, 1].real, curve[:, 1].imag], -1))
@@ -14,16 +56,31 @@ def test_a_loop_is_drawn_for_each_input_beside_the_point_that_it_must_not_go_aro
     # Factors between (2 - d)/(2 + d) and its inverse: for d = 2/3 the disk meets the real axis at -1/2 and -2.
     (disk,) = figure.axes[0].patches
     assert [disk.center[0] + disk.radius, disk.center[0] - disk.radius] == pytest.approx([-0.5, -2.0])
-    assert nyquist([curve], ("u",)).legends[0].texts[2].get_text() == "disk margin < 0.5"
+    told = nyquist({"a": curve}, ("u",)).axes[0].get_legend().texts
+    assert [text.get_text() for text in told] == ["a", "gain 1", "disk margin < 0.5", "-1"]
+
+
+def test_each_loop_is_named_by_its_target_in_one_colour_the_nearest_to_minus_one_first():
+    # Real loops of one frequency: the distance to -1 is what is added to it.
+    curves = {f"target {k}": np.array([[-1 + 0.1 * (12 - k), 5.0]]) for k in range(12)}
+    figure = nyquist(curves, ("u_a", "u_p"))
+    named = [[line for line in axis.lines if line.get_label().startswith("target")] for axis in figure.axes]
+    assert [line.get_label() for line in named[0]] == [f"target {k}" for k in range(11, 2, -1)]
+    looks = [[(line.get_color(), line.get_linestyle()) for line in lines] for lines in named]
+    assert looks[0] == looks[1] and len(set(looks[0])) == 9
+    told = [text.get_text() for text in figure.axes[1].get_legend().texts]
+    assert "3 others, farther from -1" in told and len(told) == 9 + 1 + 3
 
 
 def test_the_worst_changes_stand_on_top_and_what_never_rests_at_the_edge():
     figure = coefficients(["a", "b$", "c"], [0.9, np.inf, 1.1])
     (axis,) = figure.axes
     assert [text.get_text() for text in axis.get_yticklabels()] == [r"b\$", "c", "a"]
-    offsets = axis.collections[0].get_offsets()
-    assert offsets[0][0] > offsets[1][0] == 1.1 and offsets[2].tolist() == [0.9, 0.0]
-    assert offsets[0][1] == 2
+    found = {dots.get_label(): dots.get_offsets().tolist() for dots in axis.collections}
+    assert found["stable"] == [[0.9, 0.0]] and found["not stable"] == [[1.1, 1.0]]
+    (((at, height),),) = [found["never comes to rest, drawn at the edge"]]
+    assert at > 1.1 and height == 2
+    assert "the worst 15 of 20 changes" in coefficients([str(k) for k in range(20)], np.ones(20)).get_suptitle()
 
 
 def test_a_plane_is_drawn_with_the_first_state_to_the_right():
@@ -40,12 +97,20 @@ def test_a_plane_is_drawn_with_the_first_state_to_the_right():
     assert axis.get_title() == "33% come back" and "[m/s]" in axis.get_ylabel()
 
 
-def test_steps_of_all_plants_are_drawn_under_their_reference():
+def test_steps_of_the_model_and_of_other_plants_are_drawn_with_the_target_and_what_passes():
     y, u = np.random.default_rng(0).normal(size=(4, 6, 1)), np.zeros((4, 5, 1))
-    figure = steps(0.1, y, u, [0.3], [("p", "m")], ("force",))
+    figure = steps(0.1, y, u, [0.3], [("p", "m", 0.05)], ("force",))
     upper, lower = figure.axes
     np.testing.assert_allclose(upper.lines[3].get_ydata(), y[2, :, 0])
     assert upper.lines[0].get_ydata()[0] == 0.3 and upper.lines[1].get_xdata()[-1] == 0.5
-    assert [text.get_text() for text in upper.get_legend().get_texts()] == ["target", "4 plants"]
+    assert [text.get_text() for text in upper.get_legend().get_texts()] == [
+        "target",
+        "the model itself",
+        "3 plants within its uncertainty",
+        "steady error that passes",
+    ]
+    (band,) = upper.patches
+    assert (band.get_y(), band.get_height()) == pytest.approx((0.25, 0.1))
+    assert upper.lines[1].get_color() == lower.lines[0].get_color() != upper.lines[2].get_color()
     # The last of five inputs is held to the end of its period.
     assert len(lower.lines) == 4 and lower.lines[0].get_xdata()[-1] == 0.5

@@ -8,7 +8,7 @@ import torch
 from matplotlib.colors import to_rgb
 
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.disturbances import Pushed
+from dynasindy.evaluation.disturbances import DelayedActuator, Pushed
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.systems import Pendulum, Tras
 from dynasindy.tasks import Reference, Step, Tracking, TrackingReward, Wave
@@ -63,7 +63,8 @@ def test_other_plants_get_their_own_labels() -> None:
 def test_titles_say_where_it_was_flown_unless_on_the_plant() -> None:
     evaluation = run(Step([[0.1, 0.1]]), 3)
     titles = [figure.get_suptitle() for figure in figures(evaluation, place="on a model").values()]
-    assert titles == ["Scenario 'short' on a model", "Scenario 'short' on a model: error over all references (3)"]
+    assert titles[0].startswith("Scenario 'short' on a model\nepisode 1 of 3, ")
+    assert titles[1] == "Scenario 'short' on a model: error over all references (3)"
     assert "model" not in figures(evaluation)["short"].get_suptitle()
 
 
@@ -73,3 +74,26 @@ def test_without_references_all_states_are_drawn_and_no_errors(settle) -> None:
     drawn = figures(evaluate(env, lambda td: td.set("action", torch.zeros(*td.batch_size, 1)), zero))
     assert list(drawn) == ["task"]
     assert [len(axis.lines) for axis in drawn["task"].axes] == [1, 1, 1]
+
+
+def test_the_figures_of_a_disturbed_flight_say_how_large_the_disturbance_is() -> None:
+    system = Tras()
+    env = ControlEnv(system, Tracking(system.signature, Step([[0.1, 0.1]])), substeps=1)
+    late = Scenario("delay", None, 2, 1.0, wrappers=[partial(DelayedActuator, periods=3)])
+    found = figures(evaluate(env, lambda td: td.set("action", torch.zeros(*td.batch_size, 2)), late))
+    for figure in found.values():
+        assert figure.get_suptitle().startswith("Scenario 'delay'; inputs late by 3 control periods, 0.15 s")
+
+
+def test_the_episode_that_begins_farthest_is_drawn() -> None:
+    system = Pendulum()
+    task = Tracking(
+        system.signature, Step([[0.0]]), outputs=["theta"], rates=["Omega"], reward=TrackingReward((4.0,)),
+        start={"theta": [-3.0, 3.0]},
+    )  # fmt: skip
+    env = ControlEnv(system, task, substeps=1)
+    result = evaluate(env, lambda td: td.set("action", torch.zeros(*td.batch_size, 1)), Scenario("swing", None, 9, 0.5))
+    starts = result.outputs[:, 0, 0].abs()
+    figure = figures(result)["swing"]
+    assert abs(figure.axes[0].lines[1].get_ydata()[0]) == starts.max()
+    assert f"episode {int(starts.argmax()) + 1} of 9" in figure.get_suptitle()

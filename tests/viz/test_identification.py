@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from dynasindy.systems import Pendulum, Signature
 from dynasindy.viz import coefficient_table, excitation, model_error, prediction, training_data
 from dynasindy.viz.identification import growing_error
 
@@ -42,7 +43,7 @@ def test_training_data_and_excitation_draw_their_columns() -> None:
 
 
 def test_one_state_gets_one_panel() -> None:
-    figure = training_data(TIME, STATES[:, :2], names=("theta", "Omega"), units=("rad", "rad/s"))
+    figure = training_data(TIME, STATES[:, :2], signature=Pendulum().signature)
     assert len(figure.axes) == 2
     assert figure.axes[0].get_ylabel() == r"$\theta$ [rad]"
 
@@ -86,7 +87,7 @@ def test_lines_break_between_stretches_of_a_log() -> None:
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(drawn)), [30, 81])
     np.testing.assert_array_equal(drawn[~np.isnan(drawn)], STATES[:, 0])
     figure = prediction(TIME, STATES, STATES, segment=segment)
-    assert [int(np.isnan(line.get_ydata()).sum()) for line in figure.axes[3].lines] == [2, 2]
+    assert [int(np.isnan(line.get_ydata()).sum()) for line in figure.axes[3].lines[:2]] == [2, 2]
     assert figure.axes[0].get_title(loc="right") == "RMSE 0 % of range"
     assert figure.axes[-1].get_xlabel() == "time without the gaps [s]"
 
@@ -102,3 +103,63 @@ def test_the_error_of_a_prediction_is_drawn_over_time_and_never_at_zero() -> Non
     (axis,) = growing_error([0.0, 0.5, 1.0], [0.0, 0.1, 0.4]).axes
     assert axis.lines[0].get_xydata().tolist() == [[0.0, 1e-12], [0.5, 0.1], [1.0, 0.4]]
     assert axis.get_yscale() == "log" and axis.get_xlim() == (0.0, 1.0)
+
+
+def words(figure) -> list[str]:
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+def test_training_data_show_the_inputs_as_they_are_held_and_what_the_fit_leaves_out() -> None:
+    u = np.where(TIME < 0.5, -0.5, 0.5)[:, None]
+    figure = training_data(TIME, STATES[:, :2], u, Pendulum().signature, left_out=[[0.2, 0.3]])
+    (line,) = figure.axes[2].lines
+    assert line.get_drawstyle() == "steps-post" and figure.axes[2].get_ylim() == (-1.08, 1.08)
+    np.testing.assert_array_equal(line.get_ydata(), [*u[:, 0], 0.5])
+    for axis in figure.axes:
+        (shade,) = axis.patches
+        assert (shade.get_x(), round(shade.get_width(), 9)) == (0.2, 0.1)
+    assert words(figure) == ["at a stop, left out of the fit"]
+
+
+def test_where_an_excitation_began_anew_is_marked_in_every_panel() -> None:
+    x, u = STATES[:, :2].copy(), np.zeros((100, 1))
+    x[40] = u[40] = np.nan
+    figure = training_data(TIME, x, u, Pendulum().signature)
+    for axis in (*figure.axes, *excitation(TIME, u, ("u",)).axes):
+        assert [line.get_xdata()[0] for line in axis.lines if line.get_linestyle() == "--"] == [TIME[40]]
+    assert words(figure) == ["ended early, began anew"]
+
+
+def test_gaps_of_a_log_are_marked_unless_they_are_everywhere() -> None:
+    figure = training_data(TIME, STATES, segment=np.repeat([0, 1, 4], [30, 50, 20]))
+    assert [line.get_xdata()[0] for line in figure.axes[5].lines[1:]] == [TIME[30], TIME[80]]
+    assert words(figure) == ["gap: samples missing or left out"]
+    assert not words(training_data(TIME, STATES, segment=np.arange(100)))
+
+
+def test_a_prediction_says_what_it_is_compared_with_and_what_was_not_measured() -> None:
+    log = STATES.copy()
+    log[:, 2] = np.nan
+    figure = prediction(TIME, log, STATES, truth="log")
+    assert words(figure) == ["log", "predicted"]
+    assert [axis.get_title(loc="right") for axis in figure.axes[1:4]] == [
+        "RMSE 0 % of range",
+        "not measured",
+        "RMSE 0 % of range",
+    ]
+    assert words(prediction(TIME, STATES, STATES)) == ["real", "predicted"]
+
+
+def test_the_panel_above_an_empty_place_has_its_times() -> None:
+    signature = Signature(("a", "b", "c", "d"), ("m",) * 4, ("u",), (1.0,) * 4)
+    figure = training_data(TIME, STATES[:, :4], TIME[:, None], signature)
+    assert [axis.get_xlabel() for axis in figure.axes] == ["", "", "", "time [s]", "time [s]", ""]
+    assert not figure.axes[5].get_visible() and figure.axes[3].xaxis.get_tick_params()["labelbottom"]
+
+
+def test_a_prediction_ends_where_it_is_lost() -> None:
+    wild = STATES.copy()
+    wild[60, 0], wild[60, 1] = 20.0, 9.0  # ranges 1 and 2: ten ranges off are lost, four come back
+    drawn = [axis.lines[1].get_ydata() for axis in prediction(TIME, STATES, wild).axes]
+    assert np.isnan(drawn[0]).tolist() == [False] * 60 + [True] * 40
+    assert not np.isnan(drawn[1]).any()

@@ -69,3 +69,13 @@ def test_the_evaluated_return_of_a_single_episode_is_written_out() -> None:
     names = [text.get_text() for text in axis.get_yticklabels()]
     assert names == ["untrained policy", "evaluated policy", "real episode, exploring"]
     assert [line.get_xdata()[0] for line in axis.lines] == [-300.0, 57.6, -12.5]
+
+
+def test_of_a_single_episode_there_are_dots_and_intervals_to_be_seen() -> None:
+    (axis,) = average_rewards({"few": [[1.0], [2.0]], "many": [[1.0], [2.0], [6.0]]}, window=1).axes
+    shown = [line for line in axis.lines if line.get_visible() and len(line.get_xdata())]
+    assert [line.get_ydata()[0] for line in shown] == [1.0, 2.0, 3.0]  # of three seeds the mean, as none is trimmed
+    assert {line.get_marker() for line in shown} == {"o"}
+    (interval,) = axis.collections[-1].get_segments()
+    assert 1.0 <= interval[0][1] < interval[1][1] <= 6.0
+    assert axis.get_xlim() == (0.5, 1.5)

@@ -71,6 +71,36 @@ def test_without_references_the_response_shows_all_states(tmp_path: Path) -> Non
     heading = "time [s],theta [rad],Omega [rad/s],u [-]"
     write(tmp_path / "data" / "excitation.csv", heading, "0.1", "0.2", "0.3")
     write(tmp_path / "data" / "step_response.csv", heading, "0.1", "0.7", "0.3")
+    (tmp_path / "metrics.json").write_text('{"drawn": {"words": "episode 3 of 9"}, "untrained": {"return": 0}}')
     figure = _figures(tmp_path, Pendulum().signature)["step_response"]
+    assert figure.get_suptitle() == "Response\nepisode 3 of 9"
     drawn = [[line.get_ydata()[0] for line in axis.lines] for axis in figure.axes]
     assert drawn == [[0.1], [0.7], [0.3]]
+
+
+def test_a_reference_that_moves_has_no_settling_band(tmp_path: Path) -> None:
+    heading = "time [s],theta [rad],Omega [rad/s],u [-],reference_theta [rad]"
+    write(tmp_path / "data" / "excitation.csv", heading, "0.1", "0.2", "0.3", "0.0")
+    write(tmp_path / "data" / "step_response.csv", heading, "0.1", "0.7", "0.3", "0.5")
+    assert _figures(tmp_path, Pendulum().signature)["step_response"].axes[0].patches
+    rows = (tmp_path / "data" / "step_response.csv").read_text()
+    (tmp_path / "data" / "step_response.csv").write_text(rows.replace("0.5\n", "0.6\n", 1))
+    figure = _figures(tmp_path, Pendulum().signature)["step_response"]
+    assert not figure.axes[0].patches and figure.get_suptitle() == "Response"
+
+
+def test_what_the_fit_left_out_is_shaded_and_a_learnt_reward_has_its_own_unit(tmp_path: Path) -> None:
+    heading = "time [s],theta [rad],Omega [rad/s],u [-]"
+    for name in ("excitation", "step_response"):
+        write(tmp_path / "data" / f"{name}.csv", heading, "0.1", "0.2", "0.3")
+    (tmp_path / "data" / "left_out.json").write_text('{"at_a_stop": [[1.0, 1.5], [3.0, 3.05]]}')
+    names = "episode,reward_error,judged_reward_error,open_below,close_above,open,"
+    names += "held_out_error_before,held_out_error_after,refit_kept\n"
+    (tmp_path / "gate.csv").write_text(names + "1,0.1,0.2,0.3,0.4,1,0.1,0.1,1\n" * 2)
+    figures = _figures(tmp_path, Pendulum().signature)
+    assert [patch.get_x() for patch in figures["training_data"].axes[2].patches] == [1.0, 3.0]
+    assert figures["gate"].axes[0].get_ylabel() == "reward error\n[reward per period]"
+    (tmp_path / "metrics.json").write_text('{"reward": "cos(theta)", "excitation": "It touched a stop."}')
+    figures = _figures(tmp_path, Pendulum().signature)
+    assert figures["gate"].axes[0].get_ylabel() == "reward error\n[deviations of the reward]"
+    assert figures["training_data"].get_suptitle().endswith("\nIt touched a stop.")

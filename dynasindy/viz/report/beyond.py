@@ -14,6 +14,7 @@ from dynasindy.evaluation.table import FEWEST
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.controllers import named
 from dynasindy.viz.gate import gate
+from dynasindy.viz.report.control import FIRST
 from dynasindy.viz.report.document import Part, Picture, Section, Table, Text
 from dynasindy.viz.report.sources import CASES, PLANTS, Results, each
 from dynasindy.viz.response import step_response, tracking
@@ -71,7 +72,8 @@ def gradient(results: Results) -> Section:
         title = f"{scenario.capitalize()}, planning by gradient: plant {plant}"
         figure = (step_response if step else tracking)(columns["time"], target, y, u, title=title)
         cost = run.record("metrics.json")["cost"]
-        caption = f"The {scenario} on `{plant}` after {cost['plant_seconds']:.0f} s of plant time."
+        what = FIRST if step else f"The {scenario}"
+        caption = f"{what} on `{plant}` after {cost['plant_seconds']:.0f} s of plant time."
         return [Picture(f"gradient_{scenario}_{plant}", figure, caption, run.source)]
 
     words = (

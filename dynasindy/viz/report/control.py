@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from dynasindy.evaluation.metrics import MIN_STEP
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.learning import average_rewards
 from dynasindy.viz.report.document import Part, Picture, Section, Table, Text
@@ -16,6 +17,8 @@ from dynasindy.viz.run import stacked
 from dynasindy.viz.style import Array
 
 ABLATION = "python scripts/ablation.py system={} experiment={}"
+FIRST = "The first of the 64 targets, the one nearest to three quarters of the upper ends,"
+"""Which target a saved step response is of, see `step_references`."""
 AXES = {"alpha_a": "azimuth", "alpha_p": "pitch"}
 
 Rows = list[dict[str, str]]
@@ -82,11 +85,12 @@ def steps(results: Results) -> Section:
             f"Step tracking: plant {plant}, experiment {experiment}",
         )
         scores = {words: run.record("metrics.json")["evaluation"] for words, run in runs.items()}
-        caption = f"One step of the first seed on `{plant}`, after {_episodes(runs)} real episodes."
+        caption = f"{FIRST} on `{plant}`, of the first seed after {_episodes(runs)} real episodes."
         return [
             *steps_agree(told(plant, experiment), scores),
             Text(
-                f"**Plant `{plant}`, `experiment={experiment}`**: means over 64 steps, first seed; overshoot: median."
+                f"**Plant `{plant}`, `experiment={experiment}`**: means over 64 targets, first seed; overshoot: median "
+                f"over those{_counted(scores)} that move the axis by {100 * MIN_STEP:g} % of its box of targets."
             ),
             _score_table(scores, {"steady-state error [rad]": "steady_state_error", "overshoot [%]": "overshoot"}),
             Picture(f"step_{plant}_{experiment}", figure, caption, " ".join(run.source for run in runs.values())),
@@ -169,6 +173,14 @@ def _to_level(runs: Rows, setting: str) -> list[float]:
 def _lengths(runs: Rows, setting: str) -> str:
     """Return after how many episodes the runs of a setting ended, as "never" says little of short ones."""
     return " or ".join(dict.fromkeys(f"{float(row['episodes']):g}" for row in runs if row["setting"] == setting))
+
+
+def _counted(scores: Mapping[str, Mapping[str, float | None]]) -> str:
+    """Say how many targets are steps of each axis, as far as the runs have noted it."""
+    found = {tuple(score.get(f"steps/{name}") for name in AXES) for score in scores.values()}
+    counts = next(iter(found)) if len(found) == 1 else ()
+    told = [f"{count:g} on {axis}" for count, axis in zip(counts, AXES.values(), strict=False) if count is not None]
+    return f" ({', '.join(told)})" if told else ""
 
 
 def _score_table(scores: Mapping[str, Mapping[str, float | None]], metrics: Mapping[str, str]) -> Table:

@@ -70,7 +70,7 @@ def _samples(plant: str, run: Run, table: Table) -> list[Part]:
         ),
         Picture(
             f"training_data_{plant}",
-            training_data(table["time"], x, STATES, SIGNATURE.state_units, f"Training data of {plant}"),
+            training_data(table["time"], x, stacked(table, INPUTS), SIGNATURE, f"Training data of {plant}"),
             f"What the first model of `{plant}` was fitted to, drawn every 0.05 s.",
             run.source,
         ),

@@ -191,7 +191,7 @@ def _after(case: str, errors: Mapping[str, float]) -> list[Part]:
 def _picture(name: str, time: Array, real: Array, model: Array, run: Run) -> Picture:
     _, word, plant, experiment = name.split("_")
     title = f"Predicted and real states {word} learning: plant {plant}, experiment {experiment}"
-    figure = prediction(time, real, model, STATES, SIGNATURE.state_units, title)
+    figure = prediction(time, real, model, SIGNATURE, title)
     return Picture(name, figure, f"Open-loop prediction of an episode on `{plant}`, `{experiment}`.", run.source)
 
 

@@ -67,5 +67,7 @@ class FitReport:
         each = f" of {self.dt:g} s" if self.dt else ""
         lines = [f"fit of {self.samples} transitions{each} in {self.seconds:.3g} s"]
         counts = {name: f"{count} term{'s' * (count != 1)}" for name, count in self.terms.items()}
-        lines += [f"  {s}': {counts[s]}, unexplained {100 * r:.3g} %" for s, r in self.residual.items()]
+        lines += [
+            f"  {s}': {counts[s]}, unexplained: {100 * r:.3g} % of the slope (RMS)" for s, r in self.residual.items()
+        ]
         return "\n".join([*lines, *(f"note: {note}" for note in self.notes), self.identifiability.to_text()])

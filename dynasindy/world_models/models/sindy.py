@@ -34,6 +34,7 @@ from dynasindy.world_models.models.report import FitReport
 from dynasindy.world_models.refinement.delay import known_inputs
 from dynasindy.world_models.refinement.measured import imagined, rates_known, reconstruct
 from dynasindy.world_models.refinement.refine import Recording, Refinement
+from dynasindy.world_models.refinement.shapes import stayed
 from dynasindy.world_models.refinement.shooting import RunsAway
 from dynasindy.world_models.refinement.windows import ENOUGH, STRETCHES
 from dynasindy.world_models.regression.regression import Regression, Rows, RunningSums, integral_form
@@ -198,6 +199,8 @@ class SindyModel(WorldModel):
             self.set_coefficients(first)
         self.delay = delay
         notes = self._refine(data, guess)
+        if self.refinement is not None:
+            notes += stayed(self.library, self.coefficients)
         seconds = time.perf_counter() - start
         report = FitReport.of(self.library, self.coefficients, self.sums, seconds, notes, data.dt)
         # The sums may be of fewer rows than that, each of them the average of many transitions.

@@ -12,12 +12,15 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from dynasindy.world_models.libraries.features import Feature
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.regression.regression import Rows, Theta, least_squares
 from dynasindy.world_models.writers.fast_field import generate
 
 LITTLE = 1e-3
 """Gain of log-likelihood below which the numbers stand still."""
+MOVED = 1e-3
+"""Part of a first guess by which a number has moved that was fitted."""
 RowsOf = Callable[[Theta, Theta], Rows]
 """Functions `(x, u) -> (N, n_features)` and a first model `(x, u) -> dx` to averaged functions and rates of change."""
 
@@ -64,6 +67,23 @@ def fit_shapes(
         if gain < LITTLE:
             break
     return library, xi
+
+
+def stayed(library: Library, xi: Tensor) -> list[str]:
+    """Say which numbers inside functions that are used did not move from their first guesses, a sentence each.
+
+    Args:
+        library: candidate functions after a fit.
+        xi: coefficients of the fit, `(n_features, n_x)`.
+    """
+    active = (xi != 0).any(-1).nonzero().flatten().tolist()
+    used = {f.base: None for k in active for f in library.features[k].factors if f.fitted}
+    still = [f for f in used if abs(f.frequency - f.fitted) <= MOVED * abs(f.fitted)]
+    return [
+        f"the number in {Feature.of([factor]).name()} did not move from its first guess {factor.fitted:g}: the data "
+        "probably do not determine it"
+        for factor in still
+    ]
 
 
 def _solved(library: Library, xi: Tensor, active: Tensor, rows: RowsOf, tolerance: float) -> tuple[Tensor, float]:

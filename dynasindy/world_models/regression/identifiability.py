@@ -11,6 +11,9 @@ from dynasindy.world_models.libraries.features import Feature
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.regression.regression import RunningSums
 
+CLEAR = 1e6
+"""Condition number below which functions are well apart."""
+
 
 @dataclass(frozen=True)
 class Identifiability:
@@ -62,15 +65,16 @@ class Identifiability:
         )
 
     def to_text(self) -> str:
-        """Write rank, condition, weakest direction and advice in a few lines."""
-        direction = ", ".join(f"{w:+.2f} {n}" for n, w in self.weakest)
-        full = self.rank == self.n_features
-        alike = "" if full else "; at less than the full rank, some functions are sums of others on these data"
-        lines = [
-            f"rank {self.rank} of {self.n_features} functions, condition number {self.condition:.2g}{alike}",
-            f"least excited direction: {direction}",
-        ]
-        return "\n".join([*lines, *self.advice])
+        """Write which functions the data can tell apart, and what to excite, in a few lines."""
+        count, names = self.n_features, ", ".join(name for name, _ in self.weakest)
+        condition = f"condition number {self.condition:.2g}"
+        if self.rank < count:
+            first = f"{count - self.rank} of {count} functions cannot be told apart from others on these data: {names}"
+        elif self.condition < CLEAR:
+            return f"the data can tell all {count} functions apart ({condition})"
+        else:
+            first = f"these of {count} functions can hardly be told apart on these data ({condition}): {names}"
+        return "\n".join([first, *self.advice])
 
 
 def standard_errors(coefficients: Tensor, sums: RunningSums) -> Tensor:
@@ -89,7 +93,7 @@ def standard_errors(coefficients: Tensor, sums: RunningSums) -> Tensor:
 
 def _advice(library: Library, weak: list[str], sums: RunningSums, rank: int, condition: float) -> list[str]:
     """Say what these data cannot tell, and what to excite where they show that it was not."""
-    if rank == len(library) and condition < 1e6:
+    if rank == len(library) and condition < CLEAR:
         return ["the functions are well apart: the data can tell them from each other"]
     features, norms = {f.name(): f for f in library.features}, sums.norms()
     inputs = [n for n in library.signature.input_names if n in library.names]

@@ -73,3 +73,18 @@ def test_waves_compare_the_model_with_none(results):
         np.testing.assert_allclose(lines_of["no planning"] - lines_of["reference"], 0.2, atol=1e-12)
         assert section.findings[0].verdict is Verdict.AS
         assert len(lines(section)) == 3
+
+
+def test_a_step_is_named_and_overshoot_says_over_which_targets_it_is_a_median(results):
+    section = control.steps(results)
+    (caption,) = [part.caption for part in section.parts if isinstance(part, Picture)]
+    assert caption.startswith(
+        "The first of the 64 targets, the one nearest to three quarters of the upper ends, on `xi`"
+    )
+    (words,) = [
+        part.words for part in section.parts if isinstance(part, Text) and part.words.startswith("**Plant `xi`")
+    ]
+    assert words.endswith("overshoot: median over those that move the axis by 5 % of its box of targets.")
+    counted = {"a": {"steps/alpha_a": 56.0, "steps/alpha_p": 57.0}}
+    assert control._counted(counted) == " (56 on azimuth, 57 on pitch)"
+    assert control._counted(counted | {"b": {}}) == ""

@@ -13,7 +13,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.libraries.features import parse
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.shapes import fit_shapes
+from dynasindy.world_models.refinement.shapes import fit_shapes, stayed
 
 DT = 0.02
 CART = Signature(("v",), ("m/s",), ("u",), (1.0,))
@@ -124,3 +124,30 @@ def test_the_inertia_of_the_azimuth_is_found_from_a_guess_that_is_far_off():
     model = SindyModel(Tras().signature, "rotor", Regression("bic"), Refinement("integral"), known=rates)
     model.fit(record(Tras(), u, dt=0.01))
     assert model.library.shapes[0].frequency == pytest.approx(0.02379038 / 0.00300962, rel=1e-3)
+
+
+def test_a_number_that_stays_at_its_guess_is_told_if_its_function_is_used():
+    library = Library(CART, [parse(word) for word in ("v", "u", "tanh(~20 v)", "v exp(~3 u)")])
+    both = torch.ones(4, 1, dtype=torch.float64)
+    first, second = stayed(library, both)
+    assert first == (
+        "the number in tanh(20 v) did not move from its first guess 20: the data probably do not determine it"
+    )
+    assert "exp(3 u)" in second and "guess 3:" in second
+    assert stayed(library, torch.tensor([[1.0], [1.0], [0.0], [0.0]])) == []
+    assert stayed(library.with_shapes([20.5, 2.9]), both) == []
+    assert len(stayed(library.with_shapes([20.001, 2.9]), both)) == 1  # a part of 5e-5
+
+
+def test_a_fit_says_that_a_number_inside_a_function_means_nothing():
+    """Of dry friction that is full throughout no data tell the width."""
+    u, v = np.random.default_rng(0).uniform(1, 2, 80).repeat(5), [3.0]
+    for held in u:  # v' = 2 u - 0.4 v - 1.2, and v > 0.1
+        rest = (2 * held - 1.2) / 0.4
+        v.append(rest + (v[-1] - rest) * np.exp(-0.4 * DT))
+    assert min(v) > 0.1
+    full = Transitions.from_trajectory(torch.tensor(v).double()[:, None], torch.from_numpy(u)[:, None], DT)
+    for data, guess, silent in ((full, 1000, False), (recording(cart, [0.0]), 20, True)):
+        model = SindyModel(CART, ["v", "u", f"tanh(~{guess} v)"], Regression("bic"), Refinement("integral", rounds=4))
+        told = f"note: the number in tanh({guess} v) did not move from its first guess" in model.fit(data).to_text()
+        assert told != silent

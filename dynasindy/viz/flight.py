@@ -1,0 +1,54 @@
+"""A flight of a rig: targets, what was measured, the inputs, the ranges of its guard, and what ended it early."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from dynasindy.viz.response import tracking
+from dynasindy.viz.style import GREY, ORANGE, RED, legend_above, styled
+
+if TYPE_CHECKING:  # figures know a flight by its attributes alone
+    from dynasindy.rig import Guard, Wiring
+    from dynasindy.rig.shown import Shown
+
+LATE = 0.02
+"""Share of the planned time that is left free beside what was flown, for the line at which a flight ended."""
+
+
+@styled
+def flight(shown: Shown, wiring: Wiring, guard: Guard, name: str) -> Figure:
+    """Draw a flight on the time that was planned for it.
+
+    Args:
+        shown: The flight, with one sample or more.
+        wiring: What of the plant is measured, and how often.
+        guard: Tells the ranges of the outputs within which a flight goes on; drawn where they are near.
+        name: Of the flight, such as `flight_1`.
+    """
+    units = [f"{output} [{unit}]" for output, unit in zip(shown.names, shown.units, strict=True)]
+    measured = {"measured": shown.outputs}
+    planned = max(shown.planned, len(shown.time)) * wiring.dt
+    title = f"{name.replace('_', ' ').capitalize()} on the rig"
+    ended = float(shown.time[-1]) + wiring.dt
+    if shown.fault:
+        title += f", ended after {ended:g} of {planned:g} s by {shown.fault}"
+    inputs = {"measured": shown.inputs}
+    figure = tracking(shown.time, shown.references, measured, inputs, units, wiring.signature.input_names, title)
+    for column, (axis, output) in enumerate(zip(figure.axes, shown.names, strict=False)):
+        if np.isnan(shown.outputs[:, column]).all():
+            axis.text(0.5, 0.5, "not measured", transform=axis.transAxes, ha="center", va="center", color=GREY)
+        bottom, top = axis.get_ylim()
+        room = 0.3 * (top - bottom)
+        for end in guard.ranges.get(output, ()):
+            if bottom - room < end < top + room:  # one that is far off would flatten the flight
+                axis.axhline(end, color=ORANGE, linestyle="-.", linewidth=1.0)
+                figure.axes[0].plot([], [], color=ORANGE, linestyle="-.", linewidth=1.0, label="range of the guard")
+    for axis in figure.axes:
+        if shown.fault:
+            axis.axvline(ended, color=RED, linewidth=1.0, label="ended, safe input")
+    figure.axes[-1].set_xlim(0.0, planned * (1 + LATE * bool(shown.fault)))
+    legend_above(figure.axes[0])
+    return figure

@@ -1,0 +1,53 @@
+"""The figure of a rig's flight: as long as planned, with what ended it and where."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dynasindy.rig import Guard, Wiring
+from dynasindy.rig.shown import Shown
+from dynasindy.systems import Signature
+from dynasindy.viz.flight import flight
+
+SIGNATURE = Signature(("theta", "level"), ("rad", "m"), ("u",), (1.0, 1.0))
+WIRING = Wiring(SIGNATURE, (True, False), 0.1)
+TIME = 0.1 * np.arange(5)
+OUTPUTS = np.stack([np.linspace(0.0, 0.4, 5), np.full(5, np.nan)], -1)
+ENDED = Shown(
+    ("theta", "level"), ("rad", "m"), TIME, np.tile([0.3, 0.5], (5, 1)), OUTPUTS, np.full((5, 1), 0.2),
+    np.ones(5, dtype=bool), 20, "range: theta is 0.5, outside of -0.45 to 0.45",
+)  # fmt: skip
+
+
+def words(figure) -> list[str]:
+    return [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+
+
+def test_a_flight_that_ended_early_says_when_and_why_on_the_time_that_was_planned() -> None:
+    figure = flight(ENDED, WIRING, Guard(), "flight_1")
+    told = " ".join(figure.get_suptitle().split())
+    assert told == "Flight 1 on the rig, ended after 0.5 of 2 s by range: theta is 0.5, outside of -0.45 to 0.45"
+    for axis in figure.axes:
+        assert axis.lines[-1].get_xdata() == pytest.approx([0.5, 0.5])
+    low, high = figure.axes[-1].get_xlim()
+    assert low == 0.0 and 2.0 <= high < 2.1
+    assert words(figure) == ["reference", "measured", "ended, safe input"]
+
+
+def test_a_flight_that_did_not_end_early_has_no_line_for_it() -> None:
+    figure = flight(replace(ENDED, fault="", planned=5), WIRING, Guard(), "flight_1")
+    assert figure.get_suptitle() == "Flight 1 on the rig" and words(figure) == ["reference", "measured"]
+    assert figure.axes[-1].get_xlim() == (0.0, 0.5)
+
+
+def test_the_range_of_the_guard_is_drawn_where_it_is_near() -> None:
+    figure = flight(ENDED, WIRING, Guard(low={"theta": -5.0}, high={"theta": 0.45}), "flight_1")
+    lines = [line for line in figure.axes[0].lines if line.get_linestyle() == "-." and len(line.get_xdata())]
+    levels = [line.get_ydata()[0] for line in lines]
+    assert levels == [0.45] and words(figure)[2:] == ["range of the guard", "ended, safe input"]
+
+
+def test_an_output_without_a_sensor_is_said_to_have_none() -> None:
+    figure = flight(ENDED, WIRING, Guard(), "flight_1")
+    assert [[text.get_text() for text in axis.texts] for axis in figure.axes] == [[], ["not measured"], []]
