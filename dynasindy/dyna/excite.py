@@ -200,7 +200,7 @@ class Loop:
         x, u, x_next, dt = _moves(rows, parts)
         middle = 0.5 * (x + x_next) - home
         near = (middle.abs() <= NEAR * scale).all(-1)
-        if int(near.sum()) < ENOUGH * (len(scale) + data.u.shape[-1] + 1):
+        if int(near.sum()) < ENOUGH * (len(scale) + u.shape[-1] + 1):
             return
         a, b, c = _linear(middle[near] / scale, u[near], ((x_next - x) / dt)[near] / scale)
         a, b, c = a * scale.unsqueeze(-1) / scale, b * scale.unsqueeze(-1), c * scale
