@@ -30,6 +30,8 @@ from dynasindy.sensing.sensors import Sensors
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 """Reads `observation` of a tensordict and writes `action`."""
+FARTHEST = 1e4
+"""Ranges of a state within which estimates are shown: rewards and actions of larger ones would be no numbers."""
 
 
 class Sensing(Transform):
@@ -151,7 +153,9 @@ class Sensing(Transform):
         """Write what may be seen in the place of the true state, and what the observer holds besides its belief."""
         dtype, task = self.env.float_type, self.env.task
         mean = self.observer.ahead(belief.mean, held["inputs"])
-        x = mean[..., : self.observer.n_x].to(dtype)
+        n_x = self.observer.n_x
+        ends = FARTHEST * self.observer.scale[:n_x]
+        x = torch.minimum(torch.maximum(mean[..., :n_x], -ends), ends).to(dtype)
         t = shown["step_count"].to(dtype) * self.env.dt
         shown["state"] = x
         shown["observation"] = task.observation(x, shown["task_params"], t).float()

@@ -139,6 +139,21 @@ def test_an_estimate_is_for_the_time_at_which_the_next_action_arrives(actuator, 
     torch.testing.assert_close(samples[:, -1], seen["next", "true_state"], rtol=0, atol=0)
 
 
+def test_an_estimate_beyond_all_sense_still_gives_numbers():
+    class Exploding(Tras):
+        def forward(self, x, u):
+            return 30.0 * x + 1.0  # from rest by e^120 in 80 periods
+
+    env, sensing, _ = behind({"alpha_a": {}})
+    wild = Sensing(env, Observer(Exploding(), sensing.sensors, env), torch.Generator().manual_seed(0))
+    wild.observer.nis = 1.0
+    rollout = wild.around(env).rollout(80, chirp())
+    scale = torch.tensor(Tras().signature.x_scale, dtype=torch.float64)
+    assert float((rollout["next", "state"] / scale).abs().max()) <= 1e4 * (1 + 1e-12)
+    for key in ("state", "observation", "reward"):
+        assert rollout["next", key].isfinite().all(), key
+
+
 def test_rows_of_a_batch_are_those_of_single_episodes():
     env, sensing, sensed = behind()
     starts = torch.tensor([[0.1, 0.2, 0.0, 0.0, 0.0, 0.0], [-0.3, 0.0, 0.1, 0.0, 500.0, 0.0]]).double()
