@@ -26,7 +26,7 @@ PLANTS = {
     **{name: [f"system={name}"] for name in ("van_der_pol", "cart_pole", "quadrotor", "tanks", "swing_up")},
     "pendulum_v1": ["system=gymnasium", "env.id=Pendulum-v1", "train.episodes=0"],
     "pendulum_own": ["system=gymnasium", "env.id=Pendulum-v1", "task=own", "train.episodes=0"],
-    "inverted_pendulum": ["system=inverted_pendulum", "train.episodes=0"],
+    **{name: [f"system={name}", "train.episodes=0"] for name in ("inverted_pendulum", "double_pendulum", "reacher")},
     "mountain_car": ["system=gymnasium", "env.id=MountainCarContinuous-v0", "train.episodes=0"],
     **{name: [f"system={name}"] for name in UNTUNED},
 }

@@ -33,6 +33,8 @@ BEYOND = 10.0
 """Ranges of a state that limit the excitation where the plant names no bounds."""
 NEAR = 1.0
 """Ranges around the start within which the linear model is fitted."""
+ENOUGH = 2
+"""Rows near the start per number of a linear equation; fewer would fit noise, and no loop is closed."""
 MARGIN = 0.9
 """Largest mean input of the loop."""
 
@@ -198,7 +200,7 @@ class Loop:
         x, u, x_next, dt = _moves(rows, parts)
         middle = 0.5 * (x + x_next) - home
         near = (middle.abs() <= NEAR * scale).all(-1)
-        if not bool(near.any()):
+        if int(near.sum()) < ENOUGH * (len(scale) + u.shape[-1] + 1):
             return
         a, b, c = _linear(middle[near] / scale, u[near], ((x_next - x) / dt)[near] / scale)
         a, b, c = a * scale.unsqueeze(-1) / scale, b * scale.unsqueeze(-1), c * scale

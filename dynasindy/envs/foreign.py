@@ -20,6 +20,7 @@ from torch import Tensor
 from torchrl.data import Binary, Unbounded
 
 from dynasindy.envs.control_env import ControlEnv
+from dynasindy.envs.observed import Observed
 from dynasindy.systems import Signature, System
 from dynasindy.tasks import Task
 
@@ -32,17 +33,20 @@ class Foreign(System):
 
     Args:
         id: Name under which Gymnasium has the environment.
-        states: Names of the observation's entries, in their order, or name to range; names alone take their ranges
-            from the observation space, or 1 where that has no ends. None names them x1, x2, ...
+        states: Names of the states, or name to range; names alone take their ranges from the observation space, or 1
+            where that has no ends. They are the observation's entries, in their order, unless `observed` says
+            otherwise. None names them x1, x2, ...
         inputs: Names of the action's entries; None names them u1, u2, ...
         units: Units of the states; "-" if omitted.
         options: Arguments of `gymnasium.make`.
         stops: Names of the states that the environment clips at the ends of its observation space; None for all. A
             cosine, whose ends are reached in free motion, is none.
+        observed: Names of the observation's entries, where the state is not all of them in their order.
+        angles: States that are the angle of two entries: name to those of its sine and its cosine.
 
     Raises:
         ValueError: Gymnasium has no such environment, a space is no box of one dimension, an action has no ends, the
-            numbers of names differ from the spaces, or a stop is no state.
+            numbers of names differ from the spaces, a stop is no state, or a state is neither observed nor an angle.
     """
 
     known = False
@@ -55,27 +59,32 @@ class Foreign(System):
         units: Sequence[str] | None = None,
         options: Mapping[str, Any] | None = None,
         stops: Sequence[str] | None = None,
+        observed: Sequence[str] | None = None,
+        angles: Mapping[str, Sequence[str]] | None = None,
     ) -> None:
         self.id, self.options = id, dict(options or {})
         copy = self.make(1)
-        observed, acted = copy.observation_space, copy.action_space
-        for space, what in ((observed, "observation"), (acted, "action")):
+        seen, acted = copy.observation_space, copy.action_space
+        for space, what in ((seen, "observation"), (acted, "action")):
             if not isinstance(space, spaces.Box) or len(space.shape) != 1:
                 raise ValueError(f"{id} has the {what} space {space}; a plant needs a Box of one dimension")
-        assert isinstance(observed, spaces.Box) and isinstance(acted, spaces.Box)
+        assert isinstance(seen, spaces.Box) and isinstance(acted, spaces.Box)
         if not (np.isfinite(acted.low).all() and np.isfinite(acted.high).all()):
             raise ValueError(f"{id} has actions without ends, {acted}; inputs need them: wrap it in RescaleAction")
-        n_x, n_u = observed.shape[0], acted.shape[0]
-        ends = np.maximum(np.abs(observed.low), np.abs(observed.high))
-        ranges = {f"x{i + 1}": None for i in range(n_x)} if states is None else _ranges(states)
+        n_seen, n_u = seen.shape[0], acted.shape[0]
+        ranges = {f"x{i + 1}": None for i in range(n_seen)} if states is None else _ranges(states)
+        entries, named = (list(ranges), "states") if observed is None else (list(observed), "observed")
         names = [f"u{i + 1}" for i in range(n_u)] if inputs is None else list(inputs)
-        if len(ranges) != n_x or len(names) != n_u:
+        if len(entries) != n_seen or len(names) != n_u:
             raise ValueError(
-                f"{id} has {n_x} states and {n_u} inputs, plant.states names {len(ranges)} ({', '.join(ranges)}) and "
-                f"plant.inputs {len(names)} ({', '.join(names)}); name each of them"
+                f"{id} has {n_seen} states and {n_u} inputs, plant.{named} names {len(entries)} ({', '.join(entries)}) "
+                f"and plant.inputs {len(names)} ({', '.join(names)}); name each of them"
             )
-        scale = [r or (float(end) if end < 1e6 else 1.0) for r, end in zip(ranges.values(), ends, strict=True)]
-        super().__init__(Signature(tuple(ranges), tuple(units or ["-"] * n_x), tuple(names), tuple(scale)))
+        self.observed = Observed(entries, list(ranges), angles)
+        both = self.observed.ends(torch.as_tensor(np.stack([seen.low, seen.high])).double())
+        ends = both.abs().amax(0).tolist()
+        scale = [r or (end if end < 1e6 else 1.0) for r, end in zip(ranges.values(), ends, strict=True)]
+        super().__init__(Signature(tuple(ranges), tuple(units or ["-"] * len(scale)), tuple(names), tuple(scale)))
         self.low, self.high = acted.low, acted.high
         if strange := [name for name in stops or () if name not in ranges]:
             raise ValueError(
@@ -83,7 +92,7 @@ class Foreign(System):
             )
         clips = torch.tensor([stops is None or name in stops for name in ranges])
         far = torch.tensor([[-math.inf], [math.inf]], dtype=torch.float64)
-        self.ends = torch.where(clips, torch.as_tensor(np.stack([observed.low, observed.high])).double(), far)
+        self.ends = torch.where(clips, both, far)
         self.period = _period(copy)
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
@@ -189,7 +198,8 @@ class GymnasiumEnv(ControlEnv):
         self.copies.user = self
         seeds = torch.randint(2**31, (rows,), generator=self.rng).tolist()
         begun = [copy.reset(seed=seed)[0] for copy, seed in zip(self.copies.pool, seeds)]
-        self.now = torch.as_tensor(np.stack(begun), dtype=self.float_type).reshape(states.shape)
+        seen = torch.as_tensor(np.stack(begun), dtype=self.float_type)
+        self.now = self.foreign.observed.state(seen).reshape(states.shape)
         self.over = torch.zeros(states.shape[:-1], dtype=torch.bool)
         out = super().start_from(self.now)
         out.set("moved", torch.zeros(*states.shape[:-1], 1, dtype=torch.bool))
@@ -208,7 +218,7 @@ class GymnasiumEnv(ControlEnv):
                 continue
             scaled = (low + (high - low) * 0.5 * (action + 1.0)).astype(np.float32)
             seen, reward, terminated, _, _ = self.copies.pool[i].step(scaled)
-            after[i] = torch.as_tensor(np.asarray(seen), dtype=self.float_type)
+            after[i] = self.foreign.observed.state(torch.as_tensor(np.asarray(seen), dtype=self.float_type), after[i])
             paid.reshape(-1)[i], over[i] = float(reward), bool(terminated)
         self.now, self.over = after.reshape(x.shape), over.reshape(x.shape[:-1])
         clipped = ((self.now <= self.foreign.ends[0]) | (self.now >= self.foreign.ends[1])).any(-1)
@@ -227,7 +237,7 @@ class GymnasiumEnv(ControlEnv):
         """Return states in which episodes begin, `(number, n_x)`."""
         copy = self.foreign.make(1)
         begun = [copy.reset(seed=int(rng.integers(2**31)))[0] for _ in range(number)]
-        return torch.as_tensor(np.stack(begun), dtype=torch.float64)
+        return self.foreign.observed.state(torch.as_tensor(np.stack(begun), dtype=torch.float64))
 
     def _rates_at_start(self) -> Tensor:
         """Return zeros, as the equations are not known."""

@@ -36,6 +36,12 @@ from dynasindy.told import tell
 
 FOLLOWING = ("window", "lr", "updates", "patience", "substeps", "held")
 """Settings that follow the plant where they are not given."""
+LOST, SHORTER = 2.0, 0.1
+"""Multiple of the best imagined cost at which a policy has lost a plant that has to be held, and the factor on the
+learning rate then."""
+FENCE = 40.0
+"""Cost of leaving the plant's bounds, at which real episodes end and imagined ones do not [per range and period]; an
+error of a whole box costs 4."""
 DIVERGED = 100.0
 """Multiple of the largest value of each state on the plant beyond which an imagined episode has diverged."""
 
@@ -167,7 +173,7 @@ class GradientPlanning(Planner):
         if begun.afar or was_afar:
             self.pace = pace = dataclasses.replace(pace, window=self.given.get("window", LONGEST), afar=True)
         best = begun.score
-        optimizer = torch.optim.Adam(self.network.parameters(), lr=lr, betas=(0.9, 0.99), fused=True)
+        optimizer = _optimizer(self.network, lr)
         best_weights, failures, done, made = self._weights(), 0, 0, 0
         for done in range(1, updates + 1):
             tell("planning", done, updates, "updates", f"imagined score {best:.3g}" if math.isfinite(best) else "")
@@ -179,6 +185,11 @@ class GradientPlanning(Planner):
                 failures = 0 if score > best else failures + 1
                 if score > best:
                     best, best_weights = score, self._weights()
+                elif rests is not None and pace.held and score < LOST * best:
+                    # Steps so long that episodes are no longer held: go on from the best policy in shorter ones.
+                    lr *= SHORTER
+                    self.network.load_state_dict(best_weights)
+                    optimizer = _optimizer(self.network, lr)
                 if failures >= pace.patience or not made:
                     break
         finite = self._finite()
@@ -343,6 +354,11 @@ def _require_positive(sizes: dict[str, Any]) -> None:
         raise ValueError(f"gradient planning got {', '.join(bad)}; these must be positive: mend planning")
 
 
+def _optimizer(network: nn.Module, lr: float) -> torch.optim.Adam:
+    """Return a fresh optimiser of the policy."""
+    return torch.optim.Adam(network.parameters(), lr=lr, betas=(0.9, 0.99), fused=True)
+
+
 def _network(agent: TD3 | Actor) -> nn.Module:
     """Return the bare network of the actor; tensors need no tensordict."""
     policy = agent.policy
@@ -361,7 +377,7 @@ def _imagined_task(task: Task, width: float | None, held: bool | None) -> Task:
         raise ValueError(f"task {type(task).__name__} has no targets to hold the plant at; leave out planning.held")
     if width is None or not isinstance(task, Tracking):
         return task
-    smooth = copy.copy(task)
+    smooth = task.fenced(FENCE)
     smooth.reward_function = dataclasses.replace(task.reward_function, error_shape="linear", width=width, bonus=0.0)
     return smooth
 

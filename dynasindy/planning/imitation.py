@@ -24,8 +24,8 @@ from dynasindy.planning.window import Network, Rows, imagine
 from dynasindy.tasks import Tracking
 from dynasindy.told import counted
 
-LADDER = (0.3, 3.0, 30.0, 300.0)
-"""Weights of the tracked states that are tried."""
+LADDER = (0.003, 0.03, 0.3, 3.0, 30.0, 300.0)
+"""Weights of the tracked states that are tried; a plant of many poles is caught by gentle laws alone."""
 REGULATED, FROM_AFAR = (3, 600), (6, 1500)
 """Rounds of imitation and updates in each, of a regulator and of ways from afar, which bend more."""
 BATCH = 512

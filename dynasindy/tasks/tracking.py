@@ -14,7 +14,10 @@ from dynasindy.tasks import references
 from dynasindy.tasks.base import Task
 from dynasindy.tasks.constants import constants
 from dynasindy.tasks.references import N_PARAMS, Reference
-from dynasindy.tasks.reward import TrackingReward
+from dynasindy.tasks.reward import ERROR_SHAPES, TrackingReward
+
+FENCE_WIDTH = 0.05
+"""Way beyond a bound at which its cost turns from quadratic to linear [ranges of the state]."""
 
 
 class Tracking(Task):
@@ -100,6 +103,7 @@ class Tracking(Task):
         unbounded = torch.tensor([[-math.inf], [math.inf]], dtype=torch.float64).expand(-1, signature.n_x)
         both = {name: [-v, v] if isinstance(v, int | float) else v for name, v in (bounds or {}).items()}
         self.bounds = _ends(signature, "bounds", both, unbounded.clone())
+        self.fence = 0.0
 
     @property
     def params_shape(self) -> torch.Size:
@@ -124,6 +128,12 @@ class Tracking(Task):
             )
         other = copy.copy(self)
         other.references = reference
+        return other
+
+    def fenced(self, weight: float) -> Tracking:
+        """Return the same task with a cost for leaving the bounds, of so much per range of a state and period."""
+        other = copy.copy(self)
+        other.fence = weight if bool(self.bounds.isfinite().any()) else 0.0
         return other
 
     def with_box(self, extents: Sequence[float]) -> Tracking:
@@ -192,7 +202,13 @@ class Tracking(Task):
         places = _columns(self.rates)
         change = x_next[..., places] - x[..., places] if self.rates else torch.zeros_like(x[..., :1])
         unit = self._unit(x, 1.0)
-        return self.reward_function(self.error(x_next, params, t_next) / unit, change / unit, at_stop)
+        reward = self.reward_function(self.error(x_next, params, t_next) / unit, change / unit, at_stop)
+        if not self.fence:
+            return reward
+        low, high = self.bounds.to(x_next)
+        outside = (x_next - high).clamp_min(0.0) + (low - x_next).clamp_min(0.0)
+        outside = outside / constants(self.signature.x_scale, x.dtype, x.device)
+        return reward - self.fence * ERROR_SHAPES["linear"](outside, FENCE_WIDTH).sum(-1)
 
     def _unit(self, like: Tensor, share: float) -> Tensor:
         return (share * self._box).to(like)

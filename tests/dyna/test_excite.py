@@ -167,6 +167,21 @@ def test_far_from_its_start_no_loop_is_fitted():
     assert pilot.gain is None
 
 
+def test_no_loop_is_closed_before_there_are_two_rows_per_number_of_the_linear_model():
+    experiment, generator = parts(Inverted()), torch.Generator().manual_seed(0)
+
+    def shaken(tensordict):
+        return tensordict.set("action", 0.3 * torch.randn(1, generator=generator))
+
+    ends = (torch.tensor([-1.0, -9.0]), torch.tensor([1.0, 9.0]))
+    rows = torch.cat([interact(experiment.env, shaken, 2, ends) for _ in range(4)])  # near the start, all of them
+    few, enough = Loop(experiment.excitation), Loop(experiment.excitation)
+    # An equation has four numbers: of an angle, a rate, a torque and a constant. A period has five samples.
+    few.close(rows[:1], experiment)
+    enough.close(rows[:2], experiment)
+    assert few.gain is None and enough.gain is not None
+
+
 def test_a_plant_that_blows_up_within_one_period_is_caught_too():
     excited = excite(parts(Bursting(), bounds={"theta": 0.9}))
     assert len(excited) == 200 and excited["next", "state"].isfinite().all()

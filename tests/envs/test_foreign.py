@@ -248,6 +248,11 @@ class Turning(Pendulum):
         ("Pendulum-v1", {"states": ["a"]}, r"has 3 states and 1 inputs, plant.states names 1 \(a\)"),
         ("Pendulum-v1", {"inputs": ["a", "b"]}, r"plant.inputs 2 \(a, b\); name each"),
         ("Pendulum-v1", {"options": {"weight": 1}}, "unexpected keyword argument 'weight'"),
+        (
+            "Pendulum-v1",
+            {"states": ["w", "c"], "observed": ["c", "s"]},
+            r"has 3 states and 1 inputs, plant.observed names 2 \(c, s\)",
+        ),
         ("Pendulum-v1", {"stops": ["w"]}, "plant.stops names w, Pendulum-v1 has the states x1, x2, x3"),
     ],
 )
@@ -293,3 +298,15 @@ def test_rows_that_stay_where_they_ended_have_not_moved():
     moved = rows["next", "moved"].squeeze(-1)
     assert int(moved.sum()) == int((rows["next", "own_reward"].squeeze(-1) != 0).sum()) < 200
     assert bool(moved[: int(moved.sum())].all())
+
+
+def test_an_angle_instead_of_sine_and_cosine_moves_as_the_pendulum_by_hand():
+    mapped = {"states": {"a": 1.0, "w": 8.0}, "observed": ["c", "s", "w"], "angles": {"a": ["s", "c"]}}
+    env = environment("Pendulum-v1", {"a": 0.0}, inputs=["torque"], **mapped)
+    assert env.system.signature.state_names == ("a", "w") and env.foreign.ends[1].tolist() == [math.inf, 8.0]
+    starts = env.task.starts
+    assert starts.shape == (256, 2) and starts[:, 0].abs().max() > 2.5  # the whole circle
+    x = env.rollout(60, lambda td: td.set("action", torch.ones(1)))["next", "state"]
+    a, w = torch.cat([x[:1], x]).unbind(-1)
+    # Gymnasium's own step: the angle moves by the new speed times 0.05 s, over whole turns, too.
+    torch.testing.assert_close(a[2:] - a[1:-1], 0.05 * w[2:], atol=1e-5, rtol=0)

@@ -215,6 +215,8 @@ def _plants() -> Iterator[Tie]:
         "pendulum_v1": "Gymnasium's Pendulum-v1, swung up",
         "mountain_car": "MountainCarContinuous-v0, to the flag",
         "inverted_pendulum": "MuJoCo's InvertedPendulum-v5, at a place",
+        "double_pendulum": "MuJoCo's InvertedDoublePendulum-v5, at a place",
+        "reacher": "MuJoCo's Reacher-v5, to a point",
     }
     for plant, name in words.items():
         found = rows("plants.csv", plant=plant)

@@ -269,6 +269,28 @@ def test_patience_counts_failures_in_a_row(planned):
     assert planner.plan().updates == 7  # an equal score is a failure, a better one forgives
 
 
+def test_a_plant_that_is_lost_is_won_back_from_the_best_policy_in_shorter_steps(setting):
+    env, agent, replay = setting()
+    planner = GradientPlanning(env, agent, replay, **(SMALL | {"updates": 6, "check_every": 2}), held=True, lr=0.5)
+    # Six regulators and the untrained policy, the imitation, then a policy that has lost the plant, a worse and a
+    # better one.
+    scores, rates, seen = iter([-9.0, *6 * [-2.0], -1.0, -2.1, -1.9, -0.5]), [], []
+
+    def update(episodes, optimizer):
+        rates.append(optimizer.param_groups[0]["lr"])
+        seen.append(weights(planner.network))
+        with torch.no_grad():
+            next(planner.network.parameters()).add_(1.0)
+        return True
+
+    planner._update = update
+    planner.test = lambda network=None: next(scores)
+    planner.plan()
+    factors = [0.5, 0.5, 0.05, 0.05, 0.05, 0.05]  # 2.1 is more than twice the cost of 1, 1.9 is not
+    assert rates == pytest.approx([factor * _schedule(k, 6) for k, factor in enumerate(factors)])
+    assert torch.equal(seen[2], seen[0]) and not torch.equal(seen[4], seen[0])  # back once, and on from there
+
+
 def test_the_held_out_score_is_the_mean_reward_over_whole_episodes_from_rest(setting):
     env, agent, replay = setting(max_steps=12)
     planner = GradientPlanning(env, agent, replay, width=None, **SMALL)

@@ -40,9 +40,11 @@ def test_a_policy_begins_as_the_law_only_if_that_earns_more(inverted):
         return earned.score, bool((nn.utils.parameters_to_vector(network.parameters()) == before).all())
 
     assert held(lambda network: lambda policy: 1.0 if policy is network else 0.0) == (1.0, True)  # no law is better
-    scores = iter([0.0, 5.0, 7.0, 6.0, 5.0, 6.5])  # the network, four laws, the network that imitates the best of them
+    scores = iter(
+        [0.0, 2.0, 3.0, 5.0, 7.0, 6.0, 5.0, 6.5]
+    )  # the network, six laws, the network that imitates the best of them
     assert held(lambda network: lambda policy: next(scores)) == (6.5, False)
-    scores = iter([0.0, 5.0, 7.0, 6.0, 5.0, -1.0])  # imitation fails
+    scores = iter([0.0, 2.0, 3.0, 5.0, 7.0, 6.0, 5.0, -1.0])  # imitation fails
     assert held(lambda network: lambda policy: next(scores)) == (0.0, True)
 
 

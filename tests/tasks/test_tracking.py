@@ -248,3 +248,18 @@ def test_episodes_begin_at_one_of_the_states_that_are_given():
     assert torch.equal(rows, starts) and int(counts.min()) > 40  # of 200, each third
     assert task.starts is None and float(task.initial_state(torch.Size(), torch.Generator())[0]) == 9.0
     assert chosen.with_reference(Step([[0.1, 0.1]])).starts is starts  # an evaluation begins there, too
+
+
+def test_leaving_the_bounds_costs_where_it_is_asked_for_and_within_them_nothing_changes():
+    signature = Signature(("a", "b"), ("m", "m"), ("u",), (1.0, 2.0))
+    task = Tracking(signature, Step([[0.0]]), ["a"], (), TrackingReward((1.0,), 0.0, 0.0), bounds={"b": [-1.0, 3.0]})
+    params, t, free = task.sample(torch.Size((3,)), torch.Generator()), torch.zeros(3, 1), torch.zeros(3) > 0
+    x = torch.tensor([[0.5, 2.9], [0.5, 4.0], [0.5, -3.0]])
+    paid, fenced = (one.reward(x, x, params, t, free) for one in (task, task.fenced(10.0)))
+    # 0.5 and 1 range of 2 m beyond, at a cost of e^2 / (0.05 + e) each.
+    cost = torch.tensor([0.0, 10 * 0.25 / 0.55, 10 * 1.0 / 1.05])
+    torch.testing.assert_close(paid - fenced, cost, atol=1e-5, rtol=0)
+    assert (
+        task.fence == 0.0
+        and Tracking(signature, Step([[0.0]]), ["a"], (), TrackingReward((1.0,))).fenced(9.0).fence == 0
+    )
