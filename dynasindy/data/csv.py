@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields
 from itertools import pairwise
 from pathlib import Path
@@ -181,34 +181,58 @@ class CsvLog:
                 )
 
 
-def infer(path: str, time: str = "time") -> tuple[dict[str, Column], dict[str, Column]]:
+def infer(
+    path: str, time: str = "time", inputs: Collection[str] | None = None
+) -> tuple[dict[str, Column], dict[str, Column]]:
     """Read the columns of states and inputs off the headings of a file, `name` or `name [unit]`.
 
-    Inputs are called u, u1, u_..., or input...; references, predictions and columns without any number are left out;
-    all other columns but time are states.
+    Inputs, unless they are named, are called u, u1, u_..., or input...; references, predictions and columns without any
+    number are left out; all other columns but time are states.
 
     Args:
         path: the file.
         time: heading of the time column.
+        inputs: names or headings of the inputs, without their units or with them.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: no heading is that of a state, or none that of an input.
+        ValueError: no heading is that of a state, none that of an input, or one that is named does not exist.
     """
     given = {heading: split_unit(heading) for heading in numeric_headings(Path(path))}
     columns = {name: Column(heading, unit or "-") for heading, (name, unit) in given.items()}
     others = {
         n: c for n, c in columns.items() if n != split_unit(time)[0] and not n.startswith(("reference_", "predicted_"))
     }
-    inputs = {n: c for n, c in others.items() if re.fullmatch(r"(u|U|input)([_\d].*)?", n)}
-    states = {n: c for n, c in others.items() if n not in inputs}
-    if not states or not inputs:
+    if inputs is None:
+        found = {n: c for n, c in others.items() if re.fullmatch(r"(u|U|input)([_\d].*)?", n)}
+    else:
+        found = chosen(others, inputs, path, "data.inputs")
+    states = {n: c for n, c in others.items() if n not in found}
+    if not states or not found:
         raise ValueError(
             f"{path} has the columns {', '.join(all_headings(Path(path)))}, with numbers in "
             f"{', '.join(given) or 'none'}; allowed are time, one state or more, and one input or more, u, u_... or "
-            "input_...: name them by data.states and data.inputs"
+            "input_...: name the inputs, as in data.inputs=[torque], and all others are states"
         )
-    return states, inputs
+    return states, found
+
+
+def chosen(columns: Mapping[str, Column], names: Collection[str], path: str, key: str) -> dict[str, Column]:
+    """Return the columns of some names or headings.
+
+    Args:
+        columns: all columns, by name.
+        names: which of them, with or without their units.
+        path: the file.
+        key: the setting that names them.
+
+    Raises:
+        ValueError: there is no such column.
+    """
+    wanted = [split_unit(name)[0] for name in names]
+    if absent := [name for name in wanted if name not in columns]:
+        raise ValueError(f"{key} names '{absent[0]}'; {path} has {', '.join(columns)}: name columns of the file")
+    return {name: columns[name] for name in wanted}
 
 
 def _columns(group: Mapping[str, Column | Mapping[str, object] | str], may_be_rates: bool = True) -> dict[str, Column]:

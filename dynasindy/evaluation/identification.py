@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from dynasindy.data.csv import Column, CsvLog, Recording, infer
+from dynasindy.data.csv import Column, CsvLog, Recording, chosen, infer
 from dynasindy.data.rates import mismatched
 from dynasindy.data.simulated import Ends, before_leaving, disturb, record
 from dynasindy.data.table import all_headings, split_unit
@@ -130,8 +130,9 @@ class Logged:
 
     Attributes:
         path: the file.
-        states: column map of the states, see `CsvLog`; the heading, or heading, unit, scale, derivative_of. Without a
-            map the names are those of the plant, or what the headings say where no plant is named.
+        states: column map of the states, see `CsvLog`; the heading, or heading, unit, scale, derivative_of. A list
+            names columns as they are. Without either the names are those of the plant, or what the headings say where
+            no plant is named.
         inputs: column map of the inputs, likewise.
         time: heading of the time column [s].
         dt: sampling time [s]; the file's own by default.
@@ -145,8 +146,8 @@ class Logged:
     """
 
     path: str | None
-    states: dict[str, Any] | None = None
-    inputs: dict[str, Any] | None = None
+    states: dict[str, Any] | list[str] | None = None
+    inputs: dict[str, Any] | list[str] | None = None
     time: str = "time"
     dt: float | None = None
     missing: str = "skip"
@@ -182,12 +183,11 @@ class Logged:
 
     def _columns(self, system: System | None) -> tuple[dict[str, Any], dict[str, Any]]:
         if system is None:
-            given = self.states or {}, self.inputs or {}
-            states, inputs = given if all(given) else infer(str(self.path), self.time)
-            states = self.states or {n: c for n, c in states.items() if n not in given[1]}
-            return self._with_rates(states), self.inputs or dict(inputs)
-        if self.states and self.inputs:
-            return self.states, self.inputs
+            return self._read_off()
+        both = self.states, self.inputs
+        given = [{name: name for name in each} if isinstance(each, list) else each for each in both]
+        if given[0] and given[1]:
+            return given[0], given[1]
         plant, rates = system.signature, set((self.known or {}).values())
         headings = {split_unit(heading)[0] for heading in all_headings(Path(str(self.path)))}
         states = {
@@ -195,7 +195,19 @@ class Logged:
             for n, unit in zip(plant.state_names, plant.state_units, strict=True)
         }
         inputs = {n: Column(n) for n in plant.input_names}
-        return self.states or dict(states), self.inputs or dict(inputs)
+        return given[0] or dict(states), given[1] or dict(inputs)
+
+    def _read_off(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Return what is mapped, what is listed, or else what the headings say."""
+        mapped = {"states": self.states, "inputs": self.inputs}
+        maps = {key: dict(given) for key, given in mapped.items() if given and isinstance(given, Mapping)}
+        if len(maps) == 2:
+            return self._with_rates(maps["states"]), maps["inputs"]
+        taken = [_heading(name, given) for name, given in maps["inputs"].items()] if "inputs" in maps else self.inputs
+        states, inputs = infer(str(self.path), self.time, taken or None)
+        if self.states and "states" not in maps:
+            states = chosen(states, self.states, str(self.path), "data.states")
+        return self._with_rates(maps.get("states", states)), maps.get("inputs", dict(inputs))
 
     def _with_rates(self, states: Mapping[str, Any]) -> dict[str, Any]:
         """Add the rates that are known to belong to a state and have no column; the model tells them."""
@@ -299,6 +311,13 @@ def to_words(found: Identified, source: Source) -> str:
     if shown is None:
         return "\n".join([*lines, "the validation data are too short to judge how far ahead the model predicts"])
     return "\n".join([*lines, *verdict.judge(shown, signature)])
+
+
+def _heading(name: str, given: object) -> str:
+    """Return the heading of a column that a map names."""
+    if isinstance(given, Column):
+        return given.name or name
+    return str(given.get("name", name) if isinstance(given, Mapping) else given)
 
 
 def _percent(error: float) -> str:

@@ -215,6 +215,17 @@ def test_without_a_map_the_headings_say_what_is_a_state_and_what_an_input(tmp_pa
     assert np.array_equal(data.transitions.x.numpy(), table[:-1, 1:3]) and data.signature.state_units == ("rad", "-")
 
 
+def test_inputs_may_be_named_and_all_others_are_states(tmp_path):
+    path = write(tmp_path / "log.csv", log(), ("time [s]", "angle [rad]", "rate", "volt [V]"))
+    for names in (["volt"], ["volt [V]"]):
+        states, inputs = infer(path, inputs=names)
+        assert (list(states), inputs) == (["angle", "rate"], {"volt": Column("volt [V]", "V")})
+    with pytest.raises(
+        ValueError, match=r"^data\.inputs names 'current'; .*log\.csv has angle, rate, volt: name colum"
+    ):
+        infer(path, inputs=["current"])
+
+
 def test_headings_without_an_input_are_refused(tmp_path):
     path = write(tmp_path / "log.csv", log())
     with pytest.raises(ValueError, match=r"has the columns time, angle, rate, volt, .*data\.inputs") as error:

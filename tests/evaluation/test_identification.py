@@ -61,6 +61,24 @@ def test_a_log_of_the_pendulum_gives_the_pendulum(tmp_path):
     assert len(source.validation) == pytest.approx(250, abs=2)
 
 
+def test_columns_of_a_log_of_no_plant_are_named_by_a_list_or_a_map(tmp_path):
+    rows = [f"{0.1 * k},{math.sin(k)},{math.cos(k)},{math.cos(2 * k)},{math.sin(3 * k)}" for k in range(60)]
+    (tmp_path / "log.csv").write_text("\n".join(["time [s],a [rad],b [m],motor [V],c [m]", *rows]))
+
+    def names(**given):
+        signature = Logged(str(tmp_path / "log.csv"), **given).recording(None).signature
+        return signature.state_names, signature.state_units, signature.input_names
+
+    assert names(inputs=["motor"]) == (("a", "b", "c"), ("rad", "m", "m"), ("motor",))
+    assert names(inputs={"u": "motor"}) == (("a", "b", "c"), ("rad", "m", "m"), ("u",))
+    assert names(states=["c", "a [rad]"], inputs=["motor"]) == (("c", "a"), ("m", "rad"), ("motor",))
+    assert names(states={"x": "b"}, inputs=["motor"])[0] == ("x",)
+    with pytest.raises(ValueError, match=r"^data\.states names 'motor'; .*log\.csv has a, b, c: name columns"):
+        names(states=["motor"], inputs=["motor"])
+    with pytest.raises(ValueError, match=r"name the inputs, as in data\.inputs=\[torque\]"):
+        names()
+
+
 def test_a_log_with_an_angle_in_degrees_and_a_rate_in_rad_is_told(tmp_path):
     data = Simulated().load(Pendulum(), EXCITATION).training
     lines = ["time,theta,Omega,u"]
@@ -87,7 +105,7 @@ def test_a_log_whose_headings_say_nothing_is_read_by_its_maps_alone(tmp_path):
     (tmp_path / "log.csv").write_text("\n".join(["time,angle,torque", *rows]))
     read = Logged(str(tmp_path / "log.csv"), {"a": "angle"}, {"b": "torque"}).load(None, EXCITATION).signature
     assert (read.state_names, read.input_names) == (("a",), ("b",))
-    with pytest.raises(ValueError, match=r"name them by data\.states and data\.inputs"):
+    with pytest.raises(ValueError, match=r"name the inputs, as in data\.inputs=\[torque\]"):
         Logged(str(tmp_path / "log.csv"), {"a": "angle"}).load(None, EXCITATION)
 
 
