@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, TypedDict, get_args, get_type_hints
 from annotations import fit, made, words
 from mistakes import unknown
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import InterpolationToMissingValueError
+from omegaconf.errors import InterpolationKeyError, InterpolationToMissingValueError
 
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.evaluation.ablation import Level
@@ -152,6 +152,12 @@ def check(cfg: DictConfig, file: str = "") -> None:
         tree = OmegaConf.to_container(cfg, resolve=True)
     except InterpolationToMissingValueError:  # a log where a plant is wanted; the command says which plants there are
         return
+    except InterpolationKeyError as error:
+        key = str(error).partition("'")[2].partition("'")[0]
+        raise ValueError(
+            f"{key} is not given, which {error.full_key} is taken from; add it to the plant's file, as those of "
+            "docs/examples/conf/system have it"
+        ) from error
     found: dict[str, Any] = {}
     try:
         for name in sorted(get_type_hints(Recipe).keys() - tree.keys() - {"sensors"}) if file else ():

@@ -11,6 +11,7 @@ strength.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import torch
@@ -37,6 +38,8 @@ ENOUGH = 2
 """Rows near the start per number of a linear equation; fewer would fit noise, and no loop is closed."""
 MARGIN = 0.9
 """Largest mean input of the loop."""
+LOOKED_AT = 100
+"""Control periods, at least, that are simulated again in shorter steps."""
 
 
 def excite(parts: Parts) -> TensorDict:
@@ -116,13 +119,19 @@ def coarse(plant: ControlEnv, rows: TensorDict) -> str:
     """
     if type(plant) is not ControlEnv:
         return ""  # another simulator, or a rig, moves it
+    tell("excitation", words="are the steps of the simulation short enough?")
+    rows = rows[:: max(1, len(rows) // LOOKED_AT)]
     x, u = rows["state"], rows["action"].to(rows["state"].dtype)
     needed, apart = steps_needed(plant.system, x, u, plant.dt, plant.substeps, plant.stops)
     if needed == plant.substeps:
         return ""
+    mend = "no number of steps that was tried is enough, as of a plant that jumps or explodes"
+    if needed is not None:
+        mend = f"so give env.substeps={needed}, or a shorter env.dt"
+    elsewhere = f"{apart:.2g} ranges of a state elsewhere" if math.isfinite(apart) else "at no number"
     return (
-        f"The simulation of the plant is coarse: with twice as many Runge-Kutta steps a control period ends "
-        f"{apart:.2g} ranges of a state elsewhere, so give env.substeps={needed}, or a shorter env.dt."
+        "The simulation of the plant is coarse: with twice as many Runge-Kutta steps a control period ends "
+        f"{elsewhere}, {mend}."
     )
 
 

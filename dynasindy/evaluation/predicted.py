@@ -128,7 +128,7 @@ class LateEnv(ControlEnv):
         super().__init__(
             env.system, env.task, env.dt, env.substeps, batch_size=tuple(env.batch_size), dtype=env.float_type
         )
-        self.rng, self.stops, self.delay = env.rng, env.stops, delay
+        self.rng, self.stops, self.delay, self.left_beyond = env.rng, env.stops, delay, env.left_beyond
         self.whole = int(delay / env.dt + 1e-6)
         self.part = max(0.0, delay / env.dt - self.whole)
         self.past: deque[Tensor] = deque(maxlen=self.whole + 2) if past is None else past

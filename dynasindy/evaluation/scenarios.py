@@ -295,7 +295,11 @@ def _require_fine(env: ControlEnv, rows: TensorDictBase, where: str) -> None:
     row = rows[int(lost.int().argmax())]
     x, u = row["state"].unsqueeze(0), row["action"].to(row["state"].dtype).unsqueeze(0)
     needed, _ = steps_needed(env.system, x, u, env.dt, env.substeps, env.stops)
-    if needed > env.substeps and bool(integrate(env.system, x, u, env.dt, needed, env.stops)[0].isfinite().all()):
+    if (
+        needed
+        and needed > env.substeps
+        and bool(integrate(env.system, x, u, env.dt, needed, env.stops)[0].isfinite().all())
+    ):
         raise Diverged(
             f"{where}: in control period {int(row['step_count']) + 1} the simulation of the plant breaks down, as its "
             f"Runge-Kutta steps of {env.dt / env.substeps:g} s are too long; give env.substeps={needed}, or a shorter "

@@ -36,9 +36,9 @@ from dynasindy.told import tell
 
 FOLLOWING = ("window", "lr", "updates", "patience", "substeps", "held")
 """Settings that follow the plant where they are not given."""
-LOST, SHORTER = 2.0, 0.1
-"""Multiple of the best imagined cost at which a policy has lost a plant that has to be held, and the factor on the
-learning rate then."""
+GIVEN_UP, SHORTER = 0.02, 0.1
+"""Fall of the imagined score, or one by the best score's own size if that is more, by which a policy has lost a plant
+that has to be held, and the factor on the learning rate then; an error of the whole range costs 4 a period."""
 FENCE = 40.0
 """Cost of leaving the plant's bounds, at which real episodes end and imagined ones do not [per range and period]; an
 error of a whole box costs 4."""
@@ -185,9 +185,9 @@ class GradientPlanning(Planner):
                 failures = 0 if score > best else failures + 1
                 if score > best:
                     best, best_weights = score, self._weights()
-                elif rests is not None and pace.held and score < LOST * best:
+                elif rests is not None and pace.held and best - score > max(abs(best), GIVEN_UP):
                     # Steps so long that episodes are no longer held: go on from the best policy in shorter ones.
-                    lr *= SHORTER
+                    lr, failures = SHORTER * lr, 0
                     self.network.load_state_dict(best_weights)
                     optimizer = _optimizer(self.network, lr)
                 if failures >= pace.patience or not made:

@@ -132,17 +132,20 @@ def _unheld(env: ControlEnv, rests: Rests) -> str:
         return ""
     signature, task = env.system.signature, env.task
     assert isinstance(task, Tracking)
-    would = rests.needed.isfinite().all(-1)
-    k = int(would.int().argmax())
     names = [signature.state_names[i] for i in task.outputs]
-    target = ", ".join(f"{name} = {value:.3g}" for name, value in zip(names, rests.unheld[k].tolist(), strict=True))
+    would = (rests.needed.abs() > 1).any(-1)
+    k = int(would.int().argmax())
+    target = ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, rests.unheld[k].tolist(), strict=True))
     inputs = zip(signature.input_names, rests.needed[k].tolist(), strict=True)
     needs = ", ".join(f"{name} = {value:.3g}" for name, value in inputs)
     such = f"such as {target}" + (f", which would take {needs}" if bool(would.any()) else "")
-    return (
-        f"in the model no input within [-1, 1] holds {len(rests.unheld)} of {len(rests.unheld) + len(rests)} targets, "
-        f"{such}"
-    )
+    held = ""
+    if len(rests):
+        ends = zip(names, rests.targets.amin(0).tolist(), rests.targets.amax(0).tolist(), strict=True)
+        spans = ", ".join(f"{name} from {low:.4g} to {high:.4g}" for name, low, high in ends)
+        held = f"; those that one holds have {spans}"
+    n = len(rests.unheld)
+    return f"in the model no input within [-1, 1] was found that holds {n} of {n + len(rests)} targets, {such}{held}"
 
 
 def _fate(slopes: list[Tensor], grown: float, seconds: float) -> str:

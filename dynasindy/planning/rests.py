@@ -26,7 +26,7 @@ LEFT, NEARLY = 1e-3, 5e-2
 """Rate of change [ranges of the states per second] that counts as none; the larger one where no reference has a rest by
 the smaller: a cosine and a sine of one angle, both tracked, have one in theory, and nearly one in a fitted model."""
 PERIOD = 0.05
-"""Control period that `LEFT` and `NEARLY` are meant for [s]; a plant of a longer one is slower, and rests with less."""
+"""Longest control period that `LEFT` and `NEARLY` are meant for [s]; a slower plant rests with so much less."""
 _STEP = 1e-5
 
 
@@ -150,7 +150,7 @@ class _Search:
     def __init__(self, system: System, outputs: list[int], start: Tensor, dt: float) -> None:
         signature = system.signature
         self.system, self.outputs, self.start = system, outputs, start
-        self.scale, self.pace = torch.tensor(signature.x_scale, dtype=torch.float64), dt / PERIOD
+        self.scale, self.pace = torch.tensor(signature.x_scale, dtype=torch.float64), max(1.0, dt / PERIOD)
         self.free = [i for i in range(signature.n_x) if i not in outputs]
         self.moved = states_that_matter(system, outputs, start)
         self.guess = torch.cat([start[self.free] / self.scale[self.free], torch.zeros(signature.n_u).double()])
@@ -171,7 +171,7 @@ class _Search:
 
     @torch.no_grad()
     def residual(self, v: Tensor, targets: Tensor) -> Tensor:
-        """Return the rates of change that count, in ranges of the states per second of a plant of `PERIOD`."""
+        """Return the rates of change that count, in ranges of the states per second, or per `dt / PERIOD` seconds."""
         dx: Tensor = self.pace * self.system(*self.parts(v, targets)) / self.scale
         return dx[..., self.moved]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import torch
@@ -14,7 +15,7 @@ from dynasindy.systems.stops import Stops
 VectorField = Callable[[Tensor, Tensor], Tensor]
 COARSE = 1e-3
 """Ranges of a state that a control period may end elsewhere when its Runge-Kutta steps are halved."""
-MOST_DOUBLINGS = 8
+MOST_DOUBLINGS = 5
 """How often they are halved at most."""
 
 
@@ -71,7 +72,7 @@ def integrate(
 
 def steps_needed(
     f: System, x: Tensor, u: Tensor, dt: float, substeps: int, stops: Stops | None = None
-) -> tuple[int, float]:
+) -> tuple[int | None, float]:
     """Return how many Runge-Kutta steps a control period needs so that twice as many end it in the same place.
 
     Args:
@@ -83,17 +84,23 @@ def steps_needed(
         stops: Mechanical stops, if any; periods that touch them do not count.
 
     Returns:
-        `substeps`, doubled as often as it takes, up to eight times; and how far from where `substeps` ends a period
-        twice as many do, at most [ranges of a state], infinite where either ends at no number.
+        `substeps`, doubled as often as it takes, and None where so many as `MOST_DOUBLINGS` allows are not enough; and
+        how far from where `substeps` ends a period twice as many do, at most [ranges of a state], infinite where either
+        ends at no number.
     """
     scale = torch.tensor(f.signature.x_scale, dtype=x.dtype)
-    (ends, touched), apart = integrate(f, x, u, dt, substeps, stops), []
+
+    def _ends(steps: int) -> tuple[Tensor, Tensor]:
+        samples, touched = integrate(f, x, u, dt, steps, stops)
+        return samples[..., -1, :].clone(), touched
+
+    (ends, touched), first = _ends(substeps), math.nan
     for doublings in range(MOST_DOUBLINGS + 1):
-        finer, also = integrate(f, x, u, dt, substeps * 2 ** (doublings + 1), stops)
-        free = ~(touched | also)
-        distance = (finer[..., -1, :] - ends[..., -1, :]).abs() / scale
-        apart.append(float(distance[free].nan_to_num(torch.inf, torch.inf).amax()) if bool(free.any()) else 0.0)
-        if apart[-1] <= COARSE:
-            break
+        finer, also = _ends(substeps * 2 ** (doublings + 1))
+        distance = ((finer - ends).abs() / scale)[~(touched | also)].nan_to_num(torch.inf, torch.inf)
+        apart = float(distance.amax()) if distance.numel() else 0.0
+        first = apart if doublings == 0 else first
+        if apart <= COARSE:
+            return substeps * 2**doublings, first
         ends, touched = finer, also
-    return substeps * 2**doublings, apart[0]
+    return None, first

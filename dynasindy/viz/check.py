@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
 from dynasindy.checking import Check, Thresholds
@@ -37,6 +38,8 @@ from dynasindy.viz.style import (
 
 SHOWN = 15
 """Changes of single coefficients that are drawn, the worst first."""
+FEW_TICKS = 4
+"""Intervals between the ticks of an axis whose numbers have many digits."""
 NAMED = 9
 """Loops that have a colour and a name of their own, those that come nearest to -1 first."""
 
@@ -217,6 +220,7 @@ def coefficients(
     axis.set_yticks(places, [_plain(labels[k]) for k in order])
     axis.axvline(1.0, color=BLACK, linestyle="--", linewidth=1.0, label="limit of stability")
     axis.set_xlabel("largest spectral radius (stable below 1)")
+    axis.xaxis.set_major_locator(MaxNLocator(FEW_TICKS))
     legend_beside(axis)
     return figure
 

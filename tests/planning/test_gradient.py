@@ -291,6 +291,21 @@ def test_a_plant_that_is_lost_is_won_back_from_the_best_policy_in_shorter_steps(
     assert torch.equal(seen[2], seen[0]) and not torch.equal(seen[4], seen[0])  # back once, and on from there
 
 
+@pytest.mark.parametrize(
+    ("best", "then", "back"), [(0.15, 0.149, False), (-1e-6, -3e-6, False), (-1e-6, -0.03, True), (0.15, -0.01, True)]
+)
+def test_a_plant_is_lost_by_what_its_score_falls_and_not_by_its_sign(setting, best, then, back):
+    env, agent, replay = setting()
+    settings = SMALL | {"updates": 4, "check_every": 2, "patience": 1}
+    planner = GradientPlanning(env, agent, replay, **settings, held=True, lr=0.5)
+    scores = iter([-9.0, *6 * [-2.0], best, then, then])
+    planner._update = lambda *_: True
+    planner.test = lambda network=None: next(scores)
+    # A test that is no better ends the phase at once, unless the plant was lost and won back.
+    planner.plan()
+    assert next(scores, None) == (None if back else then)
+
+
 def test_the_held_out_score_is_the_mean_reward_over_whole_episodes_from_rest(setting):
     env, agent, replay = setting(max_steps=12)
     planner = GradientPlanning(env, agent, replay, width=None, **SMALL)

@@ -81,7 +81,7 @@ def test_a_plant_without_a_rest_keeps_the_defaults():
     assert found == PlanSettings(why=found.why)
     # 0.5 m against a stiffness of 100 takes 50 of what pulls with 1.
     assert str(found).endswith(
-        "in the model no input within [-1, 1] holds 64 of 64 targets, such as x = 0.5, which would take u = 50"
+        "no input within [-1, 1] was found that holds 64 of 64 targets, such as x = 0.5, which would take u = 50"
     )
 
 

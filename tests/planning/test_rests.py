@@ -59,6 +59,20 @@ def test_a_plant_of_hours_rests_no_sooner_than_one_of_seconds():
     torch.testing.assert_close(slow.u, torch.tensor([[9.81 * math.sin(0.2) / 5.0]]).double(), atol=1e-6, rtol=0)
 
 
+@pytest.mark.parametrize("dt", [0.05, 0.005, 1e-4])
+def test_a_drift_is_no_rest_however_short_the_period_is(dt):
+    class Drifting(System):
+        """x' = 0.2 + u^2, in ranges of 1 m."""
+
+        def __init__(self):
+            super().__init__(Signature(("x",), ("m",), ("u",), (1.0,)))
+
+        def forward(self, x, u):
+            return 0.2 + u.square()
+
+    assert not len(find_rests(Drifting(), [0], torch.tensor([[0.1]]), torch.zeros(1), dt))
+
+
 def test_a_state_that_nothing_depends_on_need_not_rest_and_spare_inputs_are_no_obstacle():
     rests = find_rests(Cart(), [1], torch.tensor([[0.4], [1.2]]), torch.zeros(3), 0.05)
     assert rests.moved.tolist() == [False, True, False] and len(rests) == 2

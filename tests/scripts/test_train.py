@@ -64,7 +64,7 @@ def test_the_smoke_run_leaves_a_complete_folder_and_says_what_came_of_it(tmp_pat
     ("override", "words"),
     [
         ("planning.rolouts=3", "did you mean 'rollouts'?"),
-        ("planning=magic", "Available options in 'planning'"),
+        ("planning=magic", "'magic' does not exist in 'planning'; allowed are "),
         (
             "system=logged",
             "system=logged is no plant to train on, only a log of one; choose one of gymnasium, pendul",

@@ -170,7 +170,8 @@ def function(name: str) -> Function:
     """
     if name not in _REGISTRY:
         raise ValueError(
-            f"function {name!r} is not known; allowed are {', '.join(sorted(_REGISTRY))}: "
-            "call register_function for your own before building or loading"
+            f"function {name!r} is not known; allowed are {', '.join(sorted(_REGISTRY))}: write one of your own into "
+            f'plant.functions, such as {{{name}: "{{0}} / (1 + fabs({{0}}))"}}, or call register_function in Python '
+            "before building or loading"
         )
     return _REGISTRY[name]
