@@ -10,6 +10,7 @@ from tables import middle, numbers, pair, record, rows, short, table
 from ties import Tie, Untied
 
 from dynasindy.benchmarks.gradient import GUST, PLANTS
+from dynasindy.benchmarks.plants import UNTUNED
 from dynasindy.benchmarks.td3 import BEST, COMPILED, IN_TORCH, SIZES
 from dynasindy.planning.integral import IntegralAction
 
@@ -35,6 +36,7 @@ def ties(text: str) -> Iterator[Tie]:
     yield from _rigs()
     yield from _from_log()
     yield from _plants()
+    yield from _untuned()
     yield from _own_returns()
 
 
@@ -225,6 +227,20 @@ def _plants() -> Iterator[Tie]:
         seconds = f"{max(numbers(found, 'plant_seconds')):.0f}"
         figures = (f"{len(held)}", f"{len(seeds)}", f"{max(numbers(found, 'error_percent')):.3g}", seconds)
         yield Tie(PAGE, f"| {name} | {{}} of {{}} | {{}} % | {{}} s |", figures)
+
+
+def _untuned() -> Iterator[Tie]:
+    """Yield the rows of the plants that no setting was tuned on."""
+    found = [row for plant in UNTUNED for row in rows("plants.csv", plant=plant)]
+    runs = {(row["plant"], row["seed"]) for row in found}
+    held = {(row["plant"], row["seed"]) for row in found if row["verdict"] == "CONTROLLED"}
+    assert {plant for plant, _ in runs} == set(UNTUNED)
+    yield Tie(PAGE, "{} of {} runs are held to 1 %", (str(len(held)), str(len(runs))))
+    worst = max(found, key=lambda row: float(row["error_percent"]))
+    assert worst["plant"] == "bioreactor"
+    seconds = numbers(found, "cpu_seconds")
+    figures = (f"{float(worst['error_percent']):.3g}", f"{min(seconds):.0f}", f"{max(seconds):.0f}")
+    yield Tie(PAGE, "with an error of {} % at most, of the bioreactor, and {} to {} CPU seconds a run", figures)
 
 
 def _own_returns() -> Iterator[Tie]:
