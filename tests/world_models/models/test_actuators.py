@@ -130,7 +130,7 @@ def test_a_model_of_too_many_functions_is_not_looked_at(monkeypatch):
     monkeypatch.setattr(actuators, "LARGEST", 1)
     data = _log(MOTOR, "rate limit", 1.5)
     found = find_actuator(_model(MOTOR, data), data)
-    assert found.actuator is None and "the model has 2 functions, and the limit is 1" in found.words
+    assert found.actuator is None and "the model has 3 functions, and the limit is 1" in found.words
 
 
 def test_a_number_inside_a_function_is_the_one_that_was_fitted_behind_the_actuator():
