@@ -37,6 +37,7 @@ class Told:
 
 
 _hearers: list[Callable[[Told], None]] = []
+_phases: list[str] = []
 
 
 def tell(
@@ -44,7 +45,7 @@ def tell(
 ) -> None:
     """Tell what is under way; the arguments are those of `Told`."""
     for hearer in _hearers:
-        hearer(Told(phase, done, total, unit, words, around))
+        hearer(Told(_phases[0] if _phases else phase, done, total, unit, words, around))
 
 
 def counted(phase: str, items: Iterable[Item], total: int, unit: str = "") -> Iterator[Item]:
@@ -60,6 +61,17 @@ def counted(phase: str, items: Iterable[Item], total: int, unit: str = "") -> It
         tell(phase, done, total, unit)
         yield item
     tell(phase, total, total, unit)
+
+
+@contextmanager
+def telling(phase: str) -> Iterator[None]:
+    """Let all that is told while inside be told of one phase, which its parts do not know of."""
+    _phases.append(phase)
+    tell(phase)
+    try:
+        yield
+    finally:
+        _phases.pop()
 
 
 @contextmanager

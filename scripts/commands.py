@@ -58,7 +58,7 @@ def planning(words: Sequence[str], logged: bool, plant: str | None, open_keys: S
         plant: The option of `system`, if a plant was named or taken.
         open_keys: Keys of `plant` that nobody has given yet.
     """
-    own = ("folder", "formats", "horizons", "hydra", *(() if logged else ("data", "refinement", "source")))
+    own = ("actuators", "folder", "formats", "horizons", "hydra", *(() if logged else ("data", "refinement", "source")))
     given = {word: word.lstrip("+~").partition("=")[0] for word in words}
     kept = [word for word, key in given.items() if re.split(r"[./]", key)[0] not in own]
     if not logged and plant and "system" not in given.values():

@@ -28,7 +28,7 @@ def main(cfg: DictConfig) -> None:
         built["world_model"](signature=system.signature)  # refuses functions before the plant moves
     tell("data")
     source = built["data"].load(system, built["excitation"])
-    found = identify(built["world_model"](signature=source.signature), source, cfg.horizons)
+    found = identify(built["world_model"](signature=source.signature), source, cfg.horizons, cfg.actuators)
     folder = Path(cfg.folder)
     write(found, source, folder)
     draw(found, source, folder, list(cfg.formats))

@@ -91,6 +91,7 @@ class Keys(TypedDict):
     error_shape: str
     longest_delay: float
     horizons: list[float] | None
+    actuators: bool
     source: Literal["simulated", "logged"]
     resume: str | None
     plugins: list[str]

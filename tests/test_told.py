@@ -1,4 +1,4 @@
-from dynasindy.told import Told, counted, hearing, tell
+from dynasindy.told import Told, counted, hearing, tell, telling
 
 
 def test_what_is_told_is_heard_inside_and_nobody_misses_it_outside():
@@ -21,3 +21,15 @@ def test_items_are_counted_as_they_are_done():
 def test_nothing_is_said_where_nothing_is_counted():
     assert Told("fit").counted() == ""
     assert Told("fit", 3, unit="steps").counted() == "3 steps"
+
+
+def test_what_the_parts_of_a_phase_tell_is_told_of_it_until_it_ends_or_fails():
+    heard = []
+    with hearing(heard.append):
+        try:
+            with telling("actuators"):
+                tell("fit", words="6 coefficients")
+                raise ValueError
+        except ValueError:
+            tell("fit")
+    assert heard == [Told("actuators"), Told("actuators", words="6 coefficients"), Told("fit")]

@@ -21,7 +21,7 @@ from dynasindy.evaluation.horizons import Forecasts, begun, forecast
 from dynasindy.excitation import Excitation, HeldRandom
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
-from dynasindy.told import tell
+from dynasindy.told import tell, telling
 from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.models.actuators import Found, behind, find_actuator
 from dynasindy.world_models.models.prediction import nrmse, one_step_error, open_loop
@@ -242,13 +242,16 @@ class Identified:
     found: Found | None = None
 
 
-def identify(model: SindyModel, source: Source, horizons: Sequence[float] | None = None) -> Identified:
+def identify(
+    model: SindyModel, source: Source, horizons: Sequence[float] | None = None, actuators: bool = True
+) -> Identified:
     """Fit a model and predict the validation data: open loop, and from many start times.
 
     Args:
         model: what to fit.
         source: the data.
         horizons: times ahead over which predictions are judged [s]; found from the data if omitted.
+        actuators: whether rate limits and play of inputs are looked for.
 
     Raises:
         TypeError: The model is not sparse.
@@ -261,7 +264,7 @@ def identify(model: SindyModel, source: Source, horizons: Sequence[float] | None
         )
     tell("fit")
     report = model.fit(source.training)
-    found = find_actuator(model, source.training)
+    found = _actuators(model, source.training) if actuators else None
     tell("prediction of the validation data")
     validation, names = source.validation, source.signature.state_names
     predicted = open_loop(model, begun(model, validation))
@@ -275,6 +278,15 @@ def identify(model: SindyModel, source: Source, horizons: Sequence[float] | None
     if forecasts is not None:
         metrics |= verdict.errors(forecasts, source.signature)
     return Identified(model, report, predicted, metrics, forecasts, found)
+
+
+def _actuators(model: SindyModel, data: Transitions) -> Found:
+    """Look for actuators; where that fails, the model that was fitted stays, and the reason is said."""
+    try:
+        with telling("actuators"):
+            return find_actuator(model, data)
+    except (ArithmeticError, ValueError, RuntimeError) as error:  # numbers that run away, or decompositions that fail
+        return Found.none(model, " ".join(str(error).split()) or type(error).__name__)
 
 
 def missing_rates(model: SindyModel, source: Source) -> list[str]:
@@ -306,7 +318,8 @@ def to_words(found: Identified, source: Source) -> str:
     free = found.metrics["open_loop_nrmse"]
     lines.append("validation, open loop, relative to each state's deviation")
     lines += [f"  {state:<10} {_percent(error)}" for state, error in free.items()]
-    lines += [f"note: {note}" for note in source.notes]
+    unsought = (found.found.words,) if found.found is not None and not found.found.sought else ()
+    lines += [f"note: {note}" for note in (*source.notes, *unsought)]
     lines += [*wrong_units(found.model, source), *missing_rates(found.model, source)]
     if shown is None:
         return "\n".join([*lines, "the validation data are too short to judge how far ahead the model predicts"])

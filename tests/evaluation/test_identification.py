@@ -8,9 +8,11 @@ import pytest
 import torch
 
 from dynasindy.data.simulated import record
+from dynasindy.evaluation import identification
 from dynasindy.evaluation.identification import Logged, Simulated, identify, to_words, write
 from dynasindy.excitation import Chirp, HeldRandom
 from dynasindy.systems import Diverged, Pendulum, Tras
+from dynasindy.told import hearing
 from dynasindy.world_models import Oracle, Refinement, Regression, SindyModel
 
 EXCITATION = partial(Chirp, duration=10.0, amplitude=0.6)
@@ -228,3 +230,23 @@ def test_a_rate_that_is_known_needs_no_state_of_its_own(angle_alone):
     assert "hint" not in to_words(found, source)
     equation = [model.coefficients[model.library.names.index(name), 1].item() for name in library]
     assert equation == pytest.approx([12.0, -0.5, -9.81], rel=0.02)
+
+
+@pytest.mark.parametrize(
+    "error", [ValueError("it runs\naway"), Diverged("it runs away"), torch.linalg.LinAlgError("it runs away")]
+)
+def test_a_search_for_actuators_that_fails_costs_a_note_and_may_be_switched_off(error, monkeypatch):
+    def failing(model, data):
+        raise error
+
+    monkeypatch.setattr(identification, "find_actuator", failing)
+    source, heard = Simulated(validation_seconds=2.0).load(Pendulum(), partial(Chirp, duration=3.0)), []
+    model = SindyModel(source.signature, ["theta", "Omega", "u", "sin(theta)"], Regression("bic"))
+    with hearing(heard.append):
+        found = identify(model, source)
+    assert [told.phase for told in heard if told.phase in ("fit", "actuators")][-1] == "actuators"
+    note = "note: rate limits and play of inputs were not looked for: it runs away"
+    assert note in to_words(found, source).splitlines() and found.found.actuator is None
+    assert torch.equal(found.found.coefficients, model.coefficients)
+    without = identify(model, source, actuators=False)
+    assert without.found is None and "play" not in to_words(without, source)

@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import torch
 from torch import Tensor
 
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
+from dynasindy.told import tell
 from dynasindy.world_models.libraries.features import Feature, of, variable
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.models.sindy import SindyModel
@@ -36,8 +38,10 @@ CLOSER = (0.8, 1.0, 1.25)
 """Factors on a size that trajectories compare."""
 FITTED = 2 / 3
 """Part of a recording on which sizes and coefficients are fitted; the rest judges."""
-MOST, ALONE, FEWEST = 3000, 10, 8
+MOST, ALONE, FEWEST = 1000, 10, 8
 """Rows that are looked at, at most; samples in a window; windows that must be left to judge."""
+LARGEST = 100
+"""Functions in a model, beyond which the many fits would take too long."""
 MARGIN, DEVIATIONS = 0.1, 2.0
 """Part of the error by which an actuator must lower it, and standard errors that its gain must be above zero."""
 FULL = 20.0
@@ -57,12 +61,24 @@ class Found:
         coefficients: Xi of the same equations behind it, `(n_features, n_x)`.
         gain: part of the error of windows that no fit has seen by which it is lower.
         words: what is to be said.
+        library: the functions that the coefficients belong to, with the numbers inside them as fitted.
+        sought: whether actuators were looked for.
     """
 
     actuator: Actuator | None
     coefficients: Tensor
     gain: float
     words: str
+    library: Library
+    sought: bool = True
+
+    @classmethod
+    def none(cls, model: SindyModel, why_not: str = "") -> Found:
+        """Say that none was found, or why none was looked for."""
+        words = "no rate limit and no play of an input was found"
+        if why_not:
+            words = f"rate limits and play of inputs were not looked for: {why_not}"
+        return cls(None, model.coefficients, 0.0, words, model.library, not why_not)
 
 
 def find_actuator(model: SindyModel, data: Transitions) -> Found:
@@ -72,29 +88,34 @@ def find_actuator(model: SindyModel, data: Transitions) -> Found:
         model: what was fitted to the recording.
         data: the recording, NaN where a state was not measured.
     """
+    if (n := int((model.coefficients != 0).any(1).sum())) > LARGEST:
+        return Found.none(model, f"the model has {n} functions, and the limit is {LARGEST}")
     bench = _Bench.of(model, data)
-    none = Found(None, model.coefficients, 0.0, "no rate limit and no play of an input was found")
     if bench is None:
-        return replace(none, words="rate limits and play of inputs were not looked for: the recording is too short")
+        return Found.none(model, "the recording is too short")
     library, support = model.library, (model.coefficients != 0) & model.constraints.free
     names = model.signature.input_names
+    plain = bench.judged(library, support, None)
+    if plain is None:  # there is nothing to be better than
+        return Found.none(model, f"the equations alone run away in windows of {ALONE} samples")
     best: tuple[Tensor, Actuator, Estimate] | None = None
-    for place in range(len(names)):
+    for place, name in enumerate(names):
         for kind in WANTED:
+            tell("actuators", words=f"{kind} of {name}")
             actuator = bench.size(place, kind)
             judged = None if actuator is None else bench.judged(library, support, actuator)
             if actuator and judged and (best is None or float(judged[0].sum()) < float(best[0].sum())):
                 best = judged[0], actuator, judged[1]
     if best is None:
-        return none
+        return Found.none(model)
     gain = math.inf
-    for rival in bench.rivals(library, support, best[1].place):
+    for rival in chain([plain[0]], bench.rivals(library, support, best[1].place)):
         gain = min(gain, _gain(rival, best[0]))
         if gain < MARGIN:
-            return none
+            return Found.none(model)
     said = f"{best[1].kind} of {best[1].size:.3g}" + (" per second" if best[1].kind == "rate limit" else "")
     words = f"{names[best[1].place]} has a {said}: samples that were not fitted are met {100 * gain:.0f} % more closely"
-    return Found(best[1], best[2].xi, gain, words)
+    return Found(best[1], best[2].xi, gain, words, best[2].library)
 
 
 def behind(model: SindyModel, found: Found, dt: float) -> SindyModel:
@@ -106,7 +127,7 @@ def behind(model: SindyModel, found: Found, dt: float) -> SindyModel:
 
     Args:
         model: the equations.
-        found: the actuator, and the coefficients behind it.
+        found: the actuator, and the functions and coefficients behind it.
         dt: sampling interval [s].
 
     Raises:
@@ -123,7 +144,7 @@ def behind(model: SindyModel, found: Found, dt: float) -> SindyModel:
     play = found.actuator.kind == "play"
     held = of("slack", name, follower, frequency=found.actuator.size / (1 if play else fast))
     own = {held: fast} if play else {variable(name): fast, variable(follower): -fast, held: -fast}
-    read = [_reading(feature, name, follower) for feature in model.library.features]
+    read = [_reading(feature, name, follower) for feature in found.library.features]
     library = Library(signature, [*read, *own])
     xi = torch.zeros(len(library), signature.n_x, dtype=torch.float64)
     places = {feature.key: k for k, feature in enumerate(library.features)}
@@ -141,6 +162,8 @@ class _Bench:
     """Fit equations behind an actuator to the first part of a recording, and judge them by the rest."""
 
     model: SindyModel
+    whole: Transitions
+    rows: Tensor
     data: Transitions
     guess: Transitions
     noisy: bool
@@ -149,14 +172,15 @@ class _Bench:
     @classmethod
     def of(cls, model: SindyModel, data: Transitions) -> _Bench | None:
         """Guess what was not measured; None where too little is left to judge."""
-        data = delayed(data.to(torch.float64), model.delay).select(spread(len(data), MOST))
+        whole, rows = delayed(data.to(torch.float64), model.delay), spread(len(data), MOST)
+        data = whole.select(rows)
         rates = rates_known(model.library, model.constraints)
         guess = imagined(model.library, model.coefficients, data, reconstruct(data, rates), rates)
         noisy = not bool(has_gaps(data)) and looks_noisy(model.library, model.coefficients, guess)
         guess = reconstruct(data, rates, True) if noisy else guess
         first = torch.arange(len(data)) < FITTED * len(data)
         enough = len(data) * (1 - FITTED) >= FEWEST * ALONE
-        return cls(model, data, guess, noisy, first) if enough else None
+        return cls(model, whole, rows, data, guess, noisy, first) if enough else None
 
     def size(self, place: int, kind: Kind) -> Actuator | None:
         """Return the actuator of a kind that explains the first part best, None where the equations alone do."""
@@ -195,7 +219,11 @@ class _Bench:
         return trials[costs.index(min(costs))] if min(costs) < self._explained(None) - worth else None
 
     def judged(self, library: Library, support: Tensor, actuator: Actuator | None) -> tuple[Tensor, Estimate] | None:
-        """Return squared errors of windows that no fit has seen, `(W, n_x)`, and the fit; None where there is none."""
+        """Return squared errors of windows that no fit has seen, `(W, n_x)`, and the fit.
+
+        None where too little is known of what acts, or where the model runs away in windows as long as they are for
+        all, so that errors could not be compared.
+        """
         rest, known = self._acts(self.data, actuator)
         if not bool(known[~self.fitted].all()):
             return None
@@ -203,14 +231,16 @@ class _Bench:
             estimate = self._fit(library, support, actuator)[1]
             free, start = torch.zeros_like(support), self.guess.x[~self.fitted]
             last = rest.select(~self.fitted)
-            return few_steps(_frozen(estimate.library), estimate.xi, free, last, FEW, start)[2], estimate
+            errors = few_steps(_frozen(estimate.library), estimate.xi, free, last, FEW, start)[2]
         except RunsAway:
             return None
+        return None if errors is None else (errors, estimate)
 
     def rivals(self, library: Library, support: Tensor, place: int) -> Iterator[Tensor]:
-        """Yield the errors of the equations alone, and with what looks like an actuator."""
-        for actuator in (None, *(self.rough(place, kind) for kind in RIVALS)):
-            if found := self.judged(library, support, actuator):
+        """Yield the errors of the equations with what looks like an actuator."""
+        for kind in RIVALS:
+            actuator = self.rough(place, kind)
+            if actuator and (found := self.judged(library, support, actuator)):
                 yield found[0]
         signature = library.signature
         dry = [
@@ -237,7 +267,9 @@ class _Bench:
         rows = known & self.fitted
         if 2 * int(rows.sum()) < int(self.fitted.sum()):
             raise RunsAway("too little is known of what acts")
-        cost, estimate, _ = few_steps(library, xi, support, data.select(rows), FEW, self.guess.x[rows])
+        cost, estimate, errors = few_steps(library, xi, support, data.select(rows), FEW, self.guess.x[rows])
+        if errors is None:
+            raise RunsAway(f"the model runs away in windows of {ALONE} samples")
         return cost / int(rows.sum()), estimate
 
     def _explained(self, actuator: Actuator | None) -> float:
@@ -254,9 +286,12 @@ class _Bench:
         n, states = len(dx), int(support.any(0).sum())
         return unexplained(support, theta, dx - theta @ fixed) / n - 0.5 * states * math.log(n)
 
-    @staticmethod
-    def _acts(data: Transitions, actuator: Actuator | None) -> tuple[Transitions, Tensor]:
-        return (data, torch.ones(len(data), dtype=torch.bool)) if actuator is None else actuator.acts(data)
+    def _acts(self, data: Transitions, actuator: Actuator | None) -> tuple[Transitions, Tensor]:
+        """Return the rows that are looked at under what acts, and where that is known; all rows tell what acts."""
+        if actuator is None:
+            return data, torch.ones(len(data), dtype=torch.bool)
+        acts, known = actuator.acts(self.whole)
+        return replace(data, u=acts.u[self.rows]), known[self.rows]
 
 
 def _gain(rival: Tensor, ours: Tensor) -> float:

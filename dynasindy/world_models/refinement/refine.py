@@ -21,7 +21,7 @@ from dynasindy.world_models.refinement.one_step import refine_one_step
 from dynasindy.world_models.refinement.order import moving_on
 from dynasindy.world_models.refinement.shapes import fit_shapes
 from dynasindy.world_models.refinement.shooting import RunsAway
-from dynasindy.world_models.refinement.trajectory import WORSE, Descent, few_steps, refine_trajectory, strain
+from dynasindy.world_models.refinement.trajectory import WORSE, Descent, Fitted, few_steps, refine_trajectory, strain
 from dynasindy.world_models.regression.regression import Regression, RunningSums
 from dynasindy.world_models.writers.fast_field import generate
 
@@ -202,9 +202,9 @@ class Refinement:
         }
         error = self.error or ("auto" if self.method == "auto" else "simulation")
         if error != "auto":
-            return *self._in_turn(first, rough, constraints, recording, kinds[error]), ()
+            return self._in_turn(first, rough, constraints, recording, kinds[error])
         try:
-            found, delay = self._in_turn(first, rough, constraints, recording, descent)
+            found, delay, notes = self._in_turn(first, rough, constraints, recording, descent)
             start = recording.guessed(delay).x
             ratio = strain(*found, constraints.free, recording.measured(delay), descent, start)
         except RunsAway:
@@ -216,32 +216,33 @@ class Refinement:
             if not math.isfinite(ratio[worst]):
                 why = "of a trajectory through all no function is left"
             elif float(ratio[worst]) <= WORSE:
-                return found, delay, (f"error=simulation: {why}, which noise of the sensors explains",)
+                return found, delay, (f"error=simulation: {why}, which noise of the sensors explains", *notes)
             else:
                 why += ", so that something pushes the plant, or functions are missing"
         note = f"error=prediction, over windows of {descent.window} samples: {why}"
-        return *self._in_turn(first, rough, constraints, recording, kinds["prediction"]), (note,)
+        found, delay, notes = self._in_turn(first, rough, constraints, recording, kinds["prediction"])
+        return found, delay, (note, *notes)
 
     def _in_turn(
         self, found: Model, delay: float, constraints: Constraints, recording: Recording, descent: Descent
-    ) -> tuple[Model, float]:
-        """Return the model that trajectories tell, and the delay, fitted in turn with it."""
+    ) -> tuple[Model, float, tuple[str, ...]]:
+        """Return the model that trajectories tell, the delay, fitted in turn with it, and what is to be said."""
         free = constraints.free
 
-        def _fitted(found: Model, delay: float) -> Model:
+        def _fitted(found: Model, delay: float) -> Fitted:
             return refine_trajectory(*found, free, recording.measured(delay), descent, recording.guessed(delay).x)
 
-        if not self.longest_delay:
-            return _fitted(found, delay), delay
-        delay = self._fine(delay, found, free, recording, descent)
-        found = _fitted(self._regressed(*found, constraints, recording.seen(delay)), delay)
+        if self.longest_delay:
+            delay = self._fine(delay, found, free, recording, descent)
+            found = self._regressed(*found, constraints, recording.seen(delay))
+        fitted = _fitted(found, delay)
         # The equations that were chosen tell the delay better than those they were chosen from.
-        for _ in range(AGAIN):
-            last, delay = delay, self._fine(delay, found, free, recording, descent)
+        for _ in range(AGAIN if self.longest_delay else 0):
+            last, delay = delay, self._fine(delay, fitted[:2], free, recording, descent)
             if abs(delay - last) < 0.02 * recording.data.dt:
                 break
-            found = _fitted(found, delay)
-        return found, delay
+            fitted = _fitted(fitted[:2], delay)
+        return fitted[:2], delay, _shortened(fitted.window, descent.window)
 
     def _fine(self, delay: float, found: Model, free: Tensor, recording: Recording, descent: Descent) -> float:
         """Return the delay in fractions of a sample that a few steps of the fit to trajectories find [s]."""
@@ -276,6 +277,13 @@ class Refinement:
             coefficients = regression.solve(sums, constraints.free, constraints.offset)
             library, coefficients = fit_shapes(library, coefficients, constraints.free, seen.rows, self.tolerance)
         return library, coefficients
+
+
+def _shortened(window: int, wanted: int) -> tuple[str, ...]:
+    """Say that windows are shorter than they were wanted, if so."""
+    if window == wanted:
+        return ()
+    return (f"the model runs away in windows of {wanted} samples, it was fitted in windows of {window}",)
 
 
 def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bool:

@@ -365,3 +365,12 @@ def substeps_for(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float) 
         return 1
     turn = dt * float(torch.quantile(rates[-100_000:], 0.999))
     return max(1, min(math.ceil(turn / FINE - 1e-6), MOST_STEPS), min(math.ceil(turn / STABLE), 10 * MOST_STEPS))
+
+
+def left_over(model: Linearised, windows: Windows) -> float:
+    """Return N/2 times the logarithm of the squared errors, summed over measured states; of whitened ones together."""
+    counts, sigma = windows.mask.sum((0, 1)), model.sigma
+    if windows.noise is not None:
+        return 0.5 * float(counts.sum()) * math.log(max(model.cost, EXACT))
+    seen = sigma > EXACT
+    return float((counts * sigma.log())[seen].sum())

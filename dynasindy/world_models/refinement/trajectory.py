@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -29,6 +30,7 @@ from dynasindy.world_models.refinement.shooting import (
     RunsAway,
     growth,
     lasting_of,
+    left_over,
     linearise,
     move,
     noise_of,
@@ -63,7 +65,7 @@ class Descent:
     """Say how trajectories are fitted.
 
     Attributes:
-        window: sampling intervals in a window; fewer to begin with where the first estimate runs away.
+        window: sampling intervals in a window; fewer where the model runs away in windows as long as that.
         joined: whether the windows join to one trajectory; by default they do in the end, but not while functions are
             chosen where small errors grow along the trajectory, as in chaos.
         max_rounds: limit on Gauss-Newton steps between two changes of the equations.
@@ -84,6 +86,14 @@ class Descent:
     def joins(self) -> bool:
         """Tell whether windows may join."""
         return self.joined is not False and not self.pushed
+
+
+class Fitted(NamedTuple):
+    """Hold the library with its shapes, coefficients `(n_features, n_x)`, and the length of the windows in the end."""
+
+    library: Library
+    coefficients: Tensor
+    window: int
 
 
 @dataclass(frozen=True)
@@ -112,7 +122,7 @@ def refine_trajectory(
     data: Transitions,
     descent: Descent,
     start: Tensor | None = None,
-) -> tuple[Library, Tensor]:
+) -> Fitted:
     """Minimise the error of whole trajectories over coefficients and start states; drop what does not matter.
 
     Args:
@@ -122,9 +132,6 @@ def refine_trajectory(
         data: transitions in segments that are long against the window, NaN where a state was not measured.
         descent: how they are fitted.
         start: guess of the states before each transition, `(N, n_x)`; the measured ones if omitted.
-
-    Returns:
-        The library with its shapes, and coefficients, `(n_features, n_x)`.
 
     Raises:
         RunsAway: the model runs away within the shortest of windows.
@@ -153,12 +160,12 @@ def refine_trajectory(
         if may_begin_anew:
             windows = replace(windows, joined=_grows(whole, windows)[1])
         found, _ = _descend(whole, support, windows, replace(limits, price=price(len(data), free)))
-    return found.library, found.xi
+    return Fitted(found.library, found.xi, windows.length)
 
 
 def _refine_weighed(
     found: Estimate, free: Tensor, windows: Windows, whole: tuple[Transitions, Tensor], limits: Limits, descent: Descent
-) -> tuple[Library, Tensor]:
+) -> Fitted:
     """Minimise errors made white, and what makes them so in turn with it: pushes and noise, or how long errors last."""
     data, guess = whole
     if descent.coloured:  # errors of a first guess last whatever the plant does
@@ -172,10 +179,10 @@ def _refine_weighed(
             break
     if len(data) > ENOUGH:
         support = (found.xi != 0) & free
-        found, every = _grown(replace(found, nodes=guess), support, data, descent)
-        every = _weighed(found, free, every, descent)
-        found, _ = _descend(found, support, every, replace(limits, price=price(len(data), free)))
-    return found.library, found.xi
+        found, windows = _grown(replace(found, nodes=guess), support, data, descent)
+        windows = _weighed(found, free, windows, descent)
+        found, _ = _descend(found, support, windows, replace(limits, price=price(len(data), free)))
+    return Fitted(found.library, found.xi, windows.length)
 
 
 def _weighed(found: Estimate, free: Tensor, windows: Windows, descent: Descent) -> Windows:
@@ -237,8 +244,10 @@ def _search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) 
 
 def few_steps(
     library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor
-) -> tuple[float, Estimate, Tensor]:
+) -> tuple[float, Estimate, Tensor | None]:
     """Return N/2 log of the squared errors that a few steps leave, summed, their estimate, and errors by window.
+
+    There are no errors by window, `(W, n_x)`, where the model runs away in windows of the wanted length.
 
     Args:
         library: candidate functions.
@@ -253,7 +262,8 @@ def few_steps(
     estimate, windows = _grown(Estimate(library, xi, start[some]), support, data, descent)
     estimate = _converge(estimate, Parameters.where(support), windows, descent.max_rounds)
     model = linearise(estimate, Parameters.where(support), windows)
-    return _left_over(model, windows), estimate, (model.errors * model.sigma).square().sum(1)
+    errors = (model.errors * model.sigma).square().sum(1) if windows.length == descent.window else None
+    return left_over(model, windows), estimate, errors
 
 
 def strain(library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor) -> Tensor:
@@ -333,7 +343,7 @@ def _descend(estimate: Estimate, support: Tensor, windows: Windows, limits: Limi
             if before is None:
                 raise
             return before
-        cost = _left_over(model, windows)
+        cost = left_over(model, windows)
         if before is not None and 2 * (cost - left) > allowed:
             return before
         n_fixed = len(model.scale) - len(parameters)
@@ -347,15 +357,6 @@ def _descend(estimate: Estimate, support: Tensor, windows: Windows, limits: Limi
         before, left, allowed = (estimate, support), cost, 2 * limit * (len(model.scale) - len(kept))
         estimate, support = changed, parameters.take(kept[kept >= n_fixed] - n_fixed).support(support.shape)
     return estimate, support
-
-
-def _left_over(model: Linearised, windows: Windows) -> float:
-    """Return N/2 times the logarithm of the squared errors, summed over measured states; of whitened ones together."""
-    counts, sigma = windows.mask.sum((0, 1)), model.sigma
-    if windows.noise is not None:
-        return 0.5 * float(counts.sum()) * math.log(max(model.cost, EXACT))
-    seen = sigma > EXACT
-    return float((counts * sigma.log())[seen].sum())
 
 
 def _changed(
@@ -381,8 +382,7 @@ def _converge(estimate: Estimate, parameters: Parameters, windows: Windows, max_
     damping = 0.0
     model = linearise(estimate, parameters, windows)
     for _ in range(max_rounds):
-        rows = len(windows) * windows.mask.shape[1]
-        tell("fit", words=f"{len(parameters)} coefficients to trajectories, {rows} rows")
+        tell("fit", words=f"{len(parameters)} coefficients to trajectories, {len(windows) * windows.length} rows")
         candidate = move(estimate, model, parameters, torch.arange(len(model.scale)), damping)
         flow = Flow.of(candidate, parameters, windows)
         lost = bool(flow.lost().any())

@@ -81,6 +81,11 @@ class Windows:
         """Count the windows."""
         return len(self.rows)
 
+    @property
+    def length(self) -> int:
+        """Count the sampling intervals of a window."""
+        return self.mask.shape[1]
+
 
 def spread(n: int, wanted: int, stretches: int = STRETCHES) -> Tensor:
     """Choose rows of a long recording in evenly spread stretches of equal length, bool `(n,)`; all of a short one.

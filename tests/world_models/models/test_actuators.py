@@ -6,6 +6,7 @@ import torch
 
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.models import actuators
 from dynasindy.world_models.models.actuators import Found, behind, find_actuator
 from dynasindy.world_models.models.sindy import SindyModel
 from dynasindy.world_models.refinement.actuator import Actuator
@@ -97,12 +98,66 @@ def test_a_recording_that_is_too_short_to_judge_is_not_looked_at():
     assert "the recording is too short" in find_actuator(_model(MOTOR, data), short).words
 
 
+@pytest.mark.parametrize(("plain_fails", "behind_fails"), [(True, False), (False, True)])
+def test_where_the_equations_or_those_behind_an_actuator_run_away_there_is_none(plain_fails, behind_fails, monkeypatch):
+    data = _log(MOTOR, "rate limit", 1.5)
+    plain, few, judged = _model(MOTOR, data), actuators.few_steps, 0
+
+    def short(library, xi, free, part, descent, start):
+        nonlocal judged
+        cost, estimate, errors = few(library, xi, free, part, descent, start)
+        through = torch.equal(part.u, data.u[-len(part) :])  # nothing stands between the command and its effect
+        if free.any():
+            return cost, estimate, errors
+        judged += 1
+        return cost, estimate, None if (plain_fails if through else behind_fails) else errors
+
+    monkeypatch.setattr(actuators, "few_steps", short)
+    found = find_actuator(plain, data)
+    assert found.actuator is None and found.library is plain.library
+    assert ("run away in windows of 10 samples" in found.words) == plain_fails == (not found.sought)
+    assert (judged > 1) == behind_fails
+
+
+def test_an_actuator_is_found_in_a_recording_of_which_a_part_is_looked_at(monkeypatch):
+    monkeypatch.setattr(actuators, "MOST", 360)
+    data = _log(MOTOR, "rate limit", 1.5)
+    found = find_actuator(_model(MOTOR, data), data)
+    assert found.actuator is not None and found.actuator.size == pytest.approx(1.5, rel=0.05)
+
+
+def test_a_model_of_too_many_functions_is_not_looked_at(monkeypatch):
+    monkeypatch.setattr(actuators, "LARGEST", 1)
+    data = _log(MOTOR, "rate limit", 1.5)
+    found = find_actuator(_model(MOTOR, data), data)
+    assert found.actuator is None and "the model has 3 functions, and the limit is 1" in found.words
+
+
+def test_a_number_inside_a_function_is_the_one_that_was_fitted_behind_the_actuator():
+    data = _log(PENDULUM, "play", 0.15)
+    words = ["w", "sin(~1.2 angle)", "u"]
+    plain = SindyModel(PENDULUM, words, Regression("bic"), Refinement("trajectory"), known={"angle": "w"})
+    plain.fit(data)
+    found = find_actuator(plain, data)
+    before, after = (library.shapes[0].frequency for library in (plain.library, found.library))
+    assert found.actuator is not None and after == pytest.approx(1.0, abs=0.03) and abs(after - before) > 1e-3
+    model = behind(plain, found, DT)
+    path = model.simulate(torch.tensor([0.0, 0.0, float(data.u[0, 0])]).double(), data.u, DT, 5)
+    assert float((path[1:, 0] - data.x_next[:, 0]).square().mean().sqrt()) < 5 * NOISE
+    # The fitted equation, written down by hand: w' reads what play leaves of the command.
+    value = dict(zip(found.library.names, found.coefficients[:, 1].tolist(), strict=True))
+    sine = next(value[name] for name in value if "sin" in name)
+    x, u = torch.tensor([0.7, 0.3, 0.2], dtype=torch.float64), torch.tensor([0.9], dtype=torch.float64)
+    by_hand = sine * np.sin(after * 0.7) + value["w"] * 0.3 + value["u"] * 0.2
+    assert float(model(x, u)[1]) == pytest.approx(by_hand, rel=1e-6)
+
+
 def test_behind_a_rate_limit_a_step_is_a_ramp_and_behind_play_it_falls_short():
     plain = SindyModel(MOTOR, ["w", "u"])
     xi = torch.tensor([[-2.0], [5.0]], dtype=torch.float64)
     x, u = torch.zeros(2, dtype=torch.float64), torch.ones(1, dtype=torch.float64)
     limited, loose = (
-        behind(plain, Found(Actuator(0, kind, size), xi, 0.5, ""), 0.025)
+        behind(plain, Found(Actuator(0, kind, size), xi, 0.5, "", plain.library), 0.025)
         for kind, size in (("rate limit", 1.5), ("play", 0.2))
     )
     assert limited.signature.state_names == ("w", "applied_u")

@@ -248,7 +248,7 @@ def test_a_trajectory_that_no_function_or_no_number_survives_is_no_choice(monkey
 
     def emptied(library, xi, free, data, descent, start):
         found = through(library, xi, free, data, descent, start)
-        return (found[0], torch.where(free, 0.0, found[1])) if descent.joined is None else found
+        return found._replace(coefficients=torch.where(free, 0.0, found[1])) if descent.joined is None else found
 
     def lost(library, xi, free, data, descent, start):
         if descent.joined is None:

@@ -317,3 +317,14 @@ def test_a_step_that_runs_away_in_windows_on_their_own_is_made_shorter(monkeypat
 
     monkeypatch.setattr(trajectory, "move", too_far)
     assert torch.allclose(refine_trajectory(*args, data, Descent(20, False))[1], wanted, rtol=1e-2)
+
+
+def test_windows_in_which_the_model_runs_away_are_shorter_and_the_report_says_so():
+    """y' = y^3 from 1 is 1 / sqrt(1 - 2 t), beyond all bounds after half a second; here it falls back to 1 before."""
+    dt, n = 0.05, 200
+    y = torch.from_numpy(1 / np.sqrt(1 - 2 * dt * (np.arange(n + 1) % 8))).unsqueeze(-1)
+    data = Transitions.from_trajectory(y, torch.zeros(n, 1, dtype=torch.float64), dt)
+    library, xi, free = Library(SIGNATURE, [variable("y", 3)]), column(1.0), torch.ones(1, 1, dtype=torch.bool)
+    notes = refine(20).run(library, xi, Constraints(free, torch.zeros_like(xi)), data).notes
+    assert refine_trajectory(library, xi, free, data, Descent(20)).window == 8
+    assert notes == ("the model runs away in windows of 20 samples, it was fitted in windows of 8",)
