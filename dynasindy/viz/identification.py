@@ -253,7 +253,7 @@ def _input(axis: Axes, seconds: Array, values: Array, name: str, segment: ArrayL
 
 def _mark_restarts(axes: Sequence[Axes], seconds: Array, inputs: Array) -> None:
     """Mark the rows without an input, at which an excitation ended early and began anew."""
-    for at in seconds[np.isnan(inputs).any(-1)]:  # all of a row, which is true of no inputs, too
+    for at in seconds[np.isnan(inputs).any(-1)]:  # not all, which is true of a row without inputs
         for axis in axes:
             axis.axvline(at, color=RED, linestyle="--", linewidth=1.0, label="ended early, began anew")
 
