@@ -213,7 +213,7 @@ def foretell(
         unseen: Data of the same plant; None flies the model itself, which promises nothing.
         scenario: What to fly.
         seed: Seed of the sensors' noise.
-        within: Mean absolute error at the end that is asked for, in boxes of targets.
+        within: Mean absolute error at the end that is asked for, in target ranges.
 
     Raises:
         ValueError: There are too few data for a fit.

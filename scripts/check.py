@@ -46,7 +46,7 @@ def main(cfg: DictConfig) -> None:
 
 
 def _box(cfg: DictConfig, run: Path, key: str) -> tuple[float, ...]:
-    """Return one end of the box of targets, as it is given or as the run has it."""
+    """Return one end of the target range, as it is given or as the run has it."""
     values, file = cfg[key], (run if run.is_dir() else run.parent) / "config.yaml"
     if values is None and not file.is_file():
         raise ValueError(f"{key} is not given, and there is no {file} to read it from; give {key}=[...] of the targets")

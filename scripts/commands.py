@@ -64,7 +64,7 @@ def planning(words: Sequence[str], logged: bool, plant: str | None, open_keys: S
     if not logged and plant and "system" not in given.values():
         kept.insert(0, f"system={plant}")
     kept += [f"plant.{key}=[{'NAME' if key == 'outputs' else 'NUMBER'}]" for key in open_keys]
-    parser = argparse.ArgumentParser(add_help=False)
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--config-dir", "-cd")
     if folder := parser.parse_known_args(sys.argv[1:])[0].config_dir:
         kept = ["--config-dir", folder, *kept]

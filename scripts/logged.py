@@ -37,7 +37,7 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
     source = parts["data"] and parts["data"].load(parts["system"], None)
     if source is not None:  # what cannot be is refused before the fit
-        for name in ("task", "world_model"):
+        for name in ("task", "world_model") if cfg.model is None else ("task",):  # a given model has its own library
             parts[name](signature=source.signature)
     say(f"Run folder: {folder}")
     model = model_of(source, parts["world_model"], cfg.model)

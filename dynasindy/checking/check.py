@@ -24,7 +24,7 @@ class Settings:
     """What is tried.
 
     Attributes:
-        low, high: Box of targets, one number per output [of the outputs].
+        low, high: Target range, one number per output [of the outputs].
         points: Targets along each output.
         seconds: Length of a flight [s].
         reach: Largest initial error [ranges of the states].

@@ -25,12 +25,16 @@ STRETCHES = 20
 """Stretches into which a recording falls at least: fewer may go together by chance."""
 ROWS = 5000
 """Rows that are looked at."""
+BRIDGED = 10
+"""Samples of a rate that may be missing in a row; over these it is taken to be straight, over more nothing is told."""
 NAMED = ("{}_rate", "{}_dot", "{}dot", "d{}", "d_{}", "{}_vel", "{}_velocity", "{}_speed")
 """How the rate of a state is called."""
 PLAIN = ("rate", "velocity", "speed")
 """What a rate is called that may be that of any state."""
 KINDS = (("rad", "mrad", "deg", "degree", "degrees", "°", "rev", "turn", "turns"), ("m", "cm", "mm", "km"))
 """Units of one kind."""
+PER_TIME = re.compile(r"(.+)/(s|sec|ms|min|h)")
+"""How the unit of a rate is written, but for rpm."""
 NO_TIE = (0.0, 0.0)
 """Factor and correlation of what does not move."""
 CAUSES = {
@@ -59,22 +63,35 @@ class Mismatch:
         state: name of the state.
         rate: name of its rate.
         factor: slope of the state over the rate.
+        guessed: whether only units, or a name that may be of any rate, say that the two belong together.
     """
 
     state: str
     rate: str
     factor: float
+    guessed: bool = False
 
     def __str__(self) -> str:
         """Write it as a sentence."""
-        size = abs(self.factor)
-        near = min(CAUSES, key=lambda known: abs(math.log(size / known)))
-        likely = f"; {CAUSES[near]}?" if abs(math.log(size / near)) < 0.05 else "; in which units are they?"
         factor = f"{self.factor:.3g}"
-        return (
-            f"{self.rate} does not fit {self.state}, whose slope over time is {factor} times {self.rate}{likely} "
-            f"Correct the column, or give it a scale in data.states"
+        told = (
+            f"{self.rate} does not fit {self.state}, whose slope over time is {factor} times {self.rate}; "
+            f"{self._cause()}? Correct the column, or give it a scale in data.states"
         )
+        if not self.guessed:
+            return told
+        return (
+            f"{told}. That {self.rate} is the rate of {self.state} is a guess: a gear between them or another axis may "
+            f"be the cause, too; if so, give {self.rate} a unit of its own, such as 'motor rad/s', and this is not said"
+        )
+
+    def _cause(self) -> str:
+        """Say what the factor comes from, its sign too."""
+        size, turned = abs(self.factor), self.factor < 0
+        near = min(CAUSES, key=lambda known: abs(math.log(size / known)))
+        if abs(math.log(size / near)) >= 0.05:
+            return "in which units are they" + ", and which one is counted the other way" * turned
+        return CAUSES[near] + ", and one of them counted the other way" * (turned and near != 1.0)
 
 
 def mismatched(data: Transitions, signature: Signature, known: Mapping[str, str] | None = None) -> list[Mismatch]:
@@ -89,7 +106,7 @@ def mismatched(data: Transitions, signature: Signature, known: Mapping[str, str]
         known: the rate of each state, as far as it is known.
     """
     names, pairs = signature.state_names, dict(known or {})
-    seen = [name for name, column in zip(names, data.x.unbind(-1), strict=True) if not bool(column.isnan().any())]
+    seen = [name for name, column in zip(names, data.x.unbind(-1), strict=True) if bool(column.isfinite().any())]
     found = []
     for rate in seen:
         sure = [state for state in seen if pairs.get(state) == rate] or [s for s in seen if _is_named(s, rate)]
@@ -97,7 +114,7 @@ def mismatched(data: Transitions, signature: Signature, known: Mapping[str, str]
         ties = {state: _factor(data, names.index(state), names.index(rate)) for state in sure or others}
         state, tie = max(ties.items(), key=lambda item: abs(item[1][1]), default=("", NO_TIE))
         if abs(tie[1]) > (TIED if sure else ALIKE) and not 1 / CLEAR < tie[0] < CLEAR:
-            found.append(Mismatch(state, rate, tie[0]))
+            found.append(Mismatch(state, rate, tie[0], guessed=not sure))
     return found
 
 
@@ -106,31 +123,63 @@ def _is_named(state: str, rate: str) -> bool:
 
 
 def _may_be(state: str, rate: str, signature: Signature) -> bool:
+    """Return whether the units allow a rate to be that of a state; without units its name must be that of a rate."""
     units = dict(zip(signature.state_names, signature.state_units, strict=True))
-    per_second = re.fullmatch(r"(.+)/s(ec)?", units[rate])
-    if per_second is None:
-        return rate in PLAIN
-    return units[state] == per_second[1] or any({units[state], per_second[1]} <= set(kind) for kind in KINDS)
+    if rate in PLAIN and units[rate] == "-":
+        return units[state] == "-"
+    per_time = PER_TIME.fullmatch("rev/min" if units[rate] == "rpm" else units[rate])
+    if per_time is None or (rate not in PLAIN and not units[rate].endswith(("/s", "/sec"))):
+        return False
+    return units[state] == per_time[1] or any({units[state], per_time[1]} <= set(kind) for kind in KINDS)
 
 
 def _factor(data: Transitions, state: int, rate: int) -> tuple[float, float]:
     """Return the slope of a state over a rate, and their correlation.
 
     What the state moves by over a window is compared with the integral of the rate, by the trapezoidal rule: noise
-    counts the less the longer the window is, so that the one is taken over which they go together best.
+    counts the less the longer the window is, so that the one is taken over which they go together best. A window has
+    the state at both ends and the rate all along.
     """
-    steps = 0.5 * data.dt * (data.x[:, rate] + data.x_next[:, rate]).double()
-    sums = torch.cat([steps.new_zeros(1), steps.cumsum(0)])
+    samples, places = _bridged(data, rate), _places(data)
+    steps = 0.5 * data.dt * (samples[places] + samples[places + 1])
+    sums, lost = (torch.cat([c.new_zeros(1), c.cumsum(0)]) for c in (steps.nan_to_num(0.0), (~steps.isfinite()).long()))
+    stride = max(1, len(data) // ROWS)
     best, window = NO_TIE, 1
     while STRETCHES * window <= len(data):
-        rows = torch.arange(0, len(data) - window + 1, max(1, len(data) // ROWS))
+        rows = torch.arange(0, len(data) - window + 1, stride)
         last = rows + window - 1
-        rows, last = (k[data.segment[rows] == data.segment[last]] for k in (rows, last))
-        if len(rows) > STRETCHES:
-            told = _compared((data.x_next[last, state] - data.x[rows, state]).double(), sums[last + 1] - sums[rows])
+        moved = (data.x_next[last, state] - data.x[rows, state]).double()
+        whole = (data.segment[rows] == data.segment[last]) & (lost[last + 1] == lost[rows]) & moved.isfinite()
+        rows, last, moved = rows[whole], last[whole], moved[whole]
+        if len(rows) > STRETCHES and len(rows) * stride > (STRETCHES - 1) * window:
+            told = _compared(moved, sums[last + 1] - sums[rows])
             best = max(best, told, key=lambda tie: abs(tie[1]))
         window *= 2
     return best
+
+
+def _places(data: Transitions) -> Tensor:
+    """Return where the start of each row is among the samples: a segment has one more of them than rows."""
+    return torch.arange(len(data)) + data.begins().long().cumsum(0) - 1
+
+
+def _bridged(data: Transitions, state: int) -> Tensor:
+    """Return the samples of a state, straight over the few that are missing in a row and NaN over more."""
+    places, segments = _places(data), data.begins().long().cumsum(0)
+    samples = torch.full((len(data) + int(segments.max()),), math.nan, dtype=torch.float64)
+    segment = torch.zeros(len(samples), dtype=torch.int64)
+    for offset, x in enumerate((data.x, data.x_next)):
+        samples[places + offset], segment[places + offset] = x[:, state].double(), segments
+    seen = samples.isfinite().nonzero().squeeze(-1)
+    if not len(seen):
+        return samples
+    at = torch.arange(len(samples))
+    after = torch.searchsorted(seen, at).clamp(max=len(seen) - 1)
+    left, right = seen[(after - (seen[after] > at).long()).clamp(min=0)], seen[after]
+    share = (at - left) / (right - left).clamp(min=1)
+    values = samples[left] + share * (samples[right] - samples[left])
+    inside = (left <= at) & (at <= right) & (right - left <= BRIDGED + 1) & (segment[left] == segment[right])
+    return values.where(inside, math.nan)
 
 
 def _compared(moved: Tensor, integral: Tensor) -> tuple[float, float]:

@@ -34,7 +34,7 @@ class Wanted:
         sensors: What will be measured in flight; None for what the log shows.
         dt: Control period [s].
         seed: Seed of everything.
-        within: Mean absolute error at the end that is asked for, in boxes of targets.
+        within: Mean absolute error at the end that is asked for, in target ranges.
         planning: Settings of `GradientPlanning`.
     """
 

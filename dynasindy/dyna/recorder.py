@@ -62,7 +62,7 @@ class Recorder(Callback):
         scenario: Situation in which the policy is evaluated.
         every: Episodes between two evaluations; the last episode is evaluated in any case.
         episodes: Episodes of the run.
-        within: Error at the end that counts as controlled [boxes of targets].
+        within: Error at the end that counts as controlled [target ranges].
         tensorboard: Whether TensorBoard is to show the run while it goes on.
 
     Raises:

@@ -42,7 +42,7 @@ class Evaluating:
     Attributes:
         scenario: Situation, without disturbances.
         every: Episodes between two evaluations; the last one is always evaluated.
-        within: Mean absolute error at the end at which an output counts as controlled [boxes of targets].
+        within: Mean absolute error at the end at which an output counts as controlled [target ranges].
         tensorboard: Whether the scalars are written for TensorBoard, too.
 
     Raises:

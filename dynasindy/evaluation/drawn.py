@@ -26,7 +26,7 @@ def drawn(evaluation: Evaluation) -> Drawn:
     """Choose the episode to be drawn, by nothing that a controller does: figures of several show the same one.
 
     Where all episodes begin in one state it is the first one of the scenario. Where they do not, it is the one that
-    begins farthest from its reference, in boxes of targets, as a pendulum that hangs and is to stand; of a task
+    begins farthest from its reference, in target ranges, as a pendulum that hangs and is to stand; of a task
     without references, the one that earns least in its first period.
     """
     number = len(evaluation.inputs)
@@ -55,6 +55,6 @@ def _better(evaluation: Evaluation, row: int) -> str:
 
 
 def _errors(evaluation: Evaluation) -> torch.Tensor:
-    """Return the absolute errors, `(episodes, T, n_r)` [boxes of targets]."""
+    """Return the absolute errors, `(episodes, T, n_r)` [target ranges]."""
     boxes = torch.tensor(evaluation.boxes or (1.0,) * len(evaluation.columns), dtype=torch.float64)
     return (evaluation.outputs - evaluation.references).double().abs() / boxes

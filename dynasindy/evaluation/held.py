@@ -12,7 +12,7 @@ from dynasindy.evaluation.scenarios import Evaluation
 FAR = 20.0
 """Ranges beyond which a state has run away, whatever the reference does."""
 WITHIN = 0.01
-"""Mean absolute error at the end that is asked for unless another is given, in boxes of targets."""
+"""Mean absolute error at the end that is asked for unless another is given, in target ranges."""
 LOST = 10.0
 """Multiple of the error asked for beyond which the worst reference counts as not held."""
 UNREST = 0.5
@@ -24,7 +24,7 @@ class Held:
     """What an evaluation shows of the plant; `dataclasses.asdict` gives what `metrics.json` holds.
 
     Attributes:
-        share: Mean absolute error at the end, of each output, in boxes of targets; None where it is not finite.
+        share: Mean absolute error at the end, of each output, in target ranges; None where it is not finite.
         worst: The same of the worst reference.
         away: States that run away or do not come to rest though they are not tracked, with the share of runs.
         idle: Those of them that nothing depends on, as a mileage.

@@ -37,7 +37,7 @@ STEADY_SHARE = 0.25
 SETTLING_BAND = 0.05
 """Half width of the settling band, as a share of the step."""
 MIN_STEP = 0.05
-"""Smallest step whose overshoot, rise and settling time are meaningful [boxes of targets]."""
+"""Smallest step whose overshoot, rise and settling time are meaningful [target ranges]."""
 
 
 Smallest = Tensor | float

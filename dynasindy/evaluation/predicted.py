@@ -30,8 +30,8 @@ class Prediction:
         flights: What each model shows, see `dynasindy.evaluation.held`; None for one that ran away.
         shown: The evaluation on the first model that did not run away, for figures; None if all did.
         own: Whether the model is the one that was planned on, which promises nothing of the plant.
-        within: Mean absolute error at the end that is asked for, in boxes of targets.
-        errors: Mean absolute error of each model's whole flights, of the worst output, in boxes of targets; infinite of
+        within: Mean absolute error at the end that is asked for, in target ranges.
+        errors: Mean absolute error of each model's whole flights, of the worst output, in target ranges; infinite of
             one that ran away.
     """
 
@@ -168,7 +168,7 @@ def predict(
         policy: Policy to fly.
         scenario: Situation to fly in.
         sensing: Sensors and observer through which the policy sees a plant.
-        within: Mean absolute error at the end that is asked for, in boxes of targets.
+        within: Mean absolute error at the end that is asked for, in target ranges.
     """
     flights: list[Held | None] = []
     errors: list[float] = []
@@ -190,7 +190,7 @@ def predict(
 
 
 def _whole(result: Evaluation) -> float:
-    """Return the mean absolute error over whole flights, of the worst output, in boxes of targets."""
+    """Return the mean absolute error over whole flights, of the worst output, in target ranges."""
     boxes = torch.tensor(result.boxes or (1.0,) * len(result.columns), dtype=torch.float64)
     errors = (result.outputs - result.references).double().abs().mean((0, 1)) / boxes
     return float(errors.amax()) if bool(errors.isfinite().all()) else math.inf

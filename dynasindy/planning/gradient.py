@@ -61,7 +61,7 @@ class GradientPlanning(Planner):
         lr: Learning rate of the first phase at its start; it falls along a half cosine to 1 % of that.
         more_lr: Learning rate of each later phase at its start; None for 0.3 of `lr`.
         max_grad_norm: Bound of each gradient's norm.
-        width: Error at which the imagined cost turns from quadratic to linear [boxes of targets]; None plans on the
+        width: Error at which the imagined cost turns from quadratic to linear [target ranges]; None plans on the
             task's own reward, as does a task without references.
         held: Whether the policy begins as a linear-quadratic regulator of the model, where that earns more.
         real_starts: Share of imagined episodes that begin at real states.

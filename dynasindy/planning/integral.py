@@ -22,7 +22,7 @@ class IntegralAction:
         policy: Reads `observation`, writes `action`.
         env: Where it acts, with a `Tracking` task.
         gain: Integral gain [1/s].
-        band: Largest error that is integrated [boxes of targets].
+        band: Largest error that is integrated [target ranges].
         limit: Largest integral [boxes].
         rate: Rate of change of an error at which half of it is integrated [boxes per second].
 

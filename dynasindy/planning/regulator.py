@@ -36,7 +36,7 @@ class Weights:
     """Weights of the quadratic cost.
 
     Attributes:
-        outputs: Of each squared tracking error, in boxes of targets.
+        outputs: Of each squared tracking error, in target ranges.
         states: Of each squared state, in its range.
         inputs: Of each squared input.
     """

@@ -35,7 +35,7 @@ class Tracking(Task):
         max_steps: Control periods per episode (paper: 400).
         observe_rate: Append the rates of the reference to the observation, for moving references.
         error_scale: Error that counts as 1 in the observation [boxes].
-        low: Lower end of the box of targets, per output; with `high` it is the unit of errors and rates. None for both
+        low: Lower end of the target range, per output; with `high` it is the unit of errors and rates. None for both
             takes the units of the outputs as they are.
         high: Upper end of the box, per output.
         start: Where episodes begin: state to value, or to the two ends of a range from which it is drawn; zero for the
@@ -137,7 +137,7 @@ class Tracking(Task):
         return other
 
     def with_box(self, extents: Sequence[float]) -> Tracking:
-        """Return the same task with another box of targets, whose extents are taken as they are.
+        """Return the same task with another target range, whose extents are taken as they are.
 
         Args:
             extents: Extent of the box, per output [units of the outputs].
@@ -155,7 +155,7 @@ class Tracking(Task):
         return other
 
     def boxes(self) -> Tensor:
-        """Return the extent of the box of targets, `(n_r,)`: the largest among the outputs of the same unit."""
+        """Return the extent of the target range, `(n_r,)`: the largest among the outputs of the same unit."""
         return self._box
 
     def sample(self, batch: torch.Size, generator: torch.Generator) -> Tensor:
@@ -226,7 +226,7 @@ def _boxes(
     """Return the extent of each output's targets; that of its range where the targets of a unit are one value each."""
     if (low is None) != (high is None):
         given, absent = ("low", "high") if high is None else ("high", "low")
-        raise ValueError(f"the box of targets has {given} and no {absent}; give both, or neither")
+        raise ValueError(f"the target range has {given} and no {absent}; give both, or neither")
     if low is None or high is None:
         return torch.ones(len(outputs), dtype=torch.float64)
     if not len(low) == len(high) == len(outputs) or not all(a <= b for a, b in zip(low, high, strict=True)):

@@ -69,13 +69,14 @@ def training_data(
 ) -> Figure:
     """Draw the states `(T, n_x)` that the model was fitted to and the inputs that moved them, over `time` `(T,)` [s].
 
-    Marked are where the excitation ended early and began anew, a row of NaN, where a log has a gap, and what the fit
-    leaves out.
+    Marked are where the excitation ended early and began anew, a row without inputs, where a log has a gap, and what
+    the fit leaves out. States that are NaN where the inputs are known are samples that were lost, and are not marked.
 
     Args:
         time: `(T,)` [s].
         x: `(T, n_x)` states.
-        u: `(T, n_u)` inputs, each held to the next sample; without them only the states are drawn.
+        u: `(T, n_u)` inputs, each held to the next sample, NaN where they began anew; without them only the states are
+            drawn.
         signature: Names and units.
         title: of the figure.
         segment: `(T,)` number of the unbroken stretch of each sample; lines break between them.
@@ -92,7 +93,7 @@ def training_data(
     for i, name in enumerate(inputs):
         _input(axes[signature.n_x + i], seconds, moving[:, i], name, segment)
     shown = axes[: len(names)]
-    _mark_restarts(shown, seconds, values)
+    _mark_restarts(shown, seconds, moving)
     _mark_gaps(shown, seconds, segment)
     for start, end in left_out:
         for axis in shown:
@@ -250,9 +251,9 @@ def _input(axis: Axes, seconds: Array, values: Array, name: str, segment: ArrayL
     axis.set_ylabel(label(name, "-"))
 
 
-def _mark_restarts(axes: Sequence[Axes], seconds: Array, values: Array) -> None:
-    """Mark the rows without a number, at which an excitation ended early and began anew."""
-    for at in seconds[np.isnan(values).all(-1)]:
+def _mark_restarts(axes: Sequence[Axes], seconds: Array, inputs: Array) -> None:
+    """Mark the rows without an input, at which an excitation ended early and began anew."""
+    for at in seconds[np.isnan(inputs).any(-1)]:  # not all, which is true of a row without inputs
         for axis in axes:
             axis.axvline(at, color=RED, linestyle="--", linewidth=1.0, label="ended early, began anew")
 

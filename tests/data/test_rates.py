@@ -1,6 +1,7 @@
 """A rate in other units than its angle is told; one in the same units, however noisy, is not."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -31,7 +32,9 @@ def swing(angle_unit: float = 1.0, rate_unit: float = 1.0, noise: float = 0.0, n
         (1.0, 1e3, 0.001, "a time in ms"),
         (1.0, 30 / math.pi, 0.1047, "rpm"),
         (-1.0, 1.0, -1.0, "the other way"),
-        (17.0, 1.0, 17.0, "in which units"),
+        (17.0, 1.0, 17.0, "in which units are they?"),
+        (-180 / math.pi, 1.0, -57.3, "degrees beside rad/s, and one of them counted the other way?"),
+        (-17.0, 1.0, -17.0, "in which units are they, and which one is counted the other way?"),
     ],
 )
 @pytest.mark.parametrize("noise", [0.0, 0.1])
@@ -69,6 +72,80 @@ def test_a_rate_of_something_else_is_not_told():
 def test_what_is_known_or_called_so_or_has_the_unit_is_the_rate(names, units, known, told):
     found = mismatched(swing(57.3), Signature(names, units, ("u",), (1.0, 1.0)), known)
     assert bool(found) == told
+
+
+@pytest.mark.parametrize(
+    ("names", "units", "told"),
+    [
+        (("theta_load", "omega_motor"), ("rad", "rad/s"), True),
+        (("theta_load", "omega_motor"), ("rad", "motor rad/s"), False),
+        (("theta_load", "omega_motor"), ("rad", "rpm"), False),
+        (("angle", "speed"), ("rad", "rpm"), True),
+        (("angle", "speed"), ("rad", "motor rpm"), False),
+        (("angle", "speed"), ("rad", "deg/min"), True),
+        (("position", "speed"), ("m", "rpm"), False),
+        (("position", "speed"), ("m", "rad/s"), False),
+        (("position", "speed"), ("m", "-"), False),
+        (("position", "position_speed"), ("m", "rpm"), True),
+    ],
+)
+def test_a_pair_behind_a_gear_of_70_is_told_only_if_the_units_fit_and_then_as_a_guess(names, units, told):
+    data, signature = swing(1.0, 70.0), Signature(names, units, ("u",), (1.0, 1.0))
+    found = mismatched(data, signature)
+    assert [one.factor for one in found] == ([pytest.approx(1 / 70, rel=0.03)] if told else [])
+    named = names[1] == f"{names[0]}_speed"
+    assert all(("a gear between them or another axis" in str(one)) != named for one in found)
+    (known,) = mismatched(data, signature, {names[0]: names[1]})
+    assert "guess" not in str(known) and str(known).endswith("or give it a scale in data.states")
+
+
+def without(data: Transitions, lost: torch.Tensor) -> Transitions:
+    """The same recording without the samples that are lost, bool `(T + 1, n_x)`."""
+    x = torch.cat([data.x, data.x_next[-1:]]).masked_fill(lost, math.nan)
+    return Transitions.from_trajectory(x, data.u, data.dt)
+
+
+@pytest.mark.parametrize("angle", [57.3, -1.0])
+@pytest.mark.parametrize(
+    "lost",
+    [
+        ([700], []),
+        ([], [700]),
+        (range(0, 2001, 3), []),
+        ([], range(0, 2001, 3)),
+        ([], [k for k in range(2001) if k % 5]),
+        (range(300, 600), range(900, 1300)),
+        (range(1000), []),
+        ([], range(900, 2001)),
+    ],
+)
+def test_lost_samples_do_not_switch_the_check_off(angle, lost):
+    gone = torch.zeros(2001, 2, dtype=torch.bool)
+    for column, rows in enumerate(lost):
+        gone[list(rows), column] = True
+    (found,) = mismatched(without(swing(angle, 1.0, 0.02), gone), SIGNATURE)
+    assert found.factor == pytest.approx(angle, rel=0.05)
+    assert mismatched(without(swing(1.0, 1.0, 0.02), gone), SIGNATURE) == []
+
+
+def test_neither_a_long_gap_nor_a_break_between_recordings_is_bridged():
+    """A rate that lies elsewhere in each stretch would tell nonsense between them, as would the jump of the angle."""
+    data, gone = swing(), torch.zeros(2001, 2, dtype=torch.bool)
+    gone[[k for k in range(2001) if 20 <= k % 200 < 180], 1] = True
+    assert mismatched(without(data, gone), SIGNATURE, {"angle": "rate"}) == []
+    parts = [data.last(40 * k).select(torch.arange(40 * k) < 40) for k in range(1, 51)]
+    jumps = [replace(p, x=p.x + 500.0 * k, x_next=p.x_next + 500.0 * k) for k, p in enumerate(parts)]
+    for part in jumps:
+        part.x[-1, 1] = part.x_next[-1, 1] = math.nan
+    assert mismatched(Transitions.cat(jumps), SIGNATURE) == []
+
+
+def test_a_state_that_was_hardly_measured_is_not_told():
+    gone = torch.zeros(2001, 2, dtype=torch.bool)
+    gone[60:] = True
+    assert mismatched(without(swing(57.3), gone), SIGNATURE)[0].factor == pytest.approx(57.3, rel=0.03)
+    gone[15:] = True
+    assert mismatched(without(swing(57.3), gone), SIGNATURE) == []
 
 
 def test_an_angle_that_is_counted_within_a_turn_is_still_told():

@@ -81,6 +81,9 @@ def test_a_plan_that_fails_leaves_the_model(log, tmp_path):
     assert any("12 u" in line for line in model.equations())
     assert (tmp_path / "run" / "config.yaml").exists()
     assert (tmp_path / "run" / "origin.json").exists()
+    kept = [*given[:-2], "plant.library=['sinh(theta)']", given[-1], f"model={tmp_path}/run/model.json"]
+    again = train("data=csv", *kept, f"folder={tmp_path}/again")  # the model has a library: another one is not read
+    assert "sinh" not in again.stderr and (tmp_path / "again" / "model.json").exists()
 
 
 @pytest.mark.parametrize(

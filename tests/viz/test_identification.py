@@ -130,6 +130,17 @@ def test_where_an_excitation_began_anew_is_marked_in_every_panel() -> None:
     assert words(figure) == ["ended early, began anew"]
 
 
+def test_lost_samples_of_a_log_are_no_restarts() -> None:
+    """Of two states one has no sensor and the other loses every third sample: 34 rows hold no number."""
+    x = np.full((100, 2), np.nan)
+    x[:, 0] = np.where(np.arange(100) % 3, STATES[:, 0], np.nan)
+    for u in (np.zeros((100, 1)), None):
+        for segment in (None, np.zeros(100)):
+            figure = training_data(TIME, x, u, Pendulum().signature, segment=segment)
+            assert not [line for axis in figure.axes for line in axis.lines if line.get_linestyle() == "--"]
+            assert words(figure) == []
+
+
 def test_gaps_of_a_log_are_marked_unless_they_are_everywhere() -> None:
     figure = training_data(TIME, STATES, segment=np.repeat([0, 1, 4], [30, 50, 20]))
     assert [line.get_xdata()[0] for line in figure.axes[5].lines[1:]] == [TIME[30], TIME[80]]

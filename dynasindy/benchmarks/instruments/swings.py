@@ -48,7 +48,7 @@ class Swing:
         judge: Makes the environment of the evaluations, for a seed.
         learn: Makes that of an agent; None wraps the one of the evaluations.
         angle: Angle from upright [rad], `(...)`, of states `(..., n_x)`; None where nothing stands.
-        within: Mean absolute error at the end that is asked for [boxes of targets].
+        within: Mean absolute error at the end that is asked for [target ranges].
         settings: Settings of an agent, by its name.
     """
 
