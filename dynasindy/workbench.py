@@ -78,8 +78,8 @@ def _arguments_named() -> Iterator[None]:
 @_arguments_named()
 def read(
     path: str | Path,
-    states: Mapping[str, Any] | None = None,
-    inputs: Mapping[str, Any] | None = None,
+    states: Mapping[str, Any] | Sequence[str] | None = None,
+    inputs: Mapping[str, Any] | Sequence[str] | None = None,
     time: str = "time",
     dt: float | None = None,
 ) -> Recording:
@@ -87,9 +87,9 @@ def read(
 
     Args:
         path: The file, with a line of headings such as `angle [rad]`.
-        states: Columns of the states by name: the heading, or keys of `dynasindy.data.csv.Column`; all columns but
-            time and inputs if omitted.
-        inputs: Columns of the inputs; those that are called `u`, `u_...` or `input_...` if omitted.
+        states: Columns of the states by name: the heading, or keys of `dynasindy.data.csv.Column`; a list takes them
+            as they are; all columns but time and inputs if omitted.
+        inputs: Columns of the inputs, likewise; those that are called `u`, `u_...` or `input_...` if omitted.
         time: Heading of the time column [s].
         dt: Sampling time [s]; the file's own if omitted.
 
@@ -100,8 +100,10 @@ def read(
         FileNotFoundError: There is no such file.
         ValueError: The file is no log of a plant.
     """
-    states, inputs = (None if given is None else dict(given) for given in (states, inputs))
-    return Logged(str(path), states, inputs, time, dt).recording(None)
+    columns: list[dict[str, Any] | list[str] | None] = []
+    for given in (states, inputs):
+        columns.append(None if given is None else dict(given) if isinstance(given, Mapping) else list(given))
+    return Logged(str(path), columns[0], columns[1], time, dt).recording(None)
 
 
 @_arguments_named()
