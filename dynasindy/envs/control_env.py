@@ -14,6 +14,10 @@ from torchrl.envs import EnvBase
 from dynasindy.limits import Count, check_memory
 from dynasindy.systems import System, integrate
 from dynasindy.tasks import Task
+from dynasindy.tasks.constants import constants
+
+FARTHEST = 1e4
+"""Ranges of a state beyond which nothing is told of a plant: squares and exponents of such numbers soon overflow."""
 
 
 class ControlEnv(EnvBase):
@@ -191,7 +195,7 @@ class ControlEnv(EnvBase):
 
         It stays there: those states at the end of their ranges, the others where the period began.
         """
-        ends = self.left_beyond * torch.tensor(self.system.signature.x_scale, dtype=x.dtype)
+        ends = self.left_beyond * constants(self.system.signature.x_scale, x.dtype, x.device)
         beyond = samples.abs() > ends
         first = samples.gather(-2, beyond.int().argmax(-2, keepdim=True)).squeeze(-2)
         there = torch.where(beyond.any(-2), torch.minimum(torch.maximum(first, -ends), ends), x)

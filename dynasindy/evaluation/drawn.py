@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
-
 from dynasindy.evaluation.scenarios import Evaluation
 
 
@@ -43,18 +41,12 @@ def _farthest(evaluation: Evaluation) -> tuple[int, str]:
     if not evaluation.columns:
         first = evaluation.trajectory["next", "reward"][:, 0].flatten()
         return int(first.argmin()), "the one that starts where least is earned"
-    return int(_errors(evaluation)[:, 0].amax(-1).argmax()), "the one that starts farthest from its target"
+    return int(evaluation.errors[:, 0].amax(-1).argmax()), "the one that starts farthest from its target"
 
 
 def _better(evaluation: Evaluation, row: int) -> str:
     """Say how many episodes did better."""
     if not evaluation.columns:
         return f"{int((evaluation.returns > evaluation.returns[row]).sum())} others earn more"
-    errors = _errors(evaluation).mean(1).amax(-1)
+    errors = evaluation.errors.mean(1).amax(-1)
     return f"{int((errors < errors[row]).sum())} others have a smaller error"
-
-
-def _errors(evaluation: Evaluation) -> torch.Tensor:
-    """Return the absolute errors, `(episodes, T, n_r)` [target ranges]."""
-    boxes = torch.tensor(evaluation.boxes or (1.0,) * len(evaluation.columns), dtype=torch.float64)
-    return (evaluation.outputs - evaluation.references).double().abs() / boxes

@@ -46,8 +46,7 @@ def held(evaluation: Evaluation, matter: Tensor) -> Held:
         matter: States that are tracked or that a rate of change depends on, bool `(n_x,)`.
     """
     last = round(evaluation.steady_seconds / (evaluation.seconds / len(evaluation.time)))
-    boxes = torch.tensor(evaluation.boxes or (1.0,) * len(evaluation.columns), dtype=torch.float64)
-    errors = (evaluation.outputs - evaluation.references)[:, -last:].double().abs().mean(1) / boxes
+    errors = evaluation.errors[:, -last:].mean(1)
     scale = torch.tensor(evaluation.signature.x_scale, dtype=torch.float64)
     x = evaluation.trajectory["state"][:, -last:].double() / scale
     far = ~(x.abs() <= FAR).all(1)

@@ -191,8 +191,7 @@ def predict(
 
 def _whole(result: Evaluation) -> float:
     """Return the mean absolute error over whole flights, of the worst output, in target ranges."""
-    boxes = torch.tensor(result.boxes or (1.0,) * len(result.columns), dtype=torch.float64)
-    errors = (result.outputs - result.references).double().abs().mean((0, 1)) / boxes
+    errors = result.errors.mean((0, 1))
     return float(errors.amax()) if bool(errors.isfinite().all()) else math.inf
 
 

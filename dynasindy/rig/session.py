@@ -62,7 +62,7 @@ def targets_within(knowledge: Knowledge, wanted: Sequence[Sequence[float]] | Non
         wanted: One number per output each; None takes two, half of the way to the upper and to the lower ends.
 
     Raises:
-        ValueError: One is not of this plant, or outside of its box.
+        ValueError: One is not of this plant, or outside of the target range.
     """
     ends = list(knowledge.targets.values())
     if wanted is None:

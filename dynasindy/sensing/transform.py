@@ -24,14 +24,13 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import Transform, TransformedEnv
 
 from dynasindy.envs import ControlEnv
+from dynasindy.envs.control_env import FARTHEST
 from dynasindy.sensing.observer import Belief, Observer
 from dynasindy.sensing.offset import OffsetFree
 from dynasindy.sensing.sensors import Sensors
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 """Reads `observation` of a tensordict and writes `action`."""
-FARTHEST = 1e4
-"""Ranges of a state within which estimates are shown: rewards and actions of larger ones would be no numbers."""
 
 
 class Sensing(Transform):
@@ -155,6 +154,7 @@ class Sensing(Transform):
         mean = self.observer.ahead(belief.mean, held["inputs"])
         n_x = self.observer.n_x
         ends = FARTHEST * self.observer.scale[:n_x]
+        # Rewards and actions of larger estimates would be no numbers.
         x = torch.minimum(torch.maximum(mean[..., :n_x], -ends), ends).to(dtype)
         t = shown["step_count"].to(dtype) * self.env.dt
         shown["state"] = x

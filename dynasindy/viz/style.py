@@ -165,11 +165,8 @@ def legend_above(axis: Axes) -> None:
     # An entry takes its letters and a sample of its line; more than a row holds would press the axis together.
     rows = -(-sum(len(label) + 6 for label in labels) // ROW)
     columns = max(1, -(-len(labels) // max(1, rows)))
-    at = (1.0, 1.0)
-    axis.legend(
-        list(named.values()), labels, loc="lower right", bbox_to_anchor=at, ncols=columns, columnspacing=1.2,
-        handlelength=1.6,
-    )  # fmt: skip
+    place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": columns}
+    axis.legend(list(named.values()), labels, **place, columnspacing=1.2, handlelength=1.6)
 
 
 def legend_beside(axis: Axes) -> None:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 from torch import Tensor
@@ -21,7 +21,7 @@ from torch import Tensor
 from dynasindy.systems.transitions import Transitions
 
 Kind = Literal["rate limit", "play", "dead zone", "lag"]
-KINDS = ("rate limit", "play", "dead zone", "lag")
+KINDS = get_args(Kind)
 MET = 1e-3
 """Part of the range of its commands by which two outputs may differ that are one."""
 
