@@ -76,8 +76,8 @@ def test_a_rig_in_another_process_is_excited_identified_planned_for_flown_and_re
     for time, *_ in (excited, first, second):
         assert np.allclose(np.diff(time), 0.05)
     assert np.nanmax(excited[1]) - np.nanmin(excited[1]) > 0.2
-    # While it planned, the rig swung freely at its safe input, and half its damping of 0.5/s takes a swing down. How long
-    # that took is the machine's affair: it is told by when the logs were written last, and by how long they are.
+    # While it planned, the rig swung freely at its safe input, and half its damping of 0.5/s takes a swing down. How
+    # long that took is the machine's affair: it is told by when the logs were written last, and by their lengths.
     for last, now, before, after in zip((excited, first), (first, second), files, files[1:], strict=False):
         planned = after.stat().st_mtime - 0.05 * now.shape[1] - before.stat().st_mtime
         assert planned > 1.0
