@@ -43,7 +43,7 @@ from dynasindy.told import tell
 from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.libraries import LibraryBuilder
 from dynasindy.world_models.models.ensemble import refits
-from dynasindy.world_models.refinement.measured import rates_known
+from dynasindy.world_models.refinement.measured import ranged, rates_known
 from dynasindy.world_models.refinement.order import moving_on
 
 PERIOD = 0.05
@@ -133,7 +133,8 @@ def identify(
         Diverged: A coefficient is not finite.
     """
     refinement = Refinement(method, longest_delay=longest_delay)
-    model = SindyModel(log.signature, library, Regression("bic", tolerance=1e-4), refinement, known=known)
+    signature = ranged(log.signature, log.transitions, known or {})
+    model = SindyModel(signature, library, Regression("bic", tolerance=1e-4), refinement, known=known)
     tell("fit")
     rates = {state: rate for rate, state in rates_of(model).items()}
     for found in mismatched(log.transitions, log.signature, rates):
@@ -183,7 +184,9 @@ def plan(
         raise ValueError(
             f"the model's inputs act {model.delay:.3g} s late, which only an observer makes up for; give log="
         )
-    pace = Pace(task, dt or _period(log), stops=model.stops)
+    if log is not None:
+        task = task.as_logged(log.transitions.x.double().nanmedian(0).values.nan_to_num(nan=0.0))
+    pace = Pace(task, dt or nearest_period(log), stops=model.stops)
     if log is not None and sensors is None:
         sensors = sensors_of(log, model)
     observer = None if sensors is None else watching(model, sensors, pace, log)
@@ -299,10 +302,13 @@ def watching(model: SindyModel, sensors: Sensors, pace: Pace, log: Recording | N
     return observer
 
 
-def _period(log: Recording | None) -> float:
-    """Return the control period that suits a log: the multiple of its sampling time nearest to `PERIOD` [s]."""
+def nearest_period(log: Recording | Transitions | None, wanted: float = PERIOD) -> float:
+    """Return the control period that suits a log: the multiple of its sampling time nearest to the one wanted [s].
+
+    Of two that are as near it is the shorter; without a log it is the one wanted.
+    """
     if log is None:
-        return PERIOD
-    step = log.transitions.dt
-    period = step * max(1, math.ceil(PERIOD / step - 0.5 - 1e-6))
-    return PERIOD if math.isclose(period, PERIOD, rel_tol=1e-6) else period
+        return wanted
+    step = (log.transitions if isinstance(log, Recording) else log).dt
+    period = step * max(1, math.ceil(wanted / step - 0.5 - 1e-6))
+    return wanted if math.isclose(period, wanted, rel_tol=1e-6) else period

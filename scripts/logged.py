@@ -21,6 +21,7 @@ from dynasindy.evaluation.held import WITHIN
 from dynasindy.planning import GradientPlanning
 from dynasindy.terminal import say
 from dynasindy.viz.evaluation import draw_evaluation
+from dynasindy.workbench import nearest_period
 
 
 def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
@@ -40,6 +41,9 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
         for name in ("task", "world_model") if cfg.model is None else ("task",):  # a given model has its own library
             parts[name](signature=source.signature)
     say(f"Run folder: {folder}")
+    dt = nearest_period(source and source.training, cfg.env.dt)
+    if dt != cfg.env.dt:
+        say(f"note: the control period is {dt:g} s, the whole number of the log's samples nearest to env.dt={cfg.env.dt:g}")
     model = model_of(source, parts["world_model"], cfg.model)
     task = parts["task"](signature=model.signature)
     (folder / "metrics.json").unlink(missing_ok=True)  # of other settings
@@ -47,7 +51,7 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     write_json(folder / "origin.json", command_and_commit(HydraConfig.get()) | read)
     model.save(folder / "model.json")
     within = cfg.evaluation.get("within", WITHIN)
-    wanted = Wanted(task, parts["scenario"], parts["sensors"], cfg.env.dt, cfg.seed, within, planning)
+    wanted = Wanted(task, parts["scenario"], parts["sensors"], dt, cfg.seed, within, planning)
     controller = controller_of(model, source, wanted)
     prediction = judged(controller, model, source, wanted)
     write(folder, controller, model, prediction)

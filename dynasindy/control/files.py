@@ -15,7 +15,7 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -249,7 +249,8 @@ def _loaded_observer(record: Mapping[str, Any] | None, pace: Pace, file: Path) -
     if record is None:
         return None
     model = SindyModel.of_record(record["model"], file)
-    if model.signature != pace.task.signature:
+    # The ranges may differ: of an output that a log shows far beyond its targets, policy and model have each its own.
+    if replace(model.signature, x_scale=pace.task.signature.x_scale) != pace.task.signature:
         raise ValueError("the model of its observer has other states than the controller")
     observer = Observer(model, Sensors(**record["sensors"]), pace)
     observer.load_state_dict(record["state"])

@@ -26,7 +26,7 @@ from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.models.actuators import Found, behind, find_actuator
 from dynasindy.world_models.models.prediction import nrmse, one_step_error, open_loop
 from dynasindy.world_models.refinement.delay import delayed
-from dynasindy.world_models.refinement.measured import rates_known
+from dynasindy.world_models.refinement.measured import ranged, rates_known
 from dynasindy.world_models.refinement.order import moving_on
 from dynasindy.world_models.writers.tables import to_csv, to_latex, to_text
 
@@ -179,6 +179,8 @@ class Logged:
             unseen = data.x.isnan().all(0).tolist()
             ranges = zip(unseen, system.signature.x_scale, signature.x_scale, strict=True)
             signature = replace(signature, x_scale=tuple(plant if blind else own for blind, plant, own in ranges))
+        else:
+            signature = ranged(signature, data, self.known or {})
         return replace(recording, signature=signature)
 
     def _columns(self, system: System | None) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -18,6 +19,8 @@ from dynasindy.tasks.reward import ERROR_SHAPES, TrackingReward
 
 FENCE_WIDTH = 0.05
 """Way beyond a bound at which its cost turns from quadratic to linear [ranges of the state]."""
+FAR_BEYOND = 2.0
+"""How many times as far as its targets an output moved in a log that is then seen in the range of its targets."""
 
 
 class Tracking(Task):
@@ -89,6 +92,7 @@ class Tracking(Task):
                     f"state '{absent[0]}' does not exist; the states are {', '.join(signature.state_names)}: correct "
                     f"task.{key}, or plant.{key} from which it is copied"
                 )
+        self.begins = bool(start)
         self.output_names = tuple(outputs)
         self.outputs = [signature.state_index(name) for name in outputs]
         self.rates = [signature.state_index(name) for name in rates]
@@ -99,6 +103,7 @@ class Tracking(Task):
         self.n_r = reference.n_r
         self.n_o = signature.n_x + (2 if observe_rate else 1) * self.n_r
         self._box = _boxes(signature, self.outputs, low, high)
+        self.ends = None if low is None or high is None else (tuple(map(float, low)), tuple(map(float, high)))
         self.start = _ends(signature, "start", start or {}, torch.zeros(2, signature.n_x))
         unbounded = torch.tensor([[-math.inf], [math.inf]], dtype=torch.float64).expand(-1, signature.n_x)
         both = {name: [-v, v] if isinstance(v, int | float) else v for name, v in (bounds or {}).items()}
@@ -152,6 +157,31 @@ class Tracking(Task):
             )
         other = copy.copy(self)
         other._box = torch.tensor([float(extent) for extent in extents], dtype=torch.float64)
+        return other
+
+    def as_logged(self, typical: Tensor) -> Tracking:
+        """Return the same task for a plant that is known by a log alone.
+
+        Where no start was given, episodes begin where the log mostly was, outputs at the targets nearest to that. An
+        output that moved far beyond its targets, as an arm that was spun, is seen in the range of its targets: in that
+        of the log a policy could hardly tell one target from another.
+
+        Args:
+            typical: State of the log, `(n_x,)`, such as its median.
+        """
+        other, ranges = copy.copy(self), list(self.signature.x_scale)
+        typical = typical.double().clone()
+        for k, i in enumerate(self.outputs):
+            if self.ends is None:
+                continue
+            low, high = (ends[k] for ends in self.ends)
+            typical[i] = typical[i].clamp(low, high)
+            reach = max(-low, high)
+            if reach > 0 and ranges[i] > FAR_BEYOND * reach:
+                ranges[i] = reach
+        other.signature = replace(self.signature, x_scale=tuple(ranges))
+        if not self.begins:
+            other.start = typical.to(self.start).expand(2, -1).clone()
         return other
 
     def boxes(self) -> Tensor:
