@@ -109,7 +109,7 @@ def read(
 @_arguments_named()
 def identify(
     log: Recording,
-    library: str | Sequence[str] | LibraryBuilder = "auto",
+    library: str | Sequence[str] | LibraryBuilder = "auto_rig",
     known: Mapping[str, str] | None = None,
     method: Literal["integral", "one_step", "trajectory", "auto"] = "auto",
     longest_delay: float = LONGEST_DELAY,
@@ -118,8 +118,9 @@ def identify(
 
     Args:
         log: What `read` returned.
-        library: Candidate functions: a name of `dynasindy.world_models.libraries.NAMED`, or functions in words. `auto`
-            is quadratic polynomials, or for angles in rad and their rates in rad/s the functions of mechanics.
+        library: Candidate functions: a name of `dynasindy.world_models.libraries.NAMED`, or functions in words.
+            `auto_rig` is quadratic polynomials, or for angles in rad and their rates in rad/s the functions of
+            mechanics, and dry friction of every rate.
         known: Equations that are known, such as `{"angle": "rate"}`: the state's rate is that function.
         method: How the fit is refined; `auto` chooses by the noise of the data.
         longest_delay: Longest delay of the inputs that is looked for [s].

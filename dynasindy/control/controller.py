@@ -200,7 +200,8 @@ class Controller:
             given = [float(given.get(name, missing)) for name in names]
         values = torch.as_tensor(given, dtype=torch.float64).flatten()
         if values.numel() != len(names):
-            raise ValueError(f"{what} has {values.numel()} numbers; give one for each of {', '.join(names)}")
+            by_name = ", or those that are measured by name" if what == "measurement" and self.observer else ""
+            raise ValueError(f"{what} has {values.numel()} numbers; give one for each of {', '.join(names)}{by_name}")
         return values.clone()
 
     @staticmethod

@@ -242,6 +242,19 @@ def auto(signature: Signature) -> Library:
     return sum_of(signature, [mechanical, partial(polynomial, variables=[*others, *signature.input_names])])
 
 
+def auto_rig(signature: Signature) -> Library:
+    """Build what suits the units of a real plant: `auto`, and dry friction of each rate of an angle or a place.
+
+    Dry friction is tanh(v / width), which is full beyond a small rate v; the width is fitted.
+
+    Args:
+        signature: names and units of states and inputs; rates are the states whose unit is one per second.
+    """
+    units = zip(signature.state_names, signature.state_units, signature.x_scale, strict=True)
+    dry = [of("tanh", name, frequency=FULL / scale, fitted=True) for name, unit, scale in units if unit.endswith("/s")]
+    return Library(signature, [*auto(signature).features, *dry])
+
+
 NAMED: dict[str, LibraryBuilder] = {
     "paper_table": paper_table,
     "paper_equation": paper_equation,
@@ -254,6 +267,7 @@ NAMED: dict[str, LibraryBuilder] = {
     "dead_zone": dead_zone,
     "mechanical": mechanical,
     "auto": auto,
+    "auto_rig": auto_rig,
 }
 """Libraries that a word selects."""
 

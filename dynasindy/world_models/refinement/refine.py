@@ -214,7 +214,7 @@ class Refinement:
             name = first[0].signature.state_names[worst]
             why = f"of {name} a trajectory through all has {ratio[worst]:.2f} times the error of such windows"
             if not math.isfinite(ratio[worst]):
-                why = "of a trajectory through all no function is left"
+                why = "a fit of one trajectory through all samples leaves no function"
             elif float(ratio[worst]) <= WORSE:
                 return found, delay, (f"error=simulation: {why}, which noise of the sensors explains", *notes)
             else:
