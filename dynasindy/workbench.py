@@ -276,7 +276,7 @@ def sensors_of(log: Recording, model: SindyModel) -> Sensors | None:
         if seen:
             channels[name] = Channel(resolution=step) if step else Channel(noise=finest)
     rates = rates_of(model)
-    return None if exact and not model.delay else Sensors(channels, rates, disturbance=bool(rates))
+    return None if exact and not model.delay else Sensors(channels, rates, disturbance=True)
 
 
 def watching(model: SindyModel, sensors: Sensors, pace: Pace, log: Recording | None) -> Observer:

@@ -30,7 +30,7 @@ from dynasindy.sensing.sensors import LONGEST, Sensors
 from dynasindy.systems import Stops, System, integrate
 
 DRIFTING = 0.01
-"""Process noise of a push [ranges of the rate per second, in a second]."""
+"""Process noise of a push [its ranges, in the time in which its state may cross its own: a second for a rate]."""
 UNKNOWN = 0.1
 """Standard deviation of a state that is not measured when an episode begins, at rest [ranges of the state]."""
 STRAYING, FOLLOWING = 1.0, 1e-3
@@ -89,11 +89,14 @@ class Observer:
         self.dt, self.substeps, self.stops = env.dt, env.substeps, env.stops
         self.n_x = model.signature.n_x
         rates = sensors.rate_indices(model.signature)
-        self.pushed = list(rates.values()) if sensors.disturbance else []
+        measured = sensors.variance(model.signature)
+        self.pushed = list(rates.values()) or measured.isfinite().nonzero().flatten().tolist()
+        if not sensors.disturbance:
+            self.pushed = []
         scale = torch.tensor(model.signature.x_scale, dtype=torch.float64)
         self.scale = torch.cat([scale, scale[self.pushed]])
         self.kinematic = Kinematic(model.signature, rates)
-        variance = torch.cat([sensors.variance(model.signature), torch.full((len(self.pushed),), torch.inf)])
+        variance = torch.cat([measured, torch.full((len(self.pushed),), torch.inf)])
         self.variance = variance.clamp_min((FINEST * self.scale).square())
         self.q = torch.full_like(self.scale, STRAYING)
         self.q[list(rates)], self.q[self.n_x :] = FOLLOWING, DRIFTING
@@ -236,6 +239,7 @@ class Observer:
             The estimates on the log, `(T + 1, n_x)`.
         """
         self.nis = math.nan
+        self._size_pushes(y, u)
         self.q = self._candidates()
         means, nis, likelihoods = self.follow(y, u)
         chosen = int(likelihoods.sum(-1).argmax())
@@ -244,7 +248,8 @@ class Observer:
 
     def state_dict(self) -> dict[str, Any]:
         """Return what was learnt, the model apart."""
-        return {"process_noise": self.q.tolist(), "nis": self.nis}
+        ranges = self.scale[self.n_x :].tolist()
+        return {"process_noise": self.q.tolist(), "nis": self.nis, **({"push_ranges": ranges} if ranges else {})}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what `state_dict` returned.
@@ -258,6 +263,25 @@ class Observer:
                 f"an observer has a process noise > 0 for each of {len(self.scale)} states, got {q.tolist()}"
             )
         self.q, self.nis = q, None if nis is None else float(nis)
+        if "push_ranges" in state:
+            ranges = torch.tensor(state["push_ranges"], dtype=torch.float64)
+            if ranges.shape != (len(self.pushed),) or not bool((ranges > 0).all() and ranges.isfinite().all()):
+                raise ValueError(
+                    f"an observer has a range > 0 for each of {len(self.pushed)} pushes, got {state['push_ranges']}"
+                )
+            self.scale[self.n_x :] = ranges
+
+    def _size_pushes(self, y: Tensor, u: Tensor) -> None:
+        """Take as the range of a push on a state that is no rate what usually moves that state [its unit per second].
+
+        A rate's range in a second is right for machines, not for what takes minutes, as a tank does.
+        """
+        if self.sensors.rate_indices(self.model.signature) or not self.pushed:
+            return
+        x = y[:-1, : self.n_x].double().nan_to_num(nan=0.0)
+        moves = self.model(x, u.double())[:, self.pushed]
+        usual = moves.where(moves.isfinite(), 0.0).square().mean(0).sqrt()
+        self.scale[self.n_x :] = torch.where(usual > 0, usual, self.scale[: self.n_x][self.pushed])
 
     def _candidates(self) -> Tensor:
         """Return the process noises to choose from, `(rows, n)`."""
@@ -270,7 +294,9 @@ class Observer:
                 pushed = PUSHED.unsqueeze(-1).repeat(1, n)
                 pushed[:, followed] = FOLLOWING
                 q = torch.cat([q, pushed])
-        q[:, self.n_x :] = DRIFTING
+        # A push drifts by so much of its range in the time in which its state may cross its own.
+        seconds = self.scale[: self.n_x][self.pushed] / self.scale[self.n_x :]
+        q[:, self.n_x :] = DRIFTING / seconds.sqrt()
         return q
 
     def late(self) -> tuple[int, float]:

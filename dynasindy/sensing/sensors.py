@@ -54,7 +54,8 @@ class Sensors:
         actuator_delay: Control periods from a command to the actuator, known to nobody.
         process_noise: Standard deviation by which a state strays from the model in a second [ranges of the state];
             None has it adapted to the model.
-        disturbance: Estimate a constant push on each state in `rates`, and counteract it.
+        disturbance: Estimate a constant push on each rate in `rates`, or if there is none on each measured state, and
+            counteract it.
 
     Raises:
         ValueError: Nothing is measured, a channel is none, or a number is out of range.
@@ -80,8 +81,6 @@ class Sensors:
                 f"sensors have delay={self.delay}, actuator_delay={self.actuator_delay}, lost={self.lost}; give delays "
                 f"of 0 to {LONGEST} control periods and a probability in [0, 1)"
             )
-        if self.disturbance and not self.rates:
-            raise ValueError("sensors.disturbance is a push on a rate; name in sensors.rates which state is a rate")
         if self.process_noise is not None and not 0 < self.process_noise < math.inf:
             raise ValueError(f"sensors.process_noise is {self.process_noise}; give a number > 0, or null to adapt it")
 
