@@ -200,7 +200,7 @@ class Controller:
             given = [float(given.get(name, missing)) for name in names]
         values = torch.as_tensor(given, dtype=torch.float64).flatten()
         if values.numel() != len(names):
-            by_name = ", or those that are measured by name" if what == "measurement" and self.observer else ""
+            by_name = ", or those that are measured by name" if what == "measurement" else ""
             raise ValueError(f"{what} has {values.numel()} numbers; give one for each of {', '.join(names)}{by_name}")
         return values.clone()
 

@@ -94,10 +94,20 @@ class Prediction:
         lost += sorted({f"{name} runs on, which nothing depends on" for flight in flown for name in flight.idle})
         diverged = len(flown) < n or any(away for _, away in fates)
         if not (self.controlled or diverged):
-            lost.append("nothing runs away: a longer plan, of more updates, may hold it, or a smaller range of targets")
+            lost.append(self._advice(flown))
         asked = f", {100 * self.within:g} % is asked for, and {100 * LOST * self.within:g} % at worst"
         verdict = "CONTROLLED" if self.controlled else f"{lacking}{asked if self._missed else ''}"
         return f"{start}: {verdict}: {'; '.join([*told, *lost])}"
+
+    def _advice(self, flown: Sequence[Held]) -> str:
+        """Say what may help where nothing runs away."""
+        shares = [max(_number(share) for share in flight.share.values()) for flight in flown]
+        if not self.own and min(shares) <= self.within < max(shares):
+            return (
+                "some models are held and others are not, by what the log leaves open: log longer, let the inputs "
+                "change more often and more widely, or name functions and states that the model lacks"
+            )
+        return "nothing runs away: a longer plan, of more updates, may hold it, or a smaller range of targets"
 
     def record(self) -> dict[str, Any]:
         """Return what `metrics.json` holds of it."""

@@ -78,8 +78,9 @@ def found_in_model(model: SindyModel) -> list[str]:
         lines.append(f"the inputs act {1e3 * model.delay:.3g} ms late")
     of_rate = rates_known(model.library, model.constraints)
     for i in range(len(names)):
-        terms = [model.library.features[k] for k in model.coefficients[:, i].nonzero().flatten().tolist()]
-        if any(factor.function == "tanh" and names[i] in factor.variables for f in terms for factor in f.factors):
+        used = model.coefficients[:, i].nonzero().flatten().tolist()
+        terms = [model.library.features[k] for k in used]
+        if any(_is_dry(model.library.features[k], names[i]) and model.coefficients[k, i] < 0 for k in used):
             lines.append(f"{names[i]}' has dry friction")
         if i in of_rate and any(_is_spring(f, names[of_rate[i]]) for f in terms):
             lines.append(f"{names[i]}' has a spring in {names[of_rate[i]]}")
@@ -98,6 +99,11 @@ def found_in_data(data: Transitions, signature: Signature) -> list[str]:
     if driven := [name for name, told in zip(signature.input_names, closed_loop(data), strict=True) if told]:
         lines.append(f"a controller made {' and '.join(driven)} out of the measured states (closed loop)")
     return lines
+
+
+def _is_dry(feature: Feature, rate: str) -> bool:
+    """Tell what opposes a rate alike at any speed; of the other sign it would drive."""
+    return any(factor.function == "tanh" and rate in factor.variables for factor in feature.factors)
 
 
 def _is_spring(feature: Feature, angle: str) -> bool:

@@ -245,14 +245,16 @@ def auto(signature: Signature) -> Library:
 def auto_rig(signature: Signature) -> Library:
     """Build what suits the units of a real plant: `auto`, and dry friction of each rate of an angle or a place.
 
-    Dry friction is tanh(v / width), which is full beyond a small rate v; the width is fitted.
+    Dry friction is tanh(v / width), which is full beyond a small rate v; the width is fitted. Of two rates or more it
+    is there times cos a of each angle a, too: what rubs on a cart turns the pole on it.
 
     Args:
         signature: names and units of states and inputs; rates are the states whose unit is one per second.
     """
     units = zip(signature.state_names, signature.state_units, signature.x_scale, strict=True)
     dry = [of("tanh", name, frequency=FULL / scale, fitted=True) for name, unit, scale in units if unit.endswith("/s")]
-    return Library(signature, [*auto(signature).features, *dry])
+    turned = [f * of("cos", angle) for f in dry for angle in angles_of(signature)] if len(dry) > 1 else []
+    return Library(signature, [*auto(signature).features, *dry, *turned])
 
 
 NAMED: dict[str, LibraryBuilder] = {

@@ -16,12 +16,13 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement.delay import delayed, fine_delay, known_inputs, rough_delay
+from dynasindy.world_models.refinement.descent import Descent
 from dynasindy.world_models.refinement.measured import Seen, rates_known, reconstruct
 from dynasindy.world_models.refinement.one_step import refine_one_step
 from dynasindy.world_models.refinement.order import moving_on
 from dynasindy.world_models.refinement.shapes import fit_shapes
 from dynasindy.world_models.refinement.shooting import RunsAway
-from dynasindy.world_models.refinement.trajectory import WORSE, Descent, Fitted, few_steps, refine_trajectory, strain
+from dynasindy.world_models.refinement.trajectory import WORSE, Fitted, few_steps, refine_trajectory, strain
 from dynasindy.world_models.regression.regression import Regression, RunningSums
 from dynasindy.world_models.writers.fast_field import generate
 

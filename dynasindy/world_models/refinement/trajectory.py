@@ -12,7 +12,8 @@ that of a prediction over one window, which random pushes on the plant spoil les
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -21,7 +22,8 @@ from torch import Tensor
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.repeated import repetition
+from dynasindy.world_models.refinement.descent import Descent, Limits, price
+from dynasindy.world_models.refinement.plainer import plainer
 from dynasindy.world_models.refinement.shooting import (
     EXACT,
     Estimate,
@@ -60,59 +62,12 @@ NEGLIGIBLE = 1e-6
 """Part of the spread of a state below which its error is of the arithmetic, and tells nothing of the plant."""
 
 
-@dataclass(frozen=True)
-class Descent:
-    """Say how trajectories are fitted.
-
-    Attributes:
-        window: sampling intervals in a window; fewer where the model runs away in windows as long as that.
-        joined: whether the windows join to one trajectory; by default they do in the end, but not while functions are
-            chosen where small errors grow along the trajectory, as in chaos.
-        max_rounds: limit on Gauss-Newton steps between two changes of the equations.
-        correlated: whether a coefficient must be worth the more, the longer errors last.
-        pushed: whether windows on their own are corrected by a Kalman filter, as far as random pushes on the plant and
-            noise of the sensors, both estimated, explain what it leaves over.
-        coloured: whether errors of a trajectory are taken to last, as long as they do.
-    """
-
-    window: int
-    joined: bool | None = None
-    max_rounds: int = 30
-    correlated: bool = False
-    pushed: bool = False
-    coloured: bool = False
-
-    @property
-    def joins(self) -> bool:
-        """Tell whether windows may join."""
-        return self.joined is not False and not self.pushed
-
-
 class Fitted(NamedTuple):
     """Hold the library with its shapes, coefficients `(n_features, n_x)`, and the length of the windows in the end."""
 
     library: Library
     coefficients: Tensor
     window: int
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Say what a coefficient must be worth, and how many steps are made.
-
-    Attributes:
-        price: squared error, in units of its variance, that a coefficient must be worth where errors are white.
-        max_rounds: limit on Gauss-Newton steps between two changes of the equations.
-        correlated: whether it must be worth the more, the longer errors last.
-    """
-
-    price: float
-    max_rounds: int
-    correlated: bool = False
-
-    def at(self, errors: Tensor, windows: Windows) -> float:
-        """Return what a coefficient must be worth where a model leaves over these errors, `(W, L, n_x)`."""
-        return self.price * repetition(errors, windows.mask, windows.joined) if self.correlated else self.price
 
 
 def refine_trajectory(
@@ -192,19 +147,6 @@ def _weighed(found: Estimate, free: Tensor, windows: Windows, descent: Descent) 
     return replace(windows, lasting=lasting_of(found, windows))
 
 
-def price(n: int, free: Tensor) -> float:
-    """Return the squared weighted error that a coefficient must be worth: extended Bayesian criterion.
-
-    The more functions there are to choose from, the better is the best one of those that mean nothing (Chen and
-    Chen 2008).
-
-    Args:
-        n: transitions.
-        free: coefficients that may be estimated, bool `(n_features, n_x)`.
-    """
-    return math.log(max(n, 2)) + 2 * math.log(max(int(free.sum(0).max()), 1))
-
-
 def _grows(estimate: Estimate, windows: Windows) -> tuple[float, Tensor]:
     """Return how much small errors grow, and which windows join if they may not grow beyond all measure."""
     flow = Flow.of(estimate, Parameters.where(estimate.xi != 0), windows)
@@ -239,6 +181,21 @@ def _search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) 
         if changed is None:
             break
         estimate, support = changed, chosen.support(support.shape)
+    for place in range(len(estimate.library.shapes)):
+        found = plainer(estimate.library, estimate.xi, free, place)
+        if found is not None:
+            estimate = _cheaper(estimate, replace(estimate, xi=found), free, windows, limits)
+    return estimate
+
+
+def _cheaper(estimate: Estimate, simple: Estimate, free: Tensor, windows: Windows, limits: Limits) -> Estimate:
+    """Return the simpler one of two estimates where what it loses is not worth a coefficient."""
+    with suppress(RunsAway):
+        simple, support = _descend(simple, (simple.xi != 0) & free, windows, limits)
+        models = (linearise(e, Parameters.where((e.xi != 0) & free), windows) for e in (estimate, simple))
+        (before, full), (after, _) = ((left_over(model, windows), model) for model in models)
+        if bool(support.any()) and 2 * (after - before) <= limits.at(full.errors, windows):
+            return simple
     return estimate
 
 

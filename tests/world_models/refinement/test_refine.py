@@ -15,11 +15,12 @@ from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.features import CONSTANT, variable
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement import refine
+from dynasindy.world_models.refinement.descent import Descent
 from dynasindy.world_models.refinement.measured import reconstruct
 from dynasindy.world_models.refinement.one_step import refine_one_step
 from dynasindy.world_models.refinement.refine import METHODS, Refinement, looks_noisy
 from dynasindy.world_models.refinement.shooting import RunsAway
-from dynasindy.world_models.refinement.trajectory import Descent, refine_trajectory
+from dynasindy.world_models.refinement.trajectory import refine_trajectory
 from dynasindy.world_models.regression.regression import Regression, RunningSums, integral_form, simpson_form
 
 SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
