@@ -25,7 +25,7 @@ from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
 from dynasindy.told import hearing
-from dynasindy.workbench import _period, foretell, sensors_of
+from dynasindy.workbench import nearest_period, foretell, sensors_of
 
 COUNT = 2 * math.pi / 4096
 WORDS = ["1", "u", "theta", "Omega", "sin(theta)", "Omega^2"]
@@ -150,7 +150,7 @@ def test_the_control_period_is_the_nearest_multiple_of_the_logs(exact):
 @pytest.mark.parametrize(("step", "period"), [(0.01, 0.05), (0.02, 0.04), (0.03, 0.06), (0.04, 0.04), (0.2, 0.2)])
 def test_a_control_period_is_never_shorter_than_a_sample(exact, step, period):
     changed = replace(exact, transitions=replace(exact.transitions, dt=step))
-    assert _period(changed) == pytest.approx(period)
+    assert nearest_period(changed) == pytest.approx(period)
 
 
 def test_an_observer_makes_up_for_a_delay(exact, late):

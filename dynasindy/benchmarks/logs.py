@@ -1,0 +1,169 @@
+"""Plants that are known by a log alone, all settings at their defaults: what is foretold, and what the plant then does.
+
+Each log is made behind sensors, without rates. `train.py data=csv` identifies, plans and foretells; the controller that
+it leaves is flown on the true plant, behind the same sensors, to targets drawn within their range.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+import dynasindy
+from dynasindy import Controller
+from dynasindy.benchmarks.instruments.commit import commit
+from dynasindy.benchmarks.instruments.logged import CASES, SUBSTEPS, Case
+from dynasindy.evaluation.files import with_units, write_csv
+from dynasindy.evaluation.rows import Row, append_rows, read_rows
+from dynasindy.sensing import Sensors
+from dynasindy.systems import Signature, integrate
+
+ROOT = Path(__file__).resolve().parents[2]
+COLUMNS = (
+    *("plant", "seed", "foretold", "foretold_percent", "output", "error_percent", "worst_percent"),
+    *("terms", "cpu_seconds", "commit"),
+)
+TARGETS, LAST = 8, 0.25
+"""Targets that are flown to, and the part at the end of a flight over which errors are averaged."""
+FAR = 1e6
+"""State beyond which a flight has run away."""
+
+
+def main(argv: list[str]) -> None:
+    """Log, plan and fly, and append a row per output."""
+    parser = argparse.ArgumentParser(prog="benchmark.py logs", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--plants", nargs="+", choices=CASES, default=list(CASES))
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(3)))
+    parser.add_argument("--out", type=Path, default=Path("docs/results/logs.csv"), help="CSV file to append to")
+    arguments = parser.parse_args(argv)
+    torch.set_num_threads(1)
+    done = {(row["plant"], int(row["seed"])) for row in read_rows(arguments.out)}
+    for seed in arguments.seeds:
+        for plant in [name for name in arguments.plants if (name, seed) not in done]:
+            rows = measure(plant, seed)
+            append_rows(arguments.out, COLUMNS, rows)
+            for row in rows:
+                print(", ".join(f"{key} {value}" for key, value in row.items()), flush=True)
+
+
+def measure(name: str, seed: int) -> list[Row]:
+    """Return a row per output of one plant and seed.
+
+    Raises:
+        RuntimeError: The command left no `metrics.json`.
+    """
+    case = CASES[name]
+    with tempfile.TemporaryDirectory() as folder:
+        log, place = Path(folder) / "log.csv", Path(folder) / "run"
+        write_log(case, log, seed)
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        done = subprocess.run(
+            [sys.executable, str(ROOT / "scripts" / "train.py"), *words(case, log), f"seed={seed}", f"folder={place}"],
+            cwd=folder,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        if not (place / "metrics.json").is_file():
+            raise RuntimeError(f"train.py left no metrics.json for {name}, seed {seed}: {done.stderr[-500:]}")
+        found = json.loads((place / "metrics.json").read_text())
+        errors = flown(case, dynasindy.load(place), seed)
+    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return rows_of(name, seed, found, errors, spent)
+
+
+def words(case: Case, log: Path) -> list[str]:
+    """Return what the user of such a plant gives on the command line."""
+    ends = list(zip(*case.targets.values(), strict=True))
+    given = [
+        f"plant.outputs=[{','.join(case.targets)}]",
+        *(f"plant.{k}={list(v)}" for k, v in zip(("low", "high"), ends)),
+    ]
+    if case.known:
+        given.append(f"plant.known={{{','.join(f'{state}:{rate}' for state, rate in case.known.items())}}}")
+    return ["data=csv", f"data.path={log}", *(word.replace(" ", "") for word in given), *case.words]
+
+
+def write_log(case: Case, path: Path, seed: int) -> None:
+    """Write the log of a plant: time, what its sensors measure, the input."""
+    y, u = case.record(seed)
+    seen = list(case.sensors)
+    columns = y[:, [list(case.states).index(name) for name in seen]]
+    signature = Signature(tuple(seen), tuple(case.states[name] for name in seen), ("u",), (1.0,) * len(seen))
+    time = case.dt * torch.arange(len(u), dtype=torch.float64).unsqueeze(-1)
+    write_csv(path, with_units(["time", *seen, "u"], signature), torch.cat([time, columns, u], -1).tolist())
+
+
+def flown(case: Case, controller: Controller, seed: int) -> NDArray[np.float64]:
+    """Return the errors at the end of each flight [target ranges], infinite where it ran away, `(TARGETS, n_outputs)`.
+
+    An output that is held at one value has the range of the state in the controller's log.
+
+    Args:
+        case: The plant.
+        controller: Flies it.
+        seed: Seed of targets and of the sensors' noise.
+    """
+    plant, sensors = case.plant, Sensors(case.sensors)
+    rng = torch.Generator().manual_seed(1000 + seed)
+    low, high = torch.tensor(list(case.targets.values()), dtype=torch.float64).unbind(-1)
+    outputs = [list(case.states).index(name) for name in case.targets]
+    ranges = torch.tensor([controller.signature.x_scale[controller.signature.state_index(n)] for n in case.targets])
+    ranges = torch.where(high > low, high - low, ranges.double())
+    found = []
+    for _ in range(TARGETS):
+        target = low + (high - low) * torch.rand(len(low), generator=rng, dtype=torch.float64)
+        x, errors = case.begins, []
+        controller.reset()
+        periods = round(case.flight / controller.dt)
+        for k in range(periods):
+            y = sensors.read(x, plant.signature, rng)
+            measured = {name: float(y[list(case.states).index(name)]) for name in case.sensors}
+            u = torch.from_numpy(controller.act(measured, target.tolist()))
+            x = integrate(plant, x, u, controller.dt, SUBSTEPS * max(1, round(controller.dt / case.dt)))[0][-1]
+            if not bool((x.abs() < FAR).all()):
+                errors = [torch.full_like(target, torch.inf)]
+                break
+            if k >= (1 - LAST) * periods:
+                errors.append((x[outputs] - target).abs())
+        found.append(torch.stack(errors).mean(0) / ranges)
+    return torch.stack(found).numpy()
+
+
+def rows_of(name: str, seed: int, metrics: dict[str, Any], errors: NDArray[np.float64], seconds: float) -> list[Row]:
+    """Return a row per output.
+
+    Args:
+        name: Name of the plant.
+        seed: Seed of log, plan and flights.
+        metrics: What `metrics.json` holds.
+        errors: What `flown` returned.
+        seconds: CPU time of the command [s].
+    """
+    prediction = metrics["prediction"]
+    score = prediction["score"]
+    terms = sum(1 + line.count(" + ") + line.count(" - ") for line in metrics["equations"])
+    return [
+        {
+            **{"plant": name, "seed": seed},
+            "foretold": "CONTROLLED" if prediction["controlled"] else "NOT promised",
+            "foretold_percent": "inf" if score is None else f"{100 * score:.3g}",
+            **{"output": output, "error_percent": f"{100 * errors[:, k].mean():.3g}"},
+            "worst_percent": f"{100 * errors[:, k].max():.3g}",
+            **{"terms": terms, "cpu_seconds": round(seconds, 1), "commit": commit()},
+        }
+        for k, output in enumerate(CASES[name].targets)
+    ]
