@@ -191,8 +191,8 @@ def step_references(low: Sequence[float], high: Sequence[float], number: Count =
             f"plant.low={list(low)} and plant.high={list(high)} differ in length; give one end per output in each"
         )
     points = torch.quasirandom.SobolEngine(len(low), scramble=True, seed=seed).draw(number)
-    targets = torch.lerp(torch.tensor(low), torch.tensor(high), points)
-    worth_a_figure = 0.75 * torch.tensor(high)
+    lower, upper = (torch.tensor([float(end) for end in ends]) for ends in (low, high))
+    targets, worth_a_figure = torch.lerp(lower, upper, points), 0.75 * upper
     return Step(targets[(targets - worth_a_figure).square().sum(-1).argsort()].tolist())
 
 
