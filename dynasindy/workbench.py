@@ -276,7 +276,7 @@ def sensors_of(log: Recording, model: SindyModel) -> Sensors | None:
         if seen:
             channels[name] = Channel(resolution=step) if step else Channel(noise=finest)
     rates = rates_of(model)
-    return None if exact and not model.delay else Sensors(channels, rates, disturbance=True)
+    return None if exact and not model.delay else Sensors(channels, rates, disturbance=bool(rates) or not exact)
 
 
 def watching(model: SindyModel, sensors: Sensors, pace: Pace, log: Recording | None) -> Observer:
@@ -307,7 +307,12 @@ def nearest_period(log: Recording | Transitions | None, wanted: float = PERIOD) 
     """Return the control period that suits a log: the multiple of its sampling time nearest to the one wanted [s].
 
     Of two that are as near it is the shorter; without a log it is the one wanted.
+
+    Raises:
+        ValueError: The one wanted is not positive.
     """
+    if not wanted > 0:
+        raise ValueError(f"env.dt must be a time > 0, got {wanted} s; the default is {PERIOD} s")
     if log is None:
         return wanted
     step = (log.transitions if isinstance(log, Recording) else log).dt

@@ -40,10 +40,13 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     if source is not None:  # what cannot be is refused before the fit
         for name in ("task", "world_model") if cfg.model is None else ("task",):  # a given model has its own library
             parts[name](signature=source.signature)
-    say(f"Run folder: {folder}")
     dt = nearest_period(source and source.training, cfg.env.dt)
+    say(f"Run folder: {folder}")
     if dt != cfg.env.dt:
-        say(f"note: the control period is {dt:g} s, the whole number of the log's samples nearest to env.dt={cfg.env.dt:g}")
+        say(
+            f"note: the control period is {dt:g} s, the multiple of the log's sampling time nearest to "
+            f"env.dt={cfg.env.dt:g}"
+        )
     model = model_of(source, parts["world_model"], cfg.model)
     task = parts["task"](signature=model.signature)
     (folder / "metrics.json").unlink(missing_ok=True)  # of other settings

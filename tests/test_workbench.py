@@ -25,7 +25,7 @@ from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
 from dynasindy.told import hearing
-from dynasindy.workbench import nearest_period, foretell, sensors_of
+from dynasindy.workbench import foretell, nearest_period, sensors_of
 
 COUNT = 2 * math.pi / 4096
 WORDS = ["1", "u", "theta", "Omega", "sin(theta)", "Omega^2"]
@@ -165,7 +165,7 @@ def test_an_observer_makes_up_for_a_delay(exact, late):
         for u in waiting[:2]:
             ahead = plant.advance(ahead, u)[0][-1]
         x = plant.advance(x, waiting.pop(0))[0][-1]
-    np.testing.assert_allclose(controller.estimate, ahead.numpy(), atol=0.01)
+    np.testing.assert_allclose(controller.estimate, ahead.numpy(), atol=0.02)
 
 
 def test_exact_states_need_an_observer_where_inputs_are_late(exact, late):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import resource
 import subprocess
@@ -61,7 +62,7 @@ def measure(name: str, seed: int) -> list[Row]:
     """Return a row per output of one plant and seed.
 
     Raises:
-        RuntimeError: The command left no `metrics.json`.
+        RuntimeError: The command left no model.
     """
     case = CASES[name]
     with tempfile.TemporaryDirectory() as folder:
@@ -77,10 +78,12 @@ def measure(name: str, seed: int) -> list[Row]:
             check=False,
         )
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        if not (place / "metrics.json").is_file():
-            raise RuntimeError(f"train.py left no metrics.json for {name}, seed {seed}: {done.stderr[-500:]}")
-        found = json.loads((place / "metrics.json").read_text())
-        errors = flown(case, dynasindy.load(place), seed)
+        if not (place / "model.json").is_file():
+            raise RuntimeError(f"train.py left no model for {name}, seed {seed}: {done.stderr[-500:]}")
+        found, errors = None, np.full((1, len(case.targets)), math.inf)
+        if (place / "metrics.json").is_file():
+            found = json.loads((place / "metrics.json").read_text())
+            errors = flown(case, dynasindy.load(place), seed)
     spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return rows_of(name, seed, found, errors, spent)
 
@@ -143,27 +146,29 @@ def flown(case: Case, controller: Controller, seed: int) -> NDArray[np.float64]:
     return torch.stack(found).numpy()
 
 
-def rows_of(name: str, seed: int, metrics: dict[str, Any], errors: NDArray[np.float64], seconds: float) -> list[Row]:
+def rows_of(
+    name: str, seed: int, metrics: dict[str, Any] | None, errors: NDArray[np.float64], seconds: float
+) -> list[Row]:
     """Return a row per output.
 
     Args:
         name: Name of the plant.
         seed: Seed of log, plan and flights.
-        metrics: What `metrics.json` holds.
+        metrics: What `metrics.json` holds; None if the command ended without a controller.
         errors: What `flown` returned.
         seconds: CPU time of the command [s].
     """
-    prediction = metrics["prediction"]
-    score = prediction["score"]
-    terms = sum(1 + line.count(" + ") + line.count(" - ") for line in metrics["equations"])
+    prediction: dict[str, Any] = metrics["prediction"] if metrics else {"controlled": False, "score": None}
+    score, equations = prediction["score"], metrics["equations"] if metrics else []
+    foretold = "CONTROLLED" if prediction["controlled"] else "NOT promised"
     return [
         {
-            **{"plant": name, "seed": seed},
-            "foretold": "CONTROLLED" if prediction["controlled"] else "NOT promised",
+            **{"plant": name, "seed": seed, "foretold": foretold if metrics else "no controller"},
             "foretold_percent": "inf" if score is None else f"{100 * score:.3g}",
             **{"output": output, "error_percent": f"{100 * errors[:, k].mean():.3g}"},
             "worst_percent": f"{100 * errors[:, k].max():.3g}",
-            **{"terms": terms, "cpu_seconds": round(seconds, 1), "commit": commit()},
+            "terms": sum(1 + line.count(" + ") + line.count(" - ") for line in equations),
+            **{"cpu_seconds": round(seconds, 1), "commit": commit()},
         }
         for k, output in enumerate(CASES[name].targets)
     ]

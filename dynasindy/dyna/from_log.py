@@ -12,10 +12,12 @@ from dynasindy.control.files import NAME
 from dynasindy.data.csv import Recording
 from dynasindy.evaluation.files import write_json
 from dynasindy.evaluation.held import WITHIN
+from dynasindy.evaluation.horizons import forecast
 from dynasindy.evaluation.identification import Source, missing_rates, wrong_units
 from dynasindy.evaluation.predicted import Prediction
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.summary import heading, summarise, to_text
+from dynasindy.evaluation.verdict import doubts
 from dynasindy.sensing import Sensors
 from dynasindy.tasks import Tracking
 from dynasindy.terminal import say, width
@@ -88,7 +90,11 @@ def judged(controller: Controller, model: SindyModel, source: Source | None, wan
     """Predict what a controller will do on models that its plan never saw; without a log, on its own."""
     unseen = None if source is None else source.validation
     scenario = replace(wanted.scenario, seconds=None)  # as long as the task's episodes
-    return foretell(controller, model, unseen, scenario, wanted.seed, wanted.within)
+    found = foretell(controller, model, unseen, scenario, wanted.seed, wanted.within)
+    if source is None:
+        return found
+    forecasts = forecast(model, source.training, source.validation)
+    return found if forecasts is None else replace(found, doubts=tuple(doubts(forecasts, model.signature)))
 
 
 def write(folder: Path, controller: Controller, model: SindyModel, prediction: Prediction) -> None:

@@ -33,6 +33,7 @@ class Prediction:
         within: Mean absolute error at the end that is asked for, in target ranges.
         errors: Mean absolute error of each model's whole flights, of the worst output, in target ranges; infinite of
             one that ran away.
+        doubts: Why the models, though they agree, are not to be relied on, a sentence each.
     """
 
     flights: tuple[Held | None, ...]
@@ -40,11 +41,13 @@ class Prediction:
     own: bool = False
     within: float = WITHIN
     errors: tuple[float, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     @property
     def controlled(self) -> bool:
-        """Whether the controller holds every model as near as is asked for, and nothing else of it runs away."""
-        return not self._missed and all(flight is not None and not flight.away for flight in self.flights)
+        """Whether the controller holds every model as near as is asked for, and nothing speaks against the models."""
+        held = all(flight is not None and not flight.away for flight in self.flights)
+        return not self._missed and held and not self.doubts
 
     @property
     def promised(self) -> bool:
@@ -93,8 +96,9 @@ class Prediction:
         lost += sorted(f"{name}, which is not tracked, {_fate(away)}" for name, away in fates)
         lost += sorted({f"{name} runs on, which nothing depends on" for flight in flown for name in flight.idle})
         diverged = len(flown) < n or any(away for _, away in fates)
-        if not (self.controlled or diverged):
+        if not (self.controlled or diverged or self.doubts):
             lost.append(self._advice(flown))
+        lost += self.doubts
         asked = f", {100 * self.within:g} % is asked for, and {100 * LOST * self.within:g} % at worst"
         verdict = "CONTROLLED" if self.controlled else f"{lacking}{asked if self._missed else ''}"
         return f"{start}: {verdict}: {'; '.join([*told, *lost])}"

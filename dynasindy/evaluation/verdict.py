@@ -19,6 +19,8 @@ RESOLVED = 2.0
 """Error up to which a prediction is as good as a sensor can tell [what the sensor resolves]."""
 LOST = 10.0
 """Error beyond which a prediction has run away [ranges of the state]."""
+BEHIND = 0.5
+"""Part of a model's error that a linear model on past samples may have, below which something is missing."""
 HELPFUL = 0.5
 """Part of the error of the last value held that a model may have that predicts."""
 
@@ -68,6 +70,23 @@ def judge(forecasts: Forecasts, signature: Signature) -> list[str]:
     lines = [f"this model predicts {ahead} ahead{near}"]
     if behind := [i for i in seen if i not in fine and float(simple[i]) < 0.9 * float(ours[i])]:
         lines.append(f"a linear model on past samples predicts {_listed(names, behind)} better: a function is missing")
+    return lines
+
+
+def doubts(forecasts: Forecasts, signature: Signature) -> list[str]:
+    """Say which states a linear model on past samples predicts far better: what it knows of the past, a state lacks."""
+    lines, (horizons, n_x) = [], forecasts.model.shape
+    for i in range(n_x):
+        ours, simple = forecasts.model[:, i], forecasts.linear[:, i]
+        known = ours > RESOLVED * forecasts.resolution[i]
+        worse = [k for k in range(horizons) if bool(known[k]) and float(simple[k]) < BEHIND * float(ours[k])]
+        if worse:
+            k, unit = worse[0], signature.state_units[i]
+            lines.append(
+                f"a linear model on past samples predicts {signature.state_names[i]} {forecasts.horizons[k]:g} s ahead "
+                f"to {_short(float(simple[k]))} {unit}, this one to {_short(float(ours[k]))} {unit}: a function is "
+                "missing, or a state that no sensor sees, as of a motor that follows its command slowly"
+            )
     return lines
 
 

@@ -320,6 +320,9 @@ class Episodes:
         if planner.replay is not None and len(real := planner.replay.real):
             self.real_states = real[:]["state"].to(self.rows.x)
         largest = self.real_states.abs().amax(0)
+        if planner.replay is None:  # where episodes begin says nothing of how far they go
+            ranges = torch.tensor(planner.env.task.signature.x_scale).to(largest)
+            largest = largest.maximum(ranges).where(largest > 0, largest)
         # A state that never moved says nothing of its range.
         self.rows.reach = torch.where(largest > 0, DIVERGED * largest, torch.inf)
 

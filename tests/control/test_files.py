@@ -119,7 +119,10 @@ def damaged(tmp_path, change):
         (lambda r: r["policy"][0].update(out=10**9), "at most 20 of 1 to 4096"),
         (lambda r: r["policy"].pop(), "maps 4 numbers to 5"),
         (lambda r: r["observer"]["model"].update(format="x"), "is not of the format"),
-        (lambda r: r["observer"]["model"]["signature"].update(x_scale=[1.0, 1.0]), "other states than the controller"),
+        (
+            lambda r: r["observer"]["model"]["signature"].update(state_units=["m", "m/s"]),
+            "other states than the controller",
+        ),
         (lambda r: r["observer"]["state"].update(process_noise=[1.0]), "process noise"),
         (lambda r: r["observer"]["sensors"].update(lost=2), "probability"),
         (lambda r: r["task"]["stops"].update(low=[5.0]), "stops need low < high"),

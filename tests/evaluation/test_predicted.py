@@ -185,6 +185,12 @@ def test_a_plan_that_was_too_short_is_told_from_one_that_diverges():
         assert longer not in Prediction(gone).words() and "away" in Prediction(gone).words()
 
 
+def test_models_of_which_some_are_held_ask_for_a_better_log_and_not_for_a_longer_plan():
+    told = Prediction((seen(0.001), seen(0.02))).words()
+    assert "by what the log leaves open: log longer" in told and "longer plan" not in told
+    assert "log longer" not in Prediction((seen(0.02), seen(0.03))).words()
+
+
 def test_another_task_is_drawn_from_the_same_seed_as_without_a_delay():
     plant = Pendulum()
     task = Tracking(plant.signature, RandomStep([-0.5], [0.5]), ("theta",), ("Omega",), TrackingReward((1.0,)))

@@ -335,3 +335,7 @@ def test_a_task_without_references_is_run_as_it_draws_its_episodes(settle) -> No
         TypeError, match=r"task Settle tracks no reference, and scenario 'step' has one; use scenario=task"
     ):
         evaluate(env, pushed, Scenario("step", Step([[0.1]])))
+
+
+def test_ends_may_be_whole_numbers():
+    assert step_references([-2], [2], 8).targets.equal(step_references([-2.0], [2.0], 8).targets)

@@ -80,3 +80,7 @@ def test_delay_friction_and_springs_of_a_model_are_said_in_words():
     model.set_coefficients(coefficients)
     expected = ["the inputs act 12.3 ms late", "Omega_a' has a spring in alpha_a", "Omega_p' has dry friction"]
     assert found_in_model(model) == expected
+    # What drives a rate the more, the faster it is, is no friction.
+    coefficients[model.library.index("tanh(10 Omega_p)"), rates["Omega_p"]] = 1.0
+    model.set_coefficients(coefficients)
+    assert found_in_model(model) == expected[:2]

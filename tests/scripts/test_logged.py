@@ -73,7 +73,7 @@ def test_a_log_gives_a_controller_and_a_prediction(log, tmp_path):
 
 
 def test_a_plan_that_fails_leaves_the_model(log, tmp_path):
-    given = [f"data.path={log}", *TASK, WORDS, "env.dt=-1.0"]
+    given = [f"data.path={log}", *TASK, WORDS, "planning.lr=-1.0"]
     done = train("data=csv", *given, f"folder={tmp_path}/run")
     assert done.returncode != 0
     assert "Run folder" in done.stdout
@@ -92,6 +92,7 @@ def test_a_plan_that_fails_leaves_the_model(log, tmp_path):
         ([], "plant.outputs is not given; say what is to be tracked"),
         ([*TASK, "planning=dyna"], "leave planning=gradient"),
         ([*TASK, "evaluation.within=0"], "evaluation.within must be positive, got 0"),
+        ([*TASK, "env.dt=-1.0"], "env.dt must be a time > 0, got -1.0 s"),
         (["plant.outputs=[thta]", *TASK[1:]], "state 'thta' does not exist; the states are theta, Omega"),
         ([*TASK, "plant.library=['1',u,'sinh(theta)']"], "function 'sinh' is not known"),
         ([*TASK, "data.path=nowhere.csv"], "nowhere.csv does not exist"),

@@ -107,7 +107,51 @@ def test_the_action_stays_within_its_limits_and_observations_are_shifted():
     assert torch.equal(acted["observation"], before)
 
 
-def test_a_push_needs_to_know_a_rate():
-    with pytest.raises(ValueError, match=r"name in sensors\.rates"):
-        Sensors({"p": {}}, disturbance=True)
+def test_no_sensor_sees_a_push():
     assert math.isinf(pushed()[1].observer.variance[-1])
+
+
+class Vessel(System):
+    """A vessel that empties in some 50 s: dx/dt = 0.05 u - 0.02 x."""
+
+    def __init__(self):
+        super().__init__(Signature(("level", "flow"), ("cm", "cm3/s"), ("u",), (2.0, 1.0)))
+
+    def forward(self, x, u):
+        return torch.stack([0.05 * u[..., 0] - 0.02 * x[..., 0], 2.0 * (u[..., 0] - x[..., 1])], -1)
+
+
+def test_a_plant_without_rates_is_pushed_on_what_is_measured_at_its_own_pace():
+    """At rest 0 = 0.05 (0.4 r + r - x) - 0.02 x + 0.01, which leaves x - r = 0.01 / 0.07 cm."""
+    plant = Vessel()
+    task = Tracking(plant.signature, Step([[0.0]]), ["level"], [], TrackingReward([1.0]))
+    env, rng = ControlEnv(plant, task, 1.0, dtype=torch.float64), torch.Generator().manual_seed(0)
+
+    def feed(tensordict):
+        seen = tensordict["observation"]
+        error, level = 0.5 * seen[..., 2:3], 2.0 * seen[..., :1]
+        return tensordict.set("action", 0.4 * (level + error) + error)
+
+    scenario, left = Scenario("s", Step([[0.5], [-0.5]]), 2, 400.0, plant=partial(Pushed, push={"level": 0.01})), {}
+    u = 2 * torch.rand(300, 1, generator=rng, dtype=torch.float64) - 1
+    x = [torch.zeros(2, dtype=torch.float64)]
+    for one in u:
+        x.append(env.advance(x[-1], one)[0][-1])
+    log = torch.stack(x)
+    y = torch.stack([log[:, 0] + 0.01 * torch.randn(301, generator=rng), torch.full((301,), torch.nan)], -1)
+    for disturbance in (True, False):
+        observer = Observer(plant, Sensors({"level": {"noise": 0.01}}, disturbance=disturbance), env)
+        assert observer.pushed == ([0] if disturbance else [])
+        observer.learn(y.double(), u)
+        result = evaluate(env, feed, scenario, Sensing(env, observer, torch.Generator().manual_seed(0)))
+        left[disturbance] = result.metrics["steady_state_error"].max().item()
+        if disturbance:
+            # The range of its push is how fast the level usually changes, not a range in a second.
+            usual = plant(log[:-1], u)[:, 0].square().mean().sqrt()
+            torch.testing.assert_close(observer.scale[2], usual, rtol=0.02, atol=0.0)
+            again = Observer(plant, observer.sensors, env)
+            again.load_state_dict(observer.state_dict())
+            assert torch.equal(again.scale, observer.scale)
+            with pytest.raises(ValueError, match="a range > 0 for each of 1 pushes"):
+                again.load_state_dict(observer.state_dict() | {"push_ranges": [-1.0]})
+    assert left[True] < 0.01 and left[False] == pytest.approx(0.01 / 0.07, abs=0.04)

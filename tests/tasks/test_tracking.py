@@ -263,3 +263,27 @@ def test_leaving_the_bounds_costs_where_it_is_asked_for_and_within_them_nothing_
         task.fence == 0.0
         and Tracking(signature, Step([[0.0]]), ["a"], (), TrackingReward((1.0,))).fenced(9.0).fence == 0
     )
+
+
+def test_a_task_of_a_log_begins_where_the_log_was_and_sees_outputs_in_the_range_of_their_targets():
+    far = Signature(("a", "b", "w"), ("rad", "m", "rad/s"), ("u",), (33.0, 1.9, 5.0))
+    made = {
+        "outputs": ["a", "b"],
+        "rates": [],
+        "reward": TrackingReward((1.0,)),
+        "low": [-1.5, -1.0],
+        "high": [0.5, 0.2],
+    }
+    task = Tracking(far, RandomStep([-1.5, -1.0], [0.5, 0.2]), **made)
+    logged = task.as_logged(torch.tensor([16.0, -0.3, 2.0]))
+    # 33 rad are more than twice 1.5 rad, 1.9 m less than twice 1 m; 16 rad is nearest to the target of 0.5 rad.
+    assert logged.signature.x_scale == (1.5, 1.9, 5.0)
+    begun = logged.initial_state(torch.Size((2,)), torch.Generator())
+    assert begun.tolist() == [pytest.approx([0.5, -0.3, 2.0])] * 2
+    assert task.signature.x_scale == far.x_scale and task.start.abs().max() == 0
+    given = Tracking(far, RandomStep([-1.5, -1.0], [0.5, 0.2]), **made, start={"a": 0.0})
+    assert given.as_logged(torch.ones(3)).start.abs().max() == 0
+    upright = Tracking(far, Step([[0.0]]), ["a"], [], TrackingReward((1.0,)), low=[0.0], high=[0.0])
+    assert upright.as_logged(torch.ones(3)).signature.x_scale == far.x_scale
+    free = Tracking(far, Step([[0.0]]), ["a"], [], TrackingReward((1.0,)))
+    assert free.as_logged(torch.ones(3)).start[0].tolist() == [1.0, 1.0, 1.0]

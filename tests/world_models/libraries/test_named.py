@@ -14,6 +14,8 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.libraries import (
     NAMED,
+    auto,
+    auto_rig,
     build_library,
     dead_zone,
     fourier,
@@ -247,3 +249,14 @@ def test_friction_is_that_of_the_rates_of_a_plant_or_of_the_states_that_are_name
     assert shapes == {("y", "tanh"): 10.0, ("y", "bell"): 2.0, ("z", "tanh"): 0.5, ("z", "bell"): 0.1}
     assert {s.variables for s in friction(headings, ["z"]).shapes} == {("z",)}
     assert len(dead_zone(Xi().signature, ["u_a"])) == 9 + 2
+
+
+def test_the_library_of_a_rig_has_dry_friction_of_every_rate_and_what_it_turns():
+    one = Signature(("q", "w"), ("rad", "rad/s"), ("u",), (1.0, 4.0))
+    assert set(auto_rig(one).names) - set(auto(one).names) == {"tanh(5 w)"}  # full beyond a 20th of the range
+    cart = Signature(("p", "a", "v", "w"), ("m", "rad", "m/s", "rad/s"), ("u",), (1.0, 1.0, 2.0, 10.0))
+    dry = {"tanh(10 v)", "tanh(2 w)"}
+    assert set(auto_rig(cart).names) - set(auto(cart).names) == dry | {f"{f} cos(a)" for f in dry}
+    assert all(shape.fitted for shape in auto_rig(one).shapes)
+    tank = Signature(("h",), ("cm",), ("u",), (1.0,))
+    assert auto_rig(tank).names == auto(tank).names

@@ -21,6 +21,7 @@ from dynasindy.world_models.refinement.measured import (
     has_gaps,
     imagined,
     local_cubic,
+    ranged,
     rates_known,
     reconstruct,
 )
@@ -226,3 +227,14 @@ def test_a_hidden_state_that_follows_fast_is_imagined_in_as_many_steps_as_it_nee
     guess = reconstruct(data, {})
     found = imagined(library, torch.tensor([[0.0, 1.0], [0.0, -1.0]]).double(), data, guess, {})
     assert found.x_next[:, 1].tolist() == pytest.approx([1 - math.exp(-4 * k) for k in range(1, 6)], abs=1e-3)
+
+
+def test_a_rate_without_a_sensor_has_the_range_in_which_its_state_moved():
+    """Of a = 3 sin 2t the rate is 6 cos 2t."""
+    t = DT * np.arange(400)
+    data = recording(3 * np.sin(2 * t), lost(400), lost(400))
+    found = ranged(SIGNATURE, data, {"a": "w"})
+    assert found.x_scale == (1.0, pytest.approx(6.0, rel=0.01), 1.0)
+    assert ranged(SIGNATURE, data, {"a": "2 w", "h": "u"}).x_scale == SIGNATURE.x_scale
+    seen = recording(3 * np.sin(2 * t), 6 * np.cos(2 * t), lost(400))
+    assert ranged(SIGNATURE, seen, {"a": "w"}).x_scale == SIGNATURE.x_scale

@@ -257,7 +257,7 @@ def test_a_trajectory_that_no_function_or_no_number_survives_is_no_choice(monkey
         return through(library, xi, free, data, descent, start)
 
     told = fitted(data, error="prediction")[0].coefficients
-    for spoilt, said in ((emptied, "no function is left"), (lost, "runs away")):
+    for spoilt, said in ((emptied, "leaves no function"), (lost, "runs away")):
         monkeypatch.setattr(refine, "refine_trajectory", spoilt)
         model, note = fitted(data, error="auto")
         assert torch.equal(model.coefficients, told) and "error=prediction" in note and said in note
