@@ -185,6 +185,12 @@ def test_a_plan_that_was_too_short_is_told_from_one_that_diverges():
         assert longer not in Prediction(gone).words() and "away" in Prediction(gone).words()
 
 
+def test_a_doubt_breaks_a_promise():
+    doubted = Prediction((seen(0.001),), doubts=("a function is missing",))
+    assert not doubted.controlled and not doubted.record()["controlled"]
+    assert "NOT promised: theta" in doubted.words() and doubted.words().endswith("a function is missing")
+
+
 def test_models_of_which_some_are_held_ask_for_a_better_log_and_not_for_a_longer_plan():
     told = Prediction((seen(0.001), seen(0.02))).words()
     assert "by what the log leaves open: log longer" in told and "longer plan" not in told

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from dynasindy.evaluation.horizons import Forecasts
-from dynasindy.evaluation.verdict import errors, found_in_model, judge, table
+from dynasindy.evaluation.verdict import doubts, errors, found_in_model, judge, table
 from dynasindy.systems import Tras
 from dynasindy.systems.base import Signature
 from dynasindy.world_models import SindyModel
@@ -84,3 +84,23 @@ def test_delay_friction_and_springs_of_a_model_are_said_in_words():
     coefficients[model.library.index("tanh(10 Omega_p)"), rates["Omega_p"]] = 1.0
     model.set_coefficients(coefficients)
     assert found_in_model(model) == expected[:2]
+
+
+def test_a_linear_model_that_knows_the_past_far_better_raises_doubts():
+    """What is within twice the resolution is as good as a sensor can tell, however near a linear model comes."""
+    near, far = torch.tensor([[0.001], [0.002]]), torch.tensor([[0.001], [0.05]])
+    found = replace(
+        forecasts(0.002),
+        horizons=(0.1, 0.2),
+        resolution=torch.tensor([0.001]),
+        held=torch.ones(2, 1),
+        model=far,
+        linear=torch.tensor([[1e-5], [0.02]]),
+    )
+    one = Signature(("q",), ("rad",), ("u",), (1.0,))
+    (said,) = doubts(found, one)
+    assert "predicts q 0.2 s ahead to 0.02 rad, this one to 0.05 rad" in said
+    assert doubts(replace(found, model=near), one) == []
+    assert doubts(replace(found, linear=torch.tensor([[1.0], [0.03]])), one) == []
+    unseen = replace(found, model=torch.full((2, 1), torch.nan), linear=torch.full((2, 1), torch.nan))
+    assert doubts(unseen, one) == []

@@ -396,6 +396,13 @@ def test_divergence_is_a_hundred_times_the_largest_real_value_and_nothing_where_
     assert reach.tolist() == pytest.approx([100.0, 200.0, math.inf, 400.0, 5000.0, 50.0])
 
 
+def test_without_real_states_divergence_is_a_hundred_ranges_however_near_zero_episodes_begin(setting):
+    env, agent, _ = setting()
+    env.task.start = torch.tensor([[1e-3, 2.0, 0.0, 0.0, 0.0, 0.0]]).expand(2, -1)
+    reach = Episodes(GradientPlanning(env, agent, **SMALL)).rows.reach
+    assert reach.tolist() == [100.0, 200.0, *[math.inf] * 4]
+
+
 def test_updates_are_clipped_and_those_without_a_finite_gradient_skipped(planned, monkeypatch):
     planner, norms, stepped = planned(max_grad_norm=0.125), [], []
 

@@ -1,0 +1,98 @@
+"""A benchmark of logs writes what a rig would, says what the user of a plant says, and scores flights by hand."""
+
+import csv
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy import Controller
+from dynasindy.agents.networks import actor
+from dynasindy.benchmarks.instruments.logged import CASES
+from dynasindy.benchmarks.logs import COLUMNS, TARGETS, flown, rows_of, words, write_log
+from dynasindy.control.controller import Pace
+from dynasindy.systems import Signature
+from dynasindy.tasks import RandomStep, Tracking, TrackingReward
+
+
+def test_a_log_has_the_measured_states_alone(tmp_path):
+    write_log(CASES["oven"], tmp_path / "log.csv", 0)
+    with (tmp_path / "log.csv").open() as file:
+        head, *rows = csv.reader(file)
+    assert head == ["time [s]", "T [degC]", "u [-]"]
+    values = np.array(rows, dtype=float)
+    np.testing.assert_allclose(values[:, 0], 5.0 * np.arange(1800))
+    np.testing.assert_allclose(10 * values[:, 1], (10 * values[:, 1]).round(), atol=1e-6)
+
+
+def test_the_words_are_those_of_a_user(tmp_path):
+    given = words(CASES["pole"], tmp_path / "log.csv")
+    assert given[2:] == [
+        "plant.outputs=[p,lean]",
+        "plant.low=[-0.4,0]",
+        "plant.high=[0.4,0]",
+        "plant.known={p:v,lean:w}",
+    ]
+    assert words(CASES["tanks"], tmp_path)[-1].startswith("plant.library=")
+    assert not any("known" in word for word in words(CASES["oven"], tmp_path))
+
+
+class Given:
+    """A controller whose input is what a function of measurement and target says."""
+
+    def __init__(self, rule, names):
+        signature = Signature(names, ("rad/s",) * len(names), ("u",), (100.0,) * len(names))
+        task = Tracking(signature, RandomStep([0.0], [1.0]), [names[0]], [], TrackingReward((1.0,)))
+        self.inner = Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05))
+        self.signature, self.dt, self.rule = self.inner.signature, 0.05, rule
+
+    def reset(self):
+        pass
+
+    def act(self, y, r):
+        return np.array([self.rule(y, r)])
+
+
+def test_errors_are_those_at_the_end_in_ranges_of_the_targets():
+    """What holds the fan at w is 250 (1 + u) = 2 w + 0.008 w^2 + 10; 10 rad/s beside it is a tenth of the range."""
+
+    def feed(beside):
+        def rule(y, r):
+            w = r[0] + beside
+            return (2 * w + 0.008 * w * w + 10) / 250 - 1
+
+        return rule
+
+    exact, beside = (flown(CASES["fan"], Given(feed(shift), ("w",)), 0) for shift in (0.0, 10.0))
+    assert exact.shape == (TARGETS, 1)
+    np.testing.assert_allclose(exact, 0.0, atol=1e-4)
+    np.testing.assert_allclose(beside, 0.1, atol=1e-3)
+
+
+def test_a_flight_that_runs_away_is_infinitely_wrong(monkeypatch):
+    monkeypatch.setattr("dynasindy.benchmarks.logs.FAR", 100.0)
+    assert np.isinf(flown(CASES["fan"], Given(lambda y, r: 1.0, ("w",)), 0)).all()
+
+
+def test_a_row_holds_what_was_foretold_and_what_came_of_it():
+    metrics = {
+        "prediction": {"controlled": True, "score": 0.0123},
+        "equations": ["p' = v", "lean' = w", "v' = -4.001 v + 6.001 u - 0.3 tanh(50 v)", "w' = 2 u"],
+    }
+    errors = np.array([[0.001, 0.02], [0.003, 0.04]])
+    rows = rows_of("pole", 3, metrics, errors, 12.34)
+    assert [row["output"] for row in rows] == ["p", "lean"] and set(rows[0]) == set(COLUMNS)
+    assert (rows[0]["error_percent"], rows[1]["worst_percent"], rows[0]["terms"]) == ("0.2", "4", 6)
+    assert (rows[0]["foretold"], rows[0]["foretold_percent"]) == ("CONTROLLED", "1.23")
+    (row,) = rows_of("fan", 0, None, np.full((1, 1), math.inf), 1.0)
+    assert (row["foretold"], row["error_percent"], row["terms"]) == ("no controller", "inf", 0)
+    doubted = metrics | {"prediction": {"controlled": False, "score": None}}
+    assert rows_of("fan", 0, doubted, torch.zeros(1, 1).numpy(), 1.0)[0]["foretold"] == "NOT promised"
+
+
+def test_every_plant_has_a_log_a_task_and_sensors_that_fit():
+    for case in CASES.values():
+        assert set(case.sensors) | set(case.targets) | set(case.known) | set(case.loop) <= set(case.states)
+        assert all(low <= high for low, high in case.targets.values())
+        assert case.begins.tolist() == [pytest.approx(case.start.get(name, 0.0)) for name in case.states]
