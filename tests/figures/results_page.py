@@ -243,6 +243,33 @@ def _untuned() -> Iterator[Tie]:
     yield Tie(PAGE, "with an error of {} % at most, of the bioreactor, and {} to {} CPU seconds a run", figures)
 
 
+def _logs() -> Iterator[Tie]:
+    """Yield the rows of the plants that are known by a log alone."""
+    names = {
+        "servo": "motor with dry friction, encoder",
+        "arm": "arm on a motor, encoder",
+        "propeller": "arm moved by a propeller, encoder",
+        "tanks": "two tanks, noisy levels, every second",
+        "oven": "oven, steps of 0.1 degrees, every 5 s",
+        "crane": "crane (place, sway), encoders",
+        "pole": "pole on a cart, encoders, closed loop",
+        "drone": "height of a drone, noisy range, closed loop",
+        "fan": "speed of a fan, noisy tachometer",
+        "ship": "heading of a ship, steps of 0.1 degrees, every second",
+        "beam": "ball on a beam, noisy place, closed loop",
+        "shaft": "two discs on a soft shaft, encoders",
+    }
+    for plant, name in names.items():
+        found = rows("logs.csv", plant=plant)
+        seeds = {row["seed"] for row in found}
+        promised = {row["seed"] for row in found if row["foretold"] == "CONTROLLED"}
+        missed = {row["seed"] for row in found if float(row["error_percent"]) > 1}
+        worst = max(numbers(found, "error_percent"))
+        shown = f"{worst:.3g} %" if worst < 100 else "lost"
+        figures = (str(len(promised)), str(len(seeds)), str(len(seeds - missed)), str(len(seeds)), shown)
+        yield Tie(PAGE, f"| {name} | {{}} of {{}} | {{}} of {{}} | {{}} |", figures)
+
+
 def _own_returns() -> Iterator[Tie]:
     """Yield what the environments of Gymnasium themselves pay, least and most."""
     pendulum, car = (
