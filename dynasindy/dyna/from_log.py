@@ -7,23 +7,33 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from torch import Tensor
+
 from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
 from dynasindy.data.csv import Recording
 from dynasindy.evaluation.files import write_json
 from dynasindy.evaluation.held import WITHIN
-from dynasindy.evaluation.horizons import forecast
+from dynasindy.evaluation.horizons import Forecasts, forecast
 from dynasindy.evaluation.identification import Source, missing_rates, wrong_units
 from dynasindy.evaluation.predicted import Prediction
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.summary import heading, summarise, to_text
 from dynasindy.evaluation.verdict import doubts
 from dynasindy.sensing import Sensors
+from dynasindy.systems import Diverged
 from dynasindy.tasks import Tracking
 from dynasindy.terminal import say, width
 from dynasindy.told import tell
 from dynasindy.workbench import foretell, plan
 from dynasindy.world_models import SindyModel
+from dynasindy.world_models.libraries.features import Feature
+from dynasindy.world_models.models.follower import lag_of, lagging, widened, with_follower
+
+BETTER = 0.7
+"""Part of a model's errors, their geometric mean over states and horizons, that are left where a lag is believed."""
+ROOM = 0.05
+"""Part of the range of a logged input by which flights may go beyond it."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +90,44 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
     return built
 
 
+def followed(model: SindyModel, source: Source) -> tuple[SindyModel, Source]:
+    """Return a model and data with the lag of an input as one state more, where something lacks; else as they are.
+
+    It is looked for where a linear model on past samples predicts the last part of the log far better than the model,
+    and believed where with the lag the model does.
+    """
+    before = forecast(model, source.training, source.validation)
+    if before is None or not doubts(before, model.signature):
+        return model, source
+    for place, name in enumerate(model.signature.input_names):
+        time = lag_of(model, source.training, place)
+        wide = with_follower(model, source.training, place, time) if time else None
+        if wide is None:
+            continue
+        data = replace(
+            source,
+            signature=wide.signature,
+            training=widened(source.training),
+            validation=widened(source.validation),
+        )
+        try:
+            report = wide.fit(data.training)
+        except (Diverged, ValueError):
+            continue
+        after = forecast(wide, data.training, data.validation)
+        if after is not None and _better(before, after):
+            seconds = 1 / float(wide.coefficients[:, -1].abs().sum())
+            say(f"found: {name} acts through a lag of {seconds:.3g} s, a state that no sensor sees", report.to_text())
+            return wide, data
+    return model, source
+
+
+def _better(before: Forecasts, after: Forecasts) -> bool:
+    """Tell whether errors are lower by far, in the geometric mean over the states that were measured and horizons."""
+    ratio = (after.model[:, : before.model.shape[1]] / before.model).log()
+    return bool(ratio[~before.model.isnan()].mean().exp() < BETTER)
+
+
 def controller_of(model: SindyModel, source: Source | None, wanted: Wanted) -> Controller:
     """Plan a controller on a model and, with a log, on what the log leaves open of it."""
     log = None if source is None else Recording(source.training, model.signature)
@@ -94,7 +142,40 @@ def judged(controller: Controller, model: SindyModel, source: Source | None, wan
     if source is None:
         return found
     forecasts = forecast(model, source.training, source.validation)
-    return found if forecasts is None else replace(found, doubts=tuple(doubts(forecasts, model.signature)))
+    told = [] if forecasts is None else doubts(forecasts, model.signature)
+    if found.shown is not None:
+        told += untried(model, source.training.u, found.shown.inputs.flatten(0, -2))
+    return replace(found, doubts=tuple(told))
+
+
+def untried(model: SindyModel, logged: Tensor, flown: Tensor) -> list[str]:
+    """Say which inputs flights take to where the log never had them, if equations are not linear in them.
+
+    Args:
+        model: The equations.
+        logged: Inputs of the log, `(N, n_u)`.
+        flown: Inputs of flights, `(M, n_u)`.
+    """
+    used = [model.library.features[k] for k in model.coefficients.any(-1).nonzero().flatten().tolist()]
+    lines = []
+    for i, name in enumerate(model.signature.input_names):
+        read = {name, lagging(name)}
+        low, high = float(logged[:, i].min()), float(logged[:, i].max())
+        least, most = float(flown[:, i].min()), float(flown[:, i].max())
+        room = ROOM * (high - low)
+        if any(_bent(feature, read) for feature in used) and (least < low - room or most > high + room):
+            lines.append(
+                f"flights take {name} from {least:.2g} to {most:.2g}, the log has {low:.2g} to {high:.2g}, and the "
+                "equations are not linear in it: what it does beyond is a guess, so log all of its range"
+            )
+    return lines
+
+
+def _bent(feature: Feature, read: set[str]) -> bool:
+    """Tell whether a function is not linear in an input."""
+    mine = [factor for factor in feature.factors if read & set(factor.variables)]
+    straight = all(factor.function in ("id", "ahead") and factor.power == 1 for factor in mine)
+    return not straight or len(mine) > 1
 
 
 def write(folder: Path, controller: Controller, model: SindyModel, prediction: Prediction) -> None:

@@ -108,6 +108,7 @@ _REGISTRY: dict[str, Function] = {
             by_number=lambda z, p: -(z.cos() / (1 + p * z.cos().square())).square(),
             formula="1 / (1 + {1} * square(cos({0})))",
         ),
+        Function("ahead", lambda a, b: a - b, "ahead({0})", r"\operatorname{{ahead}}({0})", formula="{0} - {1}"),
         Function(
             "slack",
             lambda a, b, p: a - b - (a - b).clamp(-p, p),

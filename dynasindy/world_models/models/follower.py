@@ -1,0 +1,127 @@
+"""An input that acts through a state that no sensor sees: a motor, a propeller, a valve that follows slowly.
+
+The state a follows the command u by a' = (u - a) / T, and the equations read a in the place of u. The time T is found
+by regressions on commands that were led through such a lag, then with all else by trajectories.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
+from dynasindy.told import tell
+from dynasindy.world_models.libraries.features import Feature, of
+from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.models.sindy import SindyModel
+from dynasindy.world_models.refinement.actuator import Actuator
+from dynasindy.world_models.refinement.delay import unexplained
+from dynasindy.world_models.refinement.measured import Seen, has_gaps, rates_known, reconstruct
+from dynasindy.world_models.writers.fast_field import generate
+
+TIMES = (2, 3, 4, 6, 8, 12, 16, 24, 32)
+"""Times of the lag that regressions try [samples]."""
+SHORTEST = 20
+"""Times of the lag that a recording has to be long, at least."""
+
+
+def lag_of(model: SindyModel, data: Transitions, place: int) -> float:
+    """Return the lag with which all functions together explain the rates of change best [s]; 0 if none does better.
+
+    Args:
+        model: what was fitted to the recording.
+        data: the recording, NaN where a state was not measured.
+        place: which input.
+    """
+    data, rates = data.to(torch.float64), rates_known(model.library, model.constraints)
+    noisy, guess = not bool(has_gaps(data)), reconstruct(data, rates, not bool(has_gaps(data)))
+    free, fixed = model.constraints.free, torch.where(model.constraints.free, 0.0, model.coefficients)
+
+    def _cost(time: float) -> float:
+        given, seen = (lagged(part, place, time)[0] for part in (guess, data))
+        keep = lagged(data, place, TIMES[-1] * data.dt)[1]
+        rows = Seen.of(given.select(keep), seen.select(keep), rates, noisy)
+        theta, dx = rows.rows(model.library, generate(model.library, model.coefficients))
+        return unexplained(free, theta, dx - theta @ fixed)
+
+    times = [0.0, *(n * data.dt for n in TIMES if n * SHORTEST <= len(data))]
+    return min(times, key=_cost)
+
+
+def lagged(data: Transitions, place: int, time: float) -> tuple[Transitions, Tensor]:
+    """Return a recording whose input is what comes through a lag, and where that is known, bool `(N,)`."""
+    if not time:
+        return data, torch.ones(len(data), dtype=torch.bool)
+    return Actuator(place, "lag", time).acts(data)
+
+
+def with_follower(model: SindyModel, data: Transitions, place: int, time: float) -> SindyModel | None:
+    """Return a model with the lag of an input as one state more, not fitted yet; None where that cannot be.
+
+    Args:
+        model: a model of the same states without it.
+        data: the recording, NaN where a state was not measured.
+        place: which input.
+        time: first guess of the time of the lag [s].
+    """
+    known = rates_known(model.library, model.constraints)
+    states = model.signature.state_names
+    given = {states[i]: states[rate] for rate, i in known.items()}
+    others = [i for i in range(len(states)) if i not in known.values()]
+    if not bool(model.constraints.free[:, others].any()) or bool(model.constraints.offset[:, others].any()):
+        return None
+    tell("fit", words=f"{model.signature.input_names[place]} through a lag of {time:.3g} s")
+    first = SindyModel(model.signature, model.library, model.regression, model.refinement, given)
+    through, heard = lagged(data.to(torch.float64), place, time)
+    first.fit(through.select(heard))
+    name = model.signature.input_names[place]
+    follower = lagging(name)
+    read = [_reading(feature, name, follower) for feature in first.library.features]
+    own = of("ahead", name, follower)
+    old = model.signature
+    signature = Signature((*states, follower), (*old.state_units, "1"), old.input_names, (*old.x_scale, 1.0))
+    library = Library(signature, [*read, own])
+    names = [feature.name() for feature in read]
+    allowed = {state: [n for n, free in zip(names, column) if free] for state, column in _free(first).items()}
+    initial = {
+        state: {n: float(v) for n, v in zip(names, first.coefficients[:, i]) if v} for i, state in enumerate(states)
+    }
+    return SindyModel(
+        signature,
+        library,
+        model.regression,
+        model.refinement,
+        known=given,
+        allowed=allowed | {follower: [own.name()]},
+        initial=initial | {follower: {own.name(): 1 / time}},
+        machine_code=model.machine_code,
+    )
+
+
+def lagging(name: str) -> str:
+    """Return the name of the state that follows an input."""
+    return f"{name}_lagging"
+
+
+def widened(data: Transitions) -> Transitions:
+    """Return a recording with one state more, which no sensor sees."""
+    unseen = torch.full_like(data.x[:, :1], torch.nan)
+    return replace(data, x=torch.cat([data.x, unseen], -1), x_next=torch.cat([data.x_next, unseen], -1))
+
+
+def _free(model: SindyModel) -> dict[str, list[bool]]:
+    columns = model.constraints.free.unbind(-1)
+    return {state: column.tolist() for state, column in zip(model.signature.state_names, columns, strict=True)}
+
+
+def _reading(feature: Feature, name: str, follower: str) -> Feature:
+    """Return a function that reads another variable in place of one."""
+    return Feature(
+        tuple(
+            replace(factor, variables=tuple(follower if v == name else v for v in factor.variables))
+            for factor in feature.factors
+        )
+    )
