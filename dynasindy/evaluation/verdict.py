@@ -21,6 +21,8 @@ LOST = 10.0
 """Error beyond which a prediction has run away [ranges of the state]."""
 BEHIND = 0.5
 """Part of a model's error that a linear model on past samples may have, below which something is missing."""
+SMALL = 1e-3
+"""Error of a model that is small enough, whatever others make of it [ranges of the state]."""
 HELPFUL = 0.5
 """Part of the error of the last value held that a model may have that predicts."""
 
@@ -78,7 +80,7 @@ def doubts(forecasts: Forecasts, signature: Signature) -> list[str]:
     lines, (horizons, n_x) = [], forecasts.model.shape
     for i in range(n_x):
         ours, simple = forecasts.model[:, i], forecasts.linear[:, i]
-        known = ours > RESOLVED * forecasts.resolution[i]
+        known = ours > max(RESOLVED * float(forecasts.resolution[i]), SMALL * signature.x_scale[i])
         worse = [k for k in range(horizons) if bool(known[k]) and float(simple[k]) < BEHIND * float(ours[k])]
         if worse:
             k, unit = worse[0], signature.state_units[i]

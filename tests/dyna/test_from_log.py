@@ -8,7 +8,8 @@ import torch
 
 import dynasindy
 from dynasindy.data.simulated import record
-from dynasindy.dyna.from_log import Wanted, controller_of, judged, model_of, report, write
+from dynasindy.dyna import from_log as module
+from dynasindy.dyna.from_log import Wanted, controller_of, followed, judged, model_of, report, untried, write
 from dynasindy.evaluation.identification import Source
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
@@ -82,3 +83,36 @@ def test_what_is_flown_is_said_in_one_voice(source, tmp_path):
     write(tmp_path, controller, model, prediction)
     assert json.loads((tmp_path / "metrics.json").read_text())["prediction"]["sentence"] == prediction.words()
     assert dynasindy.load(tmp_path).outputs == ("theta",)
+
+
+def test_flights_beyond_the_logged_inputs_are_told_where_the_equations_bend_in_them():
+    model = SindyModel(Pendulum().signature, ["Omega", "u", "u^2", "u sin(theta)"], known={"theta": "Omega"})
+    (name,) = model.signature.input_names
+    assert name == "u"
+    logged, flown = torch.tensor([[0.1], [0.9]]), torch.tensor([[-1.0], [0.5]])
+
+    def told(word):
+        coefficients = model.coefficients.clone()
+        coefficients[1:, 1] = 0.0
+        coefficients[model.library.index(word), 1] = 2.0
+        model.set_coefficients(coefficients)
+        return untried(model, logged, flown)
+
+    assert told("u") == told("u sin(theta)") == []
+    (said,) = told("u^2")
+    assert "flights take u from -1 to 0.5, the log has 0.1 to 0.9" in said
+    assert untried(model, logged, torch.tensor([[0.07], [0.93]])) == []  # a twentieth of the range beyond
+
+
+def test_a_lag_is_looked_for_only_where_something_lacks_and_believed_only_where_it_helps(source, monkeypatch):
+    model = model_of(source, build)
+    asked = []
+    monkeypatch.setattr(module, "lag_of", lambda *given: asked.append(given) or 0.1)
+    assert followed(model, source) == (model, source) and not asked
+    monkeypatch.setattr(module, "doubts", lambda *given: ["something lacks"])
+    assert followed(model, source) == (model, source)  # with a lag that is not there nothing is better
+    assert len(asked) == 1
+    monkeypatch.setattr(module, "_better", lambda before, after: True)
+    wide, data = followed(model, source)
+    assert wide.signature.state_names == (*model.signature.state_names, "u_lagging") == data.signature.state_names
+    assert data.training.x.shape[-1] == data.validation.x.shape[-1] == 3

@@ -102,5 +102,7 @@ def test_a_linear_model_that_knows_the_past_far_better_raises_doubts():
     assert "predicts q 0.2 s ahead to 0.02 rad, this one to 0.05 rad" in said
     assert doubts(replace(found, model=near), one) == []
     assert doubts(replace(found, linear=torch.tensor([[1.0], [0.03]])), one) == []
+    wide = Signature(("q",), ("rad",), ("u",), (51.0,))
+    assert doubts(found, wide) == []  # 0.05 of 51 rad is as good as nothing
     unseen = replace(found, model=torch.full((2, 1), torch.nan), linear=torch.full((2, 1), torch.nan))
     assert doubts(unseen, one) == []

@@ -18,7 +18,7 @@ POINTS = [(-1.3, 0.4), (0.7, 0.4), (2.1, -0.6)]
 
 
 def arguments(name, z, p):
-    first = (z, 0.25) if name == "slack" else (z,)
+    first = (z, 0.25) if name in ("ahead", "slack") else (z,)
     return (*first, p) if function(name).parametric else first
 
 
@@ -29,7 +29,7 @@ def test_a_formula_in_plain_floats_is_the_value(name, point):
     values = arguments(name, point[0], abs(point[1]))
     value = function(name).compute(*(torch.tensor(v, dtype=torch.float64) for v in values[:-1]), values[-1]) if (
         function(name).parametric
-    ) else function(name).compute(torch.tensor(values[0], dtype=torch.float64))  # fmt: skip
+    ) else function(name).compute(*(torch.tensor(v, dtype=torch.float64) for v in values))  # fmt: skip
     places = {f"z{i}": v for i, v in enumerate(values)}
     written = eval(function(name).formula.format(*places), {**PLAIN, **places})
     assert written == pytest.approx(float(value), rel=1e-12, abs=1e-15)

@@ -66,7 +66,7 @@ def full(slopes: Slopes, library: Library, x: torch.Tensor, u: torch.Tensor, n_s
 
 
 def test_every_function_of_the_package_has_its_closed_form_here():
-    assert {*SCALED, *PARAMETRIC, "slack"} == {name for name in OWN if not name.endswith("_test")}
+    assert {*SCALED, *PARAMETRIC, "ahead", "slack"} == {name for name in OWN if not name.endswith("_test")}
 
 
 @pytest.mark.parametrize("scale", [1.0, -2.5])
@@ -154,6 +154,13 @@ def test_slopes_of_libraries_are_those_of_autograd(name):
     reads = [(k, i) for k, f in enumerate(library.features) for i, n in enumerate(Tras().signature.state_names)
              if n in f.variables]  # fmt: skip
     assert slopes.by_state == reads
+
+
+def test_slopes_of_a_difference_are_one_and_minus_one():
+    library = Library(Signature(("a", "b"), ("-", "-"), (), (1.0, 1.0)), [of("ahead", "a", "b")])
+    x = torch.tensor([[2.0, 0.5], [-1.0, 3.0]], dtype=torch.float64)
+    theta, by_state, _ = full(Slopes(library, ()), library, x, torch.zeros(2, 0))
+    assert theta[:, 0].tolist() == [1.5, -4.0] and by_state[:, 0].tolist() == [[1.0, -1.0]] * 2
 
 
 def test_slopes_of_slack_are_those_of_a_difference_beyond_a_number():

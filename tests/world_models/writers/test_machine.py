@@ -32,6 +32,7 @@ FEATURES = {
     "bell": [of("bell", "b", frequency=2.0)],
     "root": [of("root", "a", frequency=-2.0, fitted=True)],
     "hinge": [of("hinge", "b", frequency=0.2, fitted=True)],
+    "ahead": [of("ahead", "a", "b"), of("ahead", "u", "b")],
     "slack": [of("slack", "a", "b", frequency=0.4, fitted=True)],
     "per_cos2": [of("per_cos2", "a", frequency=3.0, fitted=True) * U],
 }
