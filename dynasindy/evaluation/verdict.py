@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import torch
 
+from dynasindy.durations import in_words
 from dynasindy.evaluation.horizons import Forecasts
 from dynasindy.evaluation.symptoms import closed_loop, samples_of, saturated, step_of
 from dynasindy.systems.base import Signature
@@ -33,7 +34,7 @@ def table(forecasts: Forecasts, signature: Signature) -> list[str]:
         f"linear model on {forecasts.order} past samples": forecasts.linear,
         "last value held": forecasts.held,
     }
-    wide, heads = max(map(len, kinds)) + 2, [f"{horizon:g} s" for horizon in forecasts.horizons]
+    wide, heads = max(map(len, kinds)) + 2, [in_words(horizon) for horizon in forecasts.horizons]
     lines = [
         f"validation: RMS error over the time after {forecasts.starts} starts",
         f"  {'':<{wide + 2}}{''.join(f'{head:>11}' for head in heads)}",
@@ -55,7 +56,7 @@ def judge(forecasts: Forecasts, signature: Signature) -> list[str]:
     k = forecasts.middle
     ours, simple, held = (kind[k] for kind in (forecasts.model, forecasts.linear, forecasts.held))
     seen = [i for i in range(signature.n_x) if not math.isnan(float(held[i]))]
-    names, ahead = signature.state_names, f"{forecasts.horizons[k]:g} s"
+    names, ahead = signature.state_names, in_words(forecasts.horizons[k])
     if lost := [i for i in seen if not math.isfinite(float(ours[i]))]:
         return [f"this model does not predict: within {ahead} {_listed(names, lost)} runs away"]
     fine = [i for i in seen if float(ours[i]) <= RESOLVED * float(forecasts.resolution[i])]
@@ -75,7 +76,8 @@ def found_in_model(model: SindyModel) -> list[str]:
     """Say what of delay, dry friction and springs is in the equations."""
     names, lines = model.signature.state_names, []
     if model.delay:
-        lines.append(f"the inputs act {1e3 * model.delay:.3g} ms late")
+        late = f"{1e3 * model.delay:.3g} ms" if model.delay < 1 else in_words(model.delay)
+        lines.append(f"the inputs act {late} late")
     of_rate = rates_known(model.library, model.constraints)
     for i in range(len(names)):
         terms = [model.library.features[k] for k in model.coefficients[:, i].nonzero().flatten().tolist()]

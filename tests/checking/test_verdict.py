@@ -28,7 +28,9 @@ def test_a_cart_with_a_sound_law_is_sound(good):
     assert len(found) == 13
     assert [name for name, each in found.items() if not each.good] == ["noise"] or all(f.good for f in found.values())
     assert "stable at all 2 targets; largest spectral radius" in found["stability"].words
-    assert found["recovery"].words.startswith("comes back from errors of up to 1 ranges: 100% in p and v;")
+    assert found["recovery"].words.startswith(
+        "comes back from errors of up to 1 typical range of each state: 100% in p and v;"
+    )
 
 
 def test_findings_come_in_the_order_of_what_they_build_on(good):
@@ -88,10 +90,19 @@ def test_thresholds_are_those_that_are_given(good):
     assert found["noise"].words.endswith("threshold: 0")
 
 
+def test_the_threshold_of_the_steady_error_has_the_unit_of_its_value(good):
+    # p counts by 2 m: a tenth of that is 0.2 m.
+    words = by_name(good, Thresholds(error=0.1))["steady error"].words
+    assert words.startswith("in steps from the origin at most ") and " m of p; " in words
+    assert words.endswith("threshold: 0.2 m, 10 % of its range")
+    assert by_name(good, Thresholds(error=0.1))["all coefficients"].words.endswith("stable, 0.2 m, 10 % of its range")
+
+
 def test_an_unstable_loop_says_so_first_and_where(loops, law):
     lines = verdict(check(loops(law(-1.0, 0.0)), SMALL))
     assert lines[0].name == "stability" and not lines[0].good
     assert lines[0].words.startswith("NOT stable at 2 of 2 targets, such as (-0.4); flown there, p ends within")
+    assert "of its target; threshold" in lines[0].words
     assert not any("margin" in each.name for each in lines)
 
 

@@ -37,6 +37,20 @@ def test_the_figures_of_a_check_name_their_targets():
     assert figures["coefficients"].get_suptitle().endswith("at the worst of 3 targets")
 
 
+def test_targets_without_a_curve_are_named_with_the_reason():
+    found = held_cart(draws=0)
+    assert draw(found)["nyquist"].get_suptitle() == "Loop opened at each input"
+    found.rest.linear.a[1] *= 2 / found.rest.linear.radius[1]
+    told = " ".join(draw(found)["nyquist"].get_suptitle().split())
+    assert told.endswith("input left out, 1 of 3 targets: the closed loop is not stable at ($p$ = 0 m)")
+    found.rest.still[2] = False
+    told = " ".join(draw(found)["nyquist"].get_suptitle().split())
+    assert told.endswith(
+        "left out, 2 of 3 targets: the closed loop is not stable at ($p$ = 0 m); the closed loop never comes to rest "
+        "at ($p$ = 0.4 m)"
+    )
+
+
 @pytest.mark.parametrize("draws", [0, 2])
 def test_the_model_itself_steps_to_the_farthest_target_with_or_without_other_plants(draws):
     found = held_cart(draws)
