@@ -34,10 +34,10 @@ class Tracking(Task):
         reward: Reward of a control period.
         max_steps: Control periods per episode (paper: 400).
         observe_rate: Append the rates of the reference to the observation, for moving references.
-        error_scale: Error that counts as 1 in the observation [boxes].
+        error_scale: Error that counts as 1 in the observation [target ranges].
         low: Lower end of the target range, per output; with `high` it is the unit of errors and rates. None for both
             takes the units of the outputs as they are.
-        high: Upper end of the box, per output.
+        high: Upper end of the target range, per output.
         start: Where episodes begin: state to value, or to the two ends of a range from which it is drawn; zero for the
             others.
         bounds: Limits of the plant that end an excitation or a real episode: state to a value, for both sides of zero,
@@ -45,7 +45,7 @@ class Tracking(Task):
 
     Raises:
         ValueError: No output is named, a named state does not exist, the numbers of outputs, rates, references and
-            error weights differ, error_scale or max_steps is not positive, or a box or a start is none.
+            error weights differ, error_scale or max_steps is not positive, or a target range or a start is none.
     """
 
     # Departure: the paper's S_tt lists the six states alone; without the errors no policy could know where
@@ -140,15 +140,15 @@ class Tracking(Task):
         """Return the same task with another target range, whose extents are taken as they are.
 
         Args:
-            extents: Extent of the box, per output [units of the outputs].
+            extents: Extent of the target range, per output [units of the outputs].
 
         Raises:
             ValueError: An extent is missing, or is no positive number.
         """
         if len(extents) != self.n_r or not all(0 < extent < math.inf for extent in extents):
             raise ValueError(
-                f"a box of extents {list(extents)} does not fit the outputs {', '.join(self.output_names)}; give one "
-                "positive number for each"
+                f"a target range of extents {list(extents)} does not fit the outputs {', '.join(self.output_names)}; "
+                "give one positive number for each"
             )
         other = copy.copy(self)
         other._box = torch.tensor([float(extent) for extent in extents], dtype=torch.float64)
@@ -180,7 +180,7 @@ class Tracking(Task):
         return references.value(params, t) - x[..., _columns(self.outputs)]
 
     def observation(self, x: Tensor, params: Tensor, t: Tensor) -> Tensor:
-        """Return scaled states, scaled errors and, if asked, reference rates [boxes per second], `(*batch, n_o)`."""
+        """Return scaled states, errors and, if asked, reference rates [target ranges per second], `(*batch, n_o)`."""
         parts = [
             x / constants(self.signature.x_scale, x.dtype, x.device),
             self.error(x, params, t) / self._unit(x, self.error_scale),
@@ -230,7 +230,9 @@ def _boxes(
     if low is None or high is None:
         return torch.ones(len(outputs), dtype=torch.float64)
     if not len(low) == len(high) == len(outputs) or not all(a <= b for a, b in zip(low, high, strict=True)):
-        raise ValueError(f"the box low={list(low)}, high={list(high)} needs low <= high for each output; mend plant")
+        raise ValueError(
+            f"the target range low={list(low)}, high={list(high)} needs low <= high for each output; mend plant"
+        )
     units = [signature.state_units[i] for i in outputs]
     widest = {unit: max(b - a for a, b, u in zip(low, high, units, strict=True) if u == unit) for unit in units}
     extents = [widest[unit] or signature.x_scale[i] for unit, i in zip(units, outputs, strict=True)]

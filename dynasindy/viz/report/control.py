@@ -90,7 +90,7 @@ def steps(results: Results) -> Section:
             *steps_agree(told(plant, experiment), scores),
             Text(
                 f"**Plant `{plant}`, `experiment={experiment}`**: means over 64 targets, first seed; overshoot: median "
-                f"over those{_counted(scores)} that move the axis by {100 * MIN_STEP:g} % of its box of targets."
+                f"over those{_counted(scores)} that move the axis by {100 * MIN_STEP:g} % of the range of its targets."
             ),
             _score_table(scores, {"steady-state error [rad]": "steady_state_error", "overshoot [%]": "overshoot"}),
             Picture(f"step_{plant}_{experiment}", figure, caption, " ".join(run.source for run in runs.values())),
