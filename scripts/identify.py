@@ -18,6 +18,7 @@ def main(cfg: DictConfig) -> None:
     """Load data, fit, judge, write everything and print it."""
     import torch
 
+    from dynasindy.evaluation.before_fit import before_fit
     from dynasindy.evaluation.identification import identify, to_words, write
     from dynasindy.terminal import say
     from dynasindy.told import tell
@@ -28,9 +29,11 @@ def main(cfg: DictConfig) -> None:
         built["world_model"](signature=system.signature)  # refuses functions before the plant moves
     tell("data")
     source = built["data"].load(system, built["excitation"])
-    found = identify(built["world_model"](signature=source.signature), source, cfg.horizons, cfg.actuators)
-    folder = Path(cfg.folder)
-    write(found, source, folder)
+    model, folder = built["world_model"](signature=source.signature), Path(cfg.folder)
+    if told := before_fit(model, source):
+        say(*told)
+    found = identify(model, source, cfg.horizons, cfg.actuators)
+    write(found, source, folder, told)
     draw(found, source, folder, list(cfg.formats))
     say(to_words(found, source), f"written to {folder}")
     job, logged = HydraConfig.get(), bool(cfg.data.get("path"))

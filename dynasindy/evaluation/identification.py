@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from dynasindy.data.csv import Column, CsvLog, Recording, chosen, infer
-from dynasindy.data.rates import mismatched
 from dynasindy.data.simulated import Ends, before_leaving, disturb, record
 from dynasindy.data.table import all_headings, split_unit
 from dynasindy.evaluation import verdict
@@ -26,7 +25,6 @@ from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.models.actuators import Found, behind, find_actuator
 from dynasindy.world_models.models.prediction import nrmse, one_step_error, open_loop
 from dynasindy.world_models.refinement.delay import delayed
-from dynasindy.world_models.refinement.measured import rates_known
 from dynasindy.world_models.refinement.order import moving_on
 from dynasindy.world_models.writers.tables import to_csv, to_latex, to_text
 
@@ -299,13 +297,6 @@ def missing_rates(model: SindyModel, source: Source) -> list[str]:
     ]
 
 
-def wrong_units(model: SindyModel, source: Source) -> list[str]:
-    """Say which measured rates are not the slopes of their states, a line for each."""
-    names = source.signature.state_names
-    known = {names[i]: names[rate] for rate, i in rates_known(model.library, model.constraints).items()}
-    return [f"warning: {found}" for found in mismatched(source.training, source.signature, known)]
-
-
 def to_words(found: Identified, source: Source) -> str:
     """Write equations, fit, identifiability, what the data show, errors, notes and a verdict for a reader."""
     signature, shown = source.signature, found.forecasts
@@ -320,7 +311,7 @@ def to_words(found: Identified, source: Source) -> str:
     lines += [f"  {state:<10} {_percent(error)}" for state, error in free.items()]
     unsought = (found.found.words,) if found.found is not None and not found.found.sought else ()
     lines += [f"note: {note}" for note in (*source.notes, *unsought)]
-    lines += [*wrong_units(found.model, source), *missing_rates(found.model, source)]
+    lines += missing_rates(found.model, source)
     if shown is None:
         return "\n".join([*lines, "the validation data are too short to judge how far ahead the model predicts"])
     return "\n".join([*lines, *verdict.judge(shown, signature)])
@@ -337,10 +328,16 @@ def _percent(error: float) -> str:
     return f"{100 * error:.3g} %" if math.isfinite(error) else "runs away"
 
 
-def write(found: Identified, source: Source, folder: Path) -> None:
+def write(found: Identified, source: Source, folder: Path, before: Sequence[str] = ()) -> None:
     """Write model.json, metrics.json, report.txt and the coefficients as text, LaTeX and CSV.
 
     Where an input has a rate limit or play, the model that has it too is written beside.
+
+    Args:
+        found: the model and its figures.
+        source: the data.
+        folder: where; made if missing.
+        before: lines with which the report begins.
     """
     folder.mkdir(parents=True, exist_ok=True)
     library, coefficients = found.model.library, found.model.coefficients
@@ -348,7 +345,7 @@ def write(found: Identified, source: Source, folder: Path) -> None:
     if found.found is not None and found.found.actuator:
         behind(found.model, found.found, source.training.dt).save(folder / BEHIND)
     (folder / "metrics.json").write_text(json.dumps(found.metrics, indent=1) + "\n")
-    (folder / "report.txt").write_text(to_words(found, source) + "\n")
+    (folder / "report.txt").write_text("\n".join([*before, to_words(found, source)]) + "\n")
     (folder / "coefficients.txt").write_text(to_text(library, coefficients) + "\n")
     (folder / "coefficients.tex").write_text(to_latex(library, coefficients))
     (folder / "coefficients.csv").write_text(to_csv(library, coefficients))

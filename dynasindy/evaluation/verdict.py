@@ -53,23 +53,43 @@ def table(forecasts: Forecasts, signature: Signature) -> list[str]:
 
 def judge(forecasts: Forecasts, signature: Signature) -> list[str]:
     """Say whether the model predicts, over the time in which the slowest state changes, and whether it is needed."""
+    if short := shortcoming(forecasts, signature):
+        return [f"this model does not predict: {short}"]
     k = forecasts.middle
-    ours, simple, held = (kind[k] for kind in (forecasts.model, forecasts.linear, forecasts.held))
-    seen = [i for i in range(signature.n_x) if not math.isnan(float(held[i]))]
+    ours, simple, seen = forecasts.model[k], forecasts.linear[k], _seen(forecasts, signature)
     names, ahead = signature.state_names, in_words(forecasts.horizons[k])
-    if lost := [i for i in seen if not math.isfinite(float(ours[i]))]:
-        return [f"this model does not predict: within {ahead} {_listed(names, lost)} runs away"]
-    fine = [i for i in seen if float(ours[i]) <= RESOLVED * float(forecasts.resolution[i])]
-    poor = [i for i in seen if i not in fine and not float(ours[i]) <= HELPFUL * float(held[i])]
-    if poor:
-        said = ", ".join(f"{names[i]} by {_short(float(ours[i]))} {signature.state_units[i]}" for i in poor)
-        than = ", ".join(_short(float(held[i])) for i in poor)
-        return [f"this model does not predict: over {ahead} it misses {said}; the last value held misses {than}"]
+    fine = _fine(forecasts, seen)
     near = f", {_listed(names, fine)} to what the sensors resolve" if fine else ""
     lines = [f"this model predicts {ahead} ahead{near}"]
     if behind := [i for i in seen if i not in fine and float(simple[i]) < 0.9 * float(ours[i])]:
         lines.append(f"a linear model on past samples predicts {_listed(names, behind)} better: a function is missing")
     return lines
+
+
+def shortcoming(forecasts: Forecasts, signature: Signature) -> str:
+    """Say what keeps the model from being one that predicts; empty of one that does."""
+    k, seen = forecasts.middle, _seen(forecasts, signature)
+    ours, held, names, ahead = forecasts.model[k], forecasts.held[k], signature.state_names, forecasts.horizons[k]
+    if lost := [i for i in seen if not math.isfinite(float(ours[i]))]:
+        return f"within {in_words(ahead)} {_listed(names, lost)} run{'s' * (len(lost) == 1)} away"
+    fine = _fine(forecasts, seen)
+    poor = [i for i in seen if i not in fine and not float(ours[i]) <= HELPFUL * float(held[i])]
+    if not poor:
+        return ""
+    said = ", ".join(f"{names[i]} by {_short(float(ours[i]))} {signature.state_units[i]}" for i in poor)
+    than = ", ".join(_short(float(held[i])) for i in poor)
+    return f"over {in_words(ahead)} it misses {said}; the last value held misses {than}"
+
+
+def _seen(forecasts: Forecasts, signature: Signature) -> list[int]:
+    """Return the states that were measured."""
+    return [i for i in range(signature.n_x) if not math.isnan(float(forecasts.held[forecasts.middle, i]))]
+
+
+def _fine(forecasts: Forecasts, seen: Sequence[int]) -> list[int]:
+    """Return the states that are predicted as well as a sensor can tell."""
+    ours = forecasts.model[forecasts.middle]
+    return [i for i in seen if float(ours[i]) <= RESOLVED * float(forecasts.resolution[i])]
 
 
 def found_in_model(model: SindyModel) -> list[str]:

@@ -81,18 +81,6 @@ def test_columns_of_a_log_of_no_plant_are_named_by_a_list_or_a_map(tmp_path):
         names()
 
 
-def test_a_log_with_an_angle_in_degrees_and_a_rate_in_rad_is_told(tmp_path):
-    data = Simulated().load(Pendulum(), EXCITATION).training
-    lines = ["time,theta,Omega,u"]
-    lines += [f"{k * data.dt},{data.x[k, 0] * 57.29578},{data.x[k, 1]},{data.u[k, 0]}" for k in range(len(data))]
-    (tmp_path / "log.csv").write_text("\n".join(lines))
-    source = Logged(str(tmp_path / "log.csv")).load(Pendulum(), EXCITATION)
-    words = to_words(_identified(source), source)
-    assert words.count("warning: Omega does not fit theta, whose slope over time is 57.3 times Omega;") == 1
-    exact = Simulated().load(Pendulum(), EXCITATION)
-    assert "warning" not in to_words(_identified(exact), exact)
-
-
 def test_settings_that_make_no_sense_are_refused():
     with pytest.raises(ValueError, match="noise -1"):
         Simulated(noise=-1.0)
