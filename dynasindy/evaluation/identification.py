@@ -239,6 +239,11 @@ class Identified:
     forecasts: Forecasts | None = None
     found: Found | None = None
 
+    @property
+    def predicts(self) -> bool:
+        """Whether the model was seen to predict; not where the validation data are too short to tell."""
+        return self.forecasts is not None and not verdict.shortcoming(self.forecasts, self.model.signature)
+
 
 def identify(
     model: SindyModel, source: Source, horizons: Sequence[float] | None = None, actuators: bool = True
