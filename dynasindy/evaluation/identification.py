@@ -13,12 +13,13 @@ import torch
 from torch import Tensor
 
 from dynasindy.data.csv import Column, CsvLog, Recording, chosen, infer
-from dynasindy.data.simulated import Ends, before_leaving, disturb, record
+from dynasindy.data.simulated import before_leaving, disturb, record
 from dynasindy.data.table import all_headings, split_unit
 from dynasindy.evaluation import verdict
 from dynasindy.evaluation.horizons import Forecasts, begun, forecast
 from dynasindy.excitation import Excitation, HeldRandom
 from dynasindy.systems.base import Signature, System
+from dynasindy.systems.ranges import Ends, drawn, starts
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell, telling
 from dynasindy.world_models import FitReport, SindyModel
@@ -65,6 +66,8 @@ class Simulated:
         validation_seconds: length of the validation, random held inputs [s].
         seed: seed of noise and validation.
         bounds: limits of states by name, beyond which nothing is recorded; one for both sides of zero, or both ends.
+        start: where the plant begins, by state: a value, or the two ends of a range from which it is drawn; zero for
+            the others.
 
     Raises:
         ValueError: a time or the substeps are not positive, or the noise is negative.
@@ -76,6 +79,7 @@ class Simulated:
     validation_seconds: float = 20.0
     seed: int = 0
     bounds: dict[str, Ends] | None = None
+    start: dict[str, Ends] | None = None
 
     def __post_init__(self) -> None:
         if not self.dt > 0 or not self.validation_seconds > 0 or not self.noise >= 0 or self.substeps < 1:
@@ -109,14 +113,19 @@ class Simulated:
             offset=signal.offset.tolist(),
             seed=self.seed + 1,
         )
-        training = record(system, signal.samples(self.dt), self.dt, self.substeps)
+        training = record(system, signal.samples(self.dt), self.dt, self.substeps, self._start(system, self.seed))
         left_out = signal.samples(self.dt).shape[0] - len(training)
         at_stop = f"{left_out} samples that touched a stop were left out" if left_out else ""
         training, gone = self._before_leaving(training, system, "in the excitation")
-        validation = record(system, unseen.samples(self.dt), self.dt, self.substeps)
+        other = self._start(system, self.seed + 1)
+        validation = record(system, unseen.samples(self.dt), self.dt, self.substeps, other)
         validation, lost = self._before_leaving(validation, system, "in the validation, under random inputs,")
         notes = tuple(filter(None, (at_stop, gone, lost)))
         return Source(system.signature, disturb(training, self.noise, self.seed), validation, notes)
+
+    def _start(self, system: System, seed: int) -> Tensor:
+        """Return the state in which a recording begins, `(n_x,)`."""
+        return drawn(starts(system.signature, self.start or {}), torch.Size(), torch.Generator().manual_seed(seed))
 
     def _before_leaving(self, data: Transitions, system: System, what: str) -> tuple[Transitions, str]:
         return before_leaving(data, system.signature, self.bounds or {}, what)

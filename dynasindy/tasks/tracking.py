@@ -9,7 +9,8 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
-from dynasindy.systems import Signature
+from dynasindy.systems import Signature, ranges
+from dynasindy.systems.ranges import Ends
 from dynasindy.tasks import references
 from dynasindy.tasks.base import Task
 from dynasindy.tasks.constants import constants
@@ -63,8 +64,8 @@ class Tracking(Task):
         error_scale: float = 0.5,
         low: Sequence[float] | None = None,
         high: Sequence[float] | None = None,
-        start: Mapping[str, float | Sequence[float]] | None = None,
-        bounds: Mapping[str, float | Sequence[float]] | None = None,
+        start: Mapping[str, Ends] | None = None,
+        bounds: Mapping[str, Ends] | None = None,
     ) -> None:
         super().__init__(signature, max_steps)
         if not outputs:
@@ -99,10 +100,8 @@ class Tracking(Task):
         self.n_r = reference.n_r
         self.n_o = signature.n_x + (2 if observe_rate else 1) * self.n_r
         self._box = _boxes(signature, self.outputs, low, high)
-        self.start = _ends(signature, "start", start or {}, torch.zeros(2, signature.n_x))
-        unbounded = torch.tensor([[-math.inf], [math.inf]], dtype=torch.float64).expand(-1, signature.n_x)
-        both = {name: [-v, v] if isinstance(v, int | float) else v for name, v in (bounds or {}).items()}
-        self.bounds = _ends(signature, "bounds", both, unbounded.clone())
+        self.start = ranges.starts(signature, start or {}, "task.start")
+        self.bounds = ranges.limits(signature, bounds or {}, "task.bounds")
         self.fence = 0.0
 
     @property
@@ -166,10 +165,7 @@ class Tracking(Task):
         """Return the state in which episodes begin, `(*batch, n_x)`: the origin, unless `start` says otherwise."""
         if self.starts is not None:
             return self.starts[torch.randint(len(self.starts), batch, generator=generator)]
-        low, high = self.start
-        if torch.equal(low, high):
-            return low.expand(*batch, -1).clone()
-        return low + (high - low) * torch.rand(*batch, self.signature.n_x, generator=generator)
+        return ranges.drawn(self.start, batch, generator)
 
     def reference(self, params: Tensor, t: Tensor) -> Tensor:
         """Return the reference, `(*batch, n_r)`, at times `t` `(*batch, 1)` [s]."""
@@ -237,16 +233,3 @@ def _boxes(
     widest = {unit: max(b - a for a, b, u in zip(low, high, units, strict=True) if u == unit) for unit in units}
     extents = [widest[unit] or signature.x_scale[i] for unit, i in zip(units, outputs, strict=True)]
     return torch.tensor(extents, dtype=torch.float64)
-
-
-def _ends(signature: Signature, key: str, given: Mapping[str, float | Sequence[float]], ends: Tensor) -> Tensor:
-    """Return the lower and the upper ends of states, `(2, n_x)`, with those that are given put in."""
-    for name, value in given.items():
-        pair = [value, value] if isinstance(value, int | float) else list(value)
-        if name not in signature.state_names or len(pair) != 2 or not -math.inf < pair[0] <= pair[1] < math.inf:
-            raise ValueError(
-                f"task.{key} has {name}: {value}; name one of the states {', '.join(signature.state_names)}, with a "
-                "value or the two ends of a range"
-            )
-        ends[:, signature.state_index(name)] = torch.tensor(pair).to(ends)
-    return ends

@@ -149,6 +149,18 @@ def test_validation_is_held_random_of_seven_tenths_of_the_range_about_the_same_o
     assert torch.equal(one.training.u, other.training.u)  # a chirp has no seed
 
 
+def test_the_simulated_plant_begins_where_it_is_said_to():
+    begun = Simulated(validation_seconds=2.0, start={"theta": 0.5}).load(Pendulum(), partial(Chirp, duration=2.0))
+    assert begun.training.x[0].tolist() == begun.validation.x[0].tolist() == [0.5, 0.0]
+    drawn = Simulated(validation_seconds=2.0, start={"theta": [0.2, 0.6]}).load(
+        Pendulum(), partial(Chirp, duration=2.0)
+    )
+    first, other = (float(data.x[0, 0]) for data in (drawn.training, drawn.validation))
+    assert 0.2 < first < 0.6 and 0.2 < other < 0.6 and first != other
+    with pytest.raises(ValueError, match=r"plant\.start has phi: 1"):
+        Simulated(start={"phi": 1}).load(Pendulum(), partial(Chirp, duration=2.0))
+
+
 def test_samples_at_a_stop_are_left_out_and_counted():
     hard = partial(Chirp, duration=3.0, amplitude=1.0)
     plant = Tras(azimuth_stop=0.05)
