@@ -80,9 +80,10 @@ def _stability(found: Check) -> Finding:
         restless = int((~found.rest.still).sum())
         more = f"; at {restless} of them there is no rest" if restless else ""
         _, error, output = _error(found, found.steps.steady_error[bad])
+        which = ("such as " if count - good > 1 else "") + _place(found, k)
         words = (
-            f"NOT stable at {count - good} of {count} targets, such as {_place(found, k)}{more}; flown there, "
-            f"{_name(found, output)} ends within {error} of its target"
+            f"NOT stable at {count - good} of {count} targets, {which}{more}; flown there, {_name(found, output)} ends "
+            f"within {error} of its target"
         )
         return Finding("stability", False, f"{words}; threshold: spectral radius < 1 at all")
     k = int(np.argmax(found.rest.linear.radius))
@@ -173,8 +174,8 @@ def _flights(found: Check, limits: Thresholds) -> list[Finding]:
         Finding(
             "saturation",
             float(saturated[j]) <= limits.saturated,
-            f"in a step {names[j]} is at its limit for up to {saturated[j]:.0%} of {in_words(found.settings.seconds)}; "
-            f"threshold: {limits.saturated:.0%}",
+            f"in a step {names[j]} is at its limit for up to {100 * saturated[j]:.0f} % of "
+            f"{in_words(found.settings.seconds)}; threshold: {100 * limits.saturated:.0f} %",
         ),
     ]
 
@@ -182,7 +183,7 @@ def _flights(found: Check, limits: Thresholds) -> list[Finding]:
 def _changes(found: Check, limits: Thresholds) -> list[Finding]:
     others, lines = found.spread, []
     for name, rows, words in (
-        ("one coefficient", slice(others.draws, None), f"each coefficient by {SHARE:.0%} of itself"),
+        ("one coefficient", slice(others.draws, None), f"each coefficient by {100 * SHARE:.0f} % of itself"),
         ("all coefficients", slice(0, others.draws), f"{others.draws} draws of all coefficients"),
     ):
         radius, labels = others.worst[rows], others.labels[rows]
@@ -205,13 +206,13 @@ def _changes(found: Check, limits: Thresholds) -> list[Finding]:
 
 def _recovery(found: Check, limits: Thresholds) -> Finding:
     shares = [plane.share for plane in found.planes]
-    words = ", ".join(f"{plane.share:.0%} in {plane.names[0]} and {plane.names[1]}" for plane in found.planes)
+    words = ", ".join(f"{100 * plane.share:.0f} % in {plane.names[0]} and {plane.names[1]}" for plane in found.planes)
     least = min(shares)
     return Finding(
         "recovery",
         least >= limits.recovered,
         f"comes back from errors of up to {found.settings.reach:g} typical range{'s' * (found.settings.reach != 1)} of "
-        f"each state: {words}; threshold: {limits.recovered:.0%}",
+        f"each state: {words}; threshold: {100 * limits.recovered:.0f} %",
     )
 
 

@@ -56,7 +56,7 @@ def draw(found: Check, thresholds: Thresholds | None = None) -> dict[str, Figure
         words = (
             f"Errors from which the model comes back to {_target(found, found.middle)}: within "
             f"{in_words(found.settings.seconds)} to {100 * TOLERANCE:g} % of each output's range "
-            f"(asked for: {limits.recovered:.0%} of them)"
+            f"(asked for: {100 * limits.recovered:.0f} % of them)"
         )
         figures["recovery"] = recovery(planes, words)
     stable = [k for k, ok in enumerate(found.stable.tolist()) if ok]
@@ -262,7 +262,7 @@ def recovery(planes: Sequence[Drawn], title: str = "Comes back from these errors
         axis.pcolormesh(
             array(first), array(second), array(back).T, cmap=ListedColormap([RED, GREEN]), vmin=0, vmax=1, alpha=0.6
         )
-        axis.set_title(f"{np.mean(array(back)):.0%} come back")
+        axis.set_title(f"{100 * np.mean(array(back)):.0f} % come back")
         _named(axis, names, units)
     told = [Patch(color=color, alpha=0.6, label=words) for color, words in ((GREEN, "comes back"), (RED, "does not"))]
     figure.legend(handles=told, loc="outside lower center", ncols=2)
