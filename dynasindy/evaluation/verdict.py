@@ -62,7 +62,10 @@ def judge(forecasts: Forecasts, signature: Signature) -> list[str]:
     near = f", {_listed(names, fine)} to what the sensors resolve" if fine else ""
     lines = [f"this model predicts {ahead} ahead{near}"]
     if behind := [i for i in seen if i not in fine and float(simple[i]) < 0.9 * float(ours[i])]:
-        lines.append(f"a linear model on past samples predicts {_listed(names, behind)} better: a function is missing")
+        lines.append(
+            f"a linear model on past samples predicts {_listed(names, behind)} better: a function is missing, or a "
+            "state that nobody measured"
+        )
     return lines
 
 
