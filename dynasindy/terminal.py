@@ -17,6 +17,7 @@ from contextlib import ExitStack
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, TextIO, cast
 
+from dynasindy.durations import in_words
 from dynasindy.told import Told, hearing
 
 if TYPE_CHECKING:
@@ -273,7 +274,7 @@ def _progress(file: TextIO) -> Progress:
 
 def line(told: Told, seconds: float) -> str:
     """Return a phase, how much of it is done, and how long it took so far, in words."""
-    parts = [told.counted(), told.words, f"{seconds:.0f} s"]
+    parts = [told.counted(), told.words, in_words(round(seconds))]
     return f"{told.phase}: {', '.join(filter(None, parts))}"
 
 

@@ -1,10 +1,7 @@
 """The commands of `dynasindy`: which there are, how they are called, and the one that a command line names."""
 
-import argparse
 import ast
 import os
-import re
-import shlex
 import sys
 from collections.abc import Sequence
 from difflib import get_close_matches
@@ -34,41 +31,6 @@ COMMANDS = (
 SCRIPTS = Path(__file__).resolve().parent
 IN_CLONE = (SCRIPTS.parent / "pyproject.toml").is_file()
 HELP, COMPLETION = ("-h", "--help"), ("-sc", "--shell-completion")
-
-
-NEXT = {
-    "evaluate": "flies it in other scenarios, as wind and noise",
-    "check": "tells its margins and worst cases, on the model",
-    "export": "writes the controller as C, for a microcontroller",
-}
-"""What a command shows or makes of a run."""
-
-
-def following(folder: object, *names: str) -> str:
-    """Return what to do next with a run: a command a line, which can be copied, and what comes of it."""
-    return "\n".join(["next:", *(f"  {called(name)} run={folder}  # {NEXT[name]}" for name in names)])
-
-
-def planning(words: Sequence[str], logged: bool, plant: str | None, open_keys: Sequence[str]) -> str:
-    """Return the command that plans on what `identify` was called for, with the words that it was called with.
-
-    Args:
-        words: What the user gave.
-        logged: Whether the data are a log; if not, what is said of the data is not for `train`.
-        plant: The option of `system`, if a plant was named or taken.
-        open_keys: Keys of `plant` that nobody has given yet.
-    """
-    own = ("actuators", "folder", "formats", "horizons", "hydra", *(() if logged else ("data", "refinement", "source")))
-    given = {word: word.lstrip("+~").partition("=")[0] for word in words}
-    kept = [word for word, key in given.items() if re.split(r"[./]", key)[0] not in own]
-    if not logged and plant and "system" not in given.values():
-        kept.insert(0, f"system={plant}")
-    kept += [f"plant.{key}=[{'NAME' if key == 'outputs' else 'NUMBER'}]" for key in open_keys]
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    parser.add_argument("--config-dir", "-cd")
-    if folder := parser.parse_known_args(sys.argv[1:])[0].config_dir:
-        kept = ["--config-dir", folder, *kept]
-    return " ".join([called("train"), *map(shlex.quote, kept)])
 
 
 def called(name: str) -> str:

@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from command import command
-from commands import planning
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
+from next_steps import listed, planning, with_plant
 from omegaconf import DictConfig, OmegaConf
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ def main(cfg: DictConfig) -> None:
     """Load data, fit, judge, write everything and print it."""
     import torch
 
+    from dynasindy.evaluation.before_fit import before_fit, plants_with
     from dynasindy.evaluation.identification import identify, to_words, write
     from dynasindy.terminal import say
     from dynasindy.told import tell
@@ -28,15 +29,25 @@ def main(cfg: DictConfig) -> None:
         built["world_model"](signature=system.signature)  # refuses functions before the plant moves
     tell("data")
     source = built["data"].load(system, built["excitation"])
-    found = identify(built["world_model"](signature=source.signature), source, cfg.horizons, cfg.actuators)
-    folder = Path(cfg.folder)
-    write(found, source, folder)
+    model, folder = built["world_model"](signature=source.signature), Path(cfg.folder)
+    if told := before_fit(model, source):
+        say(*told)
+    found = identify(model, source, cfg.horizons, cfg.actuators)
+    write(found, source, folder, told)
     draw(found, source, folder, list(cfg.formats))
     say(to_words(found, source), f"written to {folder}")
     job, logged = HydraConfig.get(), bool(cfg.data.get("path"))
+    words, system = job.overrides.task, job.runtime.choices.system
+    known = plants_with(source.signature) if logged and cfg.system is None else []
+    if known and not found.predicts:
+        others = f"; others with these columns: {', '.join(known[1:])}" if known[1:] else ""
+        say(listed(f"{with_plant(words, known[0])}  # takes the functions of that plant{others}"))
+        return
     lacking = [key for key in ("outputs", "low", "high") if OmegaConf.is_missing(cfg.plant, key)]
     does = "plans a controller on the log" if logged else "excites, identifies and plans in one go"
-    say("next:", f"  {planning(job.overrides.task, logged, job.runtime.choices.system, lacking)}  # {does}")
+    if found.forecasts is not None and not found.predicts:
+        does += "; this model does not predict, so mend first what is said above"
+    say(listed(f"{planning(words, logged, system, lacking)}  # {does}"))
 
 
 def draw(found: "Identified", source: "Source", folder: Path, formats: list[str]) -> None:

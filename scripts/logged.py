@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from commands import following
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from hydra.utils import instantiate
 from job import command_and_commit
+from next_steps import following, mending
 from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.dyna.from_log import Wanted, controller_of, followed, judged, model_of, report, write
@@ -64,7 +64,8 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
         draw_evaluation(prediction.shown, folder / "figures", place=prediction.place)
     say(report(model, prediction), f"Controller: {folder / 'controller.json'}")
     if not swept:
-        print(following(folder, "check", "export"))
+        words = HydraConfig.get().overrides.task
+        print(following(folder, "check", "export") if prediction.controlled else mending(folder, words))
     return prediction.record()
 
 

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryFile
 
+from hydra.core.hydra_config import HydraConfig
 from hydra.experimental.callback import Callback
 from hydra.utils import instantiate
 from mistakes import MENDABLE, in_words
@@ -21,6 +22,21 @@ class Checking(Callback):
         except MENDABLE as error:
             print(f"error: {in_words(error, 'ablation')}", file=sys.stderr)
             sys.exit(2)  # Hydra makes warnings of other exceptions
+
+
+def require_targets(cfg: DictConfig) -> None:
+    """Refuse a task without targets, before a search spends runs on scores that are all the same.
+
+    Raises:
+        ValueError: The task tracks no output.
+    """
+    task = instantiate(cfg.task, _convert_="all")(signature=instantiate(cfg.system, _convert_="all").signature)
+    if task.n_r == 0:
+        given = HydraConfig.get().runtime.choices.get("task", "own")
+        raise ValueError(
+            f"task={given} has no targets, so its jobs have no score by which the sweeper could choose the next; "
+            "take a task that tracks plant.outputs, such as task=random_step, or hydra/sweeper=basic"
+        )
 
 
 def _check(config: DictConfig) -> None:

@@ -5,10 +5,9 @@ import sys
 from pathlib import Path
 
 from command import command, needs_score
-from commands import following
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from hydra.utils import instantiate
+from next_steps import following, mending
 from omegaconf import DictConfig
 
 
@@ -24,6 +23,8 @@ def main(cfg: DictConfig) -> float:
             sys.exit(1)
         return score(found["score"])
     if swept and needs_score(HydraConfig.get()) and cfg.resume is None and cfg.system is not None:
+        from sweep import require_targets
+
         require_targets(cfg)
     from job import run_job
 
@@ -41,27 +42,14 @@ def main(cfg: DictConfig) -> float:
     draw_run(folder, done.recipe.system.signature)
     say(report(done.metrics, folder))
     if not swept:
-        # A task without targets leaves no controller to check or to export.
-        more = ("check", "export") if (folder / NAME).is_file() else ()
-        print(following(folder, "evaluate", *more))
+        written = (folder / NAME).is_file()  # a task without targets leaves no controller to check or to export
+        if done.metrics["verdict"].get("controlled") is False:
+            print(mending(folder, HydraConfig.get().overrides.task, done.recipe.train.episodes, written))
+        else:
+            print(following(folder, "evaluate", *(("check", "export") if written else ())))
     if not (done.enough or swept):
         sys.exit(1)
     return max(shares, default=math.inf)
-
-
-def require_targets(cfg: DictConfig) -> None:
-    """Refuse a task without targets, before a search spends runs on scores that are all the same.
-
-    Raises:
-        ValueError: The task tracks no output.
-    """
-    task = instantiate(cfg.task, _convert_="all")(signature=instantiate(cfg.system, _convert_="all").signature)
-    if task.n_r == 0:
-        given = HydraConfig.get().runtime.choices.get("task", "own")
-        raise ValueError(
-            f"task={given} has no targets, so its jobs have no score by which the sweeper could choose the next; "
-            "take a task that tracks plant.outputs, such as task=random_step, or hydra/sweeper=basic"
-        )
 
 
 def score(error: float | None) -> float:

@@ -33,7 +33,7 @@ class Settings:
         seed: Seed of the draws.
 
     Raises:
-        ValueError: The box is none, or a number is too small.
+        ValueError: The target range is none, or a number is too small.
     """
 
     low: tuple[float, ...]
@@ -125,7 +125,7 @@ def check(loop: Loop, settings: Settings, errors: Tensor | None = None) -> Check
         errors: Standard errors of the model's coefficients, if they are known, `(n_features, n_x)`.
 
     Raises:
-        ValueError: The box has another number of outputs than the controller.
+        ValueError: The target range has another number of outputs than the controller.
     """
     if len(settings.low) != loop.task.n_r:
         raise ValueError(

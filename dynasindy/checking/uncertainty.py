@@ -65,7 +65,7 @@ def variants(model: SindyModel, draws: int, seed: int, errors: Tensor | None = N
             changed = xi.clone()
             changed[k, i] *= 1 + sign * SHARE
             moved.append(changed)
-            labels.append(f"{model.library.names[k]} in {model.signature.state_names[i]}' {sign * SHARE:+.0%}")
+            labels.append(f"{model.library.names[k]} in {model.signature.state_names[i]}' {100 * sign * SHARE:+.0f} %")
     return Variants(labels, torch.cat([drawn, *(one.unsqueeze(0) for one in moved)]), draws)
 
 

@@ -13,6 +13,7 @@ from dynasindy.checking.check import Check
 from dynasindy.checking.flights import TOLERANCE
 from dynasindy.checking.margins import Margins
 from dynasindy.checking.uncertainty import SHARE
+from dynasindy.durations import in_words
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class Thresholds:
         phase: Least phase margin [deg].
         delay: Least delay margin [control periods].
         disk: Least disk margin.
-        error: Largest steady error [ranges of the outputs].
+        error: Largest steady error [typical ranges of the outputs].
         recovered: Least share of initial errors from which the plant comes back.
         noise: Largest standard deviation of an input under the noise of the sensors.
         slew: Largest change of an input in a control period.
@@ -78,17 +79,18 @@ def _stability(found: Check) -> Finding:
         k = int(bad.nonzero()[0])
         restless = int((~found.rest.still).sum())
         more = f"; at {restless} of them there is no rest" if restless else ""
-        _, error, name = _error(found, found.steps.steady_error[bad])
+        _, error, output = _error(found, found.steps.steady_error[bad])
+        which = ("such as " if count - good > 1 else "") + _place(found, k)
         words = (
-            f"NOT stable at {count - good} of {count} targets, such as {_place(found, k)}{more}; flown there, {name} "
-            f"ends within {error}"
+            f"NOT stable at {count - good} of {count} targets, {which}{more}; flown there, {_name(found, output)} ends "
+            f"within {error} of its target"
         )
         return Finding("stability", False, f"{words}; threshold: spectral radius < 1 at all")
     k = int(np.argmax(found.rest.linear.radius))
     radius = float(found.rest.linear.radius[k])
     slowest = -dt / math.log(radius) if 0 < radius < 1 else 0.0
     words = f"stable at all {count} targets; largest spectral radius {radius:.4f} at {_place(found, k)}"
-    return Finding("stability", True, f"{words}, a time constant of {slowest:.2g} s; threshold: < 1")
+    return Finding("stability", True, f"{words}, a time constant of {in_words(slowest, digits=2)}; threshold: < 1")
 
 
 def _margins(found: Check, limits: Thresholds) -> list[Finding]:
@@ -154,14 +156,15 @@ def _noise(found: Check, limits: Thresholds) -> Finding:
 
 def _flights(found: Check, limits: Thresholds) -> list[Finding]:
     names, steps = found.loop.signature.input_names, found.steps
-    error, word, where = _error(found, steps.steady_error)
+    error, word, output = _error(found, steps.steady_error)
     slew, saturated = steps.slew.nan_to_num(torch.inf).amax(0), steps.saturated.amax(0)
     i, j = int(slew.argmax()), int(saturated.argmax())
     return [
         Finding(
             "steady error",
             error <= limits.error,
-            f"in steps from the origin at most {word} of {where}; threshold: {limits.error:g} ranges of the output",
+            f"in steps from the origin at most {word} of {_name(found, output)}; "
+            f"threshold: {_allowed(found, limits, output)}",
         ),
         Finding(
             "slew",
@@ -171,8 +174,8 @@ def _flights(found: Check, limits: Thresholds) -> list[Finding]:
         Finding(
             "saturation",
             float(saturated[j]) <= limits.saturated,
-            f"in a step {names[j]} is at its limit for up to {saturated[j]:.0%} of {found.settings.seconds:g} s; "
-            f"threshold: {limits.saturated:.0%}",
+            f"in a step {names[j]} is at its limit for up to {100 * saturated[j]:.0f} % of "
+            f"{in_words(found.settings.seconds)}; threshold: {100 * limits.saturated:.0f} %",
         ),
     ]
 
@@ -180,14 +183,14 @@ def _flights(found: Check, limits: Thresholds) -> list[Finding]:
 def _changes(found: Check, limits: Thresholds) -> list[Finding]:
     others, lines = found.spread, []
     for name, rows, words in (
-        ("one coefficient", slice(others.draws, None), f"each coefficient by {SHARE:.0%} of itself"),
+        ("one coefficient", slice(others.draws, None), f"each coefficient by {100 * SHARE:.0f} % of itself"),
         ("all coefficients", slice(0, others.draws), f"{others.draws} draws of all coefficients"),
     ):
         radius, labels = others.worst[rows], others.labels[rows]
         if not len(labels) or not len(others.radius):
             continue
         unstable, k = int((radius >= 1).sum()), int(radius.argmax())
-        error, word, where = _error(found, others.farthest[rows])
+        error, word, output = _error(found, others.farthest[rows])
         stays = "stable with all" if not unstable else f"NOT stable with {unstable} of {len(labels)}"
         far = "no rest" if radius[k].isinf() else f"spectral radius {radius[k]:.4f}"
         lines.append(
@@ -195,7 +198,7 @@ def _changes(found: Check, limits: Thresholds) -> list[Finding]:
                 name,
                 not unstable and error <= limits.error,
                 f"{words}, where the model itself is stable: {stays}, worst {labels[k]} ({far}), steady error at most "
-                f"{word} of {where}; threshold: stable, {limits.error:g} ranges",
+                f"{word} of {_name(found, output)}; threshold: stable, {_allowed(found, limits, output)}",
             )
         )
     return lines
@@ -203,24 +206,36 @@ def _changes(found: Check, limits: Thresholds) -> list[Finding]:
 
 def _recovery(found: Check, limits: Thresholds) -> Finding:
     shares = [plane.share for plane in found.planes]
-    words = ", ".join(f"{plane.share:.0%} in {plane.names[0]} and {plane.names[1]}" for plane in found.planes)
+    words = ", ".join(f"{100 * plane.share:.0f} % in {plane.names[0]} and {plane.names[1]}" for plane in found.planes)
     least = min(shares)
     return Finding(
         "recovery",
         least >= limits.recovered,
-        f"comes back from errors of up to {found.settings.reach:g} ranges: {words}; threshold: {limits.recovered:.0%}",
+        f"comes back from errors of up to {found.settings.reach:g} typical range{'s' * (found.settings.reach != 1)} of "
+        f"each state: {words}; threshold: {100 * limits.recovered:.0f} %",
     )
 
 
-def _error(found: Check, error: torch.Tensor) -> tuple[float, str, str]:
-    """Return the largest steady error in ranges, and in words, of `(rows, n_r)`."""
+def _error(found: Check, error: torch.Tensor) -> tuple[float, str, int]:
+    """Return the largest steady error of `(rows, n_r)` in typical ranges, in words, and the number of its output."""
     signature, outputs = found.loop.signature, found.loop.task.outputs
     scale = torch.tensor([signature.x_scale[i] for i in outputs], dtype=torch.float64)
     ranged = (error / scale).amax(0)
     i = int(ranged.argmax())
     value = float(error[:, i].amax())
     word = "no bound" if value == math.inf else f"{value:.3g} {signature.state_units[outputs[i]]}"
-    return float(ranged[i]), word, signature.state_names[outputs[i]]
+    return float(ranged[i]), word, i
+
+
+def _name(found: Check, output: int) -> str:
+    return found.loop.signature.state_names[found.loop.task.outputs[output]]
+
+
+def _allowed(found: Check, limits: Thresholds, output: int) -> str:
+    """Return the steady error that an output may have, in its unit and as a share of its typical range."""
+    signature, state = found.loop.signature, found.loop.task.outputs[output]
+    most = limits.error * signature.x_scale[state]
+    return f"{most:.3g} {signature.state_units[state]}, {100 * limits.error:g} % of its range"
 
 
 def _place(found: Check, k: int) -> str:

@@ -15,6 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from dynasindy.data.table import MAP, Table, all_headings, numeric_headings, read_table, seconds_of, split_unit
+from dynasindy.durations import in_words
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -62,7 +63,7 @@ class Recording:
         stretches = len(data.segment.unique())
         many = f" in {stretches} stretches" if stretches > 1 else ""
         lines = [
-            f"Recording of {len(data)} rows, {len(data) * data.dt:.4g} s every {data.dt:.4g} s{many}: states "
+            f"Recording of {len(data)} rows, {in_words(len(data) * data.dt)} every {in_words(data.dt)}{many}: states "
             f"{', '.join(states)}; inputs {', '.join(signature.input_names)}",
             *(f"note: {note}" for note in self.notes),
         ]

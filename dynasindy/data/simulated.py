@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import torch
@@ -11,12 +11,11 @@ from torch import Tensor
 from dynasindy.systems import Diverged
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.integrators import integrate
+from dynasindy.systems.ranges import Ends, limits
 from dynasindy.systems.transitions import Transitions
 
 FAR = 1000.0
 """Ranges of a state beyond which a plant has run away, where nobody says what its bounds are."""
-
-Ends = float | Sequence[float]
 
 
 def record(plant: System, u: Tensor, dt: float, substeps: int = 10, x0: Tensor | None = None) -> Transitions:
@@ -66,13 +65,11 @@ def before_leaving(
 
     Raises:
         Diverged: it left in the first half.
-        ValueError: a bound is of no state.
+        ValueError: a bound is of no state, or is no range.
     """
     far = FAR * torch.tensor(signature.x_scale, dtype=torch.float64)
-    low, high = -far, far.clone()
-    for name, ends in bounds.items():
-        i = signature.state_index(name)
-        low[i], high[i] = (-ends, ends) if isinstance(ends, int | float) else ends
+    given = limits(signature, bounds)
+    low, high = torch.where(given.isfinite(), given, torch.stack([-far, far]))
     out = ~((data.x_next >= low) & (data.x_next <= high))
     if not bool(out.any()):
         return data, ""

@@ -36,6 +36,8 @@ NEAR = 1.0
 """Ranges around the start within which the linear model is fitted."""
 ENOUGH = 2
 """Rows near the start per number of a linear equation; fewer would fit noise, and no loop is closed."""
+MUCH = 0.25
+"""Part of the excitation that is left out from which on more data would help."""
 MARGIN = 0.9
 """Largest mean input of the loop."""
 LOOKED_AT = 100
@@ -104,9 +106,13 @@ def left_out(rows: TensorDict) -> str:
     count = int(rows["next", "at_stop"].sum())
     if not count:
         return ""
+    rest = rows.numel() - count
+    touched = f"The excitation reached a mechanical stop in {count} of {rows.numel()} control periods"
+    if count < MUCH * rows.numel():
+        return f"{touched}; the model is fitted to the other {rest}."
     return (
-        f"The excitation reached a mechanical stop in {count} of {rows.numel()} control periods, which the fit leaves "
-        "out; a smaller excitation.amplitude, or another offset, would leave more data."
+        f"{touched}, so the model is fitted to the other {rest} only; a smaller excitation.amplitude, or another "
+        "excitation.offset, would leave more data."
     )
 
 

@@ -12,10 +12,11 @@ from torch import Tensor
 from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
 from dynasindy.data.csv import Recording
+from dynasindy.evaluation.before_fit import before_fit
 from dynasindy.evaluation.files import write_json
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.horizons import Forecasts, forecast
-from dynasindy.evaluation.identification import Source, missing_rates, wrong_units
+from dynasindy.evaluation.identification import Source, missing_rates
 from dynasindy.evaluation.predicted import Prediction
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.summary import heading, summarise, to_text
@@ -82,8 +83,8 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
     built = build(signature=source.signature)
     if not isinstance(built, SindyModel):
         raise TypeError(f"world_model is a {type(built).__name__}, which no log is fitted by; leave world_model=sindy")
-    if wrong := wrong_units(built, source):
-        say(*wrong)  # before the fit, which they may spoil
+    if told := before_fit(built, source):
+        say(*told)
     tell("fit")
     report = built.fit(source.training)
     say(report.to_text(), *(f"note: {note}" for note in source.notes), *missing_rates(built, source))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+from dynasindy.durations import in_words
 from dynasindy.dyna.callback import Callbacks, Place
 from dynasindy.dyna.checkpoint import Checkpoints, Saver
 from dynasindy.dyna.experiment import Recipe
@@ -222,9 +223,10 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
     lines.append(to_text(metrics["evaluation"], title, metrics.get("units"), steady, width()))
     lines += [
         "",
-        f"Cost: {cost['real_steps']} real steps = {cost['plant_seconds']:.0f} s of plant time, "
+        f"Cost: {cost['real_steps']} real steps = {in_words(cost['plant_seconds'])} of plant time, "
         f"{cost['imagined_transitions']} imagined transitions, {cost['updates']} gradient updates, "
-        f"{cost['wall_seconds']:.0f} s wall time; apart from these {cost['evaluation_steps']} real steps of evaluation",
+        f"{in_words(round(cost['wall_seconds']))} wall time; apart from these {cost['evaluation_steps']} real steps of "
+        "evaluation",
         *([metrics["excitation"]] if metrics.get("excitation") else []),
         *_kept(metrics["checkpoint"]),
         *([f"Reward: {metrics['reward']}"] if metrics.get("reward") else []),

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from dynasindy.durations import unit_of
 from dynasindy.systems import Signature
 
 Vector = NDArray[np.float64]
@@ -58,7 +59,8 @@ def draw(
         corner = (HEIGHT, k * HEIGHT // 2) if beam else (k * HEIGHT // 2, HEIGHT // 4)
         _draw_dial(image, corner, signature.state_names[index], float(x[index]), float(reference[k]))
     if time is not None:
-        _write(image, (10, 8), f"t = {time:.2f} s")
+        unit = unit_of(time)
+        _write(image, (10, 8), f"t = {time / unit.seconds:.2f} {unit.name}")
     return _finished(image)
 
 

@@ -123,7 +123,8 @@ def to_markdown(rows: Iterable[Row], level: Level) -> str:
     lines = [
         f"Level: mean abs steady-state error of every axis at or under {level.error:g} rad in {level.consecutive} "
         "evaluations in a row.",
-        "Interquartile mean over seeds [95 % bootstrap interval], of fewer than three seeds each of them.",
+        "Interquartile mean over seeds [95 % bootstrap interval]; where there are fewer than three seeds, the value of "
+        "each.",
         "Excitation counts as real, evaluation does not.",
         "Steady-state error: the worse axis after the last episode. Area: the mean evaluated return.",
         "",

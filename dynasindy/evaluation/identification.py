@@ -13,20 +13,20 @@ import torch
 from torch import Tensor
 
 from dynasindy.data.csv import Column, CsvLog, Recording, chosen, infer
-from dynasindy.data.rates import mismatched
-from dynasindy.data.simulated import Ends, before_leaving, disturb, record
+from dynasindy.data.simulated import before_leaving, disturb, record
 from dynasindy.data.table import all_headings, split_unit
 from dynasindy.evaluation import verdict
 from dynasindy.evaluation.horizons import Forecasts, begun, forecast
 from dynasindy.excitation import Excitation, HeldRandom
 from dynasindy.systems.base import Signature, System
+from dynasindy.systems.ranges import Ends, drawn, starts
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell, telling
 from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.models.actuators import Found, behind, find_actuator
 from dynasindy.world_models.models.prediction import nrmse, one_step_error, open_loop
 from dynasindy.world_models.refinement.delay import delayed
-from dynasindy.world_models.refinement.measured import ranged, rates_known
+from dynasindy.world_models.refinement.measured import ranged
 from dynasindy.world_models.refinement.order import moving_on
 from dynasindy.world_models.writers.tables import to_csv, to_latex, to_text
 
@@ -67,6 +67,8 @@ class Simulated:
         validation_seconds: length of the validation, random held inputs [s].
         seed: seed of noise and validation.
         bounds: limits of states by name, beyond which nothing is recorded; one for both sides of zero, or both ends.
+        start: where the plant begins, by state: a value, or the two ends of a range from which it is drawn; zero for
+            the others.
 
     Raises:
         ValueError: a time or the substeps are not positive, or the noise is negative.
@@ -78,6 +80,7 @@ class Simulated:
     validation_seconds: float = 20.0
     seed: int = 0
     bounds: dict[str, Ends] | None = None
+    start: dict[str, Ends] | None = None
 
     def __post_init__(self) -> None:
         if not self.dt > 0 or not self.validation_seconds > 0 or not self.noise >= 0 or self.substeps < 1:
@@ -111,14 +114,19 @@ class Simulated:
             offset=signal.offset.tolist(),
             seed=self.seed + 1,
         )
-        training = record(system, signal.samples(self.dt), self.dt, self.substeps)
+        training = record(system, signal.samples(self.dt), self.dt, self.substeps, self._start(system, self.seed))
         left_out = signal.samples(self.dt).shape[0] - len(training)
         at_stop = f"{left_out} samples that touched a stop were left out" if left_out else ""
         training, gone = self._before_leaving(training, system, "in the excitation")
-        validation = record(system, unseen.samples(self.dt), self.dt, self.substeps)
+        other = self._start(system, self.seed + 1)
+        validation = record(system, unseen.samples(self.dt), self.dt, self.substeps, other)
         validation, lost = self._before_leaving(validation, system, "in the validation, under random inputs,")
         notes = tuple(filter(None, (at_stop, gone, lost)))
         return Source(system.signature, disturb(training, self.noise, self.seed), validation, notes)
+
+    def _start(self, system: System, seed: int) -> Tensor:
+        """Return the state in which a recording begins, `(n_x,)`."""
+        return drawn(starts(system.signature, self.start or {}), torch.Size(), torch.Generator().manual_seed(seed))
 
     def _before_leaving(self, data: Transitions, system: System, what: str) -> tuple[Transitions, str]:
         return before_leaving(data, system.signature, self.bounds or {}, what)
@@ -243,6 +251,11 @@ class Identified:
     forecasts: Forecasts | None = None
     found: Found | None = None
 
+    @property
+    def predicts(self) -> bool:
+        """Whether the model was seen to predict; not where the validation data are too short to tell."""
+        return self.forecasts is not None and not verdict.shortcoming(self.forecasts, self.model.signature)
+
 
 def identify(
     model: SindyModel, source: Source, horizons: Sequence[float] | None = None, actuators: bool = True
@@ -301,13 +314,6 @@ def missing_rates(model: SindyModel, source: Source) -> list[str]:
     ]
 
 
-def wrong_units(model: SindyModel, source: Source) -> list[str]:
-    """Say which measured rates are not the slopes of their states, a line for each."""
-    names = source.signature.state_names
-    known = {names[i]: names[rate] for rate, i in rates_known(model.library, model.constraints).items()}
-    return [f"warning: {found}" for found in mismatched(source.training, source.signature, known)]
-
-
 def to_words(found: Identified, source: Source) -> str:
     """Write equations, fit, identifiability, what the data show, errors, notes and a verdict for a reader."""
     signature, shown = source.signature, found.forecasts
@@ -322,7 +328,7 @@ def to_words(found: Identified, source: Source) -> str:
     lines += [f"  {state:<10} {_percent(error)}" for state, error in free.items()]
     unsought = (found.found.words,) if found.found is not None and not found.found.sought else ()
     lines += [f"note: {note}" for note in (*source.notes, *unsought)]
-    lines += [*wrong_units(found.model, source), *missing_rates(found.model, source)]
+    lines += missing_rates(found.model, source)
     if shown is None:
         return "\n".join([*lines, "the validation data are too short to judge how far ahead the model predicts"])
     return "\n".join([*lines, *verdict.judge(shown, signature)])
@@ -339,10 +345,16 @@ def _percent(error: float) -> str:
     return f"{100 * error:.3g} %" if math.isfinite(error) else "runs away"
 
 
-def write(found: Identified, source: Source, folder: Path) -> None:
+def write(found: Identified, source: Source, folder: Path, before: Sequence[str] = ()) -> None:
     """Write model.json, metrics.json, report.txt and the coefficients as text, LaTeX and CSV.
 
     Where an input has a rate limit or play, the model that has it too is written beside.
+
+    Args:
+        found: the model and its figures.
+        source: the data.
+        folder: where; made if missing.
+        before: lines with which the report begins.
     """
     folder.mkdir(parents=True, exist_ok=True)
     library, coefficients = found.model.library, found.model.coefficients
@@ -350,7 +362,7 @@ def write(found: Identified, source: Source, folder: Path) -> None:
     if found.found is not None and found.found.actuator:
         behind(found.model, found.found, source.training.dt).save(folder / BEHIND)
     (folder / "metrics.json").write_text(json.dumps(found.metrics, indent=1) + "\n")
-    (folder / "report.txt").write_text(to_words(found, source) + "\n")
+    (folder / "report.txt").write_text("\n".join([*before, to_words(found, source)]) + "\n")
     (folder / "coefficients.txt").write_text(to_text(library, coefficients) + "\n")
     (folder / "coefficients.tex").write_text(to_latex(library, coefficients))
     (folder / "coefficients.csv").write_text(to_csv(library, coefficients))

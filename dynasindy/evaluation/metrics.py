@@ -12,7 +12,7 @@
 | control_variation   | mean absolute change of the input per second                             | 1/s  |
 
 The first six are per tracked axis, the last two per input. Overshoot, rise and settling time belong to
-steps: they are NaN where the reference moves during the record or the step is smaller than `MIN_STEP` boxes. A
+steps: they are NaN where the reference moves during the record or the step is smaller than `MIN_STEP` target ranges. A
 step that never rises or never settles has an infinite time, so that a failure is never averaged away.
 """
 

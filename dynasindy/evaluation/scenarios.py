@@ -171,14 +171,14 @@ class Evaluation:
 
 
 def step_references(low: Sequence[float], high: Sequence[float], number: Count = 64, seed: int = 0) -> Step:
-    """Return `number` fixed step references that fill a box evenly (scrambled Sobol points).
+    """Return `number` fixed step references that fill a target range evenly (scrambled Sobol points).
 
     The first, which figures show, is the one nearest to three quarters of the upper ends.
 
     Args:
         low: Lower end per output; keep to what the plant can hold [unit of the output].
         high: Upper end per output [unit of the output].
-        number: How many; a power of two fills the box best.
+        number: How many; a power of two fills it best.
         seed: Of the scrambling; the same seed gives the same references.
 
     Raises:

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
+from dynasindy.durations import SECONDS, in_words, unit_of
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, UNITS
 from dynasindy.evaluation.scenarios import Evaluation
 
@@ -57,8 +58,8 @@ def summarise(evaluation: Evaluation) -> Summary:
 def heading(evaluation: Evaluation) -> str:
     """Return what a table of an evaluation was measured on; errors and returns compare at equal lengths only."""
     what = "reference" if evaluation.columns else "episode"
-    facts = [f"{len(evaluation.outputs)} {what}{'s' * (len(evaluation.outputs) > 1)}", f"{evaluation.seconds:g} s"]
-    facts += [f"disturbed from {start:g} to {end:g} s" for start, end in evaluation.windows]
+    facts = [f"{len(evaluation.outputs)} {what}{'s' * (len(evaluation.outputs) > 1)}", in_words(evaluation.seconds)]
+    facts += [f"disturbed from {in_words(start, end)} to {in_words(end)}" for start, end in evaluation.windows]
     return f"Scenario '{evaluation.scenario}' ({', '.join(facts)})"
 
 
@@ -80,7 +81,7 @@ def to_text(
         steady: Length of the part that counts as steady state [s].
         width: Columns of the terminal; axes that do not fit beside each other stand below. None lets lines be long.
     """
-    units, words = units or {}, {**WORDS, "steady_state_error": f"steady-state error (last {steady:g} s)"}
+    units, words = units or {}, {**WORDS, "steady_state_error": f"steady-state error (last {in_words(steady)})"}
     axes = _columns(summary, "rmse")
     inputs = _columns(summary, "control_effort")
     lines = [title] if title else []
@@ -94,7 +95,11 @@ def to_text(
         lines.append(f"{'':38s}" + "".join(f" {name:>11s}" for name in heads))
         for name in (*TRACKING, *(steps if stepped else ())):
             unit = shared if name in TRACKING else "" if name == "steps" else UNITS.get(name, "%")
-            lines.append(_row(name, f"{words[name]} [{unit}]" if unit else words[name], summary, some))
+            factor = 100.0 if name == "settled" else 1.0
+            if unit == SECONDS.name:
+                times = unit_of(max((summary[f"{name}/{axis}"] or 0.0 for axis in some), default=0.0))
+                unit, factor = times.name, 1 / times.seconds
+            lines.append(_row(name, f"{words[name]} [{unit}]" if unit else words[name], summary, some, factor))
     for some in _split(inputs, beside):
         lines.append(f"{'':38s}" + "".join(f"{name:>12s}" for name in some))
         lines += [_row(name, f"{words[name]} [{UNITS[name]}]", summary, some) for name in CONTROL]
@@ -110,8 +115,9 @@ def _split(names: Sequence[str], beside: int) -> list[Sequence[str]]:
     return [names[k : k + beside] for k in range(0, len(names), beside)]
 
 
-def _row(metric: str, words: str, summary: Mapping[str, float | None], columns: Sequence[str]) -> str:
-    factor = 100.0 if metric == "settled" else 1.0
+def _row(
+    metric: str, words: str, summary: Mapping[str, float | None], columns: Sequence[str], factor: float = 1.0
+) -> str:
     cells = [summary[f"{metric}/{column}"] for column in columns]
     # Among steps, a time without a number is one that most of them never reach.
     never = [metric.endswith("_time") and summary[f"settled/{column}"] is not None for column in columns]

@@ -10,6 +10,7 @@ from typing import Any
 
 import torch
 
+from dynasindy.durations import in_words
 from dynasindy.evaluation.given import escaped, read_record, understood
 from dynasindy.evaluation.statistics import bootstrap_interval, interquartile_mean
 
@@ -99,7 +100,7 @@ def _row(setting: str, runs: Sequence[dict[str, Any]]) -> list[str]:
     return [
         f"`{setting or 'default'}`",
         str(len(runs)),
-        f"{cost['real_steps']} ({cost['plant_seconds']:.0f} s)",
+        f"{cost['real_steps']} ({in_words(cost['plant_seconds'])})",
         _finite([run["untrained"]["return"] for run in runs]),
         _finite([run["evaluation"]["return"] for run in runs]),
         _axes(runs, "steady_state_error"),

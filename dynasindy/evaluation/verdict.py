@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import torch
 
+from dynasindy.durations import in_words
 from dynasindy.evaluation.horizons import Forecasts
 from dynasindy.evaluation.symptoms import closed_loop, samples_of, saturated, step_of
 from dynasindy.systems.base import Signature
@@ -37,7 +38,7 @@ def table(forecasts: Forecasts, signature: Signature) -> list[str]:
         f"linear model on {forecasts.order} past samples": forecasts.linear,
         "last value held": forecasts.held,
     }
-    wide, heads = max(map(len, kinds)) + 2, [f"{horizon:g} s" for horizon in forecasts.horizons]
+    wide, heads = max(map(len, kinds)) + 2, [in_words(horizon) for horizon in forecasts.horizons]
     lines = [
         f"validation: RMS error over the time after {forecasts.starts} starts",
         f"  {'':<{wide + 2}}{''.join(f'{head:>11}' for head in heads)}",
@@ -56,22 +57,19 @@ def table(forecasts: Forecasts, signature: Signature) -> list[str]:
 
 def judge(forecasts: Forecasts, signature: Signature) -> list[str]:
     """Say whether the model predicts, over the time in which the slowest state changes, and whether it is needed."""
+    if short := shortcoming(forecasts, signature):
+        return [f"this model does not predict: {short}"]
     k = forecasts.middle
-    ours, simple, held = (kind[k] for kind in (forecasts.model, forecasts.linear, forecasts.held))
-    seen = [i for i in range(signature.n_x) if not math.isnan(float(held[i]))]
-    names, ahead = signature.state_names, f"{forecasts.horizons[k]:g} s"
-    if lost := [i for i in seen if not math.isfinite(float(ours[i]))]:
-        return [f"this model does not predict: within {ahead} {_listed(names, lost)} runs away"]
-    fine = [i for i in seen if float(ours[i]) <= RESOLVED * float(forecasts.resolution[i])]
-    poor = [i for i in seen if i not in fine and not float(ours[i]) <= HELPFUL * float(held[i])]
-    if poor:
-        said = ", ".join(f"{names[i]} by {_short(float(ours[i]))} {signature.state_units[i]}" for i in poor)
-        than = ", ".join(_short(float(held[i])) for i in poor)
-        return [f"this model does not predict: over {ahead} it misses {said}; the last value held misses {than}"]
+    ours, simple, seen = forecasts.model[k], forecasts.linear[k], _seen(forecasts, signature)
+    names, ahead = signature.state_names, in_words(forecasts.horizons[k])
+    fine = _fine(forecasts, seen)
     near = f", {_listed(names, fine)} to what the sensors resolve" if fine else ""
     lines = [f"this model predicts {ahead} ahead{near}"]
     if behind := [i for i in seen if i not in fine and float(simple[i]) < 0.9 * float(ours[i])]:
-        lines.append(f"a linear model on past samples predicts {_listed(names, behind)} better: a function is missing")
+        lines.append(
+            f"a linear model on past samples predicts {_listed(names, behind)} better: a function is missing, or a "
+            "state that nobody measured"
+        )
     return lines
 
 
@@ -85,18 +83,45 @@ def doubts(forecasts: Forecasts, signature: Signature) -> list[str]:
         if worse:
             k, unit = worse[0], signature.state_units[i]
             lines.append(
-                f"a linear model on past samples predicts {signature.state_names[i]} {forecasts.horizons[k]:g} s ahead "
-                f"to {_short(float(simple[k]))} {unit}, this one to {_short(float(ours[k]))} {unit}: a function is "
+                f"a linear model on past samples predicts {signature.state_names[i]} "
+                f"{in_words(forecasts.horizons[k])} ahead to {_short(float(simple[k]))} {unit}, this one to {_short(float(ours[k]))} {unit}: a function is "
                 "missing, or a state that no sensor sees, as of a motor that follows its command slowly"
             )
     return lines
+
+
+def shortcoming(forecasts: Forecasts, signature: Signature) -> str:
+    """Say what keeps the model from being one that predicts; empty of one that does."""
+    k, seen = forecasts.middle, _seen(forecasts, signature)
+    ours, held, names, ahead = forecasts.model[k], forecasts.held[k], signature.state_names, forecasts.horizons[k]
+    if lost := [i for i in seen if not math.isfinite(float(ours[i]))]:
+        return f"within {in_words(ahead)} {_listed(names, lost)} run{'s' * (len(lost) == 1)} away"
+    fine = _fine(forecasts, seen)
+    poor = [i for i in seen if i not in fine and not float(ours[i]) <= HELPFUL * float(held[i])]
+    if not poor:
+        return ""
+    said = ", ".join(f"{names[i]} by {_short(float(ours[i]))} {signature.state_units[i]}" for i in poor)
+    than = ", ".join(_short(float(held[i])) for i in poor)
+    return f"over {in_words(ahead)} it misses {said}; the last value held misses {than}"
+
+
+def _seen(forecasts: Forecasts, signature: Signature) -> list[int]:
+    """Return the states that were measured."""
+    return [i for i in range(signature.n_x) if not math.isnan(float(forecasts.held[forecasts.middle, i]))]
+
+
+def _fine(forecasts: Forecasts, seen: Sequence[int]) -> list[int]:
+    """Return the states that are predicted as well as a sensor can tell."""
+    ours = forecasts.model[forecasts.middle]
+    return [i for i in seen if float(ours[i]) <= RESOLVED * float(forecasts.resolution[i])]
 
 
 def found_in_model(model: SindyModel) -> list[str]:
     """Say what of delay, dry friction and springs is in the equations."""
     names, lines = model.signature.state_names, []
     if model.delay:
-        lines.append(f"the inputs act {1e3 * model.delay:.3g} ms late")
+        late = f"{1e3 * model.delay:.3g} ms" if model.delay < 1 else in_words(model.delay)
+        lines.append(f"the inputs act {late} late")
     of_rate = rates_known(model.library, model.constraints)
     for i in range(len(names)):
         used = model.coefficients[:, i].nonzero().flatten().tolist()

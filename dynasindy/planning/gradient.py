@@ -41,7 +41,7 @@ GIVEN_UP, SHORTER = 0.02, 0.1
 that has to be held, and the factor on the learning rate then; an error of the whole range costs 4 a period."""
 FENCE = 40.0
 """Cost of leaving the plant's bounds, at which real episodes end and imagined ones do not [per range and period]; an
-error of a whole box costs 4."""
+error of a whole target range costs 4."""
 DIVERGED = 100.0
 """Multiple of the largest value of each state on the plant beyond which an imagined episode has diverged."""
 

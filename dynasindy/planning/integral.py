@@ -23,8 +23,8 @@ class IntegralAction:
         env: Where it acts, with a `Tracking` task.
         gain: Integral gain [1/s].
         band: Largest error that is integrated [target ranges].
-        limit: Largest integral [boxes].
-        rate: Rate of change of an error at which half of it is integrated [boxes per second].
+        limit: Largest integral [target ranges].
+        rate: Rate of change of an error at which half of it is integrated [target ranges per second].
 
     Raises:
         TypeError: The task tracks no reference.

@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 from torch.quasirandom import SobolEngine
 
+from dynasindy.durations import in_words
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.planning.rests import Rests, find_rests, growth
@@ -158,7 +159,8 @@ def _fate(slopes: list[Tensor], grown: float, seconds: float) -> str:
     """
     fastest = max(float(torch.linalg.eigvals(a).real.max()) for a in slopes)
     if fastest * seconds > DOUBLED:
-        return f"the plant is unstable, without control a deviation doubles every {math.log(2) / fastest:.2g} s"
+        doubling = in_words(math.log(2) / fastest, digits=2)
+        return f"the plant is unstable, without control a deviation doubles every {doubling}"
     if grown > 2.0:
         return f"without control a deviation grows {grown:.2g} times at most in an episode"
     return "the plant is stable, without control a deviation hardly grows"

@@ -7,7 +7,7 @@ is closed, and what was wrong is said in one line.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,7 @@ import numpy as np
 from dynasindy.rig.base import Array, Clock, Fault, Rig, Wiring
 from dynasindy.rig.log import Log
 from dynasindy.rig.watchdog import Watchdog
+from dynasindy.systems.ranges import Ends, limits
 
 Act = Callable[[Array, float], Array]
 """What was measured `(n_x,)` and the time since the start [s], to inputs `(n_u,)` in [-1, 1]."""
@@ -55,21 +56,21 @@ class Guard:
         low, high = self.low or {}, self.high or {}
         return {name: (low.get(name, -np.inf), high.get(name, np.inf)) for name in {**low, **high}}
 
-    def or_limits(self, bounds: Mapping[str, float | Sequence[float]], wiring: Wiring) -> Guard:
+    def or_limits(self, bounds: Mapping[str, Ends], wiring: Wiring) -> Guard:
         """Return the guard, or without a range of its own one with the limits of the plant.
 
         Args:
             bounds: Limits by state: two ends, or one number for both sides of zero [unit of the state].
             wiring: Tells which states are measured; limits of others are left out.
+
+        Raises:
+            ValueError: One of the limits is no range.
         """
         if self.low or self.high:
             return self
-        ends = {
-            name: (-end, end) if isinstance(end, int | float) else (end[0], end[1])
-            for name, end in bounds.items()
-            if name in wiring.measured
-        }
-        low, high = ({name: end[side] for name, end in ends.items()} for side in (0, 1))
+        given = {name: ends for name, ends in bounds.items() if name in wiring.measured}
+        ends = limits(wiring.signature, given).tolist()
+        low, high = ({name: side[wiring.signature.state_index(name)] for name in given} for side in ends)
         return replace(self, low=low, high=high)
 
     def require(self, wiring: Wiring) -> None:

@@ -55,10 +55,10 @@ class Knowledge:
 
 
 def targets_within(knowledge: Knowledge, wanted: Sequence[Sequence[float]] | None) -> list[list[float]]:
-    """Return targets that are in the box of the plant, `(n_targets, n_r)`, before anything moves.
+    """Return targets within the target range of the plant, `(n_targets, n_r)`, before anything moves.
 
     Args:
-        knowledge: Tells outputs and box.
+        knowledge: Tells outputs and target range.
         wanted: One number per output each; None takes two, half of the way to the upper and to the lower ends.
 
     Raises:

@@ -103,7 +103,7 @@ class Step(Reference):
 
 
 class RandomStep(Reference):
-    """A fresh constant target per episode, uniform in a box (the paper's training references).
+    """A fresh constant target per episode, uniform in a range (the paper's training references).
 
     Args:
         low: Lower ends, one per output [unit of the output].

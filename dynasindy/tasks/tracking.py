@@ -10,7 +10,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from dynasindy.systems import Signature
+from dynasindy.systems import Signature, ranges
+from dynasindy.systems.ranges import Ends
 from dynasindy.tasks import references
 from dynasindy.tasks.base import Task
 from dynasindy.tasks.constants import constants
@@ -37,10 +38,10 @@ class Tracking(Task):
         reward: Reward of a control period.
         max_steps: Control periods per episode (paper: 400).
         observe_rate: Append the rates of the reference to the observation, for moving references.
-        error_scale: Error that counts as 1 in the observation [boxes].
+        error_scale: Error that counts as 1 in the observation [target ranges].
         low: Lower end of the target range, per output; with `high` it is the unit of errors and rates. None for both
             takes the units of the outputs as they are.
-        high: Upper end of the box, per output.
+        high: Upper end of the target range, per output.
         start: Where episodes begin: state to value, or to the two ends of a range from which it is drawn; zero for the
             others.
         bounds: Limits of the plant that end an excitation or a real episode: state to a value, for both sides of zero,
@@ -48,7 +49,7 @@ class Tracking(Task):
 
     Raises:
         ValueError: No output is named, a named state does not exist, the numbers of outputs, rates, references and
-            error weights differ, error_scale or max_steps is not positive, or a box or a start is none.
+            error weights differ, error_scale or max_steps is not positive, or a target range or a start is none.
     """
 
     # Departure: the paper's S_tt lists the six states alone; without the errors no policy could know where
@@ -66,8 +67,8 @@ class Tracking(Task):
         error_scale: float = 0.5,
         low: Sequence[float] | None = None,
         high: Sequence[float] | None = None,
-        start: Mapping[str, float | Sequence[float]] | None = None,
-        bounds: Mapping[str, float | Sequence[float]] | None = None,
+        start: Mapping[str, Ends] | None = None,
+        bounds: Mapping[str, Ends] | None = None,
     ) -> None:
         super().__init__(signature, max_steps)
         if not outputs:
@@ -104,10 +105,8 @@ class Tracking(Task):
         self.n_o = signature.n_x + (2 if observe_rate else 1) * self.n_r
         self._box = _boxes(signature, self.outputs, low, high)
         self.ends = None if low is None or high is None else (tuple(map(float, low)), tuple(map(float, high)))
-        self.start = _ends(signature, "start", start or {}, torch.zeros(2, signature.n_x))
-        unbounded = torch.tensor([[-math.inf], [math.inf]], dtype=torch.float64).expand(-1, signature.n_x)
-        both = {name: [-v, v] if isinstance(v, int | float) else v for name, v in (bounds or {}).items()}
-        self.bounds = _ends(signature, "bounds", both, unbounded.clone())
+        self.start = ranges.starts(signature, start or {}, "task.start")
+        self.bounds = ranges.limits(signature, bounds or {}, "task.bounds")
         self.fence = 0.0
 
     @property
@@ -145,15 +144,15 @@ class Tracking(Task):
         """Return the same task with another target range, whose extents are taken as they are.
 
         Args:
-            extents: Extent of the box, per output [units of the outputs].
+            extents: Extent of the target range, per output [units of the outputs].
 
         Raises:
             ValueError: An extent is missing, or is no positive number.
         """
         if len(extents) != self.n_r or not all(0 < extent < math.inf for extent in extents):
             raise ValueError(
-                f"a box of extents {list(extents)} does not fit the outputs {', '.join(self.output_names)}; give one "
-                "positive number for each"
+                f"a target range of extents {list(extents)} does not fit the outputs {', '.join(self.output_names)}; "
+                "give one positive number for each"
             )
         other = copy.copy(self)
         other._box = torch.tensor([float(extent) for extent in extents], dtype=torch.float64)
@@ -169,7 +168,7 @@ class Tracking(Task):
         Args:
             typical: State of the log, `(n_x,)`, such as its median.
         """
-        other, ranges = copy.copy(self), list(self.signature.x_scale)
+        other, scales = copy.copy(self), list(self.signature.x_scale)
         typical = typical.double().clone()
         for k, i in enumerate(self.outputs):
             if self.ends is None:
@@ -177,9 +176,9 @@ class Tracking(Task):
             low, high = (ends[k] for ends in self.ends)
             typical[i] = typical[i].clamp(low, high)
             reach = max(-low, high)
-            if reach > 0 and ranges[i] > FAR_BEYOND * reach:
-                ranges[i] = reach
-        other.signature = replace(self.signature, x_scale=tuple(ranges))
+            if reach > 0 and scales[i] > FAR_BEYOND * reach:
+                scales[i] = reach
+        other.signature = replace(self.signature, x_scale=tuple(scales))
         if not self.begins:
             other.start = typical.to(self.start).expand(2, -1).clone()
         return other
@@ -196,10 +195,7 @@ class Tracking(Task):
         """Return the state in which episodes begin, `(*batch, n_x)`: the origin, unless `start` says otherwise."""
         if self.starts is not None:
             return self.starts[torch.randint(len(self.starts), batch, generator=generator)]
-        low, high = self.start
-        if torch.equal(low, high):
-            return low.expand(*batch, -1).clone()
-        return low + (high - low) * torch.rand(*batch, self.signature.n_x, generator=generator)
+        return ranges.drawn(self.start, batch, generator)
 
     def reference(self, params: Tensor, t: Tensor) -> Tensor:
         """Return the reference, `(*batch, n_r)`, at times `t` `(*batch, 1)` [s]."""
@@ -210,7 +206,7 @@ class Tracking(Task):
         return references.value(params, t) - x[..., _columns(self.outputs)]
 
     def observation(self, x: Tensor, params: Tensor, t: Tensor) -> Tensor:
-        """Return scaled states, scaled errors and, if asked, reference rates [boxes per second], `(*batch, n_o)`."""
+        """Return scaled states, errors and, if asked, reference rates [target ranges per second], `(*batch, n_o)`."""
         parts = [
             x / constants(self.signature.x_scale, x.dtype, x.device),
             self.error(x, params, t) / self._unit(x, self.error_scale),
@@ -260,21 +256,10 @@ def _boxes(
     if low is None or high is None:
         return torch.ones(len(outputs), dtype=torch.float64)
     if not len(low) == len(high) == len(outputs) or not all(a <= b for a, b in zip(low, high, strict=True)):
-        raise ValueError(f"the box low={list(low)}, high={list(high)} needs low <= high for each output; mend plant")
+        raise ValueError(
+            f"the target range low={list(low)}, high={list(high)} needs low <= high for each output; mend plant"
+        )
     units = [signature.state_units[i] for i in outputs]
     widest = {unit: max(b - a for a, b, u in zip(low, high, units, strict=True) if u == unit) for unit in units}
     extents = [widest[unit] or signature.x_scale[i] for unit, i in zip(units, outputs, strict=True)]
     return torch.tensor(extents, dtype=torch.float64)
-
-
-def _ends(signature: Signature, key: str, given: Mapping[str, float | Sequence[float]], ends: Tensor) -> Tensor:
-    """Return the lower and the upper ends of states, `(2, n_x)`, with those that are given put in."""
-    for name, value in given.items():
-        pair = [value, value] if isinstance(value, int | float) else list(value)
-        if name not in signature.state_names or len(pair) != 2 or not -math.inf < pair[0] <= pair[1] < math.inf:
-            raise ValueError(
-                f"task.{key} has {name}: {value}; name one of the states {', '.join(signature.state_names)}, with a "
-                "value or the two ends of a range"
-            )
-        ends[:, signature.state_index(name)] = torch.tensor(pair).to(ends)
-    return ends

@@ -14,11 +14,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
 
+from dynasindy.durations import unit_of
 from dynasindy.envs.drawing import HEIGHT, Frame, draw, draw_beam, is_beam
 from dynasindy.evaluation.drawn import drawn
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.told import counted
-from dynasindy.viz.style import BLACK, BLUE, CYCLE, STYLE, WORDS, Array, label
+from dynasindy.viz.style import BLACK, BLUE, CYCLE, STYLE, WORDS, Array, label, time_axis
 
 SUFFIXES = (".gif", ".mp4")
 RATE = 10
@@ -49,7 +50,7 @@ class Chart:
             figure.subplots_adjust(left=0.2, right=0.96, bottom=0.13, top=0.92, hspace=0.32)
             for k, axis in enumerate(axes):
                 self._frame(axis, k)
-            axes[-1].set_xlabel("time [s]")
+            time_axis(axes[-1], self.time)
             canvas.draw()
         self.ground = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
         self.lines = [self._pixels(axis, self.y[:, k]) for k, axis in enumerate(axes)]
@@ -96,9 +97,9 @@ def frames(evaluation: Evaluation, row: int = 0, every: int = 2) -> Iterator[Fra
     x, reference = evaluation.trajectory["state"][row].tolist(), evaluation.references[row].tolist()
     speed = every * RATE * float(evaluation.time[1] - evaluation.time[0])
     fast = f", {speed:.3g} times as fast" if speed > 1.01 else ""
-    turned = [0.0, 0.0]
+    turned, unit = [0.0, 0.0], unit_of(float(evaluation.time[-1]))
     for k in range(0, len(x), every):
-        words = f"t = {evaluation.time[k]:.1f} s{fast}"
+        words = f"t = {evaluation.time[k] / unit.seconds:.1f} {unit.name}{fast}"
         if is_beam(evaluation.signature):
             turned = [angle + w / full for angle, w, full in zip(turned, x[k][4:], FULL, strict=True)]
             scene = draw_beam(x[k], reference[k], turned, words)

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from dynasindy.checking import Check, Thresholds
 from dynasindy.checking.flights import TOLERANCE
 from dynasindy.checking.margins import broken, frequencies
+from dynasindy.durations import in_words
 from dynasindy.viz.style import (
     BLACK,
     BLUE,
@@ -34,12 +35,15 @@ from dynasindy.viz.style import (
     panels,
     styled,
     symbol,
+    time_axis,
 )
 
 SHOWN = 15
 """Changes of single coefficients that are drawn, the worst first."""
 FEW_TICKS = 4
 """Intervals between the ticks of an axis whose numbers have many digits."""
+LISTED = 3
+"""Targets without a curve that are listed by name."""
 NAMED = 9
 """Loops that have a colour and a name of their own, those that come nearest to -1 first."""
 
@@ -51,18 +55,15 @@ def draw(found: Check, thresholds: Thresholds | None = None) -> dict[str, Figure
     if planes := [(p.names, p.units, p.first, p.second, p.back) for p in found.planes]:
         words = (
             f"Errors from which the model comes back to {_target(found, found.middle)}: within "
-            f"{found.settings.seconds:g} s to {100 * TOLERANCE:g} % of each output's range "
-            f"(asked for: {limits.recovered:.0%} of them)"
+            f"{in_words(found.settings.seconds)} to {100 * TOLERANCE:g} % of each output's range "
+            f"(asked for: {100 * limits.recovered:.0f} % of them)"
         )
         figures["recovery"] = recovery(planes, words)
     stable = [k for k, ok in enumerate(found.stable.tolist()) if ok]
     if stable and signature.n_u:
         rows = [found.rest.linear.row(k) for k in stable]
         curves = {_target(found, k): broken(row, frequencies(row)) for k, row in zip(stable, rows, strict=True)}
-        lost = len(found.targets) - len(stable)
-        title = "Loop opened at each input" + f"; {lost} of {len(found.targets)} targets have no stable loop" * (
-            lost > 0
-        )
+        title = "\n".join(["Loop opened at each input", *_left_out(found)])
         figures["nyquist"] = nyquist(curves, signature.input_names, limits.disk, title)
     figures["steps"] = _steps(found, limits)
     single = slice(found.spread.draws, None)
@@ -78,6 +79,26 @@ def _target(found: Check, number: int) -> str:
     signature, outputs = found.loop.signature, found.loop.task.outputs
     values = zip(outputs, found.targets[number].tolist(), strict=True)
     return ", ".join(f"{symbol(signature.state_names[i])} = {v:.3g} {signature.state_units[i]}" for i, v in values)
+
+
+def _left_out(found: Check) -> list[str]:
+    """Say which targets have no curve of an open loop, and why; nothing if all have one."""
+    lost = [k for k, ok in enumerate(found.stable.tolist()) if not ok]
+    if not lost:
+        return []
+    why = {
+        "the closed loop is not stable": [k for k in lost if found.rest.still[k]],
+        "the closed loop never comes to rest": [k for k in lost if not found.rest.still[k]],
+    }
+    told = [f"{words} at {_listed(found, ks)}" for words, ks in why.items() if ks]
+    return [f"left out, {len(lost)} of {len(found.targets)} targets: {'; '.join(told)}"]
+
+
+def _listed(found: Check, targets: Sequence[int]) -> str:
+    """Return the first few of some targets in words, and how many more there are."""
+    words = [f"({_target(found, k)})" for k in targets[:LISTED]]
+    more = len(targets) - len(words)
+    return ", ".join([*words, *([f"{more} more"] if more else [])])
 
 
 def _steps(found: Check, limits: Thresholds) -> Figure:
@@ -183,7 +204,7 @@ def steps(
         axis.set_ylim(-1.08, 1.08)
         axis.set_ylabel(label(name, "-"))
     legend_above(axes[0])
-    axes[-1].set_xlabel("time [s]")
+    time_axis(axes[-1], seconds)
     axes[-1].set_xlim(0, float(seconds[-1]))
     return figure
 
@@ -241,7 +262,7 @@ def recovery(planes: Sequence[Drawn], title: str = "Comes back from these errors
         axis.pcolormesh(
             array(first), array(second), array(back).T, cmap=ListedColormap([RED, GREEN]), vmin=0, vmax=1, alpha=0.6
         )
-        axis.set_title(f"{np.mean(array(back)):.0%} come back")
+        axis.set_title(f"{100 * np.mean(array(back)):.0f} % come back")
         _named(axis, names, units)
     told = [Patch(color=color, alpha=0.6, label=words) for color, words in ((GREEN, "comes back"), (RED, "does not"))]
     figure.legend(handles=told, loc="outside lower center", ncols=2)

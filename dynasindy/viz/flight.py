@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
+from dynasindy.durations import in_words
 from dynasindy.viz.response import tracking
 from dynasindy.viz.style import GREY, ORANGE, RED, legend_above, styled
 
@@ -34,7 +35,7 @@ def flight(shown: Shown, wiring: Wiring, guard: Guard, name: str) -> Figure:
     title = f"{name.replace('_', ' ').capitalize()} on the rig"
     ended = float(shown.time[-1]) + wiring.dt
     if shown.fault:
-        title += f", ended after {ended:g} of {planned:g} s by {shown.fault}"
+        title += f", ended after {in_words(ended, planned)} of {in_words(planned)} by {shown.fault}"
     inputs = {"measured": shown.inputs}
     figure = tracking(shown.time, shown.references, measured, inputs, units, wiring.signature.input_names, title)
     for column, (axis, output) in enumerate(zip(figure.axes, shown.names, strict=False)):

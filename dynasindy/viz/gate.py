@@ -5,11 +5,16 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import ArrayLike
 
+from dynasindy.viz.identification import TYPICAL
 from dynasindy.viz.style import BLACK, BLUE, GREY, ORANGE, RED, Array, array, legend_beside, named_dots, panels, styled
+
+FEW_DECADES = 1000.0
+"""Ends of an axis nearer to each other than this factor have few powers of ten between them."""
 
 
 @styled
@@ -46,6 +51,9 @@ def gate(
         told = "_" * (number > 0) + "model not trusted"
         upper.axvspan(closed - 0.5, closed + 0.5, color=GREY, alpha=0.25, linewidth=0, label=told)
     upper.set_yscale("log")
+    bounds = [columns[name] for name in ("open_below", "close_above")]
+    upper.set_ylim(*_around(np.concatenate([columns["reward_error"], columns["judged_reward_error"], *bounds])))
+    _ticks(upper.yaxis)
     upper.set_ylabel(f"reward error\n[{unit}]")
     legend_beside(upper)
     lower.plot(x, before, color=ORANGE, label="before the refit", **dots)
@@ -57,11 +65,12 @@ def gate(
         lower.plot(x[back], after[back], color=RED, label="rolled back", **ring)
     if np.isfinite(before).any():
         lower.set_yscale("log")
-        lower.set_ylim(*_decades(np.concatenate([before, after])))
+        lower.set_ylim(*_around(np.concatenate([before, after])))
+        _ticks(lower.yaxis)
     lower.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     lower.set_xlim(wide[0], wide[-1])
     lower.set_xlabel("real episode")
-    lower.set_ylabel("held-out state error [ranges]")
+    lower.set_ylabel(f"held-out state error\n[{TYPICAL}]")
     legend_beside(lower)
     return figure
 
@@ -80,14 +89,18 @@ def _once(columns: Mapping[str, float], title: str, unit: str) -> Figure:
         if np.isfinite(columns[name]):
             told = f"{words} {columns[name]:g}"
             upper.axvline(columns[name], color=BLACK, linestyle=line, linewidth=0.9, label=told)
-            upper.set_xlim(right=max(upper.get_xlim()[1], 3 * columns[name]))
+            left, right = upper.get_xlim()
+            upper.set_xlim(left, max(right, 2 * columns[name]))
     if upper.get_legend_handles_labels()[0]:
         legend_beside(upper)
     tests = {
         "before the refit": ("held_out_error_before", ORANGE),
         f"after the refit{kept}": ("held_out_error_after", RED if columns["refit_kept"] == 0 else BLUE),
     }
-    _rows(lower, columns, tests, "held-out state error [ranges]")
+    _rows(lower, columns, tests, f"held-out state error [{TYPICAL}]")
+    for axis in (upper, lower):
+        if axis.get_xscale() == "log":
+            _ticks(axis.xaxis)
     return figure
 
 
@@ -98,13 +111,24 @@ def _rows(axis: Axes, columns: Mapping[str, float], rows: Mapping[str, tuple[str
     seen = values[np.isfinite(values) & (values > 0)]
     if len(seen):
         axis.set_xscale("log")
-        low, high = _decades(np.append(seen, 5 * seen.max()))  # room for the figures beside the dots
-        axis.set_xlim(low, high)
-        axis.xaxis.set_minor_formatter(NullFormatter())
+        axis.set_xlim(*_around(np.append(seen, 2 * seen.max())))  # room for the figures beside the dots
 
 
-def _decades(values: Array) -> tuple[float, float]:
-    """Return the whole decades around positive values, which have ticks; at least one."""
-    logs = np.log10(values[np.isfinite(values) & (values > 0)])
-    low, high = (np.floor(logs.min()), np.ceil(logs.max())) if len(logs) else (0.0, 0.0)
-    return float(10**low), float(10 ** max(high, low + 1))
+def _around(values: Array) -> tuple[float, float]:
+    """Return the next of 1, 2, 5, 10, 20, ... below and above positive values, at least a factor of 5 apart."""
+    seen = values[np.isfinite(values) & (values > 0)]
+    if not len(seen):
+        return 1.0, 10.0
+    powers = 10.0 ** np.arange(np.floor(np.log10(seen.min())), np.ceil(np.log10(seen.max())) + 2)
+    steps = np.outer(powers, (1.0, 2.0, 5.0)).ravel()
+    low = float(steps[steps <= seen.min() * (1 + 1e-9)][-1])
+    return low, float(max(steps[steps >= seen.max() * (1 - 1e-9)][0], 5 * low))
+
+
+def _ticks(axis: Axis) -> None:
+    """Put ticks at 1, 2 and 5 times the powers of ten where the limits hold few decades, at the powers elsewhere."""
+    low, high = axis.get_view_interval()
+    if high / low < FEW_DECADES:
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
+    axis.set_minor_formatter(NullFormatter())

@@ -24,15 +24,21 @@ from dynasindy.viz.style import (
     legend_beside,
     name_single,
     panels,
+    short,
     span,
     styled,
     symbol,
+    time_axis,
 )
 
 BEYOND = 0.6
 """A prediction is drawn as far as this part of the plant's own range beyond it."""
 LOST = 10.0
 """A prediction ends where it is off by more than this part of the range."""
+LEAST = 0.001
+"""Error below which a prediction is as good as any [% of the range of what is predicted]."""
+TYPICAL = "typical ranges"
+"""Unit of an error of all states together, each of which counts by its typical range, `Signature.x_scale`."""
 GAP = "gap: samples missing or left out"
 MOST = 50
 """More gaps than these are not marked, as the marks would hide the data."""
@@ -113,7 +119,10 @@ def prediction(
     segment: ArrayLike | None = None,
     truth: str = "real",
 ) -> Figure:
-    """Draw free-running prediction against the real plant, each panel with its error in percent of the range.
+    """Draw free-running prediction against the real plant, each panel with its error.
+
+    The error is told in percent of the range, the largest minus the smallest value, of the plant's own curve in that
+    panel, and how wide that is.
 
     Args:
         time: `(T,)` [s].
@@ -125,7 +134,7 @@ def prediction(
         truth: What the model is compared with: "real" states, or a "log".
     """
     seconds, truths, model = array(time), array(real), array(predicted)
-    names = signature.state_names
+    names, whose = signature.state_names, "the real range" if truth == "real" else f"the {truth}'s range"
     figure, axes, columns = _panels(names, signature.state_units, title)
     for i in range(len(names)):
         wide = truths[:, i].max() - truths[:, i].min()
@@ -133,7 +142,8 @@ def prediction(
         x, measured, free = (_broken(v, segment) for v in (seconds, truths[:, i], ended))
         axes[i].plot(x, measured, color=BLACK, linewidth=1.2, label=truth)
         axes[i].plot(x, free, color=RED, linestyle=":", linewidth=1.8, label="predicted")
-        axes[i].set_title(_fit(truths[:, i], model[:, i], wide), fontsize=8.5, loc="right")
+        told = _fit(truths[:, i], model[:, i], f"{short(float(wide))} {signature.state_units[i]}, {whose}")
+        axes[i].set_title(told, fontsize=8.5, loc="right")
         if wide > 0:
             # A model that runs away must not flatten the plant's own curve.
             axes[i].set_ylim(truths[:, i].min() - BEYOND * wide, truths[:, i].max() + BEYOND * wide)
@@ -192,15 +202,15 @@ def growing_error(time: ArrayLike, error: ArrayLike, title: str = "Open-loop err
 
     Args:
         time: `(n,)` [s] since the start.
-        error: `(n,)` distance of predicted and real states [ranges of the states].
+        error: `(n,)` distance of predicted and real states [typical ranges of the states].
         title: of the figure.
     """
     figure, (axis,) = panels(1, 1, (7.0, 3.2), title)
     axis.plot(array(time), np.maximum(array(error), 1e-12), color=RED, linewidth=1.0)
     axis.set_yscale("log")
     axis.set_xlim(0.0, array(time).max(initial=0.0) or 1.0)
-    axis.set_xlabel("time [s]")
-    axis.set_ylabel("RMS error of the states [ranges]")
+    time_axis(axis, time)
+    axis.set_ylabel(f"RMS error of the states\n[{TYPICAL}]")
     return figure
 
 
@@ -296,23 +306,26 @@ def _broken(values: Array, segment: ArrayLike | None) -> Array:
 
 
 def _finish(axes: Sequence[Axes], columns: int, seconds: Array, segment: ArrayLike | None = None) -> None:
-    words = "time without the gaps [s]" if _breaks(segment) else "time [s]"
+    words = "time without the gaps" if _breaks(segment) else "time"
     shown = [axis for axis in axes if axis.get_visible()]
     for axis in shown[-columns:]:  # the last one of each column, above an empty place, too
-        axis.set_xlabel(words)
+        time_axis(axis, seconds, words)
         axis.tick_params(labelbottom=True)
     axes[0].set_xlim(*span(seconds))
 
 
-def _fit(real: Array, predicted: Array, wide: float) -> str:
+def _fit(real: Array, predicted: Array, whole: str) -> str:
+    """Return the error of a prediction in words, in percent of the range of what it predicts, which is `whole`."""
     if np.isnan(real).all():
         return "not measured"
     if not np.isfinite(predicted).all():
         return "runs away"
-    rmse = float(np.sqrt(np.mean((real - predicted) ** 2)))
+    rmse, wide = float(np.sqrt(np.mean((real - predicted) ** 2))), float(np.ptp(real))
     if not wide > 0:
         return f"RMSE {rmse:.2g}"
     percent = 100 * rmse / wide
     cut = (predicted.max() - real.max() > BEYOND * wide) or (real.min() - predicted.min() > BEYOND * wide)
     words = f"{percent:.0f}" if percent >= 99.5 else f"{percent:.2g}"
-    return f"RMSE {words} % of range" + ", cut off" * bool(cut)
+    if percent < LEAST:
+        words = f"below {LEAST:g}"
+    return f"RMSE {words} % of {whole}" + ", cut off" * bool(cut)

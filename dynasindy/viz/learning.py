@@ -113,8 +113,8 @@ def average_rewards(
 def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike | None = None, seed: int = 0) -> None:
     """Draw interquartile mean and 95 % bootstrap band over seeds into an axis, one line per setting.
 
-    Of fewer than three seeds every one is a line of its own, and nothing is a band. Where there is a band, the single
-    seeds are lines that are not visible, for a page that can switch them on.
+    Where there are fewer than three seeds, each is a line of its own, and nothing is a band. Where there is a band, the
+    single seeds are lines that are not visible, for a page that can switch them on.
 
     Args:
         axis: Where to draw.
@@ -143,7 +143,7 @@ def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike |
             banded = True
     if banded:
         few = any(len(np.atleast_2d(array(values))) < FEWEST for values in curves.values())
-        words = f"; of fewer than {FEWEST}, each" if few else ""
+        words = f"; each seed where there are fewer than {FEWEST}" if few else ""
         axis.plot([], [], color=GREY, label=f"line: interquartile mean over seeds{words}")
         axis.plot([], [], color=GREY, alpha=0.3, linewidth=7, label="band: its 95 % bootstrap interval")
     if not curves:

@@ -7,10 +7,24 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
+from dynasindy.durations import in_words
 from dynasindy.evaluation.metrics import SETTLING_BAND, steady_seconds
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.controllers import colours
-from dynasindy.viz.style import BLACK, BLUE, GREY, Array, array, held, label, legend_above, panels, span, styled
+from dynasindy.viz.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    Array,
+    array,
+    held,
+    label,
+    legend_above,
+    panels,
+    span,
+    styled,
+    time_axis,
+)
 
 AXES = SIGNATURE.state_names[:2]
 INPUTS = SIGNATURE.input_names
@@ -49,7 +63,7 @@ def tracking(
     for i, name in enumerate(input_names[:n_u]):
         _inputs(axes[len(names) + i], seconds, inputs, i, name)
     legend_above(axes[0])
-    axes[-1].set_xlabel("time [s]")
+    time_axis(axes[-1], seconds)
     axes[-1].set_xlim(*span(seconds))
     return figure
 
@@ -74,7 +88,8 @@ def step_response(
         band = f"{100 * SETTLING_BAND:g} % band"
         axis.axhspan(target[-1, i] - half, target[-1, i] + half, color=GREY, alpha=0.2, lw=0, label=band)
         end = span(seconds)[1]
-        axis.axvspan(end - steady, end, color=GREY, alpha=0.08, lw=0, label=f"steady state: last {steady:g} s")
+        told = f"steady state: last {in_words(steady, longest=float(np.ptp(seconds)))}"
+        axis.axvspan(end - steady, end, color=GREY, alpha=0.08, lw=0, label=told)
     legend_above(figure.axes[0])
     return figure
 
@@ -114,7 +129,7 @@ def error_fan(
         axis.set_yscale("log")
         axis.set_ylabel(f"|error| of {label(*_with_unit(name))}")
     legend_above(axes[0])
-    axes[-1].set_xlabel("time [s]")
+    time_axis(axes[-1], seconds)
     axes[-1].set_xlim(*span(seconds))
     return figure
 

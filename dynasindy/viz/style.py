@@ -1,5 +1,6 @@
 """The one style of all figures: colours, labels with units, saving; pyplot and its global state stay out."""
 
+import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
@@ -11,9 +12,10 @@ import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
+from dynasindy.durations import unit_of
 from dynasindy.told import tell
 
 P = ParamSpec("P")
@@ -84,15 +86,31 @@ def styled(draw: Callable[P, T]) -> Callable[P, T]:
 def panels(
     rows: int, columns: int = 1, size: tuple[float, float] = (7.0, 4.0), title: str = "", sharex: bool = True
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure of `size` [inch] and its axes row by row; a long line of the title is wrapped."""
+    """Return a figure of `size` [inch] and its axes row by row; a long line of the title becomes several."""
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots(rows, columns, sharex=sharex, squeeze=False)
     for axis in axes.flat:
         axis.xaxis.set_major_locator(MaxNLocator(steps=[1, 2, 5, 10]))
     if title:
-        lines = [textwrap.fill(line, int(11 * size[0])) for line in title.split("\n")]  # some eleven letters an inch
-        figure.suptitle("\n".join(lines), fontsize=11)
+        letters = int(11 * size[0])  # some eleven an inch
+        figure.suptitle("\n".join(row for line in title.split("\n") for row in wrapped(line, letters)), fontsize=11)
     return figure, list(axes.flat)
+
+
+def wrapped(line: str, letters: int) -> list[str]:
+    """Return a line as few lines of at most so many letters, which break between clauses or are of equal length."""
+    if len(line) <= letters:
+        return [line]
+    clauses = re.split(r"(?<=[;:.]) ", line)
+    rows = clauses[:1]
+    for clause in clauses[1:]:
+        joined = f"{rows[-1]} {clause}"
+        rows = [*rows[:-1], joined] if len(joined) <= letters else [*rows, clause]
+    fewest = len(textwrap.wrap(line, letters))
+    if len(rows) == fewest and max(map(len, rows)) <= letters:
+        return rows
+    narrow = next(n for n in range(1, letters + 1) if len(textwrap.wrap(line, n, break_long_words=False)) <= fewest)
+    return textwrap.wrap(line, max(narrow, max(map(len, line.split()))), break_long_words=False)
 
 
 def symbol(name: str) -> str:
@@ -124,9 +142,41 @@ def span(seconds: Array) -> tuple[float, float]:
     return 0.0 if 0 < start < period + 1e-9 else start, round(float(end), 9)
 
 
+def time_axis(axis: Axes, seconds: ArrayLike, words: str = "time") -> None:
+    """Label an axis whose data are in seconds, with ticks in the unit that suits its length: s, min or h.
+
+    Args:
+        axis: Where; figures that share it are told, too.
+        seconds: The times that it shows [s].
+        words: What it shows.
+    """
+    unit = unit_of(float(np.ptp(array(seconds)))) if np.size(seconds) else unit_of(0.0)
+    axis.set_xlabel(f"{words} [{unit.name}]")
+    if unit.seconds != 1:
+        axis.xaxis.set_major_locator(_Scaled(unit.seconds))
+        axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value / unit.seconds:g}"))
+
+
+class _Scaled(MaxNLocator):
+    """Ticks at round values of a unit that is so many times that of the data."""
+
+    def __init__(self, unit: float) -> None:
+        super().__init__(steps=[1, 2, 5, 10])
+        self.unit = unit
+
+    def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
+        """Return the places of the ticks between two values, in the unit of the data."""
+        return [self.unit * tick for tick in super().tick_values(vmin / self.unit, vmax / self.unit)]
+
+
 def held(seconds: Array, values: Array) -> tuple[Array, Array]:
     """Return times and values of an input that is held, its last sample up to the end of the run."""
     return np.append(seconds, span(seconds)[1]), np.concatenate([values, values[-1:]])
+
+
+def short(value: float) -> str:
+    """Return a number with three digits, or all those before the point."""
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
 def named_dots(axis: Axes, values: Mapping[str, tuple[float, str]], what: str) -> None:
@@ -141,8 +191,8 @@ def named_dots(axis: Axes, values: Mapping[str, tuple[float, str]], what: str) -
         if np.isfinite(value):
             axis.plot(value, height, color=color, marker="o", markersize=6)
             at = (value, height)
-            told = f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
-            axis.annotate(told, at, (8, 0), textcoords="offset points", va="center", color=color)
+            ground = {"facecolor": "white", "linewidth": 0, "pad": 1}  # the line of the grid would run through it
+            axis.annotate(short(value), at, (8, 0), textcoords="offset points", va="center", color=color, bbox=ground)
     axis.set_yticks(range(len(values)), list(values))
     axis.set_ylim(len(values) - 0.5, -0.5)
     axis.set_xlabel(what)

@@ -13,7 +13,7 @@ from dynasindy.checking.uncertainty import Spread, spread, variants
 def test_each_coefficient_of_the_data_is_moved_and_no_other(carts):
     model = carts(friction=0.5, spring=2.0)
     found = variants(model, 4, 0)
-    assert found.labels[4:] == [f"{f} in v' {s}20%" for f in ("force", "v", "p") for s in "+-"]
+    assert found.labels[4:] == [f"{f} in v' {s}20 %" for f in ("force", "v", "p") for s in "+-"]
     changed = (found.coefficients[4:] / model.coefficients).nan_to_num(1.0)
     expected = torch.ones(6, 3, 2, dtype=torch.float64)
     for k in range(6):

@@ -28,7 +28,9 @@ def test_a_cart_with_a_sound_law_is_sound(good):
     assert len(found) == 13
     assert [name for name, each in found.items() if not each.good] == ["noise"] or all(f.good for f in found.values())
     assert "stable at all 2 targets; largest spectral radius" in found["stability"].words
-    assert found["recovery"].words.startswith("comes back from errors of up to 1 ranges: 100% in p and v;")
+    assert found["recovery"].words.startswith(
+        "comes back from errors of up to 1 typical range of each state: 100 % in p and v;"
+    )
 
 
 def test_findings_come_in_the_order_of_what_they_build_on(good):
@@ -54,7 +56,7 @@ def test_the_largest_slew_and_saturation_over_the_targets_decide(good):
     steps = Flights(torch.zeros(2, 5, 2).double(), u, torch.zeros(2, 1), [0], 0.1)
     found = by_name(replace(good, steps=steps))
     assert found["slew"].words.startswith("in a step force changes by up to 1.50 in a control period")
-    assert found["saturation"].words.startswith("in a step force is at its limit for up to 25% of 8 s")
+    assert found["saturation"].words.startswith("in a step force is at its limit for up to 25 % of 8 s")
     assert not found["slew"].good and not found["saturation"].good
 
 
@@ -88,18 +90,32 @@ def test_thresholds_are_those_that_are_given(good):
     assert found["noise"].words.endswith("threshold: 0")
 
 
+def test_the_threshold_of_the_steady_error_has_the_unit_of_its_value(good):
+    # p counts by 2 m: a tenth of that is 0.2 m.
+    words = by_name(good, Thresholds(error=0.1))["steady error"].words
+    assert words.startswith("in steps from the origin at most ") and " m of p; " in words
+    assert words.endswith("threshold: 0.2 m, 10 % of its range")
+    assert by_name(good, Thresholds(error=0.1))["all coefficients"].words.endswith("stable, 0.2 m, 10 % of its range")
+
+
 def test_an_unstable_loop_says_so_first_and_where(loops, law):
     lines = verdict(check(loops(law(-1.0, 0.0)), SMALL))
     assert lines[0].name == "stability" and not lines[0].good
     assert lines[0].words.startswith("NOT stable at 2 of 2 targets, such as (-0.4); flown there, p ends within")
+    assert "of its target; threshold" in lines[0].words
     assert not any("margin" in each.name for each in lines)
+
+
+def test_the_only_target_without_a_stable_loop_is_the_one_that_is_named(good):
+    lost = replace(good, rest=replace(good.rest, still=torch.tensor([True, False])))
+    assert by_name(lost)["stability"].words.startswith("NOT stable at 1 of 2 targets, (0.4); at 1 of them there is no")
 
 
 def test_a_coefficient_that_makes_it_unstable_is_named(loops, carts, law):
     # u = -18 v holds v while 18 b dt < 2; with b = 1.2 it is too much.
     found = by_name(check(loops(law(1.0, 18.0), carts()), SMALL))
     assert found["stability"].good and not found["one coefficient"].good
-    assert "NOT stable with 1 of 2, worst force in v' +20%" in found["one coefficient"].words
+    assert "NOT stable with 1 of 2, worst force in v' +20 %" in found["one coefficient"].words
 
 
 def test_a_finding_is_a_line():

@@ -201,8 +201,15 @@ def test_periods_at_a_stop_are_told_as_they_are_left_out():
     assert left_out(rows) == ""
     rows["next", "at_stop"][[3, 4, 17]] = True
     fine = transitions(rows, 0.01)
-    assert left_out(rows).startswith("The excitation reached a mechanical stop in 3 of 40 control periods")
+    touched = "The excitation reached a mechanical stop in {} of 40 control periods"
+    assert left_out(rows) == touched.format(3) + "; the model is fitted to the other 37."
     assert len(fine) == (40 - 3) * rows["next", "samples"].shape[-2]
+    # What would leave more data is said only where much is lost.
+    for count, said in ((9, False), (10, True)):
+        rows["next", "at_stop"][:] = False
+        rows["next", "at_stop"][:count] = True
+        assert left_out(rows).startswith(touched.format(count))
+        assert ("a smaller excitation.amplitude" in left_out(rows)) is said
 
 
 def kept_share(rate, steps):

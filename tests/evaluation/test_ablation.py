@@ -86,7 +86,7 @@ def test_the_table_has_interquartile_means_and_says_never(tmp_path):
     for seed in range(5):
         run_folder(tmp_path / "runs", "bad", seed, [0.04, 0.04] if seed else [0.04] * 3)
     text = to_markdown(gather(tmp_path / "runs", tmp_path, LEVEL), LEVEL)
-    assert "of fewer than three seeds each of them" in text
+    assert "; where there are fewer than three seeds, the value of each." in text
     bad, good = text.splitlines()[-2:]
     assert good.startswith("| xi | dyna | good | 5 | 3 or 4 or 5 or 30 | 5/5 | 4.333 [3")
     assert bad.startswith("| xi | dyna | bad | 5 | 2 or 3 | 1/5 | never [")

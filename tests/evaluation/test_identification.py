@@ -81,18 +81,6 @@ def test_columns_of_a_log_of_no_plant_are_named_by_a_list_or_a_map(tmp_path):
         names()
 
 
-def test_a_log_with_an_angle_in_degrees_and_a_rate_in_rad_is_told(tmp_path):
-    data = Simulated().load(Pendulum(), EXCITATION).training
-    lines = ["time,theta,Omega,u"]
-    lines += [f"{k * data.dt},{data.x[k, 0] * 57.29578},{data.x[k, 1]},{data.u[k, 0]}" for k in range(len(data))]
-    (tmp_path / "log.csv").write_text("\n".join(lines))
-    source = Logged(str(tmp_path / "log.csv")).load(Pendulum(), EXCITATION)
-    words = to_words(_identified(source), source)
-    assert words.count("warning: Omega does not fit theta, whose slope over time is 57.3 times Omega;") == 1
-    exact = Simulated().load(Pendulum(), EXCITATION)
-    assert "warning" not in to_words(_identified(exact), exact)
-
-
 def test_settings_that_make_no_sense_are_refused():
     with pytest.raises(ValueError, match="noise -1"):
         Simulated(noise=-1.0)
@@ -159,6 +147,18 @@ def test_validation_is_held_random_of_seven_tenths_of_the_range_about_the_same_o
     torch.testing.assert_close(u, expected.to(u))
     assert not torch.equal(u, other.validation.u) and one.notes == ()
     assert torch.equal(one.training.u, other.training.u)  # a chirp has no seed
+
+
+def test_the_simulated_plant_begins_where_it_is_said_to():
+    begun = Simulated(validation_seconds=2.0, start={"theta": 0.5}).load(Pendulum(), partial(Chirp, duration=2.0))
+    assert begun.training.x[0].tolist() == begun.validation.x[0].tolist() == [0.5, 0.0]
+    drawn = Simulated(validation_seconds=2.0, start={"theta": [0.2, 0.6]}).load(
+        Pendulum(), partial(Chirp, duration=2.0)
+    )
+    first, other = (float(data.x[0, 0]) for data in (drawn.training, drawn.validation))
+    assert 0.2 < first < 0.6 and 0.2 < other < 0.6 and first != other
+    with pytest.raises(ValueError, match=r"plant\.start has phi: 1"):
+        Simulated(start={"phi": 1}).load(Pendulum(), partial(Chirp, duration=2.0))
 
 
 def test_samples_at_a_stop_are_left_out_and_counted():

@@ -75,6 +75,15 @@ def row(text: str, start: str) -> list[str]:
     return next(line for line in text.splitlines() if line.startswith(start)).split()
 
 
+def test_times_of_a_slow_plant_are_told_in_minutes_or_hours() -> None:
+    slow = {"rise_time": torch.full((3, 2), 1800.0), "settling_time": torch.tensor([[1800.0, 7200.0]] * 3)}
+    text = to_text(summarise(evaluation(**slow)), steady=900.0)
+    assert row_of(text, "rise time (10-90 %) [min]") == ["30", "30"]
+    assert row_of(text, "settling time (5 %) [h]") == ["0.5", "2"]
+    assert row(text, "steady-state error (last 15 min) [rad]")
+    assert row_of(text, "settled within the run [%]") == ["100", "100"]
+
+
 def test_the_table_says_never_where_most_steps_do_not_settle() -> None:
     times = torch.tensor([[math.inf, math.nan], [math.inf, math.nan], [2.0, math.nan]])
     text = to_text(summarise(evaluation(settling_time=times)))
@@ -100,7 +109,7 @@ def test_the_heading_says_how_long_and_when_the_plant_was_disturbed() -> None:
     gust = {"plant": partial(Pushed, push={"Omega": 1.0}), "windows": [(0.5, 1.5)]}
     scenario = Scenario("wind", Step([[0.5], [0.2]]), episodes=2, seconds=3.0, **gust)
     result = evaluate(ControlEnv(system, task, substeps=1), still, scenario)
-    assert heading(result) == "Scenario 'wind' (2 references, 3 s, disturbed from 0.5 to 1.5 s)"
+    assert heading(result) == "Scenario 'wind' (2 references, 3 s, disturbed from 0.5 s to 1.5 s)"
     calm = evaluate(ControlEnv(system, task, substeps=1), still, Scenario("step", seconds=1.5))
     assert heading(calm) == "Scenario 'step' (1 reference, 1.5 s)"
 

@@ -37,6 +37,14 @@ def test_a_model_predicts_if_it_halves_the_error_of_the_last_value_held_or_meets
     assert judge(forecasts(q), SIGNATURE) == [said]
 
 
+def test_the_horizons_of_a_slow_plant_are_told_in_hours():
+    shown = forecasts(0.002)
+    hours = tuple(3600 * horizon for horizon in shown.horizons)
+    slow = replace(shown, horizons=hours, characteristic=3600 * shown.characteristic)
+    assert judge(slow, SIGNATURE) == ["this model predicts 2 h ahead, q, w to what the sensors resolve"]
+    assert table(slow, SIGNATURE)[1].split() == ["12", "min", "2", "h", "5", "h"]
+
+
 def test_a_linear_model_that_is_better_is_said_to_be():
     assert judge(forecasts(0.04, linear=0.03), SIGNATURE)[1].startswith(
         "a linear model on past samples predicts q better"

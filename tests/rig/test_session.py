@@ -107,7 +107,7 @@ def test_targets_lie_in_the_box_of_the_plant():
     ("change", "message"),
     [
         ({"library": ["1", "sinh(theta)"]}, "function 'sinh' is not known"),
-        ({"library": ["1", "thta", "Omega"]}, "the library names thta"),
+        ({"library": ["1", "thta", "Omega"]}, "plant.library names thta, which is no state and no input"),
         ({"known": {"thta": "Omega"}}, "names thta, which is no state"),
         ({"targets": {"thta": (-0.6, 0.6)}}, "state 'thta' does not exist"),
     ],

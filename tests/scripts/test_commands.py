@@ -2,7 +2,6 @@
 
 import os
 import re
-import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -38,41 +37,6 @@ def test_every_command_is_a_script_with_a_main_and_every_config_belongs_to_one(c
     assert {file.stem for file in (ROOT / "conf").glob("*.yaml")} <= set(commands.COMMANDS)
 
 
-@pytest.mark.parametrize(
-    ("words", "logged", "plant", "lacking", "expected"),
-    [
-        (["data=csv", "data.path=my log.csv"], True, "logged", ["outputs", "low"], "data=csv 'data.path=my log.csv' "),
-        (
-            ["system=tras", "data=csv", "data.path=a.csv", "folder=x"],
-            True,
-            "tras",
-            [],
-            "system=tras data=csv data.path",
-        ),
-        (["plant.library=['1',u]", "longest_delay=0.2", "data=csv"], True, "logged", [], "longest_delay=0.2 data=csv"),
-        (["excitation=prbs", "data.noise=0.1", "formats=[pdf]"], False, "tras", [], "system=tras excitation=prbs"),
-        (["system=xi", "+plant.bounds={z: 1}", "hydra/launcher=basic"], False, "xi", [], "system=xi '+plant.bounds={z"),
-    ],
-)
-def test_the_next_step_has_the_words_that_were_given(commands, monkeypatch, words, logged, plant, lacking, expected):
-    monkeypatch.setattr(sys, "argv", ["scripts/identify.py", *words])
-    line = commands.planning(words, logged, plant, lacking)
-    assert expected in line and line.startswith("python scripts/train.py ")
-    for word in ("folder", "formats", "data.noise", "launcher"):
-        assert word not in line
-    read = shlex.split(line)
-    assert read[2:] == [word for word in read[2:] if word.count("=") >= 1]  # a shell gives them back, word by word
-    assert [word for word in read if "NAME" in word or "NUMBER" in word] == [
-        {"outputs": "plant.outputs=[NAME]", "low": "plant.low=[NUMBER]"}[key] for key in lacking
-    ]
-
-
-def test_the_next_step_finds_the_folder_of_the_users_own_settings(commands, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["scripts/identify.py", "--config-dir", "my conf", "system=own"])
-    line = commands.planning(["system=own"], False, "own", [])
-    assert line == "python scripts/train.py --config-dir 'my conf' system=own"
-
-
 def test_a_command_is_called_as_it_was_and_by_its_script_in_a_clone(commands, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["/clone/scripts/train.py"])
     assert commands.called("check") == "python scripts/check.py"
@@ -82,13 +46,6 @@ def test_a_command_is_called_as_it_was_and_by_its_script_in_a_clone(commands, mo
     monkeypatch.setattr(sys, "argv", ["worker.py"])
     monkeypatch.setattr(commands, "IN_CLONE", False)
     assert commands.called("check") == "dynasindy check"
-
-
-def test_what_to_do_next_is_a_command_a_line(commands, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["scripts/train.py"])
-    first, check, export = commands.following("runs/a b", "check", "export").split("\n")
-    assert first == "next:" and check.startswith("  python scripts/check.py run=runs/a b  # tells its margins")
-    assert export.startswith("  python scripts/export.py run=")
 
 
 @pytest.mark.parametrize("words", [[], ["--help"], ["-h"]])

@@ -33,8 +33,22 @@ def test_the_figures_of_a_check_name_their_targets():
     assert sorted(loops) == ["$p$ = -0.4 m", "$p$ = 0 m", "$p$ = 0.4 m"]
     assert figures["steps"].get_suptitle() == "Step from the origin to $p$ = -0.4 m, the farthest target"
     told = " ".join(figures["recovery"].get_suptitle().split())
-    assert "comes back to $p$ = 0 m: within 5 s to 5 % of each output's range (asked for: 90% of them)" in told
+    assert "comes back to $p$ = 0 m: within 5 s to 5 % of each output's range (asked for: 90 % of them)" in told
     assert figures["coefficients"].get_suptitle().endswith("at the worst of 3 targets")
+
+
+def test_targets_without_a_curve_are_named_with_the_reason():
+    found = held_cart(draws=0)
+    assert draw(found)["nyquist"].get_suptitle() == "Loop opened at each input"
+    found.rest.linear.a[1] *= 2 / found.rest.linear.radius[1]
+    told = " ".join(draw(found)["nyquist"].get_suptitle().split())
+    assert told.endswith("input left out, 1 of 3 targets: the closed loop is not stable at ($p$ = 0 m)")
+    found.rest.still[2] = False
+    told = " ".join(draw(found)["nyquist"].get_suptitle().split())
+    assert told.endswith(
+        "left out, 2 of 3 targets: the closed loop is not stable at ($p$ = 0 m); the closed loop never comes to rest "
+        "at ($p$ = 0.4 m)"
+    )
 
 
 @pytest.mark.parametrize("draws", [0, 2])
@@ -94,7 +108,7 @@ def test_a_plane_is_drawn_with_the_first_state_to_the_right():
     # What is 0 in `back` has the first colour of the map, what is 1 the last.
     colors = axis.collections[0].cmap([0.0, 1.0])[:, :3]
     assert told["does not"] == tuple(colors[0]) and told["comes back"] == tuple(colors[1])
-    assert axis.get_title() == "33% come back" and "[m/s]" in axis.get_ylabel()
+    assert axis.get_title() == "33 % come back" and "[m/s]" in axis.get_ylabel()
 
 
 def test_steps_of_the_model_and_of_other_plants_are_drawn_with_the_target_and_what_passes():

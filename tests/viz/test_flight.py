@@ -27,7 +27,7 @@ def words(figure) -> list[str]:
 def test_a_flight_that_ended_early_says_when_and_why_on_the_time_that_was_planned() -> None:
     figure = flight(ENDED, WIRING, Guard(), "flight_1")
     told = " ".join(figure.get_suptitle().split())
-    assert told == "Flight 1 on the rig, ended after 0.5 of 2 s by range: theta is 0.5, outside of -0.45 to 0.45"
+    assert told == "Flight 1 on the rig, ended after 0.5 s of 2 s by range: theta is 0.5, outside of -0.45 to 0.45"
     for axis in figure.axes:
         assert axis.lines[-1].get_xdata() == pytest.approx([0.5, 0.5])
     low, high = figure.axes[-1].get_xlim()

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from dynasindy.viz.gate import gate
+from dynasindy.viz.gate import _around, gate
 
 
 def test_closed_episodes_are_shaded_and_rolled_back_refits_are_marked():
@@ -23,7 +23,32 @@ def test_closed_episodes_are_shaded_and_rolled_back_refits_are_marked():
     assert shade.get_x() == 1.5 and shade.get_width() == 1.0
     crosses = next(line for line in lower.lines if line.get_label() == "rolled back")
     assert crosses.get_xydata().tolist() == [[3.0, 0.4]]
-    assert lower.get_ylim() == (0.1, 1.0)
+    assert lower.get_ylim() == (0.1, 0.5)
+    assert upper.get_ylim() == (0.01, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "ends"),
+    [
+        ([1.52e-7, 1.53e-7], (1e-7, 5e-7)),  # at least a factor of 5
+        ([0.2, 0.5], (0.2, 1.0)),
+        ([0.03, 4.0, np.nan, 0.0], (0.02, 5.0)),
+        ([3e-9, 0.1], (2e-9, 0.1)),
+        ([np.nan], (1.0, 10.0)),
+    ],
+)
+def test_an_axis_ends_at_the_next_tick_and_not_a_decade_later(values, ends):
+    assert _around(np.array(values)) == pytest.approx(ends)
+
+
+def test_ends_near_to_each_other_have_ticks_between_the_powers_of_ten():
+    upper, lower = single(held_out_error_before=0.012, reward_error=1e-7)
+    assert lower.get_xlim() == (0.01, 0.05)
+    ticks = [text.get_text() for text in lower.get_xticklabels()]
+    assert {"0.01", "0.02", "0.05"} <= set(ticks)
+    # Far ends have the powers alone; both thresholds are on the axis.
+    assert upper.get_xlim() == pytest.approx((1e-7, 0.2))
+    assert all(np.log10(at) % 1 == pytest.approx(0, abs=1e-9) for at in upper.get_xticks())
 
 
 def single(**changed):

@@ -13,12 +13,17 @@ STATES = np.linspace(0, 1, 100)[:, None] * np.array([1.0, 2.0, 3.0, 4.0, 1000.0,
 def test_prediction_titles_say_the_error_in_percent_of_the_range() -> None:
     figure = prediction(TIME, STATES, STATES + np.array([0.1, 0, 0, 0, 0, 0]))
     titles = [axis.get_title(loc="right") for axis in figure.axes]
-    assert titles[0] == "RMSE 10 % of range"
-    assert set(titles[1:]) == {"RMSE 0 % of range"}
+    assert titles[0] == "RMSE 10 % of 1 rad, the real range"
+    assert titles[5] == "RMSE below 0.001 % of 2000 rpm, the real range"
     figure = prediction(TIME, STATES, STATES + np.array([3.2e-5, 1.5, 0, 0, 0, 40.0]))
     titles = [figure.axes[k].get_title(loc="right") for k in (0, 1, 5)]
-    assert titles == ["RMSE 0.0032 % of range", "RMSE 75 % of range, cut off", "RMSE 2 % of range"]
-    assert prediction(TIME, STATES, 3 * STATES).axes[0].get_title(loc="right") == ("RMSE 116 % of range, cut off")
+    assert titles == [
+        "RMSE 0.0032 % of 1 rad, the real range",
+        "RMSE 75 % of 2 rad, the real range, cut off",
+        "RMSE 2 % of 2000 rpm, the real range",
+    ]
+    told = prediction(TIME, STATES, 3 * STATES, truth="log").axes[0].get_title(loc="right")
+    assert told == "RMSE 116 % of 1 rad, the log's range, cut off"
     assert figure.axes[4].get_ylabel().endswith("[rpm]")
 
 
@@ -88,7 +93,7 @@ def test_lines_break_between_stretches_of_a_log() -> None:
     np.testing.assert_array_equal(drawn[~np.isnan(drawn)], STATES[:, 0])
     figure = prediction(TIME, STATES, STATES, segment=segment)
     assert [int(np.isnan(line.get_ydata()).sum()) for line in figure.axes[3].lines[:2]] == [2, 2]
-    assert figure.axes[0].get_title(loc="right") == "RMSE 0 % of range"
+    assert figure.axes[0].get_title(loc="right").startswith("RMSE below 0.001 %")
     assert figure.axes[-1].get_xlabel() == "time without the gaps [s]"
 
 
@@ -154,9 +159,9 @@ def test_a_prediction_says_what_it_is_compared_with_and_what_was_not_measured() 
     figure = prediction(TIME, log, STATES, truth="log")
     assert words(figure) == ["log", "predicted"]
     assert [axis.get_title(loc="right") for axis in figure.axes[1:4]] == [
-        "RMSE 0 % of range",
+        "RMSE below 0.001 % of 2 rad, the log's range",
         "not measured",
-        "RMSE 0 % of range",
+        "RMSE below 0.001 % of 4 rad/s, the log's range",
     ]
     assert words(prediction(TIME, STATES, STATES)) == ["real", "predicted"]
 

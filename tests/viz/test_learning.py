@@ -50,7 +50,7 @@ def test_a_logarithmic_axis_is_for_returns_that_differ_much_and_says_so() -> Non
 def test_the_legend_says_which_lines_are_single_seeds_where_both_stand_together() -> None:
     (axis,) = average_rewards({"a": np.ones((3, 2)), "b": np.ones((2, 2))}, window=1).axes
     words = [text.get_text() for text in axis.get_legend().get_texts()]
-    assert words[2] == "line: interquartile mean over seeds; of fewer than 3, each"
+    assert words[2] == "line: interquartile mean over seeds; each seed where there are fewer than 3"
 
 
 def test_fewer_than_three_seeds_are_lines_without_a_band() -> None:

@@ -7,7 +7,19 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from dynasindy.viz.style import CYCLE, held, label, legend_above, panels, save, span, styled, symbol
+from dynasindy.viz.style import (
+    CYCLE,
+    held,
+    label,
+    legend_above,
+    panels,
+    save,
+    span,
+    styled,
+    symbol,
+    time_axis,
+    wrapped,
+)
 
 
 @pytest.mark.parametrize(
@@ -65,6 +77,43 @@ def test_a_legend_above_an_axis_takes_a_second_row_before_it_is_wider_than_the_a
             axis.plot([0, 1], label=name)
         legend_above(axis)
         assert axis.get_legend()._ncols == columns
+
+
+@pytest.mark.parametrize(
+    ("line", "rows"),
+    [
+        ("short", ["short"]),
+        # Clauses stay whole where that costs no further line,
+        ("episode 1 of 64, the same for all; 54 have less", ["episode 1 of 64, the same for all;", "54 have less"]),
+        # and where it would, or where there are none, the lines are of equal length.
+        ("aaaa bbbb cccc dddd eeee ffff gggg hhhh", ["aaaa bbbb cccc dddd", "eeee ffff gggg hhhh"]),
+        ("a: bbbb cccc dddd eeee ffff gggg hhhh iiii", ["a: bbbb cccc dddd eeee", "ffff gggg hhhh iiii"]),
+        ("x" * 50 + " y", ["x" * 50, "y"]),
+    ],
+)
+def test_a_long_title_breaks_between_clauses_or_in_equal_lines(line, rows):
+    assert wrapped(line, 36) == rows
+
+
+@pytest.mark.parametrize(
+    ("end", "what", "ticks"),
+    [
+        (20.0, "time [s]", {0.0: "0", 10.0: "10"}),
+        (1800.0, "time [min]", {0.0: "0", 600.0: "10"}),
+        (86400.0, "time [h]", {0.0: "0", 36000.0: "10"}),
+    ],
+)
+def test_the_time_of_a_slow_plant_is_drawn_in_minutes_or_hours(end, what, ticks):
+    figure, (upper, lower) = panels(2)
+    for axis in (upper, lower):
+        axis.plot([0.0, end], [0.0, 1.0])
+    time_axis(lower, [0.0, end])
+    lower.set_xlim(0.0, end)
+    figure.draw_without_rendering()
+    assert lower.get_xlabel() == what
+    found = {place: text.get_text() for place, text in zip(lower.get_xticks(), lower.get_xticklabels(), strict=True)}
+    assert ticks.items() <= found.items()
+    assert list(upper.get_xticks()) == list(lower.get_xticks())
 
 
 @pytest.mark.parametrize(

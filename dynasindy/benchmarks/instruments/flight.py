@@ -115,12 +115,12 @@ def chirp(amplitude: Sequence[float], frequency: float, seconds: float) -> Cours
 
 
 def rim(low: Sequence[float], high: Sequence[float], beyond: float = 0.0) -> list[list[float]]:
-    """Return 16 targets on the edge of a box of two outputs, its corners among them, five to a side.
+    """Return 16 targets on the edge of the target ranges of two outputs, its corners among them, five to a side.
 
     Args:
         low: Lower ends [rad].
         high: Upper ends [rad].
-        beyond: Part by which the box is made larger about its centre.
+        beyond: Part by which the ranges are made larger about their centres.
     """
     sides = [k / 2 - 1 for k in range(5)]
     places = [(a, b) for a in sides for b in sides if max(abs(a), abs(b)) == 1]

@@ -16,7 +16,7 @@ from dynasindy.sensing import Sensing
 from dynasindy.tasks import Step, Tracking
 
 BEYOND = 0.2
-"""Part by which targets lie outside of the box of the training targets, about its centre."""
+"""Part by which targets lie outside of the range of the training targets, about its centre."""
 SPREAD = 0.5
 """Part of each state's range within which flights away from rest begin."""
 STAIR, HELD = 10.0, 5.0

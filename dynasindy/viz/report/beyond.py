@@ -55,9 +55,9 @@ def gradient(results: Results) -> Section:
             *("worst azimuth [rad]", "worst pitch [rad]", "return", "wall time [s]"),
         ]
         words = (
-            "Interquartile means over seeds, of fewer than three seeds each of them, of the errors over references: "
-            "mean error of the last 5 s (steps), RMSE (waves, ramp, chirp) or largest error from 5 s after the gust "
-            "(detuned plant); worst: of the worst reference. "
+            "Interquartile means over seeds (the value of each where there are fewer than three) of the errors over "
+            "references: mean error of the last 5 s (steps), RMSE (waves, ramp, chirp) or largest error from 5 s after "
+            "the gust (detuned plant); worst: of the worst reference. "
         )
         return [Text(words + results.source("gradient.csv")), Table(header, _grouped(rows, key, numbers))]
 
@@ -90,7 +90,7 @@ def baselines(results: Results) -> Section:
     def _table() -> list[Part]:
         rows = results.rows("baselines.csv", "python scripts/benchmark.py baselines")
         words = (
-            "Interquartile means over seeds, of fewer than three seeds each of them, azimuth / pitch. "
+            "Interquartile means over seeds (the value of each where there are fewer than three), azimuth / pitch. "
             f"{results.source('baselines.csv')}"
         )
         parts: list[Part] = [Text(words)]

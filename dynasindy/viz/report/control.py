@@ -50,7 +50,7 @@ def rewards(results: Results) -> Section:
                 f"average_rewards_{plant}_{experiment}",
                 average_rewards(curves, episodes, window=1, title=title, log=True),
                 "Return of the policy without noise over 64 fixed steps after real episodes: interquartile mean and "
-                "95 % bootstrap interval over seeds, of fewer than three seeds a line each.",
+                "95 % bootstrap interval over seeds, or a line for each seed where there are fewer than three.",
                 results.of_runs("ablation_curves.csv", drawn, [(plant, experiment, name) for name in names]),
             ),
         ]
@@ -90,7 +90,7 @@ def steps(results: Results) -> Section:
             *steps_agree(told(plant, experiment), scores),
             Text(
                 f"**Plant `{plant}`, `experiment={experiment}`**: means over 64 targets, first seed; overshoot: median "
-                f"over those{_counted(scores)} that move the axis by {100 * MIN_STEP:g} % of its box of targets."
+                f"over those{_counted(scores)} that move the axis by {100 * MIN_STEP:g} % of the range of its targets."
             ),
             _score_table(scores, {"steady-state error [rad]": "steady_state_error", "overshoot [%]": "overshoot"}),
             Picture(f"step_{plant}_{experiment}", figure, caption, " ".join(run.source for run in runs.values())),

@@ -202,7 +202,7 @@ def parse(text: str) -> Feature:
         token = _TOKEN.match(text, place)
         if token is None:
             raise ValueError(
-                f"feature {text!r} cannot be read at {text[place:]!r}; allowed are products such as "
+                f"function {text!r} of plant.library cannot be read at {text[place:]!r}; allowed are products such as "
                 "'Omega_a^2 sin(alpha_p)': separate factors by spaces"
             )
         place = token.end()
@@ -237,8 +237,8 @@ def _written(name: str, arguments: str, power: int) -> Factor:
     numbers = {(bool(match["fitted"]), float(match["number"] or 1)) for match in found}
     if len(found) < len(read) or len(numbers) > 1 or (True, 0.0) in numbers:
         raise ValueError(
-            f"{name}({arguments}) cannot be read; allowed are 'name', '2 name', or '~2 name' for a first guess that is "
-            "not 0, the same number before each name: correct it"
+            f"function {name}({arguments}) of plant.library cannot be read; allowed are 'name', '2 name', or '~2 name' "
+            "for a first guess that is not 0, the same number before each name of a state or an input: correct it"
         )
     fitted, number = numbers.pop()
     return Factor(tuple(m["name"] for m in found), function(name).name, power, number, number if fitted else 0.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from difflib import get_close_matches
 from itertools import islice
 
 import torch
@@ -24,7 +25,10 @@ def bounded(features: Iterable[Feature]) -> list[Feature]:
     """
     first = list(islice(features, LARGEST + 1))
     if len(first) > LARGEST:
-        raise ValueError(f"the library has more than {LARGEST} functions; lower its degree or order")
+        raise ValueError(
+            f"the library has more than {LARGEST} functions; lower its degree or order, or choose another list in "
+            "plant.library"
+        )
     return first
 
 
@@ -56,13 +60,13 @@ class Library:
         wrong = sorted(set().union(*(f.variables for f in self.features)) - set(self._index))
         if wrong:
             raise ValueError(
-                f"the library names {', '.join(wrong)}, which do not exist; allowed are {', '.join(self._index)}: "
-                "correct the name"
+                f"plant.library names {', '.join(wrong)}, which is no state and no input; allowed are "
+                f"{', '.join(self._index)}: correct the name"
             )
         if not self.features:
             raise ValueError(
-                "the library is empty; allowed is one function or more: add some to world_model.library, or to "
-                "plant.library in the file of the plant"
+                "plant.library is empty; allowed is one function or more, or the name of a list: add some there, or in "
+                "the file of the plant"
             )
         self.names = tuple(f.name() for f in self.features)
         self.allowed: dict[str, tuple[str, ...]] = {}
@@ -94,8 +98,10 @@ class Library:
             ValueError: no feature has that name.
         """
         if name not in self.names:
+            near = get_close_matches(name, self.names, 3, 0.0)
             raise ValueError(
-                f"feature {name!r} is not in the library; allowed are {', '.join(self.names)}: correct it or add it"
+                f"function {name!r} is not among the {len(self)} candidate functions, such as {', '.join(near)}: "
+                "correct it, or add it to plant.library"
             )
         return self.names.index(name)
 

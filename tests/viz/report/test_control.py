@@ -84,7 +84,7 @@ def test_a_step_is_named_and_overshoot_says_over_which_targets_it_is_a_median(re
     (words,) = [
         part.words for part in section.parts if isinstance(part, Text) and part.words.startswith("**Plant `xi`")
     ]
-    assert words.endswith("overshoot: median over those that move the axis by 5 % of its box of targets.")
+    assert words.endswith("overshoot: median over those that move the axis by 5 % of the range of its targets.")
     counted = {"a": {"steps/alpha_a": 56.0, "steps/alpha_p": 57.0}}
     assert control._counted(counted) == " (56 on azimuth, 57 on pitch)"
     assert control._counted(counted | {"b": {}}) == ""

@@ -50,10 +50,10 @@ def test_a_given_coefficient_is_no_longer_estimated():
     ("knowledge", "said"),
     [
         ({"known": {"c": "b"}}, "world_model.known names c, which is no state; the states are"),
-        ({"known": {"a": "c"}}, "feature 'c' is not in the library"),
-        ({"allowed": {"b": ["cos(a)"]}}, "feature 'cos(a)' is not in the library"),
+        ({"known": {"a": "c"}}, "function 'c' is not among the 5 candidate functions, such as "),
+        ({"allowed": {"b": ["cos(a)"]}}, "function 'cos(a)' is not among the "),
         ({"allowed": {"u": ["a"]}}, "world_model.allowed names u, which is no state; the states are"),
-        ({"fixed": {"b": {"b^2": 1.0}}}, "feature 'b^2' is not in the library"),
+        ({"fixed": {"b": {"b^2": 1.0}}}, "function 'b^2' is not among the "),
         ({"fixed": {"c": {"b": 1.0}}}, "world_model.fixed names c, which is no state; the states are"),
     ],
 )

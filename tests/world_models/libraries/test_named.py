@@ -177,7 +177,7 @@ def test_libraries_are_built_from_words_builders_and_libraries():
         (lambda: build_library("papertable", SIGNATURE), "'papertable' does not exist; allowed are paper_table"),
         (lambda: build_library(["a +"], SIGNATURE), "cannot be read"),
         (lambda: build_library(["sinus(a)"], SIGNATURE), "'sinus' is not known"),
-        (lambda: paper_table(SIGNATURE), "names alpha_p, which do not exist"),
+        (lambda: paper_table(SIGNATURE), "names alpha_p, which is no state and no input"),
     ],
 )
 def test_what_cannot_be_built_is_refused_in_one_line(build, said):

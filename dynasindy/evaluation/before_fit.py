@@ -1,0 +1,110 @@
+"""What a recording and a library tell before the fit, which takes its time and may be spoilt by it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+from dynasindy.data.rates import mismatched
+from dynasindy.evaluation.identification import Source
+from dynasindy.systems import Pendulum, System, Tras, Trms33, Xi
+from dynasindy.systems.base import Signature
+from dynasindy.world_models import SindyModel
+from dynasindy.world_models.libraries import auto
+from dynasindy.world_models.refinement.measured import rates_known
+
+PLANTS: Mapping[str, Callable[[], System]] = {"pendulum": Pendulum, "tras": Tras, "trms33": Trms33, "xi": Xi}
+"""Plants whose library and known equations `system=NAME` takes."""
+MANY, MANY_OF_KNOWN = 150, 50
+"""Candidate functions from which on a library is said to be long: of any plant, and of one whose own list is known."""
+FEW = 50
+"""Rows below which little can be told from a recording."""
+TURNS = {
+    **dict.fromkeys(("deg", "degree", "degrees", "°"), math.pi / 180),
+    "mrad": 1e-3,
+    **dict.fromkeys(("rev", "turn", "turns"), 2 * math.pi),
+}
+"""Units of angles that are not rad, in rad."""
+
+
+def before_fit(model: SindyModel, source: Source) -> list[str]:
+    """Say what is wrong with the data or costs the fit dearly, a line each, what is worst first."""
+    if not source.logged:
+        return wrong_units(model, source)
+    return [*wrong_units(model, source), *_few_rows(source), *_angles(model, source), *_many_functions(model, source)]
+
+
+def wrong_units(model: SindyModel, source: Source) -> list[str]:
+    """Say which measured rates are not the slopes of their states, a line for each."""
+    names = source.signature.state_names
+    known = {names[i]: names[rate] for rate, i in rates_known(model.library, model.constraints).items()}
+    return [f"warning: {found}" for found in mismatched(source.training, source.signature, known)]
+
+
+def _few_rows(source: Source) -> list[str]:
+    """Say that there are so few rows that nothing can be told of units, and what was left out."""
+    rows = len(source.training)
+    if rows >= FEW:
+        return []
+    lost = f" ({'; '.join(source.notes)})" if source.notes else ""
+    return [
+        f"warning: the fit has {rows} rows only{lost}, so few that wrong units or missing rates would not be noticed; "
+        f"record longer, or mend what was left out: {FEW} rows are the least, some hundreds are usual"
+    ]
+
+
+def _angles(model: SindyModel, source: Source) -> list[str]:
+    """Say which angles have no sine and cosine among the functions, because of their unit or that of their rate."""
+    signature = source.signature
+    if set(model.library.names) != set(auto(signature).names):
+        return []  # somebody chose the functions
+    units = dict(zip(signature.state_names, signature.state_units, strict=True))
+    turned = {name: TURNS[unit] for name, unit in units.items() if unit in TURNS}
+    lines = [
+        f"note: {name} is in {units[name]}, so sin({name}) and cos({name}) are not among the candidate functions; "
+        f"angles in rad and rates in rad/s have them: give {_in_rad(signature)}"
+        for name in turned
+    ]
+    if not turned and "rad/s" not in units.values():
+        lines += [
+            f"note: {name} is in rad, but no state is in rad/s, so sin({name}) and cos({name}) are not among the "
+            f"candidate functions; give its rate in rad/s, or 'plant.known={{{name}: {name}_rate}}' if none was logged"
+            for name, unit in units.items()
+            if unit == "rad"
+        ]
+    return lines
+
+
+def _in_rad(signature: Signature) -> str:
+    """Return the words of the command line that read all angles and their rates in rad and rad/s."""
+    states = []
+    for name, unit in zip(signature.state_names, signature.state_units, strict=True):
+        whole, per, second = unit.partition("/")
+        if whole in TURNS and (per + second) in ("", "/s"):
+            states.append(f"{name}: {{name: {name}, unit: rad{per}{second}, scale: {TURNS[whole]:.7g}}}")
+        else:
+            states.append(f"{name}: {name}" if unit == "-" else f"{name}: {{name: {name}, unit: {unit}}}")
+    return f"'data.states={{{', '.join(states)}}}'"
+
+
+def plants_with(signature: Signature) -> list[str]:
+    """Return the plants known by name whose states and inputs these are, in their order."""
+    wanted = signature.state_names, signature.input_names
+    found = {name: build().signature for name, build in PLANTS.items()}
+    return [name for name, own in found.items() if (own.state_names, own.input_names) == wanted]
+
+
+def _many_functions(model: SindyModel, source: Source) -> list[str]:
+    """Say how many functions the fit chooses from, if that is many, and how they become fewer."""
+    count, rows, signature = len(model.library), len(source.training), source.signature
+    known = plants_with(signature)
+    if count < (MANY_OF_KNOWN if known else MANY) and 2 * count <= rows:
+        return []
+    told = f"note: the fit chooses from {count} candidate functions by {rows} rows"
+    if known:
+        which = f"system={known[0]} takes" if len(known) == 1 else f"system=NAME, NAME one of {', '.join(known)}, takes"
+        return [f"{told}; the columns are those of a plant that is known here: {which} its own, shorter list"]
+    return [
+        f"{told}, which takes long and lets functions in that do not belong; if you know what moves your plant, name "
+        'it, as in \'plant.library=["1",angle,rate,u,"sin(angle)"]\''
+    ]

@@ -1,0 +1,88 @@
+"""What a command says to do next: commands that can be copied, each with what comes of it."""
+
+import argparse
+import re
+import shlex
+import sys
+from collections.abc import Sequence
+
+from commands import called
+
+NEXT = {
+    "evaluate": "flies it in other scenarios, as wind and noise",
+    "check": "tells its margins and worst cases, on the model",
+    "export": "writes the controller as C, for a microcontroller",
+}
+"""What a command shows or makes of a run."""
+OWN = ("actuators", "folder", "formats", "horizons", "hydra")
+"""Words of `identify` that other commands do not have."""
+
+
+def listed(*lines: str) -> str:
+    """Return commands, each with what comes of it, under their heading."""
+    return "\n".join(["next:", *(f"  {line}" for line in lines)])
+
+
+def following(folder: object, *names: str) -> str:
+    """Return what to do next with a run: a command a line, which can be copied, and what comes of it."""
+    return listed(*(f"{_of_run(name, folder)}  # {NEXT[name]}" for name in names))
+
+
+def mending(folder: object, words: Sequence[str], episodes: int | None = None, checked: bool = True) -> str:
+    """Return what helps where the plant is not controlled: where the loop is weak, and more or better data.
+
+    Args:
+        folder: Run folder.
+        words: What the user gave.
+        episodes: Real episodes of the run; None of a plan from a log.
+        checked: Whether there is a controller to look at.
+    """
+    lines = [f"{_of_run('check', folder)}  # tells at which targets the loop is weak, and how"] if checked else []
+    if episodes is not None and not any(word.startswith("resume=") for word in words):
+        kept = _without(words, ("train.episodes", "folder", "finish"))
+        more = f"{_command('train', [*kept, f'train.episodes={max(3, 2 * episodes)}'])}"
+        lines.append(f"{more}  # flies more real episodes, whose data mend the model")
+    if episodes is None and any(word.startswith("data.path=") for word in words):
+        kept = [word for word in words if re.split(r"[=./]", word.lstrip("+~"))[0] in ("system", "data")]
+        lines.append(f"{_command('identify', kept)}  # tells what the log lacks: what to record, or which functions")
+    return listed(*lines) if lines else ""
+
+
+def planning(words: Sequence[str], logged: bool, plant: str | None, open_keys: Sequence[str]) -> str:
+    """Return the command that plans on what `identify` was called for, with the words that it was called with.
+
+    Args:
+        words: What the user gave.
+        logged: Whether the data are a log; if not, what is said of the data is not for `train`.
+        plant: The option of `system`, if a plant was named or taken.
+        open_keys: Keys of `plant` that nobody has given yet.
+    """
+    kept = _without(words, (*OWN, *(() if logged else ("data", "refinement", "source"))))
+    if not logged and plant and not any(word.lstrip("+~").startswith("system=") for word in words):
+        kept.insert(0, f"system={plant}")
+    kept += [f"plant.{key}=[{'NAME' if key == 'outputs' else 'NUMBER'}]" for key in open_keys]
+    return _command("train", kept)
+
+
+def with_plant(words: Sequence[str], plant: str) -> str:
+    """Return the command that identifies the same log with the library of a plant that is known by name."""
+    return _command("identify", [f"system={plant}", *_without(words, ("folder", "hydra", "system"))])
+
+
+def _without(words: Sequence[str], keys: Sequence[str]) -> list[str]:
+    """Return the words that give no such key, nor one of such a group."""
+    given = {word: word.lstrip("+~").partition("=")[0] for word in words}
+    return [word for word, key in given.items() if key not in keys and re.split(r"[./]", key)[0] not in keys]
+
+
+def _command(name: str, words: Sequence[str]) -> str:
+    """Return a command with its words as a shell takes them, and the folder of the user's own settings."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--config-dir", "-cd")
+    folder = parser.parse_known_args(sys.argv[1:])[0].config_dir
+    own = ["--config-dir", folder] if folder else []
+    return " ".join([called(name), *map(shlex.quote, [*own, *words])])
+
+
+def _of_run(name: str, folder: object) -> str:
+    return f"{called(name)} {shlex.quote(f'run={folder}')}"

@@ -1,0 +1,98 @@
+"""What is said before a fit: wrong units first, then few rows, angles without sines, and long lists of functions."""
+
+import shlex
+from functools import partial
+from pathlib import Path
+
+import pytest
+import yaml
+
+from dynasindy.evaluation.before_fit import PLANTS, before_fit, wrong_units
+from dynasindy.evaluation.identification import Logged, Simulated
+from dynasindy.excitation import Chirp
+from dynasindy.systems import Pendulum, Tras
+from dynasindy.world_models import SindyModel
+
+EXCITATION = partial(Chirp, duration=5.0)
+
+
+def log(path, heading, factors=(1.0, 1.0, 1.0), rows=400):
+    """Write what a pendulum does under a chirp, its columns in other units, and return it as a source."""
+    data = Simulated().load(Pendulum(), EXCITATION).training
+    columns = (data.x[:, 0] * factors[0], data.x[:, 1] * factors[1], data.u[:, 0] * factors[2])
+    lines = [",".join(map(str, (k * data.dt, *(float(c[k]) for c in columns)))) for k in range(rows)]
+    path.write_text("\n".join([heading, *lines]))
+    return Logged(str(path)).load(None, EXCITATION)
+
+
+def told(source, library="auto"):
+    return before_fit(SindyModel(source.signature, library), source)
+
+
+def test_a_log_with_an_angle_in_degrees_and_a_rate_in_rad_is_told(tmp_path):
+    data = Simulated().load(Pendulum(), EXCITATION).training
+    lines = ["time,theta,Omega,u"]
+    lines += [f"{k * data.dt},{data.x[k, 0] * 57.29578},{data.x[k, 1]},{data.u[k, 0]}" for k in range(len(data))]
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    source = Logged(str(tmp_path / "log.csv")).load(Pendulum(), EXCITATION)
+    model = SindyModel(source.signature, "auto")
+    (told,) = wrong_units(model, source)
+    assert told.startswith("warning: Omega does not fit theta, whose slope over time is 57.3 times Omega;")
+    assert before_fit(model, source)[0] == told
+    exact = Simulated().load(Pendulum(), EXCITATION)
+    assert not before_fit(SindyModel(exact.signature, "auto"), exact)
+
+
+def test_an_angle_in_degrees_is_told_the_words_that_read_it_in_rad(tmp_path):
+    source = log(tmp_path / "log.csv", "time,theta [deg],Omega [deg/s],u", (57.29578, 57.29578, 1.0))
+    (words,) = told(source)
+    assert words.startswith("note: theta is in deg, so sin(theta) and cos(theta) are not among the candidate functions")
+    # The words are those of a shell, and read what makes a library with sines.
+    (word,) = shlex.split(words.rpartition("give ")[2])
+    states = yaml.safe_load(word.removeprefix("data.states="))
+    read = Logged(str(tmp_path / "log.csv"), states).load(None, EXCITATION)
+    assert read.signature.state_units == ("rad", "rad/s") and not told(read)
+    assert float(read.training.x[:, 0].abs().max() / source.training.x[:, 0].abs().max()) == pytest.approx(0.01745329)
+    assert not told(source, ["theta", "Omega", "u"])  # whoever names the functions has chosen
+
+
+def test_an_angle_without_its_rate_in_rad_is_told_of_it(tmp_path):
+    (words,) = told(log(tmp_path / "log.csv", "time,theta [rad],Omega [deg/s],u", (1.0, 57.29578, 1.0)))[1:]
+    assert words.startswith("note: theta is in rad, but no state is in rad/s, so sin(theta) and cos(theta) are not")
+    assert words.endswith("give its rate in rad/s, or 'plant.known={theta: theta_rate}' if none was logged")
+
+
+def test_few_rows_are_told_with_what_was_left_out(tmp_path):
+    heading = "time,theta [rad],Omega [rad/s],u"
+    (words,) = told(log(tmp_path / "log.csv", heading, rows=61), ["theta", "Omega", "u", "sin(theta)"])
+    assert words.startswith("warning: the fit has 45 rows only, so few that wrong units")  # three quarters of 60
+    assert not told(log(tmp_path / "log.csv", heading, rows=81), ["theta", "Omega", "u", "sin(theta)"])
+    lines = (tmp_path / "log.csv").read_text().splitlines()
+    (tmp_path / "log.csv").write_text("\n".join([*lines[:30], "0.3,,,", *lines[31:62]]))
+    (words,) = told(Logged(str(tmp_path / "log.csv")).load(None, EXCITATION), ["theta", "Omega", "u", "sin(theta)"])
+    assert "rows only (1 of 61 rows have values that are missing" in words
+
+
+def test_many_functions_are_counted_and_the_plants_named_that_have_fewer(tmp_path):
+    data, signature = Simulated().load(Tras(), partial(Chirp, duration=3.0)).training, Tras().signature
+    units = (f"{n} [{u}]" for n, u in zip(signature.state_names, signature.state_units, strict=True))
+    rows = [",".join(map(str, (k * data.dt, *data.x[k].tolist(), *data.u[k].tolist()))) for k in range(len(data))]
+    (tmp_path / "log.csv").write_text("\n".join([",".join(["time", *units, *signature.input_names]), *rows]))
+    source = Logged(str(tmp_path / "log.csv")).load(None, EXCITATION)
+    (words,) = told(source)
+    count = len(SindyModel(source.signature, "auto").library)
+    assert words.startswith(f"note: the fit chooses from {count} candidate functions by {len(source.training)} rows")
+    assert words.endswith("system=NAME, NAME one of tras, trms33, xi, takes its own, shorter list")
+    assert not told(source, "rotor")
+    # The columns of no plant that is known here: fewer than 150 functions are many for few rows alone.
+    lines = (tmp_path / "log.csv").read_text().replace("alpha_a", "yaw", 1).splitlines()
+    for number, many in ((201, True), (len(lines), False)):
+        (tmp_path / "log.csv").write_text("\n".join(lines[:number]))
+        words = told(Logged(str(tmp_path / "log.csv")).load(None, EXCITATION))
+        assert ["plant.library=" in line and "system=" not in line for line in words] == [True] * many
+
+
+def test_every_plant_that_is_named_is_an_option():
+    options = Path(__file__).parents[2] / "conf" / "system"
+    for name, plant in PLANTS.items():
+        assert f"dynasindy.systems.{plant.__name__}" in (options / f"{name}.yaml").read_text()

@@ -1,0 +1,88 @@
+"""What is said to do next: commands that a shell takes as they are, and that fit what came of a run."""
+
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def steps(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "scripts")
+    import next_steps
+
+    return next_steps
+
+
+@pytest.mark.parametrize(
+    ("words", "logged", "plant", "lacking", "expected"),
+    [
+        (["data=csv", "data.path=my log.csv"], True, "logged", ["outputs", "low"], "data=csv 'data.path=my log.csv' "),
+        (
+            ["system=tras", "data=csv", "data.path=a.csv", "folder=x"],
+            True,
+            "tras",
+            [],
+            "system=tras data=csv data.path",
+        ),
+        (["plant.library=['1',u]", "longest_delay=0.2", "data=csv"], True, "logged", [], "longest_delay=0.2 data=csv"),
+        (["excitation=prbs", "data.noise=0.1", "formats=[pdf]"], False, "tras", [], "system=tras excitation=prbs"),
+        (["system=xi", "+plant.bounds={z: 1}", "hydra/launcher=basic"], False, "xi", [], "system=xi '+plant.bounds={z"),
+    ],
+)
+def test_the_next_step_has_the_words_that_were_given(steps, monkeypatch, words, logged, plant, lacking, expected):
+    monkeypatch.setattr(sys, "argv", ["scripts/identify.py", *words])
+    line = steps.planning(words, logged, plant, lacking)
+    assert expected in line and line.startswith("python scripts/train.py ")
+    for word in ("folder", "formats", "data.noise", "launcher"):
+        assert word not in line
+    read = shlex.split(line)
+    assert read[2:] == [word for word in read[2:] if word.count("=") >= 1]  # a shell gives them back, word by word
+    assert [word for word in read if "NAME" in word or "NUMBER" in word] == [
+        {"outputs": "plant.outputs=[NAME]", "low": "plant.low=[NUMBER]"}[key] for key in lacking
+    ]
+
+
+def test_the_next_step_finds_the_folder_of_the_users_own_settings(steps, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["scripts/identify.py", "--config-dir", "my conf", "system=own"])
+    line = steps.planning(["system=own"], False, "own", [])
+    assert line == "python scripts/train.py --config-dir 'my conf' system=own"
+
+
+def test_what_to_do_next_is_a_command_a_line(steps, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["scripts/train.py"])
+    first, check, export = steps.following("runs/a b", "check", "export").split("\n")
+    assert first == "next:" and check.startswith("  python scripts/check.py 'run=runs/a b'  # tells its margins")
+    assert export.startswith("  python scripts/export.py 'run=")
+
+
+def test_a_plant_that_is_not_controlled_is_offered_a_look_and_more_episodes_but_no_export(steps, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["scripts/train.py"])
+    words = ["system=xi", "train.episodes=2", "folder=runs/a b", "hydra.run.dir=x"]
+    head, check, more = steps.mending("runs/a b", words, 2).split("\n")
+    assert head == "next:" and shlex.split(check)[:3] == ["python", "scripts/check.py", "run=runs/a b"]
+    assert more.startswith("  python scripts/train.py system=xi hydra.run.dir=x train.episodes=4  # flies more")
+    assert steps.mending("a", ["resume=a"], 2).count("\n") == 1  # a run that goes on takes no other settings
+    assert (
+        steps.mending("a", [], 1, checked=False)
+        .split("\n")[1]
+        .endswith("train.episodes=3  # flies more real episodes, whose data mend the model")
+    )
+
+
+def test_a_plan_from_a_log_that_does_not_hold_is_offered_what_the_log_lacks(steps, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["scripts/train.py"])
+    words = ["data=csv", "data.path=my log.csv", "plant.outputs=[angle]", "system=tras", "planning.lr=1"]
+    _, check, identify = steps.mending("a", words).split("\n")
+    assert "check.py run=a" in check
+    assert identify.startswith("  python scripts/identify.py data=csv 'data.path=my log.csv' system=tras  # tells what")
+    assert "identify" not in steps.mending("a", ["model=model.json"])
+
+
+def test_a_log_of_a_known_plant_is_offered_its_library(steps, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["scripts/identify.py"])
+    line = steps.with_plant(["data=csv", "data.path=a.csv", "folder=x"], "tras")
+    assert line == "python scripts/identify.py system=tras data=csv data.path=a.csv"

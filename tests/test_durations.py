@@ -1,0 +1,30 @@
+import math
+
+import pytest
+
+from dynasindy.durations import in_words, unit_of
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (0.05, "0.05 s"),
+        (20, "20 s"),
+        (599, "599 s"),
+        (600, "10 min"),
+        (930, "15.5 min"),
+        (-5400, "-90 min"),
+        (7200, "2 h"),
+        (86400 * 7, "168 h"),
+        (3600 * 12345, "12345 h"),
+        (math.inf, "inf s"),
+        (math.nan, "nan s"),
+    ],
+)
+def test_a_length_of_time_is_told_in_the_unit_that_suits_it(seconds, words):
+    assert in_words(seconds) == words
+
+
+def test_lengths_beside_each_other_have_the_unit_of_the_longest():
+    assert in_words(900, longest=36000) == "0.25 h"
+    assert (unit_of(36000).name, unit_of(36000).seconds) == ("h", 3600.0)
