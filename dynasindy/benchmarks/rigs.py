@@ -251,12 +251,14 @@ def tanks(folder: Path) -> list[Row]:
     # Level 2 from 5 V, the middle of what its sensor shows; `float` is what the sensor makes of it.
     signature = Signature(("level_1", "level_2", "float", "reading"), ("V",) * 4, ("u",), (10.0, 5.0, 10.0, 10.0))
     # Below some voltage the pump gives nothing; what leaves a tank goes as the root of its level; both tanks have a
-    # rim; the sensor is curved and ends at 10 V, and its reading stands still wherever the level turns, until that is
-    # beyond its play.
-    pump, over, brim = "max(0, u - 1)", "max(0, level_1 - 13)", "max(0, level_2 - 5)"
-    out, root, play = "sqrt(level_1)", "sqrt(level_2 - -5)", "slack(float, reading; 0.12)"
-    words = ["1", "hinge(~1 u)", "hinge(~13 level_1)", out, "root(-5 level_2)", "level_2", "hinge(5 level_2)"]
-    words += ["level_2^2", "level_2^3", "float", "slack(float, reading; ~0.12)", "hinge(10 reading)"]
+    # rim, the lower one where its sensor ends, at 10 V; the sensor is curved and has two bends, as if it took a step,
+    # and its reading stands still wherever the level turns, until that is beyond its play.
+    pump, over, brim = "max(0, u - 0.9)", "max(0, level_1 - 7.5)", "max(0, float - 10)"
+    bends = ["max(0, level_2 - -0.2)", "max(0, level_2 - 1.2)"]
+    out, root, play = "sqrt(level_1)", "sqrt(level_2 - -5)", "slack(float, reading; 0.08)"
+    words = ["1", "hinge(~0.9 u)", "hinge(~7.5 level_1)", out, "root(-5 level_2)", "level_2", "hinge(10 float)"]
+    words += ["level_2^2", "level_2^3", "hinge(~-0.2 level_2)", "hinge(~1.2 level_2)", "float"]
+    words += ["slack(float, reading; ~0.08)", "hinge(10 reading)"]
     logs = {}
     for name in ("train", "test"):
         columns = _columns(folder / f"tanks_{name}.csv")
@@ -272,21 +274,21 @@ def tanks(folder: Path) -> list[Row]:
             allowed={
                 "level_1": [pump, out],
                 "level_2": [over, root],
-                "float": ["level_2^2", "level_2^3"],
+                "float": ["level_2^2", "level_2^3", *bends],
                 "reading": [],
             },
             # Level 1 has no unit of its own: what leaves it fills level 2, and this number sets its scale. What stands
             # above a rim is gone within a sample, and so is what the sensor is behind.
             fixed={
-                "level_1": {over: -0.3},
-                "level_2": {out: 0.04, brim: -0.3},
+                "level_1": {over: -2.0},
+                "level_2": {out: 0.04, brim: -1.0},
                 "float": {"1": 5.0, "level_2": 1.0, "float": -1.0},
                 "reading": {play: 1.0, "max(0, reading - 10)": -1.0},
             },
             initial={
-                "level_1": {pump: 0.064, out: -0.04},
-                "level_2": {root: -0.05, over: 0.17},
-                "float": {"level_2^2": 0.07, "level_2^3": -0.01},
+                "level_1": {pump: 0.04, out: -0.036},
+                "level_2": {root: -0.037, over: 1.7},
+                "float": {"level_2^2": 0.12, "level_2^3": 0.01, bends[0]: 0.26, bends[1]: -0.8},
             },
         ),
         logs["train"][0],
@@ -316,8 +318,8 @@ def _best_start(model: SindyModel, data: Transitions, level: Array) -> float:
         error: Array = _path(start, FIRST) - level[: FIRST + 1]
         return error
 
-    # Within the play the reading does not move with the level: the fit begins from several places.
-    starts = (least_squares(_error, np.array([upper, level[0] - 5]), diff_step=1e-3) for upper in (6.0, 12.0, 18.0))
+    # Within the play the reading does not move with the level: the fit begins from several places below the rim.
+    starts = (least_squares(_error, np.array([upper, level[0] - 5]), diff_step=1e-3) for upper in (2.0, 4.0, 6.0))
     found = min(starts, key=lambda fit: float(fit.cost)).x
     error = np.sqrt(np.mean((_path(found, len(data)) - level) ** 2))
     return float(error)

@@ -24,6 +24,8 @@ from dynasindy.world_models.regression.sensitivity import Parameters, Propagator
 
 EXACT = 1e-100
 """Error taken for that of a state that is met exactly, as one that never moves; its inverse has a finite square."""
+LARGEST = 500.0
+"""Logarithm of the largest factor on a cost."""
 FAINT = 0.01
 """Weighted error below which a start that moves by a whole spread of its state is taken to change nothing."""
 FINE, STABLE, MOST_STEPS = 0.1, 1.5, 10
@@ -87,7 +89,8 @@ class Linearised:
     Attributes:
         triangle: R of [fixed unknowns, coefficients, target], all weighted and scaled.
         scale: norms of the columns.
-        cost: sum of squared errors and of squared gaps between windows, both weighted.
+        cost: sum of squared errors and of squared gaps between windows, both weighted; of whitened errors times the
+            geometric mean of their variances, so that its logarithm is that of the likelihood.
         moves: how the node of each window moves with the unknowns, `(W, n_x, F + P + 1)`.
         sigma: error of each state, `(n_x,)`.
         errors: weighted errors of the samples, zero where not measured, `(W, L, n_x)`; whitened where windows tell
@@ -170,17 +173,25 @@ def _alone(estimate: Estimate, flow: Flow, windows: Windows, sigma: Tensor) -> t
     Each node moves as fits its window best, which leaves no unknown of its own (variable projection).
     """
     n_x, (every, seen) = estimate.xi.shape[1], _every(estimate, flow, windows)
+    spread = 1.0
     if windows.noise is None:
         every = _white(every, replace(windows, mask=seen)) / sigma.unsqueeze(-1)
     else:
-        every = whiten(every, seen, _steps(estimate, flow, windows), windows.noise, windows.dt)[0]
+        every, half = whiten(every, seen, _steps(estimate, flow, windows), windows.noise, windows.dt)
+        # Where a model runs away, its filter expects errors of any size, by which small ones would be divided.
+        spread = math.exp(min(2 * float(half / windows.mask.sum().clamp_min(1)), LARGEST))
     rows = every.flatten(1, 2)
     # A trial step may run away: its cost is infinite whatever these are, but the solver takes finite numbers alone.
     finite = rows.nan_to_num(0.0, 0.0, 0.0)
     best = torch.linalg.lstsq(finite[..., :n_x], finite[..., n_x:], driver="gelsd").solution
     moves = torch.cat([-best[..., :-1], best[..., -1:]], -1)
     errors = every[..., -1]
-    return (rows[..., n_x:] - rows[..., :n_x] @ best).flatten(0, 1), moves, errors[:, 1:], float(errors.square().sum())
+    return (
+        (rows[..., n_x:] - rows[..., :n_x] @ best).flatten(0, 1),
+        moves,
+        errors[:, 1:],
+        spread * float(errors.square().sum()),
+    )
 
 
 def _every(estimate: Estimate, flow: Flow, windows: Windows) -> tuple[Tensor, Tensor]:

@@ -1,5 +1,8 @@
 """What a Kalman filter leaves over is white: dense covariances, scipy's likelihood, and a plant that is pushed."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -11,7 +14,10 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.models.sindy import SindyModel
 from dynasindy.world_models.refinement.pushes import Noise, estimated, whiten
 from dynasindy.world_models.refinement.refine import Refinement
+from dynasindy.world_models.refinement.shooting import Estimate, linearise
+from dynasindy.world_models.refinement.windows import Windows
 from dynasindy.world_models.regression.regression import Regression
+from dynasindy.world_models.regression.sensitivity import Parameters
 
 DT = 0.1
 
@@ -79,6 +85,30 @@ def test_a_state_that_no_sensor_sees_or_that_cannot_be_pushed_has_no_size():
     found = estimated(rows, seen, phi, torch.tensor([False, True]), torch.ones(2).double(), DT)
     assert float(found.push[0]) == 0 and float(found.sensor[1]) == 1
     assert float(found.push[1]) > 0 and float(found.sensor[0]) > 0
+
+
+@pytest.mark.parametrize("rate", [-1.0, 10.0])
+def test_what_innovations_cost_is_their_likelihood_of_a_plant_that_runs_away_too(rate):
+    # Noise of a sensor alone: a filter of a plant that runs away expects any error, and meets it.
+    rng, sensor, push, n = np.random.default_rng(3), 0.1, 0.02, 8
+    y = sensor * rng.normal(size=n + 1)
+    signature = Signature(("x",), ("m",), ("u",), (1.0,))
+    library = SindyModel(signature, ["x", "u"]).library
+    data = Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.zeros(n, 1).double(), DT)
+    noise = Noise(torch.tensor([sensor]).double(), torch.tensor([push]).double())
+    windows = replace(Windows.of(data, n, joined=False), noise=noise)
+    xi = torch.tensor([[rate], [0.0]]).double()
+    found = linearise(Estimate(library, xi, windows.first), Parameters.where(xi != 0), windows)
+    grown = sum((rate * DT) ** k / math.factorial(k) for k in range(5))
+    # Each half of a push, before and after its interval, and what becomes of it.
+    moves = np.zeros((n + 1, 2 * n))
+    for k in range(n):
+        moves[k + 1] = grown * moves[k]
+        moves[k + 1, 2 * k : 2 * k + 2] = np.sqrt(0.5 * DT) * push * np.array([grown, 1.0])
+    covariance = moves @ moves.T + sensor**2 * np.eye(n + 1)
+    error = y - y[0] * grown ** np.arange(n + 1)
+    wanted = error @ np.linalg.solve(covariance, error) * np.exp(np.linalg.slogdet(covariance)[1] / n)
+    assert found.cost == pytest.approx(wanted, rel=1e-4)
 
 
 TRUE = {"u": 1.0, "v": -2.0, "tanh(100 v)": -0.2}
