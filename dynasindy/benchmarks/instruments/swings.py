@@ -87,7 +87,12 @@ def of_gymnasium(system: Foreign, targets: Targets, seed: int, dt: float | None 
         **task: More settings of the task.
     """
     low, high = ([ends[side] for ends in targets.values()] for side in (0, 1))
-    settings = {"rates": (), "reward": TrackingReward((4.0,), error_shape="linear"), "low": low, "high": high} | task
+    settings: Settings = {
+        "rates": (),
+        "reward": TrackingReward((4.0,), error_shape="linear"),
+        "low": low,
+        "high": high,
+    } | task
     tracking = Tracking(system.signature, RandomStep(low, high), list(targets), **settings)
     return GymnasiumEnv(system, tracking, dt=dt, seed=seed)
 
