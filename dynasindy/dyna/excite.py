@@ -5,14 +5,15 @@ with the rest of the signal; from then on the signal lies on top of a linear-qua
 
     u = u_e - K (x - x_0) + strength * (signal - its mean),        dx/dt = A (x - x_0) + B u + c,   c + B u_e = 0,
 
-fitted by least squares to the tries so far, near the start x_0. Each try that leaves the limits all the same halves the
-strength.
+fitted to the tries so far, near the start x_0 (`dynasindy.dyna.nearby`). Behind sensors the observer relies on that
+model, too, until there is a better one. Each try that leaves the limits all the same halves the strength.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import pairwise
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -21,7 +22,8 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.agents.classical.linearise import zero_order_hold
-from dynasindy.data.recording import transitions
+from dynasindy.data.recording import measured
+from dynasindy.dyna.nearby import nearby
 from dynasindy.dyna.parts import Parts
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
@@ -32,10 +34,6 @@ from dynasindy.told import tell
 
 BEYOND = 10.0
 """Ranges of a state that limit the excitation where the plant names no bounds."""
-NEAR = 1.0
-"""Ranges around the start within which the linear model is fitted."""
-ENOUGH = 2
-"""Rows near the start per number of a linear equation; fewer would fit noise, and no loop is closed."""
 MARGIN = 0.9
 """Largest mean input of the loop."""
 LOOKED_AT = 100
@@ -204,34 +202,17 @@ class Loop:
             rows: The tries so far, `(T,)`.
             parts: The plant, its period and the ranges of its states.
         """
-        scale = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)
-        home = rows["state"][0].double()
-        x, u, x_next, dt = _moves(rows, parts)
-        middle = 0.5 * (x + x_next) - home
-        near = (middle.abs() <= NEAR * scale).all(-1)
-        if int(near.sum()) < ENOUGH * (len(scale) + u.shape[-1] + 1):
-            return
-        a, b, c = _linear(middle[near] / scale, u[near], ((x_next - x) / dt)[near] / scale)
-        a, b, c = a * scale.unsqueeze(-1) / scale, b * scale.unsqueeze(-1), c * scale
-        found = riccati(*zero_order_hold(a, b, parts.plant.dt), 1.0 / scale.square(), 1.0)
+        found = nearby(rows, parts)
         if found is None:
             return
-        self.home, self.gain = home, found.gain
-        self.mean = torch.linalg.lstsq(b / scale.unsqueeze(-1), -c / scale, driver="gelsd").solution
-        self.mean = self.mean.clamp(-MARGIN, MARGIN)
-
-
-def _moves(rows: TensorDict, parts: Parts) -> tuple[Tensor, Tensor, Tensor, float]:
-    """Return states, inputs, the states some time later, and that time: samples, or estimates behind sensors."""
-    if parts.sensing is None:
-        data = transitions(rows, parts.plant.log_dt)
-        return data.x, data.u, data.x_next, data.dt
-    return rows["state"].double(), rows["action"].double(), rows["next", "state"].double(), parts.plant.dt
-
-
-def _linear(x: Tensor, u: Tensor, dx: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return A, B and c of dx = A x + B u + c by least squares; the smallest where the data leave a choice."""
-    rows = torch.cat([x, u, torch.ones_like(x[:, :1])], -1)
-    n_x, n_u = x.shape[-1], u.shape[-1]
-    a, b, c = torch.linalg.lstsq(rows, dx, driver="gelsd").solution.split([n_x, n_u, 1])
-    return a.mT, b.mT, c[0]
+        scale = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)
+        solved = riccati(*zero_order_hold(found.a, found.b, parts.plant.dt), 1.0 / scale.square(), 1.0)
+        if solved is None:
+            return
+        self.home, self.gain = found.home, solved.gain
+        against = torch.linalg.lstsq(found.b / scale.unsqueeze(-1), -found.c / scale, driver="gelsd").solution
+        self.mean = against.clamp(-MARGIN, MARGIN)
+        if parts.sensing is not None and found.model is not None:
+            begins = [*(rows["step_count"].flatten() == 0).nonzero().flatten().tolist(), len(rows)]
+            tries = [rows[first:end] for first, end in pairwise(begins)]
+            parts.sensing.observer.lean(found.model, [measured(tried) for tried in tries])

@@ -144,8 +144,12 @@ def refine_trajectory(
     found, windows = _grown(Estimate(library, xi, guess[some]), (xi != 0) & free, part, descent)
     if descent.pushed or descent.coloured:
         return _refine_weighed(found, free, windows, (data, guess), limits, descent)
-    may_begin_anew = joined is None and not bool(data.x_next.isnan().any())
-    if may_begin_anew and _grows(found, windows)[0] > GROWN:
+    may_begin_anew = joined is None
+    # Windows on their own tell little of a state that was not measured: then they begin anew where they have to.
+    seen = not bool(data.x_next.isnan().any())
+    if may_begin_anew and not seen:
+        windows = replace(windows, joined=_grows(found, windows)[1])
+    if may_begin_anew and seen and _grows(found, windows)[0] > GROWN:
         alone = replace(windows, joined=torch.zeros_like(windows.joined))
         own = _search(found, free, alone, limits)
         windows = replace(windows, joined=_grows(own, windows)[1])
@@ -219,12 +223,30 @@ def _sigma(estimate: Estimate, windows: Windows) -> Tensor:
 
 
 def _search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) -> Estimate:
-    """Converge, drop and reconsider until there is nothing better."""
-    support = (estimate.xi != 0) & free
+    """Converge, drop and reconsider until there is nothing better.
+
+    What is better to first order may be worse once it has converged, as on a plant that runs away. Then what was there
+    before stays, and the coefficients that came in are not tried again.
+    """
+    support, failed = (estimate.xi != 0) & free, torch.zeros_like(free)
+    best: tuple[Estimate, Tensor] | None = None
+    least, fewest = math.inf, 0
     for _ in range(10):
         estimate, support = _descend(estimate, support, windows, limits)
-        active, others = Parameters.where(support), Parameters.where(free & ~support)
-        if not len(active) or not len(others):
+        if not bool(support.any()):
+            break
+        active = Parameters.where(support)
+        flow = Flow.of(estimate, active, windows)
+        model = linearise(estimate, active, windows, None, flow)
+        limit, left = limits.at(model.errors, windows), left_over(model, windows)
+        if best is not None and 2 * (left - least) + limit * (len(active) - fewest) >= 0:
+            failed |= support & ~best[1]
+            estimate, support = best
+            active = Parameters.where(support)
+        else:
+            best, least, fewest = (estimate, support), left, len(active)
+        others = Parameters.where(free & ~support & ~failed)
+        if not len(others):
             break
         tell("fit", words=f"choice among {len(others)} coefficients that might be missing")
         flow = Flow.of(estimate, active + others, windows)
@@ -239,7 +261,7 @@ def _search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) 
         if changed is None:
             break
         estimate, support = changed, chosen.support(support.shape)
-    return estimate
+    return estimate if best is None else best[0]
 
 
 def few_steps(
