@@ -111,3 +111,14 @@ def test_a_push_needs_to_know_a_rate():
     with pytest.raises(ValueError, match=r"name in sensors\.rates"):
         Sensors({"p": {}}, disturbance=True)
     assert math.isinf(pushed()[1].observer.variance[-1])
+
+
+def test_where_a_model_explodes_nothing_is_counteracted():
+    """Rates that all go with the same sum, 2^40-fold, leave a matrix that has no inverse and loses its damping."""
+
+    class Exploding(Linear):
+        def forward(self, x, u):
+            return (2.0**40 * (x.sum(-1, keepdim=True) + u)).expand(x.shape)
+
+    x, u = torch.ones(2, 3).double(), torch.zeros(2, 1).double()
+    assert not correction(Exploding(), x, u, x, [0], torch.zeros(2, 4).double()).any()

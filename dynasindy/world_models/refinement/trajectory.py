@@ -19,29 +19,22 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
-from dynasindy.told import tell
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.repeated import repetition
+from dynasindy.world_models.refinement.choosing import Limits, converge, descend, price, search
 from dynasindy.world_models.refinement.shooting import (
     EXACT,
     Estimate,
     Flow,
-    Linearised,
-    RunsAway,
     growth,
     lasting_of,
     left_over,
     linearise,
-    move,
     noise_of,
     substeps_for,
 )
 from dynasindy.world_models.refinement.windows import ENOUGH, Windows, spread
-from dynasindy.world_models.regression.selection import reconsider, walk_down
 from dynasindy.world_models.regression.sensitivity import Parameters
 
-NOISY = 1e-7
-"""Part of a coefficient's effect that those of others leave over, below which data cannot tell it from them."""
 GROWN = 100.0
 """Factor by which errors grow along a trajectory, beyond which functions are chosen on windows on their own."""
 FARTHEST = 1e6
@@ -96,25 +89,6 @@ class Fitted(NamedTuple):
     window: int
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Say what a coefficient must be worth, and how many steps are made.
-
-    Attributes:
-        price: squared error, in units of its variance, that a coefficient must be worth where errors are white.
-        max_rounds: limit on Gauss-Newton steps between two changes of the equations.
-        correlated: whether it must be worth the more, the longer errors last.
-    """
-
-    price: float
-    max_rounds: int
-    correlated: bool = False
-
-    def at(self, errors: Tensor, windows: Windows) -> float:
-        """Return what a coefficient must be worth where a model leaves over these errors, `(W, L, n_x)`."""
-        return self.price * repetition(errors, windows.mask, windows.joined) if self.correlated else self.price
-
-
 def refine_trajectory(
     library: Library,
     xi: Tensor,
@@ -151,19 +125,19 @@ def refine_trajectory(
         windows = replace(windows, joined=_grows(found, windows)[1])
     if may_begin_anew and seen and _grows(found, windows)[0] > GROWN:
         alone = replace(windows, joined=torch.zeros_like(windows.joined))
-        own = _search(found, free, alone, limits)
+        own = search(found, free, alone, limits)
         windows = replace(windows, joined=_grows(own, windows)[1])
-        found = _search(own, free, windows, limits)
+        found = search(own, free, windows, limits)
         if not bool((_sigma(found, windows) < WORSE * _sigma(own, alone)).all()):
             found, joined, may_begin_anew = own, False, False
     else:
-        found = _search(found, free, windows, limits)
+        found = search(found, free, windows, limits)
     if not bool(some.all()):
         support = (found.xi != 0) & free
         whole, windows = _grown(replace(found, nodes=guess), support, data, replace(descent, joined=joined))
         if may_begin_anew:
             windows = replace(windows, joined=_grows(whole, windows)[1])
-        found, _ = _descend(whole, support, windows, replace(limits, price=price(len(data), free)))
+        found, _ = descend(whole, support, windows, replace(limits, price=price(len(data), free)))
     return Fitted(found.library, found.xi, windows.length)
 
 
@@ -173,10 +147,10 @@ def _refine_weighed(
     """Minimise errors made white, and what makes them so in turn with it: pushes and noise, or how long errors last."""
     data, guess = whole
     if descent.coloured:  # errors of a first guess last whatever the plant does
-        found = _search(found, free, windows, limits)
+        found = search(found, free, windows, limits)
     for _ in range(TURNS):
         windows = _weighed(found, free, windows, descent)
-        last, found = found, _search(found, free, windows, limits)
+        last, found = found, search(found, free, windows, limits)
         if bool(((found.xi != 0) == (last.xi != 0)).all()) and bool(
             ((found.xi - last.xi).abs() <= SETTLED * found.xi.abs()).all()
         ):
@@ -185,7 +159,7 @@ def _refine_weighed(
         support = (found.xi != 0) & free
         found, windows = _grown(replace(found, nodes=guess), support, data, descent)
         windows = _weighed(found, free, windows, descent)
-        found, _ = _descend(found, support, windows, replace(limits, price=price(len(data), free)))
+        found, _ = descend(found, support, windows, replace(limits, price=price(len(data), free)))
     return Fitted(found.library, found.xi, windows.length)
 
 
@@ -194,19 +168,6 @@ def _weighed(found: Estimate, free: Tensor, windows: Windows, descent: Descent) 
     if descent.pushed:
         return replace(windows, noise=noise_of(found, windows, free.any(0)))
     return replace(windows, lasting=lasting_of(found, windows))
-
-
-def price(n: int, free: Tensor) -> float:
-    """Return the squared weighted error that a coefficient must be worth: extended Bayesian criterion.
-
-    The more functions there are to choose from, the better is the best one of those that mean nothing (Chen and
-    Chen 2008).
-
-    Args:
-        n: transitions.
-        free: coefficients that may be estimated, bool `(n_features, n_x)`.
-    """
-    return math.log(max(n, 2)) + 2 * math.log(max(int(free.sum(0).max()), 1))
 
 
 def _grows(estimate: Estimate, windows: Windows) -> tuple[float, Tensor]:
@@ -220,48 +181,6 @@ def _sigma(estimate: Estimate, windows: Windows) -> Tensor:
     if not bool(estimate.xi.any()):
         return torch.full((estimate.xi.shape[1],), math.inf)
     return Flow.of(estimate, Parameters.where(estimate.xi != 0), windows).sigma(windows)
-
-
-def _search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) -> Estimate:
-    """Converge, drop and reconsider until there is nothing better.
-
-    What is better to first order may be worse once it has converged, as on a plant that runs away. Then what was there
-    before stays, and the coefficients that came in are not tried again.
-    """
-    support, failed = (estimate.xi != 0) & free, torch.zeros_like(free)
-    best: tuple[Estimate, Tensor] | None = None
-    least, fewest = math.inf, 0
-    for _ in range(10):
-        estimate, support = _descend(estimate, support, windows, limits)
-        if not bool(support.any()):
-            break
-        active = Parameters.where(support)
-        flow = Flow.of(estimate, active, windows)
-        model = linearise(estimate, active, windows, None, flow)
-        limit, left = limits.at(model.errors, windows), left_over(model, windows)
-        if best is not None and 2 * (left - least) + limit * (len(active) - fewest) >= 0:
-            failed |= support & ~best[1]
-            estimate, support = best
-            active = Parameters.where(support)
-        else:
-            best, least, fewest = (estimate, support), left, len(active)
-        others = Parameters.where(free & ~support & ~failed)
-        if not len(others):
-            break
-        tell("fit", words=f"choice among {len(others)} coefficients that might be missing")
-        flow = Flow.of(estimate, active + others, windows)
-        model = linearise(estimate, active + others, windows, None, flow)
-        n_fixed = len(model.scale) - len(active) - len(others)
-        better = reconsider(model.triangle, n_fixed, active, others, limits.at(model.errors, windows))
-        if better is None:
-            break
-        chosen = (active + others).take(better)
-        kept = torch.cat([torch.arange(n_fixed), n_fixed + better])
-        changed = _changed(estimate, model, active + others, kept, windows)
-        if changed is None:
-            break
-        estimate, support = changed, chosen.support(support.shape)
-    return estimate if best is None else best[0]
 
 
 def few_steps(
@@ -282,7 +201,7 @@ def few_steps(
     some = spread(len(data), ENOUGH)
     support, data = (xi != 0) & free, data.to(torch.float64).select(some)
     estimate, windows = _grown(Estimate(library, xi, start[some]), support, data, descent)
-    estimate = _converge(estimate, Parameters.where(support), windows, descent.max_rounds)
+    estimate = converge(estimate, Parameters.where(support), windows, descent.max_rounds)
     model = linearise(estimate, Parameters.where(support), windows)
     errors = (model.errors * model.sigma).square().sum(1) if windows.length == descent.window else None
     return left_over(model, windows), estimate, errors
@@ -311,7 +230,7 @@ def strain(library: Library, xi: Tensor, free: Tensor, data: Transitions, descen
     if not bool(data.x_next.isnan().any()):
         windows = replace(windows, joined=_grows(first, windows)[1])
     alone, parameters = replace(windows, joined=torch.zeros_like(windows.joined)), Parameters.where(support)
-    error, own = (_sigma(_converge(first, parameters, part, descent.max_rounds), part) for part in (windows, alone))
+    error, own = (_sigma(converge(first, parameters, part, descent.max_rounds), part) for part in (windows, alone))
     told = float(windows.mask.sum() + (~windows.first.isnan()).sum())
     allowed = math.sqrt(max(1 - first.nodes.numel() / max(told, 1.0), NEGLIGIBLE))
     floor = NEGLIGIBLE * first.nodes.std(0, correction=0) + EXACT
@@ -340,7 +259,7 @@ def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Desc
         length = max(SHORTEST, length // LEAPS[0])
         trial, windows, lost = _cut(estimate, length)
     while length < descent.window:
-        trial = _converge(trial, parameters, windows, descent.max_rounds)
+        trial = converge(trial, parameters, windows, descent.max_rounds)
         guess = guess.index_copy(0, windows.rows, trial.nodes)
         longer = [min(leap * length, descent.window) for leap in LEAPS]
         cuts = ((*_cut(trial, wanted), wanted) for wanted in dict.fromkeys(longer))
@@ -349,74 +268,3 @@ def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Desc
             break  # a model that runs away in longer windows is fitted to these
         trial, windows, _, length = found
     return trial, windows
-
-
-def _descend(estimate: Estimate, support: Tensor, windows: Windows, limits: Limits) -> tuple[Estimate, Tensor]:
-    """Converge and drop until the support stands still; what turns out worth more than was foreseen comes back."""
-    before: tuple[Estimate, Tensor] | None = None
-    left, allowed = math.inf, 0.0
-    while bool(support.any()):
-        parameters = Parameters.where(support)
-        try:
-            estimate = _converge(estimate, parameters, windows, limits.max_rounds)
-            flow = Flow.of(estimate, parameters, windows)
-            model = linearise(estimate, parameters, windows, None, flow)
-        except RunsAway:
-            if before is None:
-                raise
-            return before
-        cost = left_over(model, windows)
-        if before is not None and 2 * (cost - left) > allowed:
-            return before
-        n_fixed = len(model.scale) - len(parameters)
-        limit = limits.at(model.errors, windows)
-        kept, _ = walk_down(model.triangle, torch.arange(len(model.scale)) >= n_fixed, limit, NOISY)
-        if len(kept) == len(model.scale):
-            break
-        changed = _changed(estimate, model, parameters, kept, windows)
-        if changed is None:
-            break
-        before, left, allowed = (estimate, support), cost, 2 * limit * (len(model.scale) - len(kept))
-        estimate, support = changed, parameters.take(kept[kept >= n_fixed] - n_fixed).support(support.shape)
-    return estimate, support
-
-
-def _changed(
-    estimate: Estimate, model: Linearised, parameters: Parameters, kept: Tensor, windows: Windows
-) -> Estimate | None:
-    """Return the estimate with the kept unknowns alone; None where that runs away however it is made.
-
-    A whole step of the linear model comes first; where it is too long, what goes is only left out.
-    """
-    n_fixed = len(model.scale) - len(parameters)
-    chosen = parameters.take(kept[kept >= n_fixed] - n_fixed)
-    if not len(chosen):
-        return move(estimate, model, parameters, kept)
-    bare = chosen.write(parameters.write(estimate.xi, 0 * parameters.read(estimate.xi)), chosen.read(estimate.xi))
-    for trial in (move(estimate, model, parameters, kept), replace(estimate, xi=bare)):
-        if not bool(Flow.of(trial, chosen, windows).lost().any()):
-            return trial
-    return None
-
-
-def _converge(estimate: Estimate, parameters: Parameters, windows: Windows, max_rounds: int) -> Estimate:
-    """Make Levenberg-Marquardt steps until the cost stands still."""
-    damping = 0.0
-    model = linearise(estimate, parameters, windows)
-    for _ in range(max_rounds):
-        tell("fit", words=f"{len(parameters)} coefficients to trajectories, {len(windows) * windows.length} rows")
-        candidate = move(estimate, model, parameters, torch.arange(len(model.scale)), damping)
-        flow = Flow.of(candidate, parameters, windows)
-        lost = bool(flow.lost().any())
-        trial = model if lost else linearise(candidate, parameters, windows, model.sigma, flow)
-        if not (trial.cost < model.cost and bool(trial.triangle.isfinite().all())):
-            if damping > 1e6 or (not lost and abs(trial.cost - model.cost) < 1e-6 * model.cost):
-                break
-            damping = max(10 * damping, 1e-3)
-            continue
-        gain = (model.cost - trial.cost) / model.cost
-        estimate, damping = candidate, damping / 10 if damping > 1e-6 else 0.0
-        model = linearise(estimate, parameters, windows, None, flow)
-        if gain < 1e-5:
-            break
-    return estimate
