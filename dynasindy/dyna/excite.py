@@ -5,8 +5,10 @@ with the rest of the signal; from then on the signal lies on top of a linear-qua
 
     u = u_e - K (x - x_0) + strength * (signal - its mean),        dx/dt = A (x - x_0) + B u + c,   c + B u_e = 0,
 
-fitted to the tries so far, near the start x_0 (`dynasindy.dyna.nearby`). Behind sensors the observer relies on that
-model, too, until there is a better one. Each try that leaves the limits all the same halves the strength.
+fitted to the tries so far, near the start x_0 (`dynasindy.dyna.nearby`). Each try that leaves the limits all the same
+halves the strength, and how far x_0 is led: behind sensors the observer relies on that model, too, until there is a better one, and x_0 is led
+to and fro between the targets of each output on which no rate of change depends: any value of it is a rest, and beside
+the noise of sensors small moves do not tell that nothing depends on it far away, either.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.agents.classical.linearise import zero_order_hold
 from dynasindy.data.recording import measured
-from dynasindy.dyna.nearby import nearby
+from dynasindy.dyna.nearby import Nearby, nearby
 from dynasindy.dyna.parts import Parts
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
@@ -36,6 +38,8 @@ BEYOND = 10.0
 """Ranges of a state that limit the excitation where the plant names no bounds."""
 MARGIN = 0.9
 """Largest mean input of the loop."""
+DRAWN, ROOM = 256, 0.8
+"""Targets that tell how far outputs are led, and the share of the limits within which they have to lie."""
 LOOKED_AT = 100
 """Control periods, at least, that are simulated again in shorter steps."""
 
@@ -175,6 +179,9 @@ class Loop:
         begun: Control periods of the signal that earlier tries have used.
         strength: Factor on the signal.
         gain: K, `(n_u, n_x)`; None as long as the signal acts alone.
+        home: x_0, `(n_x,)`.
+        ends: Between which it is led to and fro, `(2, n_x)`; both are x_0 where it stays.
+        mean: u_e, `(n_u,)`.
 
     Args:
         signal: The excitation.
@@ -183,7 +190,7 @@ class Loop:
     def __init__(self, signal: Excitation) -> None:
         self.signal, self.begun, self.strength = signal, 0, 1.0
         self.gain: Tensor | None = None
-        self.home = self.mean = torch.zeros(0)
+        self.home = self.ends = self.mean = torch.zeros(0)
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write `action`."""
@@ -191,9 +198,16 @@ class Loop:
         u: Tensor = self.signal(later)["action"]
         if self.gain is not None:
             added = self.strength * (u - self.signal.offset.to(u))
-            back = (tensordict["state"].double() - self.home) @ self.gain.mT
+            back = (tensordict["state"].double() - self.led(tensordict["step_count"])) @ self.gain.mT
             u = (self.mean - back).clamp(-1.0, 1.0).to(u) + added
         return tensordict.set("action", u.clamp(-1.0, 1.0))
+
+    def led(self, steps: Tensor) -> Tensor:
+        """Return where the regulator holds the plant so many periods after the start of a try, `(*batch, n_x)`."""
+        turns = steps.double() / self.signal.n_steps
+        far = self.strength * (4 * turns).clamp_max(1.0) * (self.ends - self.home).abs().amax(0)
+        turn = torch.sin(2 * math.pi * turns)
+        return torch.minimum(torch.maximum(self.home + far * turn, self.ends[0]), self.ends[1])
 
     def close(self, rows: TensorDict, parts: Parts) -> None:
         """Fit a linear model to what was seen and regulate it; the loop stays as it is where nothing holds the model.
@@ -209,10 +223,27 @@ class Loop:
         solved = riccati(*zero_order_hold(found.a, found.b, parts.plant.dt), 1.0 / scale.square(), 1.0)
         if solved is None:
             return
-        self.home, self.gain = found.home, solved.gain
+        self.home, self.gain, self.ends = found.home, solved.gain, found.home.expand(2, -1)
         against = torch.linalg.lstsq(found.b / scale.unsqueeze(-1), -found.c / scale, driver="gelsd").solution
         self.mean = against.clamp(-MARGIN, MARGIN)
         if parts.sensing is not None and found.model is not None:
             begins = [*(rows["step_count"].flatten() == 0).nonzero().flatten().tolist(), len(rows)]
             tries = [rows[first:end] for first, end in pairwise(begins)]
             parts.sensing.observer.lean(found.model, [measured(tried) for tried in tries])
+            self.ends = _free_ends(found, parts)
+
+
+def _free_ends(found: Nearby, parts: Parts) -> Tensor:
+    """Return the ends of the targets of outputs on which no rate of change depends, else x_0, `(2, n_x)`."""
+    ends, task = found.home.repeat(2, 1), parts.plant.task
+    if not isinstance(task, Tracking):
+        return ends
+    drawn = task.sample(torch.Size((DRAWN,)), torch.Generator().manual_seed(0))
+    targets = task.reference(drawn, torch.zeros(DRAWN, 1)).double()
+    low, high = limits(parts)
+    for place, values in zip(task.outputs, targets.unbind(-1), strict=True):
+        if not bool(found.a[:, place].any()):
+            inside = values[(values >= ROOM * low[place]) & (values <= ROOM * high[place])]
+            both = torch.cat([inside, found.home[place : place + 1]])
+            ends[:, place] = torch.stack([both.min(), both.max()])
+    return ends
