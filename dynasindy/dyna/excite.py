@@ -6,9 +6,9 @@ with the rest of the signal; from then on the signal lies on top of a linear-qua
     u = u_e - K (x - x_0) + strength * (signal - its mean),        dx/dt = A (x - x_0) + B u + c,   c + B u_e = 0,
 
 fitted to the tries so far, near the start x_0 (`dynasindy.dyna.nearby`). Each try that leaves the limits all the same
-halves the strength, and how far x_0 is led: behind sensors the observer relies on that model, too, until there is a better one, and x_0 is led
-to and fro between the targets of each output on which no rate of change depends: any value of it is a rest, and beside
-the noise of sensors small moves do not tell that nothing depends on it far away, either.
+halves the strength. Behind sensors the observer relies on that model, too, until there is a better one, and the place
+that is held is led from x_0 to and fro between the targets of each output on which no rate of change depends. Any value
+of it is a rest, and beside the noise of sensors small moves would not tell that nothing depends on it far away.
 """
 
 from __future__ import annotations
