@@ -14,7 +14,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.features import CONSTANT, variable
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement import trajectory
+from dynasindy.world_models.refinement import choosing, trajectory
 from dynasindy.world_models.refinement.one_step import refine_one_step
 from dynasindy.world_models.refinement.refine import Refinement
 from dynasindy.world_models.refinement.shooting import Estimate, Flow, growth
@@ -295,14 +295,14 @@ def test_a_state_that_nobody_measured_does_not_stray_nor_does_one_that_is_met_ex
 def test_a_step_that_runs_away_in_windows_on_their_own_is_made_shorter(monkeypatch):
     # Whole steps lead nowhere; steps that were damped are let through, and the least of squares is the same.
     bent, free = column(-1.5, 2.5, 0, 0.1), torch.ones(4, 1, dtype=torch.bool)
-    data, moved, args = recording(0), trajectory.move, (LIBRARY, bent, free)
+    data, moved, args = recording(0), choosing.move, (LIBRARY, bent, free)
     wanted = refine_trajectory(*args, data, Descent(20, False))[1]
 
     def too_far(estimate, model, parameters, kept, damping=0.0):
         found = moved(estimate, model, parameters, kept, damping)
         return replace(found, nodes=1e200 * found.nodes) if damping == 0 else found
 
-    monkeypatch.setattr(trajectory, "move", too_far)
+    monkeypatch.setattr(choosing, "move", too_far)
     assert torch.allclose(refine_trajectory(*args, data, Descent(20, False))[1], wanted, rtol=1e-2)
 
 
