@@ -3,8 +3,9 @@
 Pendulum-v1 and MountainCarContinuous-v0 pay their own reward, with the settings that rl-baselines3-zoo publishes for
 them. The cart-pole of docs/examples has the task of its run, whose episodes end at the ends of the track, without a
 cost of its own. SAC has the settings of Pendulum-v1 there, or, as `sac_bullet`, those that the zoo has for the swing-up
-of Bullet's cart-pole; TD3 has those of Stable-Baselines3. So have both on MuJoCo's plants, whose task is that of their
-runs, too: what they pay themselves knows no place at which the cart is wanted.
+of Bullet's cart-pole; TD3 has those of Stable-Baselines3. So have both on MuJoCo's plants. There they learn the double
+pendulum by its own reward, which pays for each period upright and knows no place at which the cart is wanted, and
+Reacher by the task of its run.
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ class Swing:
         judge: Makes the environment of the evaluations, for a seed.
         learn: Makes that of an agent; None wraps the one of the evaluations.
         angle: Angle from upright [rad], `(...)`, of states `(..., n_x)`; None where nothing stands.
+        seen: What an agent that has an environment of its own observes there, of states `(..., n_x)`; None for these.
         within: Mean absolute error at the end that is asked for [target ranges].
         settings: Settings of an agent, by its name.
     """
@@ -58,6 +60,7 @@ class Swing:
     judge: Callable[[int], ControlEnv]
     learn: Callable[[], gymnasium.Env[Any, Any]] | None = None
     angle: Callable[[Tensor], Tensor] | None = None
+    seen: Callable[[Tensor], Tensor] | None = None
     within: float = WITHIN
     settings: dict[str, Settings] = field(default_factory=dict)
 
@@ -122,6 +125,12 @@ def double_pendulum(seed: int) -> ControlEnv:
     return of_gymnasium(system, targets, seed, bounds={"theta1": 0.5, "theta2": 0.6, "p": 0.9})
 
 
+def double_pendulum_seen(x: Tensor) -> Tensor:
+    """Return what that environment shows of its states `(..., 6)`, `(..., 9)`; its track's ends push nothing here."""
+    angles = x[..., 1:3]
+    return torch.cat([x[..., :1], angles.sin(), angles.cos(), x[..., 3:].clamp(-10.0, 10.0), 0 * x[..., :1]], -1)
+
+
 def reacher(seed: int) -> ControlEnv:
     """Return MuJoCo's Reacher-v5, whose tip is to reach a point."""
     ranges = dict.fromkeys(("c1", "c2", "s1", "s2", "theta2"), 1.0) | {"tx": 0.2, "ty": 0.2}
@@ -167,7 +176,11 @@ SWINGS = {
         50_000, mountain_car, lambda: gymnasium.make("MountainCarContinuous-v0"), within=0.05, settings={"sac": CAR_SAC}
     ),
     "double_pendulum": Swing(
-        30_000, double_pendulum, angle=lambda x: torch.maximum(x[..., 1].abs(), (x[..., 1] + x[..., 2]).abs())
+        30_000,
+        double_pendulum,
+        lambda: gymnasium.make("InvertedDoublePendulum-v5"),
+        lambda x: torch.maximum(x[..., 1].abs(), (x[..., 1] + x[..., 2]).abs()),
+        double_pendulum_seen,
     ),
     "reacher": Swing(30_000, reacher),
 }

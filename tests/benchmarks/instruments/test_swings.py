@@ -63,3 +63,15 @@ def test_angles_are_counted_from_upright():
     for turns in (-1, 0, 2):
         state = torch.tensor([1.0, 2 * math.pi * turns + 0.2, 0.0, 0.0])
         assert float(cart_pole(state)) == pytest.approx(0.2, abs=1e-5)
+
+
+def test_the_double_pendulum_shows_its_states_as_its_environment_does():
+    pytest.importorskip("mujoco")
+    swing = SWINGS["double_pendulum"]
+    env, bare = swing.judge(3), swing.learn()
+    now = env.reset()
+    begun = env.copies.pool[0].unwrapped
+    for _ in range(3):
+        torch.testing.assert_close(swing.seen(now["state"]), torch.from_numpy(begun._get_obs()), atol=1e-6, rtol=1e-6)
+        now = env.step_mdp(env.step(now.set("action", torch.ones(1))))
+    assert bare.observation_space.shape == (9,)
