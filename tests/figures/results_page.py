@@ -222,6 +222,7 @@ def _plants() -> Iterator[Tie]:
         "reacher": "MuJoCo's Reacher-v5, to a point",
         "furuta_bench": "rotary pendulum (angle of its arm, upright)",
         "balancer_bench": "robot on two wheels (place, upright)",
+        "cart_pole_bench": "cart and pole, behind encoders",
     }
     for plant, name in words.items():
         found = rows("plants.csv", plant=plant)
