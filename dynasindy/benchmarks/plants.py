@@ -22,6 +22,8 @@ UNTUNED = (
     *("ship", "springs", "room", "balancer", "boost", "bioreactor"),
 )
 """Plants of docs/examples that no setting was tuned on."""
+MEASURED = ("furuta", "balancer", "cart_pole", "ball_on_beam", "quadrotor")
+"""Unstable plants of docs/examples whose files say what a bench measures: places and angles in steps, no rates."""
 PLANTS = {
     **{name: [f"system={name}"] for name in ("van_der_pol", "cart_pole", "quadrotor", "tanks", "swing_up")},
     "pendulum_v1": ["system=gymnasium", "env.id=Pendulum-v1", "train.episodes=0"],
@@ -29,6 +31,7 @@ PLANTS = {
     **{name: [f"system={name}", "train.episodes=0"] for name in ("inverted_pendulum", "double_pendulum", "reacher")},
     "mountain_car": ["system=gymnasium", "env.id=MountainCarContinuous-v0", "train.episodes=0"],
     **{name: [f"system={name}"] for name in UNTUNED},
+    **{f"{name}_bench": [f"system={name}", "sensors=bench"] for name in MEASURED},
 }
 """Plants, and the words that choose them: those of docs/examples, and environments of Gymnasium."""
 COLUMNS = (

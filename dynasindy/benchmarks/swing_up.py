@@ -76,7 +76,7 @@ def train(plant: str, kind: str, seed: int, steps: int, out: Path) -> None:
         spent += time.process_time() - before
         head = {"plant": plant, "agent": kind, "seed": seed, "real_steps": agent.num_timesteps}
         tail = {"cpu_seconds": round(spent, 1), "commit": commit()}
-        rows = [head | row | tail for row in rows_of(swing, run(env, agent, swing.learn is not None))]
+        rows = [head | row | tail for row in rows_of(swing, run(env, agent, swing))]
         append_rows(out, COLUMNS, rows)
         print(", ".join(f"{key} {value}" for key, value in rows[-1].items()), flush=True)
         if rows[0]["held"]:
@@ -95,21 +95,22 @@ def build(swing: Swing, kind: str, seed: int) -> OffPolicyAlgorithm:
     return agent
 
 
-def run(env: ControlEnv, agent: OffPolicyAlgorithm, of_states: bool) -> Evaluation:
+def run(env: ControlEnv, agent: OffPolicyAlgorithm, swing: Swing) -> Evaluation:
     """Run an agent, without noise, in episodes of the task.
 
     Args:
         env: The plant.
         agent: What acts.
-        of_states: Whether it sees the states, as in the Gymnasium environment that it learns on.
+        swing: Tells whether it sees the states, as in the Gymnasium environment that it learns on, and how.
     """
     space = agent.action_space
     assert isinstance(space, spaces.Box)
     low, high = space.low, space.high
 
     def _act(tensordict: TensorDictBase) -> TensorDictBase:
-        seen = tensordict["state" if of_states else "observation"].float().numpy()
-        action, _ = agent.predict(seen, deterministic=True)
+        seen = tensordict["observation" if swing.learn is None else "state"]
+        seen = seen if swing.seen is None else swing.seen(seen)
+        action, _ = agent.predict(seen.float().numpy(), deterministic=True)
         return tensordict.set("action", torch.from_numpy(2 * (action - low) / (high - low) - 1))
 
     return evaluate(env, _act, Scenario("step", None, EPISODES, None))

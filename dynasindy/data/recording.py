@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
 
@@ -26,3 +28,12 @@ def transitions(rows: TensorDictBase, log_dt: float) -> Transitions:
     fine = Transitions.from_samples(start.double(), rows["action"].double(), samples, log_dt)
     free = ~rows["next", "at_stop"].reshape(-1).repeat_interleave(samples.shape[-2])
     return fine.select(free)
+
+
+def measured(rows: TensorDictBase) -> tuple[Tensor, Tensor]:
+    """Return what an observer reads of an episode: measurements `(T + 1, n_x)` and the commands between them.
+
+    Args:
+        rows: Control periods `(T,)` of one episode behind sensors.
+    """
+    return torch.cat([rows["measurement"][:1], rows["next", "samples"][:, -1]]), rows["action"]

@@ -5,14 +5,17 @@ with the rest of the signal; from then on the signal lies on top of a linear-qua
 
     u = u_e - K (x - x_0) + strength * (signal - its mean),        dx/dt = A (x - x_0) + B u + c,   c + B u_e = 0,
 
-fitted by least squares to the tries so far, near the start x_0. Each try that leaves the limits all the same halves the
-strength.
+fitted to the tries so far, near the start x_0 (`dynasindy.dyna.nearby`). Each try that leaves the limits all the same
+halves the strength. Behind sensors the observer relies on that model, too, until there is a better one, and the place
+that is held is led from x_0 to and fro between the targets of each output on which no rate of change depends. Any value
+of it is a rest, and beside the noise of sensors small moves would not tell that nothing depends on it far away.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import pairwise
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -21,7 +24,8 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.agents.classical.linearise import zero_order_hold
-from dynasindy.data.recording import transitions
+from dynasindy.data.recording import measured
+from dynasindy.dyna.nearby import Nearby, nearby
 from dynasindy.dyna.parts import Parts
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
@@ -32,14 +36,12 @@ from dynasindy.told import tell
 
 BEYOND = 10.0
 """Ranges of a state that limit the excitation where the plant names no bounds."""
-NEAR = 1.0
-"""Ranges around the start within which the linear model is fitted."""
-ENOUGH = 2
-"""Rows near the start per number of a linear equation; fewer would fit noise, and no loop is closed."""
 MUCH = 0.25
 """Part of the excitation that is left out from which on more data would help."""
 MARGIN = 0.9
 """Largest mean input of the loop."""
+DRAWN, ROOM = 256, 0.8
+"""Targets that tell how far outputs are led, and the share of the limits within which they have to lie."""
 LOOKED_AT = 100
 """Control periods, at least, that are simulated again in shorter steps."""
 
@@ -183,6 +185,9 @@ class Loop:
         begun: Control periods of the signal that earlier tries have used.
         strength: Factor on the signal.
         gain: K, `(n_u, n_x)`; None as long as the signal acts alone.
+        home: x_0, `(n_x,)`.
+        ends: Between which it is led to and fro, `(2, n_x)`; both are x_0 where it stays.
+        mean: u_e, `(n_u,)`.
 
     Args:
         signal: The excitation.
@@ -191,7 +196,7 @@ class Loop:
     def __init__(self, signal: Excitation) -> None:
         self.signal, self.begun, self.strength = signal, 0, 1.0
         self.gain: Tensor | None = None
-        self.home = self.mean = torch.zeros(0)
+        self.home = self.ends = self.mean = torch.zeros(0)
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write `action`."""
@@ -199,9 +204,16 @@ class Loop:
         u: Tensor = self.signal(later)["action"]
         if self.gain is not None:
             added = self.strength * (u - self.signal.offset.to(u))
-            back = (tensordict["state"].double() - self.home) @ self.gain.mT
+            back = (tensordict["state"].double() - self.led(tensordict["step_count"])) @ self.gain.mT
             u = (self.mean - back).clamp(-1.0, 1.0).to(u) + added
         return tensordict.set("action", u.clamp(-1.0, 1.0))
+
+    def led(self, steps: Tensor) -> Tensor:
+        """Return where the regulator holds the plant so many periods after the start of a try, `(*batch, n_x)`."""
+        turns = steps.double() / self.signal.n_steps
+        far = self.strength * (4 * turns).clamp_max(1.0) * (self.ends - self.home).abs().amax(0)
+        turn = torch.sin(2 * math.pi * turns)
+        return torch.minimum(torch.maximum(self.home + far * turn, self.ends[0]), self.ends[1])
 
     def close(self, rows: TensorDict, parts: Parts) -> None:
         """Fit a linear model to what was seen and regulate it; the loop stays as it is where nothing holds the model.
@@ -210,34 +222,34 @@ class Loop:
             rows: The tries so far, `(T,)`.
             parts: The plant, its period and the ranges of its states.
         """
-        scale = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)
-        home = rows["state"][0].double()
-        x, u, x_next, dt = _moves(rows, parts)
-        middle = 0.5 * (x + x_next) - home
-        near = (middle.abs() <= NEAR * scale).all(-1)
-        if int(near.sum()) < ENOUGH * (len(scale) + u.shape[-1] + 1):
-            return
-        a, b, c = _linear(middle[near] / scale, u[near], ((x_next - x) / dt)[near] / scale)
-        a, b, c = a * scale.unsqueeze(-1) / scale, b * scale.unsqueeze(-1), c * scale
-        found = riccati(*zero_order_hold(a, b, parts.plant.dt), 1.0 / scale.square(), 1.0)
+        found = nearby(rows, parts)
         if found is None:
             return
-        self.home, self.gain = home, found.gain
-        self.mean = torch.linalg.lstsq(b / scale.unsqueeze(-1), -c / scale, driver="gelsd").solution
-        self.mean = self.mean.clamp(-MARGIN, MARGIN)
+        scale = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)
+        solved = riccati(*zero_order_hold(found.a, found.b, parts.plant.dt), 1.0 / scale.square(), 1.0)
+        if solved is None:
+            return
+        self.home, self.gain, self.ends = found.home, solved.gain, found.home.expand(2, -1)
+        against = torch.linalg.lstsq(found.b / scale.unsqueeze(-1), -found.c / scale, driver="gelsd").solution
+        self.mean = against.clamp(-MARGIN, MARGIN)
+        if parts.sensing is not None and found.model is not None:
+            begins = [*(rows["step_count"].flatten() == 0).nonzero().flatten().tolist(), len(rows)]
+            tries = [rows[first:end] for first, end in pairwise(begins)]
+            parts.sensing.observer.lean(found.model, [measured(tried) for tried in tries])
+            self.ends = _free_ends(found, parts)
 
 
-def _moves(rows: TensorDict, parts: Parts) -> tuple[Tensor, Tensor, Tensor, float]:
-    """Return states, inputs, the states some time later, and that time: samples, or estimates behind sensors."""
-    if parts.sensing is None:
-        data = transitions(rows, parts.plant.log_dt)
-        return data.x, data.u, data.x_next, data.dt
-    return rows["state"].double(), rows["action"].double(), rows["next", "state"].double(), parts.plant.dt
-
-
-def _linear(x: Tensor, u: Tensor, dx: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return A, B and c of dx = A x + B u + c by least squares; the smallest where the data leave a choice."""
-    rows = torch.cat([x, u, torch.ones_like(x[:, :1])], -1)
-    n_x, n_u = x.shape[-1], u.shape[-1]
-    a, b, c = torch.linalg.lstsq(rows, dx, driver="gelsd").solution.split([n_x, n_u, 1])
-    return a.mT, b.mT, c[0]
+def _free_ends(found: Nearby, parts: Parts) -> Tensor:
+    """Return the ends of the targets of outputs on which no rate of change depends, else x_0, `(2, n_x)`."""
+    ends, task = found.home.repeat(2, 1), parts.plant.task
+    if not isinstance(task, Tracking):
+        return ends
+    drawn = task.sample(torch.Size((DRAWN,)), torch.Generator().manual_seed(0))
+    targets = task.reference(drawn, torch.zeros(DRAWN, 1)).double()
+    low, high = limits(parts)
+    for place, values in zip(task.outputs, targets.unbind(-1), strict=True):
+        if not bool(found.a[:, place].any()):
+            inside = values[(values >= ROOM * low[place]) & (values <= ROOM * high[place])]
+            both = torch.cat([inside, found.home[place : place + 1]])
+            ends[:, place] = torch.stack([both.min(), both.max()])
+    return ends

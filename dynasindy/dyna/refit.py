@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from dynasindy.data.recording import transitions
+from dynasindy.data.recording import measured, transitions
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.planning import ModelError, replay_error
 from dynasindy.systems import Diverged
@@ -128,8 +128,7 @@ def _observe(parts: Parts) -> None:
         return
     rows = parts.replay.real_in_order()
     newest = rows[int((rows["step_count"].squeeze(-1) == 0).nonzero().max()) :]
-    y = torch.cat([newest["measurement"][:1], newest["next", "samples"][:, -1]])
-    estimates = parts.sensing.observer.learn(y, newest["action"])
+    estimates = parts.sensing.observer.learn(*measured(newest))
     parts.replay.rewrite_newest(parts.sensing.reestimated(newest, estimates))
 
 

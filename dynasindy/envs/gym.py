@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
+from torch import Tensor
 
 from dynasindy.envs.control_env import ControlEnv
 from dynasindy.envs.drawing import Frame, draw
@@ -25,14 +26,15 @@ class GymControl(gymnasium.Env[Array, Array]):
     """A `ControlEnv` with one row behind Gymnasium's interface.
 
     Observation, action and reward are those of `ControlEnv`; `info` holds `state` and `reference`. Episodes
-    are truncated after the task's `max_steps` periods and never terminated. Actions are clipped to [-1, 1].
+    are truncated after the task's `max_steps` periods, or where the environment cuts them, and never terminated.
+    Actions are clipped to [-1, 1].
 
     Args:
         env: The environment to adapt; its batch size is ().
         render_mode: None or "rgb_array".
 
     Raises:
-        TypeError: The task does not track a reference, or the environment is of another kind.
+        TypeError: The task does not track a reference.
         ValueError: The environment is batched or the render mode is unknown.
     """
 
@@ -50,8 +52,6 @@ class GymControl(gymnasium.Env[Array, Array]):
         n_o, n_u = env.task.n_o, env.system.signature.n_u
         self.observation_space = spaces.Box(-np.inf, np.inf, (n_o,), np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (n_u,), np.float32)
-        if type(env)._step is not ControlEnv._step:
-            raise TypeError(f"{type(env).__name__} steps in its own way; adapt a plain ControlEnv")
         self._steps: int | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
@@ -60,7 +60,7 @@ class GymControl(gymnasium.Env[Array, Array]):
         # EnvBase.set_seed would also seed torch's global generator, which is not ours to touch.
         self.env.rng.manual_seed(int(self.np_random.integers(2**31)))
         begun = self.env.reset()
-        self._x, self._params, self._steps = begun["state"], begun["task_params"], 0
+        self._now, self._x, self._params, self._steps = begun, begun["state"], begun["task_params"], 0
         self._t = torch.zeros(1, dtype=self._x.dtype)
         return self._observed()
 
@@ -72,15 +72,27 @@ class GymControl(gymnasium.Env[Array, Array]):
         """
         if self._steps is None:
             raise RuntimeError("step was called before reset; call reset first")
-        x, u = self._x, torch.from_numpy(np.asarray(action, dtype=np.float32)).clamp(-1.0, 1.0)
-        # What `ControlEnv.step` does, on one row: a tensordict would cost several times what the arithmetic does.
-        with torch.no_grad():
-            samples, touched = self.env.advance(x, u.to(x.dtype))
-            self._x, self._steps = samples[-1], self._steps + 1
-            self._t = torch.tensor([self._steps], dtype=x.dtype).mul_(self.env.dt)
-            reward = float(self._task.earned(x, u, self._x, self._params, self._t, touched).float())
+        u = torch.from_numpy(np.asarray(action, dtype=np.float32)).clamp(-1.0, 1.0)
+        self._steps += 1
+        self._t = torch.tensor([self._steps], dtype=self._x.dtype).mul_(self.env.dt)
+        reward, truncated = (self._advance if type(self.env)._step is ControlEnv._step else self._step)(u)
         observation, info = self._observed()
-        return observation, reward, False, self._steps >= self._task.max_steps, info
+        return observation, reward, False, truncated or self._steps >= self._task.max_steps, info
+
+    @torch.no_grad()
+    def _advance(self, u: Tensor) -> tuple[float, bool]:
+        """Do what `ControlEnv.step` does, on one row, without a tensordict, which would cost several times as much."""
+        x = self._x
+        samples, touched = self.env.advance(x, u.to(x.dtype))
+        self._x = samples[-1]
+        return float(self._task.earned(x, u, self._x, self._params, self._t, touched).float()), False
+
+    @torch.no_grad()
+    def _step(self, u: Tensor) -> tuple[float, bool]:
+        """Let an environment that steps in its own way do so."""
+        stepped = self.env.step(self._now.set("action", u))
+        self._now, self._x = self.env.step_mdp(stepped), stepped["next", "state"]
+        return float(stepped["next", "reward"]), bool(stepped["next", "truncated"])
 
     def render(self) -> Frame | None:
         """Return a picture of the state, uint8 `(height, width, 3)`, or None without a render mode."""

@@ -84,8 +84,9 @@ def doubts(forecasts: Forecasts, signature: Signature) -> list[str]:
             k, unit = worse[0], signature.state_units[i]
             lines.append(
                 f"a linear model on past samples predicts {signature.state_names[i]} "
-                f"{in_words(forecasts.horizons[k])} ahead to {_short(float(simple[k]))} {unit}, this one to {_short(float(ours[k]))} {unit}: a function is "
-                "missing, or a state that no sensor sees, as of a motor that follows its command slowly"
+                f"{in_words(forecasts.horizons[k])} ahead to {_short(float(simple[k]))} {unit}, this one to "
+                f"{_short(float(ours[k]))} {unit}: a function is missing, or a state that no sensor sees, "
+                "as of a motor that follows its command slowly"
             )
     return lines
 

@@ -75,8 +75,9 @@ class Belief:
 class Observer:
     """Estimate the states of a plant from what is measured of it.
 
-    Until `learn` was called it knows of the plant which state is the rate of which, and nothing else; from then on it
-    relies on the model, its input delay included: a model with an attribute `delay` [s] gets its inputs so much later.
+    Until `learn` was called it knows of the plant which state is the rate of which, and nothing else, or a rough model
+    that it was given to `lean` on. From then on it relies on the model, its input delay included: a model with an
+    attribute `delay` [s] gets its inputs so much later.
 
     Args:
         model: World model of the plant; the observer reads it as it is at any time.
@@ -95,7 +96,7 @@ class Observer:
             self.pushed = []
         scale = torch.tensor(model.signature.x_scale, dtype=torch.float64)
         self.scale = torch.cat([scale, scale[self.pushed]])
-        self.kinematic = Kinematic(model.signature, rates)
+        self.first: System = Kinematic(model.signature, rates)
         variance = torch.cat([measured, torch.full((len(self.pushed),), torch.inf)])
         self.variance = variance.clamp_min((FINEST * self.scale).square())
         self.q = torch.full_like(self.scale, STRAYING)
@@ -121,7 +122,7 @@ class Observer:
     @property
     def system(self) -> System:
         """What the observer believes of the plant."""
-        return self.model if self.learnt else self.kinematic
+        return self.model if self.learnt else self.first
 
     def begin(self, y: Tensor) -> Belief:
         """Return the belief at rest from the first measurement, `(*batch, n_x)`; what is not measured is taken as 0."""
@@ -222,6 +223,18 @@ class Observer:
             nis.append(surprise)
             likelihoods.append(likelihood)
         return torch.stack(means, -2), torch.stack(nis, -1), torch.stack(likelihoods, -1)
+
+    @torch.no_grad()
+    def lean(self, model: System, logs: Sequence[tuple[Tensor, Tensor]]) -> None:
+        """Rely on a rough model until `learn` is called, as far as its innovations allow.
+
+        Args:
+            model: The model.
+            logs: Measurements `(T + 1, n_x)` and the commands in between, `(T, n_u)`, of some episodes.
+        """
+        self.first, self.q = model, self._candidates()
+        likelihoods = torch.stack([self.follow(y, u)[2].sum(-1) for y, u in logs]).sum(0)
+        self.q = self.q[int(likelihoods.argmax())].clone()
 
     @torch.no_grad()
     def learn(self, y: Tensor, u: Tensor) -> Tensor:

@@ -50,7 +50,9 @@ def correction(system: System, x: Tensor, u: Tensor, push: Tensor, outputs: Sequ
         slopes = torch.cat([(forth - back).mT / (2 * NUDGE), held], -2)
         missing = torch.cat([excess.squeeze(-2), -(shift / scale)[..., list(outputs)]], -1).unsqueeze(-1)
         normal = slopes.mT @ slopes + DAMPING * torch.eye(n_x + n_u, dtype=x.dtype)
-        shift = shift + torch.linalg.solve(normal, slopes.mT @ missing).squeeze(-1) * scale
+        # Far off, where a model explodes, the matrix may be singular in spite of the damping: no number is no shift.
+        step, failed = torch.linalg.solve_ex(normal, slopes.mT @ missing)
+        shift = shift + step.squeeze(-1).masked_fill(failed.bool().unsqueeze(-1), torch.nan) * scale
     return torch.where(shift.isfinite().all(-1, keepdim=True), shift, torch.zeros_like(shift))
 
 

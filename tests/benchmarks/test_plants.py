@@ -8,7 +8,7 @@ import pytest
 import torch
 import yaml
 
-from dynasindy.benchmarks.plants import EXAMPLES, PLANTS, rows_of
+from dynasindy.benchmarks.plants import EXAMPLES, MEASURED, PLANTS, rows_of
 
 ROOT = Path(__file__).parents[2]
 
@@ -38,6 +38,14 @@ def test_each_example_is_a_short_plant_with_a_file(name):
     x, u = torch.zeros(3, system.signature.n_x), torch.zeros(3, system.signature.n_u)
     assert system(x, u).shape == x.shape
     assert facts["plant"]["known"].keys() <= set(system.signature.state_names)
+
+
+@pytest.mark.parametrize("name", MEASURED)
+def test_a_bench_measures_steps_of_places_and_angles_and_no_rate(name):
+    plant = yaml.safe_load((EXAMPLES / "conf" / "system" / f"{name}.yaml").read_text())["plant"]
+    assert PLANTS[f"{name}_bench"] == [f"system={name}", "sensors=bench"]
+    assert set(plant["sensors"]) == set(plant["known"])  # each has a rate, which is to be estimated
+    assert all(channel.keys() == {"resolution"} and channel["resolution"] > 0 for channel in plant["sensors"].values())
 
 
 def test_the_examples_rest_where_physics_says():

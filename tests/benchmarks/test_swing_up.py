@@ -73,7 +73,7 @@ def test_a_run_ends_where_the_plant_is_held(short, tmp_path, monkeypatch):
 def test_an_agent_acts_in_the_units_of_its_environment(short):
     """Pendulum-v1 has torques of -2 to 2, so that half of it is an action of 0.25 of the half range."""
     env, agent = SWINGS["pendulum_v1"].judge(0), swing_up.build(SWINGS["pendulum_v1"], "sac", 0)
-    evaluation = swing_up.run(env, Still(agent.action_space, 0.5), of_states=True)
+    evaluation = swing_up.run(env, Still(agent.action_space, 0.5), SWINGS["pendulum_v1"])
     assert torch.equal(evaluation.inputs, torch.full((2, 200, 1), 0.25))
 
 
@@ -81,7 +81,7 @@ def test_held_and_upright_are_judged_over_the_last_quarter(short):
     """A pole that stands but for one sample is not upright, nor is one that leans by 0.11 rad."""
     swing = SWINGS["swing_up"]
     agent = swing_up.build(swing, "sac", 0)
-    evaluation = swing_up.run(swing.judge(0), agent, of_states=False)
+    evaluation = swing_up.run(swing.judge(0), agent, swing)
     states = evaluation.trajectory["state"]
     assert states.shape == (2, 400, 4) and float(states[:, 0, 1].sub(math.pi).abs().max()) <= 0.11
     for angle, sample, upright, held in (

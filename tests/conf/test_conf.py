@@ -73,7 +73,7 @@ def test_every_plant_has_a_bench(system, sensors):
     measured = [name for name, r in zip(parts.plant.system.signature.state_names, observer.variance) if r < torch.inf]
     assert measured == list(cfg.plant.sensors) and not set(measured) & set(cfg.plant.rates)
     assert observer.sensors.actuator_delay == (sensors == "bench_delay")
-    assert observer.kinematic.rates  # known from the plant's file
+    assert observer.first.rates  # known from the plant's file
     for name in cfg.plant.outputs:
         assert observer.sensors.channels[name].resolution == pytest.approx(2 * math.pi / 4096, rel=1e-6)
 

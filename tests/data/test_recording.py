@@ -1,8 +1,9 @@
+import pytest
 import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
-from dynasindy.data.recording import transitions
+from dynasindy.data.recording import measured, transitions
 from dynasindy.envs import ControlEnv
 from dynasindy.systems import Tras, rk4
 from dynasindy.tasks import Step, Tracking
@@ -48,3 +49,18 @@ def test_periods_at_a_stop_are_left_out_and_break_the_segment():
     assert len(data) == 5 * int((~at_stop).sum())
     follows = data.segment[1:] == data.segment[:-1]
     assert torch.equal(data.x[1:][follows], data.x_next[:-1][follows])
+
+
+def test_an_observer_reads_the_first_measurement_and_that_at_the_end_of_each_period():
+    samples = torch.tensor([[[1.0], [2.0]], [[3.0], [torch.nan]]])
+    rows = TensorDict(
+        {
+            "measurement": torch.tensor([[0.5], [2.0]]),
+            "action": torch.tensor([[0.1], [0.2]]),
+            "next": {"samples": samples},
+        },
+        [2],
+    )
+    y, u = measured(rows)
+    torch.testing.assert_close(y, torch.tensor([[0.5], [2.0], [torch.nan]]), equal_nan=True)
+    assert u.flatten().tolist() == pytest.approx([0.1, 0.2])

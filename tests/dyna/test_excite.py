@@ -1,5 +1,6 @@
 """The data collection: unchanged where the plant stays within its limits, and flown where it would not."""
 
+import math
 from types import SimpleNamespace
 
 import pytest
@@ -13,6 +14,8 @@ from dynasindy.excitation import Multisine
 from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.systems import Signature, System, Xi
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
+
+BOUNDS = {"theta": 0.5, "p": 2.0}
 
 
 class Inverted(System):
@@ -83,6 +86,46 @@ def test_a_plant_that_falls_is_caught_by_its_encoder_alone():
     blind = excited.clone()
     blind["next", "true_state"].fill_(torch.nan)
     assert restarts(experiment, blind) == restarts(experiment, excited)
+
+
+class Carried(System):
+    """A pole on a cart whose acceleration is given, 8 u, with a spring that pulls the cart home."""
+
+    def __init__(self, spring=0.0):
+        super().__init__(Signature(("p", "theta", "v", "omega"), ("m", "rad", "m/s", "rad/s"), ("u",), (1, 0.2, 1, 1)))
+        self.spring = spring
+
+    def forward(self, x, u):
+        p, theta, v, omega = x.unbind(-1)
+        push = 8.0 * u[..., 0] - self.spring * p
+        return torch.stack((v, omega, push, 16.0 * torch.sin(theta) - 1.5 * torch.cos(theta) * push), -1)
+
+
+@pytest.mark.parametrize(("spring", "led"), [(0.0, True), (4.0, False)])
+def test_behind_sensors_an_output_that_nothing_depends_on_is_led_between_its_targets(spring, led):
+    """The pole falls e-fold in a quarter of a second, five periods, and its rates are not measured."""
+    plant = Carried(spring)
+    box = [-1.0, 0.0], [1.0, 0.0]
+    task = Tracking(plant.signature, RandomStep(*box), ["p", "theta"], [], TrackingReward((1.0,)), bounds=BOUNDS)
+    env = ControlEnv(plant, task, dtype=torch.float64)
+    sensors = Sensors({"p": {"resolution": 1e-3}, "theta": {"resolution": 1.5e-3}}, rates={"p": "v", "theta": "omega"})
+    sensing = Sensing(env, Observer(plant, sensors, env), torch.Generator().manual_seed(0))
+    signal = Multisine(1, 10.0, 0.05, amplitude=0.2, seed=1)
+    excited = excite(SimpleNamespace(plant=env, env=sensing.around(env), excitation=signal, sensing=sensing))
+    begins = [*(excited["step_count"].flatten() == 0).nonzero().flatten().tolist(), 200]
+    assert len(begins) <= 5 and max(b - a for a, b in zip(begins, begins[1:], strict=False)) > 80
+    place = excited["next", "true_state"][begins[-2] :, 0]
+    assert (place.max() > 0.5 and place.min() < -0.5) == led
+
+
+def test_what_is_held_is_led_from_home_and_back_as_far_as_its_ends_and_the_strength_say():
+    pilot = Loop(Multisine(1, 10.0, 0.05, seed=1))  # 200 periods
+    pilot.home, pilot.ends = torch.tensor([0.2, 5.0]), torch.tensor([[-0.8, 5.0], [0.7, 5.0]])
+    places = pilot.led(torch.tensor([[0], [25], [50], [150]]))
+    wanted = [0.2, 0.2 + 1.0 * 0.5 * math.sqrt(0.5), 0.7, -0.8]
+    assert places[:, 0].tolist() == pytest.approx(wanted) and places[:, 1].tolist() == [5.0] * 4
+    pilot.strength = 0.5
+    assert pilot.led(torch.tensor([[150]]))[0, 0].item() == pytest.approx(0.2 - 0.5)
 
 
 def test_a_rig_is_excited_open_loop_as_it_stays_where_it_fell():

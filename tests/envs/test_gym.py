@@ -11,7 +11,7 @@ import torch
 from gymnasium.utils.env_checker import check_env
 
 import dynasindy  # noqa: F401 (registers the environments)
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv
 from dynasindy.envs.drawing import draw
 from dynasindy.envs.gym import GymControl, pendulum, twin_rotor
 from dynasindy.systems import Tras
@@ -129,6 +129,22 @@ def test_a_task_that_tracks_nothing_is_refused() -> None:
     env.task = object()
     with pytest.raises(TypeError, match="task object tracks nothing"):
         GymControl(env)
+
+
+def test_an_environment_that_steps_in_its_own_way_is_played_as_it_is() -> None:
+    """Pendulum-v1 itself, put to where the episode begins, moves alike; cosine and sine tell the error."""
+    system = Foreign("Pendulum-v1", {"c": 1.0, "s": 1.0, "w": 8.0}, ["torque"])
+    task = Tracking(system.signature, Step([[1.0, 0.0]]), ("c", "s"), (), TrackingReward((4.0,)), max_steps=3)
+    env, bare = GymControl(GymnasiumEnv(system, task)), gymnasium.make("Pendulum-v1")
+    bare.reset()
+    c, s, w = env.reset(seed=5)[1]["state"]
+    bare.unwrapped.state = np.array([np.arctan2(s, c), w])
+    for k in range(1, 4):
+        _, reward, terminated, truncated, info = env.step(np.array([0.5], dtype=np.float32))
+        seen, *_ = bare.step(np.array([1.0], dtype=np.float32))  # torques of -2 to 2
+        np.testing.assert_allclose(info["state"], seen, rtol=1e-5)
+        paid = -4 * ((1 - seen[0]) ** 2 + seen[1] ** 2)
+        assert reward == pytest.approx(paid, rel=1e-5) and (terminated, truncated) == (False, k == 3)
 
 
 @pytest.mark.parametrize("name", IDS)

@@ -270,3 +270,16 @@ def test_what_was_learnt_is_restored_and_what_is_none_is_refused():
 def test_a_delay_beyond_all_memory_is_refused():
     with pytest.raises(ValueError, match=r"delay is 0\.6 s, the observer allows 0\.5 s"):
         observer(delay=0.6).ahead(torch.zeros(3), torch.zeros(22, 1))
+
+
+def test_a_rough_model_is_leant_on_until_there_is_a_better_one():
+    """Estimates on it are those of a filter on that model, and its process noise is that of the innovations."""
+    (y, u, _), ours, rough = logged(600, q=3e-2), observer(), Linear()
+    ours.nis = None
+    ours.lean(rough, [(y[:301], u[:300]), (y[300:], u[300:])])
+    assert not ours.learnt and ours.system is rough
+    assert 0.5 * 3e-2 < ours.q[0].item() < 2 * 3e-2
+    wanted = observer(q=ours.q[0].item()).follow(y, u)[0]
+    torch.testing.assert_close(ours.follow(y, u)[0], wanted)
+    ours.learn(y, u)
+    assert ours.learnt and ours.system is ours.model

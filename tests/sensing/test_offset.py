@@ -155,3 +155,14 @@ def test_a_plant_without_rates_is_pushed_on_what_is_measured_at_its_own_pace():
             with pytest.raises(ValueError, match="a range > 0 for each of 1 pushes"):
                 again.load_state_dict(observer.state_dict() | {"push_ranges": [-1.0]})
     assert left[True] < 0.01 and left[False] == pytest.approx(0.01 / 0.07, abs=0.04)
+
+
+def test_where_a_model_explodes_nothing_is_counteracted():
+    """Rates that all go with the same sum, 2^40-fold, leave a matrix that has no inverse and loses its damping."""
+
+    class Exploding(Linear):
+        def forward(self, x, u):
+            return (2.0**40 * (x.sum(-1, keepdim=True) + u)).expand(x.shape)
+
+    x, u = torch.ones(2, 3).double(), torch.zeros(2, 1).double()
+    assert not correction(Exploding(), x, u, x, [0], torch.zeros(2, 4).double()).any()

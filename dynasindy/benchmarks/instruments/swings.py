@@ -1,9 +1,11 @@
-"""Plants that have to be swung up, for agents without a model: what they learn on, and how they are judged.
+"""Plants for agents without a model: what they learn on, and how they are judged.
 
 Pendulum-v1 and MountainCarContinuous-v0 pay their own reward, with the settings that rl-baselines3-zoo publishes for
 them. The cart-pole of docs/examples has the task of its run, whose episodes end at the ends of the track, without a
 cost of its own. SAC has the settings of Pendulum-v1 there, or, as `sac_bullet`, those that the zoo has for the swing-up
-of Bullet's cart-pole; TD3 has those of Stable-Baselines3.
+of Bullet's cart-pole; TD3 has those of Stable-Baselines3. So have both on MuJoCo's plants. There they learn the double
+pendulum by its own reward, which pays for each period upright and knows no place at which the cart is wanted, and
+Reacher by the task of its run.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from dynasindy.evaluation.held import WITHIN
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
 Settings = dict[str, Any]
+Targets = dict[str, tuple[float, float]]
 
 
 class Fenced(GymControl):
@@ -48,6 +51,7 @@ class Swing:
         judge: Makes the environment of the evaluations, for a seed.
         learn: Makes that of an agent; None wraps the one of the evaluations.
         angle: Angle from upright [rad], `(...)`, of states `(..., n_x)`; None where nothing stands.
+        seen: What an agent that has an environment of its own observes there, of states `(..., n_x)`; None for these.
         within: Mean absolute error at the end that is asked for [target ranges].
         settings: Settings of an agent, by its name.
     """
@@ -56,6 +60,7 @@ class Swing:
     judge: Callable[[int], ControlEnv]
     learn: Callable[[], gymnasium.Env[Any, Any]] | None = None
     angle: Callable[[Tensor], Tensor] | None = None
+    seen: Callable[[Tensor], Tensor] | None = None
     within: float = WITHIN
     settings: dict[str, Settings] = field(default_factory=dict)
 
@@ -74,25 +79,71 @@ def cart_pole(seed: int) -> ControlEnv:
     return ControlEnv(system, task, dtype=torch.float64, seed=seed)
 
 
-def of_gymnasium(system: Foreign, target: dict[str, float], max_steps: int, dt: float | None, seed: int) -> ControlEnv:
-    """Return an environment of Gymnasium under the task of `system=gymnasium`."""
-    values = list(target.values())
-    box: Settings = {"low": values, "high": values}
-    reward = TrackingReward((4.0,), error_shape="linear")
-    task = Tracking(system.signature, RandomStep(**box), list(target), (), reward, max_steps, **box)
-    return GymnasiumEnv(system, task, dt=dt, seed=seed)
+def of_gymnasium(system: Foreign, targets: Targets, seed: int, dt: float | None = None, **task: Any) -> ControlEnv:
+    """Return an environment of Gymnasium under the task of its run.
+
+    Args:
+        system: The environment's names and ranges.
+        targets: Tracked states, and the ends of their targets.
+        seed: Seed of the resets.
+        dt: Control period [s]; None for that of the environment.
+        **task: More settings of the task.
+    """
+    low, high = ([ends[side] for ends in targets.values()] for side in (0, 1))
+    settings: Settings = {
+        "rates": (),
+        "reward": TrackingReward((4.0,), error_shape="linear"),
+        "low": low,
+        "high": high,
+    } | task
+    tracking = Tracking(system.signature, RandomStep(low, high), list(targets), **settings)
+    return GymnasiumEnv(system, tracking, dt=dt, seed=seed)
 
 
 def pendulum(seed: int) -> ControlEnv:
     """Return Pendulum-v1, to be held upright."""
     system = Foreign("Pendulum-v1", {"c": 1.0, "s": 1.0, "w": 8.0}, ["torque"], stops=["w"])
-    return of_gymnasium(system, {"c": 1.0, "s": 0.0}, 200, None, seed)
+    return of_gymnasium(system, {"c": (1.0, 1.0), "s": (0.0, 0.0)}, seed, max_steps=200)
 
 
 def mountain_car(seed: int) -> ControlEnv:
     """Return MountainCarContinuous-v0, to be driven to the flag."""
     system = Foreign("MountainCarContinuous-v0", {"p": 1.2, "v": 0.07}, ["force"])
-    return of_gymnasium(system, {"p": 0.47}, 999, 1.0, seed)
+    return of_gymnasium(system, {"p": (0.47, 0.47)}, seed, 1.0, max_steps=999)
+
+
+def double_pendulum(seed: int) -> ControlEnv:
+    """Return MuJoCo's InvertedDoublePendulum-v5, to be held upright at a place."""
+    system = Foreign(
+        "InvertedDoublePendulum-v5",
+        {"p": 1.0, "theta1": 0.2, "theta2": 0.2, "v": 2.0, "w1": 2.0, "w2": 2.0},
+        ["force"],
+        observed=["p", "s1", "s2", "c1", "c2", "v", "w1", "w2", "stop"],
+        angles={"theta1": ["s1", "c1"], "theta2": ["s2", "c2"]},
+    )
+    targets = {"p": (-0.1, 0.1), "theta1": (0.0, 0.0), "theta2": (0.0, 0.0)}
+    return of_gymnasium(system, targets, seed, bounds={"theta1": 0.5, "theta2": 0.6, "p": 0.9})
+
+
+def double_pendulum_seen(x: Tensor) -> Tensor:
+    """Return what that environment shows of its states `(..., 6)`, `(..., 9)`; its track's ends push nothing here."""
+    angles = x[..., 1:3]
+    return torch.cat([x[..., :1], angles.sin(), angles.cos(), x[..., 3:].clamp(-10.0, 10.0), 0 * x[..., :1]], -1)
+
+
+def reacher(seed: int) -> ControlEnv:
+    """Return MuJoCo's Reacher-v5, whose tip is to reach a point."""
+    ranges = dict.fromkeys(("c1", "c2", "s1", "s2", "theta2"), 1.0) | {"tx": 0.2, "ty": 0.2}
+    system = Foreign(
+        "Reacher-v5",
+        ranges | {"w1": 10.0, "w2": 10.0, "dx": 0.2, "dy": 0.2},
+        ["shoulder", "elbow"],
+        stops=[],
+        observed=["c1", "c2", "s1", "s2", "tx", "ty", "w1", "w2", "dx", "dy"],
+        angles={"theta2": ["s2", "c2"]},
+    )
+    task: Settings = {"rates": ("w1", "w2"), "bounds": {"theta2": 2.9}, "max_steps": 250}
+    return of_gymnasium(system, {"dx": (0.0, 0.0), "dy": (0.0, 0.0)}, seed, **task)
 
 
 PENDULUM_SAC: Settings = {"learning_rate": 1e-3}
@@ -124,4 +175,12 @@ SWINGS = {
     "mountain_car": Swing(
         50_000, mountain_car, lambda: gymnasium.make("MountainCarContinuous-v0"), within=0.05, settings={"sac": CAR_SAC}
     ),
+    "double_pendulum": Swing(
+        30_000,
+        double_pendulum,
+        lambda: gymnasium.make("InvertedDoublePendulum-v5"),
+        lambda x: torch.maximum(x[..., 1].abs(), (x[..., 1] + x[..., 2]).abs()),
+        double_pendulum_seen,
+    ),
+    "reacher": Swing(30_000, reacher),
 }

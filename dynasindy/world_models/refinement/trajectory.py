@@ -12,7 +12,6 @@ that of a prediction over one window, which random pushes on the plant spoil les
 from __future__ import annotations
 
 import math
-from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -20,30 +19,23 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
-from dynasindy.told import tell
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.descent import Descent, Limits, price
-from dynasindy.world_models.refinement.plainer import plainer
+from dynasindy.world_models.refinement.choosing import Limits, converge, descend, price, search
+from dynasindy.world_models.refinement.descent import Descent
 from dynasindy.world_models.refinement.shooting import (
     EXACT,
     Estimate,
     Flow,
-    Linearised,
-    RunsAway,
     growth,
     lasting_of,
     left_over,
     linearise,
-    move,
     noise_of,
     substeps_for,
 )
 from dynasindy.world_models.refinement.windows import ENOUGH, Windows, spread
-from dynasindy.world_models.regression.selection import reconsider, walk_down
 from dynasindy.world_models.regression.sensitivity import Parameters
 
-NOISY = 1e-7
-"""Part of a coefficient's effect that those of others leave over, below which data cannot tell it from them."""
 GROWN = 100.0
 """Factor by which errors grow along a trajectory, beyond which functions are chosen on windows on their own."""
 FARTHEST = 1e6
@@ -99,22 +91,26 @@ def refine_trajectory(
     found, windows = _grown(Estimate(library, xi, guess[some]), (xi != 0) & free, part, descent)
     if descent.pushed or descent.coloured:
         return _refine_weighed(found, free, windows, (data, guess), limits, descent)
-    may_begin_anew = joined is None and not bool(data.x_next.isnan().any())
-    if may_begin_anew and _grows(found, windows)[0] > GROWN:
+    may_begin_anew = joined is None
+    # Windows on their own tell little of a state that was not measured: then they begin anew where they have to.
+    seen = not bool(data.x_next.isnan().any())
+    if may_begin_anew and not seen:
+        windows = replace(windows, joined=_grows(found, windows)[1])
+    if may_begin_anew and seen and _grows(found, windows)[0] > GROWN:
         alone = replace(windows, joined=torch.zeros_like(windows.joined))
-        own = _search(found, free, alone, limits)
+        own = search(found, free, alone, limits)
         windows = replace(windows, joined=_grows(own, windows)[1])
-        found = _search(own, free, windows, limits)
+        found = search(own, free, windows, limits)
         if not bool((_sigma(found, windows) < WORSE * _sigma(own, alone)).all()):
             found, joined, may_begin_anew = own, False, False
     else:
-        found = _search(found, free, windows, limits)
+        found = search(found, free, windows, limits)
     if not bool(some.all()):
         support = (found.xi != 0) & free
         whole, windows = _grown(replace(found, nodes=guess), support, data, replace(descent, joined=joined))
         if may_begin_anew:
             windows = replace(windows, joined=_grows(whole, windows)[1])
-        found, _ = _descend(whole, support, windows, replace(limits, price=price(len(data), free)))
+        found, _ = descend(whole, support, windows, replace(limits, price=price(len(data), free)))
     return Fitted(found.library, found.xi, windows.length)
 
 
@@ -124,10 +120,10 @@ def _refine_weighed(
     """Minimise errors made white, and what makes them so in turn with it: pushes and noise, or how long errors last."""
     data, guess = whole
     if descent.coloured:  # errors of a first guess last whatever the plant does
-        found = _search(found, free, windows, limits)
+        found = search(found, free, windows, limits)
     for _ in range(TURNS):
         windows = _weighed(found, free, windows, descent)
-        last, found = found, _search(found, free, windows, limits)
+        last, found = found, search(found, free, windows, limits)
         if bool(((found.xi != 0) == (last.xi != 0)).all()) and bool(
             ((found.xi - last.xi).abs() <= SETTLED * found.xi.abs()).all()
         ):
@@ -136,7 +132,7 @@ def _refine_weighed(
         support = (found.xi != 0) & free
         found, windows = _grown(replace(found, nodes=guess), support, data, descent)
         windows = _weighed(found, free, windows, descent)
-        found, _ = _descend(found, support, windows, replace(limits, price=price(len(data), free)))
+        found, _ = descend(found, support, windows, replace(limits, price=price(len(data), free)))
     return Fitted(found.library, found.xi, windows.length)
 
 
@@ -160,45 +156,6 @@ def _sigma(estimate: Estimate, windows: Windows) -> Tensor:
     return Flow.of(estimate, Parameters.where(estimate.xi != 0), windows).sigma(windows)
 
 
-def _search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) -> Estimate:
-    """Converge, drop and reconsider until there is nothing better."""
-    support = (estimate.xi != 0) & free
-    for _ in range(10):
-        estimate, support = _descend(estimate, support, windows, limits)
-        active, others = Parameters.where(support), Parameters.where(free & ~support)
-        if not len(active) or not len(others):
-            break
-        tell("fit", words=f"choice among {len(others)} coefficients that might be missing")
-        flow = Flow.of(estimate, active + others, windows)
-        model = linearise(estimate, active + others, windows, None, flow)
-        n_fixed = len(model.scale) - len(active) - len(others)
-        better = reconsider(model.triangle, n_fixed, active, others, limits.at(model.errors, windows))
-        if better is None:
-            break
-        chosen = (active + others).take(better)
-        kept = torch.cat([torch.arange(n_fixed), n_fixed + better])
-        changed = _changed(estimate, model, active + others, kept, windows)
-        if changed is None:
-            break
-        estimate, support = changed, chosen.support(support.shape)
-    for place in range(len(estimate.library.shapes)):
-        found = plainer(estimate.library, estimate.xi, free, place)
-        if found is not None:
-            estimate = _cheaper(estimate, replace(estimate, xi=found), free, windows, limits)
-    return estimate
-
-
-def _cheaper(estimate: Estimate, simple: Estimate, free: Tensor, windows: Windows, limits: Limits) -> Estimate:
-    """Return the simpler one of two estimates where what it loses is not worth a coefficient."""
-    with suppress(RunsAway):
-        simple, support = _descend(simple, (simple.xi != 0) & free, windows, limits)
-        models = (linearise(e, Parameters.where((e.xi != 0) & free), windows) for e in (estimate, simple))
-        (before, full), (after, _) = ((left_over(model, windows), model) for model in models)
-        if bool(support.any()) and 2 * (after - before) <= limits.at(full.errors, windows):
-            return simple
-    return estimate
-
-
 def few_steps(
     library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor
 ) -> tuple[float, Estimate, Tensor | None]:
@@ -217,7 +174,7 @@ def few_steps(
     some = spread(len(data), ENOUGH)
     support, data = (xi != 0) & free, data.to(torch.float64).select(some)
     estimate, windows = _grown(Estimate(library, xi, start[some]), support, data, descent)
-    estimate = _converge(estimate, Parameters.where(support), windows, descent.max_rounds)
+    estimate = converge(estimate, Parameters.where(support), windows, descent.max_rounds)
     model = linearise(estimate, Parameters.where(support), windows)
     errors = (model.errors * model.sigma).square().sum(1) if windows.length == descent.window else None
     return left_over(model, windows), estimate, errors
@@ -246,7 +203,7 @@ def strain(library: Library, xi: Tensor, free: Tensor, data: Transitions, descen
     if not bool(data.x_next.isnan().any()):
         windows = replace(windows, joined=_grows(first, windows)[1])
     alone, parameters = replace(windows, joined=torch.zeros_like(windows.joined)), Parameters.where(support)
-    error, own = (_sigma(_converge(first, parameters, part, descent.max_rounds), part) for part in (windows, alone))
+    error, own = (_sigma(converge(first, parameters, part, descent.max_rounds), part) for part in (windows, alone))
     told = float(windows.mask.sum() + (~windows.first.isnan()).sum())
     allowed = math.sqrt(max(1 - first.nodes.numel() / max(told, 1.0), NEGLIGIBLE))
     floor = NEGLIGIBLE * first.nodes.std(0, correction=0) + EXACT
@@ -275,7 +232,7 @@ def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Desc
         length = max(SHORTEST, length // LEAPS[0])
         trial, windows, lost = _cut(estimate, length)
     while length < descent.window:
-        trial = _converge(trial, parameters, windows, descent.max_rounds)
+        trial = converge(trial, parameters, windows, descent.max_rounds)
         guess = guess.index_copy(0, windows.rows, trial.nodes)
         longer = [min(leap * length, descent.window) for leap in LEAPS]
         cuts = ((*_cut(trial, wanted), wanted) for wanted in dict.fromkeys(longer))
@@ -284,74 +241,3 @@ def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Desc
             break  # a model that runs away in longer windows is fitted to these
         trial, windows, _, length = found
     return trial, windows
-
-
-def _descend(estimate: Estimate, support: Tensor, windows: Windows, limits: Limits) -> tuple[Estimate, Tensor]:
-    """Converge and drop until the support stands still; what turns out worth more than was foreseen comes back."""
-    before: tuple[Estimate, Tensor] | None = None
-    left, allowed = math.inf, 0.0
-    while bool(support.any()):
-        parameters = Parameters.where(support)
-        try:
-            estimate = _converge(estimate, parameters, windows, limits.max_rounds)
-            flow = Flow.of(estimate, parameters, windows)
-            model = linearise(estimate, parameters, windows, None, flow)
-        except RunsAway:
-            if before is None:
-                raise
-            return before
-        cost = left_over(model, windows)
-        if before is not None and 2 * (cost - left) > allowed:
-            return before
-        n_fixed = len(model.scale) - len(parameters)
-        limit = limits.at(model.errors, windows)
-        kept, _ = walk_down(model.triangle, torch.arange(len(model.scale)) >= n_fixed, limit, NOISY)
-        if len(kept) == len(model.scale):
-            break
-        changed = _changed(estimate, model, parameters, kept, windows)
-        if changed is None:
-            break
-        before, left, allowed = (estimate, support), cost, 2 * limit * (len(model.scale) - len(kept))
-        estimate, support = changed, parameters.take(kept[kept >= n_fixed] - n_fixed).support(support.shape)
-    return estimate, support
-
-
-def _changed(
-    estimate: Estimate, model: Linearised, parameters: Parameters, kept: Tensor, windows: Windows
-) -> Estimate | None:
-    """Return the estimate with the kept unknowns alone; None where that runs away however it is made.
-
-    A whole step of the linear model comes first; where it is too long, what goes is only left out.
-    """
-    n_fixed = len(model.scale) - len(parameters)
-    chosen = parameters.take(kept[kept >= n_fixed] - n_fixed)
-    if not len(chosen):
-        return move(estimate, model, parameters, kept)
-    bare = chosen.write(parameters.write(estimate.xi, 0 * parameters.read(estimate.xi)), chosen.read(estimate.xi))
-    for trial in (move(estimate, model, parameters, kept), replace(estimate, xi=bare)):
-        if not bool(Flow.of(trial, chosen, windows).lost().any()):
-            return trial
-    return None
-
-
-def _converge(estimate: Estimate, parameters: Parameters, windows: Windows, max_rounds: int) -> Estimate:
-    """Make Levenberg-Marquardt steps until the cost stands still."""
-    damping = 0.0
-    model = linearise(estimate, parameters, windows)
-    for _ in range(max_rounds):
-        tell("fit", words=f"{len(parameters)} coefficients to trajectories, {len(windows) * windows.length} rows")
-        candidate = move(estimate, model, parameters, torch.arange(len(model.scale)), damping)
-        flow = Flow.of(candidate, parameters, windows)
-        lost = bool(flow.lost().any())
-        trial = model if lost else linearise(candidate, parameters, windows, model.sigma, flow)
-        if not (trial.cost < model.cost and bool(trial.triangle.isfinite().all())):
-            if damping > 1e6 or (not lost and abs(trial.cost - model.cost) < 1e-6 * model.cost):
-                break
-            damping = max(10 * damping, 1e-3)
-            continue
-        gain = (model.cost - trial.cost) / model.cost
-        estimate, damping = candidate, damping / 10 if damping > 1e-6 else 0.0
-        model = linearise(estimate, parameters, windows, None, flow)
-        if gain < 1e-5:
-            break
-    return estimate
