@@ -10,7 +10,8 @@ from next_steps import listed, planning, with_plant
 from omegaconf import DictConfig, OmegaConf
 
 if TYPE_CHECKING:
-    from dynasindy.evaluation.identification import Identified, Source
+    from dynasindy.evaluation.identification import Identified
+    from dynasindy.evaluation.source import Source
 
 
 @command("identify")
@@ -33,6 +34,7 @@ def main(cfg: DictConfig) -> None:
     if told := before_fit(model, source):
         say(*told)
     found = identify(model, source, cfg.horizons, cfg.actuators)
+    source = found.source
     write(found, source, folder, told)
     draw(found, source, folder, list(cfg.formats))
     say(to_words(found, source), f"written to {folder}")

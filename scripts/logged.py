@@ -14,7 +14,7 @@ from job import command_and_commit
 from next_steps import following, mending
 from omegaconf import DictConfig, OmegaConf
 
-from dynasindy.dyna.from_log import Wanted, controller_of, followed, judged, model_of, report, write
+from dynasindy.dyna.from_log import Wanted, controller_of, judged, model_of, report, write
 from dynasindy.evaluation.files import write_json, write_text
 from dynasindy.evaluation.given import read_record, understood
 from dynasindy.evaluation.held import WITHIN
@@ -47,9 +47,7 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
             f"note: the control period is {dt:g} s, the multiple of the log's sampling time nearest to "
             f"env.dt={cfg.env.dt:g}"
         )
-    model = model_of(source, parts["world_model"], cfg.model)
-    if source is not None and cfg.model is None:
-        model, source = followed(model, source)
+    model, source = model_of(source, parts["world_model"], cfg.model)
     task = parts["task"](signature=model.signature)
     (folder / "metrics.json").unlink(missing_ok=True)  # of other settings
     write_text(folder / "config.yaml", settings)  # before the plan, which may fail

@@ -14,25 +14,24 @@ from dynasindy.control.files import NAME
 from dynasindy.data.csv import Recording
 from dynasindy.evaluation.before_fit import before_fit
 from dynasindy.evaluation.files import write_json
+from dynasindy.evaluation.followed import followed
 from dynasindy.evaluation.held import WITHIN
-from dynasindy.evaluation.horizons import Forecasts, forecast
-from dynasindy.evaluation.identification import Source, missing_rates
+from dynasindy.evaluation.horizons import forecast
+from dynasindy.evaluation.identification import missing_rates
 from dynasindy.evaluation.predicted import Prediction
 from dynasindy.evaluation.scenarios import Scenario
+from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.summary import heading, summarise, to_text
 from dynasindy.evaluation.verdict import doubts
 from dynasindy.sensing import Sensors
-from dynasindy.systems import Diverged
 from dynasindy.tasks import Tracking
 from dynasindy.terminal import say, width
 from dynasindy.told import tell
 from dynasindy.workbench import foretell, plan
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.libraries.features import Feature
-from dynasindy.world_models.models.follower import lag_of, lagging, widened, with_follower
+from dynasindy.world_models.models.follower import lagging
 
-BETTER = 0.7
-"""Part of a model's errors, their geometric mean over states and horizons, that are left where a lag is believed."""
 ROOM = 0.05
 """Part of the range of a logged input by which flights may go beyond it."""
 
@@ -60,8 +59,12 @@ class Wanted:
     planning: Mapping[str, Any] = field(default_factory=dict)
 
 
-def model_of(source: Source | None, build: Callable[..., object], path: str | Path | None = None) -> SindyModel:
-    """Return the model of a file, or identify one and print what the fit says of itself.
+def model_of(
+    source: Source | None, build: Callable[..., object], path: str | Path | None = None
+) -> tuple[SindyModel, Source | None]:
+    """Return the model of a file, or identify one and print what the fit says of itself; and the data as it has them.
+
+    A model that is fitted here may have a state more than the log, the lag of an input; the data then have it, too.
 
     Args:
         source: The log; None if there is none, and then there is a file.
@@ -79,7 +82,7 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
                 f"{path} has the states {', '.join(model.signature.state_names)}, the log "
                 f"{', '.join(source.signature.state_names)}; give a model of the plant that the log is of"
             )
-        return model
+        return model, source
     built = build(signature=source.signature)
     if not isinstance(built, SindyModel):
         raise TypeError(f"world_model is a {type(built).__name__}, which no log is fitted by; leave world_model=sindy")
@@ -88,45 +91,10 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
     tell("fit")
     report = built.fit(source.training)
     say(report.to_text(), *(f"note: {note}" for note in source.notes), *missing_rates(built, source))
-    return built
-
-
-def followed(model: SindyModel, source: Source) -> tuple[SindyModel, Source]:
-    """Return a model and data with the lag of an input as one state more, where something lacks; else as they are.
-
-    It is looked for where a linear model on past samples predicts the last part of the log far better than the model,
-    and believed where with the lag the model does.
-    """
-    before = forecast(model, source.training, source.validation)
-    if before is None or not doubts(before, model.signature):
-        return model, source
-    for place, name in enumerate(model.signature.input_names):
-        time = lag_of(model, source.training, place)
-        wide = with_follower(model, source.training, place, time) if time else None
-        if wide is None:
-            continue
-        data = replace(
-            source,
-            signature=wide.signature,
-            training=widened(source.training),
-            validation=widened(source.validation),
-        )
-        try:
-            report = wide.fit(data.training)
-        except (Diverged, ValueError):
-            continue
-        after = forecast(wide, data.training, data.validation)
-        if after is not None and _better(before, after):
-            seconds = 1 / float(wide.coefficients[:, -1].abs().sum())
-            say(f"found: {name} acts through a lag of {seconds:.3g} s, a state that no sensor sees", report.to_text())
-            return wide, data
-    return model, source
-
-
-def _better(before: Forecasts, after: Forecasts) -> bool:
-    """Tell whether errors are lower by far, in the geometric mean over the states that were measured and horizons."""
-    ratio = (after.model[:, : before.model.shape[1]] / before.model).log()
-    return bool(ratio[~before.model.isnan()].mean().exp() < BETTER)
+    found = followed(built, source)
+    if found.report is not None:
+        say(f"found: {found.words}", found.report.to_text())
+    return found.model, found.source
 
 
 def controller_of(model: SindyModel, source: Source | None, wanted: Wanted) -> Controller:

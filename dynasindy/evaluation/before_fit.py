@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 
 from dynasindy.data.rates import mismatched
-from dynasindy.evaluation.identification import Source
+from dynasindy.evaluation.source import Source
 from dynasindy.systems import Pendulum, System, Tras, Trms33, Xi
 from dynasindy.systems.base import Signature
 from dynasindy.world_models import SindyModel

@@ -16,9 +16,11 @@ from dynasindy.data.csv import Column, CsvLog, Recording, chosen, infer
 from dynasindy.data.simulated import before_leaving, disturb, record
 from dynasindy.data.table import all_headings, split_unit
 from dynasindy.evaluation import verdict
+from dynasindy.evaluation.followed import followed
 from dynasindy.evaluation.horizons import Forecasts, begun, forecast
+from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Excitation, HeldRandom
-from dynasindy.systems.base import Signature, System
+from dynasindy.systems.base import System
 from dynasindy.systems.ranges import Ends, drawn, starts
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell, telling
@@ -35,25 +37,6 @@ BEHIND = "model_with_actuator.json"
 """File of a model one of whose states is an actuator, which no sensor sees."""
 LONGEST = 1e8
 """Steps of a simulated plant, beyond which a recording would take days."""
-
-
-@dataclass(frozen=True)
-class Source:
-    """Hold data to identify from and data to judge on.
-
-    Attributes:
-        signature: names, units and ranges of states and inputs.
-        training: transitions to fit.
-        validation: transitions that the fit does not see.
-        notes: sentences on how the data came about.
-        logged: whether they are a log, so that nothing is known of the plant but what was measured.
-    """
-
-    signature: Signature
-    training: Transitions
-    validation: Transitions
-    notes: tuple[str, ...] = ()
-    logged: bool = False
 
 
 @dataclass(frozen=True)
@@ -240,16 +223,20 @@ class Identified:
         report: of the fit.
         predicted: open-loop prediction of the validation data, `(N, n_x)`.
         metrics: error of each measured state, open loop and over each horizon.
+        source: the data as the model has them, with one state more where an input acts through a lag.
         forecasts: errors from many start times; None where the validation data are too short for them.
         found: what the training data tell of a rate limit or play of an input; None where it was not looked for.
+        lag: what was found of an input that acts through a lag; empty where nothing was.
     """
 
     model: SindyModel
     report: FitReport
     predicted: Tensor
     metrics: dict[str, dict[str, float]]
+    source: Source
     forecasts: Forecasts | None = None
     found: Found | None = None
+    lag: str = ""
 
     @property
     def predicts(self) -> bool:
@@ -279,6 +266,8 @@ def identify(
         )
     tell("fit")
     report = model.fit(source.training)
+    lag = followed(model, source)
+    model, source, report = lag.model, lag.source, lag.report or report
     found = _actuators(model, source.training) if actuators else None
     tell("prediction of the validation data")
     validation, names = source.validation, source.signature.state_names
@@ -292,7 +281,7 @@ def identify(
     forecasts = forecast(model, source.training, validation, horizons)
     if forecasts is not None:
         metrics |= verdict.errors(forecasts, source.signature)
-    return Identified(model, report, predicted, metrics, forecasts, found)
+    return Identified(model, report, predicted, metrics, source, forecasts, found, lag.words)
 
 
 def _actuators(model: SindyModel, data: Transitions) -> Found:
@@ -318,6 +307,8 @@ def to_words(found: Identified, source: Source) -> str:
     """Write equations, fit, identifiability, what the data show, errors, notes and a verdict for a reader."""
     signature, shown = source.signature, found.forecasts
     seen = [*verdict.found_in_model(found.model), *(verdict.found_in_data(source.training, signature))]
+    if found.lag:
+        seen.append(found.lag)
     if found.found is not None and found.found.actuator:
         seen.append(f"{found.found.words}; {BEHIND} has it")
     lines = [*found.model.equations(), "", found.report.to_text(), *(f"found: {line}" for line in seen), ""]

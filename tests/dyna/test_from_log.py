@@ -8,10 +8,9 @@ import torch
 
 import dynasindy
 from dynasindy.data.simulated import record
-from dynasindy.dyna import from_log as module
-from dynasindy.dyna.from_log import Wanted, controller_of, followed, judged, model_of, report, untried, write
-from dynasindy.evaluation.identification import Source
+from dynasindy.dyna.from_log import Wanted, controller_of, judged, model_of, report, untried, write
 from dynasindy.evaluation.scenarios import Scenario
+from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.tasks import Step
@@ -33,7 +32,8 @@ def source():
 
 
 def test_the_fit_is_said_with_the_notes_of_the_log(source, capsys):
-    model = model_of(source, build)
+    model, data = model_of(source, build)
+    assert data is source
     said = capsys.readouterr().out
     assert "fit of 400 transitions" in said and "note: two rows were skipped" in said
     assert model.equations()[1].startswith("Omega' = ")
@@ -51,7 +51,7 @@ def test_units_that_do_not_fit_are_said_before_the_fit(source, capsys):
 
 def test_a_file_is_taken_if_it_is_of_the_plant(source, tmp_path):
     build(source.signature).save(tmp_path / "model.json")
-    assert model_of(source, build, tmp_path / "model.json").library.names == tuple(LIBRARY)
+    assert model_of(source, build, tmp_path / "model.json")[0].library.names == tuple(LIBRARY)
     other = replace(source, signature=Signature(("level", "flow"), ("m", "m/s"), ("u",), (1.0, 1.0)))
     with pytest.raises(ValueError, match=r"has the states theta, Omega, the log level, flow"):
         model_of(other, build, tmp_path / "model.json")
@@ -64,7 +64,7 @@ def test_a_model_that_is_not_sparse_is_refused(source):
 
 def test_what_is_flown_is_said_in_one_voice(source, tmp_path):
     """Table, prediction and record say that no plant was flown; 64 targets are flown for the task's 20 s."""
-    model = model_of(source, build)
+    model, _ = model_of(source, build)
     task = tracking(model, {"theta": (-0.6, 0.6)})
     settings = {"updates": 1, "rollouts": 4, "window": 5}
     wanted = Wanted(task, Scenario("step", Step([[0.2]]), seconds=1.0), seed=3, within=0.9, planning=settings)
@@ -102,17 +102,3 @@ def test_flights_beyond_the_logged_inputs_are_told_where_the_equations_bend_in_t
     (said,) = told("u^2")
     assert "flights take u from -1 to 0.5, the log has 0.1 to 0.9" in said
     assert untried(model, logged, torch.tensor([[0.07], [0.93]])) == []  # a twentieth of the range beyond
-
-
-def test_a_lag_is_looked_for_only_where_something_lacks_and_believed_only_where_it_helps(source, monkeypatch):
-    model = model_of(source, build)
-    asked = []
-    monkeypatch.setattr(module, "lag_of", lambda *given: asked.append(given) or 0.1)
-    assert followed(model, source) == (model, source) and not asked
-    monkeypatch.setattr(module, "doubts", lambda *given: ["something lacks"])
-    assert followed(model, source) == (model, source)  # with a lag that is not there nothing is better
-    assert len(asked) == 1
-    monkeypatch.setattr(module, "_better", lambda before, after: True)
-    wide, data = followed(model, source)
-    assert wide.signature.state_names == (*model.signature.state_names, "u_lagging") == data.signature.state_names
-    assert data.training.x.shape[-1] == data.validation.x.shape[-1] == 3

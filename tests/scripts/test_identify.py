@@ -56,7 +56,7 @@ def test_a_function_that_is_not_known_is_refused_before_the_plant_moves(tmp_path
     words = ["system=tras", "plant.library=['1',u_a,'sinh(alpha_a)']", "excitation.duration=10000"]
     done = _run(tmp_path / "run", *words)
     assert (done.returncode, done.stdout) == (2, "") and not (tmp_path / "run").exists()
-    assert done.stderr.startswith("error: function 'sinh' is not known; allowed are abs, bell, cos")
+    assert done.stderr.startswith("error: function 'sinh' is not known; allowed are abs, ahead, bell, cos")
 
 
 def test_a_log_of_an_unknown_plant_needs_no_file_of_its_own(tmp_path):

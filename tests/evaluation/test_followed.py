@@ -1,0 +1,57 @@
+"""A lag is looked for where equations lack something, and believed where with it they predict."""
+
+import pytest
+import torch
+
+from dynasindy.data.simulated import record
+from dynasindy.evaluation import followed as module
+from dynasindy.evaluation.followed import followed
+from dynasindy.evaluation.source import Source
+from dynasindy.excitation import Multisine
+from dynasindy.systems import Diverged, Pendulum
+from dynasindy.world_models import Regression, SindyModel
+
+
+@pytest.fixture
+def source():
+    data = record(Pendulum(), Multisine(1, duration=6, dt=0.05, amplitude=[0.6], seed=0).samples(0.01), 0.01)
+    place = torch.arange(len(data))
+    return Source(Pendulum().signature, data.select(place < 400), data.select(place >= 400), logged=True)
+
+
+@pytest.fixture
+def model(source):
+    made = SindyModel(source.signature, ["1", "u", "Omega", "sin(theta)"], Regression("bic"), known={"theta": "Omega"})
+    made.fit(source.training)
+    return made
+
+
+def test_a_lag_is_looked_for_only_where_something_lacks_and_believed_only_where_it_helps(source, model, monkeypatch):
+    asked = []
+    monkeypatch.setattr(module, "lag_of", lambda *given: asked.append(given) or 0.1)
+    assert followed(model, source).model is model and not asked
+    monkeypatch.setattr(module, "doubts", lambda *given: ["something lacks"])
+    plain = followed(model, source)  # with a lag that is not there nothing is better
+    assert plain.model is model and plain.source is source and plain.words == "" and len(asked) == 1
+    simulated = Source(source.signature, source.training, source.validation)
+    assert followed(model, simulated).model is model and len(asked) == 1  # of a plant that is known none is looked for
+    monkeypatch.setattr(module, "_better", lambda before, after: True)
+    found = followed(model, source)
+    assert found.model.signature.state_names == (*model.signature.state_names, "u_lagging")
+    assert found.source.signature == found.model.signature and found.report is not None
+    assert found.source.training.x.shape[-1] == found.source.validation.x.shape[-1] == 3
+    assert "u acts through a lag of" in found.words
+
+
+def test_a_fit_that_fails_leaves_the_model(source, model, monkeypatch):
+    class Failing(SindyModel):
+        def fit(self, transitions):
+            raise Diverged("no")
+
+    monkeypatch.setattr(module, "lag_of", lambda *given: 0.1)
+    monkeypatch.setattr(module, "doubts", lambda *given: ["something lacks"])
+    wide = Failing(source.signature, ["u"])
+    monkeypatch.setattr(module, "with_follower", lambda *given: wide)
+    assert followed(model, source).model is model
+    monkeypatch.setattr(module, "lag_of", lambda *given: 0.0)
+    assert followed(model, source).model is model
