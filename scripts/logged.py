@@ -43,10 +43,7 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     dt = nearest_period(source and source.training, cfg.env.dt)
     say(f"Run folder: {folder}")
     if dt != cfg.env.dt:
-        say(
-            f"note: the control period is {dt:g} s, the multiple of the log's sampling time nearest to "
-            f"env.dt={cfg.env.dt:g}"
-        )
+        say(f"note: the control period is {dt:g} s, as the log is sampled; env.dt asks for another")
     model, source = model_of(source, parts["world_model"], cfg.model)
     task = parts["task"](signature=model.signature)
     (folder / "metrics.json").unlink(missing_ok=True)  # of other settings

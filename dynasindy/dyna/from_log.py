@@ -158,5 +158,7 @@ def report(model: SindyModel, prediction: Prediction) -> str:
     lines = ["", "Identified equations", *(f"  {line}" for line in model.equations()), ""]
     if prediction.shown is not None:
         title = f"{heading(prediction.shown)}, {prediction.place}"
-        lines += [to_text(summarise(prediction.shown), title, prediction.shown.units, width=width()), ""]
+        shown = prediction.shown
+        told = to_text(summarise(shown), title, shown.units, shown.steady_seconds, width())
+        lines += [told, ""]
     return "\n".join([*lines, prediction.words()])

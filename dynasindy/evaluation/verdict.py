@@ -64,6 +64,8 @@ def judge(forecasts: Forecasts, signature: Signature) -> list[str]:
     names, ahead = signature.state_names, in_words(forecasts.horizons[k])
     fine = _fine(forecasts, seen)
     near = f", {_listed(names, fine)} to what the sensors resolve" if fine else ""
+    if doubtful := doubts(forecasts, signature):
+        return [f"this model is better than the last value held for {ahead}, but it lacks something", *doubtful]
     lines = [f"this model predicts {ahead} ahead{near}"]
     if behind := [i for i in seen if i not in fine and float(simple[i]) < 0.9 * float(ours[i])]:
         lines.append(

@@ -50,6 +50,9 @@ def test_a_linear_model_that_is_better_is_said_to_be():
         "a linear model on past samples predicts q better"
     )
     assert len(judge(forecasts(0.04, linear=0.039), SIGNATURE)) == 1
+    lacking, why = judge(forecasts(0.04, linear=0.01), SIGNATURE)
+    assert lacking == "this model is better than the last value held for 2 s, but it lacks something"
+    assert why.startswith("a linear model on past samples predicts q 2 s ahead to 0.01 rad, this one to 0.04 rad")
 
 
 def test_the_table_and_the_file_hold_measured_states_alone():

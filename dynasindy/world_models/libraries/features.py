@@ -90,7 +90,7 @@ class Factor:
         number = f"{self.frequency:g}"
         scale = "" if self.frequency == 1 or known.parametric else f"{number} "
         names = [scale + (latex_name(v) if latex else v) for v in self.variables]
-        written = form.format(", ".join(names), number)
+        written = form.format(", ".join(names), number, *names)
         if self.power == 1:
             return written
         if latex and self.function in ("sin", "cos", "tanh", "sign"):
@@ -185,7 +185,9 @@ _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _TOKEN = re.compile(
     rf"\s*(?:\|(?P<abs>[^|]+)\||/\(1 \+ (?P<per>{_NUMBER}) cos\((?P<angle>[^()]+)\)\^2\)|"
     rf"max\(0, (?P<over>[^()]+) - (?P<edge>{_NUMBER})\)|sqrt\((?P<under>[^()]+) - (?P<start>{_NUMBER})\)|"
-    r"exp\(-\((?P<bell>[^()]+)\)\^2\)|(?P<function>[A-Za-z_]\w*)\((?P<args>[^()]*)\)|(?P<name>[A-Za-z_]\w*)|(?P<one>1))"
+    r"exp\(-\((?P<bell>[^()]+)\)\^2\)|"
+    r"\((?P<ahead>[A-Za-z_]\w*) - (?P<behind>[A-Za-z_]\w*)\)|"
+    r"(?P<function>[A-Za-z_]\w*)\((?P<args>[^()]*)\)|(?P<name>[A-Za-z_]\w*)|(?P<one>1))"
     r"(?:\^(?P<power>\d+))?\s*\*?"
 )
 _ARGUMENT = re.compile(rf"\s*(?:(?P<fitted>~?)(?P<number>{_NUMBER})[ *]+)?(?P<name>[A-Za-z_]\w*)\s*")
@@ -215,6 +217,8 @@ def parse(text: str) -> Feature:
             factors.append(Factor((token["under"].strip(),), "root", power, float(token["start"])))
         elif token["bell"]:
             factors.append(_written("bell", token["bell"], power))
+        elif token["ahead"]:
+            factors.append(Factor((token["ahead"], token["behind"]), "ahead", power))
         elif token["abs"]:
             factors.append(_written("abs", token["abs"], power))
         elif token["function"]:

@@ -17,7 +17,8 @@ class Function:
     Attributes:
         name: name in tables and files, e.g. `sin`.
         compute: torch function, elementwise in every argument.
-        text: format string of its value, e.g. `sin({0})`.
+        text: format string of its value, e.g. `sin({0})`; `{0}` are its variables, `{1}` its number, and from `{2}` on
+            the variables one by one.
         latex: format string for LaTeX.
         atomic: whether its LaTeX needs no brackets before a power.
         slope: its derivative, where it is known; found by automatic differentiation where not.
@@ -108,7 +109,7 @@ _REGISTRY: dict[str, Function] = {
             by_number=lambda z, p: -(z.cos() / (1 + p * z.cos().square())).square(),
             formula="1 / (1 + {1} * square(cos({0})))",
         ),
-        Function("ahead", lambda a, b: a - b, "ahead({0})", r"\operatorname{{ahead}}({0})", formula="{0} - {1}"),
+        Function("ahead", lambda a, b: a - b, "({2} - {3})", "({2} - {3})", formula="{0} - {1}"),
         Function(
             "slack",
             lambda a, b, p: a - b - (a - b).clamp(-p, p),

@@ -40,6 +40,8 @@ WRITTEN = {
     "exp(-(a)^2)^2": of("bell", "a", power=2),
     "|2 w|": of("abs", "w", frequency=2.0),
     "tanh(-20 w)": of("tanh", "w", frequency=-20.0),
+    "(w - h) a": of("ahead", "w", "h") * variable("a"),
+    "(w - h)^2": of("ahead", "w", "h", power=2),
     "slack(w, h; 0.25)": of("slack", "w", "h", frequency=0.25),
 }
 

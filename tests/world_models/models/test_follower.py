@@ -51,7 +51,7 @@ def test_the_time_of_a_lag_is_found_and_one_that_is_not_there_is_not():
     assert wide.signature.state_names == ("q", "w", "u_lagging") and wide.signature.state_units[-1] == "1"
     wide.fit(widened(data))
     assert 1 / float(wide.coefficients[-1, 2]) == pytest.approx(0.15, rel=0.02)
-    assert wide.library.names[-1] == "ahead(u, u_lagging)" and wide.delay < 0.005
+    assert wide.library.names[-1] == "(u - u_lagging)" and wide.delay < 0.005
     found = dict(zip(wide.library.names, wide.coefficients[:, 1].tolist(), strict=True))
     assert {name: value for name, value in found.items() if value} == {
         "u_lagging": pytest.approx(8, rel=0.02),
