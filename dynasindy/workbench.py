@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import torch
+from torch import Tensor
 
 from dynasindy.agents import Actor
 from dynasindy.control import Controller
@@ -36,13 +37,14 @@ from dynasindy.evaluation.symptoms import samples_of, step_of
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors
-from dynasindy.systems import Diverged
+from dynasindy.systems import Diverged, Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 from dynasindy.told import tell
 from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.libraries import LibraryBuilder
 from dynasindy.world_models.models.ensemble import refits
+from dynasindy.world_models.models.follower import completed, lagging
 from dynasindy.world_models.refinement.measured import ranged, rates_known
 from dynasindy.world_models.refinement.order import moving_on
 
@@ -186,7 +188,14 @@ def plan(
             f"the model's inputs act {model.delay:.3g} s late, which only an observer makes up for; give log="
         )
     if log is not None:
-        task = task.as_logged(log.transitions.x.double().nanmedian(0).values.nan_to_num(nan=0.0))
+        data = completed(log.transitions, log.signature.state_names, model.signature)
+        if data is None:
+            raise ValueError(
+                f"the model has the states {', '.join(model.signature.state_names)}, the log "
+                f"{', '.join(log.signature.state_names)}; give a log of the plant that the model is of"
+            )
+        log = Recording(data, model.signature, log.notes)
+        task = task.as_logged(_typical(data, model.signature))
     pace = Pace(task, dt or nearest_period(log), stops=model.stops)
     if log is not None and sensors is None:
         sensors = sensors_of(log, model)
@@ -301,6 +310,15 @@ def watching(model: SindyModel, sensors: Sensors, pace: Pace, log: Recording | N
     observer = Observer(model, sensors, pace)
     observer.learn(y, u)
     return observer
+
+
+def _typical(data: Transitions, signature: Signature) -> Tensor:
+    """Return the median of what was measured, `(n_x,)`; of the lag of an input that of the input, of others zero."""
+    middle = data.x.double().nanmedian(0).values.nan_to_num(nan=0.0)
+    for i, name in enumerate(signature.input_names):
+        if lagging(name) in signature.state_names:
+            middle[signature.state_index(lagging(name))] = data.u[:, i].double().median()
+    return middle
 
 
 def nearest_period(log: Recording | Transitions | None, wanted: float = PERIOD) -> float:

@@ -34,13 +34,13 @@ def main(cfg: DictConfig) -> None:
     if told := before_fit(model, source):
         say(*told)
     found = identify(model, source, cfg.horizons, cfg.actuators)
-    source = found.source
+    names, source = source.signature, found.source
     write(found, source, folder, told)
     draw(found, source, folder, list(cfg.formats))
     say(to_words(found, source), f"written to {folder}")
     job, logged = HydraConfig.get(), bool(cfg.data.get("path"))
     words, system = job.overrides.task, job.runtime.choices.system
-    known = plants_with(source.signature) if logged and cfg.system is None else []
+    known = plants_with(names) if logged and cfg.system is None else []
     if known and not found.predicts:
         others = f"; others with these columns: {', '.join(known[1:])}" if known[1:] else ""
         say(listed(f"{with_plant(words, known[0])}  # takes the functions of that plant{others}"))

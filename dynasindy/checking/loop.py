@@ -59,9 +59,9 @@ class Loop:
     """
 
     def __init__(self, controller: Controller, plant: Plant) -> None:
-        if plant.model.signature != controller.signature:
+        if not plant.model.signature.alike(controller.signature):
             raise ValueError(
-                "the model has other states, units, ranges or inputs than the controller; give the model of its run"
+                "the model has other states, units or inputs than the controller; give the model of its run"
             )
         self.controller, self.plant, self.task = controller, plant, controller.pace.task
         # Differences of a step in single precision would be rounding, and little else.

@@ -15,7 +15,7 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -250,7 +250,7 @@ def _loaded_observer(record: Mapping[str, Any] | None, pace: Pace, file: Path) -
         return None
     model = SindyModel.of_record(record["model"], file)
     # The ranges may differ: of an output that a log shows far beyond its targets, policy and model have each its own.
-    if replace(model.signature, x_scale=pace.task.signature.x_scale) != pace.task.signature:
+    if not model.signature.alike(pace.task.signature):
         raise ValueError("the model of its observer has other states than the controller")
     observer = Observer(model, Sensors(**record["sensors"]), pace)
     observer.load_state_dict(record["state"])

@@ -249,7 +249,9 @@ def _free_ends(found: Nearby, parts: Parts) -> Tensor:
     low, high = limits(parts)
     for place, values in zip(task.outputs, targets.unbind(-1), strict=True):
         if not bool(found.a[:, place].any()):
-            inside = values[(values >= ROOM * low[place]) & (values <= ROOM * high[place])]
+            home = found.home[place]
+            far = [home + ROOM * (end[place] - home) for end in (low, high)]
+            inside = values[(values >= far[0]) & (values <= far[1])]
             both = torch.cat([inside, found.home[place : place + 1]])
             ends[:, place] = torch.stack([both.min(), both.max()])
     return ends

@@ -30,7 +30,7 @@ from dynasindy.told import tell
 from dynasindy.workbench import foretell, plan
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.libraries.features import Feature
-from dynasindy.world_models.models.follower import lagging
+from dynasindy.world_models.models.follower import completed, lagging
 
 ROOM = 0.05
 """Part of the range of a logged input by which flights may go beyond it."""
@@ -77,12 +77,7 @@ def model_of(
     """
     if path is not None or source is None:
         model = SindyModel.load(str(path))
-        if source is not None and source.signature.state_names != model.signature.state_names:
-            raise ValueError(
-                f"{path} has the states {', '.join(model.signature.state_names)}, the log "
-                f"{', '.join(source.signature.state_names)}; give a model of the plant that the log is of"
-            )
-        return model, source
+        return model, source and _completed(source, model, path)
     built = build(signature=source.signature)
     if not isinstance(built, SindyModel):
         raise TypeError(f"world_model is a {type(built).__name__}, which no log is fitted by; leave world_model=sindy")
@@ -95,6 +90,18 @@ def model_of(
     if found.report is not None:
         say(f"found: {found.words}", found.report.to_text())
     return found.model, found.source
+
+
+def _completed(source: Source, model: SindyModel, path: str | Path | None) -> Source:
+    """Return the log with all states of a model, whose lags no sensor sees."""
+    signature, names = model.signature, source.signature.state_names
+    parts = [completed(data, names, signature) for data in (source.training, source.validation)]
+    if parts[0] is None or parts[1] is None:
+        raise ValueError(
+            f"{path} has the states {', '.join(signature.state_names)}, the log {', '.join(names)}; give a model of "
+            "the plant that the log is of"
+        )
+    return replace(source, signature=signature, training=parts[0], validation=parts[1])
 
 
 def controller_of(model: SindyModel, source: Source | None, wanted: Wanted) -> Controller:

@@ -10,7 +10,7 @@ from dynasindy.evaluation.source import Source
 from dynasindy.systems import Pendulum, System, Tras, Trms33, Xi
 from dynasindy.systems.base import Signature
 from dynasindy.world_models import SindyModel
-from dynasindy.world_models.libraries import auto
+from dynasindy.world_models.libraries import auto, auto_rig
 from dynasindy.world_models.refinement.measured import rates_known
 
 PLANTS: Mapping[str, Callable[[], System]] = {"pendulum": Pendulum, "tras": Tras, "trms33": Trms33, "xi": Xi}
@@ -56,7 +56,7 @@ def _few_rows(source: Source) -> list[str]:
 def _angles(model: SindyModel, source: Source) -> list[str]:
     """Say which angles have no sine and cosine among the functions, because of their unit or that of their rate."""
     signature = source.signature
-    if set(model.library.names) != set(auto(signature).names):
+    if all(set(model.library.names) != set(build(signature).names) for build in (auto, auto_rig)):
         return []  # somebody chose the functions
     units = dict(zip(signature.state_names, signature.state_units, strict=True))
     turned = {name: TURNS[unit] for name, unit in units.items() if unit in TURNS}

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import torch
+
 from dynasindy.evaluation.horizons import Forecasts, forecast
 from dynasindy.evaluation.source import Source
-from dynasindy.evaluation.verdict import doubts
-from dynasindy.systems import Diverged
+from dynasindy.evaluation.verdict import LOST, doubts
+from dynasindy.systems import Signature
 from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.models.follower import lag_of, widened, with_follower
 
@@ -47,25 +49,37 @@ def followed(model: SindyModel, source: Source) -> Followed:
     if before is None or not doubts(before, model.signature):
         return plain
     for place, name in enumerate(model.signature.input_names):
-        time = lag_of(model, source.training, place)
-        wide = with_follower(model, source.training, place, time) if time else None
-        if wide is None:
-            continue
-        training, validation = widened(source.training), widened(source.validation)
-        data = replace(source, signature=wide.signature, training=training, validation=validation)
         try:
-            report = wide.fit(data.training)
-        except (Diverged, ValueError):
+            found = _with_lag(model, source, place)
+        except (ArithmeticError, ValueError, RuntimeError):  # numbers that run away, or too few samples
             continue
-        after = forecast(wide, data.training, data.validation)
-        if after is not None and _better(before, after):
-            seconds = 1 / float(wide.coefficients[:, -1].abs().sum())
-            said = f"{name} acts through a lag of {seconds:.3g} s, a state that no sensor sees"
-            return Followed(wide, data, report, said)
+        if found is None or found.report is None:
+            continue
+        after = forecast(found.model, found.source.training, found.source.validation)
+        if after is not None and _better(before, after, model.signature):
+            seconds = 1 / float(found.model.coefficients[:, -1].abs().sum())
+            return replace(found, words=f"{name} acts through a lag of {seconds:.3g} s, a state that no sensor sees")
     return plain
 
 
-def _better(before: Forecasts, after: Forecasts) -> bool:
-    """Tell whether errors are lower by far, in the geometric mean over the states that were measured and horizons."""
-    ratio = (after.model[:, : before.model.shape[1]] / before.model).log()
-    return bool(ratio[~before.model.isnan()].mean().exp() < BETTER)
+def _with_lag(model: SindyModel, source: Source, place: int) -> Followed | None:
+    """Return a fit with the lag of an input; None where none explains more."""
+    time = lag_of(model, source.training, place)
+    wide = with_follower(model, source.training, place, time) if time else None
+    if wide is None:
+        return None
+    training, validation = widened(source.training), widened(source.validation)
+    data = replace(source, signature=wide.signature, training=training, validation=validation)
+    return Followed(wide, data, wide.fit(training))
+
+
+def _better(before: Forecasts, after: Forecasts, signature: Signature) -> bool:
+    """Tell whether errors are lower by far, in the geometric mean over the states that were measured and horizons.
+
+    An error counts as what the sensor resolves at least, and as what has run away at most.
+    """
+    most = LOST * torch.tensor(signature.x_scale, dtype=before.model.dtype)
+    least = torch.minimum(before.resolution.nan_to_num(nan=0.0).to(most), most).clamp_min(1e-300)
+    ours, theirs = (f.model[:, : len(most)].clamp(least, most) for f in (after, before))
+    seen = ~before.model.isnan()
+    return bool((ours / theirs).log()[seen].mean().exp() < BETTER)

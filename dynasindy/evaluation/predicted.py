@@ -118,7 +118,15 @@ class Prediction:
         flights = [None if flight is None else asdict(flight) for flight in self.flights]
         judged = {"promised": self.promised, "controlled": self.controlled, "within": self.within}
         score = self.score if math.isfinite(self.score) else None
-        return {"models": len(flights), **judged, "score": score, "sentence": self.words(), "flights": flights}
+        return {
+            "models": len(flights),
+            **judged,
+            "score": score,
+            "sentence": self.words(),
+            "doubts": list(self.doubts),
+            "flights": flights,
+            "doubts": [*self.doubts],
+        }
 
 
 class LateEnv(ControlEnv):

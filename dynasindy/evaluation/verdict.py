@@ -67,7 +67,8 @@ def judge(forecasts: Forecasts, signature: Signature) -> list[str]:
     if doubtful := doubts(forecasts, signature):
         return [f"this model is better than the last value held for {ahead}, but it lacks something", *doubtful]
     lines = [f"this model predicts {ahead} ahead{near}"]
-    if behind := [i for i in seen if i not in fine and float(simple[i]) < 0.9 * float(ours[i])]:
+    large = [i for i in seen if i not in fine and float(ours[i]) > SMALL * signature.x_scale[i]]
+    if behind := [i for i in large if float(simple[i]) < 0.9 * float(ours[i])]:
         lines.append(
             f"a linear model on past samples predicts {_listed(names, behind)} better: a function is missing, or a "
             "state that nobody measured"
@@ -84,11 +85,11 @@ def doubts(forecasts: Forecasts, signature: Signature) -> list[str]:
         worse = [k for k in range(horizons) if bool(known[k]) and float(simple[k]) < BEHIND * float(ours[k])]
         if worse:
             k, unit = worse[0], signature.state_units[i]
+            error = f"to {_short(float(ours[k]))} {unit}" if bool(ours[k].isfinite()) else "runs away"
             lines.append(
                 f"a linear model on past samples predicts {signature.state_names[i]} "
-                f"{in_words(forecasts.horizons[k])} ahead to {_short(float(simple[k]))} {unit}, this one to "
-                f"{_short(float(ours[k]))} {unit}: a function is missing, or a state that no sensor sees, "
-                "as of a motor that follows its command slowly"
+                f"{in_words(forecasts.horizons[k])} ahead to {_short(float(simple[k]))} {unit}, this one {error}: a "
+                "function is missing, or a state that no sensor sees, as of a motor that follows its command slowly"
             )
     return lines
 

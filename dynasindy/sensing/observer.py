@@ -252,8 +252,10 @@ class Observer:
             The estimates on the log, `(T + 1, n_x)`.
         """
         self.nis = math.nan
-        self._size_pushes(y, u)
         self.q = self._candidates()
+        if self.pushed and not self.sensors.rate_indices(self.model.signature):
+            self._size_pushes(self.follow(y, u)[0], u)
+            self.q = self._candidates()
         means, nis, likelihoods = self.follow(y, u)
         chosen = int(likelihoods.sum(-1).argmax())
         self.q, self.nis = self.q[chosen].clone(), nis[chosen].nanmean().nan_to_num(nan=0.0).item()
@@ -284,14 +286,16 @@ class Observer:
                 )
             self.scale[self.n_x :] = ranges
 
-    def _size_pushes(self, y: Tensor, u: Tensor) -> None:
+    def _size_pushes(self, means: Tensor, u: Tensor) -> None:
         """Take as the range of a push on a state that is no rate what usually moves that state [its unit per second].
 
         A rate's range in a second is right for machines, not for what takes minutes, as a tank does.
+
+        Args:
+            means: Estimates by each candidate of the process noise, `(rows, T + 1, n)`.
+            u: Commands in between, `(T, n_u)`.
         """
-        if self.sensors.rate_indices(self.model.signature) or not self.pushed:
-            return
-        x = y[:-1, : self.n_x].double().nan_to_num(nan=0.0)
+        x = means[len(means) // 2, :-1, : self.n_x]
         moves = self.model(x, u.double())[:, self.pushed]
         usual = moves.where(moves.isfinite(), 0.0).square().mean(0).sqrt()
         self.scale[self.n_x :] = torch.where(usual > 0, usual, self.scale[: self.n_x][self.pushed])

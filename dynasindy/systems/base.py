@@ -7,7 +7,7 @@ import re
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -82,6 +82,10 @@ class Signature:
     def n_u(self) -> int:
         """Number of inputs."""
         return len(self.input_names)
+
+    def alike(self, other: Signature) -> bool:
+        """Return whether another signature has the same names and units; ranges may differ."""
+        return replace(self, x_scale=other.x_scale) == other if self.n_x == other.n_x else False
 
     def state_index(self, name: str) -> int:
         """Return the position of a state in `x`.

@@ -1,14 +1,17 @@
 """A lag is looked for where equations lack something, and believed where with it they predict."""
 
+import math
+
 import pytest
 import torch
 
 from dynasindy.data.simulated import record
 from dynasindy.evaluation import followed as module
 from dynasindy.evaluation.followed import followed
+from dynasindy.evaluation.horizons import Forecasts
 from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
-from dynasindy.systems import Diverged, Pendulum
+from dynasindy.systems import Diverged, Pendulum, Signature
 from dynasindy.world_models import Regression, SindyModel
 
 
@@ -35,7 +38,7 @@ def test_a_lag_is_looked_for_only_where_something_lacks_and_believed_only_where_
     assert plain.model is model and plain.source is source and plain.words == "" and len(asked) == 1
     simulated = Source(source.signature, source.training, source.validation)
     assert followed(model, simulated).model is model and len(asked) == 1  # of a plant that is known none is looked for
-    monkeypatch.setattr(module, "_better", lambda before, after: True)
+    monkeypatch.setattr(module, "_better", lambda *given: True)
     found = followed(model, source)
     assert found.model.signature.state_names == (*model.signature.state_names, "u_lagging")
     assert found.source.signature == found.model.signature and found.report is not None
@@ -55,3 +58,22 @@ def test_a_fit_that_fails_leaves_the_model(source, model, monkeypatch):
     assert followed(model, source).model is model
     monkeypatch.setattr(module, "lag_of", lambda *given: 0.0)
     assert followed(model, source).model is model
+
+
+def forecasts(*errors):
+    model = torch.tensor(errors, dtype=torch.float64)
+    same = torch.ones_like(model)
+    return Forecasts((0.1, 0.2), 1.0, 10, model, same, same, torch.tensor([1e-4, 1e-4], dtype=torch.float64), 4)
+
+
+def test_what_runs_away_or_is_exact_counts_and_does_not_decide():
+    """Errors count from what the sensor resolves, 1e-4, to ten ranges; the geometric mean has to fall below 0.7."""
+    signature = Signature(("q", "w"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
+    lost = forecasts([math.inf, 0.1], [0.1, 0.1])
+    worse = forecasts([9.0, 10.0], [10.0, 10.0])
+    assert not module._better(lost, worse, signature)  # 0.9 * 100^3 instead of minus infinity
+    assert module._better(lost, forecasts([math.inf, 0.01], [0.01, 0.01]), signature)
+    assert module._better(forecasts([0.0, 0.1], [0.1, 0.1]), forecasts([0.0, 0.01], [0.01, 0.01]), signature)
+    assert not module._better(forecasts([0.1, 0.1], [0.1, 0.1]), forecasts([0.08] * 2, [0.08] * 2), signature)
+    unseen = forecasts([0.1, math.nan], [0.1, math.nan])
+    assert module._better(unseen, forecasts([0.01, math.nan], [0.01, math.nan]), signature)

@@ -188,6 +188,7 @@ def test_a_plan_that_was_too_short_is_told_from_one_that_diverges():
 def test_a_doubt_breaks_a_promise():
     doubted = Prediction((seen(0.001),), doubts=("a function is missing",))
     assert not doubted.controlled and not doubted.record()["controlled"]
+    assert doubted.record()["doubts"] == ["a function is missing"]
     assert "NOT promised: theta" in doubted.words() and doubted.words().endswith("a function is missing")
 
 

@@ -21,6 +21,8 @@ DRY = 10.0
 """First guess of the inverse of the rate at which dry friction is full [s/rad]."""
 FULL, SLIPS = 20.0, 4.0
 """First guesses of the parts of a rate's range at which dry friction is full, and beyond which it no longer sticks."""
+SPEEDS = frozenset(f"{unit}/s" for unit in ("rad", "mrad", "deg", "°", "m", "mm", "cm", "km"))
+"""Units of the rates of angles and places."""
 SLACK = 0.1
 """First guess of the input that a dead zone swallows."""
 LibraryBuilder = Callable[[Signature], Library]
@@ -249,10 +251,10 @@ def auto_rig(signature: Signature) -> Library:
     is there times cos a of each angle a, too: what rubs on a cart turns the pole on it.
 
     Args:
-        signature: names and units of states and inputs; rates are the states whose unit is one per second.
+        signature: names and units of states and inputs; rates are the states in a unit of `SPEEDS`.
     """
     units = zip(signature.state_names, signature.state_units, signature.x_scale, strict=True)
-    dry = [of("tanh", name, frequency=FULL / scale, fitted=True) for name, unit, scale in units if unit.endswith("/s")]
+    dry = [of("tanh", name, frequency=FULL / scale, fitted=True) for name, unit, scale in units if unit in SPEEDS]
     turned = [f * of("cos", angle) for f in dry for angle in angles_of(signature)] if len(dry) > 1 else []
     return Library(signature, [*auto(signature).features, *dry, *turned])
 

@@ -24,12 +24,13 @@ from dynasindy.world_models.writers.fast_field import generate
 
 TIMES = (2, 3, 4, 6, 8, 12, 16, 24, 32)
 """Times of the lag that regressions try [samples]."""
-SHORTEST = 20
-"""Times of the lag that a recording has to be long, at least."""
 
 
 def lag_of(model: SindyModel, data: Transitions, place: int) -> float:
     """Return the lag with which all functions together explain the rates of change best [s]; 0 if none does better.
+
+    What comes through a lag is not known at the begin of a stretch. Lags that leave less than half of the samples known
+    are not tried.
 
     Args:
         model: what was fitted to the recording.
@@ -40,15 +41,20 @@ def lag_of(model: SindyModel, data: Transitions, place: int) -> float:
     noisy, guess = not bool(has_gaps(data)), reconstruct(data, rates, not bool(has_gaps(data)))
     free, fixed = model.constraints.free, torch.where(model.constraints.free, 0.0, model.coefficients)
 
+    known = (lagged(data, place, n * data.dt)[1] for n in reversed(TIMES))
+    enough = max(len(data) // 2, 2 * len(model.library))
+    tried = next(((n, keep) for n, keep in zip(reversed(TIMES), known) if int(keep.sum()) >= enough), None)
+    if tried is None:
+        return 0.0
+    longest, keep = tried
+
     def _cost(time: float) -> float:
         given, seen = (lagged(part, place, time)[0] for part in (guess, data))
-        keep = lagged(data, place, TIMES[-1] * data.dt)[1]
         rows = Seen.of(given.select(keep), seen.select(keep), rates, noisy)
         theta, dx = rows.rows(model.library, generate(model.library, model.coefficients))
         return unexplained(free, theta, dx - theta @ fixed)
 
-    times = [0.0, *(n * data.dt for n in TIMES if n * SHORTEST <= len(data))]
-    return min(times, key=_cost)
+    return min([0.0, *(n * data.dt for n in TIMES if n <= longest)], key=_cost)
 
 
 def lagged(data: Transitions, place: int, time: float) -> tuple[Transitions, Tensor]:
@@ -104,6 +110,22 @@ def with_follower(model: SindyModel, data: Transitions, place: int, time: float)
 def lagging(name: str) -> str:
     """Return the name of the state that follows an input."""
     return f"{name}_lagging"
+
+
+def completed(data: Transitions, names: tuple[str, ...], signature: Signature) -> Transitions | None:
+    """Return a recording with all states of a model, whose lags no sensor sees; None if it is of another plant.
+
+    Args:
+        data: the recording.
+        names: its states.
+        signature: names of the model.
+    """
+    more = signature.state_names[len(names) :]
+    if signature.state_names[: len(names)] != names or not set(more) <= set(map(lagging, signature.input_names)):
+        return None
+    for _ in more:
+        data = widened(data)
+    return data
 
 
 def widened(data: Transitions) -> Transitions:

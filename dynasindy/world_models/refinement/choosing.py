@@ -66,7 +66,12 @@ def search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) -
     best: tuple[Estimate, Tensor] | None = None
     least, fewest = math.inf, 0
     for _ in range(TRIES):
-        estimate, support = descend(estimate, support, windows, limits)
+        try:
+            estimate, support = descend(estimate, support, windows, limits)
+        except RunsAway:
+            if best is None:
+                raise
+            break
         if not bool(support.any()):
             break
         active = Parameters.where(support)
@@ -75,6 +80,8 @@ def search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) -
         limit, left = limits.at(model.errors, windows), left_over(model, windows)
         if best is not None and 2 * (left - least) + limit * (len(active) - fewest) >= 0:
             estimate, support = best
+            if not bool((came & ~support & ~failed).any()):
+                break  # it only left functions out, and would do so again
             failed = failed | (came & ~support)
             active = Parameters.where(support)
         else:

@@ -31,7 +31,7 @@ def plainer(library: Library, xi: Tensor, free: Tensor, place: int) -> Tensor | 
         if shape not in (factor.base for factor in feature.factors) or not bool(found[k].any()):
             continue
         bare = places.get(Feature(tuple(factor for factor in feature.factors if factor.base != shape)).key)
-        if bare is None or not bool(free[bare][found[k] != 0].all()):
+        if bare is None or not bool((free[bare] & free[k])[found[k] != 0].all()):
             return None
         found[bare] += found[k]
         found[k] = torch.zeros_like(found[k])

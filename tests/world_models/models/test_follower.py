@@ -1,6 +1,7 @@
 """An input behind a lag is told from one that acts at once, and its time is that of the plant that made the log."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -9,7 +10,7 @@ from dynasindy.systems.base import Signature
 from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import Refinement, Regression, SindyModel
-from dynasindy.world_models.models.follower import TIMES, lag_of, lagged, lagging, widened, with_follower
+from dynasindy.world_models.models.follower import TIMES, completed, lag_of, lagged, lagging, widened, with_follower
 
 SIGNATURE = Signature(("q", "w"), ("rad", "rad/s"), ("u",), (1.0, 3.0))
 DT, STEP = 0.02, 2 * math.pi / 4096
@@ -92,3 +93,22 @@ def test_what_comes_through_a_lag_is_the_mean_over_each_interval():
     assert float(acts.u[400]) == pytest.approx(mean, abs=1e-3) and bool(known[400])
     same, all_known = lagged(data, 0, 0.0)
     assert same is data and bool(all_known.all())
+
+
+@pytest.mark.parametrize(("rows", "stretches"), [(100, 1), (180, 1), (100, 5), (12, 1)])
+def test_a_log_too_short_for_a_lag_has_none_and_one_of_many_stretches_tries_short_ones(rows, stretches):
+    data, model = logged(0.15), made()
+    model.fit(data)
+    short = data.select(torch.arange(len(data)) < rows * stretches)
+    cut = replace(short, segment=torch.arange(len(short)) // rows)
+    assert lag_of(model, cut, 0) in [0.0, *(n * DT for n in TIMES)]
+    if rows == 12:
+        assert lag_of(model, cut, 0) == 0.0
+
+
+def test_a_recording_gets_the_states_that_its_model_has_and_no_others():
+    data, wide = logged(0.0), Signature(("q", "w", "u_lagging"), ("rad", "rad/s", "1"), ("u",), (1.0, 3.0, 1.0))
+    assert completed(data, ("q", "w"), wide).x.shape[-1] == 3
+    assert completed(data, ("q", "w"), SIGNATURE) is data
+    assert completed(data, ("q", "v"), wide) is None
+    assert completed(data, ("q",), SIGNATURE) is None
