@@ -123,7 +123,6 @@ class Prediction:
             **judged,
             "score": score,
             "sentence": self.words(),
-            "doubts": list(self.doubts),
             "flights": flights,
             "doubts": [*self.doubts],
         }

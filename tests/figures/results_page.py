@@ -36,6 +36,7 @@ def ties(text: str) -> Iterator[Tie]:
     yield from _rigs()
     yield from _from_log()
     yield from _plants()
+    yield from _logs()
     yield from _untuned()
     yield from _own_returns()
     yield from _mujoco()
@@ -254,12 +255,12 @@ def _logs() -> Iterator[Tie]:
         "arm": "arm on a motor, encoder",
         "propeller": "arm moved by a propeller, encoder",
         "tanks": "two tanks, noisy levels, every second",
-        "oven": "oven, steps of 0.1 degrees, every 5 s",
+        "oven": "oven, steps of a tenth of a degree",
         "crane": "crane (place, sway), encoders",
         "pole": "pole on a cart, encoders, closed loop",
         "drone": "height of a drone, noisy range, closed loop",
         "fan": "speed of a fan, noisy tachometer",
-        "ship": "heading of a ship, steps of 0.1 degrees, every second",
+        "ship": "heading of a ship, steps of a tenth of a degree",
         "beam": "ball on a beam, noisy place, closed loop",
         "shaft": "two discs on a soft shaft, encoders",
     }
@@ -269,9 +270,17 @@ def _logs() -> Iterator[Tie]:
         promised = {row["seed"] for row in found if row["foretold"] == "CONTROLLED"}
         missed = {row["seed"] for row in found if float(row["error_percent"]) > 1}
         worst = max(numbers(found, "error_percent"))
-        shown = f"{worst:.3g} %" if worst < 100 else "lost"
+        shown = f"{worst:.3g}" if worst < 100 else "lost"
         figures = (str(len(promised)), str(len(seeds)), str(len(seeds - missed)), str(len(seeds)), shown)
-        yield Tie(PAGE, f"| {name} | {{}} of {{}} | {{}} of {{}} | {{}} |", figures)
+        yield Tie(PAGE, f"| {name} | {{}} of {{}} | {{}} of {{}} | {{}}{' %' if worst < 100 else ''} |", figures)
+    rows_all = table("logs.csv")
+    runs = {(row["plant"], row["seed"]) for row in rows_all}
+    promised = {(row["plant"], row["seed"]) for row in rows_all if row["foretold"] == "CONTROLLED"}
+    missed = {(row["plant"], row["seed"]) for row in rows_all if float(row["error_percent"]) > 1}
+    counts = (str(len(runs)), str(len(promised)), str(len(promised - missed)))
+    yield Tie(PAGE, "Of {} runs {} were promised, and {} of these are held.", counts)
+    seconds = numbers(rows_all, "cpu_seconds")
+    yield Tie(PAGE, "A run takes {} to {} CPU seconds.", (f"{min(seconds):.0f}", f"{max(seconds):.0f}"))
 
 
 def _own_returns() -> Iterator[Tie]:
