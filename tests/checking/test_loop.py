@@ -1,5 +1,7 @@
 """The loop as one map does, step for step, what the controller does with a plant in a plain loop."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -108,5 +110,9 @@ def test_a_loop_at_rest_knows_where_it_is(networks):
 def test_a_model_of_another_plant_is_refused(loops):
     loop = loops()
     other = SindyModel(Signature(("p", "v"), ("m", "m/s"), ("push",), (2.0, 3.0)), ["push"])
-    with pytest.raises(ValueError, match="other states, units, ranges or inputs than the controller"):
+    with pytest.raises(ValueError, match="other states, units or inputs than the controller"):
         Loop(loop.controller, type(loop.plant)(other, 0.1, 0.1))
+    # A controller out of a log sees outputs in the range of their targets, its model in that of the log.
+    model = loop.plant.model
+    wide = replace(model.signature, x_scale=tuple(20 * scale for scale in model.signature.x_scale))
+    Loop(loop.controller, replace(loop.plant, model=SindyModel(wide, list(model.library.names))))

@@ -43,9 +43,10 @@ def test_a_log_with_an_angle_in_degrees_and_a_rate_in_rad_is_told(tmp_path):
     assert not before_fit(SindyModel(exact.signature, "auto"), exact)
 
 
-def test_an_angle_in_degrees_is_told_the_words_that_read_it_in_rad(tmp_path):
+@pytest.mark.parametrize("library", ["auto", "auto_rig"])
+def test_an_angle_in_degrees_is_told_the_words_that_read_it_in_rad(tmp_path, library):
     source = log(tmp_path / "log.csv", "time,theta [deg],Omega [deg/s],u", (57.29578, 57.29578, 1.0))
-    (words,) = told(source)
+    (words,) = told(source, library)
     assert words.startswith("note: theta is in deg, so sin(theta) and cos(theta) are not among the candidate functions")
     # The words are those of a shell, and read what makes a library with sines.
     (word,) = shlex.split(words.rpartition("give ")[2])

@@ -42,3 +42,15 @@ def test_an_input_named_like_a_state_and_a_single_bad_range_are_refused(names, i
 def test_a_range_is_asked_for_each_state():
     with pytest.raises(ValueError, match="2 state names, 2 units and 1 ranges"):
         Signature(("a", "b"), ("rad", "rad"), ("u",), (1.0,))
+
+
+def test_signatures_are_alike_whatever_their_ranges():
+    one = Signature(("x", "v"), ("m", "m/s"), ("u",), (1.0, 2.0))
+    assert one.alike(Signature(("x", "v"), ("m", "m/s"), ("u",), (9.0, 0.1)))
+    others = [
+        (("x", "w"), ("m", "m/s"), ("u",)),
+        (("x", "v"), ("m", "mm/s"), ("u",)),
+        (("x", "v"), ("m", "m/s"), ("f",)),
+    ]
+    assert not any(one.alike(Signature(*other, (1.0, 2.0))) for other in others)
+    assert not one.alike(Signature(("x",), ("m",), ("u",), (1.0,)))
