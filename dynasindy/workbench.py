@@ -313,8 +313,13 @@ def watching(model: SindyModel, sensors: Sensors, pace: Pace, log: Recording | N
 
 
 def _typical(data: Transitions, signature: Signature) -> Tensor:
-    """Return the median of what was measured, `(n_x,)`; of the lag of an input that of the input, of others zero."""
-    middle = data.x.double().nanmedian(0).values.nan_to_num(nan=0.0)
+    """Return where the log mostly was, `(n_x,)`: zero of states that pass through it, of others the median.
+
+    The lag of an input is that of the median input; states that were not measured are zero.
+    """
+    x = data.x.double()
+    middle = x.nanmedian(0).values.nan_to_num(nan=0.0)
+    middle[((x <= 0).any(0)) & ((x >= 0).any(0))] = 0.0
     for i, name in enumerate(signature.input_names):
         if lagging(name) in signature.state_names:
             middle[signature.state_index(lagging(name))] = data.u[:, i].double().median()
