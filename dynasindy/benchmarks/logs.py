@@ -6,13 +6,8 @@ it leaves is flown on the true plant, behind the same sensors, to targets drawn 
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
-import os
-import resource
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -25,12 +20,12 @@ import dynasindy
 from dynasindy import Controller
 from dynasindy.benchmarks.instruments.commit import commit
 from dynasindy.benchmarks.instruments.logged import CASES, SUBSTEPS, Case
+from dynasindy.benchmarks.instruments.training import over_seeds, trained
 from dynasindy.evaluation.files import with_units, write_csv
-from dynasindy.evaluation.rows import Row, append_rows, read_rows
+from dynasindy.evaluation.rows import Row
 from dynasindy.sensing import Sensors
 from dynasindy.systems import Signature, integrate
 
-ROOT = Path(__file__).resolve().parents[2]
 COLUMNS = (
     *("plant", "seed", "foretold", "foretold_percent", "output", "error_percent", "worst_percent"),
     *("terms", "cpu_seconds", "commit"),
@@ -43,19 +38,8 @@ FAR = 1e6
 
 def main(argv: list[str]) -> None:
     """Log, plan and fly, and append a row per output."""
-    parser = argparse.ArgumentParser(prog="benchmark.py logs", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--plants", nargs="+", choices=CASES, default=list(CASES))
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(3)))
-    parser.add_argument("--out", type=Path, default=Path("docs/results/logs.csv"), help="CSV file to append to")
-    arguments = parser.parse_args(argv)
     torch.set_num_threads(1)
-    done = {(row["plant"], int(row["seed"])) for row in read_rows(arguments.out)}
-    for seed in arguments.seeds:
-        for plant in [name for name in arguments.plants if (name, seed) not in done]:
-            rows = measure(plant, seed)
-            append_rows(arguments.out, COLUMNS, rows)
-            for row in rows:
-                print(", ".join(f"{key} {value}" for key, value in row.items()), flush=True)
+    over_seeds(argv, "logs", __doc__, CASES, COLUMNS, measure, 3)
 
 
 def measure(name: str, seed: int) -> list[Row]:
@@ -68,23 +52,14 @@ def measure(name: str, seed: int) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         log, place = Path(folder) / "log.csv", Path(folder) / "run"
         write_log(case, log, seed)
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        done = subprocess.run(
-            [sys.executable, str(ROOT / "scripts" / "train.py"), *words(case, log), f"seed={seed}", f"folder={place}"],
-            cwd=folder,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        given = [*words(case, log), f"seed={seed}", f"folder={place}"]
+        spent, complaint = trained(given, Path(folder))
         if not (place / "model.json").is_file():
-            raise RuntimeError(f"train.py left no model for {name}, seed {seed}: {done.stderr[-500:]}")
+            raise RuntimeError(f"train.py left no model for {name}, seed {seed}: {complaint}")
         found, errors = None, np.full((1, len(case.targets)), math.inf)
         if (place / "metrics.json").is_file():
             found = json.loads((place / "metrics.json").read_text())
             errors = flown(case, dynasindy.load(place), seed)
-    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return rows_of(name, seed, found, errors, spent)
 
 
@@ -134,8 +109,8 @@ def flown(case: Case, controller: Controller, seed: int) -> NDArray[np.float64]:
         periods = round(case.flight / controller.dt)
         for k in range(periods):
             y = sensors.read(x, plant.signature, rng)
-            measured = {name: float(y[list(case.states).index(name)]) for name in case.sensors}
-            u = torch.from_numpy(controller.act(measured, target.tolist()))
+            seen = {name: float(y[list(case.states).index(name)]) for name in case.sensors}
+            u = torch.from_numpy(controller.act(seen, target.tolist()))
             x = integrate(plant, x, u, controller.dt, SUBSTEPS * max(1, round(controller.dt / case.dt)))[0][-1]
             if not bool((x.abs() < FAR).all()):
                 errors = [torch.full_like(target, torch.inf)]

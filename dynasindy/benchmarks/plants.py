@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
-import resource
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
 from dynasindy.benchmarks.instruments.commit import commit
-from dynasindy.evaluation.rows import Row, append_rows, read_rows
+from dynasindy.benchmarks.instruments.training import ROOT, over_seeds, trained
+from dynasindy.evaluation.rows import Row
 
-ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "docs" / "examples"
 UNTUNED = (
     *("maglev", "reactor", "ball_on_beam", "furuta", "arm", "four_tanks"),
@@ -42,21 +37,10 @@ COLUMNS = (
 
 def main(argv: list[str]) -> None:
     """Train, and append a row per output."""
-    parser = argparse.ArgumentParser(prog="benchmark.py plants", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--plants", nargs="+", choices=PLANTS, default=list(PLANTS))
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(5)))
-    parser.add_argument("--out", type=Path, default=Path("docs/results/plants.csv"), help="CSV file to append to")
-    arguments = parser.parse_args(argv)
-    done = {(row["plant"], int(row["seed"])) for row in read_rows(arguments.out)}
-    for seed in arguments.seeds:
-        for plant in [name for name in arguments.plants if (name, seed) not in done]:
-            rows = trained(plant, seed)
-            append_rows(arguments.out, COLUMNS, rows)
-            for row in rows:
-                print(", ".join(f"{key} {value}" for key, value in row.items()), flush=True)
+    over_seeds(argv, "plants", __doc__, PLANTS, COLUMNS, measure, 5)
 
 
-def trained(plant: str, seed: int) -> list[Row]:
+def measure(plant: str, seed: int) -> list[Row]:
     """Run the command of a new user and return what its `metrics.json` holds.
 
     Raises:
@@ -65,21 +49,10 @@ def trained(plant: str, seed: int) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "run"
         words = ["--config-dir", str(EXAMPLES / "conf"), *PLANTS[plant], f"seed={seed}", f"folder={place}"]
-        paths = os.pathsep.join(filter(None, [str(EXAMPLES), str(ROOT), os.environ.get("PYTHONPATH")]))
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        done = subprocess.run(
-            [sys.executable, str(ROOT / "scripts" / "train.py"), *words],
-            cwd=folder,
-            env={**os.environ, "PYTHONPATH": paths},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        spent, complaint = trained(words, Path(folder), [EXAMPLES])
         file = place / "metrics.json"
         if not file.is_file():
-            raise RuntimeError(f"train.py left no metrics.json for {plant}, seed {seed}: {done.stderr[-500:]}")
-        spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+            raise RuntimeError(f"train.py left no metrics.json for {plant}, seed {seed}: {complaint}")
         return rows_of(plant, seed, json.loads(file.read_text()), spent)
 
 

@@ -1,0 +1,73 @@
+"""`train.py`, called as a user does, and a benchmark of plants and seeds that goes on where it was stopped."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+from dynasindy.evaluation.rows import Row, append_rows, read_rows
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def trained(words: Sequence[str], folder: Path, modules: Sequence[Path] = ()) -> tuple[float, str]:
+    """Return the CPU time that `train.py` took [s], and the end of what it wrote to standard error.
+
+    Args:
+        words: What is given on the command line.
+        folder: Where it is called.
+        modules: Folders besides the package from which it imports.
+    """
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "scripts" / "train.py"), *words],
+        cwd=folder,
+        env={
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(filter(None, [*map(str, modules), str(ROOT), os.environ.get("PYTHONPATH")])),
+        },
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, done.stderr[-500:]
+
+
+def over_seeds(
+    argv: list[str],
+    name: str,
+    told: str | None,
+    plants: Iterable[str],
+    columns: Sequence[str],
+    measure: Callable[[str, int], list[Row]],
+    seeds: int,
+) -> None:
+    """Measure plants over seeds and append their rows to a file, but for those that it has already.
+
+    Args:
+        argv: What is given on the command line: `--plants`, `--seeds` and `--out`.
+        name: Name of the benchmark, and of its file in docs/results.
+        told: What it measures, in its first line.
+        plants: Names of the plants.
+        columns: Columns of the file; `plant` and `seed` among them.
+        measure: Returns the rows of a plant and a seed.
+        seeds: How many seeds are measured by default.
+    """
+    parser = argparse.ArgumentParser(prog=f"benchmark.py {name}", description=(told or "").splitlines()[0])
+    parser.add_argument("--plants", nargs="+", choices=list(plants), default=list(plants))
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(seeds)))
+    parser.add_argument("--out", type=Path, default=Path(f"docs/results/{name}.csv"), help="CSV file to append to")
+    arguments = parser.parse_args(argv)
+    done = {(row["plant"], int(row["seed"])) for row in read_rows(arguments.out)}
+    for seed in arguments.seeds:
+        for plant in [name for name in arguments.plants if (name, seed) not in done]:
+            rows = measure(plant, seed)
+            append_rows(arguments.out, columns, rows)
+            for row in rows:
+                print(", ".join(f"{key} {value}" for key, value in row.items()), flush=True)
