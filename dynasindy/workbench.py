@@ -177,8 +177,8 @@ def plan(
         **settings: Settings of `GradientPlanning`, such as `updates`.
 
     Raises:
-        ValueError: The task does not fit the model, or an observer has no log to learn from, which a model whose
-            inputs act late needs.
+        ValueError: The task or the log does not fit the model, or an observer has no log to learn from, which a model
+            whose inputs act late needs.
         Diverged: The model explodes, or no policy has a finite imagined return.
     """
     if not isinstance(task, Tracking):
@@ -189,11 +189,6 @@ def plan(
         )
     if log is not None:
         data = completed(log.transitions, log.signature.state_names, model.signature)
-        if data is None:
-            raise ValueError(
-                f"the model has the states {', '.join(model.signature.state_names)}, the log "
-                f"{', '.join(log.signature.state_names)}; give a log of the plant that the model is of"
-            )
         log = Recording(data, model.signature, log.notes)
         task = task.as_logged(_typical(data, model.signature))
     pace = Pace(task, dt or nearest_period(log), stops=model.stops)

@@ -252,6 +252,6 @@ def _free_ends(found: Nearby, parts: Parts) -> Tensor:
             home = found.home[place]
             far = [home + ROOM * (end[place] - home) for end in (low, high)]
             inside = values[(values >= far[0]) & (values <= far[1])]
-            both = torch.cat([inside, found.home[place : place + 1]])
+            both = torch.cat([inside, home.reshape(1)])
             ends[:, place] = torch.stack([both.min(), both.max()])
     return ends

@@ -7,8 +7,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from torch import Tensor
-
 from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
 from dynasindy.data.csv import Recording
@@ -22,18 +20,14 @@ from dynasindy.evaluation.predicted import Prediction
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.summary import heading, summarise, to_text
-from dynasindy.evaluation.verdict import doubts
+from dynasindy.evaluation.verdict import doubts, untried
 from dynasindy.sensing import Sensors
 from dynasindy.tasks import Tracking
 from dynasindy.terminal import say, width
 from dynasindy.told import tell
 from dynasindy.workbench import foretell, plan
 from dynasindy.world_models import SindyModel
-from dynasindy.world_models.libraries.features import Feature
-from dynasindy.world_models.models.follower import completed, lagging
-
-ROOM = 0.05
-"""Part of the range of a logged input by which flights may go beyond it."""
+from dynasindy.world_models.models.follower import completed
 
 
 @dataclass(frozen=True)
@@ -77,7 +71,11 @@ def model_of(
     """
     if path is not None or source is None:
         model = SindyModel.load(str(path))
-        return model, source and _completed(source, model, path)
+        if source is None:
+            return model, None
+        names, parts = source.signature.state_names, (source.training, source.validation)
+        training, validation = (completed(data, names, model.signature) for data in parts)
+        return model, replace(source, signature=model.signature, training=training, validation=validation)
     built = build(signature=source.signature)
     if not isinstance(built, SindyModel):
         raise TypeError(f"world_model is a {type(built).__name__}, which no log is fitted by; leave world_model=sindy")
@@ -90,18 +88,6 @@ def model_of(
     if found.report is not None:
         say(f"found: {found.words}", found.report.to_text())
     return found.model, found.source
-
-
-def _completed(source: Source, model: SindyModel, path: str | Path | None) -> Source:
-    """Return the log with all states of a model, whose lags no sensor sees."""
-    signature, names = model.signature, source.signature.state_names
-    parts = [completed(data, names, signature) for data in (source.training, source.validation)]
-    if parts[0] is None or parts[1] is None:
-        raise ValueError(
-            f"{path} has the states {', '.join(signature.state_names)}, the log {', '.join(names)}; give a model of "
-            "the plant that the log is of"
-        )
-    return replace(source, signature=signature, training=parts[0], validation=parts[1])
 
 
 def controller_of(model: SindyModel, source: Source | None, wanted: Wanted) -> Controller:
@@ -122,36 +108,6 @@ def judged(controller: Controller, model: SindyModel, source: Source | None, wan
     if found.shown is not None:
         told += untried(model, source.training.u, found.shown.inputs.flatten(0, -2))
     return replace(found, doubts=tuple(told))
-
-
-def untried(model: SindyModel, logged: Tensor, flown: Tensor) -> list[str]:
-    """Say which inputs flights take to where the log never had them, if equations are not linear in them.
-
-    Args:
-        model: The equations.
-        logged: Inputs of the log, `(N, n_u)`.
-        flown: Inputs of flights, `(M, n_u)`.
-    """
-    used = [model.library.features[k] for k in model.coefficients.any(-1).nonzero().flatten().tolist()]
-    lines = []
-    for i, name in enumerate(model.signature.input_names):
-        read = {name, lagging(name)}
-        low, high = float(logged[:, i].min()), float(logged[:, i].max())
-        least, most = float(flown[:, i].min()), float(flown[:, i].max())
-        room = ROOM * (high - low)
-        if any(_bent(feature, read) for feature in used) and (least < low - room or most > high + room):
-            lines.append(
-                f"flights take {name} from {least:.2g} to {most:.2g}, the log has {low:.2g} to {high:.2g}, and the "
-                "equations are not linear in it: what it does beyond is a guess, so log all of its range"
-            )
-    return lines
-
-
-def _bent(feature: Feature, read: set[str]) -> bool:
-    """Tell whether a function is not linear in an input."""
-    mine = [factor for factor in feature.factors if read & set(factor.variables)]
-    straight = all(factor.function in ("id", "ahead") and factor.power == 1 for factor in mine)
-    return not straight or len(mine) > 1
 
 
 def write(folder: Path, controller: Controller, model: SindyModel, prediction: Prediction) -> None:

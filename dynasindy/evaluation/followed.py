@@ -53,7 +53,7 @@ def followed(model: SindyModel, source: Source) -> Followed:
             found = _with_lag(model, source, place)
         except (ArithmeticError, ValueError, RuntimeError):  # numbers that run away, or too few samples
             continue
-        if found is None or found.report is None:
+        if found is None:
             continue
         after = forecast(found.model, found.source.training, found.source.validation)
         if after is not None and _better(before, after, model.signature):

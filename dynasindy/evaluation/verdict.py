@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 import torch
+from torch import Tensor
 
 from dynasindy.durations import in_words
 from dynasindy.evaluation.horizons import Forecasts
@@ -14,6 +15,7 @@ from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.libraries.features import Feature
+from dynasindy.world_models.models.follower import lagging
 from dynasindy.world_models.refinement.measured import rates_known
 
 RESOLVED = 2.0
@@ -24,6 +26,8 @@ BEHIND = 0.5
 """Part of a model's error that a linear model on past samples may have, below which something is missing."""
 SMALL = 1e-3
 """Error of a model that is small enough, whatever others make of it [ranges of the state]."""
+ROOM = 0.05
+"""Part of the range of a logged input by which flights may go beyond it."""
 HELPFUL = 0.5
 """Part of the error of the last value held that a model may have that predicts."""
 
@@ -92,6 +96,36 @@ def doubts(forecasts: Forecasts, signature: Signature) -> list[str]:
                 "function is missing, or a state that no sensor sees, as of a motor that follows its command slowly"
             )
     return lines
+
+
+def untried(model: SindyModel, logged: Tensor, flown: Tensor) -> list[str]:
+    """Say which inputs flights take to where the log never had them, if equations are not linear in them.
+
+    Args:
+        model: The equations.
+        logged: Inputs of the log, `(N, n_u)`.
+        flown: Inputs of flights, `(M, n_u)`.
+    """
+    used = [model.library.features[k] for k in model.coefficients.any(-1).nonzero().flatten().tolist()]
+    lines = []
+    for i, name in enumerate(model.signature.input_names):
+        read = {name, lagging(name)}
+        low, high = float(logged[:, i].min()), float(logged[:, i].max())
+        least, most = float(flown[:, i].min()), float(flown[:, i].max())
+        room = ROOM * (high - low)
+        if any(_bent(feature, read) for feature in used) and (least < low - room or most > high + room):
+            lines.append(
+                f"flights take {name} from {least:.2g} to {most:.2g}, the log has {low:.2g} to {high:.2g}, and the "
+                "equations are not linear in it: what it does beyond is a guess, so log all of its range"
+            )
+    return lines
+
+
+def _bent(feature: Feature, read: set[str]) -> bool:
+    """Tell whether a function is not linear in an input."""
+    mine = [factor for factor in feature.factors if read & set(factor.variables)]
+    straight = all(factor.function in ("id", "ahead") and factor.power == 1 for factor in mine)
+    return not straight or len(mine) > 1
 
 
 def shortcoming(forecasts: Forecasts, signature: Signature) -> str:

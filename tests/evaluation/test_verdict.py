@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from dynasindy.evaluation.horizons import Forecasts
-from dynasindy.evaluation.verdict import doubts, errors, found_in_model, judge, table
-from dynasindy.systems import Tras
+from dynasindy.evaluation.verdict import doubts, errors, found_in_model, judge, table, untried
+from dynasindy.systems import Pendulum, Tras
 from dynasindy.systems.base import Signature
 from dynasindy.world_models import SindyModel
 
@@ -117,3 +117,22 @@ def test_a_linear_model_that_knows_the_past_far_better_raises_doubts():
     assert doubts(found, wide) == []  # 0.05 of 51 rad is as good as nothing
     unseen = replace(found, model=torch.full((2, 1), torch.nan), linear=torch.full((2, 1), torch.nan))
     assert doubts(unseen, one) == []
+
+
+def test_flights_beyond_the_logged_inputs_are_told_where_the_equations_bend_in_them():
+    model = SindyModel(Pendulum().signature, ["Omega", "u", "u^2", "u sin(theta)"], known={"theta": "Omega"})
+    (name,) = model.signature.input_names
+    assert name == "u"
+    logged, flown = torch.tensor([[0.1], [0.9]]), torch.tensor([[-1.0], [0.5]])
+
+    def told(word):
+        coefficients = model.coefficients.clone()
+        coefficients[1:, 1] = 0.0
+        coefficients[model.library.index(word), 1] = 2.0
+        model.set_coefficients(coefficients)
+        return untried(model, logged, flown)
+
+    assert told("u") == told("u sin(theta)") == []
+    (said,) = told("u^2")
+    assert "flights take u from -1 to 0.5, the log has 0.1 to 0.9" in said
+    assert untried(model, logged, torch.tensor([[0.07], [0.93]])) == []  # a twentieth of the range beyond

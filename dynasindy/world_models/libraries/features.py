@@ -128,6 +128,20 @@ class Feature:
         """Collect the states and inputs it reads."""
         return {v for factor in self.factors for v in factor.variables}
 
+    def reading(self, name: str, other: str) -> Feature:
+        """Return the same function with one variable in the place of another.
+
+        Args:
+            name: state or input that is read.
+            other: what is read instead.
+        """
+        return Feature(
+            tuple(
+                replace(factor, variables=tuple(other if v == name else v for v in factor.variables))
+                for factor in self.factors
+            )
+        )
+
     def name(self) -> str:
         """Write the feature in the names of states and inputs, e.g. `Omega_a^2 sin(alpha_p)`."""
         return " ".join(f.text() for f in self.factors) or "1"

@@ -145,7 +145,7 @@ def behind(model: SindyModel, found: Found, dt: float) -> SindyModel:
     play = found.actuator.kind == "play"
     held = of("slack", name, follower, frequency=found.actuator.size / (1 if play else fast))
     own = {held: fast} if play else {variable(name): fast, variable(follower): -fast, held: -fast}
-    read = [_reading(feature, name, follower) for feature in found.library.features]
+    read = [feature.reading(name, follower) for feature in found.library.features]
     library = Library(signature, [*read, *own])
     xi = torch.zeros(len(library), signature.n_x, dtype=torch.float64)
     places = {feature.key: k for k, feature in enumerate(library.features)}
@@ -313,13 +313,3 @@ def _frozen(library: Library) -> Library:
     """Return a library whose numbers inside functions stay as they are."""
     features = [Feature(tuple(replace(f, fitted=0.0) for f in feature.factors)) for feature in library.features]
     return Library(library.signature, features)
-
-
-def _reading(feature: Feature, name: str, follower: str) -> Feature:
-    """Return a function that reads another variable in place of one."""
-    return Feature(
-        tuple(
-            replace(factor, variables=tuple(follower if v == name else v for v in factor.variables))
-            for factor in feature.factors
-        )
-    )

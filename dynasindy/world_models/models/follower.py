@@ -6,6 +6,7 @@ by regressions on commands that were led through such a lag, then with all else 
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import torch
@@ -14,7 +15,7 @@ from torch import Tensor
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell
-from dynasindy.world_models.libraries.features import Feature, of
+from dynasindy.world_models.libraries.features import of
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.models.sindy import SindyModel
 from dynasindy.world_models.refinement.actuator import Actuator
@@ -38,15 +39,16 @@ def lag_of(model: SindyModel, data: Transitions, place: int) -> float:
         place: which input.
     """
     data, rates = data.to(torch.float64), rates_known(model.library, model.constraints)
-    noisy, guess = not bool(has_gaps(data)), reconstruct(data, rates, not bool(has_gaps(data)))
+    noisy = not bool(has_gaps(data))
+    guess = reconstruct(data, rates, noisy)
     free, fixed = model.constraints.free, torch.where(model.constraints.free, 0.0, model.coefficients)
-
-    known = (lagged(data, place, n * data.dt)[1] for n in reversed(TIMES))
     enough = max(len(data) // 2, 2 * len(model.library))
-    tried = next(((n, keep) for n, keep in zip(reversed(TIMES), known) if int(keep.sum()) >= enough), None)
-    if tried is None:
+    for longest in reversed(TIMES):
+        keep = lagged(data, place, longest * data.dt)[1]
+        if int(keep.sum()) >= enough:
+            break
+    else:
         return 0.0
-    longest, keep = tried
 
     def _cost(time: float) -> float:
         given, seen = (lagged(part, place, time)[0] for part in (guess, data))
@@ -80,21 +82,20 @@ def with_follower(model: SindyModel, data: Transitions, place: int, time: float)
     if not bool(model.constraints.free[:, others].any()) or bool(model.constraints.offset[:, others].any()):
         return None
     tell("fit", words=f"{model.signature.input_names[place]} through a lag of {time:.3g} s")
-    first = SindyModel(model.signature, model.library, model.regression, model.refinement, given)
+    first = copy.deepcopy(model)
     through, heard = lagged(data.to(torch.float64), place, time)
     first.fit(through.select(heard))
     name = model.signature.input_names[place]
     follower = lagging(name)
-    read = [_reading(feature, name, follower) for feature in first.library.features]
+    read = [feature.reading(name, follower) for feature in first.library.features]
     own = of("ahead", name, follower)
     old = model.signature
     signature = Signature((*states, follower), (*old.state_units, "1"), old.input_names, (*old.x_scale, 1.0))
     library = Library(signature, [*read, own])
     names = [feature.name() for feature in read]
-    allowed = {state: [n for n, free in zip(names, column) if free] for state, column in _free(first).items()}
-    initial = {
-        state: {n: float(v) for n, v in zip(names, first.coefficients[:, i]) if v} for i, state in enumerate(states)
-    }
+    free, found = first.constraints.free, first.coefficients
+    allowed = {state: [n for n, may in zip(names, free[:, i]) if may] for i, state in enumerate(states)}
+    initial = {state: {n: float(v) for n, v in zip(names, found[:, i]) if v} for i, state in enumerate(states)}
     return SindyModel(
         signature,
         library,
@@ -112,17 +113,23 @@ def lagging(name: str) -> str:
     return f"{name}_lagging"
 
 
-def completed(data: Transitions, names: tuple[str, ...], signature: Signature) -> Transitions | None:
-    """Return a recording with all states of a model, whose lags no sensor sees; None if it is of another plant.
+def completed(data: Transitions, names: tuple[str, ...], signature: Signature) -> Transitions:
+    """Return a recording with all states of a model, whose lags no sensor sees.
 
     Args:
         data: the recording.
         names: its states.
         signature: names of the model.
+
+    Raises:
+        ValueError: the model is of another plant.
     """
     more = signature.state_names[len(names) :]
     if signature.state_names[: len(names)] != names or not set(more) <= set(map(lagging, signature.input_names)):
-        return None
+        raise ValueError(
+            f"the model has the states {', '.join(signature.state_names)}, the log {', '.join(names)}; give a model of "
+            "the plant that the log is of"
+        )
     for _ in more:
         data = widened(data)
     return data
@@ -132,18 +139,3 @@ def widened(data: Transitions) -> Transitions:
     """Return a recording with one state more, which no sensor sees."""
     unseen = torch.full_like(data.x[:, :1], torch.nan)
     return replace(data, x=torch.cat([data.x, unseen], -1), x_next=torch.cat([data.x_next, unseen], -1))
-
-
-def _free(model: SindyModel) -> dict[str, list[bool]]:
-    columns = model.constraints.free.unbind(-1)
-    return {state: column.tolist() for state, column in zip(model.signature.state_names, columns, strict=True)}
-
-
-def _reading(feature: Feature, name: str, follower: str) -> Feature:
-    """Return a function that reads another variable in place of one."""
-    return Feature(
-        tuple(
-            replace(factor, variables=tuple(follower if v == name else v for v in factor.variables))
-            for factor in feature.factors
-        )
-    )

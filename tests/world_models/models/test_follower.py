@@ -110,5 +110,6 @@ def test_a_recording_gets_the_states_that_its_model_has_and_no_others():
     data, wide = logged(0.0), Signature(("q", "w", "u_lagging"), ("rad", "rad/s", "1"), ("u",), (1.0, 3.0, 1.0))
     assert completed(data, ("q", "w"), wide).x.shape[-1] == 3
     assert completed(data, ("q", "w"), SIGNATURE) is data
-    assert completed(data, ("q", "v"), wide) is None
-    assert completed(data, ("q",), SIGNATURE) is None
+    for names, other in ((("q", "v"), wide), (("q",), SIGNATURE)):
+        with pytest.raises(ValueError, match="give a model of the plant that the log is of"):
+            completed(data, names, other)
