@@ -177,8 +177,8 @@ def plan(
         **settings: Settings of `GradientPlanning`, such as `updates`.
 
     Raises:
-        ValueError: The task or the log does not fit the model, or an observer has no log to learn from, which a model
-            whose inputs act late needs.
+        ValueError: The task or the log does not fit the model, an output depends on no input, or an observer has no log
+            to learn from, which a model whose inputs act late needs.
         Diverged: The model explodes, or no policy has a finite imagined return.
     """
     if not isinstance(task, Tracking):
@@ -187,6 +187,7 @@ def plan(
         raise ValueError(
             f"the model's inputs act {model.delay:.3g} s late, which only an observer makes up for; give log="
         )
+    _require_moved(model, task.output_names)
     if log is not None:
         data = completed(log.transitions, log.signature.state_names, model.signature)
         log = Recording(data, model.signature, log.notes)
@@ -305,6 +306,27 @@ def watching(model: SindyModel, sensors: Sensors, pace: Pace, log: Recording | N
     observer = Observer(model, sensors, pace)
     observer.learn(y, u)
     return observer
+
+
+def _require_moved(model: SindyModel, outputs: Sequence[str]) -> None:
+    """Refuse outputs that no input moves, be it through other states.
+
+    Raises:
+        ValueError: There is such an output.
+    """
+    names, inputs = model.signature.state_names, set(model.signature.input_names)
+    read = {
+        name: {v for k in model.coefficients[:, i].nonzero().flatten() for v in model.library.features[k].variables}
+        for i, name in enumerate(names)
+    }
+    moved: set[str] = set()
+    for _ in names:
+        moved |= {name for name in names if read[name] & (moved | inputs)}
+    if still := [name for name in outputs if name not in moved]:
+        raise ValueError(
+            f"in the equations that were found no input moves {', '.join(still)}, so nothing can be planned: the log "
+            "hardly shows what the inputs do; record longer, and let every input change often and by much"
+        )
 
 
 def _typical(data: Transitions, signature: Signature) -> Tensor:

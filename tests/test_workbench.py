@@ -116,6 +116,14 @@ def test_sensors_need_a_log(model):
         dynasindy.plan(model, {"theta": (-0.6, 0.6)}, sensors=Sensors({"theta": {}}))
 
 
+def test_an_output_that_no_input_moves_is_refused(model):
+    """The pendulum's equations without their input swing on, whatever is commanded."""
+    still = copy.deepcopy(model)
+    still.coefficients[model.library.names.index("u")] = 0.0
+    with pytest.raises(ValueError, match="no input moves theta.*every input change often"):
+        dynasindy.plan(still, {"theta": (-0.5, 0.5)})
+
+
 def test_a_control_period_fits_the_log(log, model):
     with pytest.raises(ValueError, match=r"no multiple of the log's sampling time 0.01 s"):
         dynasindy.plan(model, {"theta": (-0.6, 0.6)}, log, dt=0.025)
