@@ -94,7 +94,8 @@ class Controller:
         parts = [part for part, there in (("observer", self.observer), ("integral action", self.integral)) if there]
         more = f", with {' and '.join(parts)}" if parts else ""
         inputs = ", ".join(self.signature.input_names)
-        return f"Controller(holds {outputs}; reads {seen}; sets {inputs} in [-1, 1] every {self.dt:g} s{more})"
+        inputs = "; ".join([f"{inputs} in [-1, 1] every {self.dt:g} s{more}", *self.signature.own_inputs()])
+        return f"Controller(holds {outputs}; reads {seen}; sets {inputs})"
 
     def reset(self) -> None:
         """Forget what was measured; the next call of `act` takes the plant as at rest, its inputs zero."""

@@ -73,6 +73,12 @@ def model_of(
         model = SindyModel.load(str(path))
         if source is None:
             return model, None
+        if source.signature.input_ends != model.signature.input_ends:
+            raise ValueError(
+                f"the model has inputs with the ends {model.signature.input_ends or '-1 and 1'}, the log with "
+                f"{source.signature.input_ends or '-1 and 1'}; give the ends of the actuator to both, low and high in "
+                "data.inputs"
+            )
         names, parts = source.signature.state_names, (source.training, source.validation)
         training, validation = (completed(data, names, model.signature) for data in parts)
         return model, replace(source, signature=model.signature, training=training, validation=validation)
