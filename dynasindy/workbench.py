@@ -36,6 +36,7 @@ from dynasindy.evaluation.symptoms import resolution as resolution_of
 from dynasindy.evaluation.symptoms import samples_of, step_of
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.integral import IntegralAction
+from dynasindy.planning.pace import rests_of, unheld
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.systems import Diverged, Signature
 from dynasindy.systems.transitions import Transitions
@@ -236,11 +237,13 @@ def foretell(
     sensing = None
     if controller.observer is not None:
         sensing = Sensing(env, controller.observer, torch.Generator().manual_seed(seed))
+    rests = rests_of(env)
+    never = "" if rests is None else unheld(env, rests)
     if unseen is None:
-        return replace(predict([model], env, policy, scenario, sensing, within), own=True)
+        return replace(predict([model], env, policy, scenario, sensing, within), own=True, unheld=never)
     tell("fit to data that the plan has not seen")
     models = [*refits(model, unseen, 1), *refits(model, unseen, HALVES)]
-    return predict(models, env, policy, scenario, sensing, within)
+    return replace(predict(models, env, policy, scenario, sensing, within), unheld=never)
 
 
 def tracking(model: SindyModel, targets: Mapping[str, tuple[float, float]]) -> Tracking:

@@ -217,6 +217,18 @@ def test_the_prediction_has_the_controllers_integral_action(model):
     assert not without.controlled
 
 
+def test_targets_that_no_input_holds_are_told(model):
+    """A motor of 4 rad/s^2 holds the pendulum up to asin(4 / 9.81) = 0.42 rad; 0.6 rad take 9.81 sin(0.6) / 4 of it."""
+    weak = copy.deepcopy(model)
+    drive = weak.coefficients[model.library.names.index("u")]
+    drive[drive != 0] = 4.0
+    told = held_with(None, weak).words()
+    assert "no input within [-1, 1] was found that holds" in told and "a smaller range of targets" in told
+    span = re.search(r"theta from (\S+) to ([\d.]+)", told)
+    assert -float(span[1]) == pytest.approx(math.asin(4 / 9.81), abs=0.03) and float(span[2]) < 0.45
+    assert "longer plan" not in told
+
+
 def test_the_package_says_what_it_has():
     with pytest.raises(AttributeError, match=r"it has Controller, .*, identify, load, plan, read"):
         dynasindy.train  # noqa: B018
