@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
@@ -28,6 +28,9 @@ SMALL = 1e-3
 """Error of a model that is small enough, whatever others make of it [ranges of the state]."""
 ROOM = 0.05
 """Part of the range of a logged input by which flights may go beyond it."""
+AFAR = 0.5
+"""Part of the range of a logged state by which targets may lie beyond it, if the equations depend on the state: what
+bends there may be too small within the log to be found, and is eight times as large at twice its ends."""
 HELPFUL = 0.5
 """Part of the error of the last value held that a model may have that predicts."""
 
@@ -117,6 +120,31 @@ def untried(model: SindyModel, logged: Tensor, flown: Tensor) -> list[str]:
             lines.append(
                 f"flights take {name} from {least:.2g} to {most:.2g}, the log has {low:.2g} to {high:.2g}, and the "
                 "equations are not linear in it: what it does beyond is a guess, so log all of its range"
+            )
+    return lines
+
+
+def unlogged(model: SindyModel, logged: Tensor, targets: Mapping[str, tuple[float, float]]) -> list[str]:
+    """Say which outputs have targets so far beyond the log that the equations are a guess there.
+
+    Args:
+        model: The equations; of an output that none of them reads, as the place of a cart, any value is as good.
+        logged: States of the log, `(N, n_x)`, NaN where they were not measured.
+        targets: Lower and upper end of the targets of each output.
+    """
+    features, lines = model.library.features, []
+    read = {v for k in model.coefficients.any(-1).nonzero().flatten().tolist() for v in features[k].variables}
+    for name, (least, most) in targets.items():
+        place = model.signature.state_index(name)
+        seen = logged[:, place][logged[:, place].isfinite()]
+        if name not in read or not len(seen):
+            continue
+        low, high = float(seen.min()), float(seen.max())
+        if least < low - AFAR * (high - low) or most > high + AFAR * (high - low):
+            unit = model.signature.state_units[place]
+            lines.append(
+                f"the targets of {name} go from {least:.3g} to {most:.3g} {unit}, the log from {low:.3g} to {high:.3g}: "
+                "what the equations say so far beyond is a guess, so log it there, or give targets nearer to the log"
             )
     return lines
 
