@@ -20,8 +20,8 @@ from dynasindy.tasks.reward import ERROR_SHAPES, TrackingReward
 
 FENCE_WIDTH = 0.05
 """Way beyond a bound at which its cost turns from quadratic to linear [ranges of the state]."""
-FAR_BEYOND = 2.0
-"""How many times as far as its targets an output moved in a log that is then seen in the range of its targets."""
+FARTHEST_SEEN = 3.0
+"""Largest range of an output in a log, as a multiple of the distance from zero to its farthest target."""
 
 
 class Tracking(Task):
@@ -162,8 +162,8 @@ class Tracking(Task):
         """Return the same task for a plant that is known by a log alone.
 
         Where no start was given, episodes begin where the log mostly was, outputs at the targets nearest to that. An
-        output that moved far beyond its targets, as an arm that was spun, is seen in the range of its targets: in that
-        of the log a policy could hardly tell one target from another.
+        output that moved far beyond its targets, as an arm that was spun, gets a range of three times its targets: in
+        that of the log a policy could hardly tell one target from another.
 
         Args:
             typical: State of the log, `(n_x,)`, such as its median.
@@ -176,8 +176,8 @@ class Tracking(Task):
             low, high = (ends[k] for ends in self.ends)
             typical[i] = typical[i].clamp(low, high)
             reach = max(-low, high)
-            if reach > 0 and scales[i] > FAR_BEYOND * reach:
-                scales[i] = reach
+            if reach > 0:
+                scales[i] = min(scales[i], FARTHEST_SEEN * reach)
         other.signature = replace(self.signature, x_scale=tuple(scales))
         if not self.begins:
             other.start = typical.to(self.start).expand(2, -1).clone()

@@ -276,8 +276,8 @@ def test_a_task_of_a_log_begins_where_the_log_was_and_sees_outputs_in_the_range_
     }
     task = Tracking(far, RandomStep([-1.5, -1.0], [0.5, 0.2]), **made)
     logged = task.as_logged(torch.tensor([16.0, -0.3, 2.0]))
-    # 33 rad are more than twice 1.5 rad, 1.9 m less than twice 1 m; 16 rad is nearest to the target of 0.5 rad.
-    assert logged.signature.x_scale == (1.5, 1.9, 5.0)
+    # 33 rad are more than three times 1.5 rad, 1.9 m less than 3 m; 16 rad is nearest to the target of 0.5 rad.
+    assert logged.signature.x_scale == (4.5, 1.9, 5.0)
     begun = logged.initial_state(torch.Size((2,)), torch.Generator())
     assert begun.tolist() == [pytest.approx([0.5, -0.3, 2.0])] * 2
     assert task.signature.x_scale == far.x_scale and task.start.abs().max() == 0
