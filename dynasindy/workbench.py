@@ -34,6 +34,7 @@ from dynasindy.evaluation.predicted import Prediction, predict
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.symptoms import resolution as resolution_of
 from dynasindy.evaluation.symptoms import samples_of, step_of
+from dynasindy.evaluation.verdict import known_ranges
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors
@@ -44,7 +45,7 @@ from dynasindy.told import tell
 from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.libraries import LibraryBuilder
 from dynasindy.world_models.models.ensemble import refits
-from dynasindy.world_models.models.follower import completed, lagging
+from dynasindy.world_models.models.follower import completed, lags
 from dynasindy.world_models.refinement.measured import ranged, rates_known
 from dynasindy.world_models.refinement.order import moving_on
 
@@ -190,7 +191,7 @@ def plan(
     if log is not None:
         data = completed(log.transitions, log.signature.state_names, model.signature)
         log = Recording(data, model.signature, log.notes)
-        task = task.as_logged(_typical(data, model.signature))
+        task = task.as_logged(_typical(data, model.signature), known_ranges(model, data.u))
     pace = Pace(task, dt or nearest_period(log), stops=model.stops)
     if log is not None and sensors is None:
         sensors = sensors_of(log, model)
@@ -308,17 +309,18 @@ def watching(model: SindyModel, sensors: Sensors, pace: Pace, log: Recording | N
 
 
 def _typical(data: Transitions, signature: Signature) -> Tensor:
-    """Return where the log mostly was, `(n_x,)`: zero of states that pass through it, of others the median.
+    """Return where the log mostly was, `(2, n_x)`: zero of states that pass through it, of others the median.
 
-    The lag of an input is that of the median input; states that were not measured are zero.
+    The lag of an input may be any that the log had, and zero, where inputs are before a flight; other states that were
+    not measured are zero.
     """
     x = data.x.double()
     middle = x.nanmedian(0).values.nan_to_num(nan=0.0)
     middle[((x <= 0).any(0)) & ((x >= 0).any(0))] = 0.0
-    for i, name in enumerate(signature.input_names):
-        if lagging(name) in signature.state_names:
-            middle[signature.state_index(lagging(name))] = data.u[:, i].double().median()
-    return middle
+    ends = middle.expand(2, -1).clone()
+    for name, (low, high) in lags(signature, data.u).items():
+        ends[:, signature.state_index(name)] = torch.tensor([low, high]).double()
+    return ends
 
 
 def nearest_period(log: Recording | Transitions | None, wanted: float = PERIOD) -> float:

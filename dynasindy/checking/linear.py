@@ -115,7 +115,7 @@ def guess(loop: Loop, r: Tensor) -> Tensor:
             x[k], u[k] = found.state_and_input(target, found(target))
         except (ValueError, RuntimeError):  # out of reach, or a slope that has no inverse
             continue
-    return loop.at(x, u.clamp(-1.0, 1.0))
+    return loop.at(x, loop.task.limit(u))
 
 
 @torch.no_grad()

@@ -20,7 +20,7 @@ from dynasindy.evaluation.predicted import Prediction
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.summary import heading, summarise, to_text
-from dynasindy.evaluation.verdict import doubts, untried
+from dynasindy.evaluation.verdict import doubts
 from dynasindy.sensing import Sensors
 from dynasindy.tasks import Tracking
 from dynasindy.terminal import say, width
@@ -105,8 +105,6 @@ def judged(controller: Controller, model: SindyModel, source: Source | None, wan
         return found
     forecasts = forecast(model, source.training, source.validation)
     told = [] if forecasts is None else doubts(forecasts, model.signature)
-    if found.shown is not None:
-        told += untried(model, source.training.u, found.shown.inputs.flatten(0, -2))
     return replace(found, doubts=tuple(told))
 
 

@@ -8,7 +8,7 @@ import torch
 
 from dynasindy.evaluation.horizons import Forecasts, forecast
 from dynasindy.evaluation.source import Source
-from dynasindy.evaluation.verdict import LOST, doubts
+from dynasindy.evaluation.verdict import LOST, unresolved
 from dynasindy.systems import Signature
 from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.models.follower import lag_of, widened, with_follower
@@ -37,8 +37,8 @@ class Followed:
 def followed(model: SindyModel, source: Source) -> Followed:
     """Return a model and data with the lag of an input as one state more, where something lacks; else as they are.
 
-    It is looked for where a linear model on past samples predicts the last part of a log far better than the model, and
-    believed where with the lag the model does.
+    It is looked for where the model misses the last part of a log by more than the sensors explain, and believed where
+    with the lag the model misses far less.
 
     Args:
         model: what was fitted to the training data.
@@ -46,7 +46,7 @@ def followed(model: SindyModel, source: Source) -> Followed:
     """
     plain = Followed(model, source)
     before = forecast(model, source.training, source.validation) if source.logged else None
-    if before is None or not doubts(before, model.signature):
+    if before is None or not bool(unresolved(before, model.signature).any()):
         return plain
     for place, name in enumerate(model.signature.input_names):
         try:

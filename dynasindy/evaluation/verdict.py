@@ -82,10 +82,9 @@ def judge(forecasts: Forecasts, signature: Signature) -> list[str]:
 
 def doubts(forecasts: Forecasts, signature: Signature) -> list[str]:
     """Say which states a linear model on past samples predicts far better: what it knows of the past, a state lacks."""
-    lines, (horizons, n_x) = [], forecasts.model.shape
+    lines, (horizons, n_x), large = [], forecasts.model.shape, unresolved(forecasts, signature)
     for i in range(n_x):
-        ours, simple = forecasts.model[:, i], forecasts.linear[:, i]
-        known = ours > max(RESOLVED * float(forecasts.resolution[i]), SMALL * signature.x_scale[i])
+        ours, simple, known = forecasts.model[:, i], forecasts.linear[:, i], large[:, i]
         worse = [k for k in range(horizons) if bool(known[k]) and float(simple[k]) < BEHIND * float(ours[k])]
         if worse:
             k, unit = worse[0], signature.state_units[i]
@@ -98,27 +97,27 @@ def doubts(forecasts: Forecasts, signature: Signature) -> list[str]:
     return lines
 
 
-def untried(model: SindyModel, logged: Tensor, flown: Tensor) -> list[str]:
-    """Say which inputs flights take to where the log never had them, if equations are not linear in them.
+def unresolved(forecasts: Forecasts, signature: Signature) -> Tensor:
+    """Return where errors are larger than the sensors explain and than counts as small, bool `(horizons, n_x)`."""
+    small = SMALL * torch.tensor(signature.x_scale, dtype=forecasts.model.dtype)
+    return forecasts.model > torch.maximum(RESOLVED * forecasts.resolution.to(small), small)
+
+
+def known_ranges(model: SindyModel, logged: Tensor) -> dict[str, tuple[float, float]]:
+    """Return the ends of what a log has tried, and a little room, of each input that equations are not linear in.
+
+    Beyond these a model only guesses: where inputs were never negative, a thrust that turns round with its propeller
+    and one that does not look the same.
 
     Args:
         model: The equations.
         logged: Inputs of the log, `(N, n_u)`.
-        flown: Inputs of flights, `(M, n_u)`.
     """
     used = [model.library.features[k] for k in model.coefficients.any(-1).nonzero().flatten().tolist()]
-    lines = []
-    for i, name in enumerate(model.signature.input_names):
-        read = {name, lagging(name)}
-        low, high = float(logged[:, i].min()), float(logged[:, i].max())
-        least, most = float(flown[:, i].min()), float(flown[:, i].max())
-        room = ROOM * (high - low)
-        if any(_bent(feature, read) for feature in used) and (least < low - room or most > high + room):
-            lines.append(
-                f"flights take {name} from {least:.2g} to {most:.2g}, the log has {low:.2g} to {high:.2g}, and the "
-                "equations are not linear in it: what it does beyond is a guess, so log all of its range"
-            )
-    return lines
+    low, high = logged.amin(0), logged.amax(0)
+    room = ROOM * (high - low)
+    both = zip(model.signature.input_names, zip((low - room).tolist(), (high + room).tolist()), strict=True)
+    return {name: known for name, known in both if any(_bent(feature, {name, lagging(name)}) for feature in used)}
 
 
 def _bent(feature: Feature, read: set[str]) -> bool:

@@ -33,7 +33,7 @@ def test_a_lag_is_looked_for_only_where_something_lacks_and_believed_only_where_
     asked = []
     monkeypatch.setattr(module, "lag_of", lambda *given: asked.append(given) or 0.1)
     assert followed(model, source).model is model and not asked
-    monkeypatch.setattr(module, "doubts", lambda *given: ["something lacks"])
+    monkeypatch.setattr(module, "unresolved", lambda *given: torch.ones(1))
     plain = followed(model, source)  # with a lag that is not there nothing is better
     assert plain.model is model and plain.source is source and plain.words == "" and len(asked) == 1
     simulated = Source(source.signature, source.training, source.validation)
@@ -52,7 +52,7 @@ def test_a_fit_that_fails_leaves_the_model(source, model, monkeypatch):
             raise Diverged("no")
 
     monkeypatch.setattr(module, "lag_of", lambda *given: 0.1)
-    monkeypatch.setattr(module, "doubts", lambda *given: ["something lacks"])
+    monkeypatch.setattr(module, "unresolved", lambda *given: torch.ones(1))
     wide = Failing(source.signature, ["u"])
     monkeypatch.setattr(module, "with_follower", lambda *given: wide)
     assert followed(model, source).model is model

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from dynasindy.evaluation.horizons import Forecasts
-from dynasindy.evaluation.verdict import doubts, errors, found_in_model, judge, table, untried
+from dynasindy.evaluation.verdict import doubts, errors, found_in_model, judge, known_ranges, table, unresolved
 from dynasindy.systems import Pendulum, Tras
 from dynasindy.systems.base import Signature
 from dynasindy.world_models import SindyModel
@@ -119,20 +119,24 @@ def test_a_linear_model_that_knows_the_past_far_better_raises_doubts():
     assert doubts(unseen, one) == []
 
 
-def test_flights_beyond_the_logged_inputs_are_told_where_the_equations_bend_in_them():
+def test_an_input_is_known_between_the_ends_of_a_log_where_the_equations_bend_in_it():
     model = SindyModel(Pendulum().signature, ["Omega", "u", "u^2", "u sin(theta)"], known={"theta": "Omega"})
-    (name,) = model.signature.input_names
-    assert name == "u"
-    logged, flown = torch.tensor([[0.1], [0.9]]), torch.tensor([[-1.0], [0.5]])
 
-    def told(word):
+    def known(word):
         coefficients = model.coefficients.clone()
         coefficients[1:, 1] = 0.0
         coefficients[model.library.index(word), 1] = 2.0
         model.set_coefficients(coefficients)
-        return untried(model, logged, flown)
+        return known_ranges(model, torch.tensor([[0.1], [0.4], [0.9]]))
 
-    assert told("u") == told("u sin(theta)") == []
-    (said,) = told("u^2")
-    assert "flights take u from -1 to 0.5, the log has 0.1 to 0.9" in said
-    assert untried(model, logged, torch.tensor([[0.07], [0.93]])) == []  # a twentieth of the range beyond
+    assert known("u") == known("u sin(theta)") == {}
+    # A twentieth of the 0.8 between its ends is let to it on both sides.
+    assert known("u^2") == {"u": (pytest.approx(0.06), pytest.approx(0.94))}
+
+
+def test_an_error_is_unresolved_beyond_the_sensor_and_beyond_a_thousandth_of_the_range():
+    found = forecasts(q=0.1)
+    fine = Signature(("q", "v", "w"), ("rad", "rad/s", "rpm"), ("u",), (1.0, 1.0, 1.0))
+    assert unresolved(found, fine)[1].tolist() == [True, False, False]  # w to 20 rpm, which its sensor explains
+    wide = Signature(("q", "v", "w"), ("rad", "rad/s", "rpm"), ("u",), (101.0, 1.0, 1.0))
+    assert not unresolved(found, wide)[1].any()
