@@ -21,7 +21,7 @@ from dynasindy.evaluation.held import WITHIN
 from dynasindy.planning import GradientPlanning
 from dynasindy.terminal import say
 from dynasindy.viz.evaluation import draw_evaluation
-from dynasindy.workbench import nearest_period
+from dynasindy.workbench import damped, nearest_period
 
 
 def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
@@ -40,11 +40,11 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     if source is not None:  # what cannot be is refused before the fit
         for name in ("task", "world_model") if cfg.model is None else ("task",):  # a given model has its own library
             parts[name](signature=source.signature)
-    dt = nearest_period(source and source.training, cfg.env.dt)
+    dt = nearest_period(source, cfg.env.dt)
     say(f"Run folder: {folder}")
     if dt != cfg.env.dt:
         say(f"note: the control period is {dt:g} s, as the log is sampled; env.dt asks for another")
-    model, source = model_of(source, parts["world_model"], cfg.model)
+    model = model_of(source, parts["world_model"], cfg.model)
     task = parts["task"](signature=model.signature)
     (folder / "metrics.json").unlink(missing_ok=True)  # of other settings
     write_text(folder / "config.yaml", settings)  # before the plan, which may fail
@@ -94,6 +94,8 @@ def _required(cfg: DictConfig) -> dict[str, object]:
             f"plant.{missing[0]} is not given; say what is to be tracked, and within which targets, such as "
             "plant.outputs=[angle] plant.low=[-0.5] plant.high=[0.5]"
         )
+    if OmegaConf.is_missing(cfg.plant, "rates"):
+        cfg.plant.rates = damped(cfg.plant.outputs, cfg.plant.get("known") or {})
     if not (within := cfg.evaluation.get("within", WITHIN)) > 0:
         raise ValueError(f"evaluation.within must be positive, got {within}; give a share of the target range")
     build = instantiate(cfg.planning, _convert_="all")

@@ -77,6 +77,8 @@ def forecast(
         validation: data to judge on, NaN where a state was not measured.
         horizons: times ahead [s]; from a tenth to three times the characteristic time of the data if omitted.
     """
+    if not len(validation):
+        return None
     time = characteristic(training)
     fit = min(max(round(time / 4 / validation.dt), SHORTEST_FIT), LONGEST_FIT)
     back, ahead = _beside(validation)

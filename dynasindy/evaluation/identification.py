@@ -13,12 +13,13 @@ import torch
 from torch import Tensor
 
 from dynasindy.data.csv import Column, CsvLog, Recording, chosen, infer
+from dynasindy.data.rates import unit_of_rate
 from dynasindy.data.simulated import before_leaving, disturb, record
 from dynasindy.data.table import all_headings, split_unit
 from dynasindy.evaluation import verdict
-from dynasindy.evaluation.followed import followed
+from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.horizons import Forecasts, begun, forecast
-from dynasindy.evaluation.source import Source
+from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.excitation import Excitation, HeldRandom
 from dynasindy.systems.base import System
 from dynasindy.systems.ranges import Ends, drawn, starts
@@ -143,7 +144,7 @@ class Logged:
     dt: float | None = None
     missing: str = "skip"
     known: dict[str, str] | None = None
-    validation_share: float = 0.25
+    validation_share: float = VALIDATION_SHARE
 
     def __post_init__(self) -> None:
         if not self.path:
@@ -155,10 +156,7 @@ class Logged:
 
     def load(self, system: System | None, excitation: ExcitationBuilder) -> Source:
         """Read the file; of the plant the names are used at most, and nothing of the excitation."""
-        recording = self.recording(system)
-        data, place = recording.transitions, torch.arange(len(recording.transitions))
-        cut = int(len(data) * (1 - self.validation_share))
-        return Source(recording.signature, data.select(place < cut), data.select(place >= cut), recording.notes, True)
+        return Source.of(self.recording(system), self.validation_share)
 
     def recording(self, system: System | None) -> Recording:
         """Read the file, all of it; of the plant the names are used at most."""
@@ -209,8 +207,7 @@ class Logged:
             if name in states and rate not in found and rate.isidentifier():
                 given = states[name]
                 keys = {} if isinstance(given, str) else vars(given) if isinstance(given, Column) else given
-                unit = keys.get("unit", "-")
-                found[rate] = Column("", "1/s" if unit == "-" else f"{unit}/s")
+                found[rate] = Column("", unit_of_rate(str(keys.get("unit", "-"))))
         return found
 
 
@@ -264,10 +261,8 @@ def identify(
             f"world_model is a {type(model).__name__}, which has no coefficients to identify; choose world_model=sindy "
             "or another that builds a SindyModel"
         )
-    tell("fit")
-    report = model.fit(source.training)
-    lag = followed(model, source)
-    model, source, report = lag.model, lag.source, lag.report or report
+    fit = fitted(model, source)
+    model, source = fit.model, fit.source
     found = _actuators(model, source.training) if actuators else None
     tell("prediction of the validation data")
     validation, names = source.validation, source.signature.state_names
@@ -281,7 +276,7 @@ def identify(
     forecasts = forecast(model, source.training, validation, horizons)
     if forecasts is not None:
         metrics |= verdict.errors(forecasts, source.signature)
-    return Identified(model, report, predicted, metrics, source, forecasts, found, lag.words)
+    return Identified(model, fit.report, predicted, metrics, source, forecasts, found, fit.lag)
 
 
 def _actuators(model: SindyModel, data: Transitions) -> Found:
