@@ -27,11 +27,11 @@ from dynasindy.agents import Actor
 from dynasindy.control import Controller
 from dynasindy.control.controller import Pace
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.before_fit import wrong_units
+from dynasindy.evaluation.before_fit import missing_rates, wrong_units
 from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.horizons import forecast
-from dynasindy.evaluation.identification import Logged, missing_rates
+from dynasindy.evaluation.identification import Logged
 from dynasindy.evaluation.predicted import Prediction, predict
 from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
@@ -44,7 +44,6 @@ from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.systems import Diverged, Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
-from dynasindy.told import tell
 from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.libraries import LibraryBuilder
 from dynasindy.world_models.models.ensemble import refits
@@ -201,8 +200,7 @@ def plan(
     env = ControlEnv(model, task, pace.dt, pace.substeps, seed=seed)
     others = []
     if log is not None:
-        tell("fit to each half of the log")
-        others = refits(model, log.training, HALVES)
+        others = refits(model, log.training, HALVES, "the log")
     actor = Actor(task.n_o, model.signature.n_u, seed=seed)
     GradientPlanning(env, actor, others=others, seed=seed, **settings).plan()
     return Controller(actor.deployed, pace, observer)
@@ -246,8 +244,8 @@ def foretell(
     if log is None or not len(log.validation):
         return replace(predict([model], env, policy, scenario, sensing, within), own=True)
     log = log.with_states_of(model)
-    tell("fit to data that the plan has not seen")
-    models = [*refits(model, log.validation, 1), *refits(model, log.validation, HALVES)]
+    unseen = "what the plan has not seen"
+    models = [fit for parts in (1, HALVES) for fit in refits(model, log.validation, parts, unseen)]
     found = predict(models, env, policy, scenario, sensing, within)
     forecasts = forecast(model, log.training, log.validation)
     told = [] if forecasts is None else doubts(forecasts, model.signature)

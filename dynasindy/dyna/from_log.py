@@ -13,7 +13,6 @@ from dynasindy.evaluation.before_fit import before_fit
 from dynasindy.evaluation.files import write_json
 from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.held import WITHIN
-from dynasindy.evaluation.identification import missing_rates
 from dynasindy.evaluation.predicted import Prediction
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source
@@ -74,7 +73,7 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
         say(*told)
     found = fitted(built, source)
     lag = [f"found: {found.lag}"] if found.lag else []
-    say(found.report.to_text(), *lag, *(f"note: {note}" for note in source.notes), *missing_rates(built, source))
+    say(found.report.to_text(), *lag, *(f"note: {note}" for note in source.notes))
     return found.model
 
 

@@ -10,7 +10,7 @@ from dynasindy.evaluation.horizons import Forecasts, forecast
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import LOST, doubts
 from dynasindy.systems import Signature
-from dynasindy.told import tell
+from dynasindy.told import tell, telling
 from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.models.follower import lag_of, with_follower
 
@@ -56,7 +56,8 @@ def fitted(model: SindyModel, source: Source) -> Fitted:
         return plain
     for place, name in enumerate(model.signature.input_names):
         try:
-            found = _with_lag(model, source, place)
+            with telling(f"fit with a lag of {name}"):
+                found = _with_lag(model, source, place)
         except (ArithmeticError, ValueError, RuntimeError):  # numbers that run away, or too few samples
             continue
         if found is None:

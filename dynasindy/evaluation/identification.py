@@ -30,7 +30,6 @@ from dynasindy.world_models.models.actuators import Found, behind, find_actuator
 from dynasindy.world_models.models.prediction import nrmse, one_step_error, open_loop
 from dynasindy.world_models.refinement.delay import delayed
 from dynasindy.world_models.refinement.measured import ranged
-from dynasindy.world_models.refinement.order import moving_on
 from dynasindy.world_models.writers.tables import to_csv, to_latex, to_text
 
 ExcitationBuilder = Callable[..., Excitation]
@@ -288,16 +287,6 @@ def _actuators(model: SindyModel, data: Transitions) -> Found:
         return Found.none(model, " ".join(str(error).split()) or type(error).__name__)
 
 
-def missing_rates(model: SindyModel, source: Source) -> list[str]:
-    """Say how to give the rates that the data of a log show to be missing, a line for each state."""
-    return [
-        f"hint: {name} moves on whatever states and inputs say, so its rate is a state, too: give "
-        f"'plant.known={{{name}: {name}_rate}}', and the rate is estimated with the model, or read from the column of "
-        "that name; data.states names other columns"
-        for name in moving_on(model.library, source.training)
-    ]
-
-
 def to_words(found: Identified, source: Source) -> str:
     """Write equations, fit, identifiability, what the data show, errors, notes and a verdict for a reader."""
     signature, shown = source.signature, found.forecasts
@@ -310,11 +299,12 @@ def to_words(found: Identified, source: Source) -> str:
     if shown is not None:
         lines += verdict.table(shown, signature)
     free = found.metrics["open_loop_nrmse"]
-    lines.append("validation, open loop, relative to each state's deviation")
+    lines.append(
+        "one prediction of all data that the fit did not see, relative to the standard deviation of each state"
+    )
     lines += [f"  {state:<10} {_percent(error)}" for state, error in free.items()]
     unsought = (found.found.words,) if found.found is not None and not found.found.sought else ()
     lines += [f"note: {note}" for note in (*source.notes, *unsought)]
-    lines += missing_rates(found.model, source)
     if shown is None:
         return "\n".join([*lines, "the validation data are too short to judge how far ahead the model predicts"])
     return "\n".join([*lines, *verdict.judge(shown, signature)])
