@@ -68,6 +68,16 @@ def planning(words: Sequence[str], logged: bool, plant: str | None, targets: Map
     return _command("train", kept)
 
 
+def planning_on(model: object, words: Sequence[str]) -> str:
+    """Return the command that goes on with a plan from a log whose equations were found, with what the user gave.
+
+    Args:
+        model: File of the equations.
+        words: What the user gave.
+    """
+    return _command("train", [*_without(words, ("model",)), f"model={model}"])
+
+
 def with_plant(words: Sequence[str], plant: str) -> str:
     """Return the command that identifies the same log with the library of a plant that is known by name."""
     return _command("identify", [f"system={plant}", *_without(words, ("folder", "hydra", "system"))])
