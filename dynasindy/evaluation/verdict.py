@@ -44,7 +44,7 @@ def table(forecasts: Forecasts, signature: Signature) -> list[str]:
     }
     wide, heads = max(map(len, kinds)) + 2, [in_words(horizon) for horizon in forecasts.horizons]
     lines = [
-        f"validation: RMS error over the time after {forecasts.starts} starts",
+        f"RMS error of predictions that begin at {forecasts.starts} samples which the fit did not see, over the first",
         f"  {'':<{wide + 2}}{''.join(f'{head:>11}' for head in heads)}",
     ]
     for i, (name, unit) in enumerate(zip(signature.state_names, signature.state_units, strict=True)):
