@@ -13,9 +13,9 @@ import gymnasium
 if TYPE_CHECKING:
     from dynasindy.control import Controller, load
     from dynasindy.terminal import Shown
-    from dynasindy.workbench import identify, plan, read
+    from dynasindy.workbench import foretell, identify, plan, read
 
-__all__ = ["Controller", "Shown", "__version__", "identify", "load", "plan", "read"]
+__all__ = ["Controller", "Shown", "__version__", "foretell", "identify", "load", "plan", "read"]
 
 __version__ = "0.1.0"
 
@@ -29,6 +29,7 @@ _PLACES = {
     "Controller": "dynasindy.control",
     "load": "dynasindy.control",
     "Shown": "dynasindy.terminal",
+    "foretell": "dynasindy.workbench",
     "identify": "dynasindy.workbench",
     "plan": "dynasindy.workbench",
     "read": "dynasindy.workbench",

@@ -21,6 +21,8 @@ class TimeUnit:
 SECONDS = TimeUnit("s", 1.0)
 FROM: tuple[tuple[float, TimeUnit], ...] = ((7200.0, TimeUnit("h", 3600.0)), (600.0, TimeUnit("min", 60.0)))
 """From which length on [s] a unit is used, the longest first; shorter ones are told in seconds."""
+MANY = 10000.0
+"""Length [s] from which on one alone is never told in seconds; below, 1000 s is plainer than 16.67 min."""
 
 
 def unit_of(seconds: float) -> TimeUnit:
@@ -28,6 +30,18 @@ def unit_of(seconds: float) -> TimeUnit:
     if seconds == float("inf"):
         return SECONDS
     return next((unit for least, unit in FROM if abs(seconds) >= least), SECONDS)
+
+
+def _suited(seconds: float) -> TimeUnit:
+    """Return the unit in which a length of time alone is told: seconds where only they make a round number of it."""
+    unit = unit_of(seconds)
+    rough = abs(seconds) < MANY and not _round(seconds / unit.seconds) and _round(seconds)
+    return SECONDS if rough else unit
+
+
+def _round(value: float) -> bool:
+    """Tell whether three digits say all of a number."""
+    return float(f"{value:.3g}") == float(f"{value:.9g}")
 
 
 def in_words(seconds: float, longest: float | None = None, digits: int = 4) -> str:
@@ -38,6 +52,6 @@ def in_words(seconds: float, longest: float | None = None, digits: int = 4) -> s
         longest: Length whose unit is used [s], where several lengths stand beside each other; by default its own.
         digits: Significant digits, at least those before the point.
     """
-    unit = unit_of(seconds if longest is None else longest)
+    unit = _suited(seconds) if longest is None else unit_of(longest)
     value = seconds / unit.seconds
     return f"{value:.0f} {unit.name}" if abs(value) >= 10 ** (digits - 1) else f"{value:.{digits}g} {unit.name}"

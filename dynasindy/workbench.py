@@ -1,11 +1,12 @@
-"""From a log to a controller in three calls: `read`, `identify`, `plan`; a saved controller by `load`.
+"""From a log to a controller and to what it will do: `read`, `identify`, `plan`, `foretell`; `load` a saved one.
 
     log = dynasindy.read("log.csv")
     model = dynasindy.identify(log)
     controller = dynasindy.plan(model, {"angle": (-0.5, 0.5)}, log=log)
+    print(dynasindy.foretell(controller, model, log).words())
 
 Nothing is printed while they work; `with dynasindy.Shown():` around them shows on standard error what is under way.
-The scripts do the same with a plant in the loop, and write down everything on the way.
+`train.py data=csv` calls the same and writes everything down; `train.py` alone has a plant in the loop.
 """
 
 from __future__ import annotations
@@ -25,34 +26,38 @@ from torch import Tensor
 from dynasindy.agents import Actor
 from dynasindy.control import Controller
 from dynasindy.control.controller import Pace
-from dynasindy.data.csv import Recording
-from dynasindy.data.rates import mismatched
 from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.before_fit import missing_rates, wrong_units
+from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.held import WITHIN
+from dynasindy.evaluation.horizons import forecast
 from dynasindy.evaluation.identification import Logged
 from dynasindy.evaluation.predicted import Prediction, predict
-from dynasindy.evaluation.scenarios import Scenario
+from dynasindy.evaluation.scenarios import Scenario, step_references
+from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.evaluation.symptoms import resolution as resolution_of
 from dynasindy.evaluation.symptoms import samples_of, step_of
+from dynasindy.evaluation.verdict import doubts, known_ranges, unlogged, unmoved
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.planning.pace import rests_of, unheld
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors
+from dynasindy.sensing.offset import acting
 from dynasindy.systems import Diverged, Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
-from dynasindy.told import tell
 from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.libraries import LibraryBuilder
 from dynasindy.world_models.models.ensemble import refits
-from dynasindy.world_models.models.follower import completed, lagging
+from dynasindy.world_models.models.follower import lags
 from dynasindy.world_models.refinement.measured import ranged, rates_known
-from dynasindy.world_models.refinement.order import moving_on
 
 PERIOD = 0.05
 """Control period unless another is given [s]; with a log the multiple of its sampling time that is nearest."""
 FINE = 5
 """Runge-Kutta steps of a predicted control period."""
+FLOWN = 64
+"""Targets that are flown to where no scenario is given."""
 HALVES = 2
 """Stretches of a log that a model is fitted to again, to see what the log leaves open."""
 LONGEST_DELAY = 0.05
@@ -85,8 +90,9 @@ def read(
     inputs: Mapping[str, Any] | Sequence[str] | None = None,
     time: str = "time",
     dt: float | None = None,
-) -> Recording:
-    """Read a log of a plant from a CSV file.
+    validation_share: float = VALIDATION_SHARE,
+) -> Source:
+    """Read a log of a plant from a CSV file; the last part of it is kept for `foretell`.
 
     Args:
         path: The file, with a line of headings such as `angle [rad]`.
@@ -95,9 +101,11 @@ def read(
         inputs: Columns of the inputs, likewise; those that are called `u`, `u_...` or `input_...` if omitted.
         time: Heading of the time column [s].
         dt: Sampling time [s]; the file's own if omitted.
+        validation_share: Part of the log, at its end, that neither the fit nor the plan sees. With 0 they see all of
+            it, and `foretell` can promise nothing.
 
     Returns:
-        Transitions, signature and notes on what was skipped or resampled.
+        Both parts, the signature, and notes on what was skipped or resampled.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -106,25 +114,28 @@ def read(
     columns: list[dict[str, Any] | list[str] | None] = []
     for given in (states, inputs):
         columns.append(None if given is None else dict(given) if isinstance(given, Mapping) else list(given))
-    return Logged(str(path), columns[0], columns[1], time, dt).recording(None)
+    return Source.of(Logged(str(path), columns[0], columns[1], time, dt).recording(None), validation_share)
 
 
 @_arguments_named()
 def identify(
-    log: Recording,
+    log: Source,
     library: str | Sequence[str] | LibraryBuilder = "auto_rig",
     known: Mapping[str, str] | None = None,
     method: Literal["integral", "one_step", "trajectory", "auto"] = "auto",
     longest_delay: float = LONGEST_DELAY,
 ) -> SindyModel:
-    """Identify sparse equations from a log.
+    """Identify sparse equations from a log, as `train.py data=csv` does.
+
+    Where they lack something, an input that acts through a lag is looked for; the lag is then a state of the model.
 
     Args:
         log: What `read` returned.
         library: Candidate functions: a name of `dynasindy.world_models.libraries.NAMED`, or functions in words.
             `auto_rig` is quadratic polynomials, or for angles in rad and their rates in rad/s the functions of
             mechanics, and dry friction of every rate.
-        known: Equations that are known, such as `{"angle": "rate"}`: the state's rate is that function.
+        known: Equations that are known, such as `{"angle": "rate"}`: the state's rate is that function. A rate that
+            the log does not have is estimated with the model.
         method: How the fit is refined; `auto` chooses by the noise of the data.
         longest_delay: Longest delay of the inputs that is looked for [s].
 
@@ -137,27 +148,20 @@ def identify(
         Diverged: A coefficient is not finite.
     """
     refinement = Refinement(method, longest_delay=longest_delay)
-    signature = ranged(log.signature, log.transitions, known or {})
+    source = log.with_rates(known or {})
+    signature = ranged(source.signature, source.whole, known or {})
     model = SindyModel(signature, library, Regression("bic", tolerance=1e-4), refinement, known=known)
-    tell("fit")
-    rates = {state: rate for rate, state in rates_of(model).items()}
-    for found in mismatched(log.transitions, log.signature, rates):
-        warnings.warn(SETTINGS.sub("", str(found)), stacklevel=3)  # past the context manager
-    model.fit(log.transitions)
-    for name in moving_on(model.library, log.transitions):
-        warnings.warn(
-            f"{name} moves on whatever states and inputs say, so its rate is a state, too: give identify(known={{"
-            f"'{name}': '{name}_rate'}}), and read(states=...) with '{name}_rate': {{'unit': ...}} if it has no column",
-            stacklevel=3,
-        )
-    return model
+    source = replace(source, signature=signature)
+    for found in (*wrong_units(model, source), *missing_rates(model, source)):
+        warnings.warn(SETTINGS.sub("", found), stacklevel=3)  # past the context manager
+    return fitted(model, source).model
 
 
 @_arguments_named()
 def plan(
     model: SindyModel,
     task: Tracking | Mapping[str, tuple[float, float]],
-    log: Recording | None = None,
+    log: Source | None = None,
     sensors: Sensors | None = None,
     dt: float | None = None,
     seed: int = 0,
@@ -188,11 +192,12 @@ def plan(
         raise ValueError(
             f"the model's inputs act {model.delay:.3g} s late, which only an observer makes up for; give log="
         )
-    _require_moved(model, task.output_names)
+    if still := unmoved(model, task.output_names):
+        raise ValueError(still)
     if log is not None:
-        data = completed(log.transitions, log.signature.state_names, model.signature)
-        log = Recording(data, model.signature, log.notes)
-        task = task.as_logged(_typical(data, model.signature))
+        log = log.with_states_of(model)
+        data = log.training
+        task = task.as_logged(_typical(data, model.signature), known_ranges(model, data.u))
     pace = Pace(task, dt or nearest_period(log), stops=model.stops)
     if log is not None and sensors is None:
         sensors = sensors_of(log, model)
@@ -200,8 +205,7 @@ def plan(
     env = ControlEnv(model, task, pace.dt, pace.substeps, seed=seed)
     others = []
     if log is not None:
-        tell("fit to each half of the log")
-        others = refits(model, log.transitions, HALVES)
+        others = refits(model, log.training, HALVES, "the log")
     actor = Actor(task.n_o, model.signature.n_u, seed=seed)
     GradientPlanning(env, actor, others=others, seed=seed, **settings).plan()
     return Controller(actor.deployed, pace, observer)
@@ -210,26 +214,30 @@ def plan(
 def foretell(
     controller: Controller,
     model: SindyModel,
-    unseen: Transitions | None,
-    scenario: Scenario,
+    log: Source | None = None,
+    scenario: Scenario | None = None,
     seed: int = 0,
     within: float = WITHIN,
 ) -> Prediction:
     """Predict what a controller will do, on models fitted to data that neither it nor its model has seen.
 
-    The models get their inputs as late as the data say, and the policy has its integral action if the controller does.
+    This is the verdict of `train.py data=csv`: nothing is promised where the model lacks something. Models get their
+    inputs as late as the data say, and the policy has its integral action if the controller does.
 
     Args:
         controller: The controller.
         model: The model that it was planned on, whose functions are fitted again.
-        unseen: Data of the same plant; None flies the model itself, which promises nothing.
-        scenario: What to fly.
+        log: The log that the model was identified from; if omitted, or if none of it was kept, the model itself is
+            flown, which promises nothing.
+        scenario: What to fly; if omitted, 64 steps over the range of the targets, as long as the task's episodes.
         seed: Seed of the sensors' noise.
         within: Mean absolute error at the end that is asked for, in target ranges.
 
     Raises:
-        ValueError: There are too few data for a fit.
+        ValueError: There are too few data for a fit, the log is of another plant, or the task is one without a range
+            of targets and no scenario is given.
     """
+    scenario = scenario or _steps(controller.pace.task)
     pace, policy = controller.pace, controller.policy
     if controller.integral is not None:
         policy = IntegralAction(policy, pace, **controller.integral)
@@ -237,13 +245,32 @@ def foretell(
     sensing = None
     if controller.observer is not None:
         sensing = Sensing(env, controller.observer, torch.Generator().manual_seed(seed))
+    else:
+        policy = acting(policy, env)
     rests = rests_of(env)
     never = "" if rests is None else unheld(env, rests)
-    if unseen is None:
+    if log is None or not len(log.validation):
         return replace(predict([model], env, policy, scenario, sensing, within), own=True, unheld=never)
-    tell("fit to data that the plan has not seen")
-    models = [*refits(model, unseen, 1), *refits(model, unseen, HALVES)]
-    return replace(predict(models, env, policy, scenario, sensing, within), unheld=never)
+    log = log.with_states_of(model)
+    unseen = "what the plan has not seen"
+    models = [fit for parts in (1, HALVES) for fit in refits(model, log.validation, parts, unseen)]
+    found = predict(models, env, policy, scenario, sensing, within)
+    forecasts = forecast(model, log.training, log.validation)
+    told = [] if forecasts is None else doubts(forecasts, model.signature)
+    low, high = pace.task.ends or ((), ())
+    told += unlogged(model, log.training.x, dict(zip(controller.outputs, zip(low, high, strict=True), strict=False)))
+    return replace(found, doubts=tuple(told), unheld=never)
+
+
+def _steps(task: Tracking) -> Scenario:
+    """Return steps to targets over the whole range of a task, as long as its episodes.
+
+    Raises:
+        ValueError: It has no range of targets.
+    """
+    if task.ends is None:
+        raise ValueError("the task has no range of targets, low and high, to fly steps in; give foretell a scenario")
+    return Scenario("step", step_references(*task.ends, FLOWN), FLOWN, None)
 
 
 def tracking(model: SindyModel, targets: Mapping[str, tuple[float, float]]) -> Tracking:
@@ -256,12 +283,20 @@ def tracking(model: SindyModel, targets: Mapping[str, tuple[float, float]]) -> T
     Raises:
         ValueError: There is no target, or an output does not exist.
     """
-    rates, (low, high) = rates_of(model), ([float(ends[k]) for ends in targets.values()] for k in (0, 1))
-    damped = [rates[name] for name in targets if name in rates]
-    if len(damped) < len(targets):
-        damped = []
-    reward = TrackingReward(error_weights=(4.0,))
-    return Tracking(model.signature, RandomStep(low, high), list(targets), damped, reward, low=low, high=high)
+    low, high = ([float(ends[k]) for ends in targets.values()] for k in (0, 1))
+    rates, reward = damped(list(targets), rates_of(model)), TrackingReward(error_weights=(4.0,))
+    return Tracking(model.signature, RandomStep(low, high), list(targets), rates, reward, low=low, high=high)
+
+
+def damped(outputs: Sequence[str], known: Mapping[str, str]) -> list[str]:
+    """Return the rates of the outputs, whose changes cost; none where not every output has one that is known.
+
+    Args:
+        outputs: Tracked states.
+        known: Equations that are known, by state.
+    """
+    rates = [known[name] for name in outputs if name in known]
+    return rates if len(rates) == len(outputs) else []
 
 
 def rates_of(model: SindyModel) -> dict[str, str]:
@@ -270,12 +305,12 @@ def rates_of(model: SindyModel) -> dict[str, str]:
     return {names[state]: names[rate] for rate, state in rates_known(model.library, model.constraints).items()}
 
 
-def sensors_of(log: Recording, model: SindyModel) -> Sensors | None:
+def sensors_of(log: Source, model: SindyModel) -> Sensors | None:
     """Return the sensors that a log shows: what was measured, in which steps, how noisily.
 
     For exact states it is None, as no observer is needed, unless the model's inputs act late, which one makes up for.
     """
-    data, names = log.transitions, log.signature.state_names
+    data, names = log.training, log.signature.state_names
     channels, exact = {}, True
     for name, column in zip(names, samples_of(data), strict=True):
         step, finest = step_of(column), resolution_of(column)
@@ -287,7 +322,7 @@ def sensors_of(log: Recording, model: SindyModel) -> Sensors | None:
     return None if exact and not model.delay else Sensors(channels, rates, disturbance=bool(rates) or not exact)
 
 
-def watching(model: SindyModel, sensors: Sensors, pace: Pace, log: Recording | None) -> Observer:
+def watching(model: SindyModel, sensors: Sensors, pace: Pace, log: Source | None) -> Observer:
     """Return an observer that has learnt its process noise from a log.
 
     Raises:
@@ -295,7 +330,7 @@ def watching(model: SindyModel, sensors: Sensors, pace: Pace, log: Recording | N
     """
     if log is None:
         raise ValueError("sensors need an observer, and it learns its noise levels from a log; give log=")
-    data = log.transitions
+    data = log.training
     stride = round(pace.dt / data.dt)
     if stride < 1 or abs(stride * data.dt - pace.dt) > 1e-6 * pace.dt:
         raise ValueError(f"dt is {pace.dt} s, no multiple of the log's sampling time {data.dt:.6g} s; give another")
@@ -311,42 +346,22 @@ def watching(model: SindyModel, sensors: Sensors, pace: Pace, log: Recording | N
     return observer
 
 
-def _require_moved(model: SindyModel, outputs: Sequence[str]) -> None:
-    """Refuse outputs that no input moves, be it through other states.
-
-    Raises:
-        ValueError: There is such an output.
-    """
-    names, inputs = model.signature.state_names, set(model.signature.input_names)
-    read = {
-        name: {v for k in model.coefficients[:, i].nonzero().flatten() for v in model.library.features[k].variables}
-        for i, name in enumerate(names)
-    }
-    moved: set[str] = set()
-    for _ in names:
-        moved |= {name for name in names if read[name] & (moved | inputs)}
-    if still := [name for name in outputs if name not in moved]:
-        raise ValueError(
-            f"in the equations that were found no input moves {', '.join(still)}, so nothing can be planned: the log "
-            "hardly shows what the inputs do; record longer, and let every input change often and by much"
-        )
-
-
 def _typical(data: Transitions, signature: Signature) -> Tensor:
-    """Return where the log mostly was, `(n_x,)`: zero of states that pass through it, of others the median.
+    """Return where the log mostly was, `(2, n_x)`: zero of states that pass through it, of others the median.
 
-    The lag of an input is that of the median input; states that were not measured are zero.
+    The lag of an input may be any that the log had, and zero, where inputs are before a flight; other states that were
+    not measured are zero.
     """
     x = data.x.double()
     middle = x.nanmedian(0).values.nan_to_num(nan=0.0)
     middle[((x <= 0).any(0)) & ((x >= 0).any(0))] = 0.0
-    for i, name in enumerate(signature.input_names):
-        if lagging(name) in signature.state_names:
-            middle[signature.state_index(lagging(name))] = data.u[:, i].double().median()
-    return middle
+    ends = middle.expand(2, -1).clone()
+    for name, (low, high) in lags(signature, data.u).items():
+        ends[:, signature.state_index(name)] = torch.tensor([low, high]).double()
+    return ends
 
 
-def nearest_period(log: Recording | Transitions | None, wanted: float = PERIOD) -> float:
+def nearest_period(log: Source | None, wanted: float = PERIOD) -> float:
     """Return the control period that suits a log: the multiple of its sampling time nearest to the one wanted [s].
 
     Of two that are as near it is the shorter; without a log it is the one wanted.
@@ -358,6 +373,6 @@ def nearest_period(log: Recording | Transitions | None, wanted: float = PERIOD) 
         raise ValueError(f"env.dt must be a time > 0, got {wanted} s; the default is {PERIOD} s")
     if log is None:
         return wanted
-    step = (log.transitions if isinstance(log, Recording) else log).dt
+    step = log.training.dt
     period = step * max(1, math.ceil(wanted / step - 0.5 - 1e-6))
     return wanted if math.isclose(period, wanted, rel_tol=1e-6) else period

@@ -28,6 +28,7 @@ from omegaconf import DictConfig, OmegaConf
 from places import complete, require_writable
 from reader import while_read
 
+from dynasindy.dyna.stopped import Stopped
 from dynasindy.told import tell
 
 # The jobs of a sweep run in processes of their own, which have to find the modules beside this one.
@@ -67,15 +68,17 @@ def command(
             elif not Sweep.here:  # a worker of a launcher, in which no command was started
                 end_with_parent()
                 listen(stop)
-            from schema import check  # it imports torch, which a command that only prints its help does without
-
             swept = HydraConfig.get().mode == RunMode.MULTIRUN
             with suppress(SystemExit) if swept else nullcontext(), while_read(), _mistakes_in_words(config_name):
-                check(cfg)
-                for folder in filter(None, (cfg.get("folder"), cfg.get("output"))):
-                    require_writable(Path(folder))
                 try:
+                    from schema import check  # it imports torch, which a command that only prints its help does without
+
+                    check(cfg)
+                    for folder in filter(None, (cfg.get("folder"), cfg.get("output"))):
+                        require_writable(Path(folder))
                     return task(cfg)
+                except KeyboardInterrupt as stop:
+                    raise _told(stop, cfg.get("folder")) from stop
                 finally:
                     if not swept:
                         _remove_empty(Path(HydraConfig.get().runtime.output_dir))
@@ -196,6 +199,15 @@ def _mistakes_in_words(config_name: str) -> Iterator[None]:
             SHOWN.close()  # so that the line is the last one
         print(line, file=sys.stderr)
         sys.exit(1 if diverged else 2)
+
+
+def _told(stop: KeyboardInterrupt, folder: str | None) -> Stopped:
+    """Return what a command is stopped with: what it said itself, or else whether it left files."""
+    if (line := str(stop)) in ("", "stopped"):
+        left = folder is not None and Path(folder).is_dir() and any(Path(folder).iterdir())
+        kept = f"what was written until then is in {folder}" if left else "nothing is kept"
+        line = f"stopped; {kept}, the same command begins anew"
+    return Stopped(line, getattr(stop, "signal", 2))
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from command import command
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
-from next_steps import listed, planning, with_plant
+from next_steps import listed, planning, with_plant, with_rates
 from omegaconf import DictConfig, OmegaConf
 
 if TYPE_CHECKING:
@@ -19,8 +19,9 @@ def main(cfg: DictConfig) -> None:
     """Load data, fit, judge, write everything and print it."""
     import torch
 
-    from dynasindy.evaluation.before_fit import before_fit, plants_with
+    from dynasindy.evaluation.before_fit import before_fit, known_word, plants_with, rates_lacking
     from dynasindy.evaluation.identification import identify, to_words, write
+    from dynasindy.evaluation.targets import targets_like
     from dynasindy.terminal import say
     from dynasindy.told import tell
 
@@ -45,11 +46,20 @@ def main(cfg: DictConfig) -> None:
         others = f"; others with these columns: {', '.join(known[1:])}" if known[1:] else ""
         say(listed(f"{with_plant(words, known[0])}  # takes the functions of that plant{others}"))
         return
-    lacking = [key for key in ("outputs", "low", "high") if OmegaConf.is_missing(cfg.plant, key)]
+    rates = rates_lacking(found.model, source)
+    if logged and not found.predicts and set(rates) - set(cfg.plant.get("known") or {}):
+        say(listed(f"{with_rates(words, known_word(rates))}  # identifies again, with the rates that the log lacks"))
+        return
     does = "plans a controller on the log" if logged else "excites, identifies and plans in one go"
+    given = {
+        key: None if OmegaConf.is_missing(cfg.plant, key) else cfg.plant[key] for key in ("outputs", "low", "high")
+    }
+    targets = targets_like(source, rates.values(), given)
+    if targets:
+        does += "; put in its targets what you want to hold, within which limits"
     if found.forecasts is not None and not found.predicts:
         does += "; this model does not predict, so mend first what is said above"
-    say(listed(f"{planning(words, logged, system, lacking)}  # {does}"))
+    say(listed(f"{planning(words, logged, system, targets)}  # {does}"))
 
 
 def draw(found: "Identified", source: "Source", folder: Path, formats: list[str]) -> None:

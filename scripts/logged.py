@@ -1,7 +1,8 @@
 """From a log to a controller: what `train.py data=csv` and `train.py model=PATH` do, without a plant."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,17 +12,18 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from hydra.utils import instantiate
 from job import command_and_commit
-from next_steps import following, mending
+from next_steps import following, mending, planning_on
 from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.dyna.from_log import Wanted, controller_of, judged, model_of, report, write
+from dynasindy.dyna.stopped import Stopped
 from dynasindy.evaluation.files import write_json, write_text
 from dynasindy.evaluation.given import read_record, understood
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.planning import GradientPlanning
 from dynasindy.terminal import say
 from dynasindy.viz.evaluation import draw_evaluation
-from dynasindy.workbench import nearest_period
+from dynasindy.workbench import damped, nearest_period
 
 
 def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
@@ -40,11 +42,12 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     if source is not None:  # what cannot be is refused before the fit
         for name in ("task", "world_model") if cfg.model is None else ("task",):  # a given model has its own library
             parts[name](signature=source.signature)
-    dt = nearest_period(source and source.training, cfg.env.dt)
+    dt = nearest_period(source, cfg.env.dt)
     say(f"Run folder: {folder}")
     if dt != cfg.env.dt:
         say(f"note: the control period is {dt:g} s, as the log is sampled; env.dt asks for another")
-    model, source = model_of(source, parts["world_model"], cfg.model)
+    with _stopped_in_words(f"the fit was not finished and nothing is kept in {folder}; the same command begins anew"):
+        model = model_of(source, parts["world_model"], cfg.model)
     task = parts["task"](signature=model.signature)
     (folder / "metrics.json").unlink(missing_ok=True)  # of other settings
     write_text(folder / "config.yaml", settings)  # before the plan, which may fail
@@ -52,8 +55,11 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     model.save(folder / "model.json")
     within = cfg.evaluation.get("within", WITHIN)
     wanted = Wanted(task, parts["scenario"], parts["sensors"], dt, cfg.seed, within, planning)
-    controller = controller_of(model, source, wanted)
-    prediction = judged(controller, model, source, wanted)
+    again = planning_on(folder / "model.json", HydraConfig.get().overrides.task)
+    kept = f"the equations are kept in {folder / 'model.json'}, but no controller yet; plan on them without a new fit:"
+    with _stopped_in_words(f"{kept} {again}"):
+        controller = controller_of(model, source, wanted)
+        prediction = judged(controller, model, source, wanted)
     write(folder, controller, model, prediction)
     if prediction.shown:
         draw_evaluation(prediction.shown, folder / "figures", place=prediction.place)
@@ -62,6 +68,15 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
         words = HydraConfig.get().overrides.task
         print(following(folder, "check", "export") if prediction.controlled else mending(folder, words))
     return prediction.record()
+
+
+@contextmanager
+def _stopped_in_words(kept: str) -> Iterator[None]:
+    """Say what is kept of a run that is stopped meanwhile, and how it goes on."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        raise Stopped(f"stopped; {kept}", getattr(stop, "signal", 2)) from stop
 
 
 def _digests(cfg: DictConfig) -> dict[str, str]:
@@ -94,6 +109,8 @@ def _required(cfg: DictConfig) -> dict[str, object]:
             f"plant.{missing[0]} is not given; say what is to be tracked, and within which targets, such as "
             "plant.outputs=[angle] plant.low=[-0.5] plant.high=[0.5]"
         )
+    if OmegaConf.is_missing(cfg.plant, "rates"):
+        cfg.plant.rates = damped(cfg.plant.outputs, cfg.plant.get("known") or {})
     if not (within := cfg.evaluation.get("within", WITHIN)) > 0:
         raise ValueError(f"evaluation.within must be positive, got {within}; give a share of the target range")
     build = instantiate(cfg.planning, _convert_="all")

@@ -4,7 +4,7 @@ import argparse
 import re
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from commands import called
 
@@ -16,6 +16,10 @@ NEXT = {
 """What a command shows or makes of a run."""
 OWN = ("actuators", "folder", "formats", "horizons", "hydra")
 """Words of `identify` that other commands do not have."""
+
+
+IDENTIFYING = ("system", "data", "plant", "world_model", "refinement", "source", "longest_delay", "threads")
+"""Words of `train` that say how a log is identified; `identify` has them too."""
 
 
 def listed(*lines: str) -> str:
@@ -43,30 +47,50 @@ def mending(folder: object, words: Sequence[str], episodes: int | None = None, c
         more = f"{_command('train', [*kept, f'train.episodes={max(3, 2 * episodes)}'])}"
         lines.append(f"{more}  # flies more real episodes, whose data mend the model")
     if episodes is None and any(word.startswith("data.path=") for word in words):
-        kept = [word for word in words if re.split(r"[=./]", word.lstrip("+~"))[0] in ("system", "data")]
+        kept = [word for word in words if re.split(r"[=./]", word.lstrip("+~"))[0] in IDENTIFYING]
         lines.append(f"{_command('identify', kept)}  # tells what the log lacks: what to record, or which functions")
     return listed(*lines) if lines else ""
 
 
-def planning(words: Sequence[str], logged: bool, plant: str | None, open_keys: Sequence[str]) -> str:
+def planning(words: Sequence[str], logged: bool, plant: str | None, targets: Mapping[str, Sequence[object]]) -> str:
     """Return the command that plans on what `identify` was called for, with the words that it was called with.
 
     Args:
         words: What the user gave.
         logged: Whether the data are a log; if not, what is said of the data is not for `train`.
         plant: The option of `system`, if a plant was named or taken.
-        open_keys: Keys of `plant` that nobody has given yet.
+        targets: What stands for keys of `plant` that nobody has given yet.
     """
     kept = _without(words, (*OWN, *(() if logged else ("data", "refinement", "source"))))
     if not logged and plant and not any(word.lstrip("+~").startswith("system=") for word in words):
         kept.insert(0, f"system={plant}")
-    kept += [f"plant.{key}=[{'NAME' if key == 'outputs' else 'NUMBER'}]" for key in open_keys]
+    kept += [f"plant.{key}=[{','.join(map(str, values))}]" for key, values in targets.items()]
     return _command("train", kept)
+
+
+def planning_on(model: object, words: Sequence[str]) -> str:
+    """Return the command that goes on with a plan from a log whose equations were found, with what the user gave.
+
+    Args:
+        model: File of the equations.
+        words: What the user gave.
+    """
+    return _command("train", [*_without(words, ("model",)), f"model={model}"])
 
 
 def with_plant(words: Sequence[str], plant: str) -> str:
     """Return the command that identifies the same log with the library of a plant that is known by name."""
     return _command("identify", [f"system={plant}", *_without(words, ("folder", "hydra", "system"))])
+
+
+def with_rates(words: Sequence[str], known: str) -> str:
+    """Return the command that identifies the same log again, with the rates that it lacks.
+
+    Args:
+        words: What the user gave.
+        known: The word that says all rates, those that were given too.
+    """
+    return _command("identify", [*_without(words, ("folder", "hydra", "plant.known")), known])
 
 
 def _without(words: Sequence[str], keys: Sequence[str]) -> list[str]:

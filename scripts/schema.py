@@ -44,7 +44,7 @@ class Plant(TypedDict):
 
     outputs: list[str]
     rates: list[str]
-    start: dict[str, float | list[float]]
+    start: dict[str, float | list[float]] | None
     bounds: dict[str, float | list[float]]
     low: list[float]
     high: list[float]

@@ -20,6 +20,7 @@ from dynasindy.data.csv import Recording
 from dynasindy.data.simulated import record
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
+from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
 from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, Signature
@@ -52,8 +53,8 @@ def model(log):
 def test_a_log_is_read_with_its_units_and_gaps(log):
     assert log.signature.state_units == ("rad", "rad/s")
     assert log.signature.input_names == ("u",)
-    assert log.transitions.dt == pytest.approx(0.01)
-    assert log.transitions.x[:, 1].isnan().all()
+    assert log.training.dt == pytest.approx(0.01)
+    assert log.training.x[:, 1].isnan().all()
 
 
 def test_the_equations_are_those_of_the_pendulum(model):
@@ -85,7 +86,8 @@ def test_what_is_under_way_is_told_and_nothing_is_printed(exact, capfd):
         found = dynasindy.identify(exact, WORDS, {"theta": "Omega"}, "one_step")
         dynasindy.plan(found, {"theta": (-0.6, 0.6)}, exact, updates=1, rollouts=4, window=5)
     phases = list(dict.fromkeys(told.phase for told in heard))
-    assert phases[:2] == ["fit", "fit to each half of the log"] and "planning" in phases
+    assert phases[:3] == ["fit", "fit to part 1 of 2 of the log", "fit to part 2 of 2 of the log"]
+    assert "planning" in phases
     assert capfd.readouterr() == ("", "")
     assert dynasindy.Shown.__module__ == "dynasindy.terminal"
 
@@ -137,7 +139,7 @@ STILL = Scenario("step", Step([[0.2]]), seconds=30.0)
 def exact():
     """Return a log at 50 Hz without noise."""
     u = Multisine(1, duration=8, dt=0.05, amplitude=[0.8], seed=0).samples(0.02)
-    return Recording(record(Pendulum(), u, 0.02), Pendulum().signature)
+    return Source.of(Recording(record(Pendulum(), u, 0.02), Pendulum().signature))
 
 
 @pytest.fixture(scope="module")
@@ -157,7 +159,7 @@ def test_the_control_period_is_the_nearest_multiple_of_the_logs(exact):
 
 @pytest.mark.parametrize(("step", "period"), [(0.01, 0.05), (0.02, 0.04), (0.03, 0.06), (0.04, 0.04), (0.2, 0.2)])
 def test_a_control_period_is_never_shorter_than_a_sample(exact, step, period):
-    changed = replace(exact, transitions=replace(exact.transitions, dt=step))
+    changed = replace(exact, training=replace(exact.training, dt=step))
     assert nearest_period(changed) == pytest.approx(period)
 
 
@@ -180,8 +182,8 @@ def test_exact_states_need_an_observer_where_inputs_are_late(exact, late):
     """States that are cubic in time are as exact as a log shows; each is measured all the same."""
     t = torch.linspace(0.31, 1.17, 401, dtype=torch.float64)
     x = torch.stack([t**3, 3 * t**2], -1)
-    smooth = replace(exact, transitions=replace(exact.transitions, x=x[:-1], x_next=x[1:]))
-    assert len(exact.transitions) == 400
+    smooth = replace(exact, training=replace(exact.training, x=x[:300], x_next=x[1:301]))
+    assert len(exact.training) == 300
     found = sensors_of(smooth, late)
     assert list(found.channels) == ["theta", "Omega"]
     assert all(channel.noise < 1e-6 and channel.resolution == 0 for channel in found.channels.values())
@@ -229,8 +231,36 @@ def test_targets_that_no_input_holds_are_told(model):
     assert "longer plan" not in told
 
 
+def test_nothing_is_promised_by_a_log_of_which_nothing_was_kept(exact):
+    alone = Source.of(Recording(exact.whole, exact.signature), 0)
+    model = dynasindy.identify(alone, WORDS, {"theta": "Omega"}, longest_delay=0.0)
+    controller = dynasindy.plan(model, {"theta": (-0.6, 0.6)}, alone, **SHORT)
+    found = foretell(controller, model, alone)
+    assert found.own and not found.promised
+    assert found.shown.trajectory.batch_size[0] == 64  # steps over the range of the targets
+
+
+def test_a_task_without_a_range_of_targets_needs_a_scenario(model):
+    task = Tracking(model.signature, RandomStep([0.0], [0.2]), ("theta",), ("Omega",), TrackingReward((1.0,)))
+    controller = Controller(lambda tensordict: tensordict, Pace(task, 0.05))
+    with pytest.raises(
+        ValueError, match="no range of targets, low and high, to fly steps in; give foretell a scenario"
+    ):
+        foretell(controller, model)
+
+
+def test_a_rate_that_is_known_needs_no_column(path, log, model):
+    """The encoder's angle alone gives the model of the log that names its rate."""
+    alone = dynasindy.read(path)
+    assert alone.signature.state_names == ("theta",)
+    words = [word.replace("Omega", "theta_rate") for word in WORDS]
+    found = dynasindy.identify(alone, words, known={"theta": "theta_rate"}, longest_delay=0.0)
+    assert found.signature.state_units == ("rad", "rad/s")
+    assert torch.equal(found.coefficients, model.coefficients)
+
+
 def test_the_package_says_what_it_has():
-    with pytest.raises(AttributeError, match=r"it has Controller, .*, identify, load, plan, read"):
+    with pytest.raises(AttributeError, match=r"it has Controller, .*, foretell, identify, load, plan, read"):
         dynasindy.train  # noqa: B018
 
 
@@ -252,16 +282,19 @@ def test_the_lines_of_the_readme_run(tmp_path, monkeypatch, capsys):
 
 def test_a_warning_says_which_state_misses_its_rate(exact):
     """The pendulum's angle alone."""
-    t = exact.transitions
-    alone = Recording(replace(t, x=t.x[:, :1], x_next=t.x_next[:, :1]), Signature(("theta",), ("rad",), ("u",), (1.0,)))
-    with pytest.warns(UserWarning, match=r"theta moves on .*: give identify\(known=\{'theta': 'theta_rate'\}\)"):
+    t = exact.training
+    signature = Signature(("theta",), ("rad",), ("u",), (1.0,))
+    alone = Source.of(Recording(replace(t, x=t.x[:, :1], x_next=t.x_next[:, :1]), signature))
+    with pytest.warns(
+        UserWarning, match=r"what theta will do depends on its rate.* Give 'known=\{theta: theta_rate\}'"
+    ):
         assert dynasindy.identify(alone).delay == 0
 
 
 def test_a_warning_says_which_rate_is_in_other_units(exact):
     """The pendulum's angle in degrees, beside its rate in rad/s; neither is warned of in one unit."""
-    t, degrees = exact.transitions, torch.tensor([180 / math.pi, 1.0])
-    wrong = Recording(replace(t, x=t.x * degrees, x_next=t.x_next * degrees), exact.signature)
+    t, degrees = exact.training, torch.tensor([180 / math.pi, 1.0])
+    wrong = Source.of(Recording(replace(t, x=t.x * degrees, x_next=t.x_next * degrees), exact.signature))
     with pytest.warns(UserWarning, match=r"Omega does not fit theta, .* is 57\.3 times Omega; degrees beside rad/s\?"):
         dynasindy.identify(wrong, WORDS, {"theta": "Omega"}, "one_step")
     with warnings.catch_warnings():

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.checking.flights import Flights, Plane, fly, recovery
-from dynasindy.checking.linear import Array, Rest, rest
+from dynasindy.checking.linear import RESTS, Array, Rest, rest
 from dynasindy.checking.loop import Loop
 from dynasindy.checking.margins import Margins, margins
 from dynasindy.checking.noise import noise_gain
@@ -132,7 +132,7 @@ def check(loop: Loop, settings: Settings, errors: Tensor | None = None) -> Check
             f"low and high have {len(settings.low)} numbers; give one for each of {', '.join(loop.task.output_names)}"
         )
     targets = settings.targets
-    tell("where the loop rests", 0, len(targets), "targets")
+    tell(RESTS, 0, len(targets), "targets")
     found = rest(loop, targets, seconds=settings.seconds)
     good = found.still & torch.from_numpy(found.linear.radius < 1)
     stable = good.tolist()

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from dynasindy.agents.classical.linearise import Equilibria
 from dynasindy.checking.loop import Loop
+from dynasindy.told import tell
 
 NUDGE = 1e-5
 """Step of the differences [ranges]."""
@@ -31,6 +32,10 @@ SETTLED = 600
 """Control periods after which the covariance of the observer is taken as steady."""
 
 Array = NDArray[np.float64]
+
+
+RESTS = "where the loop rests"
+"""What is under way, in words."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +120,7 @@ def guess(loop: Loop, r: Tensor) -> Tensor:
             x[k], u[k] = found.state_and_input(target, found(target))
         except (ValueError, RuntimeError):  # out of reach, or a slope that has no inverse
             continue
-    return loop.at(x, u.clamp(-1.0, 1.0))
+    return loop.at(x, loop.task.limit(u))
 
 
 @torch.no_grad()
@@ -159,6 +164,8 @@ def linearise(loop: Loop, z: Tensor, covariance: Tensor, r: Tensor) -> tuple[Lin
 def rest(loop: Loop, r: Tensor, start: Rest | None = None, seconds: float = 20.0) -> Rest:
     """Find where loops rest, by Newton's method; where it fails, by letting the loop run and trying again.
 
+    Without a place to begin it tells at how many targets that is known.
+
     Args:
         loop: The loop, of as many rows as `r` has, or of one plant.
         r: References, `(rows, n_r)`.
@@ -168,12 +175,14 @@ def rest(loop: Loop, r: Tensor, start: Rest | None = None, seconds: float = 20.0
     r = r.double()
     z = guess(loop, r) if start is None else start.z
     covariance = covariance_at(loop, z) if start is None else start.covariance
-    found, still = _newton(loop, z, covariance, r)
+    told, total = start is None, len(r)
+    found, still = _newton(loop, z, covariance, r, (0, total) if told else None)
     lost = (~still).nonzero().flatten()
     ran = torch.zeros(len(r), loop.task.n_r, dtype=torch.float64)
     if len(lost):
-        moved, spread, ran[lost] = _run(loop.rows(lost), z[lost], covariance[lost], r[lost], seconds)
-        again, calm = _newton(loop.rows(lost), moved, spread, r[lost])
+        moved, spread, ran[lost] = _run(loop.rows(lost), z[lost], covariance[lost], r[lost], seconds, told)
+        known = (total - len(lost), total) if told else None
+        again, calm = _newton(loop.rows(lost), moved, spread, r[lost], known)
         found, covariance = found.index_copy(0, lost, again), covariance.index_copy(0, lost, spread)
         still = still.index_copy(0, lost, calm)
     linear, _, u = linearise(loop, found, covariance, r)
@@ -181,24 +190,35 @@ def rest(loop: Loop, r: Tensor, start: Rest | None = None, seconds: float = 20.0
     return Rest(found, covariance, u, still, error, linear.finite())
 
 
-def _run(loop: Loop, z: Tensor, covariance: Tensor, r: Tensor, seconds: float) -> tuple[Tensor, Tensor, Tensor]:
+def _run(
+    loop: Loop, z: Tensor, covariance: Tensor, r: Tensor, seconds: float, told: bool
+) -> tuple[Tensor, Tensor, Tensor]:
     """Let loops run; return vectors, covariances, and the mean absolute error over the last seconds, `(rows, n_r)`."""
     steps, last = math.ceil(seconds / loop.dt), math.ceil(LAST / loop.dt)
     errors: list[Tensor] = []
-    for _ in range(steps):
+    for k in range(steps):
+        if told:
+            tell(RESTS, k, steps, "control periods", f"flown to the {len(r)} targets that are left")
         z, covariance, _ = loop.step(z, covariance, r)
         errors = [*errors[1 - last :], (r - z[:, loop.parts["x"]][:, loop.task.outputs]).abs()]
     return z, covariance, torch.stack(errors).mean(0).nan_to_num(torch.inf, torch.inf)
 
 
-def _newton(loop: Loop, z: Tensor, covariance: Tensor, r: Tensor) -> tuple[Tensor, Tensor]:
-    """Return vectors at rest, as far as they are found, and whether they are, bool `(rows,)`."""
+def _newton(
+    loop: Loop, z: Tensor, covariance: Tensor, r: Tensor, known: tuple[int, int] | None = None
+) -> tuple[Tensor, Tensor]:
+    """Return vectors at rest, as far as they are found, and whether they are, bool `(rows,)`.
+
+    With `known`, targets that are known already and all of them, it tells how many are known.
+    """
     scale, unit = loop.scale, np.eye(loop.size)
     z, still, left = z.clone(), torch.zeros(len(z), dtype=torch.bool), torch.arange(len(z))
     for _ in range(NEWTON):
         linear, moved, _ = linearise(loop.rows(left), z[left], covariance[left], r[left])
         calm = ((moved / scale).abs() < STILL).all(-1)
         still[left] = calm
+        if known is not None:
+            tell(RESTS, known[0] + int(still.sum()), known[1], "targets")
         sound = moved.isfinite().all(-1) & torch.from_numpy(np.isfinite(linear.a).all((-2, -1)))
         on = (~calm & sound).nonzero().flatten()
         if not len(on):

@@ -28,7 +28,7 @@ from dynasindy.checking.plant import Plant
 from dynasindy.control import Controller
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.sensing.observer import Belief
-from dynasindy.sensing.offset import OffsetFree
+from dynasindy.sensing.offset import acting
 from dynasindy.systems import Signature
 from dynasindy.tasks.references import N_PARAMS
 
@@ -73,7 +73,7 @@ class Loop:
         whole = policy if self._integral is None else self._integral
         self.observer = controller.observer
         pushed = self.observer is not None and bool(self.observer.pushed)
-        self._act = OffsetFree(whole, controller.pace) if pushed else whole
+        self._act = acting(whole, controller.pace, pushed)
         self.parts = self._layout()
         self.size = max(part.stop for part in self.parts.values())
         self.scale = self._scale()

@@ -7,24 +7,23 @@ outside. `dynasindy.control.files` keeps it in one file, which has all that it i
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDict
 from torch import Tensor
 
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.sensing import Observer
 from dynasindy.sensing.observer import Belief
-from dynasindy.sensing.offset import OffsetFree
+from dynasindy.sensing.offset import Policy, acting
 from dynasindy.systems import Signature, Stops
 from dynasindy.tasks import Tracking
 from dynasindy.tasks.references import N_PARAMS
 
-Policy = Callable[[TensorDictBase], TensorDictBase]
 Values = float | Sequence[float] | NDArray[np.float64] | Tensor | Mapping[str, float]
 """Numbers in the order of the signature, or by name."""
 
@@ -94,15 +93,18 @@ class Controller:
         parts = [part for part, there in (("observer", self.observer), ("integral action", self.integral)) if there]
         more = f", with {' and '.join(parts)}" if parts else ""
         inputs = ", ".join(self.signature.input_names)
-        inputs = "; ".join([f"{inputs} in [-1, 1] every {self.dt:g} s{more}", *self.signature.own_inputs()])
-        return f"Controller(holds {outputs}; reads {seen}; sets {inputs})"
+        ends = "[-1, 1]"
+        if self.pace.task.limited:
+            ends = ", ".join(f"[{low:.3g}, {high:.3g}]" for low, high in self.pace.task.input_ends.mT.tolist())
+        sets = "; ".join([f"{inputs} in {ends} every {self.dt:g} s{more}", *self.signature.own_inputs()])
+        return f"Controller(holds {outputs}; reads {seen}; sets {sets})"
 
     def reset(self) -> None:
         """Forget what was measured; the next call of `act` takes the plant as at rest, its inputs zero."""
         self._integral = None if self.integral is None else IntegralAction(self.policy, self.pace, **self.integral)
         whole = self._integral or self.policy
         pushed = self.observer is not None and bool(self.observer.pushed)
-        self._act = OffsetFree(whole, self.pace) if pushed else whole
+        self._act = acting(whole, self.pace, pushed)
         self._belief: Belief | None = None
         self._periods = 0
         self._shift = torch.zeros(0, dtype=torch.float64)

@@ -3,8 +3,8 @@
 | key         | what it holds                                                                                         |
 | ----------- | ----------------------------------------------------------------------------------------------------- |
 | `signature` | names, units and ranges of the states, names of the inputs                                            |
-| `task`      | control period [s], Runge-Kutta steps in it, mechanical stops, tracked states, and how the observation |
-|             | is made; an end of a stop that is null is not there                                                   |
+| `task`      | control period [s], Runge-Kutta steps in it, mechanical stops, tracked states, how the observation is |
+|             | made, ends of the inputs; an end of a stop that is null is not there                                  |
 | `policy`    | weights of each layer, float32 in base 64, `(n_out, n_in)` row by row, and biases                     |
 | `integral`  | numbers of the integral action, or null                                                               |
 | `observer`  | sensors, process noise, and the model, as in model.json; or null                                      |
@@ -71,6 +71,7 @@ def save(controller: Controller, path: str | Path) -> None:
             "observe_rate": task.observe_rate,
             "error_scale": task.error_scale,
             "box": task.boxes().tolist(),
+            "input_ends": task.input_ends.tolist(),
         },
         "policy": _layers(network(controller)),
         "integral": numbers and {name: getattr(numbers, name) for name in ("gain", "band", "limit", "rate")},
@@ -182,6 +183,8 @@ def _task(signature: Signature, given: Mapping[str, Any]) -> Tracking:
         observe_rate=bool(given["observe_rate"]),
         error_scale=_positive(given["error_scale"]),
     )
+    # Files that were written before inputs had ends have none.
+    task = task.with_input_ends(given.get("input_ends", task.input_ends.tolist()))
     return task.with_box([_positive(extent) for extent in given["box"]])
 
 

@@ -94,6 +94,11 @@ class Mismatch:
         return CAUSES[near] + ", and one of them counted the other way" * (turned and near != 1.0)
 
 
+def unit_of_rate(unit: str) -> str:
+    """Return the unit of the rate of a state, per second."""
+    return "1/s" if unit == "-" else f"{unit}/s"
+
+
 def mismatched(data: Transitions, signature: Signature, known: Mapping[str, str] | None = None) -> list[Mismatch]:
     """Return the rates that are clearly not the slopes of their states.
 

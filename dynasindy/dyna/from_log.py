@@ -9,25 +9,19 @@ from typing import Any
 
 from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
-from dynasindy.data.csv import Recording
 from dynasindy.evaluation.before_fit import before_fit
 from dynasindy.evaluation.files import write_json
-from dynasindy.evaluation.followed import followed
+from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.held import WITHIN
-from dynasindy.evaluation.horizons import forecast
-from dynasindy.evaluation.identification import missing_rates
 from dynasindy.evaluation.predicted import Prediction
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.summary import heading, summarise, to_text
-from dynasindy.evaluation.verdict import doubts, unlogged, untried
 from dynasindy.sensing import Sensors
 from dynasindy.tasks import Tracking
 from dynasindy.terminal import say, width
-from dynasindy.told import tell
 from dynasindy.workbench import foretell, plan
 from dynasindy.world_models import SindyModel
-from dynasindy.world_models.models.follower import completed
 
 
 @dataclass(frozen=True)
@@ -53,12 +47,10 @@ class Wanted:
     planning: Mapping[str, Any] = field(default_factory=dict)
 
 
-def model_of(
-    source: Source | None, build: Callable[..., object], path: str | Path | None = None
-) -> tuple[SindyModel, Source | None]:
-    """Return the model of a file, or identify one and print what the fit says of itself; and the data as it has them.
+def model_of(source: Source | None, build: Callable[..., object], path: str | Path | None = None) -> SindyModel:
+    """Return the model of a file, or identify one and print what the fit says of itself.
 
-    A model that is fitted here may have a state more than the log, the lag of an input; the data then have it, too.
+    A model that is fitted here may have a state more than the log, the lag of an input.
 
     Args:
         source: The log; None if there is none, and then there is a file.
@@ -71,50 +63,29 @@ def model_of(
     """
     if path is not None or source is None:
         model = SindyModel.load(str(path))
-        if source is None:
-            return model, None
-        if source.signature.input_ends != model.signature.input_ends:
-            raise ValueError(
-                f"the model has inputs with the ends {model.signature.input_ends or '-1 and 1'}, the log with "
-                f"{source.signature.input_ends or '-1 and 1'}; give the ends of the actuator to both, low and high in "
-                "data.inputs"
-            )
-        names, parts = source.signature.state_names, (source.training, source.validation)
-        training, validation = (completed(data, names, model.signature) for data in parts)
-        return model, replace(source, signature=model.signature, training=training, validation=validation)
+        if source is not None:
+            source.with_states_of(model)  # refuses a model of another plant
+        return model
     built = build(signature=source.signature)
     if not isinstance(built, SindyModel):
         raise TypeError(f"world_model is a {type(built).__name__}, which no log is fitted by; leave world_model=sindy")
     if told := before_fit(built, source):
         say(*told)
-    tell("fit")
-    report = built.fit(source.training)
-    say(report.to_text(), *(f"note: {note}" for note in source.notes), *missing_rates(built, source))
-    found = followed(built, source)
-    if found.report is not None:
-        say(f"found: {found.words}", found.report.to_text())
-    return found.model, found.source
+    found = fitted(built, source)
+    lag = [f"found: {found.lag}"] if found.lag else []
+    say(found.report.to_text(), *lag, *(f"note: {note}" for note in source.notes))
+    return found.model
 
 
 def controller_of(model: SindyModel, source: Source | None, wanted: Wanted) -> Controller:
     """Plan a controller on a model and, with a log, on what the log leaves open of it."""
-    log = None if source is None else Recording(source.training, model.signature)
-    return plan(model, wanted.task, log, wanted.sensors, wanted.dt, wanted.seed, **wanted.planning)
+    return plan(model, wanted.task, source, wanted.sensors, wanted.dt, wanted.seed, **wanted.planning)
 
 
 def judged(controller: Controller, model: SindyModel, source: Source | None, wanted: Wanted) -> Prediction:
     """Predict what a controller will do on models that its plan never saw; without a log, on its own."""
-    unseen = None if source is None else source.validation
     scenario = replace(wanted.scenario, seconds=None)  # as long as the task's episodes
-    found = foretell(controller, model, unseen, scenario, wanted.seed, wanted.within)
-    if source is None:
-        return found
-    forecasts = forecast(model, source.training, source.validation)
-    told = [] if forecasts is None else doubts(forecasts, model.signature)
-    told += unlogged(model, source.training.x, wanted.task.targets())
-    if found.shown is not None:
-        told += untried(model, source.training.u, found.shown.inputs.flatten(0, -2))
-    return replace(found, doubts=tuple(told))
+    return foretell(controller, model, source, scenario, wanted.seed, wanted.within)
 
 
 def write(folder: Path, controller: Controller, model: SindyModel, prediction: Prediction) -> None:

@@ -12,6 +12,7 @@ from dynasindy.systems.base import Signature
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.libraries import auto, auto_rig
 from dynasindy.world_models.refinement.measured import rates_known
+from dynasindy.world_models.refinement.order import moving_on
 
 PLANTS: Mapping[str, Callable[[], System]] = {"pendulum": Pendulum, "tras": Tras, "trms33": Trms33, "xi": Xi}
 """Plants whose library and known equations `system=NAME` takes."""
@@ -31,14 +32,18 @@ def before_fit(model: SindyModel, source: Source) -> list[str]:
     """Say what is wrong with the data or costs the fit dearly, a line each, what is worst first."""
     if not source.logged:
         return wrong_units(model, source)
-    return [*wrong_units(model, source), *_few_rows(source), *_angles(model, source), *_many_functions(model, source)]
+    return [
+        *wrong_units(model, source),
+        *_few_rows(source),
+        *_angles(model, source),
+        *_many_functions(model, source),
+        *missing_rates(model, source),
+    ]
 
 
 def wrong_units(model: SindyModel, source: Source) -> list[str]:
     """Say which measured rates are not the slopes of their states, a line for each."""
-    names = source.signature.state_names
-    known = {names[i]: names[rate] for rate, i in rates_known(model.library, model.constraints).items()}
-    return [f"warning: {found}" for found in mismatched(source.training, source.signature, known)]
+    return [f"warning: {found}" for found in mismatched(source.training, source.signature, _known(model))]
 
 
 def _few_rows(source: Source) -> list[str]:
@@ -56,8 +61,8 @@ def _few_rows(source: Source) -> list[str]:
 def _angles(model: SindyModel, source: Source) -> list[str]:
     """Say which angles have no sine and cosine among the functions, because of their unit or that of their rate."""
     signature = source.signature
-    if all(set(model.library.names) != set(build(signature).names) for build in (auto, auto_rig)):
-        return []  # somebody chose the functions
+    if _chosen(model, signature):
+        return []
     units = dict(zip(signature.state_names, signature.state_units, strict=True))
     turned = {name: TURNS[unit] for name, unit in units.items() if unit in TURNS}
     lines = [
@@ -65,14 +70,48 @@ def _angles(model: SindyModel, source: Source) -> list[str]:
         f"angles in rad and rates in rad/s have them: give {_in_rad(signature)}"
         for name in turned
     ]
-    if not turned and "rad/s" not in units.values():
-        lines += [
-            f"note: {name} is in rad, but no state is in rad/s, so sin({name}) and cos({name}) are not among the "
-            f"candidate functions; give its rate in rad/s, or 'plant.known={{{name}: {name}_rate}}' if none was logged"
-            for name, unit in units.items()
-            if unit == "rad"
-        ]
     return lines
+
+
+def missing_rates(model: SindyModel, source: Source) -> list[str]:
+    """Say which rates a log lacks or may lack, and the words that give them, once for each state."""
+    given, lacking, signature = _known(model), rates_lacking(model, source), source.signature
+    lines = []
+    if new := [name for name in lacking if name not in given]:
+        its = "its rate, which is" if len(new) == 1 else "their rates, which are"
+        lines.append(
+            f"hint: what {' and '.join(new)} will do depends on {its} no state yet. Give '{known_word(lacking)}': a "
+            "column of that name is read as the rate; where there is none, the rate is estimated"
+        )
+    if "rad/s" in signature.state_units or _chosen(model, signature):
+        return lines
+    angles = [n for n, unit in zip(signature.state_names, signature.state_units, strict=True) if unit == "rad"]
+    return lines + [
+        f"hint: sin({name}) and cos({name}) are not tried, as no state is in rad/s. If a torque moves {name}, give its "
+        f"rate in rad/s, or '{known_word({**given, name: f'{name}_rate'})}' if none was logged"
+        for name in angles
+        if name not in lacking
+    ]
+
+
+def rates_lacking(model: SindyModel, source: Source) -> dict[str, str]:
+    """Return the rate of each state, those that are known and those that a log shows to be missing, by its name."""
+    return _known(model) | {name: f"{name}_rate" for name in moving_on(model.library, source.training)}
+
+
+def known_word(known: Mapping[str, str]) -> str:
+    """Return the word of the command line that says which state is the rate of which."""
+    return f"plant.known={{{', '.join(f'{name}: {rate}' for name, rate in known.items())}}}"
+
+
+def _known(model: SindyModel) -> dict[str, str]:
+    names = model.signature.state_names
+    return {names[i]: names[rate] for rate, i in rates_known(model.library, model.constraints).items()}
+
+
+def _chosen(model: SindyModel, signature: Signature) -> bool:
+    """Tell whether somebody chose the functions."""
+    return all(set(model.library.names) != set(build(signature).names) for build in (auto, auto_rig))
 
 
 def _in_rad(signature: Signature) -> str:

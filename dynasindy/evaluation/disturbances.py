@@ -15,7 +15,7 @@ from torch import Tensor
 
 from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count
-from dynasindy.sensing.transform import Policy
+from dynasindy.sensing.offset import Policy
 from dynasindy.systems import Signature, System
 
 

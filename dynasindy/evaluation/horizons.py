@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from dynasindy.durations import MANY
 from dynasindy.evaluation.linear import LinearModel
 from dynasindy.evaluation.symptoms import resolution, samples_of
 from dynasindy.systems.transitions import Transitions
@@ -34,6 +35,9 @@ LONGEST_STEP, MOST_STEPS = 0.01, 20
 """Longest Runge-Kutta step [s], unless a sampling time would take more than so many."""
 NUDGE = 1e-6
 """Step of the differences by which start states are fitted [ranges of the states]."""
+
+HOUR = 3600.0
+"""An hour [s]."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,8 @@ def forecast(
         validation: data to judge on, NaN where a state was not measured.
         horizons: times ahead [s]; from a tenth to three times the characteristic time of the data if omitted.
     """
+    if not len(validation):
+        return None
     time = characteristic(training)
     fit = min(max(round(time / 4 / validation.dt), SHORTEST_FIT), LONGEST_FIT)
     back, ahead = _beside(validation)
@@ -228,6 +234,8 @@ def _beside(data: Transitions) -> tuple[Tensor, Tensor]:
 
 
 def _series(low: float, high: float) -> list[float]:
-    """Return the numbers 1, 2, 5, 10 ... between two of them."""
-    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    return [n * 10.0**k for k in decades for n in (1, 2, 5) if low <= n * 10.0**k <= high]
+    """Return the numbers 1, 2, 5, 10 ... between two times [s]: of seconds, from 10000 s on of hours."""
+    decades = range(math.floor(math.log10(low / HOUR)), math.ceil(math.log10(high)) + 1)
+    series = [n * 10.0**k for k in decades for n in (1, 2, 5)]
+    times = [n for n in series if n < MANY] + [HOUR * n for n in series if HOUR * n >= MANY]
+    return [time for time in times if low <= time <= high]

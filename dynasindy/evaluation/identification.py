@@ -13,12 +13,13 @@ import torch
 from torch import Tensor
 
 from dynasindy.data.csv import Column, CsvLog, Recording, chosen, infer
+from dynasindy.data.rates import unit_of_rate
 from dynasindy.data.simulated import before_leaving, disturb, record
 from dynasindy.data.table import all_headings, split_unit
 from dynasindy.evaluation import verdict
-from dynasindy.evaluation.followed import followed
+from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.horizons import Forecasts, begun, forecast
-from dynasindy.evaluation.source import Source
+from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.excitation import Excitation, HeldRandom
 from dynasindy.systems.base import System
 from dynasindy.systems.ranges import Ends, drawn, starts
@@ -29,7 +30,6 @@ from dynasindy.world_models.models.actuators import Found, behind, find_actuator
 from dynasindy.world_models.models.prediction import nrmse, one_step_error, open_loop
 from dynasindy.world_models.refinement.delay import delayed
 from dynasindy.world_models.refinement.measured import ranged
-from dynasindy.world_models.refinement.order import moving_on
 from dynasindy.world_models.writers.tables import to_csv, to_latex, to_text
 
 ExcitationBuilder = Callable[..., Excitation]
@@ -143,7 +143,7 @@ class Logged:
     dt: float | None = None
     missing: str = "skip"
     known: dict[str, str] | None = None
-    validation_share: float = 0.25
+    validation_share: float = VALIDATION_SHARE
 
     def __post_init__(self) -> None:
         if not self.path:
@@ -155,10 +155,7 @@ class Logged:
 
     def load(self, system: System | None, excitation: ExcitationBuilder) -> Source:
         """Read the file; of the plant the names are used at most, and nothing of the excitation."""
-        recording = self.recording(system)
-        data, place = recording.transitions, torch.arange(len(recording.transitions))
-        cut = int(len(data) * (1 - self.validation_share))
-        return Source(recording.signature, data.select(place < cut), data.select(place >= cut), recording.notes, True)
+        return Source.of(self.recording(system), self.validation_share)
 
     def recording(self, system: System | None) -> Recording:
         """Read the file, all of it; of the plant the names are used at most."""
@@ -210,8 +207,7 @@ class Logged:
             if name in states and rate not in found and rate.isidentifier():
                 given = states[name]
                 keys = {} if isinstance(given, str) else vars(given) if isinstance(given, Column) else given
-                unit = keys.get("unit", "-")
-                found[rate] = Column("", "1/s" if unit == "-" else f"{unit}/s")
+                found[rate] = Column("", unit_of_rate(str(keys.get("unit", "-"))))
         return found
 
 
@@ -265,10 +261,8 @@ def identify(
             f"world_model is a {type(model).__name__}, which has no coefficients to identify; choose world_model=sindy "
             "or another that builds a SindyModel"
         )
-    tell("fit")
-    report = model.fit(source.training)
-    lag = followed(model, source)
-    model, source, report = lag.model, lag.source, lag.report or report
+    fit = fitted(model, source)
+    model, source = fit.model, fit.source
     found = _actuators(model, source.training) if actuators else None
     tell("prediction of the validation data")
     validation, names = source.validation, source.signature.state_names
@@ -282,7 +276,7 @@ def identify(
     forecasts = forecast(model, source.training, validation, horizons)
     if forecasts is not None:
         metrics |= verdict.errors(forecasts, source.signature)
-    return Identified(model, report, predicted, metrics, source, forecasts, found, lag.words)
+    return Identified(model, fit.report, predicted, metrics, source, forecasts, found, fit.lag)
 
 
 def _actuators(model: SindyModel, data: Transitions) -> Found:
@@ -292,16 +286,6 @@ def _actuators(model: SindyModel, data: Transitions) -> Found:
             return find_actuator(model, data)
     except (ArithmeticError, ValueError, RuntimeError) as error:  # numbers that run away, or decompositions that fail
         return Found.none(model, " ".join(str(error).split()) or type(error).__name__)
-
-
-def missing_rates(model: SindyModel, source: Source) -> list[str]:
-    """Say how to give the rates that the data of a log show to be missing, a line for each state."""
-    return [
-        f"hint: {name} moves on whatever states and inputs say, so its rate is a state, too: give "
-        f"'plant.known={{{name}: {name}_rate}}', and the rate is estimated with the model, or read from the column of "
-        "that name; data.states names other columns"
-        for name in moving_on(model.library, source.training)
-    ]
 
 
 def to_words(found: Identified, source: Source) -> str:
@@ -316,11 +300,12 @@ def to_words(found: Identified, source: Source) -> str:
     if shown is not None:
         lines += verdict.table(shown, signature)
     free = found.metrics["open_loop_nrmse"]
-    lines.append("validation, open loop, relative to each state's deviation")
+    lines.append(
+        "one prediction of all data that the fit did not see, relative to the standard deviation of each state"
+    )
     lines += [f"  {state:<10} {_percent(error)}" for state, error in free.items()]
     unsought = (found.found.words,) if found.found is not None and not found.found.sought else ()
     lines += [f"note: {note}" for note in (*source.notes, *unsought)]
-    lines += missing_rates(found.model, source)
     if shown is None:
         return "\n".join([*lines, "the validation data are too short to judge how far ahead the model predicts"])
     return "\n".join([*lines, *verdict.judge(shown, signature)])

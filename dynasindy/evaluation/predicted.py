@@ -198,11 +198,12 @@ def predict(
     flights: list[Held | None] = []
     errors: list[float] = []
     shown: Evaluation | None = None
-    for model in models:
+    for k, model in enumerate(models):
         env = LateEnv(plan.with_system(model, torch.float64), float(getattr(model, "delay", 0.0)))
         result: Evaluation | None = None
         with suppress(Diverged):
-            result = evaluate(env, policy, scenario, None if sensing is None else sensing.on(env, sensing.rng))
+            seen = None if sensing is None else sensing.on(env, sensing.rng)
+            result = evaluate(env, policy, scenario, seen, f"flights on model {k + 1} of {len(models)}")
         if result is None or bool(result.lost.any()):
             flights.append(None)
             errors.append(math.inf)

@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
+import torch
+
+from dynasindy.data.csv import Recording
+from dynasindy.data.rates import unit_of_rate
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import SindyModel
+from dynasindy.world_models.models.follower import completed, widened
+from dynasindy.world_models.refinement.measured import rates_known
+
+VALIDATION_SHARE = 0.25
+"""Part of a log, at its end, that is kept to judge on."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Source:
     """Hold data to identify from and data to judge on.
 
     Attributes:
         signature: names, units and ranges of states and inputs.
         training: transitions to fit.
-        validation: transitions that the fit does not see.
+        validation: transitions that the fit does not see; there may be none.
         notes: sentences on how the data came about.
         logged: whether they are a log, so that nothing is known of the plant but what was measured.
     """
@@ -25,3 +36,75 @@ class Source:
     validation: Transitions
     notes: tuple[str, ...] = ()
     logged: bool = False
+
+    @classmethod
+    def of(cls, log: Recording, share: float = VALIDATION_SHARE) -> Source:
+        """Keep the last part of a log to judge on.
+
+        Args:
+            log: the log.
+            share: how much of it; with 0 nothing can be foretold.
+
+        Raises:
+            ValueError: the share is not at least 0 and below 1.
+        """
+        if not 0 <= share < 1:
+            raise ValueError(f"validation_share is {share}; allowed is 0 to below 1, such as {VALIDATION_SHARE}")
+        data = log.transitions
+        early = torch.arange(len(data)) < int(len(data) * (1 - share))
+        return cls(log.signature, data.select(early), data.select(~early), log.notes, True)
+
+    @property
+    def whole(self) -> Transitions:
+        """All rows; what follows on each other is one stretch again."""
+        if not len(self.validation):
+            return self.training
+        both, cut = Transitions.cat([self.training, self.validation]), len(self.training)
+        end, begin = self.training.x_next[-1:], self.validation.x[:1]
+        on = bool(((end == begin) | (end.isnan() & begin.isnan())).all())
+        return replace(both, segment=both.segment - (on * (torch.arange(len(both)) >= cut)).long())
+
+    def __repr__(self) -> str:
+        """Say in a few lines what it holds."""
+        told = repr(Recording(self.training, self.signature, self.notes))
+        head, *notes = told.replace("Recording of", "Data of", 1).split("\n")
+        return "\n".join([f"{head}; {len(self.validation)} rows more to judge on", *notes])
+
+    def with_rates(self, known: Mapping[str, str]) -> Source:
+        """Return the data with the rates that are known to belong to a state and were not logged.
+
+        Args:
+            known: the rate of each state, by its name.
+        """
+        found = self
+        for name, rate in known.items():
+            old = found.signature
+            if name in old.state_names and rate not in old.state_names and rate.isidentifier():
+                unit = unit_of_rate(old.state_units[old.state_index(name)])
+                states, units = (*old.state_names, rate), (*old.state_units, unit)
+                signature = Signature(states, units, old.input_names, (*old.x_scale, 1.0))
+                training, validation = widened(found.training), widened(found.validation)
+                found = replace(found, signature=signature, training=training, validation=validation)
+        return found
+
+    def with_states_of(self, model: SindyModel) -> Source:
+        """Return the data with the states of a model that no sensor sees: rates that are known, and lags of inputs.
+
+        Args:
+            model: a model that was fitted to them, or one of the same plant.
+
+        Raises:
+            ValueError: the model is of another plant, or its inputs have other ends.
+        """
+        mine, theirs = (signature.actuator_ends or "-1 and 1" for signature in (self.signature, model.signature))
+        if mine != theirs:
+            raise ValueError(
+                f"the model has inputs with the ends {theirs}, the log with {mine}; give the ends of the actuator to "
+                "both, low and high in data.inputs"
+            )
+        names = model.signature.state_names
+        known = rates_known(model.library, model.constraints)
+        source = self.with_rates({names[state]: names[rate] for rate, state in known.items()})
+        states, parts = source.signature.state_names, (source.training, source.validation)
+        training, validation = (completed(part, states, model.signature) for part in parts)
+        return replace(source, signature=model.signature, training=training, validation=validation)

@@ -47,7 +47,7 @@ def table(forecasts: Forecasts, signature: Signature) -> list[str]:
     }
     wide, heads = max(map(len, kinds)) + 2, [in_words(horizon) for horizon in forecasts.horizons]
     lines = [
-        f"validation: RMS error over the time after {forecasts.starts} starts",
+        f"RMS error of predictions that begin at {forecasts.starts} samples which the fit did not see, over the first",
         f"  {'':<{wide + 2}}{''.join(f'{head:>11}' for head in heads)}",
     ]
     for i, (name, unit) in enumerate(zip(signature.state_names, signature.state_units, strict=True)):
@@ -85,10 +85,9 @@ def judge(forecasts: Forecasts, signature: Signature) -> list[str]:
 
 def doubts(forecasts: Forecasts, signature: Signature) -> list[str]:
     """Say which states a linear model on past samples predicts far better: what it knows of the past, a state lacks."""
-    lines, (horizons, n_x) = [], forecasts.model.shape
+    lines, (horizons, n_x), large = [], forecasts.model.shape, unresolved(forecasts, signature)
     for i in range(n_x):
-        ours, simple = forecasts.model[:, i], forecasts.linear[:, i]
-        known = ours > max(RESOLVED * float(forecasts.resolution[i]), SMALL * signature.x_scale[i])
+        ours, simple, known = forecasts.model[:, i], forecasts.linear[:, i], large[:, i]
         worse = [k for k in range(horizons) if bool(known[k]) and float(simple[k]) < BEHIND * float(ours[k])]
         if worse:
             k, unit = worse[0], signature.state_units[i]
@@ -101,27 +100,27 @@ def doubts(forecasts: Forecasts, signature: Signature) -> list[str]:
     return lines
 
 
-def untried(model: SindyModel, logged: Tensor, flown: Tensor) -> list[str]:
-    """Say which inputs flights take to where the log never had them, if equations are not linear in them.
+def unresolved(forecasts: Forecasts, signature: Signature) -> Tensor:
+    """Return where errors are larger than the sensors explain and than counts as small, bool `(horizons, n_x)`."""
+    small = SMALL * torch.tensor(signature.x_scale, dtype=forecasts.model.dtype)
+    return forecasts.model > torch.maximum(RESOLVED * forecasts.resolution.to(small), small)
+
+
+def known_ranges(model: SindyModel, logged: Tensor) -> dict[str, tuple[float, float]]:
+    """Return the ends of what a log has tried, and a little room, of each input that equations are not linear in.
+
+    Beyond these a model only guesses: where inputs were never negative, a thrust that turns round with its propeller
+    and one that does not look the same.
 
     Args:
         model: The equations.
         logged: Inputs of the log, `(N, n_u)`.
-        flown: Inputs of flights, `(M, n_u)`.
     """
     used = [model.library.features[k] for k in model.coefficients.any(-1).nonzero().flatten().tolist()]
-    lines = []
-    for i, name in enumerate(model.signature.input_names):
-        read = {name, lagging(name)}
-        low, high = float(logged[:, i].min()), float(logged[:, i].max())
-        least, most = float(flown[:, i].min()), float(flown[:, i].max())
-        room = ROOM * (high - low)
-        if any(_bent(feature, read) for feature in used) and (least < low - room or most > high + room):
-            lines.append(
-                f"flights take {name} from {least:.2g} to {most:.2g}, the log has {low:.2g} to {high:.2g}, and the "
-                "equations are not linear in it: what it does beyond is a guess, so log all of its range"
-            )
-    return lines
+    low, high = logged.amin(0), logged.amax(0)
+    room = ROOM * (high - low)
+    both = zip(model.signature.input_names, zip((low - room).tolist(), (high + room).tolist()), strict=True)
+    return {name: known for name, known in both if any(_bent(feature, {name, lagging(name)}) for feature in used)}
 
 
 def unlogged(model: SindyModel, logged: Tensor, targets: Mapping[str, tuple[float, float]]) -> list[str]:
@@ -143,10 +142,28 @@ def unlogged(model: SindyModel, logged: Tensor, targets: Mapping[str, tuple[floa
         if least < low - AFAR * (high - low) or most > high + AFAR * (high - low):
             unit = model.signature.state_units[place]
             lines.append(
-                f"the targets of {name} go from {least:.3g} to {most:.3g} {unit}, the log from {low:.3g} to {high:.3g}: "
-                "what the equations say so far beyond is a guess, so log it there, or give targets nearer to the log"
+                f"the targets of {name} go from {least:.3g} to {most:.3g} {unit}, the log from {low:.3g} to "
+                f"{high:.3g}: what the equations say so far beyond is a guess, so log it there, or give targets nearer "
+                "to the log"
             )
     return lines
+
+
+def unmoved(model: SindyModel, outputs: Sequence[str]) -> str:
+    """Say which outputs no input moves in the equations, be it through other states; empty if all are moved."""
+    names, moved = model.signature.state_names, set(model.signature.input_names)
+    read = {
+        name: {v for k in model.coefficients[:, i].nonzero().flatten() for v in model.library.features[k].variables}
+        for i, name in enumerate(names)
+    }
+    for _ in names:
+        moved |= {name for name in names if read[name] & moved}
+    if still := [name for name in outputs if name not in moved]:
+        return (
+            f"in the equations that were found no input moves {', '.join(still)}, so nothing can be planned: the log "
+            "hardly shows what the inputs do; record longer, and let every input change often and by much"
+        )
+    return ""
 
 
 def _bent(feature: Feature, read: set[str]) -> bool:

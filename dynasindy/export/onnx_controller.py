@@ -75,7 +75,10 @@ def controller_onnx(controller: Controller, path: Path) -> None:
         x, du = watching.step(kept, y, controller.pace.task.outputs, later)
     found = _acted(graph, controller, x, r, rate, kept, later)
     if du is not None:
-        found = graph.put("Max", graph.put("Min", found + du, 1.0), -1.0)
+        found = found + du
+    if du is not None or controller.pace.task.limited:
+        least, most = (np.array(ends) for ends in controller.pace.task.input_ends.tolist())
+        found = graph.put("Max", graph.put("Min", found, most), least)
     if watching is not None:
         later["inputs"] = graph.put("Concat", kept["inputs"][signature.n_u : sizes["inputs"]], found, axis=0)
     later["u"] = found

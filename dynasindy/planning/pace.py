@@ -90,7 +90,7 @@ def rests_of(env: ControlEnv) -> Rests | None:
         return None
     generator = torch.Generator().manual_seed(0)
     start = task.initial_state(torch.Size((16,)), generator).double().mean(0)
-    return find_rests(env.system, task.outputs, _targets(task, generator), start, env.dt)
+    return find_rests(env.system, task.outputs, _targets(task, generator), start, env.dt, task.input_ends)
 
 
 def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettings:
@@ -139,7 +139,7 @@ def unheld(env: ControlEnv, rests: Rests) -> str:
     signature, task = env.system.signature, env.task
     assert isinstance(task, Tracking)
     names = [signature.state_names[i] for i in task.outputs]
-    would = (rests.needed.abs() > 1).any(-1)
+    would = ~rests.needed.isnan().any(-1)
     k = int(would.int().argmax())
     target = ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, rests.unheld[k].tolist(), strict=True))
     inputs = zip(signature.input_names, rests.needed[k].tolist(), strict=True)
@@ -151,7 +151,8 @@ def unheld(env: ControlEnv, rests: Rests) -> str:
         spans = ", ".join(f"{name} from {low:.4g} to {high:.4g}" for name, low, high in ends)
         held = f"; those that one holds have {spans}"
     n = len(rests.unheld)
-    return f"in the model no input within [-1, 1] was found that holds {n} of {n + len(rests)} targets, {such}{held}"
+    within = "between the ends that the log has tried" if task.limited else "within [-1, 1]"
+    return f"in the model no input {within} was found that holds {n} of {n + len(rests)} targets, {such}{held}"
 
 
 def _fate(slopes: list[Tensor], grown: float, seconds: float) -> str:

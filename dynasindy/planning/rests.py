@@ -63,8 +63,10 @@ class Rests:
         return int((self.targets - self.targets.mean(0)).square().sum(-1).argmin())
 
 
-def find_rests(system: System, outputs: Sequence[int], targets: Tensor, start: Tensor, dt: float) -> Rests:
-    """Return the rests that some references have; those without one, or with inputs beyond their range, are left out.
+def find_rests(
+    system: System, outputs: Sequence[int], targets: Tensor, start: Tensor, dt: float, ends: Tensor | None = None
+) -> Rests:
+    """Return the rests that some references have; those without one, or beyond the ends of inputs, are left out.
 
     Args:
         system: Vector field.
@@ -72,8 +74,11 @@ def find_rests(system: System, outputs: Sequence[int], targets: Tensor, start: T
         targets: References, `(n, n_r)`.
         start: State near which rests are searched, `(n_x,)`.
         dt: Control period [s], which tells how slow a plant is that does not rest.
+        ends: Least and largest inputs, `(2, n_u)`; if omitted, -1 and 1.
     """
-    targets, search = targets.double(), _Search(system, list(outputs), start.double(), dt)
+    if ends is None:
+        ends = torch.tensor([[-1.0], [1.0]]).expand(-1, system.signature.n_u)
+    targets, search = targets.double(), _Search(system, list(outputs), start.double(), dt, ends.double())
     rests = _found(search, targets, LEFT)
     return rests if len(rests) else _found(search, targets, NEARLY)
 
@@ -81,14 +86,14 @@ def find_rests(system: System, outputs: Sequence[int], targets: Tensor, start: T
 def _found(search: _Search, targets: Tensor, left: float) -> Rests:
     centre = targets[(targets - targets.mean(0)).square().sum(-1).argmin()]
     first = search.solve(centre.expand(STARTS, -1), search.guesses())
-    good = search.left(first, centre.expand(STARTS, -1)) < left
+    good = (search.left(first, centre.expand(STARTS, -1)) < left) & search.inside(first, centre.expand(STARTS, -1))
     size = (first - search.guess).square().sum(-1).where(good, torch.inf)
     begin = first[size.argmin()] if bool(good.any()) else search.guess
     found = search.solve(targets, begin.expand(len(targets), -1))
     x, u = search.parts(found, targets)
     rests = search.left(found, targets) < left
     a, b = slopes(search.system, x, u)
-    good = rests & (u.abs() <= 1 + 1e-6).all(-1) & a.isfinite().all(-1).all(-1) & b.isfinite().all(-1).all(-1)
+    good = rests & search.inside(found, targets) & a.isfinite().all(-1).all(-1) & b.isfinite().all(-1).all(-1)
     needed = u.where(rests.unsqueeze(-1), torch.nan)
     return Rests(targets[good], x[good], u[good], a[good], b[good], search.moved, targets[~good], needed[~good])
 
@@ -147,13 +152,13 @@ def states_that_matter(system: System, outputs: Sequence[int], start: Tensor) ->
 class _Search:
     """Levenberg and Marquardt's method on f(x, u) = 0, many references at once, in ranges of the states."""
 
-    def __init__(self, system: System, outputs: list[int], start: Tensor, dt: float) -> None:
+    def __init__(self, system: System, outputs: list[int], start: Tensor, dt: float, ends: Tensor) -> None:
         signature = system.signature
-        self.system, self.outputs, self.start = system, outputs, start
+        self.system, self.outputs, self.start, self.ends = system, outputs, start, ends
         self.scale, self.pace = torch.tensor(signature.x_scale, dtype=torch.float64), max(1.0, dt / PERIOD)
         self.free = [i for i in range(signature.n_x) if i not in outputs]
         self.moved = states_that_matter(system, outputs, start)
-        self.guess = torch.cat([start[self.free] / self.scale[self.free], torch.zeros(signature.n_u).double()])
+        self.guess = torch.cat([start[self.free] / self.scale[self.free], ends.mean(0)])
 
     def guesses(self) -> Tensor:
         """Return the start and points around it, `(STARTS, m)`."""
@@ -178,6 +183,11 @@ class _Search:
     def left(self, v: Tensor, targets: Tensor) -> Tensor:
         """Return the largest rate of change, `(*batch,)`."""
         return self.residual(v, targets).abs().amax(-1).nan_to_num(torch.inf)
+
+    def inside(self, v: Tensor, targets: Tensor) -> Tensor:
+        """Return where inputs lie between their ends, bool `(*batch,)`."""
+        u = self.parts(v, targets)[1]
+        return ((u >= self.ends[0] - 1e-6) & (u <= self.ends[1] + 1e-6)).all(-1)
 
     def solve(self, targets: Tensor, v: Tensor) -> Tensor:
         """Return the unknowns with the least rates of change, `(n, m)`."""

@@ -12,7 +12,7 @@ import numpy as np
 from dynasindy import workbench
 from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
-from dynasindy.data.csv import Recording
+from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Excitation
 from dynasindy.rig.base import Array, Rig, Wiring
 from dynasindy.rig.flight import Flown, Guard, fly
@@ -190,8 +190,8 @@ class Session:
         self.tell(f"  {flown}")
         return flown
 
-    def _logs(self) -> Recording:
-        """Return all logs as one recording, in segments of their own."""
+    def _logs(self) -> Source:
+        """Return all logs as one, each a segment; nothing is kept to judge on, as the rig itself is flown next."""
         signature = self.wiring.signature
         columns = {
             name: {"name": name if known else "", "unit": unit}
@@ -199,7 +199,7 @@ class Session:
         }
         inputs = {name: name for name in signature.input_names}
         paths = sorted([*self.folder.glob("excitation.csv"), *self.folder.glob("flight_*.csv")])
-        logs = [workbench.read(path, columns, inputs, dt=self.wiring.dt) for path in paths]
-        data = Transitions.cat([log.transitions for log in logs])
+        logs = [workbench.read(path, columns, inputs, dt=self.wiring.dt, validation_share=0) for path in paths]
+        data = Transitions.cat([log.training for log in logs])
         notes = tuple(f"{path.name}: {note}" for path, log in zip(paths, logs, strict=True) for note in log.notes)
-        return replace(logs[0], transitions=data, signature=signature, notes=notes)
+        return replace(logs[0], training=data, signature=signature, notes=notes)

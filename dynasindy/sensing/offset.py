@@ -11,6 +11,8 @@ from torch import Tensor
 from dynasindy.systems import System
 from dynasindy.tasks import Sampled
 
+Policy = Callable[[TensorDictBase], TensorDictBase]
+"""Reads `observation`, writes `action`."""
 NUDGE = 1e-4
 """Step of the central differences [ranges of the states, and of the inputs]."""
 STEPS, DAMPING = 2, 1e-4
@@ -64,7 +66,7 @@ class OffsetFree:
         env: Where it acts; the task makes the observation.
     """
 
-    def __init__(self, policy: Callable[[TensorDictBase], TensorDictBase], env: Sampled) -> None:
+    def __init__(self, policy: Policy, env: Sampled) -> None:
         self.policy, self.env = policy, env
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -74,4 +76,27 @@ class OffsetFree:
         seen = tensordict.copy().set("state", x - dx)
         observation = self.env.task.observation(x - dx, tensordict["task_params"], t.to(x))
         action = self.policy(seen.set("observation", observation.to(tensordict["observation"])))["action"]
-        return tensordict.set("action", (action + du.to(action)).clamp(-1.0, 1.0))
+        return tensordict.set("action", self.env.task.limit(action + du.to(action)))
+
+
+class Limited:
+    """A policy whose action stays between the ends of the task's inputs.
+
+    Args:
+        policy: Reads `observation`, writes `action`.
+        env: Where it acts.
+    """
+
+    def __init__(self, policy: Policy, env: Sampled) -> None:
+        self.policy, self.env = policy, env
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the action, as far as inputs reach."""
+        return tensordict.set("action", self.env.task.limit(self.policy(tensordict)["action"]))
+
+
+def acting(policy: Policy, env: Sampled, pushed: bool = False) -> Policy:
+    """Return a policy as it acts on a plant: it counteracts a push that an observer estimates, and inputs have ends."""
+    if pushed:
+        return OffsetFree(policy, env)
+    return Limited(policy, env) if env.task.limited else policy

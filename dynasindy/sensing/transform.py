@@ -14,7 +14,7 @@ of an evaluation may read them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -26,10 +26,9 @@ from torchrl.envs import Transform, TransformedEnv
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.control_env import FARTHEST
 from dynasindy.sensing.observer import Belief, Observer
-from dynasindy.sensing.offset import OffsetFree
+from dynasindy.sensing.offset import Policy, acting
 from dynasindy.sensing.sensors import Sensors
 
-Policy = Callable[[TensorDictBase], TensorDictBase]
 """Reads `observation` of a tensordict and writes `action`."""
 
 
@@ -73,8 +72,8 @@ class Sensing(Transform):
         return TransformedEnv(env, self.on(env, self.rng))
 
     def controller(self, policy: Policy) -> Policy:
-        """Return a policy that counteracts the push that the observer estimates; if it does not, the policy itself."""
-        return OffsetFree(policy, self.env) if self.observer.pushed else policy
+        """Return a policy as it acts behind the observer, whose estimate of a push it counteracts, if there is one."""
+        return acting(policy, self.env, bool(self.observer.pushed))
 
     @torch.no_grad()
     def begin(self, start: TensorDictBase) -> TensorDictBase:

@@ -47,18 +47,31 @@ class Task(ABC):
     """Whether the goal is what the plant itself pays; `earned` then is what is believed of that."""
     starts: Tensor | None = None
     """States in which the plant begins episodes, `(n, n_x)`, where it says so; a task may begin its own there."""
+    input_ends: Tensor
+    """Least and largest inputs, `(2, n_u)`: -1 and 1, or what a log has tried of what its equations bend in."""
 
     def __init__(self, signature: Signature, max_steps: int) -> None:
         if max_steps < 1:
             raise ValueError(f"max_steps must be at least 1 control period, got {max_steps}; the paper has 400")
         self.signature = signature
         self.max_steps = max_steps
+        self.input_ends = torch.tensor([[-1.0], [1.0]]).expand(-1, signature.n_u)
 
     def with_starts(self, starts: Tensor) -> Self:
         """Return the same task, told that the plant begins episodes at one of some states `(n, n_x)`."""
         other = copy.copy(self)
         other.starts = starts
         return other
+
+    @property
+    def limited(self) -> bool:
+        """Whether inputs are to stay between narrower ends than their actuators'."""
+        return bool((self.input_ends.abs() < 1).any())
+
+    def limit(self, action: Tensor) -> Tensor:
+        """Return actions `(*batch, n_u)` kept between the ends of the inputs."""
+        low, high = self.input_ends.to(action)
+        return action.clamp(low, high)
 
     @property
     def unit(self) -> float:
@@ -90,15 +103,16 @@ class Task(ABC):
     def reward(self, x: Tensor, x_next: Tensor, params: Tensor, t_next: Tensor, at_stop: Tensor) -> Tensor:
         """Return the reward of a control period, `(*batch,)`, from the states at its ends, inputs apart."""
 
-    def effort(self, u: Tensor) -> Tensor:
-        """Return what the inputs of a control period cost, `(*batch,)`, nothing here, of actions `(*batch, n_u)`."""
-        return torch.zeros_like(u[..., 0])
+    def effort(self, u: Tensor) -> Tensor | None:
+        """Return what the actions of a control period `(*batch, n_u)` cost, `(*batch,)`; None for nothing."""
+        return None
 
     def earned(self, x: Tensor, u: Tensor, x_next: Tensor, params: Tensor, t_next: Tensor, at_stop: Tensor) -> Tensor:
         """Return what a control period earns, its reward less its effort, `(*batch,)`."""
         reward = self.reward(x, x_next, params, t_next, at_stop)
+        effort = self.effort(u)
         # Most tasks ask nothing for inputs, and a single environment feels three operations more.
-        return reward if type(self).effort is Task.effort else reward - self.effort(u).to(x)
+        return reward if effort is None else reward - effort.to(x)
 
     def learn(self, x: Tensor, u: Tensor, x_next: Tensor, paid: Tensor) -> None:  # noqa: B027 - most rewards are known
         """Learn from what real periods have paid, `(N,)`, of states and inputs `(N, n)`."""

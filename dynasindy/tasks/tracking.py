@@ -20,8 +20,8 @@ from dynasindy.tasks.reward import ERROR_SHAPES, TrackingReward
 
 FENCE_WIDTH = 0.05
 """Way beyond a bound at which its cost turns from quadratic to linear [ranges of the state]."""
-FAR_BEYOND = 2.0
-"""How many times as far as its targets an output moved in a log that is then seen in the range of its targets."""
+FARTHEST_SEEN = 3.0
+"""Largest range of an output in a log, as a multiple of the distance from zero to its farthest target."""
 
 
 class Tracking(Task):
@@ -135,9 +135,12 @@ class Tracking(Task):
         return other
 
     def fenced(self, weight: float) -> Tracking:
-        """Return the same task with a cost for leaving the bounds, of so much per range of a state and period."""
+        """Return the same task with a cost for leaving the bounds, of so much per range of a state and period.
+
+        So cost inputs beyond their ends, where these are narrower than the actuators'.
+        """
         other = copy.copy(self)
-        other.fence = weight if bool(self.bounds.isfinite().any()) else 0.0
+        other.fence = weight if bool(self.bounds.isfinite().any()) or self.limited else 0.0
         return other
 
     def with_box(self, extents: Sequence[float]) -> Tracking:
@@ -158,29 +161,47 @@ class Tracking(Task):
         other._box = torch.tensor([float(extent) for extent in extents], dtype=torch.float64)
         return other
 
-    def as_logged(self, typical: Tensor) -> Tracking:
+    def as_logged(self, typical: Tensor, known: Mapping[str, tuple[float, float]] | None = None) -> Tracking:
         """Return the same task for a plant that is known by a log alone.
 
         Where no start was given, episodes begin where the log mostly was, outputs at the targets nearest to that. An
-        output that moved far beyond its targets, as an arm that was spun, is seen in the range of its targets: in that
-        of the log a policy could hardly tell one target from another.
+        output that moved far beyond its targets, as an arm that was spun, gets a range of three times its targets: in
+        that of the log a policy could hardly tell one target from another.
 
         Args:
-            typical: State of the log, `(n_x,)`, such as its median.
+            typical: Ends of what is usual in the log, `(2, n_x)`, such as its median twice.
+            known: Inputs that shall not leave what the log has tried, and its ends.
         """
         other, scales = copy.copy(self), list(self.signature.x_scale)
+        both = [(known or {}).get(name, (-1.0, 1.0)) for name in self.signature.input_names]
+        other.input_ends = torch.tensor(both).clamp(-1.0, 1.0).mT
         typical = typical.double().clone()
         for k, i in enumerate(self.outputs):
             if self.ends is None:
                 continue
             low, high = (ends[k] for ends in self.ends)
-            typical[i] = typical[i].clamp(low, high)
+            typical[:, i] = typical[:, i].clamp(low, high)
             reach = max(-low, high)
-            if reach > 0 and scales[i] > FAR_BEYOND * reach:
-                scales[i] = reach
+            if reach > 0:
+                scales[i] = min(scales[i], FARTHEST_SEEN * reach)
         other.signature = replace(self.signature, x_scale=tuple(scales))
         if not self.begins:
-            other.start = typical.to(self.start).expand(2, -1).clone()
+            other.start = typical.to(self.start)
+        return other
+
+    def with_input_ends(self, ends: Sequence[Sequence[float]]) -> Tracking:
+        """Return the same task whose inputs stay between some ends, `(2, n_u)`.
+
+        Raises:
+            ValueError: There is not one least and one largest input for each, in [-1, 1].
+        """
+        other, n_u = copy.copy(self), self.signature.n_u
+        other.input_ends = torch.tensor(ends)
+        fit = other.input_ends.shape == (2, n_u) and bool((other.input_ends.abs() <= 1).all())
+        if not fit or not bool((other.input_ends[0] <= other.input_ends[1]).all()):
+            raise ValueError(
+                f"the ends of the inputs are {str(ends)[:40]}; give {n_u} least and {n_u} largest inputs from -1 to 1"
+            )
         return other
 
     def boxes(self) -> Tensor:
@@ -231,13 +252,25 @@ class Tracking(Task):
         reward = self.reward_function(self.error(x_next, params, t_next) / unit, change / unit, at_stop)
         if not self.fence:
             return reward
-        low, high = self.bounds.to(x_next)
-        outside = (x_next - high).clamp_min(0.0) + (low - x_next).clamp_min(0.0)
-        outside = outside / constants(self.signature.x_scale, x.dtype, x.device)
+        outside = _beyond(x_next, self.bounds) / constants(self.signature.x_scale, x.dtype, x.device)
         return reward - self.fence * ERROR_SHAPES["linear"](outside, FENCE_WIDTH).sum(-1)
+
+    def effort(self, u: Tensor) -> Tensor | None:
+        """Return what inputs beyond their ends cost, `(*batch,)`; None where these are not fenced."""
+        if not self.fence or not self.limited:
+            return None
+        low, high = self.input_ends
+        outside = _beyond(u, self.input_ends) / (high - low).clamp_min(FENCE_WIDTH).to(u)
+        return self.fence * ERROR_SHAPES["linear"](outside, FENCE_WIDTH).sum(-1)
 
     def _unit(self, like: Tensor, share: float) -> Tensor:
         return (share * self._box).to(like)
+
+
+def _beyond(values: Tensor, ends: Tensor) -> Tensor:
+    """Return how far values `(*batch, n)` lie beyond their ends `(2, n)`."""
+    low, high = ends.to(values)
+    return (values - high).clamp_min(0.0) + (low - values).clamp_min(0.0)
 
 
 def _columns(places: list[int]) -> slice | list[int]:

@@ -55,6 +55,8 @@ def test_a_record_is_json_of_what_was_found(loops, carts):
         "plants that differ from the model",
         "recovery from initial errors",
     ]
+    (*_, rests) = (told for told in heard if told.phase == "where the loop rests")
+    assert rests.counted() == "3 of 3 targets"
     held = json.loads(json.dumps(record(found), allow_nan=False))
     assert [row["target"]["p"] for row in held["targets"]] == pytest.approx([-0.4, 0.0, 0.4])
     assert all(row["stable"] and row["rests"] for row in held["targets"])

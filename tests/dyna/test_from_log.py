@@ -32,8 +32,7 @@ def source():
 
 
 def test_the_fit_is_said_with_the_notes_of_the_log(source, capsys):
-    model, data = model_of(source, build)
-    assert data is source
+    model = model_of(source, build)
     said = capsys.readouterr().out
     assert "fit of 400 transitions" in said and "note: two rows were skipped" in said
     assert model.equations()[1].startswith("Omega' = ")
@@ -51,7 +50,7 @@ def test_units_that_do_not_fit_are_said_before_the_fit(source, capsys):
 
 def test_a_file_is_taken_if_it_is_of_the_plant(source, tmp_path):
     build(source.signature).save(tmp_path / "model.json")
-    assert model_of(source, build, tmp_path / "model.json")[0].library.names == tuple(LIBRARY)
+    assert model_of(source, build, tmp_path / "model.json").library.names == tuple(LIBRARY)
     other = replace(source, signature=Signature(("level", "flow"), ("m", "m/s"), ("u",), (1.0, 1.0)))
     with pytest.raises(ValueError, match=r"has the states theta, Omega, the log level, flow"):
         model_of(other, build, tmp_path / "model.json")
@@ -59,9 +58,9 @@ def test_a_file_is_taken_if_it_is_of_the_plant(source, tmp_path):
 
 def test_a_model_of_other_volts_is_refused(source, tmp_path):
     """What is 1 to the model has to be 1 in the log."""
-    volts = replace(source.signature, input_ends=((-12, 12),))
+    volts = replace(source.signature, actuator_ends=((-12, 12),))
     build(volts).save(tmp_path / "model.json")
-    assert model_of(replace(source, signature=volts), build, tmp_path / "model.json")[0].signature == volts
+    assert model_of(replace(source, signature=volts), build, tmp_path / "model.json").signature == volts
     with pytest.raises(ValueError, match=r"the ends \(\(-12.0, 12.0\),\), the log with -1 and 1"):
         model_of(source, build, tmp_path / "model.json")
 
@@ -73,7 +72,7 @@ def test_a_model_that_is_not_sparse_is_refused(source):
 
 def test_what_is_flown_is_said_in_one_voice(source, tmp_path):
     """Table, prediction and record say that no plant was flown; 64 targets are flown for the task's 20 s."""
-    model, _ = model_of(source, build)
+    model = model_of(source, build)
     task = tracking(model, {"theta": (-0.6, 0.6)})
     settings = {"updates": 1, "rollouts": 4, "window": 5}
     wanted = Wanted(task, Scenario("step", Step([[0.2]]), seconds=1.0), seed=3, within=0.9, planning=settings)

@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from dynasindy.evaluation.before_fit import PLANTS, before_fit, wrong_units
+from dynasindy.data.simulated import record
+from dynasindy.evaluation.before_fit import PLANTS, before_fit, rates_lacking, wrong_units
 from dynasindy.evaluation.identification import Logged, Simulated
-from dynasindy.excitation import Chirp
+from dynasindy.excitation import Chirp, HeldRandom
 from dynasindy.systems import Pendulum, Tras
 from dynasindy.world_models import SindyModel
 
@@ -59,8 +60,20 @@ def test_an_angle_in_degrees_is_told_the_words_that_read_it_in_rad(tmp_path, lib
 
 def test_an_angle_without_its_rate_in_rad_is_told_of_it(tmp_path):
     (words,) = told(log(tmp_path / "log.csv", "time,theta [rad],Omega [deg/s],u", (1.0, 57.29578, 1.0)))[1:]
-    assert words.startswith("note: theta is in rad, but no state is in rad/s, so sin(theta) and cos(theta) are not")
+    assert words.startswith("hint: sin(theta) and cos(theta) are not tried, as no state is in rad/s.")
     assert words.endswith("give its rate in rad/s, or 'plant.known={theta: theta_rate}' if none was logged")
+
+
+def test_a_rate_that_is_missing_is_told_once_and_not_once_it_is_given(tmp_path, write_log):
+    """The pendulum's angle, read by an encoder alone."""
+    data = record(Pendulum(), HeldRandom(1, 8.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
+    path = str(write_log(tmp_path / "log.csv", ["a [rad]", "u"], data.x[:, :1], data.u))
+    source = Logged(path).load(None, EXCITATION)
+    (hint,) = before_fit(SindyModel(source.signature, "auto"), source)
+    assert hint.startswith("hint: what a will do depends on its rate") and "'plant.known={a: a_rate}'" in hint
+    known = Logged(path, known={"a": "a_rate"}).load(None, EXCITATION)
+    model = SindyModel(known.signature, "auto", known={"a": "a_rate"})
+    assert not before_fit(model, known) and rates_lacking(model, known) == {"a": "a_rate"}
 
 
 def test_few_rows_are_told_with_what_was_left_out(tmp_path):

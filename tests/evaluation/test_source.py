@@ -1,13 +1,65 @@
-"""Data of a simulated plant are no log unless it is said."""
+"""What a log is cut into, and which states are added to it."""
 
+import pytest
 import torch
 
+from dynasindy.data.csv import Recording
 from dynasindy.evaluation.source import Source
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import SindyModel
+
+SIGNATURE = Signature(("q", "p"), ("rad", "-"), ("u",), (1.0, 1.0))
+
+
+def recording(rows=8):
+    x = torch.arange(2.0 * (rows + 1)).reshape(rows + 1, 2)
+    return Recording(Transitions.from_trajectory(x, torch.zeros(rows, 1), 0.1), SIGNATURE, ("two rows were skipped",))
 
 
 def test_a_source_is_simulated_and_without_notes_unless_it_is_said():
     data = Transitions.from_trajectory(torch.zeros(3, 1), torch.zeros(2, 1), 0.1)
     source = Source(Signature(("x",), ("m",), ("u",), (1.0,)), data, data)
     assert not source.logged and source.notes == ()
+
+
+@pytest.mark.parametrize(("share", "rows"), [(0.25, 6), (0.5, 4), (0.0, 8)])
+def test_the_last_part_of_a_log_is_kept_and_all_of_it_is_one_stretch_again(share, rows):
+    log = recording()
+    source = Source.of(log, share)
+    assert (len(source.training), len(source.validation)) == (rows, 8 - rows)
+    assert source.logged and source.notes == log.notes
+    assert repr(source).startswith(f"Data of {rows} rows, ") and f"{8 - rows} rows more to judge on" in repr(source)
+    assert torch.equal(source.whole.x, log.transitions.x)
+    assert torch.equal(source.whole.segment, log.transitions.segment)
+
+
+def test_stretches_that_do_not_follow_each_other_stay_apart():
+    data = recording(8).transitions
+    gap = Source.of(Recording(data.select(torch.arange(8) != 6), SIGNATURE), 1 / 7)  # cut where row 6 is missing
+    assert len(gap.validation) == 1
+    assert gap.whole.segment.tolist() == [0] * 6 + [1]
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.0])
+def test_a_share_that_is_none_is_refused(share):
+    with pytest.raises(ValueError, match=f"validation_share is {share}; allowed is 0 to below 1"):
+        Source.of(recording(), share)
+
+
+def test_a_rate_that_was_not_logged_is_a_state_that_no_sensor_sees():
+    source = Source.of(recording()).with_rates({"q": "w", "p": "p_rate", "other": "none"})
+    assert source.signature.state_names == ("q", "p", "w", "p_rate")
+    assert source.signature.state_units == ("rad", "-", "rad/s", "1/s")
+    for part in (source.training, source.validation):
+        assert part.x[:, 2:].isnan().all() and not part.x[:, :2].isnan().any()
+    assert source.with_rates({"q": "w"}) is source
+
+
+def test_data_get_the_states_of_a_model_and_those_of_another_plant_are_refused():
+    wide = Signature(("q", "p", "w"), ("rad", "-", "rad/s"), ("u",), (1.0, 1.0, 3.0))
+    model = SindyModel(wide, ["1", "u", "w"], known={"q": "w"})
+    source = Source.of(recording()).with_states_of(model)
+    assert source.signature == wide and source.training.x.shape[1] == 3
+    with pytest.raises(ValueError, match="the model has the states q, p, w, the log q, p"):
+        Source.of(recording()).with_states_of(SindyModel(wide, ["1", "u", "w"]))

@@ -7,7 +7,17 @@ import pytest
 import torch
 
 from dynasindy.evaluation.horizons import Forecasts
-from dynasindy.evaluation.verdict import doubts, errors, found_in_model, judge, table, untried
+from dynasindy.evaluation.verdict import (
+    doubts,
+    errors,
+    found_in_model,
+    judge,
+    known_ranges,
+    table,
+    unlogged,
+    unmoved,
+    unresolved,
+)
 from dynasindy.systems import Pendulum, Tras
 from dynasindy.systems.base import Signature
 from dynasindy.world_models import SindyModel
@@ -119,20 +129,52 @@ def test_a_linear_model_that_knows_the_past_far_better_raises_doubts():
     assert doubts(unseen, one) == []
 
 
-def test_flights_beyond_the_logged_inputs_are_told_where_the_equations_bend_in_them():
+def test_an_input_is_known_between_the_ends_of_a_log_where_the_equations_bend_in_it():
     model = SindyModel(Pendulum().signature, ["Omega", "u", "u^2", "u sin(theta)"], known={"theta": "Omega"})
-    (name,) = model.signature.input_names
-    assert name == "u"
-    logged, flown = torch.tensor([[0.1], [0.9]]), torch.tensor([[-1.0], [0.5]])
 
-    def told(word):
+    def known(word):
         coefficients = model.coefficients.clone()
         coefficients[1:, 1] = 0.0
         coefficients[model.library.index(word), 1] = 2.0
         model.set_coefficients(coefficients)
-        return untried(model, logged, flown)
+        return known_ranges(model, torch.tensor([[0.1], [0.4], [0.9]]))
 
-    assert told("u") == told("u sin(theta)") == []
-    (said,) = told("u^2")
-    assert "flights take u from -1 to 0.5, the log has 0.1 to 0.9" in said
-    assert untried(model, logged, torch.tensor([[0.07], [0.93]])) == []  # a twentieth of the range beyond
+    assert known("u") == known("u sin(theta)") == {}
+    # A twentieth of the 0.8 between its ends is let to it on both sides.
+    assert known("u^2") == {"u": (pytest.approx(0.06), pytest.approx(0.94))}
+
+
+def test_an_error_is_unresolved_beyond_the_sensor_and_beyond_a_thousandth_of_the_range():
+    found = forecasts(q=0.1)
+    fine = Signature(("q", "v", "w"), ("rad", "rad/s", "rpm"), ("u",), (1.0, 1.0, 1.0))
+    assert unresolved(found, fine)[1].tolist() == [True, False, False]  # w to 20 rpm, which its sensor explains
+    wide = Signature(("q", "v", "w"), ("rad", "rad/s", "rpm"), ("u",), (101.0, 1.0, 1.0))
+    assert not unresolved(found, wide)[1].any()
+
+
+def test_targets_far_beyond_the_log_are_a_guess_if_the_equations_read_them():
+    """A log of 1 rad to 3 rad knows targets from 0 rad to 4 rad; of the place of a motor any is as good."""
+    model = SindyModel(Pendulum().signature, ["Omega", "u", "sin(theta)"], known={"theta": "Omega"})
+    logged = torch.tensor([[1.0, math.nan], [3.0, math.nan]])
+
+    def told(coefficient, low, high):
+        coefficients = model.coefficients.clone()
+        coefficients[model.library.index("sin(theta)"), 1] = coefficient
+        model.set_coefficients(coefficients)
+        return unlogged(model, logged, {"theta": (low, high), "Omega": (-9.0, 9.0)})
+
+    assert told(-9.81, 0.1, 3.9) == told(0.0, -8.0, 8.0) == []
+    for ends in ((-0.1, 2.0), (2.0, 4.1)):
+        (said,) = told(-9.81, *ends)
+        assert f"go from {ends[0]:g} to {ends[1]:g} rad, the log from 1 to 3" in said
+
+
+def test_an_input_moves_an_output_through_other_states():
+    model = SindyModel(Pendulum().signature, ["Omega", "u", "sin(theta)"], known={"theta": "Omega"})
+    coefficients = model.coefficients.clone()
+    coefficients[1:, 1] = 0.0
+    model.set_coefficients(coefficients)
+    assert "no input moves theta, so" in unmoved(model, ["theta"])
+    coefficients[model.library.index("u"), 1] = 2.0
+    model.set_coefficients(coefficients)
+    assert unmoved(model, ["theta", "Omega"]) == ""

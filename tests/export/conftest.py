@@ -34,8 +34,10 @@ def model_of(signature=PENDULUM, delay=0.0):
     return model
 
 
-def pendulum_controller(observer=True, integral=None, delay=0.07, stops=True, disturbance=True, signature=PENDULUM):
-    """Return a controller of a pendulum whose angle is measured."""
+def pendulum_controller(
+    observer=True, integral=None, delay=0.07, stops=True, disturbance=True, signature=PENDULUM, ends=None
+):
+    """Return a controller of a pendulum whose angle is measured, with other ends of its input, `(2, 1)`, if given."""
     angle, rate = signature.state_names
     task = Tracking(
         signature,
@@ -48,6 +50,8 @@ def pendulum_controller(observer=True, integral=None, delay=0.07, stops=True, di
         low=[-0.4],
         high=[1.0],
     )
+    if ends is not None:
+        task = task.with_input_ends(ends)
     pace = Pace(task, 0.04, 3, Stops((0,), (1,), (-0.6,), (0.25,)) if stops else None)
     if not observer:
         return Controller(policy_of(task), pace, None, integral)

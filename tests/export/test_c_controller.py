@@ -50,7 +50,7 @@ def apart(controller, act, plant, n_r):
 
     controller.reset()
     expected = flown(controller.act, plant, controller, r, rate)
-    assert expected.std() > 0.005
+    assert expected.std() > 0.002
     return np.abs(flown(act, plant, controller, r, rate) - expected).max()
 
 
@@ -65,6 +65,8 @@ KINDS = [
     {"delay": 0.04, "stops": False},
     {"observer": False},
     {"observer": False, "integral": {"band": 0.9}},
+    {"ends": [[-0.02], [0.05]]},
+    {"observer": False, "ends": [[0.185], [0.21]]},
 ]
 """Controllers that differ by all that an exported one may have."""
 
@@ -73,6 +75,16 @@ KINDS = [
 @pytest.mark.parametrize("settings", KINDS, ids=str)
 def test_it_flies_a_pendulum_as_python_does(pendulum, settings):
     assert difference(pendulum(**settings), Pendulum(), 1) < 1e-6
+
+
+@needs_compiler
+@pytest.mark.parametrize(("observer", "low", "high"), [(True, -0.02, 0.05), (False, 0.185, 0.21)])
+def test_inputs_reach_their_ends_and_stay_between_them(pendulum, observer, low, high):
+    controller = pendulum(observer=observer, ends=[[low], [high]])
+    act, inputs = Native(controller_sources(controller)).act, []
+    for k in range(100):
+        inputs.append(float(act([0.3 * math.sin(0.2 * k), 0.0], [0.3 * math.cos(0.1 * k)], [0.0])[0]))
+    assert min(inputs) == pytest.approx(low) and max(inputs) == pytest.approx(high)
 
 
 @needs_compiler

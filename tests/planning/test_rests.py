@@ -41,6 +41,26 @@ def test_a_target_beyond_the_inputs_has_no_rest():
     assert rests.needed.tolist() == [[pytest.approx(9.81 * math.sin(1.2) / 5.0)]]
 
 
+class Propeller(System):
+    """An arm that a propeller lifts, whichever way it turns: a' = w, w' = 8 u^2 - 9 sin(a) - w / 2."""
+
+    def __init__(self):
+        super().__init__(Signature(("a", "w"), ("rad", "rad/s"), ("u",), (1.0, 3.0)))
+
+    def forward(self, x, u):
+        a, w = x.unbind(-1)
+        return torch.stack((w, 8.0 * u[..., 0].square() - 9.0 * torch.sin(a) - 0.5 * w), -1)
+
+
+@pytest.mark.parametrize(("low", "high", "sign"), [(0.1, 0.9, 1.0), (-0.9, -0.1, -1.0)])
+def test_rests_have_inputs_between_their_ends(low, high, sign):
+    targets = torch.tensor([[0.2], [0.5], [0.9]])  # 0.9 takes an input of 0.9387
+    rests = find_rests(Propeller(), [0], targets, torch.zeros(2), 0.05, torch.tensor([[low], [high]]))
+    wanted = sign * (9.0 * torch.sin(targets[:2].double()) / 8.0).sqrt()
+    torch.testing.assert_close(rests.u, wanted, atol=1e-6, rtol=0)
+    assert rests.unheld.tolist() == [[pytest.approx(0.9)]]
+
+
 class Hours(System):
     """A pendulum whose seconds are hours."""
 

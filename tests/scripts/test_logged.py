@@ -11,6 +11,9 @@ import pytest
 from omegaconf import OmegaConf
 
 import dynasindy
+from dynasindy.benchmarks.instruments.logged import CASES
+from dynasindy.benchmarks.logs import words as log_words
+from dynasindy.benchmarks.logs import write_log
 from dynasindy.data.simulated import record
 from dynasindy.excitation import Multisine
 from dynasindy.systems import Pendulum
@@ -70,6 +73,35 @@ def test_a_log_gives_a_controller_and_a_prediction(log, tmp_path):
     missed = train("system=logged", *planned, "evaluation.within=1e-9")
     assert missed.returncode == 1, missed.stderr
     assert "NOT CONTROLLED, 1e-07 % is asked for" in missed.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("plant", "promised"), [("arm", True), ("propeller", False)])
+def test_the_library_gives_the_verdict_of_the_command(plant, promised, tmp_path):
+    """An arm that is held, and a propeller whose motor lags and whose log lacks a part of the input's range."""
+    case, log, (given, seed) = CASES[plant], tmp_path / "log.csv", ({"updates": 20, "rollouts": 16}, 3)
+    write_log(case, log, seed)
+    settings = [f"planning.{key}={value}" for key, value in given.items()]
+    words = [
+        *log_words(case, log),
+        *settings,
+        f"seed={seed}",
+        "evaluation.within=0.02",
+        "evaluation.must_control=false",
+    ]
+    done = train(*words, f"folder={tmp_path}/run")
+    assert done.returncode == 0, done.stderr
+    told = json.loads((tmp_path / "run" / "metrics.json").read_text())
+
+    read = dynasindy.read(log)
+    model = dynasindy.identify(read, known=case.known)
+    controller = dynasindy.plan(model, case.targets, read, seed=seed, **given)
+    found = dynasindy.foretell(controller, model, read, seed=seed, within=0.02)
+    assert list(model.equations()) == told["equations"]
+    assert json.loads(json.dumps(found.record())) == told["prediction"]
+    assert found.words() in done.stdout
+    assert found.promised == promised
+    assert any("lagging" in line for line in told["equations"]) == bool(found.doubts) == (not promised)
 
 
 def test_a_plan_that_fails_leaves_the_model(log, tmp_path):

@@ -1,5 +1,6 @@
 """What is said to do next: commands that a shell takes as they are, and that fit what came of a run."""
 
+import re
 import shlex
 import sys
 from pathlib import Path
@@ -20,17 +21,23 @@ def steps(monkeypatch):
 @pytest.mark.parametrize(
     ("words", "logged", "plant", "lacking", "expected"),
     [
-        (["data=csv", "data.path=my log.csv"], True, "logged", ["outputs", "low"], "data=csv 'data.path=my log.csv' "),
+        (
+            ["data=csv", "data.path=my log.csv"],
+            True,
+            "logged",
+            {"outputs": ["y"], "low": ["-0.5"]},
+            "data=csv 'data.path=my log.csv' ",
+        ),
         (
             ["system=tras", "data=csv", "data.path=a.csv", "folder=x"],
             True,
             "tras",
-            [],
+            {},
             "system=tras data=csv data.path",
         ),
-        (["plant.library=['1',u]", "longest_delay=0.2", "data=csv"], True, "logged", [], "longest_delay=0.2 data=csv"),
-        (["excitation=prbs", "data.noise=0.1", "formats=[pdf]"], False, "tras", [], "system=tras excitation=prbs"),
-        (["system=xi", "+plant.bounds={z: 1}", "hydra/launcher=basic"], False, "xi", [], "system=xi '+plant.bounds={z"),
+        (["plant.library=['1',u]", "longest_delay=0.2", "data=csv"], True, "logged", {}, "longest_delay=0.2 data=csv"),
+        (["excitation=prbs", "data.noise=0.1", "formats=[pdf]"], False, "tras", {}, "system=tras excitation=prbs"),
+        (["system=xi", "+plant.bounds={z: 1}", "hydra/launcher=basic"], False, "xi", {}, "system=xi '+plant.bounds={z"),
     ],
 )
 def test_the_next_step_has_the_words_that_were_given(steps, monkeypatch, words, logged, plant, lacking, expected):
@@ -41,14 +48,14 @@ def test_the_next_step_has_the_words_that_were_given(steps, monkeypatch, words, 
         assert word not in line
     read = shlex.split(line)
     assert read[2:] == [word for word in read[2:] if word.count("=") >= 1]  # a shell gives them back, word by word
-    assert [word for word in read if "NAME" in word or "NUMBER" in word] == [
-        {"outputs": "plant.outputs=[NAME]", "low": "plant.low=[NUMBER]"}[key] for key in lacking
+    assert [word for word in read if re.match(r"plant\.(outputs|low)", word)] == [
+        {"outputs": "plant.outputs=[y]", "low": "plant.low=[-0.5]"}[key] for key in lacking
     ]
 
 
 def test_the_next_step_finds_the_folder_of_the_users_own_settings(steps, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["scripts/identify.py", "--config-dir", "my conf", "system=own"])
-    line = steps.planning(["system=own"], False, "own", [])
+    line = steps.planning(["system=own"], False, "own", {})
     assert line == "python scripts/train.py --config-dir 'my conf' system=own"
 
 
@@ -76,9 +83,11 @@ def test_a_plant_that_is_not_controlled_is_offered_a_look_and_more_episodes_but_
 def test_a_plan_from_a_log_that_does_not_hold_is_offered_what_the_log_lacks(steps, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["scripts/train.py"])
     words = ["data=csv", "data.path=my log.csv", "plant.outputs=[angle]", "system=tras", "planning.lr=1"]
+    words.append("plant.known={angle: rate}")
     _, check, identify = steps.mending("a", words).split("\n")
     assert "check.py run=a" in check
-    assert identify.startswith("  python scripts/identify.py data=csv 'data.path=my log.csv' system=tras  # tells what")
+    assert identify.startswith("  python scripts/identify.py data=csv 'data.path=my log.csv' 'plant.outputs=[angle]' ")
+    assert "system=tras 'plant.known={angle: rate}'  # tells what" in identify and "planning" not in identify
     assert "identify" not in steps.mending("a", ["model=model.json"])
 
 
@@ -86,3 +95,11 @@ def test_a_log_of_a_known_plant_is_offered_its_library(steps, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["scripts/identify.py"])
     line = steps.with_plant(["data=csv", "data.path=a.csv", "folder=x"], "tras")
     assert line == "python scripts/identify.py system=tras data=csv data.path=a.csv"
+
+
+def test_a_log_that_lacks_rates_is_identified_again_with_them(steps, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["scripts/identify.py"])
+    words = ["data=csv", "data.path=a.csv", "plant.known={q: w}", "+plant.start={q: 1}", "folder=x"]
+    line = steps.with_rates(words, "plant.known={q: w, p: p_rate}")
+    expected = ["data=csv", "data.path=a.csv", "+plant.start={q: 1}", "plant.known={q: w, p: p_rate}"]
+    assert shlex.split(line) == ["python", "scripts/identify.py", *expected]

@@ -12,6 +12,7 @@ import random
 import re
 import resource
 import runpy
+import shlex
 import signal
 import subprocess
 import sys
@@ -20,6 +21,10 @@ from pathlib import Path
 
 import pytest
 import torch
+
+from dynasindy.data.simulated import record
+from dynasindy.excitation import Multisine
+from dynasindy.systems import Pendulum
 
 ROOT = Path(__file__).resolve().parents[2]
 MOMENTS = int(os.environ.get("DYNASINDY_MOMENTS", 1))
@@ -250,8 +255,60 @@ def test_a_signal_during_the_imports_costs_one_line(tmp_path):
     time.sleep(0.5)
     child.send_signal(signal.SIGINT)
     _, error = child.communicate(timeout=60)
-    assert (child.returncode, error) == (130, "stopped\n")
+    assert child.returncode == 130
+    assert error in ("stopped\n", "stopped; nothing is kept, the same command begins anew\n")  # of torch, or before
     assert not any(tmp_path.iterdir())
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory, write_log):
+    data = record(Pendulum(), Multisine(1, duration=10, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
+    return write_log(tmp_path_factory.mktemp("log") / "log.csv", ["theta [rad]", "u"], data.x[:, :1], data.u)
+
+
+def stopped_at(phase, log, tmp_path):
+    """Stop a plan from a log as soon as it tells a phase; return its exit code and its last line."""
+    words = ["data=csv", f"data.path={log}", "plant.outputs=[theta]", "plant.low=[-0.6]", "plant.high=[0.6]"]
+    words += ["plant.known={theta: rate}", "plant.library=[rate,u,'sin(theta)']", "planning.rollouts=8", "folder=run"]
+    stopper = f"""
+import os, runpy, signal, sys
+sys.path.insert(0, {str(ROOT / "scripts")!r})
+sys.argv = ["scripts/train.py", *{words!r}]
+import command
+from dynasindy import told
+def stop(what):
+    if what.phase.startswith({phase!r}):
+        told._hearers.remove(stop)
+        os.kill(os.getpid(), signal.SIGTERM)
+told._hearers.append(stop)
+runpy.run_path({str(ROOT / "scripts" / "train.py")!r}, run_name="__main__")
+"""
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, "-c", stopper]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+    return done.returncode, done.stderr.strip().splitlines()[-1]
+
+
+def test_a_plan_from_a_log_that_is_stopped_in_its_fit_keeps_nothing_and_says_so(log, tmp_path):
+    code, line = stopped_at("fit", log, tmp_path)
+    assert code == 143
+    assert line == "stopped; the fit was not finished and nothing is kept in run; the same command begins anew"
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_plan_from_a_log_that_is_stopped_keeps_its_equations_and_goes_on_without_a_fit(log, tmp_path):
+    code, line = stopped_at("planning", log, tmp_path)
+    assert code == 143
+    said, _, again = line.partition(" plan on them without a new fit: ")
+    assert said == "stopped; the equations are kept in run/model.json, but no controller yet;"
+    assert {"config.yaml", "model.json", "origin.json"} == {file.name for file in (tmp_path / "run").iterdir()}
+    python, script, *words = shlex.split(again)
+    assert (python, script) == ("python", "scripts/train.py")
+    assert "plant.known={theta: rate}" in words and words[-1] == "model=run/model.json"
+    words += ["planning.updates=1", "evaluation.must_control=false"]
+    assert wait(fork(words, tmp_path)) == 0, (tmp_path / "output").read_text()
+    assert "fit of" not in (tmp_path / "output").read_text()
+    assert (tmp_path / "run" / "controller.json").is_file()
 
 
 def test_a_run_goes_on_with_its_own_settings_only(tmp_path):

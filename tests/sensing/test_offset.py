@@ -10,7 +10,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.disturbances import Pushed
 from dynasindy.evaluation.scenarios import Scenario, evaluate
 from dynasindy.sensing import Observer, Sensing, Sensors
-from dynasindy.sensing.offset import correction
+from dynasindy.sensing.offset import acting, correction
 from dynasindy.systems import Signature, System, Tras
 from dynasindy.tasks import Step, Tracking, TrackingReward
 
@@ -105,6 +105,19 @@ def test_the_action_stays_within_its_limits_and_observations_are_shifted():
     assert acted["action"].tolist() == [[1.0]]
     torch.testing.assert_close(seen["observation"][0, 2], before[0, 2] - 0.1 / 0.5)
     assert torch.equal(acted["observation"], before)
+
+
+def test_an_input_stays_between_its_ends_with_a_push_and_without_one():
+    _, _, env = pushed()
+    env.task = env.task.with_input_ends([[-0.25], [0.5]])
+    start = env.start_from(torch.zeros(3, 3))
+    commands = torch.tensor([[-1.0], [0.25], [0.75]])
+    told = acting(lambda tensordict: tensordict.set("action", commands), env)(start)
+    assert told["action"].flatten().tolist() == [-0.25, 0.25, 0.5]
+    shift = torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64).expand(3, -1)
+    shifted = acting(lambda tensordict: tensordict.set("action", commands), env, pushed=True)
+    start["observer", "shift"] = shift
+    assert shifted(start)["action"].flatten().tolist() == [0.0, 0.5, 0.5]
 
 
 def test_no_sensor_sees_a_push():

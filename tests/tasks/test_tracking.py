@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from dynasindy.systems import Signature, Tras
+from dynasindy.systems import Pendulum, Signature, Tras
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward, Wave
 
 SIGNATURE = Tras().signature
@@ -275,15 +275,43 @@ def test_a_task_of_a_log_begins_where_the_log_was_and_sees_outputs_in_the_range_
         "high": [0.5, 0.2],
     }
     task = Tracking(far, RandomStep([-1.5, -1.0], [0.5, 0.2]), **made)
-    logged = task.as_logged(torch.tensor([16.0, -0.3, 2.0]))
-    # 33 rad are more than twice 1.5 rad, 1.9 m less than twice 1 m; 16 rad is nearest to the target of 0.5 rad.
-    assert logged.signature.x_scale == (1.5, 1.9, 5.0)
-    begun = logged.initial_state(torch.Size((2,)), torch.Generator())
-    assert begun.tolist() == [pytest.approx([0.5, -0.3, 2.0])] * 2
+    usual = torch.tensor([[16.0, -0.3, 1.5], [16.0, -0.3, 2.5]])
+    logged = task.as_logged(usual)
+    # 33 rad are more than three times 1.5 rad, 1.9 m less than 3 m; 16 rad is nearest to the target of 0.5 rad.
+    assert logged.signature.x_scale == (4.5, 1.9, 5.0)
+    begun = logged.initial_state(torch.Size((200,)), torch.Generator().manual_seed(0))
+    assert begun[:, :2].unique(dim=0).tolist() == [[0.5, pytest.approx(-0.3)]]
+    assert 1.5 <= begun[:, 2].min() < 1.6 and 2.4 < begun[:, 2].max() <= 2.5
     assert task.signature.x_scale == far.x_scale and task.start.abs().max() == 0
     given = Tracking(far, RandomStep([-1.5, -1.0], [0.5, 0.2]), **made, start={"a": 0.0})
-    assert given.as_logged(torch.ones(3)).start.abs().max() == 0
+    assert given.as_logged(torch.ones(2, 3)).start.abs().max() == 0
     upright = Tracking(far, Step([[0.0]]), ["a"], [], TrackingReward((1.0,)), low=[0.0], high=[0.0])
-    assert upright.as_logged(torch.ones(3)).signature.x_scale == far.x_scale
+    assert upright.as_logged(torch.ones(2, 3)).signature.x_scale == far.x_scale
     free = Tracking(far, Step([[0.0]]), ["a"], [], TrackingReward((1.0,)))
-    assert free.as_logged(torch.ones(3)).start[0].tolist() == [1.0, 1.0, 1.0]
+    assert free.as_logged(torch.ones(2, 3)).start[0].tolist() == [1.0, 1.0, 1.0]
+
+
+def test_inputs_that_a_log_has_not_tried_cost_as_states_beyond_their_bounds_do():
+    task = Tracking(Pendulum().signature, Step([[0.0]]), ["theta"], ["Omega"], TrackingReward((1.0,)))
+    assert not task.limited and task.fenced(10.0).effort(torch.ones(1, 1)) is None
+    logged = task.as_logged(torch.zeros(2, 2), {"u": (-0.25, 0.75)})
+    assert logged.limited and logged.limit(torch.tensor([[-1.0], [0.5]])).tolist() == [[-0.25], [0.5]]
+    assert logged.effort(torch.ones(1, 1)) is None
+    # Nothing within, and beyond by a quarter of the range, which is one, and by a half: e^2 / (0.05 + e) each.
+    cost = logged.fenced(10.0).effort(torch.tensor([[0.5], [1.0], [-0.75]]))
+    torch.testing.assert_close(cost, torch.tensor([0.0, 10 * 0.0625 / 0.3, 10 * 0.25 / 0.55]))
+    x, t, free = torch.zeros(3, 2), torch.zeros(3, 1), torch.zeros(3, dtype=torch.bool)
+    params = logged.sample(torch.Size((3,)), torch.Generator())
+    paid = [
+        one.earned(x, torch.tensor([[0.5], [1.0], [-0.75]]), x, params, t, free)
+        for one in (logged, logged.fenced(10.0))
+    ]
+    torch.testing.assert_close(paid[0] - paid[1], cost)
+    assert task.input_ends.tolist() == [[-1.0], [1.0]]
+
+
+@pytest.mark.parametrize("ends", [[[-1.0]], [[-1.0], [1.5]], [[0.5], [0.2]], [[math.nan], [1.0]]])
+def test_ends_of_inputs_that_are_none_are_refused(ends):
+    task = Tracking(Pendulum().signature, Step([[0.0]]), ["theta"], ["Omega"], TrackingReward((1.0,)))
+    with pytest.raises(ValueError, match="give 1 least and 1 largest inputs from -1 to 1"):
+        task.with_input_ends(ends)

@@ -75,10 +75,12 @@ int @name@_act(@name@_state *s, const double y[NX], const double r[NR], const do
     for (i = 0; i < NU; i++) {
 @if pushed
         found[i] += s->shift[NX + i];
-        if (found[i] > 1.0)
-            found[i] = 1.0;
-        else if (found[i] < -1.0)
-            found[i] = -1.0;
+@end
+@if ends
+        if (found[i] > most[i])
+            found[i] = most[i];
+        else if (found[i] < least[i])
+            found[i] = least[i];
 @end
         fine = fine && isfinite(found[i]);
     }

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
+from dynasindy.told import telling
 from dynasindy.world_models.models.sindy import SindyModel
 from dynasindy.world_models.refinement.delay import delayed
 from dynasindy.world_models.regression.regression import Regression, RunningSums, simpson_form
@@ -85,7 +86,7 @@ def bag(model: SindyModel, data: Transitions, n_members: int = 50, blocks: int =
     return Ensemble(torch.stack(members))
 
 
-def refits(model: SindyModel, data: Transitions, stretches: int) -> list[SindyModel]:
+def refits(model: SindyModel, data: Transitions, stretches: int, name: str) -> list[SindyModel]:
     """Fit the functions that a model uses to stretches of data, each on its own.
 
     In contrast to `bag` it needs no measured rates: each fit is refined as the model was, from its coefficients on.
@@ -94,6 +95,7 @@ def refits(model: SindyModel, data: Transitions, stretches: int) -> list[SindyMo
         model: a fitted model, which is not changed.
         data: transitions, NaN where a state was not measured.
         stretches: number of stretches of equal length; each gives a model.
+        name: what the data are, for those who wait.
 
     Raises:
         ValueError: a stretch has fewer transitions than the library has functions.
@@ -109,7 +111,8 @@ def refits(model: SindyModel, data: Transitions, stretches: int) -> list[SindyMo
         member.initial = model.coefficients.clone()
         if member.refinement is not None:
             member.refinement = replace(member.refinement, longest_delay=0.0)
-        member.fit(late.select((places >= k * length) & (places < (k + 1) * length)))
+        with telling(f"fit to {name}" if stretches == 1 else f"fit to part {k + 1} of {stretches} of {name}"):
+            member.fit(late.select((places >= k * length) & (places < (k + 1) * length)))
         member.delay = model.delay
         found.append(member)
     return found

@@ -115,6 +115,18 @@ def lagging(name: str) -> str:
     return f"{name}_lagging"
 
 
+def lags(signature: Signature, logged: Tensor) -> dict[str, tuple[float, float]]:
+    """Return the ends between which the states that follow inputs were in a log: the commands', and zero.
+
+    Args:
+        signature: names of the model.
+        logged: inputs of the log, `(N, n_u)`, before which they were zero.
+    """
+    ends = zip(logged.amin(0).clamp_max(0.0).tolist(), logged.amax(0).clamp_min(0.0).tolist(), strict=True)
+    both = zip(map(lagging, signature.input_names), ends, strict=True)
+    return {name: (low, high) for name, (low, high) in both if name in signature.state_names}
+
+
 def completed(data: Transitions, names: tuple[str, ...], signature: Signature) -> Transitions:
     """Return a recording with all states of a model, whose lags no sensor sees.
 

@@ -65,9 +65,9 @@ class FitReport:
     def to_text(self) -> str:
         """Write the report in a few lines."""
         each = f" of {self.dt:g} s" if self.dt else ""
-        lines = [f"fit of {self.samples} transitions{each} in {self.seconds:.3g} s"]
+        lines = [f"fit of {self.samples} transitions{each}, which took {self.seconds:.3g} s"]
         counts = {name: f"{count} term{'s' * (count != 1)}" for name, count in self.terms.items()}
         lines += [
-            f"  {s}': {counts[s]}, unexplained: {100 * r:.3g} % of the slope (RMS)" for s, r in self.residual.items()
+            f"  {s}': {counts[s]}; {100 * r:.3g} % of it stays unexplained (RMS)" for s, r in self.residual.items()
         ]
         return "\n".join([*lines, *(f"note: {note}" for note in self.notes), self.identifiability.to_text()])

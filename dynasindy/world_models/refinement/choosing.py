@@ -89,7 +89,7 @@ def search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) -
         others = Parameters.where(free & ~support & ~failed)
         if not len(others):
             break
-        tell("fit", words=f"choice among {len(others)} coefficients that might be missing")
+        tell("fit", words=f"which of {len(others)} terms that were left out should come in")
         flow = Flow.of(estimate, active + others, windows)
         model = linearise(estimate, active + others, windows, None, flow)
         n_fixed = len(model.scale) - len(active) - len(others)
@@ -174,8 +174,9 @@ def converge(estimate: Estimate, parameters: Parameters, windows: Windows, max_r
     """Make Levenberg-Marquardt steps until the cost stands still."""
     damping = 0.0
     model = linearise(estimate, parameters, windows)
-    for _ in range(max_rounds):
-        tell("fit", words=f"{len(parameters)} coefficients to trajectories, {len(windows) * windows.length} rows")
+    what = f"{len(parameters)} coefficients, by simulations of {len(windows) * windows.length} samples"
+    for k in range(max_rounds):
+        tell("fit", words=f"step {k + 1} of at most {max_rounds} for {what}")
         candidate = move(estimate, model, parameters, torch.arange(len(model.scale)), damping)
         flow = Flow.of(candidate, parameters, windows)
         lost = bool(flow.lost().any())

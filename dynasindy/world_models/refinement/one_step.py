@@ -54,7 +54,7 @@ def refine_one_step(
         active, others = Parameters.where(support), Parameters.where(free & ~support)
         if not len(active) or not len(others):
             break
-        tell("fit", words=f"choice among {len(others)} coefficients that might be missing")
+        tell("fit", words=f"which of {len(others)} terms that were left out should come in")
         rows, target, scale = linear_model(library, xi, active + others, data, floor)
         triangle, n_shapes = torch.linalg.qr(torch.cat([rows, target], -1), mode="r")[1], len(library.shapes)
         better = reconsider(triangle, n_shapes, active, others, limit)
@@ -74,11 +74,12 @@ def _descend(
 ) -> tuple[Library, Tensor, Tensor]:
     """Step and drop until neither the support nor the coefficients move."""
     n_shapes = len(library.shapes)
-    for _ in range(max_rounds):
+    for k in range(max_rounds):
         parameters = Parameters.where(support)
         if not len(parameters):
             break
-        tell("fit", words=f"{len(parameters)} coefficients to single steps, {len(data)} rows")
+        what = f"{len(parameters)} coefficients, by single steps between {len(data)} samples"
+        tell("fit", words=f"step {k + 1} of at most {max_rounds} for {what}")
         rows, target, scale = linear_model(library, xi, parameters, data, floor)
         triangle = torch.linalg.qr(torch.cat([rows, target], -1), mode="r")[1]
         kept, values = walk_down(triangle, torch.arange(rows.shape[1]) >= n_shapes, math.log(len(data)))

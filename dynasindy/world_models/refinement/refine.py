@@ -13,6 +13,7 @@ from torch import Tensor
 from dynasindy.limits import Count
 from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
+from dynasindy.told import tell
 from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement.delay import delayed, fine_delay, known_inputs, rough_delay
@@ -162,8 +163,8 @@ class Refinement:
         lacking = moving_on(library, data) if self.longest_delay else []
         if lacking:  # a delay would stand for the rate that is missing
             note = (
-                f"no delay of the inputs was looked for: {' and '.join(lacking)} moves on whatever states and inputs "
-                "say, as an angle or a position does whose rate is no state here"
+                f"no delay of the inputs was looked for, as it would stand for the rate of {' and '.join(lacking)}, "
+                "which the log lacks"
             )
             alone = replace(self, longest_delay=0.0).run(library, coefficients, constraints, data, guess)
             return alone._replace(notes=(*alone.notes, note))
@@ -180,7 +181,10 @@ class Refinement:
             found, delay, why = self._by_trajectories(found, delay, constraints, recording)
             notes += why
         if delay and delay > self.longest_delay - 0.5 * data.dt:
-            notes += (f"the delay is at the end of what was looked for, {self.longest_delay:g} s; it may be longer",)
+            notes += (
+                f"the best delay of the inputs is the longest that was tried, {self.longest_delay:g} s; it may be "
+                f"longer: give longest_delay={2 * self.longest_delay:g}",
+            )
         return Refined(*found, delay, notes)
 
     def _rough(self, library: Library, coefficients: Tensor, constraints: Constraints, recording: Recording) -> float:
@@ -209,18 +213,26 @@ class Refinement:
             start = recording.guessed(delay).x
             ratio = strain(*found, constraints.free, recording.measured(delay), descent, start)
         except RunsAway:
-            why = "a trajectory through all samples runs away"
+            why = "one simulation through all samples runs away"
         else:
             worst = int(ratio.argmax())
             name = first[0].signature.state_names[worst]
-            why = f"of {name} a trajectory through all has {ratio[worst]:.2f} times the error of such windows"
+            times = f"{ratio[worst]:.2f} times the error of simulations that begin anew every {descent.window} samples"
             if not math.isfinite(ratio[worst]):
-                why = "a fit of one trajectory through all samples leaves no function"
+                why = "a fit of one simulation through all samples leaves no function"
             elif float(ratio[worst]) <= WORSE:
-                return found, delay, (f"error=simulation: {why}, which noise of the sensors explains", *notes)
+                note = (
+                    "the model follows the log in one simulation from its first sample to its last: the error of "
+                    f"{name} is {times}, which noise of the sensors explains (error=simulation)"
+                )
+                return found, delay, (note, *notes)
             else:
-                why += ", so that something pushes the plant, or functions are missing"
-        note = f"error=prediction, over windows of {descent.window} samples: {why}"
+                why = (
+                    f"in one simulation through all samples the error of {name} is {times}, so something pushes the "
+                    "plant, or functions are missing"
+                )
+        note = f"the fit simulates the log in pieces that begin anew every {descent.window} samples: {why}"
+        note += " (error=prediction)"
         found, delay, notes = self._in_turn(first, rough, constraints, recording, kinds["prediction"])
         return found, delay, (note, *notes)
 
@@ -247,6 +259,7 @@ class Refinement:
 
     def _fine(self, delay: float, found: Model, free: Tensor, recording: Recording, descent: Descent) -> float:
         """Return the delay in fractions of a sample that a few steps of the fit to trajectories find [s]."""
+        tell("fit", words=f"trying delays of the inputs up to {self.longest_delay:g} s")
         few, data = replace(descent, max_rounds=STEPS), recording.data
 
         def _cost(trial: float) -> float:
@@ -261,13 +274,17 @@ class Refinement:
         unseen = (data.x.isnan() | data.x_next.isnan()).any(0).tolist()
         names = [name for name, gaps in zip(library.signature.state_names, unseen, strict=True) if gaps]
         if names:
-            return "trajectory", False, (f"fitted whole trajectories: not all of {', '.join(names)} was measured",)
+            return "trajectory", False, (_COMPARED.format(f"not all of {', '.join(names)} was measured"),)
         noisy = self.method != "integral" and looks_noisy(library, coefficients, guess)
         if self.method != "auto":
             return self.method, noisy, ()
         if noisy:
-            return "trajectory", True, ("fitted whole trajectories: one-step errors look like noise of the sensors",)
-        return "one_step", False, ("fitted one step ahead: one-step errors do not look like noise of the sensors",)
+            return "trajectory", True, (_COMPARED.format("the errors of single steps look like noise of the sensors"),)
+        return (
+            "one_step",
+            False,
+            (_STEPWISE,),
+        )
 
     def _regressed(self, library: Library, coefficients: Tensor, constraints: Constraints, seen: Seen) -> Model:
         """Repeat the regression with what is known of the states between samples, and fit numbers inside functions."""
@@ -280,11 +297,20 @@ class Refinement:
         return library, coefficients
 
 
+_STEPWISE = (
+    "the fit predicts each sample from the one before, as errors of such predictions do not look like noise of the "
+    "sensors"
+)
+_COMPARED = "the fit compares whole simulations with the log and not single steps, as {}"
+
+
 def _shortened(window: int, wanted: int) -> tuple[str, ...]:
     """Say that windows are shorter than they were wanted, if so."""
     if window == wanted:
         return ()
-    return (f"the model runs away in windows of {wanted} samples, it was fitted in windows of {window}",)
+    return (
+        f"the model runs away in simulations of {wanted} samples, so the fit simulates the log in pieces of {window}",
+    )
 
 
 def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bool:

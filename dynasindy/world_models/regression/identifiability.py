@@ -69,11 +69,15 @@ class Identifiability:
         count, names = self.n_features, ", ".join(name for name, _ in self.weakest)
         condition = f"condition number {self.condition:.2g}"
         if self.rank < count:
-            first = f"{count - self.rank} of {count} functions cannot be told apart from others on these data: {names}"
+            which = f"{count - self.rank} of {count} candidate functions"
+            first = f"{which} cannot be told apart from others by these data: {names}"
         elif self.condition < CLEAR:
-            return f"the data can tell all {count} functions apart ({condition})"
+            told = f"the data can tell all {count} candidate functions apart"
+            return f"{told} ({condition}; below {CLEAR:,.0f} is good)"
         else:
-            first = f"these of {count} functions can hardly be told apart on these data ({condition}): {names}"
+            first = (
+                f"these of {count} candidate functions can hardly be told apart by these data ({condition}): {names}"
+            )
         return "\n".join([first, *self.advice])
 
 

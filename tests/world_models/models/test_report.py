@@ -55,9 +55,9 @@ def test_later_samples_and_coefficients_do_not_change_a_report():
 def test_the_text_says_the_figures():
     found, _ = report(rows(), rows(1))
     first, a, b, *rest = found.to_text().splitlines()
-    assert first == "fit of 180 transitions of 0.01 s in 0.25 s"
-    assert a == f"  a': 1 term, unexplained: {100 * found.residual['a']:.3g} % of the slope (RMS)"
-    assert b.startswith("  b': 2 terms, unexplained:")
+    assert first == "fit of 180 transitions of 0.01 s, which took 0.25 s"
+    assert a == f"  a': 1 term; {100 * found.residual['a']:.3g} % of it stays unexplained (RMS)"
+    assert b.startswith("  b': 2 terms; ")
     assert "\n".join(rest) == found.identifiability.to_text() and rest[0].startswith(
-        "the data can tell all 3 functions apart"
+        "the data can tell all 3 candidate functions apart"
     )

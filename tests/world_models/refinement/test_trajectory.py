@@ -315,7 +315,7 @@ def test_windows_in_which_the_model_runs_away_are_shorter_and_the_report_says_so
     library, xi, free = Library(SIGNATURE, [variable("y", 3)]), column(1.0), torch.ones(1, 1, dtype=torch.bool)
     notes = refine(20).run(library, xi, Constraints(free, torch.zeros_like(xi)), data).notes
     assert refine_trajectory(library, xi, free, data, Descent(20)).window == 8
-    assert notes == ("the model runs away in windows of 20 samples, it was fitted in windows of 8",)
+    assert notes == ("the model runs away in simulations of 20 samples, so the fit simulates the log in pieces of 8",)
 
 
 def test_of_a_plant_that_falls_one_state_is_enough_as_its_trajectory_begins_anew():

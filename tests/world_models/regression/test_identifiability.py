@@ -37,7 +37,10 @@ def test_rank_and_condition_are_numpy_s_of_unit_columns():
     assert found.condition == pytest.approx(np.linalg.cond(theta / np.linalg.norm(theta, axis=0)), rel=1e-6)
     assert (found.rank, found.n_features) == (5, 5)
     assert found.advice == ("the functions are well apart: the data can tell them from each other",)
-    assert found.to_text() == f"the data can tell all 5 functions apart (condition number {found.condition:.2g})"
+    assert found.to_text() == (
+        "the data can tell all 5 candidate functions apart "
+        f"(condition number {found.condition:.2g}; below 1,000,000 is good)"
+    )
 
 
 def test_one_signal_on_both_inputs_is_named():
@@ -50,7 +53,7 @@ def test_one_signal_on_both_inputs_is_named():
     assert found.advice == ("u and v move together: give the inputs different signals",)
     told = found.to_text()
     assert told.startswith(
-        "1 of 5 functions cannot be told apart from others on these data: "
+        "1 of 5 candidate functions cannot be told apart from others by these data: "
     ) and found.to_text().endswith(found.advice[0])
 
 
@@ -74,7 +77,9 @@ def test_small_swings_and_speeds_of_one_sign_are_named():
     swing = Library(SIGNATURE, [CONSTANT, variable("a"), of("sin", "a"), of("cos", "a")])
     small = judge(swing, 1e-4 * x, u)
     assert small.condition > 1e6 and small.advice == ("functions of a look alike over its range: let it swing further",)
-    assert small.to_text().startswith("these of 4 functions can hardly be told apart on these data (condition number")
+    assert small.to_text().startswith(
+        "these of 4 candidate functions can hardly be told apart by these data (condition number"
+    )
     drag = Library(SIGNATURE, [variable("b"), of("abs", "b")])
     one_signed = judge(drag, x.abs(), u)
     assert one_signed.rank == 1 and one_signed.advice[0].startswith("b kept its sign, so that |b| is no other function")

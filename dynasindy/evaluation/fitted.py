@@ -1,4 +1,4 @@
-"""Whether a plant that equations do not describe has an input that acts through a lag, told by predictions of a log."""
+"""The fit to data: where a log shows that the equations lack something, an input that acts through a lag is tried."""
 
 from __future__ import annotations
 
@@ -8,49 +8,56 @@ import torch
 
 from dynasindy.evaluation.horizons import Forecasts, forecast
 from dynasindy.evaluation.source import Source
-from dynasindy.evaluation.verdict import LOST, doubts
+from dynasindy.evaluation.verdict import LOST, unresolved
 from dynasindy.systems import Signature
+from dynasindy.told import tell, telling
 from dynasindy.world_models import FitReport, SindyModel
-from dynasindy.world_models.models.follower import lag_of, widened, with_follower
+from dynasindy.world_models.models.follower import lag_of, with_follower
 
 BETTER = 0.7
 """Part of a model's errors, their geometric mean over states and horizons, that are left where a lag is believed."""
 
 
 @dataclass(frozen=True)
-class Followed:
-    """Hold a model, and the data with all of its states.
+class Fitted:
+    """Hold a fitted model, and the data with all of its states.
 
     Attributes:
-        model: as it was, or with a lag as one state more.
+        model: as it was given, or with a lag as one state more.
         source: the data; a lag is seen by no sensor.
-        report: of the fit with the lag; None where there is none.
-        words: what was found; empty where nothing was.
+        report: of the fit.
+        lag: what was found of a lag, in words; empty where nothing was.
     """
 
     model: SindyModel
     source: Source
-    report: FitReport | None = None
-    words: str = ""
+    report: FitReport
+    lag: str = ""
 
 
-def followed(model: SindyModel, source: Source) -> Followed:
-    """Return a model and data with the lag of an input as one state more, where something lacks; else as they are.
+def fitted(model: SindyModel, source: Source) -> Fitted:
+    """Fit a model; where something lacks in it, fit it with the lag of an input as one state more.
 
-    It is looked for where a linear model on past samples predicts the last part of a log far better than the model, and
-    believed where with the lag the model does.
+    A lag is looked for where the model misses the last part of a log by more than the sensors explain, and believed
+    where with the lag the model misses far less.
 
     Args:
-        model: what was fitted to the training data.
+        model: what to fit.
         source: the data.
+
+    Raises:
+        ValueError: the model refuses the data.
+        Diverged: a coefficient is not finite.
     """
-    plain = Followed(model, source)
+    tell("fit")
+    plain = Fitted(model, source, model.fit(source.training))
     before = forecast(model, source.training, source.validation) if source.logged else None
-    if before is None or not doubts(before, model.signature):
+    if before is None or not bool(unresolved(before, model.signature).any()):
         return plain
     for place, name in enumerate(model.signature.input_names):
         try:
-            found = _with_lag(model, source, place)
+            with telling(f"fit with a lag of {name}"):
+                found = _with_lag(model, source, place)
         except (ArithmeticError, ValueError, RuntimeError):  # numbers that run away, or too few samples
             continue
         if found is None:
@@ -58,19 +65,18 @@ def followed(model: SindyModel, source: Source) -> Followed:
         after = forecast(found.model, found.source.training, found.source.validation)
         if after is not None and _better(before, after, model.signature):
             seconds = 1 / float(found.model.coefficients[:, -1].abs().sum())
-            return replace(found, words=f"{name} acts through a lag of {seconds:.3g} s, a state that no sensor sees")
+            return replace(found, lag=f"{name} acts through a lag of {seconds:.3g} s, a state that no sensor sees")
     return plain
 
 
-def _with_lag(model: SindyModel, source: Source, place: int) -> Followed | None:
+def _with_lag(model: SindyModel, source: Source, place: int) -> Fitted | None:
     """Return a fit with the lag of an input; None where none explains more."""
     time = lag_of(model, source.training, place)
     wide = with_follower(model, source.training, place, time) if time else None
     if wide is None:
         return None
-    training, validation = widened(source.training), widened(source.validation)
-    data = replace(source, signature=wide.signature, training=training, validation=validation)
-    return Followed(wide, data, wide.fit(training))
+    data = source.with_states_of(wide)
+    return Fitted(wide, data, wide.fit(data.training))
 
 
 def _better(before: Forecasts, after: Forecasts, signature: Signature) -> bool:

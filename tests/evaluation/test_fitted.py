@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from dynasindy.data.simulated import record
-from dynasindy.evaluation import followed as module
-from dynasindy.evaluation.followed import followed
+from dynasindy.evaluation import fitted as module
+from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.horizons import Forecasts
 from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
@@ -32,18 +32,18 @@ def model(source):
 def test_a_lag_is_looked_for_only_where_something_lacks_and_believed_only_where_it_helps(source, model, monkeypatch):
     asked = []
     monkeypatch.setattr(module, "lag_of", lambda *given: asked.append(given) or 0.1)
-    assert followed(model, source).model is model and not asked
-    monkeypatch.setattr(module, "doubts", lambda *given: ["something lacks"])
-    plain = followed(model, source)  # with a lag that is not there nothing is better
-    assert plain.model is model and plain.source is source and plain.words == "" and len(asked) == 1
+    assert fitted(model, source).model is model and not asked
+    monkeypatch.setattr(module, "unresolved", lambda *given: torch.ones(1))
+    plain = fitted(model, source)  # with a lag that is not there nothing is better
+    assert plain.model is model and plain.source is source and plain.lag == "" and len(asked) == 1
     simulated = Source(source.signature, source.training, source.validation)
-    assert followed(model, simulated).model is model and len(asked) == 1  # of a plant that is known none is looked for
+    assert fitted(model, simulated).model is model and len(asked) == 1  # of a plant that is known none is looked for
     monkeypatch.setattr(module, "_better", lambda *given: True)
-    found = followed(model, source)
+    found = fitted(model, source)
     assert found.model.signature.state_names == (*model.signature.state_names, "u_lagging")
-    assert found.source.signature == found.model.signature and found.report is not None
+    assert found.source.signature == found.model.signature and found.report is not plain.report
     assert found.source.training.x.shape[-1] == found.source.validation.x.shape[-1] == 3
-    assert "u acts through a lag of" in found.words
+    assert "u acts through a lag of" in found.lag
 
 
 def test_a_fit_that_fails_leaves_the_model(source, model, monkeypatch):
@@ -52,12 +52,12 @@ def test_a_fit_that_fails_leaves_the_model(source, model, monkeypatch):
             raise Diverged("no")
 
     monkeypatch.setattr(module, "lag_of", lambda *given: 0.1)
-    monkeypatch.setattr(module, "doubts", lambda *given: ["something lacks"])
+    monkeypatch.setattr(module, "unresolved", lambda *given: torch.ones(1))
     wide = Failing(source.signature, ["u"])
     monkeypatch.setattr(module, "with_follower", lambda *given: wide)
-    assert followed(model, source).model is model
+    assert fitted(model, source).model is model
     monkeypatch.setattr(module, "lag_of", lambda *given: 0.0)
-    assert followed(model, source).model is model
+    assert fitted(model, source).model is model
 
 
 def forecasts(*errors):
