@@ -40,6 +40,7 @@ from dynasindy.evaluation.symptoms import samples_of, step_of
 from dynasindy.evaluation.verdict import doubts, known_ranges
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.integral import IntegralAction
+from dynasindy.planning.pace import rests_of, unheld
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.sensing.offset import acting
 from dynasindy.systems import Diverged, Signature
@@ -181,8 +182,8 @@ def plan(
         **settings: Settings of `GradientPlanning`, such as `updates`.
 
     Raises:
-        ValueError: The task or the log does not fit the model, or an observer has no log to learn from, which a model
-            whose inputs act late needs.
+        ValueError: The task or the log does not fit the model, an output depends on no input, or an observer has no log
+            to learn from, which a model whose inputs act late needs.
         Diverged: The model explodes, or no policy has a finite imagined return.
     """
     if not isinstance(task, Tracking):
@@ -191,6 +192,7 @@ def plan(
         raise ValueError(
             f"the model's inputs act {model.delay:.3g} s late, which only an observer makes up for; give log="
         )
+    _require_moved(model, task.output_names)
     if log is not None:
         log = log.with_states_of(model)
         data = log.training
@@ -244,15 +246,17 @@ def foretell(
         sensing = Sensing(env, controller.observer, torch.Generator().manual_seed(seed))
     else:
         policy = acting(policy, env)
+    rests = rests_of(env)
+    never = "" if rests is None else unheld(env, rests)
     if log is None or not len(log.validation):
-        return replace(predict([model], env, policy, scenario, sensing, within), own=True)
+        return replace(predict([model], env, policy, scenario, sensing, within), own=True, unheld=never)
     log = log.with_states_of(model)
     unseen = "what the plan has not seen"
     models = [fit for parts in (1, HALVES) for fit in refits(model, log.validation, parts, unseen)]
     found = predict(models, env, policy, scenario, sensing, within)
     forecasts = forecast(model, log.training, log.validation)
     told = [] if forecasts is None else doubts(forecasts, model.signature)
-    return replace(found, doubts=tuple(told))
+    return replace(found, doubts=tuple(told), unheld=never)
 
 
 def _steps(task: Tracking) -> Scenario:
@@ -337,6 +341,27 @@ def watching(model: SindyModel, sensors: Sensors, pace: Pace, log: Source | None
     observer = Observer(model, sensors, pace)
     observer.learn(y, u)
     return observer
+
+
+def _require_moved(model: SindyModel, outputs: Sequence[str]) -> None:
+    """Refuse outputs that no input moves, be it through other states.
+
+    Raises:
+        ValueError: There is such an output.
+    """
+    names, inputs = model.signature.state_names, set(model.signature.input_names)
+    read = {
+        name: {v for k in model.coefficients[:, i].nonzero().flatten() for v in model.library.features[k].variables}
+        for i, name in enumerate(names)
+    }
+    moved: set[str] = set()
+    for _ in names:
+        moved |= {name for name in names if read[name] & (moved | inputs)}
+    if still := [name for name in outputs if name not in moved]:
+        raise ValueError(
+            f"in the equations that were found no input moves {', '.join(still)}, so nothing can be planned: the log "
+            "hardly shows what the inputs do; record longer, and let every input change often and by much"
+        )
 
 
 def _typical(data: Transitions, signature: Signature) -> Tensor:

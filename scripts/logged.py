@@ -63,7 +63,7 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     write(folder, controller, model, prediction)
     if prediction.shown:
         draw_evaluation(prediction.shown, folder / "figures", place=prediction.place)
-    say(report(model, prediction), f"Controller: {folder / 'controller.json'}")
+    say(report(model, prediction), f"Controller: {folder / 'controller.json'}", *model.signature.own_inputs())
     if not swept:
         words = HydraConfig.get().overrides.task
         print(following(folder, "check", "export") if prediction.controlled else mending(folder, words))

@@ -118,6 +118,14 @@ def test_sensors_need_a_log(model):
         dynasindy.plan(model, {"theta": (-0.6, 0.6)}, sensors=Sensors({"theta": {}}))
 
 
+def test_an_output_that_no_input_moves_is_refused(model):
+    """The pendulum's equations without their input swing on, whatever is commanded."""
+    still = copy.deepcopy(model)
+    still.coefficients[model.library.names.index("u")] = 0.0
+    with pytest.raises(ValueError, match=r"no input moves theta.*every input change often"):
+        dynasindy.plan(still, {"theta": (-0.5, 0.5)})
+
+
 def test_a_control_period_fits_the_log(log, model):
     with pytest.raises(ValueError, match=r"no multiple of the log's sampling time 0.01 s"):
         dynasindy.plan(model, {"theta": (-0.6, 0.6)}, log, dt=0.025)
@@ -237,6 +245,18 @@ def test_a_rate_that_is_known_needs_no_column(path, log, model):
     found = dynasindy.identify(alone, words, known={"theta": "theta_rate"}, longest_delay=0.0)
     assert found.signature.state_units == ("rad", "rad/s")
     assert torch.equal(found.coefficients, model.coefficients)
+
+
+def test_targets_that_no_input_holds_are_told(model):
+    """A motor of 4 rad/s^2 holds the pendulum up to asin(4 / 9.81) = 0.42 rad; 0.6 rad take 9.81 sin(0.6) / 4 of it."""
+    weak = copy.deepcopy(model)
+    drive = weak.coefficients[model.library.names.index("u")]
+    drive[drive != 0] = 4.0
+    told = held_with(None, weak).words()
+    assert "no input within [-1, 1] was found that holds" in told and "a smaller range of targets" in told
+    span = re.search(r"theta from (\S+) to ([\d.]+)", told)
+    assert -float(span[1]) == pytest.approx(math.asin(4 / 9.81), abs=0.03) and float(span[2]) < 0.45
+    assert "longer plan" not in told
 
 
 def test_the_package_says_what_it_has():

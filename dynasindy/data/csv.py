@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from dynasindy.data.ends import PLAIN, ends_of, mapped
 from dynasindy.data.table import MAP, Table, all_headings, numeric_headings, read_table, seconds_of, split_unit
 from dynasindy.durations import in_words
 from dynasindy.systems.base import Signature
@@ -34,12 +35,16 @@ class Column:
         unit: unit of the state or input after scaling.
         scale: factor from the file's unit to this one, e.g. 0.0174533 from degrees to rad.
         derivative_of: state that this one is reconstructed from, as its derivative.
+        low: lower end of an input's actuator after scaling, which becomes -1; with `high`.
+        high: its upper end, which becomes 1.
     """
 
     name: str = ""
     unit: str = "-"
     scale: float = 1.0
     derivative_of: str = ""
+    low: float | None = None
+    high: float | None = None
 
 
 @dataclass(frozen=True)
@@ -82,6 +87,8 @@ class CsvLog:
         dt: sampling time [s]; the median of the file by default.
         missing: whether rows with a value that is missing are skipped or the file is refused.
         min_samples: fewest transitions that are worth a fit.
+        into_range: whether inputs that go beyond [-1, 1], and whose ends were not given, are taken into it by the range
+            that they have in the file.
 
     Raises:
         ValueError: a word is not allowed, or neither states nor inputs are given.
@@ -94,6 +101,7 @@ class CsvLog:
     dt: float | None = None
     missing: Literal["skip", "refuse"] = "skip"
     min_samples: int = 50
+    into_range: bool = False
 
     def __post_init__(self) -> None:
         if self.missing not in ("skip", "refuse"):
@@ -122,7 +130,8 @@ class CsvLog:
         values = dict(zip(names[1:], table.values[:, 1:].T, strict=True))
         x = {s: values[c.name] * c.scale for s, c in states.items() if c.name}
         u = np.stack([values[c.name] * c.scale for c in inputs.values()], -1)
-        self._check_inputs(u, list(inputs), notes)
+        ends = ends_of(self.path, u, inputs, self.into_range, notes)
+        u = mapped(u, ends)
         dt = float(np.median(np.diff(t))) if self.dt is None else self.dt
         t, x, u, segment = _even(t, x, u, dt, notes)
         free = ~_stuck(x, notes)
@@ -141,7 +150,8 @@ class CsvLog:
             )
         units = tuple(c.unit for c in states.values())
         scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(np.nan_to_num(full[known])).max(0, initial=0.0))
-        return Recording(data, Signature(tuple(states), units, tuple(inputs), scale), tuple(notes))
+        own_units = () if set(ends) == {PLAIN} else tuple(ends)
+        return Recording(data, Signature(tuple(states), units, tuple(inputs), scale, own_units), tuple(notes))
 
     def _complete(self, table: Table, notes: list[str]) -> Table:
         """Leave out rows with missing values, counted by column."""
@@ -167,19 +177,6 @@ class CsvLog:
                 f"{self.path}, line {lines[k + 1]}, column {self.time}: time does not increase, {t[k + 1]:g} s follows "
                 f"{t[k]:g} s; allowed is increasing time: sort the rows or split the recordings"
             )
-
-    def _check_inputs(self, u: Array, names: list[str], notes: list[str]) -> None:
-        for name, column in zip(names, u.T, strict=True):
-            if np.ptp(column) == 0:
-                raise ValueError(
-                    f"{self.path}: input {name} is constant at {column[0]:g}; allowed is an input that moves: "
-                    "excite it, or leave it out of `inputs`"
-                )
-            if np.abs(column).max() > 1:
-                notes.append(
-                    f"input {name} goes from {column.min():g} to {column.max():g}, beyond the [-1, 1] of a plant's "
-                    "inputs; the model holds for these numbers, or give a scale in data.inputs"
-                )
 
 
 def infer(
@@ -258,8 +255,8 @@ def _column(given: object) -> Column:
         column = Column(**given)
     if column is None or not _is_sound(column):
         raise ValueError(
-            f"a column is {given!r}; allowed is a heading, or the keys name, unit, scale (a number, not 0) and "
-            f"derivative_of: {MAP}"
+            f"a column is {given!r}; allowed is a heading, or the keys name, unit, scale (a number, not 0), "
+            f"derivative_of, and of inputs low and high (both, low < high): {MAP}"
         )
     return column
 
@@ -268,6 +265,10 @@ def _is_sound(column: Column) -> bool:
     words: list[object] = [column.name, column.unit, column.derivative_of]
     scale: object = column.scale
     if not all(isinstance(word, str) for word in words) or isinstance(scale, bool):
+        return False
+    ends: list[object] = [column.low, column.high]
+    numbers = [end for end in ends if isinstance(end, int | float) and not isinstance(end, bool)]
+    if ends != [None, None] and not (len(numbers) == 2 and -math.inf < numbers[0] < numbers[1] < math.inf):
         return False
     return isinstance(scale, int | float) and 0 < abs(scale) < math.inf
 

@@ -8,6 +8,7 @@ import re
 from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TextIO
 
@@ -46,13 +47,17 @@ class Table:
 def read_table(path: Path, names: Sequence[str]) -> Table:
     """Read the named columns of a file; a heading `angle [rad]` may be named by `angle`.
 
+    The first column is that of time, and may hold dates, such as `2024-05-31 12:00:00.05`, which become seconds.
+
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is no table of text, or a column is missing or stands there twice.
+        ValueError: the file is no table of text, a column is missing or stands there twice, or one has values and none
+            of them is a number.
     """
     (_, headings), rows = _rows(path)
     columns = [_find(path, name, headings) for name in names]
     values, lines = array("d"), array("q")
+    first: dict[int, str] = {}
     for line, row in rows:
         if len(row) > len(headings) and any(text.strip() for text in row[len(headings) :]):
             raise ValueError(
@@ -60,9 +65,20 @@ def read_table(path: Path, names: Sequence[str]) -> Table:
                 "points into decimals, or semicolons between columns"
             )
         lines.append(line)
-        values.extend(number(row[k]) if k < len(row) else math.nan for k in columns)
+        texts = [row[k] if k < len(row) else "" for k in columns]
+        values.extend(map(number, texts))
+        if texts and math.isnan(values[-len(texts)]):
+            values[-len(texts)] = _date(texts[0])
+        first = first or {k: text for k, text in zip(columns, texts, strict=True) if text.strip()}
     found = tuple(headings[k] for k in columns)
-    return Table(found, np.array(values).reshape(len(lines), len(names)), np.array(lines, dtype=np.int64))
+    table = Table(found, np.array(values).reshape(len(lines), len(names)), np.array(lines, dtype=np.int64))
+    for k, heading, column in zip(columns, found, table.values.T, strict=True):
+        if k in first and np.isnan(column).all():
+            raise ValueError(
+                f"{path}, column {heading!r} has no number, but values such as {first[k][:40]!r}; allowed are numbers, "
+                "and of time dates such as 2024-05-31 12:00:00.05: convert the column"
+            )
+    return table
 
 
 def numeric_headings(path: Path) -> list[str]:
@@ -120,6 +136,15 @@ def number(text: str) -> float:
         return float(text.replace(",", "."))
     except ValueError:
         return math.nan
+
+
+def _date(text: str) -> float:
+    """Return the seconds of a date with its time of day, NaN for what is none."""
+    try:
+        found = datetime.fromisoformat(text.strip())
+    except ValueError:
+        return math.nan
+    return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()  # else summer time would leave a gap
 
 
 def _find(path: Path, name: str, headings: Sequence[str]) -> int:

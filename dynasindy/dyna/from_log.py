@@ -65,6 +65,12 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
         model = SindyModel.load(str(path))
         if source is not None:
             source.with_states_of(model)  # refuses a model of another plant
+            if source.signature.input_ends != model.signature.input_ends:
+                raise ValueError(
+                    f"the model has inputs with the ends {model.signature.input_ends or '-1 and 1'}, the log with "
+                    f"{source.signature.input_ends or '-1 and 1'}; give the ends of the actuator to both, low and high "
+                    "in data.inputs"
+                )
         return model
     built = build(signature=source.signature)
     if not isinstance(built, SindyModel):

@@ -160,7 +160,8 @@ class Logged:
     def recording(self, system: System | None) -> Recording:
         """Read the file, all of it; of the plant the names are used at most."""
         states, inputs = self._columns(system)
-        log = CsvLog(str(self.path), states, inputs, self.time, self.dt, self.missing)  # type: ignore[arg-type]
+        own = system is None  # a plant that is named has inputs in [-1, 1]
+        log = CsvLog(str(self.path), states, inputs, self.time, self.dt, self.missing, into_range=own)  # type: ignore[arg-type]
         recording = log.read()
         data, signature = recording.transitions, recording.signature
         if system is not None and signature.state_names == system.signature.state_names:

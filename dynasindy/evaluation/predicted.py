@@ -34,6 +34,7 @@ class Prediction:
         errors: Mean absolute error of each model's whole flights, of the worst output, in target ranges; infinite of
             one that ran away.
         doubts: Why the models, though they agree, are not to be relied on, a sentence each.
+        unheld: Which targets no input holds in the model of the plan; empty if all are held.
     """
 
     flights: tuple[Held | None, ...]
@@ -42,6 +43,7 @@ class Prediction:
     within: float = WITHIN
     errors: tuple[float, ...] = ()
     doubts: tuple[str, ...] = ()
+    unheld: str = ""
 
     @property
     def controlled(self) -> bool:
@@ -105,6 +107,8 @@ class Prediction:
 
     def _advice(self, flown: Sequence[Held]) -> str:
         """Say what may help where nothing runs away."""
+        if self.unheld:
+            return f"{self.unheld}: give a smaller range of targets, or more of the actuator's range, if it has more"
         shares = [max(_number(share) for share in flight.share.values()) for flight in flown]
         if not self.own and min(shares) <= self.within < max(shares):
             return (

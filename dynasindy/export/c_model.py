@@ -91,6 +91,7 @@ def signature_words(signature: Signature) -> list[str]:
         *(f"    {i}  {n} [{unit}], of a range of {number(scale)}" for i, (n, unit, scale) in enumerate(states)),
         "u: inputs of the plant, in [-1, 1]",
         *(f"    {i}  {n} [-]" for i, n in enumerate(signature.input_names)),
+        *signature.own_inputs(),
     ]
 
 

@@ -90,7 +90,7 @@ def rests_of(env: ControlEnv) -> Rests | None:
         return None
     generator = torch.Generator().manual_seed(0)
     start = task.initial_state(torch.Size((16,)), generator).double().mean(0)
-    return find_rests(env.system, task.outputs, _targets(task, generator), start, env.dt, task.input_ends)
+    return find_rests(env.system, task.outputs, _targets(task, generator), start, env.dt, task.input_limits)
 
 
 def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettings:
@@ -104,9 +104,9 @@ def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettin
     if rests is None:
         window, substeps = min(UNTOLD, env.task.max_steps), min(finest, SUBSTEPS)
         return PlanSettings(window, 3e-3, 400, 8, substeps, why="the task has no references")
-    unheld = _unheld(env, rests)
+    never = unheld(env, rests)
     if not len(rests):
-        return PlanSettings(why=unheld)
+        return PlanSettings(why=never)
     moved, seconds = rests.moved, env.task.max_steps * env.dt
     scale = torch.tensor(env.system.signature.x_scale, dtype=torch.float64)[moved]
     places = torch.linspace(0, len(rests) - 1, min(LOOKED_AT, len(rests))).long()
@@ -121,14 +121,19 @@ def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettin
     loop = "no linear regulator holds it"
     if regulator is not None:
         loop = f"under a linear regulator its slowest motion has a time constant of {slowest:.3g} periods"
-    why = "; ".join(filter(None, (_fate(slopes, grown, seconds), loop, unheld)))
+    why = "; ".join(filter(None, (_fate(slopes, grown, seconds), loop, never)))
     if not grown > GROWN:
         return PlanSettings(window=window, substeps=substeps, why=why)
     return PlanSettings(window, 3e-3, 200, 3, substeps, regulator is not None, why)
 
 
-def _unheld(env: ControlEnv, rests: Rests) -> str:
-    """Say how many targets no input in its range holds in the model, and what one would take; empty if all are held."""
+def unheld(env: ControlEnv, rests: Rests) -> str:
+    """Say how many targets no input in its range holds in the model, and what one would take; empty if all are held.
+
+    Args:
+        env: Imagined environment, whose task tracks references.
+        rests: Rests of its model.
+    """
     if not len(rests.unheld):
         return ""
     signature, task = env.system.signature, env.task

@@ -34,16 +34,19 @@ class Signature:
         state_units: One unit per state, e.g. "rad".
         input_names: One name per input, in the order of `u`.
         x_scale: Typical range of each state, in its unit; observations are states divided by it.
+        input_ends: What -1 and 1 are of each input in the unit of its actuator, e.g. `((0, 12),)` of a motor in V;
+            empty where inputs have no other unit.
 
     Raises:
-        ValueError: The lengths disagree, a name is none or occurs twice, a unit is none, or a range is not
-            positive and finite.
+        ValueError: The lengths disagree, a name is none or occurs twice, a unit is none, a range is not positive and
+            finite, or the ends of an input are not finite and in order.
     """
 
     state_names: tuple[str, ...]
     state_units: tuple[str, ...]
     input_names: tuple[str, ...]
     x_scale: tuple[float, ...]
+    input_ends: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
         for field in ("state_names", "state_units", "input_names", "x_scale"):
@@ -72,6 +75,13 @@ class Signature:
             raise ValueError(
                 f"x_scale must be positive and finite, got {self.x_scale}; give the typical range of each state"
             )
+        object.__setattr__(self, "input_ends", tuple((float(low), float(high)) for low, high in self.input_ends))
+        sound = all(-math.inf < low < high < math.inf for low, high in self.input_ends)
+        if not sound or len(self.input_ends) not in (0, len(self.input_names)):
+            raise ValueError(
+                f"the ends of the inputs are {self.input_ends}; give a lower and a higher number for each of "
+                f"{', '.join(self.input_names)}, or none at all"
+            )
 
     @property
     def n_x(self) -> int:
@@ -86,6 +96,15 @@ class Signature:
     def alike(self, other: Signature) -> bool:
         """Return whether another signature has the same names and units; ranges may differ."""
         return replace(self, x_scale=other.x_scale) == other if self.n_x == other.n_x else False
+
+    def own_inputs(self) -> list[str]:
+        """Say what each input is in the unit of its actuator, a line for each that has one."""
+        return [
+            f"the plant's {name} is {0.5 * (low + high):.6g} + {0.5 * (high - low):.6g} times the controller's, which "
+            "is in [-1, 1]"
+            for name, (low, high) in zip(self.input_names, self.input_ends, strict=False)
+            if (low, high) != (-1.0, 1.0)
+        ]
 
     def state_index(self, name: str) -> int:
         """Return the position of a state in `x`.

@@ -15,7 +15,6 @@ from itertools import chain
 import torch
 from torch import Tensor
 
-from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell
 from dynasindy.world_models.libraries.features import Feature, of, variable
@@ -139,8 +138,11 @@ def behind(model: SindyModel, found: Found, dt: float) -> SindyModel:
     given, fast = model.signature, FAST / dt
     name = given.input_names[found.actuator.place]
     follower = f"applied_{name}"
-    signature = Signature(
-        (*given.state_names, follower), (*given.state_units, "1"), given.input_names, (*given.x_scale, 1.0)
+    signature = replace(
+        given,
+        state_names=(*given.state_names, follower),
+        state_units=(*given.state_units, "1"),
+        x_scale=(*given.x_scale, 1.0),
     )
     play = found.actuator.kind == "play"
     held = of("slack", name, follower, frequency=found.actuator.size / (1 if play else fast))

@@ -90,7 +90,9 @@ def with_follower(model: SindyModel, data: Transitions, place: int, time: float)
     read = [feature.reading(name, follower) for feature in first.library.features]
     own = of("ahead", name, follower)
     old = model.signature
-    signature = Signature((*states, follower), (*old.state_units, "1"), old.input_names, (*old.x_scale, 1.0))
+    signature = replace(
+        old, state_names=(*states, follower), state_units=(*old.state_units, "1"), x_scale=(*old.x_scale, 1.0)
+    )
     library = Library(signature, [*read, own])
     names = [feature.name() for feature in read]
     free, found = first.constraints.free, first.coefficients
