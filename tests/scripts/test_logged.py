@@ -139,7 +139,9 @@ def test_what_is_missing_costs_one_line(log, tmp_path, words, message):
 
 
 def test_a_run_of_a_log_says_that_there_is_no_plant_to_fly(tmp_path):
-    (tmp_path / "config.yaml").write_text("data: {path: log.csv}\nsystem: null\nplant: {outputs: [theta]}\n")
+    data = {"_target_": "dynasindy.evaluation.identification.Logged", "path": "log.csv"}
+    settings = {"data": data, "system": None, "plant": {"outputs": ["theta"]}}
+    (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(settings))
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     command = [sys.executable, str(ROOT / "scripts" / "evaluate.py"), f"run={tmp_path}"]
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, check=False)
