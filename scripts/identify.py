@@ -1,5 +1,6 @@
 """Identify a model: `python scripts/identify.py [system=xi] [data=csv data.path=log.csv]`."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,9 +20,8 @@ def main(cfg: DictConfig) -> None:
     """Load data, fit, judge, write everything and print it."""
     import torch
 
-    from dynasindy.evaluation.before_fit import before_fit, known_word, plants_with, rates_lacking
+    from dynasindy.evaluation.before_fit import before_fit, plants_with, rates_lacking
     from dynasindy.evaluation.identification import identify, to_words, write
-    from dynasindy.evaluation.targets import targets_like
     from dynasindy.terminal import say
     from dynasindy.told import tell
 
@@ -34,32 +34,46 @@ def main(cfg: DictConfig) -> None:
     model, folder = built["world_model"](signature=source.signature), Path(cfg.folder)
     if told := before_fit(model, source):
         say(*told)
+    lacking = [rates_lacking(model, source, angles) for angles in (False, True)] if source.logged else [{}, {}]
     found = identify(model, source, cfg.horizons, cfg.actuators)
-    names, source = source.signature, found.source
+    known = plants_with(source.signature) if source.logged and system is None else []
+    source = found.source
     write(found, source, folder, told)
     draw(found, source, folder, list(cfg.formats))
-    say(to_words(found, source), f"written to {folder}")
-    job, logged = HydraConfig.get(), bool(cfg.data.get("path"))
+    say(
+        to_words(found, source),
+        f"written to {folder}",
+        listed(following(cfg, found, known, lacking[not found.predicts])),
+    )
+
+
+def following(cfg: DictConfig, found: "Identified", known: Sequence[str], rates: Mapping[str, str]) -> str:
+    """Return the command that comes next, which holds all that was given, and what comes of it.
+
+    Args:
+        cfg: The settings.
+        found: What was identified.
+        known: Plants that are known by name and have the columns of the log.
+        rates: Rate of each state, known or lacking.
+    """
+    from dynasindy.evaluation.before_fit import known_word
+    from dynasindy.evaluation.targets import targets_like
+
+    job, logged, told = HydraConfig.get(), found.source.logged, cfg.plant.get("known") or {}
     words, system = job.overrides.task, job.runtime.choices.system
-    known = plants_with(names) if logged and cfg.system is None else []
     if known and not found.predicts:
         others = f"; others with these columns: {', '.join(known[1:])}" if known[1:] else ""
-        say(listed(f"{with_plant(words, known[0])}  # takes the functions of that plant{others}"))
-        return
-    rates = rates_lacking(found.model, source)
-    if logged and not found.predicts and set(rates) - set(cfg.plant.get("known") or {}):
-        say(listed(f"{with_rates(words, known_word(rates))}  # identifies again, with the rates that the log lacks"))
-        return
+        return f"{with_plant(words, known[0])}  # takes the functions of that plant{others}"
+    if set(rates) - set(told):
+        return f"{with_rates(words, known_word(rates))}  # identifies again, with the rates that the log lacks"
     does = "plans a controller on the log" if logged else "excites, identifies and plans in one go"
-    given = {
-        key: None if OmegaConf.is_missing(cfg.plant, key) else cfg.plant[key] for key in ("outputs", "low", "high")
-    }
-    targets = targets_like(source, rates.values(), given)
-    if targets:
+    keys = ("outputs", "low", "high")
+    given = {key: None if OmegaConf.is_missing(cfg.plant, key) else cfg.plant[key] for key in keys}
+    if targets := targets_like(found.source, rates.values(), given):
         does += "; put in its targets what you want to hold, within which limits"
     if found.forecasts is not None and not found.predicts:
         does += "; this model does not predict, so mend first what is said above"
-    say(listed(f"{planning(words, logged, system, targets)}  # {does}"))
+    return f"{planning(words, logged, system, targets)}  # {does}"
 
 
 def draw(found: "Identified", source: "Source", folder: Path, formats: list[str]) -> None:

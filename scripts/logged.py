@@ -45,7 +45,8 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     dt = nearest_period(source, cfg.env.dt)
     say(f"Run folder: {folder}")
     if dt != cfg.env.dt:
-        say(f"note: the control period is {dt:g} s, as the log is sampled; env.dt asks for another")
+        sampled = f"the log is sampled every {source.training.dt:g} s" if source else ""
+        say(f"note: the control period is {dt:g} s and not env.dt={cfg.env.dt:g}, as {sampled}")
     with _stopped_in_words(f"the fit was not finished and nothing is kept in {folder}; the same command begins anew"):
         model = model_of(source, parts["world_model"], cfg.model)
     task = parts["task"](signature=model.signature)

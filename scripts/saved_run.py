@@ -39,14 +39,14 @@ def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
     if not file.is_file():
         raise FileNotFoundError(f"{folder} is not a run folder, it has no config.yaml; give one that train.py printed")
     config = read_config(file)
-    named = [plugins] if isinstance(plugins, str) else list(plugins)
-    named += os.environ.get(PLUGINS, "").split()
-    check(OmegaConf.to_container(config, resolve=False), named, str(file))
     if config.get("data") is not None or config.get("model") is not None:
         raise ValueError(
             f"{folder} was planned from a log or a model, so there is no plant to fly; what its controller does on "
             f"models stands in {folder / 'metrics.json'}, and {called('check')} run={folder} tells more of it"
         )
+    named = [plugins] if isinstance(plugins, str) else list(plugins)
+    named += os.environ.get(PLUGINS, "").split()
+    check(OmegaConf.to_container(config, resolve=False), named, str(file))
     if absent := [part for part in ("system", "task", "env", "agent", "plant") if not config.get(part)]:
         raise ValueError(f"{file} is not of a run, it has no {absent[0]}; give a folder that train.py printed")
     register_functions(config)

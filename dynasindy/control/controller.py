@@ -95,9 +95,9 @@ class Controller:
         inputs = ", ".join(self.signature.input_names)
         ends = "[-1, 1]"
         if self.pace.task.limited:
-            ends = ", ".join(f"[{low:.3g}, {high:.3g}]" for low, high in self.pace.task.input_ends.mT.tolist())
-        sets = "; ".join([f"{inputs} in {ends} every {self.dt:g} s{more}", *self.signature.own_inputs()])
-        return f"Controller(holds {outputs}; reads {seen}; sets {sets})"
+            ends = ", ".join(f"[{low:.3g}, {high:.3g}]" for low, high in self.pace.task.input_limits.mT.tolist())
+        inputs = "; ".join([f"{inputs} in {ends} every {self.dt:g} s{more}", *self.signature.own_inputs()])
+        return f"Controller(holds {outputs}; reads {seen}; sets {inputs})"
 
     def reset(self) -> None:
         """Forget what was measured; the next call of `act` takes the plant as at rest, its inputs zero."""

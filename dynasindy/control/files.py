@@ -71,7 +71,7 @@ def save(controller: Controller, path: str | Path) -> None:
             "observe_rate": task.observe_rate,
             "error_scale": task.error_scale,
             "box": task.boxes().tolist(),
-            "input_ends": task.input_ends.tolist(),
+            "input_limits": task.input_limits.tolist(),
         },
         "policy": _layers(network(controller)),
         "integral": numbers and {name: getattr(numbers, name) for name in ("gain", "band", "limit", "rate")},
@@ -184,7 +184,7 @@ def _task(signature: Signature, given: Mapping[str, Any]) -> Tracking:
         error_scale=_positive(given["error_scale"]),
     )
     # Files that were written before inputs had ends have none.
-    task = task.with_input_ends(given.get("input_ends", task.input_ends.tolist()))
+    task = task.with_input_limits(given.get("input_limits", task.input_limits.tolist()))
     return task.with_box([_positive(extent) for extent in given["box"]])
 
 

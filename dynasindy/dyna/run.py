@@ -223,14 +223,13 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
     lines.append(to_text(metrics["evaluation"], title, metrics.get("units"), steady, width()))
     lines += [
         "",
-        f"Cost: {cost['real_steps']} real steps = {in_words(cost['plant_seconds'])} of plant time, "
-        f"{cost['imagined_transitions']} imagined transitions, {cost['updates']} gradient updates, "
-        f"{in_words(round(cost['wall_seconds']))} wall time; apart from these {cost['evaluation_steps']} real steps of "
-        "evaluation",
+        f"Cost: the plant moved for {in_words(cost['plant_seconds'])} to learn, which are {cost['real_steps']} control "
+        f"periods. The model imagined {cost['imagined_transitions']} periods, and the policy was updated "
+        f"{cost['updates']} times, all in {in_words(round(cost['wall_seconds']))}. The evaluations moved the plant for "
+        f"{cost['evaluation_steps']} periods more, from which nothing was learnt.",
         *([metrics["excitation"]] if metrics.get("excitation") else []),
-        *_kept(metrics["checkpoint"]),
         *([f"Reward: {metrics['reward']}"] if metrics.get("reward") else []),
-        *([f"Planning: {metrics['planning']}"] if metrics.get("planning") else []),
+        *_of_plant(metrics.get("planning") or ""),
         metrics["verdict"]["sentence"],
         *([metrics["verdict"]["held"]] if metrics["verdict"].get("held") else []),
         f"Run folder: {folder}",
@@ -238,8 +237,7 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
     return "\n".join(lines)
 
 
-def _kept(checkpoint: dict[str, float]) -> list[str]:
-    if not checkpoint["bytes"]:
-        return []
-    size, seconds = checkpoint["bytes"] / 1e6, checkpoint["seconds"]
-    return [f"Checkpoints: the last of {size:.1f} MB, all of them {seconds:.1f} s of the wall time"]
+def _of_plant(planning: str) -> list[str]:
+    """Return what the planning found out of the plant; its settings, which stand before that, are in `metrics.json`."""
+    why = planning.partition(": ")[2]
+    return [f"The model says of the plant: {why}."] if why else []

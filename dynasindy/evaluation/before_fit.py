@@ -75,7 +75,7 @@ def _angles(model: SindyModel, source: Source) -> list[str]:
 
 def missing_rates(model: SindyModel, source: Source) -> list[str]:
     """Say which rates a log lacks or may lack, and the words that give them, once for each state."""
-    given, lacking, signature = _known(model), rates_lacking(model, source), source.signature
+    given, lacking = _known(model), rates_lacking(model, source)
     lines = []
     if new := [name for name in lacking if name not in given]:
         its = "its rate, which is" if len(new) == 1 else "their rates, which are"
@@ -83,20 +83,27 @@ def missing_rates(model: SindyModel, source: Source) -> list[str]:
             f"hint: what {' and '.join(new)} will do depends on {its} no state yet. Give '{known_word(lacking)}': a "
             "column of that name is read as the rate; where there is none, the rate is estimated"
         )
-    if "rad/s" in signature.state_units or _chosen(model, signature):
-        return lines
-    angles = [n for n, unit in zip(signature.state_names, signature.state_units, strict=True) if unit == "rad"]
     return lines + [
         f"hint: sin({name}) and cos({name}) are not tried, as no state is in rad/s. If a torque moves {name}, give its "
         f"rate in rad/s, or '{known_word({**given, name: f'{name}_rate'})}' if none was logged"
-        for name in angles
+        for name in rates_lacking(model, source, angles=True)
         if name not in lacking
     ]
 
 
-def rates_lacking(model: SindyModel, source: Source) -> dict[str, str]:
-    """Return the rate of each state, those that are known and those that a log shows to be missing, by its name."""
-    return _known(model) | {name: f"{name}_rate" for name in moving_on(model.library, source.training)}
+def rates_lacking(model: SindyModel, source: Source, angles: bool = False) -> dict[str, str]:
+    """Return the rate of each state, those that are known and those that a log shows to be missing, by its name.
+
+    Args:
+        model: A model of the log, not fitted yet.
+        source: The log.
+        angles: Whether each angle in rad is to have one, where no state is in rad/s and nobody chose the functions.
+    """
+    signature, known = source.signature, _known(model)
+    missing = moving_on(model.library, source.training)
+    if angles and "rad/s" not in signature.state_units and not _chosen(model, signature):
+        missing += [n for n, unit in zip(signature.state_names, signature.state_units, strict=True) if unit == "rad"]
+    return known | {name: f"{name}_rate" for name in missing if name not in known}
 
 
 def known_word(known: Mapping[str, str]) -> str:

@@ -103,7 +103,7 @@ class Prediction:
         lost += self.doubts
         asked = f", {100 * self.within:g} % is asked for, and {100 * LOST * self.within:g} % at worst"
         verdict = "CONTROLLED" if self.controlled else f"{lacking}{asked if self._missed else ''}"
-        return f"{start}: {verdict}: {'; '.join([*told, *lost])}"
+        return f"{start}: {verdict}: errors at the end: {'; '.join([*told, *lost])}"
 
     def _advice(self, flown: Sequence[Held]) -> str:
         """Say what may help where nothing runs away."""

@@ -96,7 +96,7 @@ class Source:
         Raises:
             ValueError: the model is of another plant, or its inputs have other ends.
         """
-        mine, theirs = (signature.actuator_ends or "-1 and 1" for signature in (self.signature, model.signature))
+        mine, theirs = (signature.input_ends or "-1 and 1" for signature in (self.signature, model.signature))
         if mine != theirs:
             raise ValueError(
                 f"the model has inputs with the ends {theirs}, the log with {mine}; give the ends of the actuator to "

@@ -159,7 +159,7 @@ def _tables(controller: Controller) -> str:
         f"/* Extents of their targets. */\nstatic const double box[NR] = {{{joined(task.boxes().tolist())}}};",
     ]
     if _ended(controller):
-        names = zip(("least", "most"), task.input_ends.tolist(), strict=True)
+        names = zip(("least", "most"), task.input_limits.tolist(), strict=True)
         tables += [f"/* Of the inputs. */\nstatic const double {name}[NU] = {{{joined(v)}}};" for name, v in names]
     if controller.integral is not None and task.rates:
         tables.append(

@@ -77,7 +77,7 @@ def controller_onnx(controller: Controller, path: Path) -> None:
     if du is not None:
         found = found + du
     if du is not None or controller.pace.task.limited:
-        least, most = (np.array(ends) for ends in controller.pace.task.input_ends.tolist())
+        least, most = (np.array(ends) for ends in controller.pace.task.input_limits.tolist())
         found = graph.put("Max", graph.put("Min", found, most), least)
     if watching is not None:
         later["inputs"] = graph.put("Concat", kept["inputs"][signature.n_u : sizes["inputs"]], found, axis=0)

@@ -90,7 +90,7 @@ def rests_of(env: ControlEnv) -> Rests | None:
         return None
     generator = torch.Generator().manual_seed(0)
     start = task.initial_state(torch.Size((16,)), generator).double().mean(0)
-    return find_rests(env.system, task.outputs, _targets(task, generator), start, env.dt, task.input_ends)
+    return find_rests(env.system, task.outputs, _targets(task, generator), start, env.dt, task.input_limits)
 
 
 def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettings:
@@ -120,7 +120,7 @@ def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettin
     window = max(2 * WINDOW, min(window, LONGEST))
     loop = "no linear regulator holds it"
     if regulator is not None:
-        loop = f"under a linear regulator its slowest motion has a time constant of {slowest:.3g} periods"
+        loop = f"under a linear regulator its slowest motion has a time constant of {slowest:.3g} control periods"
     why = "; ".join(filter(None, (_fate(slopes, grown, seconds), loop, never)))
     if not grown > GROWN:
         return PlanSettings(window=window, substeps=substeps, why=why)

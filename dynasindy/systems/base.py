@@ -34,7 +34,7 @@ class Signature:
         state_units: One unit per state, e.g. "rad".
         input_names: One name per input, in the order of `u`.
         x_scale: Typical range of each state, in its unit; observations are states divided by it.
-        actuator_ends: What -1 and 1 are of each input in the unit of its actuator, e.g. `((0, 12),)` of a motor in V;
+        input_ends: What -1 and 1 are of each input in the unit of its actuator, e.g. `((0, 12),)` of a motor in V;
             empty where inputs have no other unit.
 
     Raises:
@@ -46,7 +46,7 @@ class Signature:
     state_units: tuple[str, ...]
     input_names: tuple[str, ...]
     x_scale: tuple[float, ...]
-    actuator_ends: tuple[tuple[float, float], ...] = ()
+    input_ends: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
         for field in ("state_names", "state_units", "input_names", "x_scale"):
@@ -75,11 +75,11 @@ class Signature:
             raise ValueError(
                 f"x_scale must be positive and finite, got {self.x_scale}; give the typical range of each state"
             )
-        object.__setattr__(self, "actuator_ends", tuple((float(low), float(high)) for low, high in self.actuator_ends))
-        sound = all(-math.inf < low < high < math.inf for low, high in self.actuator_ends)
-        if not sound or len(self.actuator_ends) not in (0, len(self.input_names)):
+        object.__setattr__(self, "input_ends", tuple((float(low), float(high)) for low, high in self.input_ends))
+        sound = all(-math.inf < low < high < math.inf for low, high in self.input_ends)
+        if not sound or len(self.input_ends) not in (0, len(self.input_names)):
             raise ValueError(
-                f"the ends of the inputs are {self.actuator_ends}; give a lower and a higher number for each of "
+                f"the ends of the inputs are {self.input_ends}; give a lower and a higher number for each of "
                 f"{', '.join(self.input_names)}, or none at all"
             )
 
@@ -102,7 +102,7 @@ class Signature:
         return [
             f"the plant's {name} is {0.5 * (low + high):.6g} + {0.5 * (high - low):.6g} times the controller's, which "
             "is in [-1, 1]"
-            for name, (low, high) in zip(self.input_names, self.actuator_ends, strict=False)
+            for name, (low, high) in zip(self.input_names, self.input_ends, strict=False)
             if (low, high) != (-1.0, 1.0)
         ]
 

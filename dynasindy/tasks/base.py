@@ -47,7 +47,7 @@ class Task(ABC):
     """Whether the goal is what the plant itself pays; `earned` then is what is believed of that."""
     starts: Tensor | None = None
     """States in which the plant begins episodes, `(n, n_x)`, where it says so; a task may begin its own there."""
-    input_ends: Tensor
+    input_limits: Tensor
     """Least and largest inputs, `(2, n_u)`: -1 and 1, or what a log has tried of what its equations bend in."""
 
     def __init__(self, signature: Signature, max_steps: int) -> None:
@@ -55,7 +55,7 @@ class Task(ABC):
             raise ValueError(f"max_steps must be at least 1 control period, got {max_steps}; the paper has 400")
         self.signature = signature
         self.max_steps = max_steps
-        self.input_ends = torch.tensor([[-1.0], [1.0]]).expand(-1, signature.n_u)
+        self.input_limits = torch.tensor([[-1.0], [1.0]]).expand(-1, signature.n_u)
 
     def with_starts(self, starts: Tensor) -> Self:
         """Return the same task, told that the plant begins episodes at one of some states `(n, n_x)`."""
@@ -66,11 +66,11 @@ class Task(ABC):
     @property
     def limited(self) -> bool:
         """Whether inputs are to stay between narrower ends than their actuators'."""
-        return bool((self.input_ends.abs() < 1).any())
+        return bool((self.input_limits.abs() < 1).any())
 
     def limit(self, action: Tensor) -> Tensor:
         """Return actions `(*batch, n_u)` kept between the ends of the inputs."""
-        low, high = self.input_ends.to(action)
+        low, high = self.input_limits.to(action)
         return action.clamp(low, high)
 
     @property

@@ -174,7 +174,7 @@ class Tracking(Task):
         """
         other, scales = copy.copy(self), list(self.signature.x_scale)
         both = [(known or {}).get(name, (-1.0, 1.0)) for name in self.signature.input_names]
-        other.input_ends = torch.tensor(both).clamp(-1.0, 1.0).mT
+        other.input_limits = torch.tensor(both).clamp(-1.0, 1.0).mT
         typical = typical.double().clone()
         for k, i in enumerate(self.outputs):
             if self.ends is None:
@@ -189,16 +189,16 @@ class Tracking(Task):
             other.start = typical.to(self.start)
         return other
 
-    def with_input_ends(self, ends: Sequence[Sequence[float]]) -> Tracking:
+    def with_input_limits(self, ends: Sequence[Sequence[float]]) -> Tracking:
         """Return the same task whose inputs stay between some ends, `(2, n_u)`.
 
         Raises:
             ValueError: There is not one least and one largest input for each, in [-1, 1].
         """
         other, n_u = copy.copy(self), self.signature.n_u
-        other.input_ends = torch.tensor(ends)
-        fit = other.input_ends.shape == (2, n_u) and bool((other.input_ends.abs() <= 1).all())
-        if not fit or not bool((other.input_ends[0] <= other.input_ends[1]).all()):
+        other.input_limits = torch.tensor(ends)
+        fit = other.input_limits.shape == (2, n_u) and bool((other.input_limits.abs() <= 1).all())
+        if not fit or not bool((other.input_limits[0] <= other.input_limits[1]).all()):
             raise ValueError(
                 f"the ends of the inputs are {str(ends)[:40]}; give {n_u} least and {n_u} largest inputs from -1 to 1"
             )
@@ -259,8 +259,8 @@ class Tracking(Task):
         """Return what inputs beyond their ends cost, `(*batch,)`; None where these are not fenced."""
         if not self.fence or not self.limited:
             return None
-        low, high = self.input_ends
-        outside = _beyond(u, self.input_ends) / (high - low).clamp_min(FENCE_WIDTH).to(u)
+        low, high = self.input_limits
+        outside = _beyond(u, self.input_limits) / (high - low).clamp_min(FENCE_WIDTH).to(u)
         return self.fence * ERROR_SHAPES["linear"](outside, FENCE_WIDTH).sum(-1)
 
     def _unit(self, like: Tensor, share: float) -> Tensor:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from dynasindy.evaluation.statistics import bootstrap_interval, interquartile_mean
 from dynasindy.evaluation.table import FEWEST
 from dynasindy.viz.controllers import colours
-from dynasindy.viz.style import BLUE, GREY, RED, Array, array, legend_beside, name_single, named_dots, panels, styled
+from dynasindy.viz.style import BLUE, GREY, RED, Array, array, legend_beside, name_single, panels, styled
 
 LINEAR = 10.0
 """Returns within this of zero are drawn on a linear part of a logarithmic axis."""
@@ -33,8 +33,6 @@ def learning_curve(
 ) -> Figure:
     """Draw the return of the exploring policy per real episode and that of the policy in evaluation.
 
-    Of a single episode each return has a line of its own, as there is no course to draw.
-
     Args:
         episode: `(n,)` number of each real episode.
         train_return: `(n,)` its return, with exploration noise.
@@ -44,8 +42,6 @@ def learning_curve(
         title: of the figure.
     """
     x, y = array(episode), array(train_return)
-    if len(y) == 1 and eval_episode is not None and eval_return is not None:
-        return _once(y, array(eval_episode), array(eval_return), title)
     figure, (axis,) = panels(1, 1, (7.0, 3.6), title)
     axis.plot(x, y, color=BLUE, alpha=0.3, linewidth=0.9, marker=".", label="real episode, exploring")
     if len(y) > window:
@@ -60,19 +56,6 @@ def learning_curve(
     axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axis.set_ylabel("return [-]")
     axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
-    return figure
-
-
-def _once(train_return: Array, eval_episode: Array, eval_return: Array, title: str) -> Figure:
-    """Draw the returns of the only episode along the axis, one below the other."""
-    rows = {
-        ("untrained policy" if at == 0 else "evaluated policy"): (float(value), GREY if at == 0 else RED)
-        for at, value in zip(eval_episode, eval_return)
-    }
-    rows["real episode, exploring"] = (float(train_return[0]), BLUE)
-    figure, (axis,) = panels(1, 1, (7.0, 2.0), title)
-    named_dots(axis, rows, "return [-]")
-    axis.margins(x=0.12)  # room for the figures beside the dots
     return figure
 
 

@@ -81,7 +81,8 @@ def _figures(folder: Path, signature: Signature) -> dict[str, Figure]:
         if found:  # the untrained policy stands at episode 0
             untrained = found["untrained"]["return"]
             episodes, returns = np.append(0, episodes), np.append(np.nan if untrained is None else untrained, returns)
-        figures["learning_curve"] = learning_curve(progress["episode"], progress["return"], episodes, returns)
+        if len(progress["episode"]) > 1:  # the returns of a single one stand in the table, and make no curve
+            figures["learning_curve"] = learning_curve(progress["episode"], progress["return"], episodes, returns)
         error = progress["one_step_reward_error"]
         first = folder / "data" / "prediction_first_episode.csv"
         if len(error) == 1 and first.is_file():  # one dot would show no course

@@ -73,14 +73,14 @@ def test_what_is_loaded_acts_as_what_was_saved(tmp_path, integral):
 
 def test_ends_of_inputs_are_kept_and_a_file_that_has_none_has_the_actuators(tmp_path):
     controller = built()
-    controller.pace = replace(controller.pace, task=controller.pace.task.with_input_ends([[-0.25], [0.5]]))
+    controller.pace = replace(controller.pace, task=controller.pace.task.with_input_limits([[-0.25], [0.5]]))
     save(controller, tmp_path / "c.json")
-    assert load(tmp_path / "c.json").pace.task.input_ends.tolist() == [[-0.25], [0.5]]
+    assert load(tmp_path / "c.json").pace.task.input_limits.tolist() == [[-0.25], [0.5]]
     assert "sets u in [-0.25, 0.5]" in repr(load(tmp_path / "c.json"))
     record = json.loads((tmp_path / "c.json").read_text())
-    del record["task"]["input_ends"]
+    del record["task"]["input_limits"]
     (tmp_path / "c.json").write_text(json.dumps(record))
-    assert load(tmp_path / "c.json").pace.task.input_ends.tolist() == [[-1.0], [1.0]]
+    assert load(tmp_path / "c.json").pace.task.input_limits.tolist() == [[-1.0], [1.0]]
 
 
 def test_without_an_observer_too(tmp_path):
@@ -104,7 +104,7 @@ def test_the_file_tells_names_units_and_period_to_a_reader(tmp_path):
         "observe_rate": True,
         "error_scale": 0.7,
         "box": [pytest.approx(1.8)],
-        "input_ends": [[-1.0], [1.0]],
+        "input_limits": [[-1.0], [1.0]],
     }
     assert record["observer"]["model"]["delay"] == 0.07
     assert record["integral"] is None

@@ -28,7 +28,7 @@ def test_the_ends_of_an_actuator_become_minus_one_and_one(tmp_path):
     values = levels(20.0, 60.0)
     found = CsvLog(written(tmp_path / "log.csv", values), {"level": "level"}, VALVE).read()
     assert found.transitions.u[:, 0].numpy() == pytest.approx(values[:-1] / 50 - 1)  # 0 % at -1, 50 % at 0, 100 % at 1
-    assert found.signature.actuator_ends == ((0.0, 100.0),)
+    assert found.signature.input_ends == ((0.0, 100.0),)
     assert "-1 is 0, 1 is 100" in found.notes[0]
 
 
@@ -41,7 +41,7 @@ def test_a_log_alone_tells_the_range_that_an_input_used(tmp_path, low, high, end
     values = levels(low, high)
     path = written(tmp_path / "log.csv", values)
     found = Logged(path, inputs=["valve"]).recording(None)
-    assert found.signature.actuator_ends == (ends,)
+    assert found.signature.input_ends == (ends,)
     middle, half = (ends[0] + ends[1]) / 2, (ends[1] - ends[0]) / 2
     assert middle + half * found.transitions.u[:, 0].numpy() == pytest.approx(values[:-1])
     assert f"'data.inputs={{valve: {{name: valve, low: {ends[0]:g}, high: {ends[1]:g}}}}}'" in found.notes[1]
@@ -52,7 +52,7 @@ def test_an_input_within_one_is_taken_as_it_is(tmp_path, most):
     values = levels(-most, most)
     found = Logged(written(tmp_path / "log.csv", values), inputs=["valve"]).recording(None)
     assert np.array_equal(found.transitions.u[:, 0].numpy(), values[:-1])
-    assert found.signature.actuator_ends == () and not found.notes
+    assert found.signature.input_ends == () and not found.notes
 
 
 def test_ends_of_minus_one_and_one_keep_the_numbers(tmp_path):

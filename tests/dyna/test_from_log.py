@@ -58,7 +58,7 @@ def test_a_file_is_taken_if_it_is_of_the_plant(source, tmp_path):
 
 def test_a_model_of_other_volts_is_refused(source, tmp_path):
     """What is 1 to the model has to be 1 in the log."""
-    volts = replace(source.signature, actuator_ends=((-12, 12),))
+    volts = replace(source.signature, input_ends=((-12, 12),))
     build(volts).save(tmp_path / "model.json")
     assert model_of(replace(source, signature=volts), build, tmp_path / "model.json").signature == volts
     with pytest.raises(ValueError, match=r"the ends \(\(-12.0, 12.0\),\), the log with -1 and 1"):

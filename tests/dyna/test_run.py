@@ -206,7 +206,7 @@ def test_the_report_says_equations_metrics_costs_and_folder(tmp_path):
             "checkpoint": {"bytes": 2_300_000, "seconds": 0.4},
             "verdict": {"usable": True, "sentence": "It is better.", "held": "CONTROLLED: x."},
             "units": {"alpha_a": "m"},
-            "planning": "window 60 periods",
+            "planning": "window 60 periods, lr 0.01: it hardly moves",
         },
         tmp_path,
     )
@@ -214,17 +214,17 @@ def test_the_report_says_equations_metrics_costs_and_folder(tmp_path):
         "Omega_p' = -0.414 Omega_p",
         "-99.0",
         "-12",
-        "600 real steps = 30 s",
-        "8000 imagined",
-        "25600 real steps of evaluation",
-        "the last of 2.3 MB, all of them 0.4 s",
+        "moved for 30 s to learn, which are 600 control periods",
+        "imagined 8000 periods",
+        "25600 periods more",
         "It is better.",
         "CONTROLLED: x.",
-        "Planning: window 60 periods",
+        "The model says of the plant: it hardly moves.",
         "RMSE [m]",
         str(tmp_path),
     ):
         assert words in text
+    assert "window 60" not in text and "2.3 MB" not in text  # of use to nobody who reads a verdict
 
 
 @pytest.mark.parametrize("name", ["replay", "gradient", "both"])

@@ -62,6 +62,11 @@ def test_an_angle_without_its_rate_in_rad_is_told_of_it(tmp_path):
     (words,) = told(log(tmp_path / "log.csv", "time,theta [rad],Omega [deg/s],u", (1.0, 57.29578, 1.0)))[1:]
     assert words.startswith("hint: sin(theta) and cos(theta) are not tried, as no state is in rad/s.")
     assert words.endswith("give its rate in rad/s, or 'plant.known={theta: theta_rate}' if none was logged")
+    source = Logged(str(tmp_path / "log.csv")).load(None, EXCITATION)
+    model = SindyModel(source.signature, "auto")
+    assert rates_lacking(model, source, angles=True) == {"theta": "theta_rate"} and not rates_lacking(model, source)
+    chosen = SindyModel(source.signature, ["theta", "Omega", "u"])
+    assert not rates_lacking(chosen, source, angles=True)
 
 
 def test_a_rate_that_is_missing_is_told_once_and_not_once_it_is_given(tmp_path, write_log):

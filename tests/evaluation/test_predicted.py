@@ -23,7 +23,7 @@ def test_it_is_promised_where_every_model_is_held():
     good = Prediction((seen(0.001), seen(0.009)))
     assert good.promised
     assert "on 2 models fitted to data that the plan never saw" in good.words()
-    assert "CONTROLLED: theta 0.1 to 0.9 % of the target range on average" in good.words()
+    assert "CONTROLLED: errors at the end: theta 0.1 to 0.9 % of the target range on average" in good.words()
 
 
 @pytest.mark.parametrize(
@@ -31,7 +31,7 @@ def test_it_is_promised_where_every_model_is_held():
     [
         (
             (seen(0.001), seen(0.02)),
-            "NOT promised, 1 % is asked for, and 10 % at worst: theta 0.1 to 2 %",
+            "NOT promised, 1 % is asked for, and 10 % at worst: errors at the end: theta 0.1 to 2 %",
         ),
         ((seen(0.001, worst=0.2),), "NOT promised, 1 % is asked for.*20 % at worst"),
         ((seen(0.001), None), "NOT promised.*1 of 2 models run away"),
@@ -52,7 +52,7 @@ def test_a_model_promises_nothing_of_itself():
     found = Prediction((seen(0.001),), own=True)
     assert found.controlled
     assert not found.promised
-    assert "promises nothing of the plant: CONTROLLED: theta" in found.words()
+    assert "promises nothing of the plant: CONTROLLED: errors at the end: theta" in found.words()
     assert "asked for" not in found.words()
     far = Prediction((seen(0.02),), own=True)
     assert not far.controlled
@@ -189,7 +189,9 @@ def test_a_doubt_breaks_a_promise():
     doubted = Prediction((seen(0.001),), doubts=("a function is missing",))
     assert not doubted.controlled and not doubted.record()["controlled"]
     assert doubted.record()["doubts"] == ["a function is missing"]
-    assert "NOT promised: theta" in doubted.words() and doubted.words().endswith("a function is missing")
+    assert "NOT promised: errors at the end: theta" in doubted.words() and doubted.words().endswith(
+        "a function is missing"
+    )
 
 
 def test_models_of_which_some_are_held_ask_for_a_better_log_and_not_for_a_longer_plan():

@@ -51,7 +51,7 @@ def pendulum_controller(
         high=[1.0],
     )
     if ends is not None:
-        task = task.with_input_ends(ends)
+        task = task.with_input_limits(ends)
     pace = Pace(task, 0.04, 3, Stops((0,), (1,), (-0.6,), (0.25,)) if stops else None)
     if not observer:
         return Controller(policy_of(task), pace, None, integral)

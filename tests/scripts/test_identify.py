@@ -2,6 +2,7 @@
 
 import json
 import random
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +11,8 @@ import pytest
 import torch
 
 from dynasindy.data.simulated import record
-from dynasindy.systems import Tras
+from dynasindy.excitation import HeldRandom
+from dynasindy.systems import Pendulum, Tras
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -41,6 +43,36 @@ def test_the_pendulum_is_identified_and_everything_written(tmp_path):
     } <= names
     assert {"training_data.png", "prediction.png"} <= names
     assert max(json.loads((tmp_path / "run/metrics.json").read_text())["open_loop_nrmse"].values()) < 1e-4
+
+
+def next_command(done):
+    """Return the words of the first command that is said to come next."""
+    assert done.returncode == 0, done.stderr
+    return shlex.split(done.stdout.partition("next:\n")[2].splitlines()[0], comments=True)
+
+
+@pytest.mark.slow
+def test_what_is_said_to_come_next_runs_as_it_stands_and_has_all_that_was_given(tmp_path, write_log):
+    """The angle of a pendulum alone: first its rate is lacking, then a plan is to be made."""
+    data = record(Pendulum(), HeldRandom(1, 10.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
+    log = write_log(tmp_path / "my log.csv", ["theta [rad]", "u"], data.x[:, :1], data.u)
+    given = ["data=csv", f"data.path='{log}'", "plant.start={theta: [-0.1, 0.1]}", "longest_delay=0.02"]
+    first = _run(tmp_path / "first", *given)
+    (*_, hint) = [line for line in first.stdout.splitlines() if line.startswith("hint: ")]
+    assert first.stdout.count("plant.known") == 2  # the hint, and the command that does so
+    python, script, *words = next_command(first)
+    assert (python, script) == ("python", "scripts/identify.py") and "'plant.known={theta: theta_rate}'" in hint
+    assert words == [*given, "plant.known={theta: theta_rate}"]
+    second = _run(tmp_path / "second", *words)
+    assert "this model predicts" in second.stdout and "hint" not in second.stdout
+    python, script, *words = next_command(second)
+    assert script == "scripts/train.py" and words[:5] == [*given, "plant.known={theta: theta_rate}"]
+    assert words[5] == "plant.outputs=[theta]" and len(words) == 8
+    more = ["planning.updates=1", "planning.rollouts=4", "evaluation.must_control=false", f"folder={tmp_path}/run"]
+    command = [sys.executable, script, *words, *more]
+    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run" / "controller.json").is_file()
 
 
 def test_a_file_without_a_column_costs_one_line(tmp_path):

@@ -41,7 +41,7 @@ def test_the_smoke_run_leaves_a_complete_folder_and_says_what_came_of_it(tmp_pat
     files = {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()}
     assert {"config.yaml", "progress.csv", "metrics.json", "policy.pt", "model.json", "identification.txt"} <= files
     assert {f"data/{name}.csv" for name in DATA} <= files
-    assert {f"figures/{name}.png" for name in (*DATA, "learning_curve", "training_data", "model_error")} <= files
+    assert {f"figures/{name}.png" for name in (*DATA, "training_data", "model_error")} <= files
     assert "scalars/scalars/return.csv" in files
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["cost"]["real_steps"] == 600 and metrics["cost"]["plant_seconds"] == pytest.approx(30.0)

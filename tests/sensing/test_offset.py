@@ -109,7 +109,7 @@ def test_the_action_stays_within_its_limits_and_observations_are_shifted():
 
 def test_an_input_stays_between_its_ends_with_a_push_and_without_one():
     _, _, env = pushed()
-    env.task = env.task.with_input_ends([[-0.25], [0.5]])
+    env.task = env.task.with_input_limits([[-0.25], [0.5]])
     start = env.start_from(torch.zeros(3, 3))
     commands = torch.tensor([[-1.0], [0.25], [0.75]])
     told = acting(lambda tensordict: tensordict.set("action", commands), env)(start)

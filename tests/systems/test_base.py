@@ -58,8 +58,8 @@ def test_signatures_are_alike_whatever_their_ranges():
 
 def test_inputs_are_told_in_the_units_of_their_actuators():
     """0 V to 12 V is 6 V, and 6 V more or less."""
-    plant = Signature(("x",), ("m",), ("pump", "u"), (1.0,), actuator_ends=[[0, 12], [-1, 1]])
-    assert plant.actuator_ends == ((0.0, 12.0), (-1.0, 1.0))
+    plant = Signature(("x",), ("m",), ("pump", "u"), (1.0,), input_ends=[[0, 12], [-1, 1]])
+    assert plant.input_ends == ((0.0, 12.0), (-1.0, 1.0))
     (told,) = plant.own_inputs()
     assert "pump is 6 + 6 times" in told
     assert Signature(("x",), ("m",), ("u",), (1.0,)).own_inputs() == []
@@ -68,4 +68,4 @@ def test_inputs_are_told_in_the_units_of_their_actuators():
 @pytest.mark.parametrize("ends", [((0, 1),), ((0, 1), (1, 1)), ((0, 1), (0, float("inf")))])
 def test_ends_of_inputs_that_are_none_are_refused(ends):
     with pytest.raises(ValueError, match="the ends of the inputs are"):
-        Signature(("x",), ("m",), ("u", "v"), (1.0,), actuator_ends=ends)
+        Signature(("x",), ("m",), ("u", "v"), (1.0,), input_ends=ends)

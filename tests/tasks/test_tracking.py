@@ -307,11 +307,11 @@ def test_inputs_that_a_log_has_not_tried_cost_as_states_beyond_their_bounds_do()
         for one in (logged, logged.fenced(10.0))
     ]
     torch.testing.assert_close(paid[0] - paid[1], cost)
-    assert task.input_ends.tolist() == [[-1.0], [1.0]]
+    assert task.input_limits.tolist() == [[-1.0], [1.0]]
 
 
 @pytest.mark.parametrize("ends", [[[-1.0]], [[-1.0], [1.5]], [[0.5], [0.2]], [[math.nan], [1.0]]])
 def test_ends_of_inputs_that_are_none_are_refused(ends):
     task = Tracking(Pendulum().signature, Step([[0.0]]), ["theta"], ["Omega"], TrackingReward((1.0,)))
     with pytest.raises(ValueError, match="give 1 least and 1 largest inputs from -1 to 1"):
-        task.with_input_ends(ends)
+        task.with_input_limits(ends)

@@ -63,14 +63,6 @@ def test_fewer_than_three_seeds_are_lines_without_a_band() -> None:
     assert [text.get_text() for text in axis.get_legend().get_texts()] == ["one (1 seed)", "two (2 seeds)"]
 
 
-def test_the_evaluated_return_of_a_single_episode_is_written_out() -> None:
-    axis = learning_curve([1], [-12.5], [0, 1], [-300.0, 57.6]).axes[0]
-    assert [text.get_text() for text in axis.texts] == ["-300", "57.6", "-12.5"]
-    names = [text.get_text() for text in axis.get_yticklabels()]
-    assert names == ["untrained policy", "evaluated policy", "real episode, exploring"]
-    assert [line.get_xdata()[0] for line in axis.lines] == [-300.0, 57.6, -12.5]
-
-
 def test_of_a_single_episode_there_are_dots_and_intervals_to_be_seen() -> None:
     (axis,) = average_rewards({"few": [[1.0], [2.0]], "many": [[1.0], [2.0], [6.0]]}, window=1).axes
     shown = [line for line in axis.lines if line.get_visible() and len(line.get_xdata())]

@@ -50,7 +50,9 @@ def test_a_single_episode_shows_how_its_prediction_went(tmp_path: Path) -> None:
     names = "time,theta,Omega,predicted_theta,predicted_Omega"
     write(tmp_path / "data" / "prediction_first_episode.csv", names, "0.1", "0.2", "0.4", "0.2")
     (tmp_path / "progress.csv").write_text("episode,return,one_step_reward_error,evaluated_return\n1,-5,0.1,-2\n")
-    (axis,) = _figures(tmp_path, Pendulum().signature)["model_error"].axes
+    figures = _figures(tmp_path, Pendulum().signature)
+    assert "learning_curve" not in figures  # one dot is no curve
+    (axis,) = figures["model_error"].axes
     wide = Pendulum().signature.x_scale[0]
     np.testing.assert_allclose(axis.lines[0].get_ydata(), 0.3 / wide / np.sqrt(2))
 

@@ -217,19 +217,20 @@ class Refinement:
         else:
             worst = int(ratio.argmax())
             name = first[0].signature.state_names[worst]
-            times = f"{ratio[worst]:.2f} times the error of simulations that begin anew every {descent.window} samples"
+            times = f"{ratio[worst]:.2f} times"
             if not math.isfinite(ratio[worst]):
                 why = "a fit of one simulation through all samples leaves no function"
             elif float(ratio[worst]) <= WORSE:
                 note = (
                     "the model follows the log in one simulation from its first sample to its last: the error of "
-                    f"{name} is {times}, which noise of the sensors explains (error=simulation)"
+                    f"{name} is {times} that of simulations that begin anew every {descent.window} samples, which "
+                    "noise of the sensors explains (error=simulation)"
                 )
                 return found, delay, (note, *notes)
             else:
                 why = (
-                    f"in one simulation through all samples the error of {name} is {times}, so something pushes the "
-                    "plant, or functions are missing"
+                    f"in one simulation through all samples the error of {name} is {times} as large, so something "
+                    "pushes the plant, or functions are missing"
                 )
         note = f"the fit simulates the log in pieces that begin anew every {descent.window} samples: {why}"
         note += " (error=prediction)"
