@@ -45,7 +45,7 @@ def held(evaluation: Evaluation, matter: Tensor) -> Held:
         evaluation: Runs of a policy.
         matter: States that are tracked or that a rate of change depends on, bool `(n_x,)`.
     """
-    last = round(evaluation.steady_seconds / (evaluation.seconds / len(evaluation.time)))
+    last = evaluation.steady_periods
     errors = evaluation.errors[:, -last:].mean(1)
     scale = torch.tensor(evaluation.signature.x_scale, dtype=torch.float64)
     x = evaluation.trajectory["state"][:, -last:].double() / scale

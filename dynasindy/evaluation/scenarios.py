@@ -111,6 +111,11 @@ class Evaluation:
         return steady_seconds(self.seconds / len(self.time), len(self.time))
 
     @property
+    def steady_periods(self) -> int:
+        """Number of control periods at its end that count as steady state."""
+        return round(self.steady_seconds / (self.seconds / len(self.time)))
+
+    @property
     def units(self) -> dict[str, str]:
         """Unit of each tracked state."""
         return {self.signature.state_names[i]: self.signature.state_units[i] for i in self.columns}

@@ -11,6 +11,8 @@ from dynasindy.evaluation.scenarios import Evaluation
 
 Summary = dict[str, float | None]
 
+RESTLESS = 0.02
+"""Mean change of an input from one control period to the next, in the steady state, beyond which it is told."""
 WORDS = {
     "rmse": "RMSE",
     "mean_abs_error": "mean abs error",
@@ -53,6 +55,17 @@ def summarise(evaluation: Evaluation) -> Summary:
         for metric in CONTROL:
             summary[f"{metric}/{name}"] = _number(evaluation.metrics[metric][:, i].mean())
     return summary
+
+
+def restless(evaluation: Evaluation) -> list[str]:
+    """Say which inputs go on moving in the steady state: a plant is held, and a valve wears out."""
+    changes = evaluation.inputs[:, -evaluation.steady_periods :].double().diff(dim=1).abs().mean((0, 1)).tolist()
+    return [
+        f"note: in the steady state {name} still changes by {change:.2g} from one control period to the next, on "
+        "average, as the controller answers what its sensors add; see that the actuator stands it"
+        for name, change in zip(evaluation.signature.input_names, changes, strict=True)
+        if change > RESTLESS
+    ]
 
 
 def heading(evaluation: Evaluation) -> str:

@@ -12,7 +12,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.disturbances import Pushed
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
-from dynasindy.evaluation.summary import heading, summarise, to_text
+from dynasindy.evaluation.summary import heading, restless, summarise, to_text
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.tasks import Step, Tracking, TrackingReward
 
@@ -34,6 +34,19 @@ def test_means_of_errors_and_medians_of_times() -> None:
     assert summary["rmse/alpha_p"] == pytest.approx(0.5)
     assert summary["rise_time/alpha_p"] == pytest.approx(0.4)
     assert summary["control_effort/u"] == pytest.approx(2.0)
+
+
+def test_an_input_that_swings_while_a_target_is_held_is_told() -> None:
+    """Of 100 periods the last quarter counts; there u swings by 0.1 in one run of two, and v by 0.02 in both."""
+    swing = torch.tensor([1.0, -1.0]).repeat(50)
+    early = torch.where(torch.arange(100) < 60, 5.0, 0.0) * swing
+    u = torch.stack([0.05 * swing, early])
+    action = torch.stack([u, (0.01 * swing).expand(2, -1)], -1)
+    signature = Signature(("a",), ("rad",), ("u", "v"), (1.0,))
+    trajectory = TensorDict({"action": action}, [2, 100])
+    found = Evaluation("made up", signature, (0,), 0.05 * torch.arange(100), trajectory, {})
+    (said,) = restless(found)
+    assert "u still changes by 0.05 from one control period to the next" in said
 
 
 def test_steps_that_never_settle_count_and_rows_without_a_step_do_not() -> None:

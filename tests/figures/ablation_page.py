@@ -58,6 +58,7 @@ def ties(text: str) -> Iterator[Tie]:
     yield from _results()
     yield from _controls(text)
     yield from _paper(text)
+    yield from _paper_in_full()
     yield from _tuning()
     yield from _tuned_without_model()
     yield from _without_model()
@@ -108,6 +109,20 @@ def _paper(text: str) -> Iterator[Tie]:
         columns = ("final_return", "area_under_curve", "steady_state_error")
         figures = (str(len(runs)), runs[0]["episodes"], *(cell(numbers(runs, column)) for column in columns))
         yield Tie(PAGE, f"| `{plant}`, `{name}` | {{}}, {{}} | {{}} | {{}} | {{}} |", figures)
+
+
+def _paper_in_full() -> Iterator[Tie]:
+    def after(rollouts: int, episode: int, digits: int = 3) -> str:
+        (row,) = rows("paper_in_full.csv", setting=f"rollouts_{rollouts}", seed=0, episode=episode)
+        return pair(lambda axis: float(row[axis]), digits, axes=("azimuth", "pitch"))
+
+    words = (
+        "After 180 episodes the error of azimuth / pitch at the end is {} rad with 800 rollouts and {} without; after "
+        "220 it is {} and {}. With 400 rollouts it is {} after 60 episodes, and with 800 {} then. The run of 1200 "
+        "episodes ends at {}."
+    )
+    figures = (after(800, 180), after(0, 180), after(800, 220), after(0, 220), after(400, 60, 2), after(800, 60))
+    yield Tie(PAGE, words, (*figures, after(800, 1200, 4)))
 
 
 def _tuned(changed: dict[str, object], episode: int) -> str:
