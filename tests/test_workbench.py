@@ -228,6 +228,22 @@ def test_nothing_is_promised_by_a_log_of_which_nothing_was_kept(exact):
     assert found.shown.trajectory.batch_size[0] == 64  # steps over the range of the targets
 
 
+def test_a_controller_stays_where_the_log_has_tried_its_input_if_the_equations_bend_in_it(exact):
+    """On a log of inputs from -0.8 to 0.8 of a pendulum whose torque is 12 u, and then 12 u + u^2."""
+    straight = dynasindy.identify(exact, [*WORDS, "u^2"], {"theta": "Omega"}, "one_step")
+    assert not dynasindy.plan(straight, {"theta": (-0.6, 0.6)}, exact, **SHORT).pace.task.limited
+    bent = copy.deepcopy(straight)
+    bent.coefficients[bent.library.index("u^2"), 1] = 1.0
+    controller = dynasindy.plan(bent, {"theta": (-0.6, 0.6)}, exact, **SHORT)
+    u = exact.training.u
+    room = 0.05 * float(u.max() - u.min())
+    wanted = [float(u.min()) - room, float(u.max()) + room]
+    assert controller.pace.task.input_limits.flatten().tolist() == pytest.approx(wanted)
+    assert max(abs(end) for end in wanted) < 0.95
+    acts = [float(controller.act([0.1, 0.0], [target])[0]) for target in (-50.0, 50.0)]
+    assert wanted[0] - 1e-6 <= min(acts) and max(acts) <= wanted[1] + 1e-6
+
+
 def test_a_task_without_a_range_of_targets_needs_a_scenario(model):
     task = Tracking(model.signature, RandomStep([0.0], [0.2]), ("theta",), ("Omega",), TrackingReward((1.0,)))
     controller = Controller(lambda tensordict: tensordict, Pace(task, 0.05))

@@ -21,6 +21,8 @@ from dynasindy.evaluation.verdict import (
 from dynasindy.systems import Pendulum, Tras
 from dynasindy.systems.base import Signature
 from dynasindy.world_models import SindyModel
+from dynasindy.world_models.libraries.features import of, variable
+from dynasindy.world_models.libraries.library import Library
 
 SIGNATURE = Signature(("q", "v", "w"), ("rad", "rad/s", "rpm"), ("u",), (1.0, 1.0, 1.0))
 
@@ -142,6 +144,16 @@ def test_an_input_is_known_between_the_ends_of_a_log_where_the_equations_bend_in
     assert known("u") == known("u sin(theta)") == {}
     # A twentieth of the 0.8 between its ends is let to it on both sides.
     assert known("u^2") == {"u": (pytest.approx(0.06), pytest.approx(0.94))}
+
+
+def test_an_input_is_known_as_far_as_its_lag_if_the_equations_bend_in_that():
+    signature = Signature(("q", "u_lagging"), ("rad", "1"), ("u",), (1.0, 1.0))
+    library = Library(signature, [variable("u_lagging") * variable("u_lagging"), of("ahead", "u", "u_lagging")])
+    model = SindyModel(signature, library)
+    model.set_coefficients(torch.tensor([[8.0, 0.0], [0.0, 6.0]], dtype=torch.float64))
+    assert known_ranges(model, torch.tensor([[0.1], [0.9]])) == {"u": (pytest.approx(0.06), pytest.approx(0.94))}
+    model.set_coefficients(torch.tensor([[0.0, 0.0], [0.0, 6.0]], dtype=torch.float64))
+    assert known_ranges(model, torch.tensor([[0.1], [0.9]])) == {}
 
 
 def test_an_error_is_unresolved_beyond_the_sensor_and_beyond_a_thousandth_of_the_range():

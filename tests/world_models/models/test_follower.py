@@ -10,7 +10,16 @@ from dynasindy.systems.base import Signature
 from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import Refinement, Regression, SindyModel
-from dynasindy.world_models.models.follower import TIMES, completed, lag_of, lagged, lagging, widened, with_follower
+from dynasindy.world_models.models.follower import (
+    TIMES,
+    completed,
+    lag_of,
+    lagged,
+    lagging,
+    lags,
+    widened,
+    with_follower,
+)
 
 SIGNATURE = Signature(("q", "w"), ("rad", "rad/s"), ("u",), (1.0, 3.0))
 DT, STEP = 0.02, 2 * math.pi / 4096
@@ -113,3 +122,12 @@ def test_a_recording_gets_the_states_that_its_model_has_and_no_others():
     for names, other in ((("q", "v"), wide), (("q",), SIGNATURE)):
         with pytest.raises(ValueError, match="give a model of the plant that the log is of"):
             completed(data, names, other)
+
+
+def test_a_lag_lies_between_the_commands_of_its_input_and_zero_where_it_began():
+    names, units, ranges = ("q", "v_lagging", "u_lagging"), ("rad", "1", "1"), (1.0, 1.0, 1.0)
+    wide, logged_inputs = (
+        Signature(names, units, ("u", "v", "w"), ranges),
+        torch.tensor([[0.25, -0.5, 1.0], [0.75, 0.5, 0.0]]),
+    )
+    assert lags(wide, logged_inputs) == {"u_lagging": (0.0, 0.75), "v_lagging": (-0.5, 0.5)}
