@@ -37,7 +37,7 @@ from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.evaluation.symptoms import resolution as resolution_of
 from dynasindy.evaluation.symptoms import samples_of, step_of
-from dynasindy.evaluation.verdict import doubts, known_ranges, unlogged, unmoved
+from dynasindy.evaluation.verdict import beyond, doubts, known_ranges, unlogged, unmoved
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.planning.pace import rests_of, unheld
@@ -221,8 +221,10 @@ def foretell(
 ) -> Prediction:
     """Predict what a controller will do, on models fitted to data that neither it nor its model has seen.
 
-    This is the verdict of `train.py data=csv`: nothing is promised where the model lacks something. Models get their
-    inputs as late as the data say, and the policy has its integral action if the controller does.
+    This is the verdict of `train.py data=csv`: nothing is promised where the model lacks something, or where flights
+    leave what the log tells. Models get their inputs as late as the data say, and the policy has its integral action if
+    the controller does. A controller out of a file has forgotten where its targets lie and where episodes begin: give
+    it a scenario, and foretell it before it is saved.
 
     Args:
         controller: The controller.
@@ -258,6 +260,8 @@ def foretell(
     forecasts = forecast(model, log.training, log.validation)
     told = [] if forecasts is None else doubts(forecasts, model.signature)
     low, high = pace.task.ends or ((), ())
+    if found.shown is not None:
+        told += beyond(model, log.training.u, found.shown.inputs.flatten(0, -2))
     told += unlogged(model, log.training.x, dict(zip(controller.outputs, zip(low, high, strict=True), strict=False)))
     return replace(found, doubts=tuple(told), unheld=never)
 

@@ -229,11 +229,11 @@ def test_nothing_is_promised_by_a_log_of_which_nothing_was_kept(exact):
 
 
 def test_a_controller_stays_where_the_log_has_tried_its_input_if_the_equations_bend_in_it(exact):
-    """On a log of inputs from -0.8 to 0.8 of a pendulum whose torque is 12 u, and then 12 u + u^2."""
+    """On a log of inputs from -0.8 to 0.8 of a pendulum whose torque is 12 u, and then has a trace of u^2."""
     straight = dynasindy.identify(exact, [*WORDS, "u^2"], {"theta": "Omega"}, "one_step")
     assert not dynasindy.plan(straight, {"theta": (-0.6, 0.6)}, exact, **SHORT).pace.task.limited
     bent = copy.deepcopy(straight)
-    bent.coefficients[bent.library.index("u^2"), 1] = 1.0
+    bent.coefficients[bent.library.index("u^2"), 1] = 1e-6
     controller = dynasindy.plan(bent, {"theta": (-0.6, 0.6)}, exact, **SHORT)
     u = exact.training.u
     room = 0.05 * float(u.max() - u.min())
@@ -242,6 +242,15 @@ def test_a_controller_stays_where_the_log_has_tried_its_input_if_the_equations_b
     assert max(abs(end) for end in wanted) < 0.95
     acts = [float(controller.act([0.1, 0.0], [target])[0]) for target in (-50.0, 50.0)]
     assert wanted[0] - 1e-6 <= min(acts) and max(acts) <= wanted[1] + 1e-6
+
+    def full(tensordict):
+        return tensordict.set("action", torch.ones_like(tensordict["state"][..., :1]).float())
+
+    limited = foretell(Controller(full, controller.pace), bent, exact, STILL)
+    assert limited.shown.inputs.unique().tolist() == pytest.approx([wanted[1]]) and limited.doubts == ()
+    free = replace(controller.pace, task=controller.pace.task.with_input_limits([[-1.0], [1.0]]))
+    (said,) = foretell(Controller(full, free), bent, exact, STILL).doubts
+    assert said.startswith("flights take u from 1 to 1, the log tells of") and "plan with the log" in said
 
 
 def test_a_task_without_a_range_of_targets_needs_a_scenario(model):

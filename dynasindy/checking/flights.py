@@ -12,7 +12,7 @@ from dynasindy.checking.loop import Loop
 from dynasindy.told import counted
 
 FULL = 0.99
-"""Size of an input that counts as saturated."""
+"""Part of its way from the middle to a limit at which an input counts as saturated."""
 TOLERANCE = 0.05
 """Error that a plant which has come back may have [ranges of the output]."""
 
@@ -27,6 +27,7 @@ class Flights:
         r: References, `(rows, n_r)`.
         outputs: Indices of the tracked states.
         dt: Control period [s].
+        limits: Least and largest inputs, `(2, n_u)`.
     """
 
     x: Tensor
@@ -34,6 +35,7 @@ class Flights:
     r: Tensor
     outputs: list[int]
     dt: float
+    limits: Tensor
 
     @property
     def steady_error(self) -> Tensor:
@@ -51,7 +53,8 @@ class Flights:
     @property
     def saturated(self) -> Tensor:
         """Share of the control periods in which each input is at its limit, `(rows, n_u)`."""
-        return (self.u.abs() > FULL).double().mean(1)
+        low, high = self.limits.to(self.u)
+        return ((2 * self.u - low - high).abs() > FULL * (high - low)).double().mean(1)
 
 
 def fly(loop: Loop, x: Tensor, r: Tensor, seconds: float, phase: str = "steps to the targets") -> Flights:
@@ -71,7 +74,9 @@ def fly(loop: Loop, x: Tensor, r: Tensor, seconds: float, phase: str = "steps to
         z, covariance, u = loop.step(z, covariance, r, first=k == 0)
         states.append(z[:, loop.parts["x"]])
         inputs.append(u)
-    return Flights(torch.stack(states, 1), torch.stack(inputs, 1), r, loop.task.outputs, loop.dt)
+    return Flights(
+        torch.stack(states, 1), torch.stack(inputs, 1), r, loop.task.outputs, loop.dt, loop.task.input_limits
+    )
 
 
 @dataclass(frozen=True)

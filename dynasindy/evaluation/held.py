@@ -51,11 +51,9 @@ def held(evaluation: Evaluation, matter: Tensor) -> Held:
     x = evaluation.trajectory["state"][:, -last:].double() / scale
     far = ~(x.abs() <= FAR).all(1)
     lost = far.clone()
-    references = evaluation.references
-    still = (references[:, -last:] == references[:, -1:]).all(-1).all(-1)
     # Where nothing is tracked nobody asked for a rest either: a task may pay for motion.
     if evaluation.columns:
-        lost |= still.unsqueeze(-1) & ~(x.amax(1) - x.amin(1) <= UNREST)
+        lost |= evaluation.resting.unsqueeze(-1) & ~(x.amax(1) - x.amin(1) <= UNREST)
     shares = lost.double().mean(0).tolist()
     names = evaluation.signature.state_names
     gone = {i: share for i, share in enumerate(shares) if share and i not in evaluation.columns}

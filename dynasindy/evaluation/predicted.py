@@ -108,7 +108,7 @@ class Prediction:
     def _advice(self, flown: Sequence[Held]) -> str:
         """Say what may help where nothing runs away."""
         if self.unheld:
-            return f"{self.unheld}: give a smaller range of targets, or more of the actuator's range, if it has more"
+            return f"{self.unheld}: give a smaller range of targets, or log and use more of the inputs' range"
         shares = [max(_number(share) for share in flight.share.values()) for flight in flown]
         if not self.own and min(shares) <= self.within < max(shares):
             return (

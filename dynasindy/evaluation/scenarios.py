@@ -116,6 +116,12 @@ class Evaluation:
         return round(self.steady_seconds / (self.seconds / len(self.time)))
 
     @property
+    def resting(self) -> Tensor:
+        """Whether the references of each episode rest in the steady state, bool `(episodes,)`."""
+        last = self.references[:, -self.steady_periods :]
+        return (last == last[:, -1:]).all(-1).all(-1)
+
+    @property
     def units(self) -> dict[str, str]:
         """Unit of each tracked state."""
         return {self.signature.state_names[i]: self.signature.state_units[i] for i in self.columns}

@@ -12,7 +12,8 @@ from dynasindy.evaluation.scenarios import Evaluation
 Summary = dict[str, float | None]
 
 RESTLESS = 0.02
-"""Mean change of an input from one control period to the next, in the steady state, beyond which it is told."""
+"""Mean change of an input from one control period to the next, in the steady state, beyond which it is told [its range
+from -1 to 1 counts as 2]."""
 WORDS = {
     "rmse": "RMSE",
     "mean_abs_error": "mean abs error",
@@ -58,11 +59,14 @@ def summarise(evaluation: Evaluation) -> Summary:
 
 
 def restless(evaluation: Evaluation) -> list[str]:
-    """Say which inputs go on moving in the steady state: a plant is held, and a valve wears out."""
+    """Say which inputs go on moving while all targets rest: a plant is held, and a valve wears out."""
+    if not bool(evaluation.resting.all()):
+        return []
     changes = evaluation.inputs[:, -evaluation.steady_periods :].double().diff(dim=1).abs().mean((0, 1)).tolist()
     return [
-        f"note: in the steady state {name} still changes by {change:.2g} from one control period to the next, on "
-        "average, as the controller answers what its sensors add; see that the actuator stands it"
+        f"note: in the steady state {name} still changes by {50 * change:.2g} % of its range from one control period "
+        "to the next, on average, which may be its answer to the noise and the steps of sensors; see that the "
+        "actuator stands it"
         for name, change in zip(evaluation.signature.input_names, changes, strict=True)
         if change > RESTLESS
     ]

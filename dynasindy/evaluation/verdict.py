@@ -26,6 +26,8 @@ BEHIND = 0.5
 """Part of a model's error that a linear model on past samples may have, below which something is missing."""
 SMALL = 1e-3
 """Error of a model that is small enough, whatever others make of it [ranges of the state]."""
+ROUNDED = 1e-5
+"""Part of an input by which numbers of 32 bits may go beyond an end."""
 ROOM = 0.05
 """Part of the range of a logged input by which flights may go beyond it."""
 AFAR = 0.5
@@ -164,6 +166,29 @@ def unmoved(model: SindyModel, outputs: Sequence[str]) -> str:
             "hardly shows what the inputs do; record longer, and let every input change often and by much"
         )
     return ""
+
+
+def beyond(model: SindyModel, logged: Tensor, flown: Tensor) -> list[str]:
+    """Say which inputs flights take to where the log never had them, if equations are not linear in them.
+
+    A controller that was planned with the log stays where it is known; another one may not.
+
+    Args:
+        model: The equations.
+        logged: Inputs of the log, `(N, n_u)`.
+        flown: Inputs of flights, `(M, n_u)`.
+    """
+    lines, names = [], model.signature.input_names
+    for name, (low, high) in known_ranges(model, logged).items():
+        column = flown[:, names.index(name)]
+        least, most = float(column.min()), float(column.max())
+        if least < low - ROUNDED or most > high + ROUNDED:
+            lines.append(
+                f"flights take {name} from {least:.2g} to {most:.2g}, the log tells of {low:.2g} to {high:.2g}, and "
+                "the equations are not linear in it: what it does beyond is a guess; plan with the log, or log all of "
+                "the range"
+            )
+    return lines
 
 
 def _bent(feature: Feature, read: set[str]) -> bool:

@@ -107,7 +107,6 @@ def _flags(controller: Controller) -> set[str]:
         *(["integral"] if controller.integral is not None else []),
         *(["observe_rate"] if task.observe_rate else []),
         *(["rates"] if task.rates else []),
-        *(["ends"] if _ended(controller) else []),
     }
 
 
@@ -158,20 +157,13 @@ def _tables(controller: Controller) -> str:
         f"/* Places of the tracked states. */\nstatic const int output[NR] = {{{', '.join(map(str, task.outputs))}}};",
         f"/* Extents of their targets. */\nstatic const double box[NR] = {{{joined(task.boxes().tolist())}}};",
     ]
-    if _ended(controller):
-        names = zip(("least", "most"), task.input_limits.tolist(), strict=True)
-        tables += [f"/* Of the inputs. */\nstatic const double {name}[NU] = {{{joined(v)}}};" for name, v in names]
+    names = zip(("least", "most"), task.input_limits.tolist(), strict=True)
+    tables += [f"/* Of the inputs. */\nstatic const double {name}[NU] = {{{joined(v)}}};" for name, v in names]
     if controller.integral is not None and task.rates:
         tables.append(
             f"static const int output_rate[NR] = {{{', '.join(map(str, task.rates))}}}; /* and their rates */"
         )
     return "\n".join(tables) + "\n"
-
-
-def _ended(controller: Controller) -> bool:
-    """Return whether inputs have ends besides those of the policy's own tanh."""
-    pushed = controller.observer is not None and bool(controller.observer.pushed)
-    return pushed or controller.pace.task.limited
 
 
 def joined(values: Sequence[float]) -> str:

@@ -120,7 +120,7 @@ def _state(s: Sizes) -> int:
 
 def _constants(s: Sizes) -> int:
     weights = FLOAT * sum((n_in + 1) * n_out for n_in, n_out in s.layers)
-    tables = DOUBLE * (s.n_x + s.n_r) + INTEGER * s.n_r * (2 if s.integral else 1)
+    tables = DOUBLE * (s.n_x + s.n_r + 2 * s.n_u) + INTEGER * s.n_r * (2 if s.integral else 1)
     if s.n:
         tables += (3 * s.n + s.m) * DOUBLE + INTEGER * (s.m + s.n_p) + s.n_stops * 2 * (DOUBLE + INTEGER)
         tables += DOUBLE * (s.n_x + s.n_u) if s.n_p else 0

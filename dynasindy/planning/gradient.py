@@ -224,11 +224,11 @@ class GradientPlanning(Planner):
         self.rng.set_state(state["generator"])
 
     def test(self, network: Network | None = None) -> float:
-        """Return the policy's mean reward per control period over held-out imagined references."""
-        rows = self.held_out
-        whole = imagine(
-            self.env, self.env.system, network or self.network, rows, self.env.task.max_steps, False, self.rng
-        )
+        """Return the policy's mean reward per control period over held-out imagined references, its inputs limited."""
+        rows, task = self.held_out, self.env.task
+        policy: Network = network or self.network
+        flown = (lambda observation: task.limit(policy(observation))) if task.limited else policy
+        whole = imagine(self.env, self.env.system, flown, rows, task.max_steps, False, self.rng)
         return rewards(self.env, rows, whole).mean().item()
 
     def _update(self, episodes: Episodes, optimizer: torch.optim.Adam) -> bool:

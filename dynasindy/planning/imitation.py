@@ -131,7 +131,7 @@ def imitate(
     """
     (rounds, steps), seen, told = lessons, [], []
     for k in counted("imitation of a regulator", range(rounds), rounds, "rounds"):
-        pilot: Network = network if k else _trembling(law, rng)
+        pilot: Network = network if k else _trembling(law, env.task.limit, rng)
         seen.append(_visited(pilot, law, env, rng))
         told.append(law(seen[-1]))
         lesson(network, torch.cat(seen), torch.cat(told), steps, rng)
@@ -179,11 +179,11 @@ def _reach(task: Tracking, x: Tensor) -> Tensor:
     return torch.maximum(20.0 * torch.tensor(task.signature.x_scale), 4 * x.abs().amax(0))
 
 
-def _trembling(law: Law, rng: torch.Generator) -> Network:
+def _trembling(law: Law, limit: Callable[[Tensor], Tensor], rng: torch.Generator) -> Network:
     """Return the law with noise on its inputs, which shows more of the plant."""
 
     def _act(observation: Tensor) -> Tensor:
         u = law(observation)
-        return (u + 0.1 * torch.randn(u.shape, generator=rng)).clamp(-1.0, 1.0)
+        return limit(u + 0.1 * torch.randn(u.shape, generator=rng))
 
     return _act

@@ -6,7 +6,7 @@ by cross-entropy as in `dynasindy.planning.search`; once a signal is over, the p
 
 | name      | symbol | equation                                                                                  |
 | --------- | ------ | ----------------------------------------------------------------------------------------- |
-| input     | u_k    | clip(pi(o_k) + s_k) to [-1, 1], s_k = 0 after `ACTING` of the way                          |
+| input     | u_k    | limit(pi(o_k) + s_k), s_k = 0 after `ACTING` of the way                                    |
 | signal    | s_k    | straight lines through knots `KNOT` periods apart, none at first: the policy as it is      |
 | objective | J      | what the way earns in the model                                                            |
 | imitated  |        | least squares of pi(o_k) to u_k along the best way from each start                         |
@@ -152,12 +152,12 @@ def better(
     )
 
     def _earned(drawn: Tensor) -> Tensor:
-        flown = imagine(env, env.system, OnTop(network, drawn, acting), many, periods, False, rng)
+        flown = imagine(env, env.system, OnTop(network, drawn, acting, env.task.limit), many, periods, False, rng)
         return rewards(env, many, flown, floor).sum(0)
 
     nothing = torch.zeros(n, max(2, acting // KNOT), n_u)  # the policy itself is among the ways
     best = cross_entropy(_earned, nothing, POPULATION, range(DRAWS), MOST, rng)
-    return imagine(env, env.system, OnTop(network, best, acting), begun, periods, False, rng)
+    return imagine(env, env.system, OnTop(network, best, acting, env.task.limit), begun, periods, False, rng)
 
 
 class OnTop:
@@ -167,17 +167,18 @@ class OnTop:
         network: Policy.
         knots: Knots of the signals, `(rows, n_knots, n_u)`.
         acting: Control periods on which the signals act.
+        limit: Keeps inputs within their limits.
     """
 
-    def __init__(self, network: Network, knots: Tensor, acting: int) -> None:
+    def __init__(self, network: Network, knots: Tensor, acting: int, limit: Callable[[Tensor], Tensor]) -> None:
         lines = torch.nn.functional.interpolate(knots.mT, size=acting, mode="linear", align_corners=True)
-        self.network, self.signal, self.k = network, lines.permute(2, 0, 1), 0
+        self.network, self.signal, self.limit, self.k = network, lines.permute(2, 0, 1), limit, 0
 
     def __call__(self, observation: Tensor) -> Tensor:
         """Return the inputs `(rows, n_u)` of the next control period."""
         u, k = self.network(observation), self.k
         self.k += 1
-        return (u + self.signal[k]).clamp(-1.0, 1.0) if k < len(self.signal) else u
+        return self.limit(u + self.signal[k]) if k < len(self.signal) else u
 
 
 def rewards(env: ControlEnv, rows: Rows, window: Window, floor: Floor | None = None) -> Tensor:

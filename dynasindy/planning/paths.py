@@ -6,7 +6,7 @@
 | value    | P_i      | Riccati's difference equation back from where the rest's regulator catches the plant   |
 | gain     | K_i      | the same                                                                               |
 | nearest  | i        | least of 30 ((x - x_i) / range)^2 + ln(1 + (x - x_i)' P_i (x - x_i))                   |
-| law      | u        | u_i - K_i (x - x_i), clipped to [-1, 1]                                                |
+| law      | u        | u_i - K_i (x - x_i), within the limits of inputs                                       |
 
 Value alone is no distance: along a way that runs away without control P_i grows by orders of magnitude.
 """
@@ -93,7 +93,7 @@ class Paths:
         nearest = (NEARNESS * (away / self.scale).square().sum(-1) + torch.log1p(value)).argmin(1)
         away = away[torch.arange(len(x)), nearest]
         u = u_e + self.inputs[nearest] - torch.einsum("nij,nj->ni", self.gains[nearest], away)
-        return u.clamp(-1.0, 1.0)
+        return self.regulator.task.limit(u)
 
     def near(self, reference: Tensor, rng: torch.Generator) -> Tensor:
         """Return states around the ways to the rests of references `(n, n_r)`, `(n, n_x)`."""

@@ -4,7 +4,7 @@
 | -------- | -------- | ------------------------------------------------------------------------------- |
 | rest     | x_e, u_e | f(x_e, u_e) = 0 with the tracked states at r; cubic polynomials of r fitted to rests |
 | gain     | K        | least sum of (x - x_e)' Q (x - x_e) + (u - u_e)' R (u - u_e), discrete Riccati equation |
-| law      | u        | u_e(r) - K (x - x_e(r)), clipped to [-1, 1]                                     |
+| law      | u        | u_e(r) - K (x - x_e(r)), within the limits of inputs                                 |
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class Regulator:
     def at(self, x: Tensor, reference: Tensor) -> Tensor:
         """Return inputs `(*batch, n_u)` for states `(*batch, n_x)` and references `(*batch, n_r)`."""
         x_e, u_e = self.rest(reference)
-        return (u_e - (x - x_e) @ self.gain.mT).clamp(-1.0, 1.0)
+        return self.task.limit(u_e - (x - x_e) @ self.gain.mT)
 
     def rest(self, reference: Tensor) -> tuple[Tensor, Tensor]:
         """Return x_e, `(*batch, n_x)`, and u_e, `(*batch, n_u)`, of references `(*batch, n_r)`."""

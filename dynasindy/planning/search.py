@@ -5,7 +5,7 @@ whole input signals are drawn, `POPULATION` for each start, and drawn anew aroun
 
 | name      | symbol | equation                                                                              |
 | --------- | ------ | ------------------------------------------------------------------------------------- |
-| signal    | u_k    | straight lines through knots `KNOT` periods apart, clipped to [-1, 1]                  |
+| signal    | u_k    | straight lines through knots `KNOT` periods apart, within the limits of inputs         |
 | objective | J      | sum_k w_k reward_k, w_k proportional to k^2: arriving counts, the way there hardly     |
 | redrawn   | m, s   | mean and deviation of the best `ELITE` of the knots, s no less than `LEAST`            |
 """
@@ -63,10 +63,11 @@ def search(env: ControlEnv, x: Tensor, params: Tensor, periods: int, rng: torch.
     starts, repeated = x.repeat_interleave(POPULATION, 0), params.repeat_interleave(POPULATION, 0)
 
     def _earned(drawn: Tensor) -> Tensor:
-        return objective(env, roll(env, starts, signal(drawn, periods)), repeated)
+        return objective(env, roll(env, starts, signal(drawn, periods, env.task.limit)), repeated)
 
     rounds = counted("search for ways from afar", range(ROUNDS), ROUNDS, "rounds")
-    inputs = signal(cross_entropy(_earned, torch.zeros(n, knots, n_u), POPULATION, rounds, LARGEST, rng), periods)
+    found = cross_entropy(_earned, torch.zeros(n, knots, n_u), POPULATION, rounds, LARGEST, rng)
+    inputs = signal(found, periods, env.task.limit)
     states = roll(env, x, inputs)
     return [Way(states[:, i], inputs[:, i]) for i in range(n)]
 
@@ -109,10 +110,10 @@ def cross_entropy(
     return best
 
 
-def signal(knots: Tensor, periods: int) -> Tensor:
-    """Return the straight lines through knots `(n, n_knots, n_u)`, `(periods, n, n_u)`."""
+def signal(knots: Tensor, periods: int, limit: Callable[[Tensor], Tensor]) -> Tensor:
+    """Return the straight lines through knots `(n, n_knots, n_u)`, within the limits of inputs, `(periods, n, n_u)`."""
     lines = torch.nn.functional.interpolate(knots.mT, size=periods, mode="linear", align_corners=True)
-    return lines.permute(2, 0, 1).clamp(-1.0, 1.0)
+    return limit(lines.permute(2, 0, 1))
 
 
 @torch.no_grad()

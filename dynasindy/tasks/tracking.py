@@ -174,7 +174,13 @@ class Tracking(Task):
         """
         other, scales = copy.copy(self), list(self.signature.x_scale)
         both = [(known or {}).get(name, (-1.0, 1.0)) for name in self.signature.input_names]
-        other.input_limits = torch.tensor(both).clamp(-1.0, 1.0).mT
+        low, high = torch.tensor(both).clamp(-1.0, 1.0).mT
+        least, most = self.input_limits
+        # Where the log has nothing between the limits that were given, these hold.
+        apart = (low > most) | (high < least)
+        other.input_limits = torch.stack(
+            [least.where(apart, low.maximum(least)), most.where(apart, high.minimum(most))]
+        )
         typical = typical.double().clone()
         for k, i in enumerate(self.outputs):
             if self.ends is None:
@@ -190,13 +196,19 @@ class Tracking(Task):
         return other
 
     def with_input_limits(self, ends: Sequence[Sequence[float]]) -> Tracking:
-        """Return the same task whose inputs stay between some ends, `(2, n_u)`.
+        """Return the same task whose inputs stay between some ends.
+
+        Args:
+            ends: Least and largest value of each input, `(2, n_u)`, in [-1, 1].
 
         Raises:
             ValueError: There is not one least and one largest input for each, in [-1, 1].
         """
         other, n_u = copy.copy(self), self.signature.n_u
-        other.input_limits = torch.tensor(ends)
+        try:
+            other.input_limits = torch.tensor(ends)
+        except (TypeError, ValueError):  # rows of unequal length, or words
+            other.input_limits = torch.empty(0)
         fit = other.input_limits.shape == (2, n_u) and bool((other.input_limits.abs() <= 1).all())
         if not fit or not bool((other.input_limits[0] <= other.input_limits[1]).all()):
             raise ValueError(

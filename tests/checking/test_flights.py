@@ -1,5 +1,7 @@
 """Flights are those of the linear map, and the plant comes back where arithmetic says that it can."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -21,10 +23,13 @@ def test_error_slew_and_saturation_are_counted():
     x[0, :, 0], x[1, -1, 0] = 0.7, torch.nan
     u = torch.zeros(2, 40, 1, dtype=torch.float64)
     u[0, :10, 0], u[1, 0, 0], u[1, 1, 0] = 1.0, -0.6, 0.9
-    flights = Flights(x, u, torch.tensor([[1.0], [0.0]]), [0], 0.1)
+    full = torch.tensor([[-1.0], [1.0]])
+    flights = Flights(x, u, torch.tensor([[1.0], [0.0]]), [0], 0.1, full)
     assert flights.steady_error.flatten().tolist() == pytest.approx([0.3, np.inf])
     assert flights.slew.flatten().tolist() == pytest.approx([1.0, 1.5])
     assert flights.saturated.flatten().tolist() == [0.25, 0.0]
+    narrow = replace(flights, limits=torch.tensor([[-0.6], [0.9]]))  # u is beyond, within, or at both ends
+    assert narrow.saturated.flatten().tolist() == [0.25, 0.05]
 
 
 def test_a_law_that_is_too_weak_for_a_hill_loses_the_plant_beyond_a_line(loops, carts, law):

@@ -43,10 +43,12 @@ def test_an_input_that_swings_while_a_target_is_held_is_told() -> None:
     u = torch.stack([0.05 * swing, early])
     action = torch.stack([u, (0.01 * swing).expand(2, -1)], -1)
     signature = Signature(("a",), ("rad",), ("u", "v"), (1.0,))
-    trajectory = TensorDict({"action": action}, [2, 100])
+    trajectory = TensorDict({"action": action, "reference": torch.zeros(2, 100, 1)}, [2, 100])
     found = Evaluation("made up", signature, (0,), 0.05 * torch.arange(100), trajectory, {})
     (said,) = restless(found)
-    assert "u still changes by 0.05 from one control period to the next" in said
+    assert "u still changes by 2.5 % of its range from one control period to the next" in said
+    trajectory["reference"][:, -1] = 1.0
+    assert restless(found) == []
 
 
 def test_steps_that_never_settle_count_and_rows_without_a_step_do_not() -> None:

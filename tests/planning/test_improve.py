@@ -65,7 +65,7 @@ def test_the_oracle_is_worth_the_trip():
 
 
 def test_a_signal_is_added_as_long_as_it_acts_and_no_input_leaves_its_ends():
-    policy = OnTop(lambda o: 0.5 * o, torch.tensor([[[0.0], [1.0]], [[-2.0], [0.0]]]), 3)
+    policy = OnTop(lambda o: 0.5 * o, torch.tensor([[[0.0], [1.0]], [[-2.0], [0.0]]]), 3, lambda u: u.clamp(-1.0, 1.0))
     seen = torch.tensor([[0.4], [-0.4]])
     # Straight lines over three periods: 0, 0.5, 1 and -2, -1, 0; the policy itself says 0.2 and -0.2.
     for wanted in ([0.2, -1.0], [0.7, -1.0], [1.0, -0.2], [0.2, -0.2]):

@@ -35,6 +35,14 @@ def test_at_rest_the_law_gives_the_input_that_holds_the_target(inverted):
         assert u.item() == pytest.approx(-4.0 / 6.0 * math.sin(target), abs=1e-3)
 
 
+def test_the_law_stays_within_the_limits_of_inputs(inverted):
+    env, rests = inverted()
+    env.task = env.task.with_input_limits([[-0.25], [0.5]])
+    law = Regulator.of(env, rests, Weights())
+    far = torch.tensor([[2.0, 0.0], [-2.0, 0.0]])
+    assert law.at(far, torch.zeros(2, 1)).flatten().tolist() == [-0.25, 0.5]
+
+
 def test_a_plant_that_no_input_moves_has_no_regulator(inverted):
     dead, rests = inverted(pull=0.0)
     assert len(rests) == 0 or Regulator.of(dead, rests, Weights()) is None

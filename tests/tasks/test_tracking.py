@@ -308,9 +308,13 @@ def test_inputs_that_a_log_has_not_tried_cost_as_states_beyond_their_bounds_do()
     ]
     torch.testing.assert_close(paid[0] - paid[1], cost)
     assert task.input_limits.tolist() == [[-1.0], [1.0]]
+    given = task.with_input_limits([[-0.5], [0.5]]).as_logged(torch.zeros(2, 2), {"u": (-0.25, 0.75)})
+    assert given.input_limits.tolist() == [[-0.25], [0.5]]
 
 
-@pytest.mark.parametrize("ends", [[[-1.0]], [[-1.0], [1.5]], [[0.5], [0.2]], [[math.nan], [1.0]]])
+@pytest.mark.parametrize(
+    "ends", [[[-1.0]], [[-1.0], []], "words", [[-1.0], [1.5]], [[0.5], [0.2]], [[math.nan], [1.0]]]
+)
 def test_ends_of_inputs_that_are_none_are_refused(ends):
     task = Tracking(Pendulum().signature, Step([[0.0]]), ["theta"], ["Omega"], TrackingReward((1.0,)))
     with pytest.raises(ValueError, match="give 1 least and 1 largest inputs from -1 to 1"):

@@ -76,12 +76,10 @@ int @name@_act(@name@_state *s, const double y[NX], const double r[NR], const do
 @if pushed
         found[i] += s->shift[NX + i];
 @end
-@if ends
         if (found[i] > most[i])
             found[i] = most[i];
         else if (found[i] < least[i])
             found[i] = least[i];
-@end
         fine = fine && isfinite(found[i]);
     }
     for (i = 0; i < NU && fine; i++)
