@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,9 @@ from dynasindy.checking.noise import noise_gain
 from dynasindy.checking.uncertainty import Spread, Variants, spread, variants
 from dynasindy.told import tell
 
+PERIODS = 400
+"""Control periods of a flight whose length is not given, those of the paper's episodes; a slow plant gets more time."""
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -26,7 +29,7 @@ class Settings:
     Attributes:
         low, high: Target range, one number per output [of the outputs].
         points: Targets along each output.
-        seconds: Length of a flight [s].
+        seconds: Length of a flight [s]; None for `PERIODS` control periods.
         reach: Largest initial error [ranges of the states].
         grid: Initial errors along each axis.
         draws: Plants drawn at random.
@@ -39,7 +42,7 @@ class Settings:
     low: tuple[float, ...]
     high: tuple[float, ...]
     points: int = 3
-    seconds: float = 20.0
+    seconds: float | None = None
     reach: float = 1.0
     grid: int = 11
     draws: int = 20
@@ -51,7 +54,8 @@ class Settings:
             raise ValueError(
                 f"low is {list(self.low)}, high is {list(self.high)}; give one number per output in each, low <= high"
             )
-        if self.points < 1 or self.grid < 2 or self.draws < 0 or not (0 < self.seconds < math.inf and self.reach > 0):
+        length = 1.0 if self.seconds is None else self.seconds
+        if self.points < 1 or self.grid < 2 or self.draws < 0 or not (0 < length < math.inf and self.reach > 0):
             raise ValueError(
                 f"points={self.points}, grid={self.grid}, draws={self.draws}, seconds={self.seconds}, "
                 f"reach={self.reach}; give points >= 1, grid >= 2, draws >= 0, seconds > 0 and reach > 0"
@@ -101,6 +105,11 @@ class Check:
     planes: list[Plane]
 
     @property
+    def seconds(self) -> float:
+        """Length of its flights [s]."""
+        return self.steps.u.shape[1] * self.loop.dt
+
+    @property
     def middle(self) -> int:
         """Number of the target around which the errors of `planes` lie."""
         return _middle(self.targets)
@@ -131,15 +140,16 @@ def check(loop: Loop, settings: Settings, errors: Tensor | None = None) -> Check
         raise ValueError(
             f"low and high have {len(settings.low)} numbers; give one for each of {', '.join(loop.task.output_names)}"
         )
-    targets = settings.targets
+    targets, seconds = settings.targets, settings.seconds or PERIODS * loop.dt
+    settings = replace(settings, seconds=seconds)
     tell(RESTS, 0, len(targets), "targets")
-    found = rest(loop, targets, seconds=settings.seconds)
+    found = rest(loop, targets, seconds=seconds)
     good = found.still & torch.from_numpy(found.linear.radius < 1)
     stable = good.tolist()
     rows = [found.linear.row(k) for k in range(len(targets))]
     others = variants(loop.plant.model, settings.draws, settings.seed, errors)
     middle = _middle(targets)
-    steps = fly(loop, torch.zeros(len(targets), loop.signature.n_x), targets, settings.seconds)
+    steps = fly(loop, torch.zeros(len(targets), loop.signature.n_x), targets, seconds)
     return Check(
         loop,
         settings,
@@ -149,15 +159,15 @@ def check(loop: Loop, settings: Settings, errors: Tensor | None = None) -> Check
         [noise_gain(row) if ok else None for row, ok in zip(rows, stable, strict=True)],
         _stated(loop),
         steps,
-        _drawn(loop, targets, others, settings.seconds),
-        spread(loop, targets[good], found.select(good), others, settings.seconds),
+        _drawn(loop, targets, others, seconds),
+        spread(loop, targets[good], found.select(good), others, seconds),
         recovery(
             loop,
             found.z[middle, loop.parts["x"]],
             targets[middle],
             settings.reach,
             settings.grid,
-            settings.seconds,
+            seconds,
         ),
     )
 

@@ -175,7 +175,7 @@ def _flights(found: Check, limits: Thresholds) -> list[Finding]:
             "saturation",
             float(saturated[j]) <= limits.saturated,
             f"in a step {names[j]} is at its limit for up to {100 * saturated[j]:.0f} % of "
-            f"{in_words(found.settings.seconds)}; threshold: {100 * limits.saturated:.0f} %",
+            f"{in_words(found.seconds)}; threshold: {100 * limits.saturated:.0f} %",
         ),
     ]
 

@@ -67,7 +67,7 @@ def _angles(model: SindyModel, source: Source) -> list[str]:
     turned = {name: TURNS[unit] for name, unit in units.items() if unit in TURNS}
     lines = [
         f"note: {name} is in {units[name]}, so sin({name}) and cos({name}) are not among the candidate functions; "
-        f"angles in rad and rates in rad/s have them: give {_in_rad(signature)}"
+        f"angles in rad and rates in rad/s have them: give {_in_rad(source)}"
         for name in turned
     ]
     return lines
@@ -121,10 +121,16 @@ def _chosen(model: SindyModel, signature: Signature) -> bool:
     return all(set(model.library.names) != set(build(signature).names) for build in (auto, auto_rig))
 
 
-def _in_rad(signature: Signature) -> str:
-    """Return the words of the command line that read all angles and their rates in rad and rad/s."""
-    states = []
-    for name, unit in zip(signature.state_names, signature.state_units, strict=True):
+def _in_rad(source: Source) -> str:
+    """Return the words of the command line that read all angles and their rates in rad and rad/s.
+
+    Rates that no column has are left out: `plant.known` adds them, in the unit of their angle.
+    """
+    signature, states = source.signature, []
+    unseen = source.training.x.isnan().all(0).tolist()
+    for name, unit, missing in zip(signature.state_names, signature.state_units, unseen, strict=True):
+        if missing:
+            continue
         whole, per, second = unit.partition("/")
         if whole in TURNS and (per + second) in ("", "/s"):
             states.append(f"{name}: {{name: {name}, unit: rad{per}{second}, scale: {TURNS[whole]:.7g}}}")

@@ -1,7 +1,7 @@
 """A check holds what its parts find, and its record is plain numbers."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -66,6 +66,13 @@ def test_a_record_is_json_of_what_was_found(loops, carts):
     assert len(held["changes"]) == 2 + 2 * 2 and held["recovery"] == [{"states": ["p", "v"], "share": 1.0}]
     assert found.sensors.tolist() == pytest.approx([0.01, 0.0])
     assert held["settings"]["low"] == [-0.4]
+
+
+def test_flights_are_as_many_control_periods_for_a_slow_plant(loops):
+    loop = loops()
+    found = check(loop, replace(SMALL, seconds=None, points=1, draws=0))
+    assert found.steps.u.shape[1] == 400 and found.seconds == pytest.approx(400 * loop.dt)
+    assert record(found)["settings"]["seconds"] == pytest.approx(400 * loop.dt)
 
 
 def test_a_loop_that_is_not_stable_has_no_margins(loops, law):

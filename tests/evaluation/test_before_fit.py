@@ -1,10 +1,12 @@
 """What is said before a fit: wrong units first, then few rows, angles without sines, and long lists of functions."""
 
 import shlex
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import pytest
+import torch
 import yaml
 
 from dynasindy.data.simulated import record
@@ -56,6 +58,12 @@ def test_an_angle_in_degrees_is_told_the_words_that_read_it_in_rad(tmp_path, lib
     assert read.signature.state_units == ("rad", "rad/s") and not told(read)
     assert float(read.training.x[:, 0].abs().max() / source.training.x[:, 0].abs().max()) == pytest.approx(0.01745329)
     assert not told(source, ["theta", "Omega", "u"])  # whoever names the functions has chosen
+    # A rate that no column has is no column to be read: `plant.known` adds it.
+    x = source.training.x.clone()
+    x[:, 1] = torch.nan
+    (words,) = told(replace(source, training=replace(source.training, x=x)), library)[:1]
+    (word,) = shlex.split(words.rpartition("give ")[2])
+    assert list(yaml.safe_load(word.removeprefix("data.states="))) == ["theta"]
 
 
 def test_an_angle_without_its_rate_in_rad_is_told_of_it(tmp_path):

@@ -30,6 +30,14 @@ def readme(text: str) -> Iterator[Tie]:
     yield Tie(README, words, (f"{edge:.4f}",))
     logged = max(max(numbers(list(table("from_log.csv")), axis)) for axis in ("azimuth", "pitch"))
     yield Tie(README, "file that holds the plant within {} rad, in the worst of ten seeds", (f"{logged:.4f}",))
+    logs = table("logs.csv")
+    runs, promised = (
+        {(row["plant"], row["seed"]) for row in logs if row["foretold"] in verdicts}
+        for verdicts in (("CONTROLLED", "NOT promised"), ("CONTROLLED",))
+    )
+    assert all(float(row["error_percent"]) <= 1 for row in logs if (row["plant"], row["seed"]) in promised)
+    counts = (str(len(runs)), str(len(promised)), str(len(promised)))
+    yield Tie(README, "Of {} logs of twelve other plants, {} gave a controller with a promise, and all {} hold", counts)
     yield Tie(README, "swings about its target without end, with errors of {} / {} rad", limit_cycle())
     words = "predicts the worst state of 32 unseen episodes, open loop, to {} % of its range"
     yield Tie(README, words, (_measured("tras", "worst state"),))
