@@ -82,5 +82,5 @@ def test_ends_of_inputs_are_the_same_up_to_the_digits_that_a_note_tells(ends, sa
     if same:
         assert source.with_states_of(model).signature == wide
     else:
-        with pytest.raises(ValueError, match=r"the model has inputs with the ends \(\(0\.03, 11\.97\),\), the log with"):
+        with pytest.raises(ValueError, match=r"inputs with the ends \(\(0\.03, 11\.97\),\), the log with"):
             source.with_states_of(model)
