@@ -1,5 +1,6 @@
 """From a log to a controller in three calls, tried on the plant that the log is of."""
 
+import ast
 import copy
 import csv
 import math
@@ -273,6 +274,10 @@ def test_volts_stay_volts_from_a_log_without_rates_to_a_controller(tmp_path, wri
     assert float(model.coefficients[model.library.names.index("motor"), 1]) == pytest.approx(12.0, rel=0.02)
     controller = dynasindy.plan(model, {"angle": (-0.5, 0.5)}, log, **SHORT)
     assert model.signature.input_ends == controller.signature.input_ends == ((0.0, 12.0),)
+    alone = dynasindy.read(path, inputs=["motor"])
+    (told,) = re.findall(r"read\(inputs=(.*)\)", repr(alone))
+    again = dynasindy.read(path, inputs=ast.literal_eval(told))
+    assert again.signature.input_ends[0] == pytest.approx(alone.signature.input_ends[0], rel=1e-5)
 
 
 def test_targets_that_no_input_holds_are_told(model):
@@ -314,7 +319,7 @@ def test_a_warning_says_which_state_misses_its_rate(exact):
     signature = Signature(("theta",), ("rad",), ("u",), (1.0,))
     alone = Source.of(Recording(replace(t, x=t.x[:, :1], x_next=t.x_next[:, :1]), signature))
     with pytest.warns(
-        UserWarning, match=r"what theta will do depends on its rate.* Give 'known=\{theta: theta_rate\}'"
+        UserWarning, match=r"^what theta will do depends on its rate.* Give identify\(known=\{'theta': 'theta_rate'\}\)"
     ):
         assert dynasindy.identify(alone).delay == 0
 
@@ -323,7 +328,7 @@ def test_a_warning_says_which_rate_is_in_other_units(exact):
     """The pendulum's angle in degrees, beside its rate in rad/s; neither is warned of in one unit."""
     t, degrees = exact.training, torch.tensor([180 / math.pi, 1.0])
     wrong = Source.of(Recording(replace(t, x=t.x * degrees, x_next=t.x_next * degrees), exact.signature))
-    with pytest.warns(UserWarning, match=r"Omega does not fit theta, .* is 57\.3 times Omega; degrees beside rad/s\?"):
+    with pytest.warns(UserWarning, match=r"^Omega does not fit theta, .* is 57\.3 times Omega; degrees beside rad/s\?"):
         dynasindy.identify(wrong, WORDS, {"theta": "Omega"}, "one_step")
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -11,6 +11,7 @@ import torch
 from dynasindy.data.csv import Recording
 from dynasindy.data.ends import PLAIN
 from dynasindy.data.rates import unit_of_rate
+from dynasindy.evaluation.arguments import as_arguments
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
@@ -70,7 +71,7 @@ class Source:
 
     def __repr__(self) -> str:
         """Say in a few lines what it holds."""
-        told = repr(Recording(self.training, self.signature, self.notes))
+        told = repr(Recording(self.training, self.signature, tuple(as_arguments(note) for note in self.notes)))
         head, *notes = told.replace("Recording of", "Data of", 1).split("\n")
         return "\n".join([f"{head}; {len(self.validation)} rows more to judge on", *notes])
 
