@@ -12,7 +12,6 @@ Nothing is printed while they work; `with dynasindy.Shown():` around them shows 
 from __future__ import annotations
 
 import math
-import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -27,6 +26,7 @@ from dynasindy.agents import Actor
 from dynasindy.control import Controller
 from dynasindy.control.controller import Pace
 from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.arguments import as_arguments, as_warning
 from dynasindy.evaluation.before_fit import missing_rates, wrong_units
 from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.held import WITHIN
@@ -64,20 +64,13 @@ LONGEST_DELAY = 0.05
 """Longest delay of the inputs that is looked for unless another is given [s]."""
 
 
-SETTINGS = re.compile(
-    r"\b(?:data\.(?=(?:path|states|inputs|time|dt)\b)|plant\.(?=(?:library|libraries|known|outputs|low|high)\b)"
-    r"|planning\.(?!csv|json)|world_model\.(?:refinement\.)?|refinement\.)(?=\w)"
-)
-"""How messages name settings of the scripts, whose last word is the name of an argument here."""
-
-
 @contextmanager
 def _arguments_named() -> Iterator[None]:
     """Name arguments, and not settings of the scripts, in what is raised."""
     try:
         yield
     except (ValueError, TypeError, FileNotFoundError, Diverged) as error:
-        told = SETTINGS.sub("", str(error)).replace("data=csv got", "read got").replace("mend planning", "mend these")
+        told = as_arguments(str(error)).replace("data=csv got", "read got").replace("mend planning", "mend these")
         if told == str(error):
             raise
         raise type(error)(told) from error
@@ -153,7 +146,7 @@ def identify(
     model = SindyModel(signature, library, Regression("bic", tolerance=1e-4), refinement, known=known)
     source = replace(source, signature=signature)
     for found in (*wrong_units(model, source), *missing_rates(model, source)):
-        warnings.warn(SETTINGS.sub("", found), stacklevel=3)  # past the context manager
+        warnings.warn(as_warning(found), stacklevel=3)  # past the context manager
     return fitted(model, source).model
 
 

@@ -1,5 +1,6 @@
 """From a log to a controller in three calls, tried on the plant that the log is of."""
 
+import ast
 import copy
 import csv
 import math
@@ -272,6 +273,22 @@ def test_a_rate_that_is_known_needs_no_column(path, log, model):
     assert torch.equal(found.coefficients, model.coefficients)
 
 
+def test_volts_stay_volts_from_a_log_without_rates_to_a_controller(tmp_path, write_log):
+    """6 V rest, and 6 V more turn the pendulum with 12 rad/s^2, which is what 1 does in [-1, 1]."""
+    data = record(Pendulum(), Multisine(1, duration=8, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
+    path = write_log(tmp_path / "log.csv", ["angle [rad]", "motor [V]"], data.x[:, :1], 6 + 6 * data.u)
+    log = dynasindy.read(path, inputs={"motor": {"name": "motor", "unit": "V", "low": 0, "high": 12}})
+    words = ["1", "motor", "angle", "angle_rate", "sin(angle)"]
+    model = dynasindy.identify(log, words, known={"angle": "angle_rate"}, longest_delay=0.0)
+    assert float(model.coefficients[model.library.names.index("motor"), 1]) == pytest.approx(12.0, rel=0.02)
+    controller = dynasindy.plan(model, {"angle": (-0.5, 0.5)}, log, **SHORT)
+    assert model.signature.input_ends == controller.signature.input_ends == ((0.0, 12.0),)
+    alone = dynasindy.read(path, inputs=["motor"])
+    (told,) = re.findall(r"read\(inputs=(.*)\)", repr(alone))
+    again = dynasindy.read(path, inputs=ast.literal_eval(told))
+    assert again.signature.input_ends[0] == pytest.approx(alone.signature.input_ends[0], rel=1e-5)
+
+
 def test_targets_that_no_input_holds_are_told(model):
     """A motor of 4 rad/s^2 holds the pendulum up to asin(4 / 9.81) = 0.42 rad; 0.6 rad take 9.81 sin(0.6) / 4 of it."""
     weak = copy.deepcopy(model)
@@ -311,7 +328,7 @@ def test_a_warning_says_which_state_misses_its_rate(exact):
     signature = Signature(("theta",), ("rad",), ("u",), (1.0,))
     alone = Source.of(Recording(replace(t, x=t.x[:, :1], x_next=t.x_next[:, :1]), signature))
     with pytest.warns(
-        UserWarning, match=r"what theta will do depends on its rate.* Give 'known=\{theta: theta_rate\}'"
+        UserWarning, match=r"^what theta will do depends on its rate.* Give identify\(known=\{'theta': 'theta_rate'\}\)"
     ):
         assert dynasindy.identify(alone).delay == 0
 
@@ -320,7 +337,7 @@ def test_a_warning_says_which_rate_is_in_other_units(exact):
     """The pendulum's angle in degrees, beside its rate in rad/s; neither is warned of in one unit."""
     t, degrees = exact.training, torch.tensor([180 / math.pi, 1.0])
     wrong = Source.of(Recording(replace(t, x=t.x * degrees, x_next=t.x_next * degrees), exact.signature))
-    with pytest.warns(UserWarning, match=r"Omega does not fit theta, .* is 57\.3 times Omega; degrees beside rad/s\?"):
+    with pytest.warns(UserWarning, match=r"^Omega does not fit theta, .* is 57\.3 times Omega; degrees beside rad/s\?"):
         dynasindy.identify(wrong, WORDS, {"theta": "Omega"}, "one_step")
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -117,10 +117,12 @@ class CsvLog:
         Raises:
             FileNotFoundError: there is no such file.
             ValueError: a column is missing, a row has missing values and `missing` is refuse, time does not
-                increase, an input is constant, a state that is differentiated is not logged, or there are too few
-                samples.
+                increase, an input is constant or leaves its ends, a state has ends, one that is differentiated is not
+                logged, or there are too few samples.
         """
         states, inputs = _columns(self.states), _columns(self.inputs, may_be_rates=False)
+        if bounded := [name for name, column in states.items() if column.low is not None]:
+            raise ValueError(f"{self.path}: state {bounded[0]} was given low and high, which inputs alone have: {MAP}")
         notes: list[str] = []
         names = [self.time, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
         _check_names([*states, *inputs], self.path)

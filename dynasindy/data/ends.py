@@ -37,7 +37,7 @@ def ends_of(path: str, u: Array, inputs: Mapping[str, Column], into_range: bool,
         notes: Sentences on what was read; those on inputs are added.
 
     Raises:
-        ValueError: An input is constant.
+        ValueError: An input is constant, or goes beyond the ends that were given; -1 and 1 keep it as it is.
     """
     found: dict[str, Ends] = {}
     for (name, given), column in zip(inputs.items(), u.T, strict=True):
@@ -49,6 +49,7 @@ def ends_of(path: str, u: Array, inputs: Mapping[str, Column], into_range: bool,
         found[name] = _range_of(column) if into_range else PLAIN
         if given.low is not None and given.high is not None:
             found[name] = given.low, given.high
+            _require_within(path, name, column, found[name])
         if found[name] == PLAIN and np.abs(column).max() > 1 + ROUNDED:
             notes.append(
                 f"input {name} goes from {column.min():g} to {column.max():g}, beyond the [-1, 1] of a plant's inputs; "
@@ -91,10 +92,24 @@ def _range_of(values: Array) -> Ends:
     return low, high
 
 
+def _require_within(path: str, name: str, values: Array, ends: Ends) -> None:
+    """Refuse ends that an input goes beyond, as they are then those of another unit."""
+    (low, high), least, most = ends, float(values.min()), float(values.max())
+    beyond = max(low - least, most - high)
+    if ends != PLAIN and beyond > ROUNDED * (high - low) / 2:
+        raise ValueError(
+            f"{path}: input {name} was given low {low:g} and high {high:g}, its column goes from {least:.6g} to "
+            f"{most:.6g} after scaling; allowed are ends that hold all of it: give low, high and scale of one unit"
+        )
+
+
 def _words(inputs: Mapping[str, Column], found: Mapping[str, Ends]) -> str:
     """Return the words of the command line that say these ends."""
-    columns = [
-        f"{name}: {{name: {split_unit(inputs[name].name)[0]}, low: {low:.6g}, high: {high:.6g}}}"
-        for name, (low, high) in found.items()
-    ]
+    columns = []
+    for name, (low, high) in found.items():
+        column = inputs[name]
+        heading, unit = split_unit(column.name)
+        own = f'unit: "{column.unit}", ' if column.unit not in ("-", unit) else ""
+        own += f"scale: {column.scale!r}, " if column.scale != 1 else ""
+        columns.append(f"{name}: {{name: {heading}, {own}low: {low:.6g}, high: {high:.6g}}}")
     return f"'data.inputs={{{', '.join(columns)}}}'"

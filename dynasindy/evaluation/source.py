@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import torch
 
 from dynasindy.data.csv import Recording
+from dynasindy.data.ends import PLAIN
 from dynasindy.data.rates import unit_of_rate
+from dynasindy.evaluation.arguments import as_arguments
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
@@ -17,6 +20,8 @@ from dynasindy.world_models.refinement.measured import rates_known
 
 VALIDATION_SHARE = 0.25
 """Part of a log, at its end, that is kept to judge on."""
+ALIKE = 1e-5
+"""Part of an input's range by which ends may differ and still be the same, as those are that were written down."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -66,7 +71,7 @@ class Source:
 
     def __repr__(self) -> str:
         """Say in a few lines what it holds."""
-        told = repr(Recording(self.training, self.signature, self.notes))
+        told = repr(Recording(self.training, self.signature, tuple(as_arguments(note) for note in self.notes)))
         head, *notes = told.replace("Recording of", "Data of", 1).split("\n")
         return "\n".join([f"{head}; {len(self.validation)} rows more to judge on", *notes])
 
@@ -82,7 +87,8 @@ class Source:
             if name in old.state_names and rate not in old.state_names and rate.isidentifier():
                 unit = unit_of_rate(old.state_units[old.state_index(name)])
                 states, units = (*old.state_names, rate), (*old.state_units, unit)
-                signature = Signature(states, units, old.input_names, (*old.x_scale, 1.0))
+                scales = (*old.x_scale, 1.0)
+                signature = replace(old, state_names=states, state_units=units, x_scale=scales)
                 training, validation = widened(found.training), widened(found.validation)
                 found = replace(found, signature=signature, training=training, validation=validation)
         return found
@@ -96,8 +102,8 @@ class Source:
         Raises:
             ValueError: the model is of another plant, or its inputs have other ends.
         """
-        mine, theirs = (signature.input_ends or "-1 and 1" for signature in (self.signature, model.signature))
-        if mine != theirs:
+        if not _alike_ends(self.signature, model.signature):
+            mine, theirs = (signature.input_ends or "-1 and 1" for signature in (self.signature, model.signature))
             raise ValueError(
                 f"the model has inputs with the ends {theirs}, the log with {mine}; give the ends of the actuator to "
                 "both, low and high in data.inputs"
@@ -108,3 +114,13 @@ class Source:
         states, parts = source.signature.state_names, (source.training, source.validation)
         training, validation = (completed(part, states, model.signature) for part in parts)
         return replace(source, signature=model.signature, training=training, validation=validation)
+
+
+def _alike_ends(first: Signature, second: Signature) -> bool:
+    """Tell whether two plants have inputs with the same ends, up to the digits in which a note tells them."""
+    both = zip(*(s.input_ends or (PLAIN,) * s.n_u for s in (first, second)), strict=False)
+    return all(
+        math.isclose(mine, theirs, abs_tol=ALIKE * (own[1] - own[0]))
+        for own, others in both
+        for mine, theirs in zip(own, others, strict=True)
+    )

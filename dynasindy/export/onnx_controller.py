@@ -89,6 +89,8 @@ def controller_onnx(controller: Controller, path: Path) -> None:
     graph.result(state.where(sound, whole), "next_state", [ends[-1]])
     told = {"u": signature.input_names, "measurement": signature.state_names, "reference": controller.outputs}
     more = {"period": f"{controller.dt!r} s", "state": f"{ends[-1]} numbers, zeros at the start"}
+    if own := signature.own_inputs():
+        more["units of u"] = "; ".join(own)
     graph.save(path, "controller", {name: ", ".join(words) for name, words in told.items()} | more)
 
 

@@ -142,6 +142,8 @@ class Session:
             ValueError: The controller is one for another plant, period or sensors; nothing has moved.
         """
         self._require(controller)
+        for line in controller.signature.own_inputs():
+            self.tell(f"  {line}; the rig gets the controller's number, and has to turn it into its own unit")
         for _ in range(WARM):  # the first calls take longer than all others, the first correction among them
             controller.act(np.zeros(self.wiring.signature.n_x), targets[0])
         controller.reset()

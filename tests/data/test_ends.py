@@ -2,9 +2,11 @@
 
 import csv
 import math
+import shlex
 
 import numpy as np
 import pytest
+import yaml
 
 from dynasindy.data.csv import CsvLog
 from dynasindy.evaluation.identification import Logged
@@ -70,3 +72,35 @@ def test_ends_that_are_none_are_refused(tmp_path, ends):
     log = CsvLog(written(tmp_path / "log.csv", levels(0, 9)), {"level": "level"}, {"valve": {"name": "valve", **ends}})
     with pytest.raises(ValueError, match="both, low < high"):
         log.read()
+
+
+def test_a_proposed_setting_reads_the_same_numbers(tmp_path):
+    """Millivolts that were scaled stay scaled."""
+    path = written(tmp_path / "log.csv", levels(-12_000.0, 12_000.0), "valve [mV]")
+    scaled = {"valve": {"name": "valve", "unit": "V", "scale": 0.001}}
+    first = Logged(path, inputs=scaled).recording(None)
+    (word,) = shlex.split(first.notes[1].rpartition("as they are: ")[2])
+    given = yaml.safe_load(word.removeprefix("data.inputs="))
+    assert given["valve"] == {"name": "valve", "unit": "V", "scale": 0.001, "low": -12, "high": 12}
+    second = Logged(path, inputs=given).recording(None)
+    assert np.array_equal(first.transitions.u.numpy(), second.transitions.u.numpy())
+    assert float(second.transitions.u.abs().max()) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0, 1), (5, 100.5), (0, 99.9)])
+def test_ends_that_the_column_goes_beyond_are_refused(tmp_path, low, high):
+    path = written(tmp_path / "log.csv", levels(0.0, 100.0))
+    log = CsvLog(path, {"level": "level"}, {"valve": {"name": "valve", "low": low, "high": high}})
+    with pytest.raises(ValueError, match=rf"given low {low} and high {high}, its column goes from 0 to 100 after"):
+        log.read()
+
+
+def test_an_input_may_leave_its_ends_by_rounding(tmp_path):
+    path = written(tmp_path / "log.csv", levels(0.0, 100.04))
+    assert CsvLog(path, {"level": "level"}, VALVE).read().signature.input_ends == ((0.0, 100.0),)
+
+
+def test_ends_of_a_state_are_refused(tmp_path):
+    path = written(tmp_path / "log.csv", levels(0.0, 100.0))
+    with pytest.raises(ValueError, match="state level was given low and high, which inputs alone have"):
+        CsvLog(path, {"level": {"name": "level", "low": 0, "high": 2}}, VALVE).read()

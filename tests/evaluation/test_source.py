@@ -1,5 +1,7 @@
 """What a log is cut into, and which states are added to it."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -63,3 +65,22 @@ def test_data_get_the_states_of_a_model_and_those_of_another_plant_are_refused()
     assert source.signature == wide and source.training.x.shape[1] == 3
     with pytest.raises(ValueError, match="the model has the states q, p, w, the log q, p"):
         Source.of(recording()).with_states_of(SindyModel(wide, ["1", "u", "w"]))
+
+
+def test_a_rate_that_was_not_logged_leaves_the_inputs_their_own_units():
+    source = Source.of(recording())
+    volts = replace(source, signature=replace(SIGNATURE, input_ends=((0.0, 12.0),)))
+    assert volts.with_rates({"q": "w"}).signature.input_ends == ((0.0, 12.0),)
+
+
+@pytest.mark.parametrize(("ends", "same"), [((0.0300001, 11.97), True), ((0.03, 11.98), False), (None, False)])
+def test_ends_of_inputs_are_the_same_up_to_the_digits_that_a_note_tells(ends, same):
+    wide = Signature(("q", "p", "w"), ("rad", "-", "rad/s"), ("u",), (1.0, 1.0, 3.0), ((0.03, 11.97),))
+    model = SindyModel(wide, ["1", "u", "w"], known={"q": "w"})
+    source = Source.of(recording())
+    source = replace(source, signature=replace(SIGNATURE, input_ends=(ends,) if ends else ()))
+    if same:
+        assert source.with_states_of(model).signature == wide
+    else:
+        with pytest.raises(ValueError, match=r"inputs with the ends \(\(0\.03, 11\.97\),\), the log with"):
+            source.with_states_of(model)

@@ -2,6 +2,7 @@
 
 import importlib.util
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -70,4 +71,12 @@ def test_the_file_says_what_goes_in_and_comes_out(rotors, tmp_path):
     told = written(rotors(), tmp_path).session.get_modelmeta().custom_metadata_map
     assert told["reference"] == "alpha_a, alpha_p" and told["period"] == "0.05 s"
     # begun, 2 inputs, 8 states with 64 covariances, two inputs more than whole periods of delay, 8 of the shift
+    assert "units of u" not in told
     assert told["state"] == f"{1 + 2 + 8 + 64 + 2 * 2 + 8} numbers, zeros at the start"
+
+
+def test_the_file_says_what_inputs_are_in_their_own_unit(pendulum, tmp_path):
+    """Of 0 to 12 V, zero is 6 V."""
+    volts = replace(Pendulum().signature, input_ends=((0, 12),))
+    told = written(pendulum(signature=volts), tmp_path).session.get_modelmeta().custom_metadata_map
+    assert told["units of u"].startswith("the plant's u is 6 + 6 times the controller's")

@@ -78,6 +78,18 @@ def test_a_controller_of_another_plant_is_refused_before_anything_moves(session)
     assert session.flights == []
 
 
+@pytest.mark.parametrize(("ends", "lines"), [((), 0), (((0.0, 12.0),), 1)])
+def test_units_of_inputs_are_told_before_a_flight(session, ends, lines):
+    """Of 0 to 12 V, zero is 6 V."""
+    told = []
+    session.tell, session.wiring = told.append, replace(session.wiring, seen=(True, True))
+    signature = replace(session.wiring.signature, input_ends=ends)
+    task = Tracking(signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), TrackingReward((1.0,)))
+    session.fly(Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)), [[0.1]], 0.1)
+    begun = told.index("flight 0: 0.1 s")
+    assert begun == lines and all("u is 6 + 6 times the controller's" in line for line in told[:begun])
+
+
 def test_a_fault_is_kept_and_told(session):
     told = []
     session.tell, session.guard = told.append, Guard(low={"theta": -1.0}, high={"theta": 0.05}, late=100.0)
