@@ -30,7 +30,7 @@ def main(cfg: DictConfig) -> None:
     seen = tuple(name in sensors.channels for name in system.signature.state_names) if sensors else None
     wiring = Wiring(system.signature, seen or (True,) * system.signature.n_x, cfg.dt)
     plant = instantiate(cfg.plant, _convert_="all")
-    if not cfg.seconds > 0 or cfg.flights < 1:
+    if cfg.seconds is None or not cfg.seconds > 0 or cfg.flights < 1:
         raise ValueError(f"seconds={cfg.seconds}, flights={cfg.flights} fly nothing; give seconds > 0 and flights >= 1")
     ends = zip(plant["outputs"], plant["low"], plant["high"], strict=True)
     targets = {name: (low, high) for name, low, high in ends}

@@ -104,7 +104,7 @@ class Keys(TypedDict):
     level: Level
     dt: Annotated[float, "a time > 0"]
     targets: list[list[float]] | None
-    seconds: float
+    seconds: float | None
     flights: int
     controller: str | None
     guard: Guard

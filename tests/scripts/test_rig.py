@@ -26,6 +26,7 @@ def command(*words):
         ("targets=[[1,2,3]]", "targets has [1, 2, 3]; give one number for each of theta"),
         ("targets=[[30.0]]", "within plant.low="),
         ("seconds=-1", "fly nothing; give seconds > 0"),
+        ("seconds=null", "fly nothing; give seconds > 0"),
         ("flights=0", "fly nothing; give seconds > 0"),
         ("guard.late=-1", "give numbers >= 0"),
     ],

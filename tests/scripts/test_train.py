@@ -54,7 +54,7 @@ def test_the_smoke_run_leaves_a_complete_folder_and_says_what_came_of_it(tmp_pat
         "overshoot",
         "settling time",
         "RMSE",
-        "600 real steps",
+        "which are 600 control periods",
         str(folder),
     ):
         assert words in done.stdout, words
