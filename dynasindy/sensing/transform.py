@@ -29,8 +29,6 @@ from dynasindy.sensing.observer import Belief, Observer
 from dynasindy.sensing.offset import Policy, acting
 from dynasindy.sensing.sensors import Sensors
 
-"""Reads `observation` of a tensordict and writes `action`."""
-
 
 class Sensing(Transform):
     """Hide the true state of a plant behind its sensors, and show what an observer makes of them.

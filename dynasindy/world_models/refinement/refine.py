@@ -33,6 +33,12 @@ STEPS = 6
 """Gauss-Newton steps after which two delays are compared."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
 ERRORS = ("auto", "simulation", "coloured", "prediction", "innovation")
+COMPARED = "the fit compares whole simulations with the log and not single steps, as {}"
+STEPWISE = (
+    "the fit predicts each sample from the one before, as errors of such predictions do not look like noise of the "
+    "sensors"
+)
+"""Why a method was chosen."""
 Model = tuple[Library, Tensor]
 """A library with the numbers inside its fitted factors, and coefficients, `(n_features, n_x)`."""
 
@@ -275,17 +281,13 @@ class Refinement:
         unseen = (data.x.isnan() | data.x_next.isnan()).any(0).tolist()
         names = [name for name, gaps in zip(library.signature.state_names, unseen, strict=True) if gaps]
         if names:
-            return "trajectory", False, (_COMPARED.format(f"not all of {', '.join(names)} was measured"),)
+            return "trajectory", False, (COMPARED.format(f"not all of {', '.join(names)} was measured"),)
         noisy = self.method != "integral" and looks_noisy(library, coefficients, guess)
         if self.method != "auto":
             return self.method, noisy, ()
         if noisy:
-            return "trajectory", True, (_COMPARED.format("the errors of single steps look like noise of the sensors"),)
-        return (
-            "one_step",
-            False,
-            (_STEPWISE,),
-        )
+            return "trajectory", True, (COMPARED.format("the errors of single steps look like noise of the sensors"),)
+        return "one_step", False, (STEPWISE,)
 
     def _regressed(self, library: Library, coefficients: Tensor, constraints: Constraints, seen: Seen) -> Model:
         """Repeat the regression with what is known of the states between samples, and fit numbers inside functions."""
@@ -296,13 +298,6 @@ class Refinement:
             coefficients = regression.solve(sums, constraints.free, constraints.offset)
             library, coefficients = fit_shapes(library, coefficients, constraints.free, seen.rows, self.tolerance)
         return library, coefficients
-
-
-_STEPWISE = (
-    "the fit predicts each sample from the one before, as errors of such predictions do not look like noise of the "
-    "sensors"
-)
-_COMPARED = "the fit compares whole simulations with the log and not single steps, as {}"
 
 
 def _shortened(window: int, wanted: int) -> tuple[str, ...]:
