@@ -77,8 +77,8 @@ def command(
                     for folder in filter(None, (cfg.get("folder"), cfg.get("output"))):
                         require_writable(Path(folder))
                     return task(cfg)
-                except KeyboardInterrupt as stop:
-                    raise _told(stop, cfg.get("folder")) from stop
+                except KeyboardInterrupt as signal:
+                    raise _told(signal, cfg.get("folder")) from signal
                 finally:
                     if not swept:
                         _remove_empty(Path(HydraConfig.get().runtime.output_dir))
