@@ -252,10 +252,11 @@ def foretell(
     found = predict(models, env, policy, scenario, sensing, within)
     forecasts = forecast(model, log.training, log.validation)
     told = [] if forecasts is None else doubts(forecasts, model.signature)
-    low, high = pace.task.ends or ((), ())
     if found.shown is not None:
         told += beyond(model, log.training.u, found.shown.inputs.flatten(0, -2))
-    told += unlogged(model, log.training.x, dict(zip(controller.outputs, zip(low, high, strict=True), strict=False)))
+    if pace.task.ends is not None:
+        targets = dict(zip(controller.outputs, zip(*pace.task.ends, strict=True), strict=True))
+        told += unlogged(model, log.training.x, targets)
     return replace(found, doubts=tuple(told), unheld=never)
 
 

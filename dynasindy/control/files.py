@@ -4,7 +4,7 @@
 | ----------- | ----------------------------------------------------------------------------------------------------- |
 | `signature` | names, units and ranges of the states, names of the inputs                                            |
 | `task`      | control period [s], Runge-Kutta steps in it, mechanical stops, tracked states, how the observation is |
-|             | made, ends of the inputs; an end of a stop that is null is not there                                  |
+|             | made, limits of the inputs; an end of a stop that is null is not there                                |
 | `policy`    | weights of each layer, float32 in base 64, `(n_out, n_in)` row by row, and biases                     |
 | `integral`  | numbers of the integral action, or null                                                               |
 | `observer`  | sensors, process noise, and the model, as in model.json; or null                                      |
@@ -183,7 +183,7 @@ def _task(signature: Signature, given: Mapping[str, Any]) -> Tracking:
         observe_rate=bool(given["observe_rate"]),
         error_scale=_positive(given["error_scale"]),
     )
-    # Files that were written before inputs had ends have none.
+    # Files that were written before inputs had limits have none.
     task = task.with_input_limits(given.get("input_limits", task.input_limits.tolist()))
     return task.with_box([_positive(extent) for extent in given["box"]])
 

@@ -86,10 +86,8 @@ class Source:
             old = found.signature
             if name in old.state_names and rate not in old.state_names and rate.isidentifier():
                 unit = unit_of_rate(old.state_units[old.state_index(name)])
-                states, units = (*old.state_names, rate), (*old.state_units, unit)
-                scales = (*old.x_scale, 1.0)
-                signature = replace(old, state_names=states, state_units=units, x_scale=scales)
                 training, validation = widened(found.training), widened(found.validation)
+                signature = old.with_state(rate, unit)
                 found = replace(found, signature=signature, training=training, validation=validation)
         return found
 

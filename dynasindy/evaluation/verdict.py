@@ -118,7 +118,7 @@ def known_ranges(model: SindyModel, logged: Tensor) -> dict[str, tuple[float, fl
         model: The equations.
         logged: Inputs of the log, `(N, n_u)`.
     """
-    used = [model.library.features[k] for k in model.coefficients.any(-1).nonzero().flatten().tolist()]
+    used = _used(model.library.features, model.coefficients.any(-1))
     low, high = logged.amin(0), logged.amax(0)
     room = ROOM * (high - low)
     both = zip(model.signature.input_names, zip((low - room).tolist(), (high + room).tolist()), strict=True)
@@ -133,8 +133,8 @@ def unlogged(model: SindyModel, logged: Tensor, targets: Mapping[str, tuple[floa
         logged: States of the log, `(N, n_x)`, NaN where they were not measured.
         targets: Lower and upper end of the targets of each output.
     """
-    features, lines = model.library.features, []
-    read = {v for k in model.coefficients.any(-1).nonzero().flatten().tolist() for v in features[k].variables}
+    used, lines = _used(model.library.features, model.coefficients.any(-1)), []
+    read = {variable for feature in used for variable in feature.variables}
     for name, (least, most) in targets.items():
         place = model.signature.state_index(name)
         seen = logged[:, place][logged[:, place].isfinite()]
@@ -155,8 +155,8 @@ def unmoved(model: SindyModel, outputs: Sequence[str]) -> str:
     """Say which outputs no input moves in the equations, be it through other states; empty if all are moved."""
     names, moved = model.signature.state_names, set(model.signature.input_names)
     read = {
-        name: {v for k in model.coefficients[:, i].nonzero().flatten() for v in model.library.features[k].variables}
-        for i, name in enumerate(names)
+        name: {v for feature in _used(model.library.features, column) for v in feature.variables}
+        for name, column in zip(names, model.coefficients.unbind(-1), strict=True)
     }
     for _ in names:
         moved |= {name for name in names if read[name] & moved}
@@ -189,6 +189,11 @@ def beyond(model: SindyModel, logged: Tensor, flown: Tensor) -> list[str]:
                 "the range"
             )
     return lines
+
+
+def _used(features: Sequence[Feature], coefficients: Tensor) -> list[Feature]:
+    """Return the functions whose coefficients `(n_features,)` are not zero."""
+    return [features[k] for k in coefficients.nonzero().flatten().tolist()]
 
 
 def _bent(feature: Feature, read: set[str]) -> bool:

@@ -64,9 +64,9 @@ class Rests:
 
 
 def find_rests(
-    system: System, outputs: Sequence[int], targets: Tensor, start: Tensor, dt: float, ends: Tensor | None = None
+    system: System, outputs: Sequence[int], targets: Tensor, start: Tensor, dt: float, limits: Tensor | None = None
 ) -> Rests:
-    """Return the rests that some references have; those without one, or beyond the ends of inputs, are left out.
+    """Return the rests that some references have; those without one, or beyond the limits of inputs, are left out.
 
     Args:
         system: Vector field.
@@ -74,11 +74,11 @@ def find_rests(
         targets: References, `(n, n_r)`.
         start: State near which rests are searched, `(n_x,)`.
         dt: Control period [s], which tells how slow a plant is that does not rest.
-        ends: Least and largest inputs, `(2, n_u)`; if omitted, -1 and 1.
+        limits: Least and largest inputs, `(2, n_u)`; if omitted, -1 and 1.
     """
-    if ends is None:
-        ends = torch.tensor([[-1.0], [1.0]]).expand(-1, system.signature.n_u)
-    targets, search = targets.double(), _Search(system, list(outputs), start.double(), dt, ends.double())
+    if limits is None:
+        limits = torch.tensor([[-1.0], [1.0]]).expand(-1, system.signature.n_u)
+    targets, search = targets.double(), _Search(system, list(outputs), start.double(), dt, limits.double())
     rests = _found(search, targets, LEFT)
     return rests if len(rests) else _found(search, targets, NEARLY)
 
@@ -152,13 +152,13 @@ def states_that_matter(system: System, outputs: Sequence[int], start: Tensor) ->
 class _Search:
     """Levenberg and Marquardt's method on f(x, u) = 0, many references at once, in ranges of the states."""
 
-    def __init__(self, system: System, outputs: list[int], start: Tensor, dt: float, ends: Tensor) -> None:
+    def __init__(self, system: System, outputs: list[int], start: Tensor, dt: float, limits: Tensor) -> None:
         signature = system.signature
-        self.system, self.outputs, self.start, self.ends = system, outputs, start, ends
+        self.system, self.outputs, self.start, self.limits = system, outputs, start, limits
         self.scale, self.pace = torch.tensor(signature.x_scale, dtype=torch.float64), max(1.0, dt / PERIOD)
         self.free = [i for i in range(signature.n_x) if i not in outputs]
         self.moved = states_that_matter(system, outputs, start)
-        self.guess = torch.cat([start[self.free] / self.scale[self.free], ends.mean(0)])
+        self.guess = torch.cat([start[self.free] / self.scale[self.free], limits.mean(0)])
 
     def guesses(self) -> Tensor:
         """Return the start and points around it, `(STARTS, m)`."""
@@ -185,9 +185,9 @@ class _Search:
         return self.residual(v, targets).abs().amax(-1).nan_to_num(torch.inf)
 
     def inside(self, v: Tensor, targets: Tensor) -> Tensor:
-        """Return where inputs lie between their ends, bool `(*batch,)`."""
+        """Return where inputs lie within their limits, bool `(*batch,)`."""
         u = self.parts(v, targets)[1]
-        return ((u >= self.ends[0] - 1e-6) & (u <= self.ends[1] + 1e-6)).all(-1)
+        return ((u >= self.limits[0] - 1e-6) & (u <= self.limits[1] + 1e-6)).all(-1)
 
     def solve(self, targets: Tensor, v: Tensor) -> Tensor:
         """Return the unknowns with the least rates of change, `(n, m)`."""

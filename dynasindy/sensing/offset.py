@@ -80,7 +80,7 @@ class OffsetFree:
 
 
 class Limited:
-    """A policy whose action stays between the ends of the task's inputs.
+    """A policy whose action stays within the limits of the task's inputs.
 
     Args:
         policy: Reads `observation`, writes `action`.
@@ -96,7 +96,13 @@ class Limited:
 
 
 def acting(policy: Policy, env: Sampled, pushed: bool = False) -> Policy:
-    """Return a policy as it acts on a plant: it counteracts a push that an observer estimates, and inputs have ends."""
+    """Return a policy as it acts on a plant: within the limits of inputs, and against the push that is estimated.
+
+    Args:
+        policy: Reads `observation`, writes `action`.
+        env: Where it acts; the task has the limits.
+        pushed: Whether an observer estimates a push, under `observer`, which is counteracted.
+    """
     if pushed:
         return OffsetFree(policy, env)
     return Limited(policy, env) if env.task.limited else policy

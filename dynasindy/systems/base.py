@@ -97,6 +97,24 @@ class Signature:
         """Return whether another signature has the same names and units; ranges may differ."""
         return replace(self, x_scale=other.x_scale) == other if self.n_x == other.n_x else False
 
+    def with_state(self, name: str, unit: str, scale: float = 1.0) -> Signature:
+        """Return the signature with one state more, behind the others.
+
+        Args:
+            name: Its name.
+            unit: Its unit.
+            scale: Its typical range [unit].
+
+        Raises:
+            ValueError: There is such a state or input already, or the unit or the range is none.
+        """
+        return replace(
+            self,
+            state_names=(*self.state_names, name),
+            state_units=(*self.state_units, unit),
+            x_scale=(*self.x_scale, scale),
+        )
+
     def own_inputs(self) -> list[str]:
         """Say what each input is in the unit of its actuator, a line for each that has one."""
         return [

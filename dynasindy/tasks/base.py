@@ -65,11 +65,12 @@ class Task(ABC):
 
     @property
     def limited(self) -> bool:
-        """Whether inputs are to stay between narrower ends than their actuators'."""
-        return bool((self.input_limits.abs() < 1).any())
+        """Whether inputs have narrower limits than their actuators."""
+        low, high = self.input_limits
+        return bool((low > -1).any()) or bool((high < 1).any())
 
     def limit(self, action: Tensor) -> Tensor:
-        """Return actions `(*batch, n_u)` kept between the ends of the inputs."""
+        """Return actions `(*batch, n_u)` kept within the limits of the inputs."""
         low, high = self.input_limits.to(action)
         return action.clamp(low, high)
 

@@ -137,7 +137,7 @@ class Tracking(Task):
     def fenced(self, weight: float) -> Tracking:
         """Return the same task with a cost for leaving the bounds, of so much per range of a state and period.
 
-        So cost inputs beyond their ends, where these are narrower than the actuators'.
+        So cost inputs beyond their limits, where these are narrower than the actuators'.
         """
         other = copy.copy(self)
         other.fence = weight if bool(self.bounds.isfinite().any()) or self.limited else 0.0
@@ -195,24 +195,25 @@ class Tracking(Task):
             other.start = typical.to(self.start)
         return other
 
-    def with_input_limits(self, ends: Sequence[Sequence[float]]) -> Tracking:
-        """Return the same task whose inputs stay between some ends.
+    def with_input_limits(self, limits: Sequence[Sequence[float]]) -> Tracking:
+        """Return the same task whose inputs stay within some limits.
 
         Args:
-            ends: Least and largest value of each input, `(2, n_u)`, in [-1, 1].
+            limits: Least and largest value of each input, `(2, n_u)`, in [-1, 1].
 
         Raises:
             ValueError: There is not one least and one largest input for each, in [-1, 1].
         """
         other, n_u = copy.copy(self), self.signature.n_u
         try:
-            other.input_limits = torch.tensor(ends)
+            other.input_limits = torch.tensor(limits)
         except (TypeError, ValueError):  # rows of unequal length, or words
             other.input_limits = torch.empty(0)
         fit = other.input_limits.shape == (2, n_u) and bool((other.input_limits.abs() <= 1).all())
         if not fit or not bool((other.input_limits[0] <= other.input_limits[1]).all()):
             raise ValueError(
-                f"the ends of the inputs are {str(ends)[:40]}; give {n_u} least and {n_u} largest inputs from -1 to 1"
+                f"the limits of the inputs are {str(limits)[:40]}; give {n_u} least and {n_u} largest inputs from -1 "
+                "to 1"
             )
         return other
 
@@ -268,7 +269,7 @@ class Tracking(Task):
         return reward - self.fence * ERROR_SHAPES["linear"](outside, FENCE_WIDTH).sum(-1)
 
     def effort(self, u: Tensor) -> Tensor | None:
-        """Return what inputs beyond their ends cost, `(*batch,)`; None where these are not fenced."""
+        """Return what inputs beyond their limits cost, `(*batch,)`; None where these are not fenced."""
         if not self.fence or not self.limited:
             return None
         low, high = self.input_limits

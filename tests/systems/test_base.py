@@ -69,3 +69,12 @@ def test_inputs_are_told_in_the_units_of_their_actuators():
 def test_ends_of_inputs_that_are_none_are_refused(ends):
     with pytest.raises(ValueError, match="the ends of the inputs are"):
         Signature(("x",), ("m",), ("u", "v"), (1.0,), input_ends=ends)
+
+
+def test_a_state_more_stands_behind_the_others_and_all_else_stays():
+    volts = Signature(("q",), ("rad",), ("u",), (2.0,), ((0, 12),))
+    assert volts.with_state("w", "rad/s", 3.0) == Signature(
+        ("q", "w"), ("rad", "rad/s"), ("u",), (2.0, 3.0), ((0, 12),)
+    )
+    with pytest.raises(ValueError, match="names must differ"):
+        volts.with_state("q", "rad")

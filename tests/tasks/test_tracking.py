@@ -308,6 +308,7 @@ def test_inputs_that_a_log_has_not_tried_cost_as_states_beyond_their_bounds_do()
     ]
     torch.testing.assert_close(paid[0] - paid[1], cost)
     assert task.input_limits.tolist() == [[-1.0], [1.0]]
+    assert task.with_input_limits([[1.0], [1.0]]).limited  # all that a log of 2 to 12 leaves
     given = task.with_input_limits([[-0.5], [0.5]]).as_logged(torch.zeros(2, 2), {"u": (-0.25, 0.75)})
     assert given.input_limits.tolist() == [[-0.25], [0.5]]
 

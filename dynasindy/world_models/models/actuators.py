@@ -138,12 +138,7 @@ def behind(model: SindyModel, found: Found, dt: float) -> SindyModel:
     given, fast = model.signature, FAST / dt
     name = given.input_names[found.actuator.place]
     follower = f"applied_{name}"
-    signature = replace(
-        given,
-        state_names=(*given.state_names, follower),
-        state_units=(*given.state_units, "1"),
-        x_scale=(*given.x_scale, 1.0),
-    )
+    signature = given.with_state(follower, "1")
     play = found.actuator.kind == "play"
     held = of("slack", name, follower, frequency=found.actuator.size / (1 if play else fast))
     own = {held: fast} if play else {variable(name): fast, variable(follower): -fast, held: -fast}

@@ -89,10 +89,7 @@ def with_follower(model: SindyModel, data: Transitions, place: int, time: float)
     follower = lagging(name)
     read = [feature.reading(name, follower) for feature in first.library.features]
     own = of("ahead", name, follower)
-    old = model.signature
-    signature = replace(
-        old, state_names=(*states, follower), state_units=(*old.state_units, "1"), x_scale=(*old.x_scale, 1.0)
-    )
+    signature = model.signature.with_state(follower, "1")
     library = Library(signature, [*read, own])
     names = [feature.name() for feature in read]
     free, found = first.constraints.free, first.coefficients
