@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
-import numpy as np
 import torch
-from scipy.signal import cont2discrete
+from scipy.linalg import expm
 from torch import Tensor
 from torch.autograd.functional import jacobian
+from torch.nn.functional import pad
 
 from dynasindy.systems import System
 
@@ -29,9 +29,10 @@ def zero_order_hold(a: Tensor, b: Tensor, dt: float) -> tuple[Tensor, Tensor]:
         b: `(n_x, n_u)` [1/s].
         dt: sampling time [s].
     """
-    unseen = np.zeros((1, a.shape[1])), np.zeros((1, b.shape[1]))  # an output, which SciPy asks for
-    sampled = cont2discrete((a.numpy(), b.numpy(), *unseen), dt)
-    return torch.as_tensor(sampled[0]), torch.as_tensor(sampled[1])
+    # The input is a state that does not change. scipy.signal has this as a function, for a second of imports.
+    held = pad(torch.cat((a, b), 1), (0, 0, 0, b.shape[1]))
+    sampled = torch.as_tensor(expm((held * dt).numpy()))[: len(a)]
+    return sampled[:, : len(a)], sampled[:, len(a) :]
 
 
 class Equilibria:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from scipy.linalg import expm
+from scipy.signal import cont2discrete
 
 from dynasindy.agents.classical.linearise import Equilibria, jacobians, zero_order_hold
 from dynasindy.systems import Pendulum, Tras, Xi
@@ -23,12 +23,18 @@ def test_eigenvalues_of_xi_at_pitch_zero_are_those_known():
 
 
 @pytest.mark.parametrize("dt", [0.01, 0.05, 1.0])
-def test_zero_order_hold_is_the_matrix_exponential(dt):
-    """(Ad, Bd) is the upper part of exp([[A, B], [0, 0]] dt): Astrom, Wittenmark, Computer-Controlled Systems, 2.5."""
+def test_zero_order_hold_is_that_of_scipy(dt):
     a, b = linear_xi()
-    wanted = expm(dt * np.block([[a.numpy(), b.numpy()], [np.zeros((2, 8))]]))[:6]
+    wanted = np.hstack(cont2discrete((a.numpy(), b.numpy(), np.eye(6), np.zeros((6, 2))), dt)[:2])
     given = np.hstack([m.numpy() for m in zero_order_hold(a, b, dt)])
     np.testing.assert_allclose(given, wanted, rtol=1e-9, atol=1e-9)
+
+
+def test_an_integrator_with_two_inputs_is_held_exactly():
+    """x' = -x + u_1 + 2 u_2 over dt: x exp(-dt) + (1 - exp(-dt)) (u_1 + 2 u_2). There are more inputs than states."""
+    a, b = zero_order_hold(torch.tensor([[-1.0]]).double(), torch.tensor([[1.0, 2.0]]).double(), 0.5)
+    np.testing.assert_allclose(a.numpy(), [[np.exp(-0.5)]], rtol=1e-12)
+    np.testing.assert_allclose(b.numpy(), [[1 - np.exp(-0.5), 2 * (1 - np.exp(-0.5))]], rtol=1e-12)
 
 
 def test_equilibria_of_xi_are_those_known():
