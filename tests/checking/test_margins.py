@@ -76,9 +76,7 @@ def test_a_delay_of_whole_periods_beyond_the_margin_is_too_long(a, b, k):
         assert (np.abs(np.linalg.eigvals(late)).max() < 1) == (periods * DT < found.delay)
 
 
-@pytest.mark.parametrize(
-    ("a", "b", "k"), [(A, B, LQR), (COUPLED, INPUTS, TWO), (TURN, np.array([[0.0], [1.0]]), RATE)]
-)
+@pytest.mark.parametrize(("a", "b", "k"), [(A, B, LQR), (COUPLED, INPUTS, TWO), (TURN, np.array([[0.0], [1.0]]), RATE)])
 def test_python_control_finds_the_same(a, b, k):
     control = pytest.importorskip("control")
     linear = closed(a, b, k)
