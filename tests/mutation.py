@@ -155,10 +155,10 @@ def sample(modules, size, seed):
 
 
 def test_files(module):
-    """The file that mirrors a module, then the folder that mirrors its room."""
+    """The file that mirrors a module, then the folder in which it is."""
     inside = module.relative_to("dynasindy")
     mirror = Path("tests", inside.parent, f"test_{inside.name}")
-    return [str(mirror)] * mirror.exists(), str(Path("tests", inside.parts[0]))
+    return [str(mirror)] * mirror.exists(), str(Path("tests", inside.parent))
 
 
 def run_tests(module, source):
@@ -210,7 +210,7 @@ def attempt(module, source, seconds):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("room", help="a folder of dynasindy, such as systems")
+    parser.add_argument("room", help="a folder of dynasindy, such as systems, or files of one, such as data/ends.py")
     parser.add_argument("--sample", type=int, default=60, help="number of mutants")
     parser.add_argument("--seed", type=int, default=0, help="seed of the sample")
     parser.add_argument("--again", action="store_true", help="try the survivors of the session again")
@@ -222,16 +222,18 @@ def main():
     sys.path.insert(0, str(ROOT))
     operators = {operator.__name__: operator for operator in (ExchangeNeighbours, DropStatement)}
     cosmic_ray.plugins.OPERATOR_PROVIDERS["ours"] = operators
-    session = Path("outputs", "mutation", f"{given.room}-{given.sample}-{given.seed}.sqlite")
+    named = re.sub(r"\W+", "-", given.room)
+    session = Path("outputs", "mutation", f"{named}-{given.sample}-{given.seed}.sqlite")
     session.parent.mkdir(parents=True, exist_ok=True)
     with use_db(str(session)) as database:
         if not database.num_work_items:
-            modules = sorted(p for p in Path("dynasindy", given.room).rglob("*.py") if p.name not in PICTURES)
+            places = [p for place in Path("dynasindy").glob(given.room) for p in (place, *place.rglob("*.py"))]
+            modules = sorted(p for p in places if p.suffix == ".py" and p.name not in PICTURES)
             database.add_work_items(sample(modules, given.sample, given.seed))
         warm_up()
-        status, output, _ = (
-            (0, "", 0) if given.again else attempt(Path("dynasindy", given.room, "__init__.py"), None, 600)
-        )
+        room = next(Path("dynasindy").glob(given.room))
+        first = room / "__init__.py" if room.is_dir() else room
+        status, output, _ = (0, "", 0) if given.again else attempt(first, None, 600)
         if status:
             sys.exit(f"the tests of {given.room} fail without any mutant; mend them first\n{output[-2000:]}")
         todo = {item.job_id: item for item in database.pending_work_items}

@@ -115,8 +115,7 @@ class Loop:
 
     def started(self, x: Tensor) -> Tensor:
         """Return the vector at states in which the controller is switched on, `(*batch, n)`; inputs were zero."""
-        z = self.at(x, torch.zeros(*x.shape[:-1], self.signature.n_u, dtype=torch.float64))
-        return z.index_fill(-1, torch.arange(self.size)[self.parts.get("mean", slice(0, 0))], 0.0)
+        return self.at(x, torch.zeros(*x.shape[:-1], self.signature.n_u, dtype=torch.float64))
 
     def uncertain(self, z: Tensor) -> Tensor:
         """Return a covariance to begin with, `(*batch, n_o, n_o)`; empty without an observer."""

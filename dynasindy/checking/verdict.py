@@ -88,7 +88,7 @@ def _stability(found: Check) -> Finding:
         return Finding("stability", False, f"{words}; threshold: spectral radius < 1 at all")
     k = int(np.argmax(found.rest.linear.radius))
     radius = float(found.rest.linear.radius[k])
-    slowest = -dt / math.log(radius) if 0 < radius < 1 else 0.0
+    slowest = -dt / math.log(radius) if radius else 0.0
     words = f"stable at all {count} targets; largest spectral radius {radius:.4f} at {_place(found, k)}"
     return Finding("stability", True, f"{words}, a time constant of {in_words(slowest, digits=2)}; threshold: < 1")
 

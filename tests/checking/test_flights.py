@@ -30,6 +30,8 @@ def test_error_slew_and_saturation_are_counted():
     assert flights.saturated.flatten().tolist() == [0.25, 0.0]
     narrow = replace(flights, limits=torch.tensor([[-0.6], [0.9]]))  # u is beyond, within, or at both ends
     assert narrow.saturated.flatten().tolist() == [0.25, 0.05]
+    falling = replace(flights, u=torch.linspace(0.9, 0.8, 40, dtype=torch.float64).reshape(1, 40, 1))
+    assert falling.slew.item() == pytest.approx(0.9)  # the first command comes from zero, and the last goes nowhere
 
 
 def test_a_law_that_is_too_weak_for_a_hill_loses_the_plant_beyond_a_line(loops, carts, law):

@@ -31,6 +31,11 @@ INPUTS = np.array([[0.1, 0.0], [0.5, 0.1], [0.0, 0.4]])
 TWO = lqr(COUPLED, INPUTS, np.eye(3), np.eye(2))
 
 
+# An oscillation of 3 rad/s whose rate is fed back: the phase of the loop is positive below its resonance.
+TURN = 0.98 * np.array([[math.cos(0.3), math.sin(0.3)], [-math.sin(0.3), math.cos(0.3)]])
+RATE = np.array([[0.0, 0.5]])
+
+
 def radius(a, b, k, factor):
     return np.abs(np.linalg.eigvals(a - b @ np.diag(factor) @ k)).max()
 
@@ -60,18 +65,18 @@ def test_an_integrator_has_the_margins_of_paper():
     assert found.disk == pytest.approx(2 * 1.6 / 2.4, rel=1e-6)
 
 
-def test_a_delay_of_whole_periods_beyond_the_margin_is_too_long():
-    k = np.array([[1.0, 1.1]])
-    (found,) = margins(closed(A, B, k))
+@pytest.mark.parametrize(("a", "b", "k"), [(A, B, np.array([[1.0, 1.1]])), (TURN, np.array([[0.0], [1.0]]), RATE)])
+def test_a_delay_of_whole_periods_beyond_the_margin_is_too_long(a, b, k):
+    (found,) = margins(closed(a, b, k))
     for periods in range(1, 15):
         late = np.zeros((2 + periods, 2 + periods))
-        late[:2, :2], late[:2, 2:3] = A, B
+        late[:2, :2], late[:2, 2:3] = a, b
         late[np.arange(2, 1 + periods), np.arange(3, 2 + periods)] = 1
         late[-1, :2] = -k
         assert (np.abs(np.linalg.eigvals(late)).max() < 1) == (periods * DT < found.delay)
 
 
-@pytest.mark.parametrize(("a", "b", "k"), [(A, B, LQR), (COUPLED, INPUTS, TWO)])
+@pytest.mark.parametrize(("a", "b", "k"), [(A, B, LQR), (COUPLED, INPUTS, TWO), (TURN, np.array([[0.0], [1.0]]), RATE)])
 def test_python_control_finds_the_same(a, b, k):
     control = pytest.importorskip("control")
     linear = closed(a, b, k)

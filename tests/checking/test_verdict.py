@@ -33,6 +33,13 @@ def test_a_cart_with_a_sound_law_is_sound(good):
     )
 
 
+def test_a_stable_loop_is_as_slow_as_its_largest_eigenvalue(loops):
+    # u = -2 p - 2.5 v on a double integrator: what is left after t is exp(-t / 0.73 s).
+    a = np.array([[1.0, 0.1], [0.0, 1.0]]) - np.array([[0.005], [0.1]]) @ np.array([[2.0, 2.5]])
+    slowest = -0.1 / np.log(np.abs(np.linalg.eigvals(a)).max())
+    assert f"a time constant of {slowest:.2g} s;" in by_name(check(loops(), SMALL))["stability"].words
+
+
 def test_findings_come_in_the_order_of_what_they_build_on(good):
     assert list(by_name(good)) == [
         *("stability", "gain margin", "gain reduction", "phase margin", "delay margin", "disk margin", "noise"),

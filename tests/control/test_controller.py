@@ -120,6 +120,19 @@ def test_a_lost_sample_is_bridged_with_all_inputs_that_were_given():
     np.testing.assert_allclose(controller.estimate, [0.1], rtol=0, atol=1e-6)
 
 
+def test_an_estimate_beyond_all_limits_is_refused_though_the_action_is_a_number():
+    """From 1.5e308 m to -1.5e308 m is further than the largest double, 1.8e308; the action is constant."""
+    plant = Driven()
+    task = Tracking(plant.signature, Step([[0.0]]), ("x",), (), TrackingReward((1.0,)))
+    observer = Observer(plant, Sensors({"x": {}}), Pace(task, 0.1))
+    observer.load_state_dict({"process_noise": [0.01], "nis": 1.0})
+    controller = Controller(lambda shown: shown.set("action", torch.tensor([0.5, -0.25])), Pace(task, 0.1), observer)
+    controller.act([1.5e308], [0.0])
+    with pytest.raises(ValueError, match="no action follows"):
+        controller.act([-1.5e308], [0.0])
+    assert controller.estimate == pytest.approx([1.5e308])
+
+
 @pytest.mark.parametrize("disturbance", [False, True])
 @pytest.mark.parametrize("integral", [None, {"band": 0.5}])
 def test_it_flies_as_the_evaluation_does_behind_sensors(disturbance, integral):
