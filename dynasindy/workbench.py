@@ -16,6 +16,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -27,7 +28,7 @@ from dynasindy.control import Controller
 from dynasindy.control.controller import Pace
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.arguments import as_arguments, as_warning
-from dynasindy.evaluation.before_fit import missing_rates, wrong_units
+from dynasindy.evaluation.before_fit import missing_rates, with_missing_rates, wrong_units
 from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.horizons import forecast
@@ -50,7 +51,7 @@ from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.libraries import LibraryBuilder
 from dynasindy.world_models.models.ensemble import refits
 from dynasindy.world_models.models.follower import lags
-from dynasindy.world_models.refinement.measured import ranged, rates_known
+from dynasindy.world_models.refinement.measured import rates_known
 
 PERIOD = 0.05
 """Control period unless another is given [s]; with a log the multiple of its sampling time that is nearest."""
@@ -128,7 +129,8 @@ def identify(
             `auto_rig` is quadratic polynomials, or for angles in rad and their rates in rad/s the functions of
             mechanics, and dry friction of every rate.
         known: Equations that are known, such as `{"angle": "rate"}`: the state's rate is that function. A rate that
-            the log does not have is estimated with the model.
+            the log does not have is estimated with the model. If omitted, rates that the log shows to be missing are
+            added as `angle_rate`; `{}` adds none.
         method: How the fit is refined; `auto` chooses by the noise of the data.
         longest_delay: Longest delay of the inputs that is looked for [s].
 
@@ -141,10 +143,10 @@ def identify(
         Diverged: A coefficient is not finite.
     """
     refinement = Refinement(method, longest_delay=longest_delay)
-    source = log.with_rates(known or {})
-    signature = ranged(source.signature, source.whole, known or {})
-    model = SindyModel(signature, library, Regression("bic", tolerance=1e-4), refinement, known=known)
-    source = replace(source, signature=signature)
+    build = partial(SindyModel, library=library, regression=Regression("bic", tolerance=1e-4), refinement=refinement)
+    source, rates, _ = with_missing_rates(build, log, known)
+    source = source.with_rates(rates)
+    model = build(signature=source.signature, known=rates)
     for found in (*wrong_units(model, source), *missing_rates(model, source)):
         warnings.warn(as_warning(found), stacklevel=3)  # past the context manager
     return fitted(model, source).model

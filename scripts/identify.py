@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from command import command
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
+from loaded import loaded
 from next_steps import listed, planning, with_plant, with_rates
 from omegaconf import DictConfig, OmegaConf
 
@@ -26,13 +27,13 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.told import tell
 
     torch.set_num_threads(cfg.threads)
-    built = {name: instantiate(cfg[name], _convert_="all") for name in ("data", "system", "excitation", "world_model")}
-    if (system := built["system"]) is not None and not cfg.data.get("path"):
-        built["world_model"](signature=system.signature)  # refuses functions before the plant moves
+    if (system := instantiate(cfg.system, _convert_="all")) is not None and not cfg.data.get("path"):
+        # refuses functions before the plant moves
+        instantiate(cfg.world_model, _convert_="all")(signature=system.signature)
     tell("data")
-    source = built["data"].load(system, built["excitation"])
-    model, folder = built["world_model"](signature=source.signature), Path(cfg.folder)
-    if told := before_fit(model, source):
+    source, told = loaded(cfg)
+    model, folder = instantiate(cfg.world_model, _convert_="all")(signature=source.signature), Path(cfg.folder)
+    if told := [*told, *before_fit(model, source)]:
         say(*told)
     lacking = [rates_lacking(model, source, angles) for angles in (False, True)] if source.logged else [{}, {}]
     found = identify(model, source, cfg.horizons, cfg.actuators)

@@ -12,6 +12,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from hydra.utils import instantiate
 from job import command_and_commit
+from loaded import loaded
 from next_steps import following, mending, planning_on
 from omegaconf import DictConfig, OmegaConf
 
@@ -30,20 +31,22 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     """Identify, plan and foretell, write the folder, print what came of it, and return what is foretold."""
     planning = _required(cfg)
     torch.set_num_threads(cfg.threads)
+    source, told = loaded(cfg) if cfg.get("data") is not None else (None, [])
+    if OmegaConf.is_missing(cfg.plant, "rates"):
+        cfg.plant.rates = damped(cfg.plant.outputs, cfg.plant.get("known") or {})
     folder, settings = Path(cfg.folder), OmegaConf.to_yaml(cfg, resolve=True)
     swept = HydraConfig.get().mode == RunMode.MULTIRUN
     read = {"read": _digests(cfg)}
     if swept and (before := _finished(folder, settings, read)) is not None:
         say(f"finished before: {folder}")
         return before
-    names = ("data", "system", "task", "sensors", "world_model", "scenario")
+    names = ("task", "sensors", "world_model", "scenario")
     parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
-    source = parts["data"] and parts["data"].load(parts["system"], None)
     if source is not None:  # what cannot be is refused before the fit
         for name in ("task", "world_model") if cfg.model is None else ("task",):  # a given model has its own library
             parts[name](signature=source.signature)
     dt = nearest_period(source, cfg.env.dt)
-    say(f"Run folder: {folder}")
+    say(f"Run folder: {folder}", *told)
     if dt != cfg.env.dt:
         sampled = f"the log is sampled every {source.training.dt:g} s" if source else ""
         say(f"note: the control period is {dt:g} s and not env.dt={cfg.env.dt:g}, as {sampled}")
@@ -110,8 +113,6 @@ def _required(cfg: DictConfig) -> dict[str, object]:
             f"plant.{missing[0]} is not given; say what is to be tracked, and within which targets, such as "
             "plant.outputs=[angle] plant.low=[-0.5] plant.high=[0.5]"
         )
-    if OmegaConf.is_missing(cfg.plant, "rates"):
-        cfg.plant.rates = damped(cfg.plant.outputs, cfg.plant.get("known") or {})
     if not (within := cfg.evaluation.get("within", WITHIN)) > 0:
         raise ValueError(f"evaluation.within must be positive, got {within}; give a share of the target range")
     build = instantiate(cfg.planning, _convert_="all")

@@ -322,15 +322,30 @@ def test_the_lines_of_the_readme_run(tmp_path, monkeypatch, capsys):
     assert "angle' = " in capsys.readouterr().out
 
 
-def test_a_warning_says_which_state_misses_its_rate(exact):
-    """The pendulum's angle alone."""
-    t = exact.training
+def angle_alone(source):
+    """Return the pendulum's angle without its rate."""
+    t = source.training
     signature = Signature(("theta",), ("rad",), ("u",), (1.0,))
-    alone = Source.of(Recording(replace(t, x=t.x[:, :1], x_next=t.x_next[:, :1]), signature))
-    with pytest.warns(
-        UserWarning, match=r"^what theta will do depends on its rate.* Give identify\(known=\{'theta': 'theta_rate'\}\)"
-    ):
-        assert dynasindy.identify(alone).delay == 0
+    return Source.of(Recording(replace(t, x=t.x[:, :1], x_next=t.x_next[:, :1]), signature))
+
+
+def test_a_rate_that_a_log_lacks_is_added_and_estimated(exact):
+    """theta'' = 12 u - 9.81 sin(theta) - 0.5 theta', as the pendulum's constants say, out of theta alone."""
+    model = dynasindy.identify(angle_alone(exact))
+    assert model.signature.state_names == ("theta", "theta_rate")
+    xi = {name: row for name, row in zip(model.library.names, model.coefficients.tolist(), strict=True) if any(row)}
+    wanted = {"theta_rate": [1.0, -0.5], "u": [0.0, 12.0], "sin(theta)": [0.0, -9.81]}
+    assert set(xi) == set(wanted)
+    for name, row in wanted.items():
+        assert xi[name] == pytest.approx(row, rel=1e-3)
+
+
+def test_a_warning_says_which_state_misses_its_rate_where_none_may_be_added(exact):
+    alone = angle_alone(exact)
+    told = r"^what theta will do depends on its rate.* Give identify\(known=\{'theta': 'theta_rate'\}\)"
+    for words in ({"known": {}}, {"library": ["1", "theta", "u", "sin(theta)"]}):
+        with pytest.warns(UserWarning, match=told):
+            assert dynasindy.identify(alone, **words).signature.state_names == ("theta",)
 
 
 def test_a_warning_says_which_rate_is_in_other_units(exact):

@@ -74,7 +74,10 @@ def _angles(model: SindyModel, source: Source) -> list[str]:
 
 
 def missing_rates(model: SindyModel, source: Source) -> list[str]:
-    """Say which rates a log lacks or may lack, and the words that give them, once for each state."""
+    """Say which rates a log lacks or may lack, and the words that give them, once for each state.
+
+    Rates that a log clearly lacks are named where `with_missing_rates` has left them out.
+    """
     given, lacking = _known(model), rates_lacking(model, source)
     lines = []
     if new := [name for name in lacking if name not in given]:
@@ -89,6 +92,36 @@ def missing_rates(model: SindyModel, source: Source) -> list[str]:
         for name in rates_lacking(model, source, angles=True)
         if name not in lacking
     ]
+
+
+def with_missing_rates(
+    build: Callable[..., SindyModel], source: Source, known: Mapping[str, str] | None
+) -> tuple[Source, dict[str, str], list[str]]:
+    """Add the rates of states that a log shows to be missing, so that they are estimated with the model.
+
+    Nothing is added where equations are known or where somebody chose the functions: these may not have the rates.
+
+    Args:
+        build: Makes a model from a signature.
+        source: The log.
+        known: The rate of each state as it was given; None where the log has to tell, and then it may be empty.
+
+    Returns:
+        The log with the rates that it lacks; the rate of each state, given or found; and what is told of it, a line
+        at most.
+    """
+    if known is not None or not source.logged:
+        return source, dict(known or {}), []
+    model = build(signature=source.signature)
+    found = {} if _chosen(model, source.signature) else rates_lacking(model, source)
+    if not found:
+        return source, {}, []
+    its, are = ("its rate", "It is") if len(found) == 1 else ("their rates", "They are")
+    told = (
+        f"note: what {' and '.join(found)} will do depends on {its}, which the log lacks. {are} estimated with the "
+        f"model, as if '{known_word(found)}' had been given; 'plant.known={{}}' leaves that out"
+    )
+    return source.with_rates(found), found, [told]
 
 
 def rates_lacking(model: SindyModel, source: Source, angles: bool = False) -> dict[str, str]:

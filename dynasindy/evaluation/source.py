@@ -16,7 +16,7 @@ from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.models.follower import completed, widened
-from dynasindy.world_models.refinement.measured import rates_known
+from dynasindy.world_models.refinement.measured import ranged, rates_known
 
 VALIDATION_SHARE = 0.25
 """Part of a log, at its end, that is kept to judge on."""
@@ -78,9 +78,17 @@ class Source:
     def with_rates(self, known: Mapping[str, str]) -> Source:
         """Return the data with the rates that are known to belong to a state and were not logged.
 
+        Such a rate has the range in which its state moved.
+
         Args:
             known: the rate of each state, by its name.
         """
+        found = self._widened(known)
+        signature = ranged(found.signature, found.whole, known)
+        return found if signature == found.signature else replace(found, signature=signature)
+
+    def _widened(self, known: Mapping[str, str]) -> Source:
+        """Add a column for each rate that was not logged."""
         found = self
         for name, rate in known.items():
             old = found.signature
@@ -108,7 +116,7 @@ class Source:
             )
         names = model.signature.state_names
         known = rates_known(model.library, model.constraints)
-        source = self.with_rates({names[state]: names[rate] for rate, state in known.items()})
+        source = self._widened({names[state]: names[rate] for rate, state in known.items()})
         states, parts = source.signature.state_names, (source.training, source.validation)
         training, validation = (completed(part, states, model.signature) for part in parts)
         return replace(source, signature=model.signature, training=training, validation=validation)

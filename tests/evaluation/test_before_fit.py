@@ -10,7 +10,7 @@ import torch
 import yaml
 
 from dynasindy.data.simulated import record
-from dynasindy.evaluation.before_fit import PLANTS, before_fit, rates_lacking, wrong_units
+from dynasindy.evaluation.before_fit import PLANTS, before_fit, rates_lacking, with_missing_rates, wrong_units
 from dynasindy.evaluation.identification import Logged, Simulated
 from dynasindy.excitation import Chirp, HeldRandom
 from dynasindy.systems import Pendulum, Tras
@@ -85,6 +85,14 @@ def test_a_rate_that_is_missing_is_told_once_and_not_once_it_is_given(tmp_path, 
     (hint,) = before_fit(SindyModel(source.signature, "auto"), source)
     assert hint.startswith("hint: what a will do depends on its rate") and "'plant.known={a: a_rate}'" in hint
     known = Logged(path, known={"a": "a_rate"}).load(None, EXCITATION)
+    found, rates, words = with_missing_rates(partial(SindyModel, library="auto"), source, None)
+    assert rates == {"a": "a_rate"} and found.signature == known.signature
+    assert words == [
+        "note: what a will do depends on its rate, which the log lacks. It is estimated with the model, as if "
+        "'plant.known={a: a_rate}' had been given; 'plant.known={}' leaves that out"
+    ]
+    for library, given in (("auto", {}), (["1", "a", "u"], None)):  # nobody wants it, or the functions are chosen
+        assert with_missing_rates(partial(SindyModel, library=library), source, given) == (source, {}, [])
     model = SindyModel(known.signature, "auto", known={"a": "a_rate"})
     assert not before_fit(model, known) and rates_lacking(model, known) == {"a": "a_rate"}
 

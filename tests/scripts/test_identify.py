@@ -53,11 +53,11 @@ def next_command(done):
 
 @pytest.mark.slow
 def test_what_is_said_to_come_next_runs_as_it_stands_and_has_all_that_was_given(tmp_path, write_log):
-    """The angle of a pendulum alone: first its rate is lacking, then a plan is to be made."""
+    """The angle of a pendulum alone: its rate is lacking if nobody may add it, then a plan is to be made."""
     data = record(Pendulum(), HeldRandom(1, 10.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
     log = write_log(tmp_path / "my log.csv", ["theta [rad]", "u"], data.x[:, :1], data.u)
     given = ["data=csv", f"data.path='{log}'", "plant.start={theta: [-0.1, 0.1]}", "longest_delay=0.02"]
-    first = _run(tmp_path / "first", *given)
+    first = _run(tmp_path / "first", *given, "plant.known={}")
     (*_, hint) = [line for line in first.stdout.splitlines() if line.startswith("hint: ")]
     assert first.stdout.count("plant.known") == 2  # the hint, and the command that does so
     python, script, *words = next_command(first)
@@ -65,6 +65,11 @@ def test_what_is_said_to_come_next_runs_as_it_stands_and_has_all_that_was_given(
     assert words == [*given, "plant.known={theta: theta_rate}"]
     second = _run(tmp_path / "second", *words)
     assert "this model predicts" in second.stdout and "hint" not in second.stdout
+    alone = _run(tmp_path / "alone", *given)  # the rate is added, and said to be
+    assert "note: what theta will do depends on its rate, which the log lacks." in alone.stdout
+    for name in ("model.json", "metrics.json"):
+        assert (tmp_path / "alone" / name).read_text() == (tmp_path / "second" / name).read_text()
+    assert next_command(alone)[2 : 2 + len(given)] == given
     python, script, *words = next_command(second)
     assert script == "scripts/train.py" and words[:5] == [*given, "plant.known={theta: theta_rate}"]
     assert words[5] == "plant.outputs=[theta]" and len(words) == 8
