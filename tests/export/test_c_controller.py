@@ -1,5 +1,6 @@
 """The controller in C flies plants behind sensors as the one in Python does, and costs what it says."""
 
+import ctypes
 import math
 import re
 
@@ -12,8 +13,9 @@ from dynasindy.control import Controller, load, save
 from dynasindy.control.controller import Pace
 from dynasindy.export import controller_sources
 from dynasindy.export.compiler import Native
+from dynasindy.export.templates import fill
 from dynasindy.systems import Pendulum, Signature, Stops, Tras, integrate
-from dynasindy.systems.compiler import compiler
+from dynasindy.systems.compiler import SUFFIX, build, compiler
 from dynasindy.tasks import Step, Tracking
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
@@ -137,6 +139,29 @@ def test_outputs_of_one_unit_have_each_their_own_box_after_save_and_load(tmp_pat
     save(Controller(policy, Pace(task, 0.1)), tmp_path / "controller.json")
     found = Native(controller_sources(load(tmp_path))).act([0.0, 0.0], [0.3, 0.2])
     np.testing.assert_allclose(found, [math.tanh(0.3 / 1.5), math.tanh(0.2 / 0.25)], atol=1e-6)
+
+
+@needs_compiler
+def test_linear_equations_are_solved_as_numpy_solves_them_and_those_without_a_solution_are_refused(tmp_path):
+    wrapped = "int run(double *a, double *b, int n, int m);\nint run(double *a, double *b, int n, int m)"
+    text = f"#include <math.h>\n{fill('solve.c', {})}\n{wrapped}\n{{\n    return solve(a, b, n, m);\n}}\n"
+    (tmp_path / "solve.c").write_text(text, encoding="utf-8")
+    run = ctypes.CDLL(str(build([tmp_path / "solve.c"], tmp_path / f"solve{SUFFIX}"))).run
+
+    def solved(a, b):
+        a, b = np.array(a, dtype=float), np.array(b, dtype=float)
+        found = run(a.ctypes.data_as(ctypes.c_void_p), b.ctypes.data_as(ctypes.c_void_p), *b.shape)
+        return b if found else None
+
+    rng = np.random.default_rng(0)
+    for n, m in ((1, 1), (2, 5), (5, 2), (6, 6)):
+        a, b = rng.standard_normal((n, n)), rng.standard_normal((n, m))
+        a[0, 0] = 0.0 if n > 1 else 2.0  # it cannot go without exchanging rows
+        np.testing.assert_allclose(solved(a, b), np.linalg.solve(a, b), rtol=1e-10)
+    assert solved([[1.0, 2.0], [2.0, 4.0]], [[1.0], [1.0]]) is None
+    assert solved([[math.nan]], [[1.0]]) is None
+    # Twenty digits between the coefficients of the first unknown: without the larger one as pivot nothing is left.
+    np.testing.assert_allclose(solved([[1e-20, 1.0], [1.0, 1.0]], [[1.0], [2.0]]), [[1.0], [1.0]], rtol=1e-12)
 
 
 def test_the_source_says_what_is_observed(pendulum, rotors):
