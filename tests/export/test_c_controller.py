@@ -2,7 +2,9 @@
 
 import ctypes
 import math
+import os
 import re
+import subprocess
 
 import numpy as np
 import pytest
@@ -139,6 +141,48 @@ def test_outputs_of_one_unit_have_each_their_own_box_after_save_and_load(tmp_pat
     save(Controller(policy, Pace(task, 0.1)), tmp_path / "controller.json")
     found = Native(controller_sources(load(tmp_path))).act([0.0, 0.0], [0.3, 0.2])
     np.testing.assert_allclose(found, [math.tanh(0.3 / 1.5), math.tanh(0.2 / 0.25)], atol=1e-6)
+
+
+WATCHED = ("-O1", "-std=c99", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+"""Settings under which a program ends where it reads or writes beside an array, or does what C leaves undefined."""
+
+
+@needs_compiler
+@pytest.mark.parametrize("settings", KINDS[1:2] + KINDS[5:6], ids=str)
+def test_no_array_is_read_or_written_beyond_its_ends(pendulum, tmp_path, settings):
+    sources = controller_sources(pendulum(**settings))
+    program = """#include <math.h>
+#include <stdio.h>
+#include "controller.h"
+int main(void)
+{
+    static controller_state s;
+    int k, status = 0;
+    controller_reset(&s);
+    for (k = 0; k < 60; k++) {
+        double y[2] = {0.4 * sin(0.2 * k), 0.1}, r[1] = {0.3}, rate[1] = {0.05 * k}, u[1];
+        status |= controller_act(&s, y, r, rate, u);
+        printf("%.17g\\n", u[0]);
+    }
+    return status;
+}
+"""
+    for name, text in {**sources.files(), "main.c": program, "empty.c": "int main(void) { return 0; }\n"}.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+
+    def built(*files):
+        given = [compiler(), *WATCHED, *(str(tmp_path / file) for file in files), "-o", str(tmp_path / "main"), "-lm"]
+        return subprocess.run(given, capture_output=True).returncode == 0
+
+    if not built("empty.c"):
+        pytest.skip("this computer's compiler cannot watch arrays")
+    assert built("controller.c", "main.c")
+    quiet = {**os.environ, "ASAN_OPTIONS": "detect_leaks=0"}  # leaks are looked for by a debugger, which may be refused
+    done = subprocess.run([tmp_path / "main"], capture_output=True, text=True, env=quiet)
+    assert not done.returncode, done.stderr[:2000]
+    native = Native(sources)
+    expected = [native.act([0.4 * math.sin(0.2 * k), 0.1], [0.3], [0.05 * k])[0] for k in range(60)]
+    np.testing.assert_allclose([float(line) for line in done.stdout.split()], expected, atol=1e-9)
 
 
 @needs_compiler
