@@ -3,13 +3,16 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
 from dynasindy.evaluation.horizons import Forecasts
 from dynasindy.evaluation.verdict import (
+    beyond,
     doubts,
     errors,
+    found_in_data,
     found_in_model,
     judge,
     known_ranges,
@@ -20,6 +23,7 @@ from dynasindy.evaluation.verdict import (
 )
 from dynasindy.systems import Pendulum, Tras
 from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.libraries.features import of, variable
 from dynasindy.world_models.libraries.library import Library
@@ -154,6 +158,35 @@ def test_an_input_is_known_as_far_as_its_lag_if_the_equations_bend_in_that():
     assert known_ranges(model, torch.tensor([[0.1], [0.9]])) == {"u": (pytest.approx(0.06), pytest.approx(0.94))}
     model.set_coefficients(torch.tensor([[0.0, 0.0], [0.0, 6.0]], dtype=torch.float64))
     assert known_ranges(model, torch.tensor([[0.1], [0.9]])) == {}
+
+
+def test_flights_beyond_the_inputs_of_a_log_are_told_if_the_equations_bend_in_them():
+    """A log of u from 0.1 to 0.9, with a twentieth of that to either side, knows of 0.06 to 0.94; of v any is known."""
+    signature = Signature(("q",), ("rad",), ("v", "u"), (1.0,))
+    model = SindyModel(signature, ["v", "u^2"])
+    model.set_coefficients(torch.tensor([[1.0], [2.0]], dtype=torch.float64))
+    logged = torch.tensor([[-0.1, 0.1], [0.1, 0.9]])
+
+    def told(*flown):
+        return beyond(model, logged, torch.tensor([[-1.0, 0.5], *([1.0, u] for u in flown)]))
+
+    assert told(0.0601, 0.9399) == [] and told(0.06 - 1e-6, 0.94 + 1e-6) == []  # rounding is no flight
+    for flown, ends in (((0.05,), "0.05 to 0.5"), ((0.95,), "0.5 to 0.95"), ((0.04, 0.96), "0.04 to 0.96")):
+        (said,) = told(*flown)
+        assert said.startswith(f"flights take u from {ends}, the log tells of 0.06 to 0.94, and the equations")
+
+
+def test_what_sensors_and_inputs_show_is_said_of_those_that_show_it():
+    t, walk = 0.01 * np.arange(1001), np.random.default_rng(0).normal(size=1001).cumsum()
+    x = np.stack([0.02 * np.round(np.sin(1.3 * t) / 0.02), walk], -1)
+    clipped = np.clip(2 * np.sin(3 * t), -1, 1)
+    data = Transitions.from_trajectory(torch.tensor(x), torch.tensor(np.stack([clipped, -0.3 * walk], -1)[:-1]), 0.01)
+    share = 100 * np.mean(np.abs(clipped[:-1]) == 1)  # |sin| > 1/2 in two thirds of the time
+    assert found_in_data(data, Signature(("q", "w"), ("rad", "rpm"), ("u", "v"), (1.0, 1.0))) == [
+        "q is read in steps of 0.02 rad",
+        f"u is at an end of its range in {share:.0f} % of the samples",
+        "a controller made v out of the measured states (closed loop)",
+    ]
 
 
 def test_an_error_is_unresolved_beyond_the_sensor_and_beyond_a_thousandth_of_the_range():

@@ -1,7 +1,10 @@
 """The controller in C flies plants behind sensors as the one in Python does, and costs what it says."""
 
+import ctypes
 import math
+import os
 import re
+import subprocess
 
 import numpy as np
 import pytest
@@ -12,8 +15,9 @@ from dynasindy.control import Controller, load, save
 from dynasindy.control.controller import Pace
 from dynasindy.export import controller_sources
 from dynasindy.export.compiler import Native
+from dynasindy.export.templates import fill
 from dynasindy.systems import Pendulum, Signature, Stops, Tras, integrate
-from dynasindy.systems.compiler import compiler
+from dynasindy.systems.compiler import SUFFIX, build, compiler
 from dynasindy.tasks import Step, Tracking
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
@@ -137,6 +141,71 @@ def test_outputs_of_one_unit_have_each_their_own_box_after_save_and_load(tmp_pat
     save(Controller(policy, Pace(task, 0.1)), tmp_path / "controller.json")
     found = Native(controller_sources(load(tmp_path))).act([0.0, 0.0], [0.3, 0.2])
     np.testing.assert_allclose(found, [math.tanh(0.3 / 1.5), math.tanh(0.2 / 0.25)], atol=1e-6)
+
+
+WATCHED = ("-O1", "-std=c99", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+"""Settings under which a program ends where it reads or writes beside an array, or does what C leaves undefined."""
+
+
+@needs_compiler
+@pytest.mark.parametrize("settings", KINDS[1:2] + KINDS[5:6], ids=str)
+def test_no_array_is_read_or_written_beyond_its_ends(pendulum, tmp_path, settings):
+    sources = controller_sources(pendulum(**settings))
+    program = """#include <math.h>
+#include <stdio.h>
+#include "controller.h"
+int main(void)
+{
+    static controller_state s;
+    int k, status = 0;
+    controller_reset(&s);
+    for (k = 0; k < 60; k++) {
+        double y[2] = {0.4 * sin(0.2 * k), 0.1}, r[1] = {0.3}, rate[1] = {0.05 * k}, u[1];
+        status |= controller_act(&s, y, r, rate, u);
+        printf("%.17g\\n", u[0]);
+    }
+    return status;
+}
+"""
+    for name, text in {**sources.files(), "main.c": program, "empty.c": "int main(void) { return 0; }\n"}.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+
+    def built(*files):
+        given = [compiler(), *WATCHED, *(str(tmp_path / file) for file in files), "-o", str(tmp_path / "main"), "-lm"]
+        return subprocess.run(given, capture_output=True).returncode == 0
+
+    if not built("empty.c"):
+        pytest.skip("this computer's compiler cannot watch arrays")
+    assert built("controller.c", "main.c")
+    quiet = {**os.environ, "ASAN_OPTIONS": "detect_leaks=0"}  # leaks are looked for by a debugger, which may be refused
+    done = subprocess.run([tmp_path / "main"], capture_output=True, text=True, env=quiet)
+    assert not done.returncode, done.stderr[:2000]
+    native = Native(sources)
+    expected = [native.act([0.4 * math.sin(0.2 * k), 0.1], [0.3], [0.05 * k])[0] for k in range(60)]
+    np.testing.assert_allclose([float(line) for line in done.stdout.split()], expected, atol=1e-9)
+
+
+@needs_compiler
+def test_linear_equations_are_solved_as_numpy_solves_them_and_those_without_a_solution_are_refused(tmp_path):
+    wrapped = "int run(double *a, double *b, int n, int m);\nint run(double *a, double *b, int n, int m)"
+    text = f"#include <math.h>\n{fill('solve.c', {})}\n{wrapped}\n{{\n    return solve(a, b, n, m);\n}}\n"
+    (tmp_path / "solve.c").write_text(text, encoding="utf-8")
+    run = ctypes.CDLL(str(build([tmp_path / "solve.c"], tmp_path / f"solve{SUFFIX}"))).run
+
+    def solved(a, b):
+        a, b = np.array(a, dtype=float), np.array(b, dtype=float)
+        found = run(a.ctypes.data_as(ctypes.c_void_p), b.ctypes.data_as(ctypes.c_void_p), *b.shape)
+        return b if found else None
+
+    rng = np.random.default_rng(0)
+    for n, m in ((1, 1), (2, 5), (5, 2), (6, 6)):
+        a, b = rng.standard_normal((n, n)), rng.standard_normal((n, m))
+        a[0, 0] = 0.0 if n > 1 else 2.0  # it cannot go without exchanging rows
+        np.testing.assert_allclose(solved(a, b), np.linalg.solve(a, b), rtol=1e-10)
+    assert solved([[1.0, 2.0], [2.0, 4.0]], [[1.0], [1.0]]) is None
+    assert solved([[math.nan]], [[1.0]]) is None
+    # Twenty digits between the coefficients of the first unknown: without the larger one as pivot nothing is left.
+    np.testing.assert_allclose(solved([[1e-20, 1.0], [1.0, 1.0]], [[1.0], [2.0]]), [[1.0], [1.0]], rtol=1e-12)
 
 
 def test_the_source_says_what_is_observed(pendulum, rotors):
