@@ -90,8 +90,8 @@ def read(
 
     Args:
         path: The file, with a line of headings such as `angle [rad]`.
-        states: Columns of the states by name: the heading, or keys of `dynasindy.data.csv.Column`; a list takes them
-            as they are; all columns but time and inputs if omitted.
+        states: Columns of the states by name: the heading, or keys of `dynasindy.data.columns.Column`; a list takes
+            them as they are; all columns but time and inputs if omitted.
         inputs: Columns of the inputs, likewise; those that are called `u`, `u_...` or `input_...` if omitted.
         time: Heading of the time column [s].
         dt: Sampling time [s]; the file's own if omitted.

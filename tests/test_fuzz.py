@@ -20,7 +20,8 @@ import mistakes
 from saved_run import load_config, load_policy
 from schema import check
 
-from dynasindy.data.csv import CsvLog, infer
+from dynasindy.data.columns import infer
+from dynasindy.data.csv import CsvLog
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.world_models.models.sindy import SindyModel
 from dynasindy.world_models.writers.files import load

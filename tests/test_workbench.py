@@ -277,7 +277,7 @@ def test_volts_stay_volts_from_a_log_without_rates_to_a_controller(tmp_path, wri
     """6 V rest, and 6 V more turn the pendulum with 12 rad/s^2, which is what 1 does in [-1, 1]."""
     data = record(Pendulum(), Multisine(1, duration=8, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
     path = write_log(tmp_path / "log.csv", ["angle [rad]", "motor [V]"], data.x[:, :1], 6 + 6 * data.u)
-    log = dynasindy.read(path, inputs={"motor": {"name": "motor", "unit": "V", "low": 0, "high": 12}})
+    log = dynasindy.read(path, inputs={"motor": {"name": "motor", "unit": "V", "low": 0, "high": 12, "rest": 6}})
     words = ["1", "motor", "angle", "angle_rate", "sin(angle)"]
     model = dynasindy.identify(log, words, known={"angle": "angle_rate"}, longest_delay=0.0)
     assert float(model.coefficients[model.library.names.index("motor"), 1]) == pytest.approx(12.0, rel=0.02)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
-import re
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Literal
@@ -14,8 +12,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from dynasindy.data.ends import PLAIN, ends_of, mapped
-from dynasindy.data.table import MAP, Table, all_headings, numeric_headings, read_table, seconds_of, split_unit
+from dynasindy.data.columns import Column, columns_of, require_names
+from dynasindy.data.ends import acting, reaches, scaled
+from dynasindy.data.table import MAP, Table, read_table, seconds_of
+from dynasindy.data.units import conversions, with_units
 from dynasindy.durations import in_words
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -23,28 +23,6 @@ from dynasindy.systems.transitions import Transitions
 Array = NDArray[np.float64]
 STUCK = 5  # samples with one value at the end of its range may be a stop
 SMOOTH = 7  # samples under the local cubic that gives a rate
-
-
-@dataclass(frozen=True)
-class Column:
-    """Say where a state or an input stands in the file.
-
-    Attributes:
-        name: heading of the column; empty for a state that has none. Without `derivative_of` no sensor sees it: its
-            samples are NaN, and a fit estimates them with the model.
-        unit: unit of the state or input after scaling.
-        scale: factor from the file's unit to this one, e.g. 0.0174533 from degrees to rad.
-        derivative_of: state that this one is reconstructed from, as its derivative.
-        low: lower end of an input's actuator after scaling, which becomes -1; with `high`.
-        high: its upper end, which becomes 1.
-    """
-
-    name: str = ""
-    unit: str = "-"
-    scale: float = 1.0
-    derivative_of: str = ""
-    low: float | None = None
-    high: float | None = None
 
 
 @dataclass(frozen=True)
@@ -120,20 +98,22 @@ class CsvLog:
                 increase, an input is constant or leaves its ends, a state has ends, one that is differentiated is not
                 logged, or there are too few samples.
         """
-        states, inputs = _columns(self.states), _columns(self.inputs, may_be_rates=False)
+        states, inputs = columns_of(self.states), columns_of(self.inputs, may_be_rates=False)
         if bounded := [name for name, column in states.items() if column.low is not None]:
             raise ValueError(f"{self.path}: state {bounded[0]} was given low and high, which inputs alone have: {MAP}")
         notes: list[str] = []
         names = [self.time, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
-        _check_names([*states, *inputs], self.path)
+        require_names([*states, *inputs], self.path)
         table = self._complete(read_table(Path(self.path), names), notes)
+        states, inputs = with_units(states, table.headings, True), with_units(inputs, table.headings, False)
+        notes += conversions(states, table.headings)
         t = table.values[:, 0] * seconds_of(Path(self.path), table.headings[0])
         self._check_time(t, table.lines)
         values = dict(zip(names[1:], table.values[:, 1:].T, strict=True))
         x = {s: values[c.name] * c.scale for s, c in states.items() if c.name}
         u = np.stack([values[c.name] * c.scale for c in inputs.values()], -1)
-        ends = ends_of(self.path, u, inputs, self.into_range, notes)
-        u = mapped(u, ends)
+        found = reaches(self.path, u, inputs, self.into_range, notes)
+        u = scaled(u, found)
         dt = float(np.median(np.diff(t))) if self.dt is None else self.dt
         t, x, u, segment = _even(t, x, u, dt, notes)
         free = ~_stuck(x, notes)
@@ -152,8 +132,8 @@ class CsvLog:
             )
         units = tuple(c.unit for c in states.values())
         scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(np.nan_to_num(full[known])).max(0, initial=0.0))
-        own_units = () if set(ends) == {PLAIN} else tuple(ends)
-        return Recording(data, Signature(tuple(states), units, tuple(inputs), scale, own_units), tuple(notes))
+        signature = Signature(tuple(states), units, tuple(inputs), scale, **acting(found, inputs))
+        return Recording(data, signature, tuple(notes))
 
     def _complete(self, table: Table, notes: list[str]) -> Table:
         """Leave out rows with missing values, counted by column."""
@@ -178,110 +158,6 @@ class CsvLog:
             raise ValueError(
                 f"{self.path}, line {lines[k + 1]}, column {self.time}: time does not increase, {t[k + 1]:g} s follows "
                 f"{t[k]:g} s; allowed is increasing time: sort the rows or split the recordings"
-            )
-
-
-def infer(
-    path: str, time: str = "time", inputs: Collection[str] | None = None
-) -> tuple[dict[str, Column], dict[str, Column]]:
-    """Read the columns of states and inputs off the headings of a file, `name` or `name [unit]`.
-
-    Inputs, unless they are named, are called u, u1, u_..., or input...; references, predictions and columns without any
-    number are left out; all other columns but time are states.
-
-    Args:
-        path: the file.
-        time: heading of the time column.
-        inputs: names or headings of the inputs, without their units or with them.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: no heading is that of a state, none that of an input, or one that is named does not exist.
-    """
-    given = {heading: split_unit(heading) for heading in numeric_headings(Path(path))}
-    columns = {name: Column(heading, unit or "-") for heading, (name, unit) in given.items()}
-    others = {
-        n: c for n, c in columns.items() if n != split_unit(time)[0] and not n.startswith(("reference_", "predicted_"))
-    }
-    if inputs is None:
-        found = {n: c for n, c in others.items() if re.fullmatch(r"(u|U|input)([_\d].*)?", n)}
-    else:
-        found = chosen(others, inputs, path, "data.inputs")
-    states = {n: c for n, c in others.items() if n not in found}
-    if not states or not found:
-        raise ValueError(
-            f"{path} has the columns {', '.join(all_headings(Path(path)))}, with numbers in "
-            f"{', '.join(given) or 'none'}; allowed are time, one state or more, and one input or more, u, u_... or "
-            "input_...: name the inputs, as in data.inputs=[torque], and all others are states"
-        )
-    return states, found
-
-
-def chosen(columns: Mapping[str, Column], names: Collection[str], path: str, key: str) -> dict[str, Column]:
-    """Return the columns of some names or headings.
-
-    Args:
-        columns: all columns, by name.
-        names: which of them, with or without their units.
-        path: the file.
-        key: the setting that names them.
-
-    Raises:
-        ValueError: there is no such column.
-    """
-    wanted = [split_unit(name)[0] for name in names]
-    if absent := [name for name in wanted if name not in columns]:
-        raise ValueError(f"{key} names '{absent[0]}'; {path} has {', '.join(columns)}: name columns of the file")
-    return {name: columns[name] for name in wanted}
-
-
-def _columns(group: Mapping[str, Column | Mapping[str, object] | str], may_be_rates: bool = True) -> dict[str, Column]:
-    made = {name: _column(given) for name, given in group.items()}
-    logged = [name for name, column in made.items() if column.name] if may_be_rates else []
-    for name, column in made.items():
-        unseen = may_be_rates and logged and not column.derivative_of  # no sensor sees it
-        if not column.name and column.derivative_of not in logged and not unseen:
-            states = f", or to be the derivative of a logged state ({', '.join(logged)})" if may_be_rates else ""
-            raise ValueError(
-                f"{name} has no column and is the derivative of {column.derivative_of or 'nothing'!r}; allowed is a "
-                f"column name{states}: {MAP}"
-            )
-    return made
-
-
-def _column(given: object) -> Column:
-    if isinstance(given, str):
-        return Column(given)
-    column = given if isinstance(given, Column) else None
-    if isinstance(given, Mapping) and given.keys() <= {f.name for f in fields(Column)}:
-        column = Column(**given)
-    if column is None or not _is_sound(column):
-        raise ValueError(
-            f"a column is {given!r}; allowed is a heading, or the keys name, unit, scale (a number, not 0), "
-            f"derivative_of, and of inputs low and high (both, low < high): {MAP}"
-        )
-    return column
-
-
-def _is_sound(column: Column) -> bool:
-    words: list[object] = [column.name, column.unit, column.derivative_of]
-    scale: object = column.scale
-    if not all(isinstance(word, str) for word in words) or isinstance(scale, bool):
-        return False
-    ends: list[object] = [column.low, column.high]
-    numbers = [end for end in ends if isinstance(end, int | float) and not isinstance(end, bool)]
-    if ends != [None, None] and not (len(numbers) == 2 and -math.inf < numbers[0] < numbers[1] < math.inf):
-        return False
-    return isinstance(scale, int | float) and 0 < abs(scale) < math.inf
-
-
-def _check_names(names: list[str], path: str) -> None:
-    """Refuse names that could not be told from functions and numbers in an equation."""
-    for name in names:
-        if not re.fullmatch(r"[^\W\d][\w .-]*", name) or names.count(name) > 1:
-            raise ValueError(
-                f"{path}: a state or input is called {name!r}; allowed are names that begin with a letter, hold no "
-                "signs of arithmetic and differ: name it in data.states or data.inputs, as {angle: HEADING}"
             )
 
 

@@ -1,33 +1,80 @@
 """Inputs in the units of their actuators, such as volts or per cent, taken into [-1, 1], where planning needs them.
 
--1 is the lower end of the actuator and 1 the upper one; a log alone tells the range that it used.
+Zero stays zero: a heater of 0 to 100 % becomes one of 0 to 1, so that what begins at zero, rests at zero or answers
+zero is a heater that is off. What the actuator does not reach, the part from -1 to 0 here, are limits of the input. A
+log alone tells the range that it used.
+
+| name         | what it is                                       | of 0 to 12 V | of -2 to 10 V | of 4 to 20 mA |
+| ------------ | ------------------------------------------------ | ------------ | ------------- | ------------- |
+| `rest`       | what 0 is, the value of the range nearest to 0   | 0 V          | 0 V           | 4 mA          |
+| `unit`       | by how much 1 is more                            | 12 V         | 10 V          | 16 mA         |
+| `limits`     | least and largest input of the model             | 0, 1         | -0.2, 1       | 0, 1          |
+| `both`       | what -1 and 1 are, in reach or not               | -12, 12 V    | -10, 10 V     | -12, 20 mA    |
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dynasindy.data.columns import Column
 from dynasindy.data.table import split_unit
-
-if TYPE_CHECKING:
-    from dynasindy.data.csv import Column
+from dynasindy.systems.base import UNIT, WHOLE
 
 Array = NDArray[np.float64]
-Ends = tuple[float, float]
-PLAIN: Ends = (-1.0, 1.0)
-"""Ends of an input that is in [-1, 1] already."""
 ROUNDED = 1e-3
-"""Part by which an input may leave [-1, 1] and still be meant to be in it, as rounding makes it."""
+"""Part by which an input may leave its ends and still be meant to be within them, as rounding makes it."""
 EVEN = 0.8
 """Ratio of the ways to both sides of zero from which on an input is taken to go as far to either."""
+WIDE = 20.0
+"""Range of an actuator, as a multiple of that in its log, from which on a note asks whether it is the right one."""
 
 
-def ends_of(path: str, u: Array, inputs: Mapping[str, Column], into_range: bool, notes: list[str]) -> list[Ends]:
-    """Return what becomes -1 and 1 of each input, and note it.
+@dataclass(frozen=True)
+class Reach:
+    """Say what an actuator reaches, in its own unit, and what of it becomes 0 and 1.
+
+    Attributes:
+        low: least value.
+        high: largest value.
+        rest: value that becomes 0.
+    """
+
+    low: float
+    high: float
+    rest: float
+
+    @classmethod
+    def of(cls, low: float, high: float, rest: float | None = None) -> Reach:
+        """Return what lies between two ends; it rests at zero, or at the end next to zero."""
+        return cls(low, high, min(max(0.0, low), high) if rest is None else rest)
+
+    @property
+    def unit(self) -> float:
+        """How much one is, in the own unit of the input."""
+        return max(self.high - self.rest, self.rest - self.low)
+
+    @property
+    def both(self) -> tuple[float, float]:
+        """What -1 and 1 are, whether the actuator reaches them or not."""
+        return self.rest - self.unit, self.rest + self.unit
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Least and largest input in [-1, 1]."""
+        return (self.low - self.rest) / self.unit, (self.high - self.rest) / self.unit
+
+
+PLAIN = Reach(-1.0, 1.0, 0.0)
+"""An input that is in [-1, 1] already."""
+
+
+def reaches(path: str, u: Array, inputs: Mapping[str, Column], into_range: bool, notes: list[str]) -> list[Reach]:
+    """Return what each input reaches and what becomes 0 and 1 of it, and note it.
 
     Args:
         path: The file, for messages.
@@ -39,7 +86,7 @@ def ends_of(path: str, u: Array, inputs: Mapping[str, Column], into_range: bool,
     Raises:
         ValueError: An input is constant, or goes beyond the ends that were given; -1 and 1 keep it as it is.
     """
-    found: dict[str, Ends] = {}
+    found: dict[str, Reach] = {}
     for (name, given), column in zip(inputs.items(), u.T, strict=True):
         if np.ptp(column) == 0:
             raise ValueError(
@@ -48,19 +95,22 @@ def ends_of(path: str, u: Array, inputs: Mapping[str, Column], into_range: bool,
             )
         found[name] = _range_of(column) if into_range else PLAIN
         if given.low is not None and given.high is not None:
-            found[name] = given.low, given.high
+            found[name] = Reach.of(given.low, given.high, given.rest)
             _require_within(path, name, column, found[name])
+            notes += _too_wide(name, column, found[name])
         if found[name] == PLAIN and np.abs(column).max() > 1 + ROUNDED:
             notes.append(
                 f"input {name} goes from {column.min():g} to {column.max():g}, beyond the [-1, 1] of a plant's inputs; "
                 "the model holds for these numbers, or give its ends, low and high, in data.inputs"
             )
-    notes += [
-        f"{name} is taken into [-1, 1], where planning needs it: -1 is {low:.6g}, 1 is {high:.6g}"
-        for name, (low, high) in found.items()
-        if (low, high) != PLAIN
-    ]
-    if any(ends != PLAIN and inputs[name].low is None for name, ends in found.items()):
+        elif found[name] == PLAIN and into_range and given.low is None and column.min() * column.max() >= 0:
+            ends = Reach.of(0.0, 1.0) if column.max() > 0 else Reach.of(-1.0, 0.0)
+            notes.append(
+                f"input {name} goes from {column.min():g} to {column.max():g}; its actuator is taken to reach from -1 "
+                f"to 1. If it does not, as a valve from 0 to 1, say so: {_words({name: given}, {name: ends})}"
+            )
+    notes += [_told(name, inputs[name], reach) for name, reach in found.items() if reach != PLAIN]
+    if any(reach != PLAIN and inputs[name].low is None for name, reach in found.items()):
         notes.append(
             "these are the ends of the log; if an actuator goes further, give its own, and low: -1, high: 1 keeps the "
             f"numbers as they are: {_words(inputs, found)}"
@@ -68,48 +118,90 @@ def ends_of(path: str, u: Array, inputs: Mapping[str, Column], into_range: bool,
     return list(found.values())
 
 
-def mapped(u: Array, ends: Sequence[Ends]) -> Array:
-    """Return inputs with their ends at -1 and 1, those of [-1, 1] as they are, `(N, n_u)`.
+def scaled(u: Array, found: Sequence[Reach]) -> Array:
+    """Return inputs with their rest at 0 and one unit at 1, those of [-1, 1] as they are, `(N, n_u)`.
 
     Args:
         u: Inputs in their own units, `(N, n_u)`.
-        ends: Lower and upper end of each.
+        found: What each reaches.
     """
     columns = [
-        column if pair == PLAIN else (2 * column - (pair[0] + pair[1])) / (pair[1] - pair[0])
-        for column, pair in zip(u.T, ends, strict=True)
+        column if reach.rest == 0 and reach.unit == 1 else (column - reach.rest) / reach.unit
+        for column, reach in zip(u.T, found, strict=True)
     ]
     return np.stack(columns, -1)
 
 
-def _range_of(values: Array) -> Ends:
-    """Return the ends of an input that a log shows: those of [-1, 1] if it stays within, else those of its range."""
+def acting(found: Sequence[Reach], inputs: Mapping[str, Column]) -> dict[str, tuple[Any, ...]]:
+    """Return what a signature holds of inputs with units of their own; nothing of what is as in every plant.
+
+    Args:
+        found: What each input reaches.
+        inputs: Their columns by name.
+    """
+    units = tuple(column.unit if UNIT.fullmatch(column.unit) else "-" for column in inputs.values())
+    held: dict[str, tuple[Any, ...]] = {
+        "input_ends": tuple(reach.both for reach in found),
+        "input_limits": tuple(reach.limits for reach in found),
+        "input_units": units,
+    }
+    usual = (WHOLE, WHOLE, "-")
+    return {key: values for (key, values), plain in zip(held.items(), usual, strict=True) if set(values) != {plain}}
+
+
+def _range_of(values: Array) -> Reach:
+    """Return what an input reaches as far as a log shows: [-1, 1] if it stays within, else its range.
+
+    Zero stays zero even where the log has it not, unless it is farther off than the log is wide.
+    """
     low, high = float(values.min()), float(values.max())
     if max(-low, high) <= 1 + ROUNDED:
         return PLAIN
-    if min(-low, high) >= EVEN * max(-low, high):  # zero stays zero
-        return -max(-low, high), max(-low, high)
-    return low, high
+    if min(-low, high) >= EVEN * max(-low, high):
+        low, high = -max(-low, high), max(-low, high)
+    return Reach.of(low, high, 0.0 if max(low, -high) <= high - low else None)
 
 
-def _require_within(path: str, name: str, values: Array, ends: Ends) -> None:
+def _require_within(path: str, name: str, values: Array, reach: Reach) -> None:
     """Refuse ends that an input goes beyond, as they are then those of another unit."""
-    (low, high), least, most = ends, float(values.min()), float(values.max())
+    low, high, least, most = reach.low, reach.high, float(values.min()), float(values.max())
     beyond = max(low - least, most - high)
-    if ends != PLAIN and beyond > ROUNDED * (high - low) / 2:
+    if reach != PLAIN and beyond > ROUNDED * (high - low) / 2:
         raise ValueError(
             f"{path}: input {name} was given low {low:g} and high {high:g}, its column goes from {least:.6g} to "
             f"{most:.6g} after scaling; allowed are ends that hold all of it: give low, high and scale of one unit"
         )
 
 
-def _words(inputs: Mapping[str, Column], found: Mapping[str, Ends]) -> str:
+def _too_wide(name: str, values: Array, reach: Reach) -> list[str]:
+    """Ask whether ends are right of which a log uses hardly anything."""
+    least, most = float(values.min()), float(values.max())
+    if reach.high - reach.low < WIDE * (most - least):
+        return []
+    return [
+        f"input {name} was given low {reach.low:g} and high {reach.high:g}, and its column goes from {least:.6g} to "
+        f"{most:.6g} only, {100 * (most - least) / (reach.high - reach.low):.1g} % of that; check that both are in one "
+        "unit. What a model says so far beyond a log is a guess: log more of the range, or give narrower ends"
+    ]
+
+
+def _told(name: str, column: Column, reach: Reach) -> str:
+    """Say what 0 and 1 are of an input, and between which ends it is set."""
+    unit = "" if column.unit == "-" else f" {column.unit}"
+    return (
+        f"{name} is taken into [-1, 1], where planning needs it: 0 is {reach.rest:.6g}{unit}, 1 is "
+        f"{reach.rest + reach.unit:.6g}{unit}; a controller keeps it from {reach.low:.6g} to {reach.high:.6g}{unit}"
+    )
+
+
+def _words(inputs: Mapping[str, Column], found: Mapping[str, Reach]) -> str:
     """Return the words of the command line that say these ends."""
     columns = []
-    for name, (low, high) in found.items():
+    for name, reach in found.items():
         column = inputs[name]
         heading, unit = split_unit(column.name)
         own = f'unit: "{column.unit}", ' if column.unit not in ("-", unit) else ""
         own += f"scale: {column.scale!r}, " if column.scale != 1 else ""
-        columns.append(f"{name}: {{name: {heading}, {own}low: {low:.6g}, high: {high:.6g}}}")
+        rest = f", rest: {reach.rest:.6g}" if reach != Reach.of(reach.low, reach.high) else ""
+        columns.append(f"{name}: {{name: {heading}, {own}low: {reach.low:.6g}, high: {reach.high:.6g}{rest}}}")
     return f"'data.inputs={{{', '.join(columns)}}}'"

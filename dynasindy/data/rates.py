@@ -114,7 +114,7 @@ def mismatched(data: Transitions, signature: Signature, known: Mapping[str, str]
     seen = [name for name, column in zip(names, data.x.unbind(-1), strict=True) if bool(column.isfinite().any())]
     found = []
     for rate in seen:
-        sure = [state for state in seen if pairs.get(state) == rate] or [s for s in seen if _is_named(s, rate)]
+        sure = [state for state in seen if pairs.get(state) == rate] or [s for s in seen if is_rate_of(s, rate)]
         others = [s for s in seen if s not in pairs and s != rate and _may_be(s, rate, signature)]
         ties = {state: _factor(data, names.index(state), names.index(rate)) for state in sure or others}
         state, tie = max(ties.items(), key=lambda item: abs(item[1][1]), default=("", NO_TIE))
@@ -123,7 +123,8 @@ def mismatched(data: Transitions, signature: Signature, known: Mapping[str, str]
     return found
 
 
-def _is_named(state: str, rate: str) -> bool:
+def is_rate_of(state: str, rate: str) -> bool:
+    """Tell whether a column is called the rate of another one, as `arm_rate` of `arm`."""
     return rate in (pattern.format(state) for pattern in NAMED)
 
 

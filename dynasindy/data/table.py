@@ -6,6 +6,7 @@ import csv
 import math
 import re
 from array import array
+from codecs import getincrementaldecoder
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -203,8 +204,13 @@ def _opened(path: Path) -> TextIO:
     wide = begin.startswith((b"\xff\xfe", b"\xfe\xff"))
     if b"\0" in begin and not wide:
         raise ValueError(f"{path} is not text; allowed is a CSV file with a line of headings: export the log as CSV")
-    # Bytes that are no UTF-8, as a degree sign of Windows in a heading, cost no more than that sign.
-    return path.open(newline="", encoding="utf-16" if wide else "utf-8-sig", errors="replace")
+    # A degree sign in a heading is one byte where Windows wrote it, which is no UTF-8.
+    encoding = "utf-16" if wide else "utf-8-sig"
+    try:
+        getincrementaldecoder("utf-8")().decode(begin)
+    except UnicodeDecodeError:
+        encoding = encoding if wide else "cp1252"
+    return path.open(newline="", encoding=encoding, errors="replace")
 
 
 def _separator(file: TextIO) -> str:

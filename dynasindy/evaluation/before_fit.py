@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 
 from dynasindy.data.rates import mismatched
+from dynasindy.data.units import TURNS
 from dynasindy.evaluation.source import Source
 from dynasindy.systems import Pendulum, System, Tras, Trms33, Xi
 from dynasindy.systems.base import Signature
@@ -18,14 +18,10 @@ PLANTS: Mapping[str, Callable[[], System]] = {"pendulum": Pendulum, "tras": Tras
 """Plants whose library and known equations `system=NAME` takes."""
 MANY, MANY_OF_KNOWN = 150, 50
 """Candidate functions from which on a library is said to be long: of any plant, and of one whose own list is known."""
+LEFT_OUT = ("skipped", "masked", "split the recording")
+"""Words of notes on rows that were left out."""
 FEW = 50
 """Rows below which little can be told from a recording."""
-TURNS = {
-    **dict.fromkeys(("deg", "degree", "degrees", "°"), math.pi / 180),
-    "mrad": 1e-3,
-    **dict.fromkeys(("rev", "turn", "turns"), 2 * math.pi),
-}
-"""Units of angles that are not rad, in rad."""
 
 
 def before_fit(model: SindyModel, source: Source) -> list[str]:
@@ -51,7 +47,8 @@ def _few_rows(source: Source) -> list[str]:
     rows = len(source.training)
     if rows >= FEW:
         return []
-    lost = f" ({'; '.join(source.notes)})" if source.notes else ""
+    out = [note for note in source.notes if any(word in note for word in LEFT_OUT)]
+    lost = f" ({'; '.join(out)})" if out else ""
     return [
         f"warning: the fit has {rows} rows only{lost}, so few that wrong units or missing rates would not be noticed; "
         f"record longer, or mend what was left out: {FEW} rows are the least, some hundreds are usual"

@@ -12,10 +12,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from dynasindy.data.csv import Column, CsvLog, Recording, chosen, infer
+from dynasindy.data.columns import Column, chosen, columns_of, infer
+from dynasindy.data.csv import CsvLog, Recording
 from dynasindy.data.rates import unit_of_rate
 from dynasindy.data.simulated import before_leaving, disturb, record
 from dynasindy.data.table import all_headings, split_unit
+from dynasindy.data.units import with_units
 from dynasindy.evaluation import verdict
 from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.horizons import Forecasts, begun, forecast
@@ -202,12 +204,11 @@ class Logged:
 
     def _with_rates(self, states: Mapping[str, Any]) -> dict[str, Any]:
         """Add the rates that are known to belong to a state and have no column; the model tells them."""
-        found = dict(states)
+        read = with_units(columns_of(states), all_headings(Path(str(self.path))), states=True, known=self.known)
+        found: dict[str, Any] = dict(read)
         for name, rate in (self.known or {}).items():
-            if name in states and rate not in found and rate.isidentifier():
-                given = states[name]
-                keys = {} if isinstance(given, str) else vars(given) if isinstance(given, Column) else given
-                found[rate] = Column("", unit_of_rate(str(keys.get("unit", "-"))))
+            if name in found and rate not in found and rate.isidentifier():
+                found[rate] = Column("", unit_of_rate(found[name].unit))
         return found
 
 

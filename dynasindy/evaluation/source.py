@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 
 from dynasindy.data.csv import Recording
-from dynasindy.data.ends import PLAIN
 from dynasindy.data.rates import unit_of_rate
 from dynasindy.evaluation.arguments import as_arguments
-from dynasindy.systems.base import Signature
+from dynasindy.systems.base import WHOLE, Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.models.follower import completed, widened
@@ -109,10 +109,11 @@ class Source:
             ValueError: the model is of another plant, or its inputs have other ends.
         """
         if not _alike_ends(self.signature, model.signature):
-            mine, theirs = (signature.input_ends or "-1 and 1" for signature in (self.signature, model.signature))
+            mine, theirs = (_reached(signature) for signature in (self.signature, model.signature))
             raise ValueError(
                 f"the model has inputs with the ends {theirs}, the log with {mine}; give the ends of the actuator to "
-                "both, low and high in data.inputs"
+                "both, low and high in data.inputs, or identify the log again, as earlier versions took the middle of "
+                "a range for zero"
             )
         names = model.signature.state_names
         known = rates_known(model.library, model.constraints)
@@ -124,9 +125,25 @@ class Source:
 
 def _alike_ends(first: Signature, second: Signature) -> bool:
     """Tell whether two plants have inputs with the same ends, up to the digits in which a note tells them."""
-    both = zip(*(s.input_ends or (PLAIN,) * s.n_u for s in (first, second)), strict=False)
+    both = zip(_numbers(first), _numbers(second), strict=False)
     return all(
         math.isclose(mine, theirs, abs_tol=ALIKE * (own[1] - own[0]))
         for own, others in both
         for mine, theirs in zip(own, others, strict=True)
+    )
+
+
+def _numbers(signature: Signature) -> list[tuple[float, ...]]:
+    """Return what -1 and 1, and the limits, are of each input in its own unit."""
+    both = np.array(signature.input_ends or (WHOLE,) * signature.n_u)
+    limits = np.array(signature.input_limits or (WHOLE,) * signature.n_u)
+    return [tuple(pair) for pair in np.concatenate([both, signature.in_own_units(limits.T).T], -1).tolist()]
+
+
+def _reached(signature: Signature) -> str:
+    """Return the ends of each input in its own unit, in words."""
+    pairs = zip(signature.input_names, _numbers(signature), strict=True)
+    return ", ".join(
+        f"{low:.6g} to {high:.6g}{f' for {name}' if signature.n_u > 1 else ''}, {0.5 * (a + b):.6g} taken as 0"
+        for name, (a, b, low, high) in pairs
     )

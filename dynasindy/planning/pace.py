@@ -151,7 +151,7 @@ def unheld(env: ControlEnv, rests: Rests) -> str:
         spans = ", ".join(f"{name} from {low:.4g} to {high:.4g}" for name, low, high in ends)
         held = f"; those that one holds have {spans}"
     n = len(rests.unheld)
-    within = "between the ends that the log has tried" if task.limited else "within [-1, 1]"
+    within = "within its limits" if task.limited else "within [-1, 1]"
     return f"in the model no input {within} was found that holds {n} of {n + len(rests)} targets, {such}{held}"
 
 

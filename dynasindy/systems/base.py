@@ -10,7 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
 from dynasindy.systems.machine import Machine
@@ -20,6 +22,8 @@ from dynasindy.systems.tracing import program
 NAME = re.compile(r"[^\W\d][\w .'-]{0,59}")
 PRECISIONS = (torch.float32, torch.float64)
 """Kinds of numbers that machine code computes in."""
+WHOLE = (-1.0, 1.0)
+"""Ends and limits of an input that has no others."""
 UNIT = re.compile(r"[\w°%^*/().\- ²³·µ]{1,30}")
 
 
@@ -34,12 +38,15 @@ class Signature:
         state_units: One unit per state, e.g. "rad".
         input_names: One name per input, in the order of `u`.
         x_scale: Typical range of each state, in its unit; observations are states divided by it.
-        input_ends: What -1 and 1 are of each input in the unit of its actuator, e.g. `((0, 12),)` of a motor in V;
+        input_ends: What -1 and 1 are of each input in the unit of its actuator, e.g. `((-12, 12),)` of a motor in V;
             empty where inputs have no other unit.
+        input_limits: Least and largest value of each input, within [-1, 1], e.g. `((0, 1),)` of a motor that takes 0 to
+            12 V; empty where all go from -1 to 1.
+        input_units: The unit of each actuator, in words, e.g. `("V",)`; empty where none is known.
 
     Raises:
         ValueError: The lengths disagree, a name is none or occurs twice, a unit is none, a range is not positive and
-            finite, or the ends of an input are not finite and in order.
+            finite, or ends or limits of an input are not finite and in order.
     """
 
     state_names: tuple[str, ...]
@@ -47,9 +54,11 @@ class Signature:
     input_names: tuple[str, ...]
     x_scale: tuple[float, ...]
     input_ends: tuple[tuple[float, float], ...] = ()
+    input_limits: tuple[tuple[float, float], ...] = ()
+    input_units: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for field in ("state_names", "state_units", "input_names", "x_scale"):
+        for field in ("state_names", "state_units", "input_names", "x_scale", "input_units"):
             object.__setattr__(self, field, tuple(getattr(self, field)))
         if not len(self.state_names) == len(self.state_units) == len(self.x_scale):
             raise ValueError(
@@ -57,7 +66,7 @@ class Signature:
                 f"{len(self.x_scale)} ranges; give one unit and one range per state"
             )
         names: tuple[Any, ...] = self.state_names + self.input_names
-        units: tuple[Any, ...] = self.state_units  # of files, which may hold anything
+        units: tuple[Any, ...] = self.state_units + self.input_units  # of files, which may hold anything
         if len(set(names)) != len(names):
             raise ValueError(f"state and input names must differ, got {names}; rename the repeated one")
         # Names and units come from files and end up in tables, figures and files: they are words, not text of any kind.
@@ -68,19 +77,27 @@ class Signature:
             )
         if wrong := [unit for unit in units if not isinstance(unit, str) or not UNIT.fullmatch(unit)]:
             raise ValueError(
-                f"{str(wrong[0])[:60]!r} is no unit of a state; allowed are up to 30 letters, digits and '°%^*/().- ': "
-                "correct it, or give '-'"
+                f"{str(wrong[0])[:60]!r} is no unit of a state or an input; allowed are up to 30 letters, digits and "
+                "'°%^*/().- ': correct it, or give '-'"
             )
         if not all(0 < scale < math.inf for scale in self.x_scale):
             raise ValueError(
                 f"x_scale must be positive and finite, got {self.x_scale}; give the typical range of each state"
             )
-        object.__setattr__(self, "input_ends", tuple((float(low), float(high)) for low, high in self.input_ends))
-        sound = all(-math.inf < low < high < math.inf for low, high in self.input_ends)
-        if not sound or len(self.input_ends) not in (0, len(self.input_names)):
+        for field, most in (("input_ends", math.inf), ("input_limits", 1.0)):
+            pairs = tuple((float(low), float(high)) for low, high in getattr(self, field))
+            object.__setattr__(self, field, pairs)
+            sound = all(low < high and math.isfinite(high - low) and max(-low, high) <= most for low, high in pairs)
+            if not sound or len(pairs) not in (0, len(self.input_names)):
+                what = "ends" if field == "input_ends" else "limits"
+                raise ValueError(
+                    f"the {what} of the inputs are {pairs}; give a lower and a higher number for each of "
+                    f"{', '.join(self.input_names)}{'' if most == math.inf else ', within [-1, 1]'}, or none at all"
+                )
+        if len(self.input_units) not in (0, len(self.input_names)):
             raise ValueError(
-                f"the ends of the inputs are {self.input_ends}; give a lower and a higher number for each of "
-                f"{', '.join(self.input_names)}, or none at all"
+                f"the units of the inputs are {self.input_units}; give one for each of {', '.join(self.input_names)}, "
+                "or none at all"
             )
 
     @property
@@ -117,12 +134,26 @@ class Signature:
 
     def own_inputs(self) -> list[str]:
         """Say what each input is in the unit of its actuator, a line for each that has one."""
-        return [
-            f"the plant's {name} is {0.5 * (low + high):.6g} + {0.5 * (high - low):.6g} times the controller's, which "
-            "is in [-1, 1]"
-            for name, (low, high) in zip(self.input_names, self.input_ends, strict=False)
-            if (low, high) != (-1.0, 1.0)
-        ]
+        limits = self.input_limits or (WHOLE,) * self.n_u
+        units = [f" {unit}" if unit != "-" else "" for unit in self.input_units or ("-",) * self.n_u]
+        lines = []
+        for name, (low, high), unit, (least, most) in zip(
+            self.input_names, self.input_ends, units, limits, strict=False
+        ):
+            if (low, high) == WHOLE:
+                continue
+            rest, one = 0.5 * (low + high), 0.5 * (high - low)
+            zero = f"{rest:.6g}{unit} + " if rest else ""
+            lines.append(
+                f"the plant's {name} is {zero}{one:.6g}{unit} times the controller's, which is in "
+                f"[{least:.6g}, {most:.6g}]"
+            )
+        return lines
+
+    def in_own_units(self, u: ArrayLike) -> NDArray[np.float64]:
+        """Return inputs of [-1, 1], `(*batch, n_u)`, in the units of their actuators."""
+        low, high = np.array(self.input_ends or (WHOLE,) * self.n_u).T
+        return 0.5 * (low + high) + 0.5 * (high - low) * np.asarray(u, dtype=np.float64)
 
     def state_index(self, name: str) -> int:
         """Return the position of a state in `x`.

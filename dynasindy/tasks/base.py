@@ -48,14 +48,15 @@ class Task(ABC):
     starts: Tensor | None = None
     """States in which the plant begins episodes, `(n, n_x)`, where it says so; a task may begin its own there."""
     input_limits: Tensor
-    """Least and largest inputs, `(2, n_u)`: -1 and 1, or what a log has tried of what its equations bend in."""
+    """Least and largest inputs, `(2, n_u)`: those of the actuators, or what a log has tried of what its equations bend
+    in."""
 
     def __init__(self, signature: Signature, max_steps: int) -> None:
         if max_steps < 1:
             raise ValueError(f"max_steps must be at least 1 control period, got {max_steps}; the paper has 400")
         self.signature = signature
         self.max_steps = max_steps
-        self.input_limits = torch.tensor([[-1.0], [1.0]]).expand(-1, signature.n_u)
+        self.input_limits = torch.tensor(signature.input_limits or ((-1.0, 1.0),) * signature.n_u).mT
 
     def with_starts(self, starts: Tensor) -> Self:
         """Return the same task, told that the plant begins episodes at one of some states `(n, n_x)`."""
@@ -65,7 +66,7 @@ class Task(ABC):
 
     @property
     def limited(self) -> bool:
-        """Whether inputs have narrower limits than their actuators."""
+        """Whether inputs have narrower limits than -1 and 1."""
         low, high = self.input_limits
         return bool((low > -1).any()) or bool((high < 1).any())
 

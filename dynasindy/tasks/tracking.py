@@ -137,7 +137,7 @@ class Tracking(Task):
     def fenced(self, weight: float) -> Tracking:
         """Return the same task with a cost for leaving the bounds, of so much per range of a state and period.
 
-        So cost inputs beyond their limits, where these are narrower than the actuators'.
+        So cost inputs beyond their limits, where these are narrower than -1 and 1.
         """
         other = copy.copy(self)
         other.fence = weight if bool(self.bounds.isfinite().any()) or self.limited else 0.0

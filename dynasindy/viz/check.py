@@ -18,6 +18,7 @@ from dynasindy.checking import Check, Thresholds
 from dynasindy.checking.flights import TOLERANCE
 from dynasindy.checking.margins import broken, frequencies
 from dynasindy.durations import in_words
+from dynasindy.systems import Signature
 from dynasindy.viz.style import (
     BLACK,
     BLUE,
@@ -29,6 +30,7 @@ from dynasindy.viz.style import (
     SKY,
     array,
     held,
+    input_axis,
     label,
     legend_above,
     legend_beside,
@@ -114,7 +116,7 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
         array(u),
         array(found.targets[far]),
         [(names[i], units[i], limits.error * ranges[i]) for i in outputs],
-        signature.input_names,
+        signature,
         f"Step from the origin to {_target(found, far)}, the farthest target",
     )
 
@@ -171,7 +173,7 @@ def steps(
     inputs: ArrayLike,
     reference: ArrayLike,
     names: Sequence[tuple[str, str, float]],
-    input_names: Sequence[str],
+    signature: Signature,
     title: str = "Step",
 ) -> Figure:
     """Draw a step of the model and of plants within its uncertainty, under one controller.
@@ -179,14 +181,15 @@ def steps(
     Args:
         dt: Control period [s].
         outputs: `(rows, T + 1, n_r)`; the first row is that of the model, all others are of other plants.
-        inputs: `(rows, T, n_u)`, in [-1, 1], likewise.
+        inputs: `(rows, T, n_u)`, in [-1, 1], likewise; drawn in their own units.
         reference: `(n_r,)`.
         names: Name and unit of each output, and the steady error that passes the check.
-        input_names: Inputs.
+        signature: Tells the inputs, their units and ranges.
         title: of the figure.
     """
     y, u, r = array(outputs), array(inputs), array(reference)
-    figure, axes = panels(len(names) + len(input_names), 1, (7.0, 2.1 * len(names) + 1.4 * len(input_names)), title)
+    n_u = signature.n_u
+    figure, axes = panels(len(names) + n_u, 1, (7.0, 2.1 * len(names) + 1.4 * n_u), title)
     seconds = array(dt * np.arange(y.shape[1]))
     others = f"{len(y) - 1} plants within its uncertainty"
     looks: list[dict[str, Any]] = [{"color": BLUE, "zorder": 3, "label": "the model itself"}]
@@ -198,11 +201,10 @@ def steps(
         told = "steady error that passes"
         axis.axhspan(r[i] - error, r[i] + error, color=GREY, alpha=0.2, lw=0, label=told)
         axis.set_ylabel(label(name, unit))
-    for i, (axis, name) in enumerate(zip(axes[len(names) :], input_names, strict=True)):
-        for row, look in zip(u, looks, strict=True):
+    for i, axis in enumerate(axes[len(names) :]):
+        for row, look in zip(signature.in_own_units(u), looks, strict=True):
             axis.step(*held(seconds[:-1], row[:, i]), where="post", **{"linewidth": 1.0, **look})
-        axis.set_ylim(-1.08, 1.08)
-        axis.set_ylabel(label(name, "-"))
+        input_axis(axis, signature, i)
     legend_above(axes[0])
     time_axis(axes[-1], seconds)
     axes[-1].set_xlim(0, float(seconds[-1]))

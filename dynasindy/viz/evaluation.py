@@ -59,7 +59,7 @@ def figures(evaluation: Evaluation, label: str = "policy", place: str = "") -> d
             {label: evaluation.outputs[row]},
             {label: evaluation.inputs[row]},
             names,
-            evaluation.signature.input_names,
+            evaluation.signature,
             title=title,
         )
     }
@@ -82,7 +82,7 @@ def _untracked(evaluation: Evaluation, label: str, row: int, title: str) -> Figu
     signature = evaluation.signature
     names = [f"{name} [{unit}]" for name, unit in zip(signature.state_names, signature.state_units, strict=True)]
     x, u = {label: evaluation.trajectory["state"][row]}, {label: evaluation.inputs[row]}
-    figure = tracking(evaluation.time, None, x, u, names, signature.input_names, title)
+    figure = tracking(evaluation.time, None, x, u, names, signature, title)
     _shade(figure, evaluation)
     return figure
 

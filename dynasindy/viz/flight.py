@@ -37,7 +37,7 @@ def flight(shown: Shown, wiring: Wiring, guard: Guard, name: str) -> Figure:
     if shown.fault:
         title += f", ended after {in_words(ended, planned)} of {in_words(planned)} by {shown.fault}"
     inputs = {"measured": shown.inputs}
-    figure = tracking(shown.time, shown.references, measured, inputs, units, wiring.signature.input_names, title)
+    figure = tracking(shown.time, shown.references, measured, inputs, units, wiring.signature, title)
     for column, (axis, output) in enumerate(zip(figure.axes, shown.names, strict=False)):
         if np.isnan(shown.outputs[:, column]).all():
             axis.text(0.5, 0.5, "not measured", transform=axis.transAxes, ha="center", va="center", color=GREY)

@@ -19,6 +19,7 @@ from dynasindy.viz.style import (
     RED,
     Array,
     array,
+    input_axis,
     label,
     legend_above,
     legend_beside,
@@ -45,17 +46,15 @@ MOST = 50
 
 
 @styled
-def excitation(
-    time: ArrayLike, u: ArrayLike, input_names: Sequence[str] = SIGNATURE.input_names, title: str = "Excitation"
-) -> Figure:
+def excitation(time: ArrayLike, u: ArrayLike, signature: Signature = SIGNATURE, title: str = "Excitation") -> Figure:
     """Draw the excitation signal, `(T, n_u)` in [-1, 1], over `time` `(T,)` [s].
 
     A row of NaN is where it began anew, and is marked.
     """
     seconds, values = array(time), array(u)
-    figure, axes = panels(len(input_names), 1, (7.0, 1.5 * len(input_names) + 0.6), title)
-    for i, (axis, name) in enumerate(zip(axes, input_names, strict=True)):
-        _input(axis, seconds, values[:, i], name)
+    figure, axes = panels(signature.n_u, 1, (7.0, 1.5 * signature.n_u + 0.6), title)
+    for i, axis in enumerate(axes):
+        _input(axis, seconds, values, signature, i)
     _mark_restarts(axes, seconds, values)
     if axes[0].get_legend_handles_labels()[0]:
         legend_above(axes[0])
@@ -96,8 +95,8 @@ def training_data(
         axes[i].plot(_broken(seconds, segment), _broken(values[:, i], segment), color=BLUE)
         _say_unmeasured(axes[i], values[:, i])
     moving = np.zeros((len(seconds), 0)) if u is None else array(u)
-    for i, name in enumerate(inputs):
-        _input(axes[signature.n_x + i], seconds, moving[:, i], name, segment)
+    for i in range(len(inputs)):
+        _input(axes[signature.n_x + i], seconds, moving, signature, i, segment)
     shown = axes[: len(names)]
     _mark_restarts(shown, seconds, moving)
     _mark_gaps(shown, seconds, segment)
@@ -253,12 +252,13 @@ def _panels(names: Sequence[str], units: Sequence[str], title: str) -> tuple[Fig
     return figure, axes, columns
 
 
-def _input(axis: Axes, seconds: Array, values: Array, name: str, segment: ArrayLike | None = None) -> None:
-    """Draw an input as it is held, up to the end of its last period."""
-    x, u = _broken(seconds, segment), _broken(values, segment)
+def _input(
+    axis: Axes, seconds: Array, values: Array, signature: Signature, place: int, segment: ArrayLike | None = None
+) -> None:
+    """Draw an input of `(T, n_u)` as it is held, up to the end of its last period, in its own unit."""
+    x, u = _broken(seconds, segment), _broken(signature.in_own_units(values)[:, place], segment)
     axis.step(np.append(x, span(seconds)[1]), np.append(u, u[-1:]), where="post", color=BLUE)
-    axis.set_ylim(-1.08, 1.08)
-    axis.set_ylabel(label(name, "-"))
+    input_axis(axis, signature, place)
 
 
 def _mark_restarts(axes: Sequence[Axes], seconds: Array, inputs: Array) -> None:

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from dynasindy.durations import in_words
 from dynasindy.evaluation.metrics import SETTLING_BAND, steady_seconds
+from dynasindy.systems import Signature
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.controllers import colours
 from dynasindy.viz.style import (
@@ -18,6 +19,7 @@ from dynasindy.viz.style import (
     Array,
     array,
     held,
+    input_axis,
     label,
     legend_above,
     panels,
@@ -27,7 +29,6 @@ from dynasindy.viz.style import (
 )
 
 AXES = SIGNATURE.state_names[:2]
-INPUTS = SIGNATURE.input_names
 
 
 @styled
@@ -37,7 +38,7 @@ def tracking(
     outputs: Mapping[str, ArrayLike],
     inputs: Mapping[str, ArrayLike] | None = None,
     names: Sequence[str] = AXES,
-    input_names: Sequence[str] = INPUTS,
+    signature: Signature = SIGNATURE,
     title: str = "",
 ) -> Figure:
     """Draw the tracked axes of one or several controllers against the same reference.
@@ -46,22 +47,22 @@ def tracking(
         time: `(T,)` [s].
         reference: `(T, n_r)`; None of a task that has none.
         outputs: `(T, n_r)` per controller.
-        inputs: `(T, n_u)` per controller, in [-1, 1]; adds one panel per input.
+        inputs: `(T, n_u)` per controller, in [-1, 1]; adds one panel per input, in its own unit.
         names: tracked states, with their units unless these are rad: `height [m]`.
-        input_names: inputs.
+        signature: tells the inputs, their units and ranges.
         title: of the figure.
     """
     seconds, target = array(time), None if reference is None else array(reference)
     inputs = inputs or {}
-    n_u = len(input_names) if inputs else 0
+    n_u = signature.n_u if inputs else 0
     figure, axes = panels(len(names) + n_u, 1, (7.0, 2.1 * len(names) + 1.4 * n_u + 0.5), title)
     for i, name in enumerate(names):
         if target is not None:
             axes[i].plot(seconds, target[:, i], color=BLACK, linestyle="--", linewidth=1.2, label="reference")
         _lines(axes[i], seconds, outputs, i)
         axes[i].set_ylabel(label(*_with_unit(name)))
-    for i, name in enumerate(input_names[:n_u]):
-        _inputs(axes[len(names) + i], seconds, inputs, i, name)
+    for i in range(n_u):
+        _inputs(axes[len(names) + i], seconds, inputs, i, signature)
     legend_above(axes[0])
     time_axis(axes[-1], seconds)
     axes[-1].set_xlim(*span(seconds))
@@ -75,11 +76,11 @@ def step_response(
     outputs: Mapping[str, ArrayLike],
     inputs: Mapping[str, ArrayLike] | None = None,
     names: Sequence[str] = AXES,
-    input_names: Sequence[str] = INPUTS,
+    signature: Signature = SIGNATURE,
     title: str = "Step response",
 ) -> Figure:
     """Draw `tracking` with what the step metrics use: the settling band and the final seconds."""
-    figure = tracking(time, reference, outputs, inputs, names, input_names, title)
+    figure = tracking(time, reference, outputs, inputs, names, signature, title)
     seconds, target = array(time), array(reference)
     steady = steady_seconds(float(seconds[1] - seconds[0]), len(seconds)) if len(seconds) > 1 else 0.0
     for i, axis in enumerate(figure.axes[: len(names)]):
@@ -145,9 +146,9 @@ def _lines(axis: Axes, seconds: ArrayLike, outputs: Mapping[str, ArrayLike], col
         axis.plot(seconds, array(values)[:, column], color=colour, label=name)
 
 
-def _inputs(axis: Axes, seconds: Array, inputs: Mapping[str, ArrayLike], column: int, name: str) -> None:
+def _inputs(axis: Axes, seconds: Array, inputs: Mapping[str, ArrayLike], column: int, signature: Signature) -> None:
     for (of, values), colour in zip(inputs.items(), colours(inputs).values()):
         # Zero-order hold: the input is constant until the next sample, the last one until the end.
-        axis.step(*held(seconds, array(values)[:, column]), where="post", color=colour, linewidth=1.0, label=of)
-    axis.set_ylim(-1.08, 1.08)
-    axis.set_ylabel(label(name, "-"))
+        own = signature.in_own_units(array(values))[:, column]
+        axis.step(*held(seconds, own), where="post", color=colour, linewidth=1.0, label=of)
+    input_axis(axis, signature, column)

@@ -58,7 +58,7 @@ def _figures(folder: Path, signature: Signature) -> dict[str, Figure]:
     excited = read_table(folder / "data" / "excitation.csv")
     time, u = excited["time"], stacked(excited, signature.input_names)
     left_out = folder / "data" / "left_out.json"
-    figures["excitation"] = excitation(time, u, signature.input_names)
+    figures["excitation"] = excitation(time, u, signature)
     figures["training_data"] = training_data(
         time,
         stacked(excited, names),
@@ -117,10 +117,10 @@ def _response(table: Table, signature: Signature, which: str) -> Figure:
     reference = stacked(table, [f"reference_{name}" for name in outputs]) if tracked else None
     if reference is not None and bool((reference == reference[0]).all()):
         title = "\n".join(filter(None, ["Step response", which]))
-        return step_response(table["time"], reference, y, u, names, signature.input_names, title)
+        return step_response(table["time"], reference, y, u, names, signature, title)
     # What moves has no settling band.
     title = "\n".join(filter(None, ["Response", which]))
-    return tracking(table["time"], reference, y, u, names, signature.input_names, title)
+    return tracking(table["time"], reference, y, u, names, signature, title)
 
 
 def stacked(table: Table, columns: Sequence[str]) -> NDArray[np.float64]:

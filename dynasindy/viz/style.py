@@ -16,6 +16,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
 from dynasindy.durations import unit_of
+from dynasindy.systems.base import Signature
 from dynasindy.told import tell
 
 P = ParamSpec("P")
@@ -114,8 +115,13 @@ def wrapped(line: str, letters: int) -> list[str]:
 
 
 def symbol(name: str) -> str:
-    r"""Return a name as mathematics: `alpha_a` becomes `$\alpha_a$`."""
+    r"""Return a name as mathematics: `alpha_a` becomes `$\alpha_a$`; one that is no symbol stays as it is.
+
+    Mathematics would lose spaces, and several `_` are no subscript.
+    """
     head, _, tail = name.partition("_")
+    if not head.isalnum() or not (tail.isalnum() or head == name):
+        return name
     head = rf"\{head}" if head in GREEK else head
     return f"${head}_{{{tail}}}$" if tail else f"${head}$"
 
@@ -124,6 +130,21 @@ def label(name: str, unit: str = "") -> str:
     """Return an axis label: the quantity in words, its symbol and its unit."""
     words = f"{WORDS[name]} " if name in WORDS else ""
     return f"{words}{symbol(name)}" + (f" [{unit}]" if unit else "")
+
+
+def input_axis(axis: Axes, signature: Signature, place: int) -> None:
+    """Label the axis of an input and give it the range of its actuator, in the unit of this.
+
+    Args:
+        axis: Where.
+        signature: Tells the input's name, its unit and its range.
+        place: Which input.
+    """
+    limits = signature.input_limits or ((-1.0, 1.0),) * signature.n_u
+    low, high = signature.in_own_units(np.array(limits).T)[:, place]
+    room = 0.04 * (high - low)
+    axis.set_ylim(low - room, high + room)
+    axis.set_ylabel(label(signature.input_names[place], signature.input_units[place] if signature.input_units else "-"))
 
 
 def array(values: ArrayLike) -> Array:

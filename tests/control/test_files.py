@@ -11,6 +11,7 @@ import torch
 from dynasindy.agents.networks import actor
 from dynasindy.control import Controller, load, save
 from dynasindy.control.controller import Pace
+from dynasindy.control.files import network
 from dynasindy.evaluation.given import DamagedFileError
 from dynasindy.sensing import Observer, Sensors
 from dynasindy.systems import Signature, Stops
@@ -81,6 +82,42 @@ def test_ends_of_inputs_are_kept_and_a_file_that_has_none_has_the_actuators(tmp_
     del record["task"]["input_limits"]
     (tmp_path / "c.json").write_text(json.dumps(record))
     assert load(tmp_path / "c.json").pace.task.input_limits.tolist() == [[-1.0], [1.0]]
+
+
+def test_a_one_sided_actuator_rests_at_its_zero_and_an_earlier_file_at_the_middle_that_it_meant(tmp_path):
+    """A motor of 0 to 12 V: 0 V was -1 and 6 V was 0, as no file said anything of limits; now 0 V is 0."""
+    heated = replace(SIGNATURE, input_ends=((-12, 12),), input_limits=((0, 1),), input_units=("V",))
+    controller = built(observer=False)
+    network(controller).layers()[-1].bias.sub_(0.17)  # about zero
+    free = acts_seeing_all(controller)
+    assert free.min() < -1e-3 and free.max() > 1e-3
+    free_task, inputs = controller.pace.task, torch.tensor(heated.input_limits).mT
+    task = Tracking(
+        heated,
+        Step([[0.0]]),
+        ("theta",),
+        ("Omega",),
+        TrackingReward((1.0,)),
+        observe_rate=True,
+        error_scale=0.7,
+        low=[-0.5],
+        high=[1.3],
+    )
+    assert torch.equal(task.input_limits, inputs) and not free_task.limited
+    controller.pace = replace(controller.pace, task=task)
+    save(controller, tmp_path / "c.json")
+    assert acts_seeing_all(load(tmp_path / "c.json")) == pytest.approx(free.clip(0.0, 1.0))
+    assert load(tmp_path / "c.json").signature.own_inputs() == [
+        "the plant's u is 12 V times the controller's, which is in [0, 1]"
+    ]
+    record = json.loads((tmp_path / "c.json").read_text())
+    del record["task"]["input_limits"], record["signature"]["input_limits"], record["signature"]["input_units"]
+    record["signature"]["input_ends"] = [[0, 12]]
+    (tmp_path / "c.json").write_text(json.dumps(record))
+    earlier = load(tmp_path / "c.json")
+    assert acts_seeing_all(earlier) == pytest.approx(free)
+    assert earlier.signature.own_inputs() == ["the plant's u is 6 + 6 times the controller's, which is in [-1, 1]"]
+    assert earlier.signature.in_own_units([[-1.0], [0.0], [1.0]]).flatten().tolist() == [0.0, 6.0, 12.0]
 
 
 def test_without_an_observer_too(tmp_path):

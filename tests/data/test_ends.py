@@ -6,10 +6,29 @@ import shlex
 
 import numpy as np
 import pytest
+import torch
 import yaml
 
 from dynasindy.data.csv import CsvLog
 from dynasindy.evaluation.identification import Logged
+from dynasindy.tasks import base
+
+
+class Task(base.Task):
+    """What every task takes of a signature."""
+
+    def __init__(self, signature):
+        super().__init__(signature, 1)
+
+    def initial_state(self, batch, generator):
+        raise NotImplementedError
+
+    def observation(self, x, params, t):
+        raise NotImplementedError
+
+    def reward(self, x, x_next, params, t_next, at_stop):
+        raise NotImplementedError
+
 
 VALVE = {"valve": {"name": "valve", "low": 0, "high": 100}}
 
@@ -26,27 +45,86 @@ def levels(low, high):
     return np.tile(np.repeat(np.linspace(low, high, 8), 5), 4)
 
 
-def test_the_ends_of_an_actuator_become_minus_one_and_one(tmp_path):
-    values = levels(20.0, 60.0)
-    found = CsvLog(written(tmp_path / "log.csv", values), {"level": "level"}, VALVE).read()
-    assert found.transitions.u[:, 0].numpy() == pytest.approx(values[:-1] / 50 - 1)  # 0 % at -1, 50 % at 0, 100 % at 1
-    assert found.signature.input_ends == ((0.0, 100.0),)
-    assert "-1 is 0, 1 is 100" in found.notes[0]
+@pytest.mark.parametrize(
+    ("low", "high", "rest", "one", "limits"),
+    [
+        (0, 100, 0, 100, (0, 1)),
+        (-100, 0, 0, 100, (-1, 0)),
+        (-20, 100, 0, 100, (-0.2, 1)),
+        (-100, 100, 0, 100, (-1, 1)),
+        (4, 100, 4, 96, (0, 1)),
+        (-100, -4, -4, 96, (-1, 0)),
+    ],
+)
+def test_zero_stays_zero_and_what_an_actuator_does_not_reach_are_limits(tmp_path, low, high, rest, one, limits):
+    """A heater of 0 to 100 % is off at 0, a valve of 4 to 20 mA is shut at 4 mA."""
+    values = levels(low + 3.0, high - 5.0)
+    given = {"valve": {"name": "valve", "low": low, "high": high}}
+    found = CsvLog(written(tmp_path / "log.csv", values), {"level": "level"}, given).read()
+    u, signature = found.transitions.u[:, 0].numpy(), found.signature
+    assert u == pytest.approx((values[:-1] - rest) / one)
+    assert signature.input_ends == ((rest - one, rest + one),)
+    assert (signature.input_limits or ((-1, 1),))[0] == pytest.approx(limits)
+    assert signature.in_own_units(found.transitions.u)[:, 0] == pytest.approx(values[:-1])
+    assert signature.in_own_units([limits[0]]) == pytest.approx([low])
+    assert f"0 is {rest} %, 1 is {rest + one} %; a controller keeps it from {low} to {high} %" in found.notes[0]
+    assert Task(signature).input_limits.flatten().tolist() == pytest.approx(limits)
+
+
+def test_what_becomes_zero_can_be_given(tmp_path):
+    """A servo rests in the middle of its pulses."""
+    given = {"servo": {"name": "valve", "low": 1000, "high": 2000, "rest": 1500}}
+    values = levels(1100.0, 1900.0)
+    found = CsvLog(written(tmp_path / "log.csv", values), {"level": "level"}, given).read()
+    assert found.transitions.u[:, 0].numpy() == pytest.approx((values[:-1] - 1500) / 500)
+    assert found.signature.input_ends == ((1000.0, 2000.0),) and found.signature.input_limits == ()
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "ends"),
-    [(20, 60, (20, 60)), (-12, 11, (-12, 12)), (-30, 70, (-30, 70)), (0, 255, (0, 255)), (-9, -3, (-9, -3))],
+    ("low", "high", "rest", "reach"),
+    [
+        (20, 60, 0, (20, 60)),
+        (-12, 11, 0, (-12, 12)),
+        (-30, 70, 0, (-30, 70)),
+        (0, 255, 0, (0, 255)),
+        (-9, -3, 0, (-9, -3)),
+        (60, 80, 60, (60, 80)),  # so far from zero that zero says nothing
+    ],
 )
-def test_a_log_alone_tells_the_range_that_an_input_used(tmp_path, low, high, ends):
-    """Zero stays zero where an input goes about as far to either side."""
+def test_a_log_alone_tells_the_range_that_an_input_used(tmp_path, low, high, rest, reach):
+    """Zero stays zero, and inputs within what the log has tried."""
     values = levels(low, high)
     path = written(tmp_path / "log.csv", values)
     found = Logged(path, inputs=["valve"]).recording(None)
-    assert found.signature.input_ends == (ends,)
-    middle, half = (ends[0] + ends[1]) / 2, (ends[1] - ends[0]) / 2
-    assert middle + half * found.transitions.u[:, 0].numpy() == pytest.approx(values[:-1])
-    assert f"'data.inputs={{valve: {{name: valve, low: {ends[0]:g}, high: {ends[1]:g}}}}}'" in found.notes[1]
+    one = max(abs(end - rest) for end in reach)
+    assert found.signature.input_ends == ((rest - one, rest + one),)
+    assert rest + one * found.transitions.u[:, 0].numpy() == pytest.approx(values[:-1])
+    limits = (found.signature.input_limits or ((-1, 1),))[0]
+    assert [rest + one * limit for limit in limits] == pytest.approx(reach)
+    (word,) = shlex.split(found.notes[1].rpartition("as they are: ")[2])
+    given = yaml.safe_load(word.removeprefix("data.inputs="))
+    assert (given["valve"]["low"], given["valve"]["high"]) == reach
+    again = Logged(path, inputs=given).recording(None)
+    assert again.signature == found.signature and torch.equal(again.transitions.u, found.transitions.u)
+
+
+@pytest.mark.parametrize(("low", "high", "ends"), [(0.05, 0.6, "low: 0, high: 1"), (-0.9, 0.0, "low: -1, high: 0")])
+def test_an_input_within_one_that_never_leaves_one_side_is_asked_about(tmp_path, low, high, ends):
+    path = written(tmp_path / "log.csv", levels(low, high), "valve")
+    found = Logged(path, inputs=["valve"]).recording(None)
+    assert found.signature.input_ends == () == found.signature.input_limits
+    (note,) = found.notes
+    assert f"'data.inputs={{valve: {{name: valve, {ends}}}}}'" in note and "from -1 to 1" in note
+
+
+def test_ends_far_wider_than_the_log_are_asked_about(tmp_path):
+    """10 V of 10,000 V are a thousandth."""
+    path = written(tmp_path / "log.csv", levels(0.0, 10.0), "valve [V]")
+    wide = {"valve": {"name": "valve", "low": 0, "high": 10_000}}
+    notes = Logged(path, inputs=wide).recording(None).notes
+    assert "goes from 0 to 10 only, 0.1 % of that; check that both are in one unit" in notes[0]
+    fair = {"valve": {"name": "valve", "low": 0, "high": 100}}
+    assert not any("only" in note for note in Logged(path, inputs=fair).recording(None).notes)
 
 
 @pytest.mark.parametrize("most", [0.4, 1.0, 1.0004])
@@ -66,7 +144,15 @@ def test_ends_of_minus_one_and_one_keep_the_numbers(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "ends", [{"low": 0}, {"low": 5, "high": 5}, {"low": 0, "high": "x"}, {"low": 0, "high": math.inf}]
+    "ends",
+    [
+        {"low": 0},
+        {"low": 5, "high": 5},
+        {"low": 0, "high": "x"},
+        {"low": 0, "high": math.inf},
+        {"rest": 0},
+        {"low": 0, "high": 9, "rest": "x"},
+    ],
 )
 def test_ends_that_are_none_are_refused(tmp_path, ends):
     log = CsvLog(written(tmp_path / "log.csv", levels(0, 9)), {"level": "level"}, {"valve": {"name": "valve", **ends}})
@@ -97,7 +183,7 @@ def test_ends_that_the_column_goes_beyond_are_refused(tmp_path, low, high):
 
 def test_an_input_may_leave_its_ends_by_rounding(tmp_path):
     path = written(tmp_path / "log.csv", levels(0.0, 100.04))
-    assert CsvLog(path, {"level": "level"}, VALVE).read().signature.input_ends == ((0.0, 100.0),)
+    assert CsvLog(path, {"level": "level"}, VALVE).read().signature.input_limits == ((0.0, 1.0),)
 
 
 def test_ends_of_a_state_are_refused(tmp_path):

@@ -48,7 +48,10 @@ def test_a_log_with_an_angle_in_degrees_and_a_rate_in_rad_is_told(tmp_path):
 
 @pytest.mark.parametrize("library", ["auto", "auto_rig"])
 def test_an_angle_in_degrees_is_told_the_words_that_read_it_in_rad(tmp_path, library):
-    source = log(tmp_path / "log.csv", "time,theta [deg],Omega [deg/s],u", (57.29578, 57.29578, 1.0))
+    """Degrees that a heading names are converted; these were asked for."""
+    log(tmp_path / "log.csv", "time,theta [deg],Omega [deg/s],u", (57.29578, 57.29578, 1.0))
+    kept = {"theta": {"name": "theta", "unit": "deg"}, "Omega": {"name": "Omega", "unit": "deg/s"}}
+    source = Logged(str(tmp_path / "log.csv"), kept).load(None, EXCITATION)
     (words,) = told(source, library)
     assert words.startswith("note: theta is in deg, so sin(theta) and cos(theta) are not among the candidate functions")
     # The words are those of a shell, and read what makes a library with sines.
@@ -67,7 +70,7 @@ def test_an_angle_in_degrees_is_told_the_words_that_read_it_in_rad(tmp_path, lib
 
 
 def test_an_angle_without_its_rate_in_rad_is_told_of_it(tmp_path):
-    (words,) = told(log(tmp_path / "log.csv", "time,theta [rad],Omega [deg/s],u", (1.0, 57.29578, 1.0)))[1:]
+    (words,) = told(log(tmp_path / "log.csv", "time,theta [rad],Omega [1/s],u"))
     assert words.startswith("hint: sin(theta) and cos(theta) are not tried, as no state is in rad/s.")
     assert words.endswith("give its rate in rad/s, or 'plant.known={theta: theta_rate}' if none was logged")
     source = Logged(str(tmp_path / "log.csv")).load(None, EXCITATION)

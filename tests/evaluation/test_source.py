@@ -73,6 +73,15 @@ def test_a_rate_that_was_not_logged_leaves_the_inputs_their_own_units():
     assert volts.with_rates({"q": "w"}).signature.input_ends == ((0.0, 12.0),)
 
 
+def test_a_model_of_other_limits_is_refused():
+    """0 to 12 V is not -12 to 12 V, though 0 V is zero and 12 V is one in both."""
+    volts = replace(SIGNATURE, input_ends=((-12.0, 12.0),))
+    model = SindyModel(replace(volts, input_limits=((0.0, 1.0),)), ["1", "u"])
+    source = replace(Source.of(recording()), signature=volts)
+    with pytest.raises(ValueError, match="the ends 0 to 12, 0 taken as 0, the log with -12 to 12, 0 taken as 0"):
+        source.with_states_of(model)
+
+
 @pytest.mark.parametrize(("ends", "same"), [((0.0300001, 11.97), True), ((0.03, 11.98), False), (None, False)])
 def test_ends_of_inputs_are_the_same_up_to_the_digits_that_a_note_tells(ends, same):
     wide = Signature(("q", "p", "w"), ("rad", "-", "rad/s"), ("u",), (1.0, 1.0, 3.0), ((0.03, 11.97),))
@@ -82,5 +91,5 @@ def test_ends_of_inputs_are_the_same_up_to_the_digits_that_a_note_tells(ends, sa
     if same:
         assert source.with_states_of(model).signature == wide
     else:
-        with pytest.raises(ValueError, match=r"inputs with the ends \(\(0\.03, 11\.97\),\), the log with"):
+        with pytest.raises(ValueError, match=r"the ends 0\.03 to 11\.97, 6 taken as 0, the log with"):
             source.with_states_of(model)

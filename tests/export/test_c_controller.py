@@ -13,6 +13,7 @@ import torch
 from dynasindy.agents.networks import actor
 from dynasindy.control import Controller, load, save
 from dynasindy.control.controller import Pace
+from dynasindy.control.files import network
 from dynasindy.export import controller_sources
 from dynasindy.export.compiler import Native
 from dynasindy.export.templates import fill
@@ -95,6 +96,22 @@ def test_inputs_reach_their_ends_and_stay_between_them(pendulum, observer, low, 
 @pytest.mark.parametrize("integral", [None, {"band": 0.5, "gain": 2.0}])
 def test_it_flies_two_rotors_as_python_does(rotors, integral):
     assert difference(rotors(integral), Tras(), 2) < 1e-6
+
+
+@needs_compiler
+@pytest.mark.parametrize("observer", [True, False])
+def test_a_one_sided_actuator_is_off_where_the_first_call_is_refused_and_never_set_below(pendulum, observer):
+    """A motor of 0 to 12 V gets 0 V, and not the half of its power."""
+    signature = Signature(("q", "w"), ("rad", "rad/s"), ("u",), (1.0, 3.0), [[-12, 12]], [[0, 1]], ["V"])
+    controller = pendulum(observer=observer, signature=signature)
+    network(controller).layers()[-1].bias.sub_(0.19)  # about zero
+    native = Native(controller_sources(controller))
+    y, r, u = np.array([0.1, 0.2]), np.array([math.nan]), np.array([0.7])
+    places = [array.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for array in (y, r, u)]
+    assert native._act(native.state, places[0], places[1], None, places[2]) != 0
+    assert signature.in_own_units(u).tolist() == [0.0]
+    found = np.array([native.act([0.3 * math.sin(k), 0.1], [0.3], [0.0]) for k in range(60)])
+    assert found.min() == 0.0 < found.max() <= 1.0
 
 
 @needs_compiler

@@ -63,6 +63,21 @@ def test_inputs_are_told_in_the_units_of_their_actuators():
     (told,) = plant.own_inputs()
     assert "pump is 6 + 6 times" in told
     assert Signature(("x",), ("m",), ("u",), (1.0,)).own_inputs() == []
+    heater = Signature(("x",), ("m",), ("u",), (1.0,), [[-80, 80]], [[0, 1]], ["%"])
+    assert heater.own_inputs() == ["the plant's u is 80 % times the controller's, which is in [0, 1]"]
+    assert plant.in_own_units([[0.5, 0.5]]).tolist() == [[9.0, 0.5]]  # 6 V + 0.5 * 6 V
+
+
+@pytest.mark.parametrize("limits", [((0, 1),), ((0, 1), (1, 1)), ((0, 1), (-1, 2))])
+def test_limits_of_inputs_that_are_none_are_refused(limits):
+    with pytest.raises(ValueError, match="the limits of the inputs are"):
+        Signature(("x",), ("m",), ("u", "v"), (1.0,), input_limits=limits)
+
+
+@pytest.mark.parametrize("units", [("V",), ("V", "<b>")])
+def test_units_of_inputs_that_are_none_are_refused(units):
+    with pytest.raises(ValueError, match=r"the units of the inputs are|is no unit of a state or an input"):
+        Signature(("x",), ("m",), ("u", "v"), (1.0,), input_units=units)
 
 
 @pytest.mark.parametrize("ends", [((0, 1),), ((0, 1), (1, 1)), ((0, 1), (0, float("inf")))])

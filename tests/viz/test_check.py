@@ -113,7 +113,7 @@ def test_a_plane_is_drawn_with_the_first_state_to_the_right():
 
 def test_steps_of_the_model_and_of_other_plants_are_drawn_with_the_target_and_what_passes():
     y, u = np.random.default_rng(0).normal(size=(4, 6, 1)), np.zeros((4, 5, 1))
-    figure = steps(0.1, y, u, [0.3], [("p", "m", 0.05)], ("force",))
+    figure = steps(0.1, y, u, [0.3], [("p", "m", 0.05)], Signature(("p",), ("m",), ("force",), (1.0,)))
     upper, lower = figure.axes
     np.testing.assert_allclose(upper.lines[3].get_ydata(), y[2, :, 0])
     assert upper.lines[0].get_ydata()[0] == 0.3 and upper.lines[1].get_xdata()[-1] == 0.5
@@ -128,3 +128,10 @@ def test_steps_of_the_model_and_of_other_plants_are_drawn_with_the_target_and_wh
     assert upper.lines[1].get_color() == lower.lines[0].get_color() != upper.lines[2].get_color()
     # The last of five inputs is held to the end of its period.
     assert len(lower.lines) == 4 and lower.lines[0].get_xdata()[-1] == 0.5
+
+
+def test_steps_have_inputs_in_the_unit_of_the_actuator():
+    volts = Signature(("p",), ("m",), ("force",), (1.0,), [[-8, 8]], [[0, 1]], ["N"])
+    y, u = np.zeros((2, 6, 1)), np.full((2, 5, 1), 0.5)
+    lower = steps(0.1, y, u, [0.3], [("p", "m", 0.05)], volts).axes[1]
+    assert lower.lines[1].get_ydata().tolist() == [4.0] * 6 and lower.get_ylabel() == "$force$ [N]"

@@ -1,6 +1,9 @@
 """Identification figures: what they write into panels and tables."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.viz import coefficient_table, excitation, model_error, prediction, training_data
@@ -130,7 +133,7 @@ def test_where_an_excitation_began_anew_is_marked_in_every_panel() -> None:
     x, u = STATES[:, :2].copy(), np.zeros((100, 1))
     x[40] = u[40] = np.nan
     figure = training_data(TIME, x, u, Pendulum().signature)
-    for axis in (*figure.axes, *excitation(TIME, u, ("u",)).axes):
+    for axis in (*figure.axes, *excitation(TIME, u, Pendulum().signature).axes):
         assert [line.get_xdata()[0] for line in axis.lines if line.get_linestyle() == "--"] == [TIME[40]]
     assert words(figure) == ["ended early, began anew"]
 
@@ -179,3 +182,12 @@ def test_a_prediction_ends_where_it_is_lost() -> None:
     drawn = [axis.lines[1].get_ydata() for axis in prediction(TIME, STATES, wild).axes]
     assert np.isnan(drawn[0]).tolist() == [False] * 60 + [True] * 40
     assert not np.isnan(drawn[1]).any()
+
+
+def test_a_log_in_volts_is_drawn_in_volts() -> None:
+    volts = replace(Pendulum().signature, input_ends=((-12, 12),), input_limits=((0, 1),), input_units=("V",))
+    u = np.linspace(0, 1, 100)[:, None]
+    for figure in (training_data(TIME, STATES[:, :2], u, volts), excitation(TIME, u, volts)):
+        axis = figure.axes[-1]
+        assert axis.lines[0].get_ydata()[:100] == pytest.approx(12 * u[:, 0])
+        assert axis.get_ylabel() == "$u$ [V]" and axis.get_ylim() == pytest.approx((-0.48, 12.48))

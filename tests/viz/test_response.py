@@ -1,9 +1,12 @@
 """Response figures draw the data they are given, with the bands the metrics use."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
+from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz import error_fan, step_response, tracking
 
 TIME = torch.arange(400) * 0.05
@@ -46,3 +49,11 @@ def test_error_fan_draws_the_median_of_the_absolute_error() -> None:
 def test_the_time_axis_ends_with_the_last_period_of_the_run():
     time, zeros = np.arange(0.0, 20.0, 0.05), np.zeros((400, 2))
     assert tracking(time, zeros, {"policy": zeros}).axes[-1].get_xlim() == (0.0, 20.0)
+
+
+def test_inputs_are_drawn_in_the_units_of_their_actuators() -> None:
+    """A motor of 0 to 12 V at the quarter of its power has 3 V."""
+    volts = replace(SIGNATURE, input_ends=((-12, 12), (-1, 1)), input_limits=((0, 1), (-1, 1)), input_units=("V", "-"))
+    figure = tracking(TIME, REFERENCE, {"a": OUTPUT}, {"a": 0.25 * np.ones_like(OUTPUT)}, signature=volts)
+    assert [float(axis.lines[0].get_ydata()[0]) for axis in figure.axes[2:]] == [3.0, 0.25]
+    assert ["[V]" in axis.get_ylabel() for axis in figure.axes] == [False, False, True, False]

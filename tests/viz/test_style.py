@@ -6,10 +6,13 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.mathtext import MathTextParser
 
+from dynasindy.systems import Signature
 from dynasindy.viz.style import (
     CYCLE,
     held,
+    input_axis,
     label,
     legend_above,
     panels,
@@ -28,6 +31,39 @@ from dynasindy.viz.style import (
 )
 def test_symbols(name: str, expected: str) -> None:
     assert symbol(name) == expected
+
+
+@pytest.mark.parametrize(
+    "name", ["arm_angle_raw", "a__b", "_x", "x_", "room temperature", "left arm_rate", "x'", "x''_1", "T.in", "T-in_a"]
+)
+def test_a_name_that_is_no_symbol_stays_a_word(name: str) -> None:
+    """Mathematics would lose its spaces, or refuse it."""
+    assert symbol(name) == name
+    parse_math(f"d{symbol(name)}/dt of {label(name, 'm/s^2')}")
+
+
+@pytest.mark.parametrize("name", ["größe", "x12", "T_in2", "theta_1", "u"])
+def test_symbols_are_ones_that_matplotlib_reads(name: str) -> None:
+    parse_math(label(name, "°/s"))
+
+
+def parse_math(text: str) -> None:
+    """Read a text as matplotlib does; one that is no mathematics raises a ValueError."""
+    MathTextParser("agg").parse(text)
+
+
+@pytest.mark.parametrize(
+    ("ends", "limits", "units", "axis"),
+    [
+        ((), (), (), (-1.08, 1.08, "$u_{b}$ [-]")),
+        ([[-1, 1], [-12, 12]], [[-1, 1], [0, 1]], ["-", "V"], (-0.48, 12.48, "$u_{b}$ [V]")),
+        ([[-1, 1], [0, 10]], (), (), (-0.4, 10.4, "$u_{b}$ [-]")),
+    ],
+)
+def test_the_axis_of_an_input_has_the_range_and_the_unit_of_its_actuator(ends, limits, units, axis) -> None:
+    _, (shown,) = panels(1)
+    input_axis(shown, Signature(("x",), ("m",), ("u_a", "u_b"), (1.0,), ends, limits, units), 1)
+    assert (*shown.get_ylim(), shown.get_ylabel()) == pytest.approx(axis)
 
 
 def test_labels_say_words_symbol_and_unit() -> None:

@@ -81,7 +81,7 @@ def steps(results: Results) -> Section:
             outputs,
             inputs,
             tuple(AXES),
-            SIGNATURE.input_names,
+            SIGNATURE,
             f"Step tracking: plant {plant}, experiment {experiment}",
         )
         scores = {words: run.record("metrics.json")["evaluation"] for words, run in runs.items()}

@@ -53,7 +53,7 @@ def _chirp(plant: str, run: Run, table: Table) -> list[Part]:
         excitation_agrees(told(plant, "dyna"), float(duration), f"{ranges}; turning points: {reversals}"),
         Picture(
             f"excitation_{plant}",
-            excitation(table["time"], u, INPUTS, f"Excitation of {plant}"),
+            excitation(table["time"], u, title=f"Excitation of {plant}"),
             f"Inputs that excite `{plant}`, held for a control period of 0.05 s.",
             run.source,
         ),

@@ -272,6 +272,7 @@ def latex_name(name: str) -> str:
     if number and not tail:
         head, tail = number.groups()
     head = "\\" + head if head in _GREEK else (head if len(head) == 1 else rf"\mathrm{{{head}}}")
+    head, tail = head.replace(" ", r"\ "), tail.replace(" ", r"\ ")  # mathematics loses spaces
     # A second subscript within the first is an error of LaTeX.
     return f"{head}_{{{tail}}}".replace("_", r"\_").replace(r"\_{", "_{", 1) if tail else head
 

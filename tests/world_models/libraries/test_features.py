@@ -25,6 +25,7 @@ def test_latex_is_that_of_the_paper():
     assert of("cos", "alpha_p", power=2).latex() == r"\cos^{2} \alpha_{p}"
     assert latex_name("x12") == "x_{12}"
     assert latex_name("a_b_c_d") == r"a_{b\_c\_d}"  # LaTeX takes no subscript of a subscript
+    assert latex_name("room temperature_in 2") == r"\mathrm{room\ temperature}_{in\ 2}"  # mathematics has no spaces
     assert [latex_name(name) for name in ("v", "speed_a", "rate")] == ["v", r"\mathrm{speed}_{a}", r"\mathrm{rate}"]
 
 

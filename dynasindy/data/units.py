@@ -1,0 +1,95 @@
+"""Units that headings name: degrees become radians, which sines and cosines need, and all others stay as they are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from dynasindy.data.rates import is_rate_of
+from dynasindy.data.table import split_unit
+
+if TYPE_CHECKING:
+    from dynasindy.data.columns import Column
+
+TURNS = {
+    **dict.fromkeys(("deg", "degree", "degrees", "°"), math.pi / 180),
+    "mrad": 1e-3,
+    **dict.fromkeys(("rev", "turn", "turns"), 2 * math.pi),
+}
+"""Units of angles that are not rad, in rad."""
+PER_MINUTE = ("rpm", "RPM", "rev/min")
+"""Units of speeds that count turns in a minute; of what is no rate of an angle they stay, as of a fan."""
+
+
+def in_radians(unit: str, turns: bool = True) -> tuple[str, float]:
+    """Return the unit that a unit becomes, and the factor to it: rad or rad/s of angles and their rates.
+
+    Args:
+        unit: A unit, such as `deg/s`.
+        turns: Whether turns per minute are those of an angle.
+    """
+    whole, per, time = unit.partition("/")
+    if whole in TURNS and per + time in ("", "/s", "/s^2", "/s²"):
+        return f"rad{per}{time}", TURNS[whole]
+    if turns and unit in PER_MINUTE:
+        return "rad/s", 2 * math.pi / 60
+    return unit, 1.0
+
+
+def with_units(
+    columns: Mapping[str, Column], headings: Iterable[str], states: bool, known: Mapping[str, str] | None = None
+) -> dict[str, Column]:
+    """Return columns with the units of their headings; degrees of states become rad.
+
+    A column keeps what was given of it: a scale, and a unit that is none of the two.
+
+    Args:
+        columns: Columns by name.
+        headings: Headings of the file.
+        states: Whether they are states; inputs stay in the units of their actuators.
+        known: The rate of each state, as far as it is known.
+    """
+    units, found = _units(headings), dict(columns)
+    inside = {name: units.get(column.name, "") for name, column in columns.items()}
+    angles = [name for name in columns if "rad" in (columns[name].unit, in_radians(inside[name])[0])]
+    for name, column in columns.items():
+        turns = any(is_rate_of(angle, name) or (known or {}).get(angle) == name for angle in angles)
+        unit, factor = in_radians(inside[name], turns) if states else (inside[name], 1.0)
+        if unit and column.scale == 1 and column.unit in ("-", unit):
+            found[name] = replace(column, unit=unit, scale=factor)
+        elif not column.name and in_radians(inside.get(column.derivative_of, ""), False)[1] != 1:
+            found[name] = replace(column, unit=in_radians(column.unit)[0])  # the slope of what is in rad
+    return found
+
+
+def conversions(columns: Mapping[str, Column], headings: Iterable[str]) -> list[str]:
+    """Say in one line which columns were converted, and what that asks of a user; nothing where none was.
+
+    Args:
+        columns: Columns by name, as `with_units` returns them.
+        headings: Headings of the file.
+    """
+    units = _units(headings)
+    inside = {name: units.get(column.name, "") for name, column in columns.items()}
+    changed = {name: unit for name, unit in inside.items() if _changed(unit, columns[name].unit, columns[name].scale)}
+    if not changed:
+        return []
+    told = ", ".join(f"{name} from {unit} to {columns[name].unit}" for name, unit in changed.items())
+    name, unit = next(iter(changed.items()))
+    kept = f"data.states={{{name}: {{name: {split_unit(columns[name].name)[0]}, unit: {unit}}}}}"
+    return [
+        f"converted: {told}. Targets and limits are to be given in these units, and a controller reads them so; "
+        f"'{kept}' would keep the unit of the file"
+    ]
+
+
+def _changed(before: str, unit: str, scale: float) -> bool:
+    return before != unit and (unit, scale) == in_radians(before)
+
+
+def _units(headings: Iterable[str]) -> dict[str, str]:
+    """Return the unit that each heading names, by the heading and by its name alone."""
+    split = {heading: split_unit(heading) for heading in headings}
+    return dict(split.values()) | {heading: unit for heading, (_, unit) in split.items()}

@@ -1,0 +1,51 @@
+"""What headings say of columns, against what they were written to say."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynasindy.data.columns import Column, infer
+from dynasindy.data.csv import CsvLog
+
+
+def log(n: int = 80, dt: float = 0.01) -> np.ndarray:
+    """A swing, its rate, and an input that jumps every five samples."""
+    t = dt * np.arange(n)
+    return np.stack([t, np.sin(3 * t), 3 * np.cos(3 * t), np.arange(n) // 5 % 3 - 1.0], -1)
+
+
+def write(path: Path, table, headings=("time", "angle", "rate", "volt")) -> str:
+    rows = [",".join("" if math.isnan(v) else repr(float(v)) for v in row) for row in table]
+    path.write_text("\n".join([",".join(headings), *rows]) + "\n")
+    return str(path)
+
+
+def test_without_a_map_the_headings_say_what_is_a_state_and_what_an_input(tmp_path):
+    table = np.concatenate([log(), log()[:, 1:2], log()[:, 1:2] * math.nan], -1)
+    headings = ("time [s]", "angle [rad]", "rate", "u_1 [V]", "reference_angle", "comment")
+    path = write(tmp_path / "log.csv", table, headings)
+    states, inputs = infer(path)
+    assert states == {"angle": Column("angle [rad]", "rad"), "rate": Column("rate")}
+    assert inputs == {"u_1": Column("u_1 [V]", "V")}
+    data = CsvLog(path, states, inputs).read()
+    assert np.array_equal(data.transitions.x.numpy(), table[:-1, 1:3]) and data.signature.state_units == ("rad", "-")
+
+
+def test_inputs_may_be_named_and_all_others_are_states(tmp_path):
+    path = write(tmp_path / "log.csv", log(), ("time [s]", "angle [rad]", "rate", "volt [V]"))
+    for names in (["volt"], ["volt [V]"]):
+        states, inputs = infer(path, inputs=names)
+        assert (list(states), inputs) == (["angle", "rate"], {"volt": Column("volt [V]", "V")})
+    with pytest.raises(
+        ValueError, match=r"^data\.inputs names 'current'; .*log\.csv has angle, rate, volt: name colum"
+    ):
+        infer(path, inputs=["current"])
+
+
+def test_headings_without_an_input_are_refused(tmp_path):
+    path = write(tmp_path / "log.csv", log())
+    with pytest.raises(ValueError, match=r"has the columns time, angle, rate, volt, .*data\.inputs") as error:
+        infer(path)
+    assert "\n" not in str(error.value)
