@@ -60,6 +60,9 @@ class Filter:
             "unknown": _joined((UNKNOWN * scale).square()),
             "sensed": ", ".join(map(str, sensed)),
             "variance": _joined(observer.variance[list(sensed)]),
+            "followers": len(observer.model.followers),
+            "follower": ", ".join(map(str, observer.model.followers)),
+            "followed": ", ".join(map(str, observer.model.followers.values())),
             "pushed": ", ".join(map(str, observer.pushed)),
             "pushes_word": " and, behind them, of the pushes, which stay" if observer.pushed else "",
             "whole_scale": _joined(torch.cat([scale[: observer.n_x], torch.ones(observer.model.signature.n_u)])),
@@ -70,7 +73,7 @@ class Filter:
             "substeps": max(1, round(observer.substeps)),
             **stops,
         }  # fmt: skip
-        parts = {"observer": True, "pushed": observer.pushed, "stops": n_stops, "part": part, "late": late}
+        parts = {"observer": True, "pushed": observer.pushed, "followers": observer.model.followers, "stops": n_stops, "part": part, "late": late}
         steps = (rest_steps + bool(part) * part_steps, bool(part) * part_steps + late * max(1, observer.substeps))
         flags = {flag for flag, there in parts.items() if there}
         return cls(observer.model, sensed, words, flags, (n, len(sensed), late + 2, *steps), n_stops)

@@ -98,6 +98,37 @@ def rates_known(library: Library, constraints: Constraints) -> dict[int, int]:
     return found
 
 
+def followed(library: Library, constraints: Constraints) -> dict[str, str]:
+    """Return the states that only follow, as a' = k (s - a), each with the state or input s that it follows.
+
+    Args:
+        library: candidate functions.
+        constraints: what is known of the equations.
+    """
+    found = {}
+    for i, name in enumerate(library.signature.state_names):
+        own = (constraints.free[:, i] | (constraints.offset[:, i] != 0)).nonzero().flatten().tolist()
+        factors = library.features[own[0]].factors if len(own) == 1 else ()
+        if len(factors) == 1 and factors[0].function == "ahead" and factors[0].variables[1] == name:
+            found[name] = factors[0].variables[0]
+    return found
+
+
+def at_rest(data: Transitions, followers: Mapping[int, int]) -> Transitions:
+    """Return a recording in which states that follow another one are equal to it, as they are at rest.
+
+    Args:
+        data: the recording.
+        followers: which state follows which other one, `{follower: state}`.
+    """
+    if not followers:
+        return data
+    x, x_next = data.x.clone(), data.x_next.clone()
+    for follower, state in followers.items():
+        x[:, follower], x_next[:, follower] = x[:, state], x_next[:, state]
+    return replace(data, x=x, x_next=x_next)
+
+
 def reconstruct(data: Transitions, rates: Mapping[int, int], noisy: bool = False) -> Transitions:
     """Guess all states from measurements by local cubics: the measured ones smoothed, their rates differentiated.
 
