@@ -43,7 +43,7 @@ from dynasindy.planning.integral import IntegralAction
 from dynasindy.planning.pace import rests_of, unheld
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.sensing.offset import acting
-from dynasindy.systems import Diverged, Signature
+from dynasindy.systems import Diverged
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 from dynasindy.world_models import Refinement, Regression, SindyModel

@@ -11,10 +11,6 @@ static const double unknown[N] = {@unknown@};
 static const int sensed[M] = {@sensed@};
 /* R: variance of their measurements */
 static const double variance[M] = {@variance@};
-@if followers
-/* places of states that follow others, which they are equal to at rest, and of these */
-static const int follower[@followers@] = {@follower@}, followed[@followers@] = {@followed@};
-@end
 /* Move states on by the period whose measurement has just arrived; inputs act @late_words@ later. */
 static void period(double x[N], double inputs[MEMORY][NU])
 {
@@ -40,8 +36,7 @@ static void begin(@name@_state *s, const double y[NX])
             s->p[sensed[i]][sensed[i]] = variance[i];
         }
 @if followers
-    for (i = 0; i < @followers@; i++)
-        s->x[follower[i]] = s->x[followed[i]];
+@followers@ /* it follows that state, and is equal to it at rest */
 @end
 }
 

@@ -7,9 +7,9 @@ The state a follows the signal s by a' = (s - a) / T.
 | an input u       | a motor, a propeller, a valve that lags   | in the place of u                               |
 | a measured x     | a wall, a store beside it, what creeps    | as x - a, in the equation of x, or of its rate  |
 
-A store that x alone fills has this form whatever its capacity and its losses: its own level b' = p x - b / T + q is
-p T a + q T, and the factor and the offset are in the coefficients of the other equations. At rest a equals s. The time T
-is found by regressions on signals that were led through such a lag, then with all else by trajectories.
+A store that x alone fills has this form whatever its capacity and its losses: its own level b, b' = p x - b / T + q, is
+p T a + q T, and the factor and the offset are in the coefficients of the other equations. At rest a equals s. The time
+T is found by regressions on signals that were led through such a lag, then with all else by trajectories.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.features import of
 from dynasindy.world_models.libraries.library import Library
@@ -92,7 +91,7 @@ def _signals(model: SindyModel, data: Transitions) -> list[str]:
 
 
 def _moved(model: SindyModel, i: int) -> tuple[int, bool]:
-    """Return the state whose equation a store beside state i acts on, its rate if that is known, and if it is sought."""
+    """Return the state whose equation a store beside state i acts on, or its known rate, and if that is sought."""
     rate = {of: rate for rate, of in rates_known(model.library, model.constraints).items()}.get(i, i)
     return rate, bool(model.constraints.free[:, rate].any())
 
@@ -121,6 +120,8 @@ class _Search:
         if not costs:
             return None
         time = min(costs, key=costs.__getitem__)
+        if not self.input and time == times[0]:  # what hardly lags stands for a rate of change, which explains itself
+            return None
         gain = left - costs[time]
         if not gain > math.log(len(theta)):  # of two numbers more, each worth half of that
             return None
@@ -131,14 +132,14 @@ class _Search:
     def _times(self) -> tuple[list[float], Tensor]:
         """Return the times that are tried [s], and rows in which the states that follow are known, bool `(N,)`.
 
-        Where an input began is not known, and times that leave less than half of the samples known are not tried. A
-        state that follows a measured one is taken to begin at rest.
+        Where a state that follows an input began is not known, and times that leave less than half of the samples known
+        are not tried. Where one began that follows a measured state is told by the regression.
         """
         data, enough = self.data, max(len(self.data) // 2, 2 * len(self.model.library))
         longest = SLOWEST * int(torch.bincount(data.segment - data.segment.min()).max())
         if not self.input:
-            every = torch.ones(len(data), dtype=torch.bool)
-            return [n * data.dt for n in LONGER if n <= longest and len(data) >= enough], every
+            every, stretches = torch.ones(len(data), dtype=torch.bool), len(data.segment.unique())
+            return [n * data.dt for n in LONGER if n <= longest and len(data) >= enough + stretches], every
         for n in reversed(TIMES):
             keep = known_inputs(data, FORGOTTEN * n * data.dt)
             if int(keep.sum()) >= enough:
@@ -149,31 +150,66 @@ class _Search:
         """Return N/2 log of what is left over; infinite of a store that would drive what fills it."""
         wide = self._wide(time)
         theta, dx = self._rows(wide, time, keep)
-        free = wide.constraints.free.clone()
+        free = self._free(wide, theta)
         if not self.input:
             mine = free[:, self.moved]
-            if not float(least_squares(theta[:, mine], dx[:, self.moved])[-1]) < 0:
+            own = int(mine[: len(wide.library)].sum()) - 1
+            if not float(least_squares(theta[:, mine], dx[:, self.moved])[own]) < 0:
                 return math.inf
+        fixed = torch.zeros_like(free, dtype=theta.dtype)
+        fixed[: len(wide.library)] = wide.coefficients
+        return unexplained(free, theta, dx - theta @ torch.where(free, 0.0, fixed))
+
+    def _free(self, wide: SindyModel, theta: Tensor) -> Tensor:
+        """Return which columns the regression of each state may have, bool `(n_columns, n_x)`; none of the follower."""
+        free = torch.zeros(theta.shape[1], wide.signature.n_x, dtype=torch.bool)
+        free[: len(wide.library)] = wide.constraints.free
+        free[len(wide.library) :, self.moved] = True
         free[:, -1] = False
-        return unexplained(free, theta, dx - theta @ torch.where(free, 0.0, wide.coefficients))
+        return free
 
     def _rows(self, wide: SindyModel, time: float, keep: Tensor) -> Rows:
-        """Return averaged functions and rates of change under a state that follows with so much time [s]."""
+        """Return averaged functions and rates of change under a state that follows with so much time [s].
+
+        Where a state that follows a measured one began is not known: behind the functions stands what decays from
+        there, a column for each stretch.
+        """
         starts, ends = following(self.follows, self.data, time)
+        own, n_x = [starts.unsqueeze(-1)], wide.signature.n_x
+        own_next = [ends.unsqueeze(-1)]
+        if not self.input:
+            own.append(self._decays(time))
+            own_next.append(own[-1] * math.exp(-self.data.dt / time))
         guess = replace(
-            self.guess,
-            x=torch.cat([self.guess.x, starts.unsqueeze(-1)], -1),
-            x_next=torch.cat([self.guess.x_next, ends.unsqueeze(-1)], -1),
+            self.guess, x=torch.cat([self.guess.x, *own], -1), x_next=torch.cat([self.guess.x_next, *own_next], -1)
         )
-        seen = Seen.of(guess.select(keep), widened(self.data).select(keep), self.rates, self.noisy)
-        return seen.rows(wide.library, wide)
+        measured = self.data
+        for _ in range(guess.x.shape[1] - n_x + 1):
+            measured = widened(measured)
+
+        def _theta(x: Tensor, u: Tensor) -> Tensor:
+            return torch.cat([wide.library(x[..., :n_x], u), x[..., n_x:]], -1)
+
+        seen = Seen.of(guess.select(keep), measured.select(keep), self.rates, self.noisy)
+        theta, dx = seen.rows(_theta, _theta)  # where a state was not measured no field is asked for
+        return theta, dx[:, :n_x]
+
+    def _decays(self, time: float) -> Tensor:
+        """Return what is left of 1 at the begin of each interval since its stretch began, a column for each stretch."""
+        _, stretch = self.data.segment.unique_consecutive(return_inverse=True)
+        places = torch.arange(len(stretch))
+        first = torch.where(self.data.begins(), places, 0).cummax(0).values
+        left = torch.exp(-self.data.dt / time * (places - first).double())
+        return left.unsqueeze(-1) * torch.nn.functional.one_hot(stretch)
 
     def _solved(self, wide: SindyModel, rows: Rows, time: float) -> Tensor:
         """Return the coefficients that the regression of a model finds."""
-        sums = RunningSums(len(wide.library), wide.signature.n_x)
+        theta = rows[0]
+        sums = RunningSums(theta.shape[1], wide.signature.n_x)
         sums.add(rows)
-        found = wide.regression.solve(sums, wide.constraints.free, wide.constraints.offset)
-        found[:, -1] = 0.0
+        fixed = torch.zeros(theta.shape[1], wide.signature.n_x, dtype=theta.dtype)
+        fixed[: len(wide.library)] = wide.constraints.offset
+        found = wide.regression.solve(sums, self._free(wide, theta), fixed)[: len(wide.library)]
         found[-1, -1] = 1 / time
         return found
 

@@ -32,7 +32,7 @@ from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.models.base import WorldModel
 from dynasindy.world_models.models.report import FitReport
 from dynasindy.world_models.refinement.delay import known_inputs
-from dynasindy.world_models.refinement.measured import at_rest, followed, imagined, rates_known, reconstruct
+from dynasindy.world_models.refinement.measured import at_rest, begun, followed, imagined, rates_known, reconstruct
 from dynasindy.world_models.refinement.refine import Recording, Refinement
 from dynasindy.world_models.refinement.shapes import stayed
 from dynasindy.world_models.refinement.shooting import RunsAway
@@ -202,6 +202,7 @@ class SindyModel(WorldModel):
         if self.initial is not None:
             first = torch.where(self.constraints.free, self.initial, self.constraints.offset)
             guess = imagined(self.library, first, data, guess, rates)
+            guess = begun(self.library, first, guess, self.followers)
         recording = Recording.of(data, guess, rates, delay)
         self.sums.add(self._rows(recording, delay))
         if first is None:
