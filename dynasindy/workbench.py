@@ -44,13 +44,13 @@ from dynasindy.planning.integral import IntegralAction
 from dynasindy.planning.pace import rests_of, unheld
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.sensing.offset import acting
-from dynasindy.systems import Diverged, Signature
+from dynasindy.systems import Diverged
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.libraries import LibraryBuilder
 from dynasindy.world_models.models.ensemble import refits
-from dynasindy.world_models.models.follower import lags
+from dynasindy.world_models.models.follower import begins
 from dynasindy.world_models.refinement.measured import rates_known
 
 PERIOD = 0.05
@@ -189,10 +189,11 @@ def plan(
         )
     if still := unmoved(model, task.output_names):
         raise ValueError(still)
+    task = task.following(model.followers)
     if log is not None:
         log = log.with_states_of(model)
         data = log.training
-        task = task.as_logged(_typical(data, model.signature), known_ranges(model, data.u))
+        task = task.as_logged(_typical(data, model), known_ranges(model, data.u))
     pace = Pace(task, dt or nearest_period(log), stops=model.stops)
     if log is not None and sensors is None:
         sensors = sensors_of(log, model)
@@ -346,18 +347,18 @@ def watching(model: SindyModel, sensors: Sensors, pace: Pace, log: Source | None
     return observer
 
 
-def _typical(data: Transitions, signature: Signature) -> Tensor:
+def _typical(data: Transitions, model: SindyModel) -> Tensor:
     """Return where the log mostly was, `(2, n_x)`: zero of states that pass through it, of others the median.
 
-    The lag of an input may be any that the log had, and zero, where inputs are before a flight; other states that were
-    not measured are zero.
+    A state that follows an input may be wherever the log had it, and zero, where inputs are before a flight; one that
+    follows a measured state as far from that as in the log. Other states that were not measured are zero.
     """
     x = data.x.double()
     middle = x.nanmedian(0).values.nan_to_num(nan=0.0)
     middle[((x <= 0).any(0)) & ((x >= 0).any(0))] = 0.0
     ends = middle.expand(2, -1).clone()
-    for name, (low, high) in lags(signature, data.u).items():
-        ends[:, signature.state_index(name)] = torch.tensor([low, high]).double()
+    for place, (low, high) in begins(model, data).items():
+        ends[:, place] = torch.tensor([low, high]).double()
     return ends
 
 

@@ -50,7 +50,7 @@ class Wanted:
 def model_of(source: Source | None, build: Callable[..., object], path: str | Path | None = None) -> SindyModel:
     """Return the model of a file, or identify one and print what the fit says of itself.
 
-    A model that is fitted here may have a state more than the log, the lag of an input.
+    A model that is fitted here may have a state more than the log, which follows an input or a measured state.
 
     Args:
         source: The log; None if there is none, and then there is a file.
@@ -72,8 +72,8 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
     if told := before_fit(built, source):
         say(*told)
     found = fitted(built, source)
-    lag = [f"found: {found.lag}"] if found.lag else []
-    say(found.report.to_text(), *lag, *(f"note: {note}" for note in source.notes))
+    more = [f"found: {found.follower}"] if found.follower else []
+    say(found.report.to_text(), *more, *(f"note: {note}" for note in source.notes))
     return found.model
 
 

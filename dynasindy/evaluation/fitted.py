@@ -1,8 +1,8 @@
-"""The fit to data: where a log shows that the equations lack something, an input that acts through a lag is tried."""
+"""The fit to data: where a log shows that the equations lack something, a state that no sensor sees is tried."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 
@@ -12,10 +12,12 @@ from dynasindy.evaluation.verdict import LOST, unresolved
 from dynasindy.systems import Signature
 from dynasindy.told import tell, telling
 from dynasindy.world_models import FitReport, SindyModel
-from dynasindy.world_models.models.follower import lag_of, with_follower
+from dynasindy.world_models.models.follower import Trial, trials
 
 BETTER = 0.7
-"""Part of a model's errors, their geometric mean over states and horizons, that are left where a lag is believed."""
+"""Part of a model's errors, their geometric mean over states and horizons, that are left where a state is believed."""
+MOST = 3
+"""States that are tried, those first that regressions prefer."""
 
 
 @dataclass(frozen=True)
@@ -23,23 +25,23 @@ class Fitted:
     """Hold a fitted model, and the data with all of its states.
 
     Attributes:
-        model: as it was given, or with a lag as one state more.
-        source: the data; a lag is seen by no sensor.
+        model: as it was given, or with one state more, which follows an input or a measured state.
+        source: the data; that state is seen by no sensor.
         report: of the fit.
-        lag: what was found of a lag, in words; empty where nothing was.
+        follower: what was found of such a state, in words; empty where nothing was.
     """
 
     model: SindyModel
     source: Source
     report: FitReport
-    lag: str = ""
+    follower: str = ""
 
 
 def fitted(model: SindyModel, source: Source) -> Fitted:
-    """Fit a model; where something lacks in it, fit it with the lag of an input as one state more.
+    """Fit a model; where something lacks in it, fit it with one state more, which follows an input or a measured state.
 
-    A lag is looked for where the model misses the last part of a log by more than the sensors explain, and believed
-    where with the lag the model misses far less.
+    Such a state is looked for where the model misses the last part of a log by more than the sensors explain, and
+    believed where with it the model misses far less.
 
     Args:
         model: what to fit.
@@ -54,29 +56,23 @@ def fitted(model: SindyModel, source: Source) -> Fitted:
     before = forecast(model, source.training, source.validation) if source.logged else None
     if before is None or not bool(unresolved(before, model.signature).any()):
         return plain
-    for place, name in enumerate(model.signature.input_names):
+    for trial in trials(model, source.training)[:MOST]:
         try:
-            with telling(f"fit with a lag of {name}"):
-                found = _with_lag(model, source, place)
+            found = _with(trial, source)
         except (ArithmeticError, ValueError, RuntimeError):  # numbers that run away, or too few samples
             continue
-        if found is None:
-            continue
-        after = forecast(found.model, found.source.training, found.source.validation)
+        after = forecast(found.model, found.source.training, found.source.validation) if found.follower else None
         if after is not None and _better(before, after, model.signature):
-            seconds = 1 / float(found.model.coefficients[:, -1].abs().sum())
-            return replace(found, lag=f"{name} acts through a lag of {seconds:.3g} s, a state that no sensor sees")
+            return found
     return plain
 
 
-def _with_lag(model: SindyModel, source: Source, place: int) -> Fitted | None:
-    """Return a fit with the lag of an input; None where none explains more."""
-    time = lag_of(model, source.training, place)
-    wide = with_follower(model, source.training, place, time) if time else None
-    if wide is None:
-        return None
-    data = source.with_states_of(wide)
-    return Fitted(wide, data, wide.fit(data.training))
+def _with(trial: Trial, source: Source) -> Fitted:
+    """Return the fit with one state more."""
+    data = source.with_states_of(trial.model)
+    with telling(f"fit with a state that follows {trial.signal}"):
+        report = trial.model.fit(data.training)
+    return Fitted(trial.model, data, report, trial.words())
 
 
 def _better(before: Forecasts, after: Forecasts, signature: Signature) -> bool:

@@ -25,7 +25,7 @@ from dynasindy.evaluation.symptoms import resolution, samples_of
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.refinement.delay import delayed
-from dynasindy.world_models.refinement.measured import rates_known, reconstruct
+from dynasindy.world_models.refinement.measured import at_rest, rates_known, reconstruct
 
 STARTS = 200
 """Start times, at most."""
@@ -153,7 +153,7 @@ def estimate(model: SindyModel, data: Transitions, rows: Tensor, length: int) ->
     after = rows.unsqueeze(-1) + torch.arange(length)
     measured = torch.cat([data.x[rows].unsqueeze(1), data.x_next[after]], 1)
     mask, inputs = ~measured.isnan(), data.u[after]
-    guess = reconstruct(data, rates_known(model.library, model.constraints))
+    guess = at_rest(reconstruct(data, rates_known(model.library, model.constraints)), model.followers)
     x = guess.x[rows].double()
     scale = torch.tensor(model.signature.x_scale, dtype=torch.float64)
     n, damping = len(scale), torch.full((len(rows),), 1e-3, dtype=torch.float64)

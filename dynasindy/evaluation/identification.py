@@ -221,10 +221,10 @@ class Identified:
         report: of the fit.
         predicted: open-loop prediction of the validation data, `(N, n_x)`.
         metrics: error of each measured state, open loop and over each horizon.
-        source: the data as the model has them, with one state more where an input acts through a lag.
+        source: the data as the model has them, with one state more where one follows a signal.
         forecasts: errors from many start times; None where the validation data are too short for them.
         found: what the training data tell of a rate limit or play of an input; None where it was not looked for.
-        lag: what was found of an input that acts through a lag; empty where nothing was.
+        follower: what was found of a state that follows an input or a measured state; empty where nothing was.
     """
 
     model: SindyModel
@@ -234,7 +234,7 @@ class Identified:
     source: Source
     forecasts: Forecasts | None = None
     found: Found | None = None
-    lag: str = ""
+    follower: str = ""
 
     @property
     def predicts(self) -> bool:
@@ -277,7 +277,7 @@ def identify(
     forecasts = forecast(model, source.training, validation, horizons)
     if forecasts is not None:
         metrics |= verdict.errors(forecasts, source.signature)
-    return Identified(model, fit.report, predicted, metrics, source, forecasts, found, fit.lag)
+    return Identified(model, fit.report, predicted, metrics, source, forecasts, found, fit.follower)
 
 
 def _actuators(model: SindyModel, data: Transitions) -> Found:
@@ -293,8 +293,8 @@ def to_words(found: Identified, source: Source) -> str:
     """Write equations, fit, identifiability, what the data show, errors, notes and a verdict for a reader."""
     signature, shown = source.signature, found.forecasts
     seen = [*verdict.found_in_model(found.model), *(verdict.found_in_data(source.training, signature))]
-    if found.lag:
-        seen.append(found.lag)
+    if found.follower:
+        seen.append(found.follower)
     if found.found is not None and found.found.actuator:
         seen.append(f"{found.found.words}; {BEHIND} has it")
     lines = [*found.model.equations(), "", found.report.to_text(), *(f"found: {line}" for line in seen), ""]

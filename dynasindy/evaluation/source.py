@@ -100,7 +100,7 @@ class Source:
         return found
 
     def with_states_of(self, model: SindyModel) -> Source:
-        """Return the data with the states of a model that no sensor sees: rates that are known, and lags of inputs.
+        """Return the data with the states of a model that no sensor sees: known rates, and those that follow a signal.
 
         Args:
             model: a model that was fitted to them, or one of the same plant.
@@ -119,7 +119,7 @@ class Source:
         known = rates_known(model.library, model.constraints)
         source = self._widened({names[state]: names[rate] for rate, state in known.items()})
         states, parts = source.signature.state_names, (source.training, source.validation)
-        training, validation = (completed(part, states, model.signature) for part in parts)
+        training, validation = (completed(part, states, model) for part in parts)
         return replace(source, signature=model.signature, training=training, validation=validation)
 
 

@@ -15,7 +15,6 @@ from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.libraries.features import Feature
-from dynasindy.world_models.models.follower import lagging
 from dynasindy.world_models.refinement.measured import rates_known
 
 RESOLVED = 2.0
@@ -121,8 +120,9 @@ def known_ranges(model: SindyModel, logged: Tensor) -> dict[str, tuple[float, fl
     used = _used(model.library.features, model.coefficients.any(-1))
     low, high = logged.amin(0), logged.amax(0)
     room = ROOM * (high - low)
-    both = zip(model.signature.input_names, zip((low - room).tolist(), (high + room).tolist()), strict=True)
-    return {name: known for name, known in both if any(_bent(feature, {name, lagging(name)}) for feature in used)}
+    both = [*zip(model.signature.input_names, zip((low - room).tolist(), (high + room).tolist()), strict=True)]
+    reads = {name: {name, *(a for a, signal in model.followed.items() if signal == name)} for name, _ in both}
+    return {name: known for name, known in both if any(_bent(feature, reads[name]) for feature in used)}
 
 
 def unlogged(model: SindyModel, logged: Tensor, targets: Mapping[str, tuple[float, float]]) -> list[str]:

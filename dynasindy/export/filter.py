@@ -51,7 +51,7 @@ class Filter:
         rest_steps, part_steps = (max(1, round(observer.substeps * s / dt)) for s in (dt - part, part))
         stops, n_stops = stop_words(observer.stops, observer.n_x)
         n = len(observer.scale)
-        scale = observer.scale
+        scale, followers = observer.scale, observer.model.followers
         words: dict[str, object] = {
             "n": n,
             "memory": late + 2,
@@ -60,6 +60,7 @@ class Filter:
             "unknown": _joined((UNKNOWN * scale).square()),
             "sensed": ", ".join(map(str, sensed)),
             "variance": _joined(observer.variance[list(sensed)]),
+            "followers": "\n".join(f"    s->x[{i}] = s->x[{state}];" for i, state in followers.items()),
             "pushed": ", ".join(map(str, observer.pushed)),
             "pushes_word": " and, behind them, of the pushes, which stay" if observer.pushed else "",
             "whole_scale": _joined(torch.cat([scale[: observer.n_x], torch.ones(observer.model.signature.n_u)])),
@@ -72,7 +73,7 @@ class Filter:
         }  # fmt: skip
         parts = {"observer": True, "pushed": observer.pushed, "stops": n_stops, "part": part, "late": late}
         steps = (rest_steps + bool(part) * part_steps, bool(part) * part_steps + late * max(1, observer.substeps))
-        flags = {flag for flag, there in parts.items() if there}
+        flags = {flag for flag, there in parts.items() if there} | ({"followers"} if followers else set())
         return cls(observer.model, sensed, words, flags, (n, len(sensed), late + 2, *steps), n_stops)
 
 

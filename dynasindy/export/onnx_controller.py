@@ -184,7 +184,9 @@ class _Watching:
         seen, padded = self._seen(y)
         variance = np.where(np.isfinite(self.observer.variance.numpy()), self.observer.variance.numpy(), 0.0)
         first = self.graph.constant(variance).where(seen, unknown)
-        return padded, self.graph.put("Unsqueeze", first, self.graph.places(1)) * np.eye(self.n)
+        rests = [self.observer.model.followers.get(i, i) for i in range(self.n)]
+        spread = self.graph.put("Unsqueeze", first, self.graph.places(1)) * np.eye(self.n)
+        return _picked(self.graph, padded, rests) if self.observer.model.followers else padded, spread
 
     def _seen(self, y: Value) -> tuple[Value, Value]:
         """Return which states were measured, `(n,)`, and the measurements, zero where there is none."""

@@ -125,9 +125,14 @@ class Observer:
         return self.model if self.learnt else self.first
 
     def begin(self, y: Tensor) -> Belief:
-        """Return the belief at rest from the first measurement, `(*batch, n_x)`; what is not measured is taken as 0."""
+        """Return the belief at rest from the first measurement, `(*batch, n_x)`.
+
+        What is not measured is taken as 0, or as the state that it follows.
+        """
         y = self._padded(y)
         mean = y.double().nan_to_num(nan=0.0)
+        for follower, state in self.model.followers.items():
+            mean[..., follower] = mean[..., state]
         first = torch.where(y.isnan(), (UNKNOWN * self.scale).square(), self.variance)
         return Belief(mean, torch.diag_embed(first))
 

@@ -189,6 +189,11 @@ class System(nn.Module, ABC):
         self.stops = stops
         self._machines: dict[torch.dtype, Machine | None] = {}
 
+    @property
+    def followers(self) -> dict[int, int]:
+        """Places of states that no sensor sees and that follow another state, and of that; at rest they are equal."""
+        return {}
+
     @abstractmethod
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""

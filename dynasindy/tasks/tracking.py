@@ -108,6 +108,8 @@ class Tracking(Task):
         self.start = ranges.starts(signature, start or {}, "task.start")
         self.bounds = ranges.limits(signature, bounds or {}, "task.bounds")
         self.fence = 0.0
+        self.followers: Mapping[int, int] = {}
+        self._given = set(start or {})
 
     @property
     def params_shape(self) -> torch.Size:
@@ -159,6 +161,18 @@ class Tracking(Task):
             )
         other = copy.copy(self)
         other._box = torch.tensor([float(extent) for extent in extents], dtype=torch.float64)
+        return other
+
+    def following(self, followers: Mapping[int, int]) -> Tracking:
+        """Return the same task in which states that follow other ones begin at these, as at rest.
+
+        What is said of where such a state begins is its difference from the other one, unless `start` names it.
+
+        Args:
+            followers: Places of states that follow others, and of those.
+        """
+        other, names = copy.copy(self), self.signature.state_names
+        other.followers = {i: state for i, state in followers.items() if names[i] not in self._given}
         return other
 
     def as_logged(self, typical: Tensor, known: Mapping[str, tuple[float, float]] | None = None) -> Tracking:
@@ -229,7 +243,10 @@ class Tracking(Task):
         """Return the state in which episodes begin, `(*batch, n_x)`: the origin, unless `start` says otherwise."""
         if self.starts is not None:
             return self.starts[torch.randint(len(self.starts), batch, generator=generator)]
-        return ranges.drawn(self.start, batch, generator)
+        x = ranges.drawn(self.start, batch, generator)
+        for follower, state in self.followers.items():
+            x[..., follower] += x[..., state]
+        return x
 
     def reference(self, params: Tensor, t: Tensor) -> Tensor:
         """Return the reference, `(*batch, n_r)`, at times `t` `(*batch, 1)` [s]."""

@@ -1,4 +1,4 @@
-"""A lag is looked for where equations lack something, and believed where with it they predict."""
+"""A state more is looked for where equations lack something, and believed where with it they predict."""
 
 import math
 
@@ -13,6 +13,7 @@ from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
 from dynasindy.systems import Diverged, Pendulum, Signature
 from dynasindy.world_models import Regression, SindyModel
+from dynasindy.world_models.models.follower import Trial
 
 
 @pytest.fixture
@@ -29,13 +30,23 @@ def model(source):
     return made
 
 
-def test_a_lag_is_looked_for_only_where_something_lacks_and_believed_only_where_it_helps(source, model, monkeypatch):
+def test_a_state_is_looked_for_only_where_something_lacks_and_believed_only_where_it_helps(source, model, monkeypatch):
     asked = []
-    monkeypatch.setattr(module, "lag_of", lambda *given: asked.append(given) or 0.1)
+
+    def _trials(given, data):
+        asked.append(given)
+        wide = source.signature.with_state("u_lagging", "1")
+        words = ["1", "u_lagging", "Omega", "sin(theta)", "(u - u_lagging)"]
+        own = {"Omega": words[:-1], "u_lagging": words[-1:]}
+        start = {"u_lagging": {words[-1]: 10.0}, "Omega": {"u_lagging": 1.0}}
+        made = SindyModel(wide, words, Regression("bic"), known={"theta": "Omega"}, allowed=own, initial=start)
+        return [Trial(made, "u", 1.0)]
+
+    monkeypatch.setattr(module, "trials", _trials)
     assert fitted(model, source).model is model and not asked
     monkeypatch.setattr(module, "unresolved", lambda *given: torch.ones(1))
     plain = fitted(model, source)  # with a lag that is not there nothing is better
-    assert plain.model is model and plain.source is source and plain.lag == "" and len(asked) == 1
+    assert plain.model is model and plain.source is source and plain.follower == "" and len(asked) == 1
     simulated = Source(source.signature, source.training, source.validation)
     assert fitted(model, simulated).model is model and len(asked) == 1  # of a plant that is known none is looked for
     monkeypatch.setattr(module, "_better", lambda *given: True)
@@ -43,7 +54,7 @@ def test_a_lag_is_looked_for_only_where_something_lacks_and_believed_only_where_
     assert found.model.signature.state_names == (*model.signature.state_names, "u_lagging")
     assert found.source.signature == found.model.signature and found.report is not plain.report
     assert found.source.training.x.shape[-1] == found.source.validation.x.shape[-1] == 3
-    assert "u acts through a lag of" in found.lag
+    assert "u acts through a lag of" in found.follower
 
 
 def test_a_fit_that_fails_leaves_the_model(source, model, monkeypatch):
@@ -51,12 +62,11 @@ def test_a_fit_that_fails_leaves_the_model(source, model, monkeypatch):
         def fit(self, transitions):
             raise Diverged("no")
 
-    monkeypatch.setattr(module, "lag_of", lambda *given: 0.1)
     monkeypatch.setattr(module, "unresolved", lambda *given: torch.ones(1))
     wide = Failing(source.signature, ["u"])
-    monkeypatch.setattr(module, "with_follower", lambda *given: wide)
+    monkeypatch.setattr(module, "trials", lambda *given: [Trial(wide, "u", 1.0)])
     assert fitted(model, source).model is model
-    monkeypatch.setattr(module, "lag_of", lambda *given: 0.0)
+    monkeypatch.setattr(module, "trials", lambda *given: [])
     assert fitted(model, source).model is model
 
 

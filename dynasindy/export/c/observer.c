@@ -35,6 +35,9 @@ static void begin(@name@_state *s, const double y[NX])
             s->x[sensed[i]] = y[sensed[i]];
             s->p[sensed[i]][sensed[i]] = variance[i];
         }
+@if followers
+@followers@ /* it follows that state, and is equal to it at rest */
+@end
 }
 
 /* x+ = f(x, u), P+ = F P F' + Q, with F = dx+/dx by central differences. */

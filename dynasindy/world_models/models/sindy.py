@@ -32,7 +32,7 @@ from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.models.base import WorldModel
 from dynasindy.world_models.models.report import FitReport
 from dynasindy.world_models.refinement.delay import known_inputs
-from dynasindy.world_models.refinement.measured import imagined, rates_known, reconstruct
+from dynasindy.world_models.refinement.measured import at_rest, begun, followed, imagined, rates_known, reconstruct
 from dynasindy.world_models.refinement.refine import Recording, Refinement
 from dynasindy.world_models.refinement.shapes import stayed
 from dynasindy.world_models.refinement.shooting import RunsAway
@@ -89,6 +89,17 @@ class SindyModel(WorldModel):
         self.register_buffer("coefficients", self.constraints.offset.clone())
         self._field: Field | None = None
         self._field_of: tuple[Tensor, int] | None = None
+
+    @property
+    def followed(self) -> dict[str, str]:
+        """States that only follow, as a' = k (s - a), each with the state or input s that it follows."""
+        return followed(self.library, self.constraints)
+
+    @property
+    def followers(self) -> dict[int, int]:
+        """Places of the states that only follow another state, and of that."""
+        names = self.signature.state_names
+        return {names.index(name): names.index(s) for name, s in self.followed.items() if s in names}
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Compute dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
@@ -187,10 +198,11 @@ class SindyModel(WorldModel):
         data, self.sums, earlier = transitions.to(torch.float64), sums, sums.count
         self._check(data)
         rates, first = rates_known(self.library, self.constraints), None
-        guess = reconstruct(data, rates)
+        guess = at_rest(reconstruct(data, rates), self.followers)
         if self.initial is not None:
             first = torch.where(self.constraints.free, self.initial, self.constraints.offset)
             guess = imagined(self.library, first, data, guess, rates)
+            guess = begun(self.library, first, guess, self.followers)
         recording = Recording.of(data, guess, rates, delay)
         self.sums.add(self._rows(recording, delay))
         if first is None:

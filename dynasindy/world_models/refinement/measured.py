@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -98,6 +99,37 @@ def rates_known(library: Library, constraints: Constraints) -> dict[int, int]:
     return found
 
 
+def followed(library: Library, constraints: Constraints) -> dict[str, str]:
+    """Return the states that only follow, as a' = k (s - a), each with the state or input s that it follows.
+
+    Args:
+        library: candidate functions.
+        constraints: what is known of the equations.
+    """
+    found = {}
+    for i, name in enumerate(library.signature.state_names):
+        own = (constraints.free[:, i] | (constraints.offset[:, i] != 0)).nonzero().flatten().tolist()
+        factors = [*library.features[own[0]].factors] if len(own) == 1 else []
+        if [factor.function for factor in factors] == ["ahead"] and factors[0].variables[1] == name:
+            found[name] = factors[0].variables[0]
+    return found
+
+
+def at_rest(data: Transitions, followers: Mapping[int, int]) -> Transitions:
+    """Return a recording in which states that follow another one are equal to it, as they are at rest.
+
+    Args:
+        data: the recording.
+        followers: which state follows which other one, `{follower: state}`.
+    """
+    if not followers:
+        return data
+    x, x_next = data.x.clone(), data.x_next.clone()
+    for follower, state in followers.items():
+        x[:, follower], x_next[:, follower] = x[:, state], x_next[:, state]
+    return replace(data, x=x, x_next=x_next)
+
+
 def reconstruct(data: Transitions, rates: Mapping[int, int], noisy: bool = False) -> Transitions:
     """Guess all states from measurements by local cubics: the measured ones smoothed, their rates differentiated.
 
@@ -152,7 +184,8 @@ def imagined(
 ) -> Transitions:
     """Guess the states that no sensor sees in any form by a first model, which the measured states lead.
 
-    The rate of a measured state is seen in that state, and stays as it was reconstructed.
+    The rate of a measured state is seen in that state, and stays as it was reconstructed. Each stretch begins where
+    the guess does.
 
     Args:
         library: candidate functions.
@@ -176,6 +209,40 @@ def imagined(
         for _ in range(substeps):
             after = rk4(field, after, guess.u[k], guess.dt / substeps)
         x_next[k] = torch.where(hidden & after.isfinite(), after, x_next[k])
+    return replace(guess, x=x, x_next=x_next)
+
+
+def begun(library: Library, xi: Tensor, guess: Transitions, followers: Mapping[int, int]) -> Transitions:
+    """Return a recording in which states that follow another one begin each stretch where a first model needs them.
+
+    From another begin such a state is off by a part that decays with its own time, and so are the rates of change that
+    it acts on: the part is what they tell by least squares.
+
+    Args:
+        library: candidate functions.
+        xi: coefficients of the first model, `(n_features, n_x)`.
+        guess: the recording, with a guess of each state that begins at rest.
+        followers: which state follows which other one, `{follower: state}`.
+    """
+    field, x, x_next = generate(library, xi), guess.x.clone(), guess.x_next.clone()
+    for follower in followers:
+        others = [i for i in range(x.shape[1]) if i != follower and bool(xi[:, i].any())]
+        seconds = torch.arange(len(x)) * guess.dt
+        seconds = seconds - torch.where(guess.begins(), seconds, 0.0).cummax(0).values
+        rate = float(xi[:, follower].sum())
+        parts = [torch.exp(-rate * seconds.double()), torch.exp(-rate * (seconds + guess.dt).double())]
+        off = torch.zeros_like(x)
+        off[:, follower] = parts[0]
+        slope = (field(x + off, guess.u) - field(x, guess.u))[:, others]
+        left = ((x_next - x) / guess.dt - 0.5 * (field(x, guess.u) + field(x_next, guess.u)))[:, others]
+        size = left.square().mean(0).clamp_min(1e-300)
+        both = torch.stack([(slope * left / size).sum(-1), (slope.square() / size).sum(-1)])
+        for segment in guess.segment.unique().tolist():
+            mine = guess.segment == segment
+            along, square = both[:, mine].sum(-1).tolist()
+            part = along / square if square > 0 and math.isfinite(along / square) else 0.0
+            x[mine, follower] += part * parts[0][mine]
+            x_next[mine, follower] += part * parts[1][mine]
     return replace(guess, x=x, x_next=x_next)
 
 
