@@ -6,6 +6,7 @@ it leaves is flown on the true plant, behind the same sensors, to targets drawn 
 
 from __future__ import annotations
 
+import copy
 import json
 import math
 import tempfile
@@ -116,24 +117,27 @@ def flown(case: Case, controller: Controller, seed: int) -> NDArray[np.float64]:
     outputs = [list(case.states).index(name) for name in case.targets]
     ranges = torch.tensor([controller.signature.x_scale[controller.signature.state_index(n)] for n in case.targets])
     ranges = torch.where(high > low, high - low, ranges.double())
-    found = []
-    for _ in range(TARGETS):
-        target = low + (high - low) * torch.rand(len(low), generator=rng, dtype=torch.float64)
-        x, errors = case.begins, []
-        controller.reset()
-        periods = round(case.flight / controller.dt)
-        for k in range(periods):
-            y = sensors.read(x, plant.signature, rng)
-            seen = {name: float(y[list(case.states).index(name)]) for name in case.sensors}
-            u = (middle + half * torch.from_numpy(controller.act(seen, target.tolist()))).clamp(least, most)
-            x = integrate(plant, x, u, controller.dt, SUBSTEPS * max(1, round(controller.dt / case.dt)))[0][-1]
-            if not bool((x.abs() < FAR).all()):
-                errors = [torch.full_like(target, torch.inf)]
-                break
-            if k >= (1 - LAST) * periods:
-                errors.append((x[outputs] - target).abs())
-        found.append(torch.stack(errors).mean(0) / ranges)
-    return torch.stack(found).numpy()
+    targets = low + (high - low) * torch.rand(TARGETS, len(low), generator=rng, dtype=torch.float64)
+    # Side by side, as a plant in torch moves eight states at the cost of one.
+    pilots = [copy.deepcopy(controller) for _ in range(TARGETS)]
+    for pilot in pilots:
+        pilot.reset()
+    x, errors = case.begins.expand(TARGETS, -1), torch.zeros_like(targets)
+    away = torch.zeros(TARGETS, 1, dtype=torch.bool)
+    periods = round(case.flight / controller.dt)
+    substeps = SUBSTEPS * max(1, round(controller.dt / case.dt))
+    last = math.ceil((1 - LAST) * periods)
+    for k in range(periods):
+        y = sensors.read(x, plant.signature, rng)
+        seen = [{name: float(row[list(case.states).index(name)]) for name in case.sensors} for row in y]
+        acts = [pilot.act(*given) for pilot, given in zip(pilots, zip(seen, targets.tolist()), strict=True)]
+        u = (middle + half * torch.from_numpy(np.stack(acts))).clamp(least, most)
+        x = integrate(plant, x, u, controller.dt, substeps)[0][..., -1, :]
+        away |= ~(x.abs() < FAR).all(-1, keepdim=True)
+        x = torch.where(away, case.begins, x)  # what has run away is lost; where it goes on does not matter
+        if k >= last:
+            errors += (x[:, outputs] - targets).abs() / (periods - last)
+    return torch.where(away, math.inf, errors / ranges).numpy()
 
 
 def _scaled(controller: Controller, case: Case) -> tuple[Tensor, Tensor]:
