@@ -15,6 +15,7 @@ from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.libraries.features import Feature
+from dynasindy.world_models.libraries.functions import QUOTIENTS
 from dynasindy.world_models.refinement.measured import rates_known
 
 RESOLVED = 2.0
@@ -268,7 +269,7 @@ def _is_dry(feature: Feature, rate: str) -> bool:
 def _is_spring(feature: Feature, angle: str) -> bool:
     """Tell the angle itself, whatever inertia it is divided by."""
     return any(f.function == "id" and f.power == 1 and f.variables == (angle,) for f in feature.factors) and all(
-        f.function in ("id", "per_cos2") and (f.function != "id" or f.variables == (angle,)) for f in feature.factors
+        f.function in ("id", *QUOTIENTS) and (f.function != "id" or f.variables == (angle,)) for f in feature.factors
     )
 
 

@@ -93,6 +93,7 @@ def test_a_row_holds_what_was_foretold_and_what_came_of_it():
 
 def test_every_plant_has_a_log_a_task_and_sensors_that_fit():
     for case in CASES.values():
-        assert set(case.sensors) | set(case.targets) | set(case.known) | set(case.loop) <= set(case.states)
+        assert set(case.sensors) | set(case.targets) | set(case.known) <= set(case.states)
+        assert set(case.columns).union(*case.loop) <= set(case.sensors) and len(case.loop) <= len(case.inputs)
         assert all(low <= high for low, high in case.targets.values())
         assert case.begins.tolist() == [pytest.approx(case.start.get(name, 0.0)) for name in case.states]

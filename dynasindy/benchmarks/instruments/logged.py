@@ -23,7 +23,10 @@ SMOOTH = 0.8
 """Part of a difference that the loop keeps of the one before."""
 ENCODER = 2 * math.pi / 4096
 """Step of an encoder [rad]."""
-Field = Callable[[Tensor, Tensor], tuple[Tensor, ...]]
+Field = Callable[..., tuple[Tensor, ...]]
+"""Rates of change, a column each, of states `(*batch, n_x)` and the columns of the inputs."""
+Loop = Mapping[str, tuple[float, float]]
+"""Measured states, and what an input is changed by per state and per rate of it."""
 
 
 class Plant(System):
@@ -31,7 +34,7 @@ class Plant(System):
 
     Args:
         signature: Names, units and ranges.
-        field: Returns the rates of change of the states, a column each.
+        field: Returns the rates of change of the states, a column each, under inputs in their own units.
     """
 
     def __init__(self, signature: Signature, field: Field) -> None:
@@ -40,7 +43,24 @@ class Plant(System):
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, n_x)`."""
-        return torch.stack(torch.broadcast_tensors(*self.field(x, u[..., 0])), -1)
+        return torch.stack(torch.broadcast_tensors(*self.field(x, *u.unbind(-1))), -1)
+
+
+@dataclass(frozen=True)
+class Input:
+    """An input in the unit of its actuator.
+
+    Attributes:
+        unit: Its unit.
+        low: Lower end of the actuator.
+        high: Upper end.
+        told: Whether the user of the plant tells the ends.
+    """
+
+    unit: str = "-"
+    low: float = -1.0
+    high: float = 1.0
+    told: bool = True
 
 
 @dataclass(frozen=True)
@@ -55,13 +75,15 @@ class Case:
         known: States whose rate is another state.
         dt: Sampling time of the log [s].
         seconds: Length of the log [s].
-        amplitude: Half range of the input's levels, around `offset`.
+        amplitude: Half range of the levels of each input, around `offset` [half ranges of the actuator].
         holds: Shortest and longest time for which a level is held [s].
         flight: Length of a flight [s].
-        offset: Mean of the input [-].
+        offset: Mean of each input, from the middle of its actuator [half ranges of the actuator].
         start: States that are not zero where log and flights begin.
-        loop: Measured states, and what the input is changed by per state and per rate of it.
+        loop: Of each input, what it is changed by per state and per rate of it [half ranges of the actuator].
         words: Settings besides, which the user of such a plant would give.
+        inputs: Inputs by name.
+        columns: States that are logged in another unit than their own, which is it, and its size in their own.
     """
 
     states: Mapping[str, str]
@@ -76,46 +98,76 @@ class Case:
     flight: float = 10.0
     offset: float = 0.0
     start: Mapping[str, float] = field(default_factory=dict)
-    loop: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    loop: tuple[Loop, ...] = ()
     words: tuple[str, ...] = ()
+    inputs: Mapping[str, Input] = field(default_factory=lambda: {"u": Input()})
+    columns: Mapping[str, tuple[str, float]] = field(default_factory=dict)
 
     @property
     def plant(self) -> Plant:
         """The plant itself."""
         names, units = tuple(self.states), tuple(self.states.values())
-        return Plant(Signature(names, units, ("u",), (1.0,) * len(names)), self.rates)
+        return Plant(Signature(names, units, tuple(self.inputs), (1.0,) * len(names)), self.rates)
 
     @property
     def begins(self) -> Tensor:
         """State in which log and flights begin, `(n_x,)`."""
         return torch.tensor([self.start.get(name, 0.0) for name in self.states], dtype=torch.float64)
 
+    @property
+    def ends(self) -> tuple[Tensor, Tensor]:
+        """Lower and upper ends of the actuators, `(n_u,)` each."""
+        pairs = [(given.low, given.high) for given in self.inputs.values()]
+        low, high = torch.tensor(pairs, dtype=torch.float64).unbind(-1)
+        return low, high
+
     def record(self, seed: int) -> tuple[Tensor, Tensor]:
-        """Return measurements `(T, n_x)`, NaN where there is no sensor, and inputs `(T, 1)`.
+        """Return measurements `(T, n_x)`, NaN where there is no sensor, and inputs in their own units `(T, n_u)`.
 
         Args:
-            seed: Seed of the input's levels and of the sensors' noise.
+            seed: Seed of the inputs' levels and of the sensors' noise.
         """
         plant, rng, x = self.plant, torch.Generator().manual_seed(seed), self.begins
-        sensors, places = Sensors(self.sensors), [list(self.states).index(name) for name in self.loop]
-        speeds, last, seen, inputs, until, level = torch.zeros(len(places)), None, [], [], 0, 0.0
+        sensors, (low, high), n_u = Sensors(self.sensors), self.ends, len(self.inputs)
+        fed = [_Fed(loop, list(self.states), self.dt) for loop in (*self.loop, *[{}] * (n_u - len(self.loop)))]
+        seen, inputs, until, level = [], [], [0] * n_u, [0.0] * n_u
         for k in range(round(self.seconds / self.dt)):
             y = sensors.read(x, plant.signature, rng)
-            if k >= until:
-                drawn, share = torch.rand(2, generator=rng).tolist()
-                shortest, longest = self.holds
-                level = 2 * drawn - 1
-                until = k + max(1, round((shortest + share * (longest - shortest)) / self.dt))
-            now = y[places]
-            speeds = SMOOTH * speeds + (1 - SMOOTH) * (0.0 if last is None else (now - last) / self.dt)
-            last = now
-            gains = torch.tensor(list(self.loop.values()), dtype=torch.float64).reshape(-1, 2)
-            fed = float((gains * torch.stack([now, speeds], -1)).sum())
-            u = torch.tensor([self.offset + self.amplitude * level + fed], dtype=torch.float64).clamp(-1.0, 1.0)
+            for i in range(n_u):
+                if k >= until[i]:
+                    drawn, share = torch.rand(2, generator=rng).tolist()
+                    shortest, longest = self.holds
+                    level[i] = 2 * drawn - 1
+                    until[i] = k + max(1, round((shortest + share * (longest - shortest)) / self.dt))
+            given = [self.offset + self.amplitude * level[i] + fed[i](y) for i in range(n_u)]
+            share_of_range = torch.tensor(given, dtype=torch.float64).clamp(-1.0, 1.0)
+            u = 0.5 * (low + high) + 0.5 * (high - low) * share_of_range
             seen.append(y)
             inputs.append(u)
             x = integrate(plant, x, u, self.dt, SUBSTEPS)[0][-1]
         return torch.stack(seen), torch.stack(inputs)
+
+
+class _Fed:
+    """What a simple loop of proportions and smoothed differences adds to an input.
+
+    Args:
+        loop: Its gains.
+        names: Names of the states.
+        dt: Sampling time [s].
+    """
+
+    def __init__(self, loop: Loop, names: list[str], dt: float) -> None:
+        self.gains = torch.tensor(list(loop.values()), dtype=torch.float64).reshape(-1, 2)
+        self.places, self.dt = [names.index(name) for name in loop], dt
+        self.speeds = torch.zeros(len(loop), dtype=torch.float64)
+        self.last: Tensor | None = None
+
+    def __call__(self, y: Tensor) -> float:
+        now = y[self.places]
+        slopes = 0.0 if self.last is None else (now - self.last) / self.dt
+        self.speeds, self.last = SMOOTH * self.speeds + (1 - SMOOTH) * slopes, now
+        return float((self.gains * torch.stack([now, self.speeds], -1)).sum())
 
 
 def _servo(x: Tensor, u: Tensor) -> tuple[Tensor, ...]:
@@ -257,7 +309,7 @@ CASES = {
         seconds=60,
         amplitude=0.5,
         holds=(0.2, 1),
-        loop={"p": (-0.8, 0.0)},
+        loop=({"p": (-0.8, 0.0)},),
     ),
     "pole": Case(
         states={"p": "m", "lean": "rad", "v": "m/s", "w": "rad/s"},
@@ -270,7 +322,7 @@ CASES = {
         amplitude=0.25,
         holds=(0.1, 0.5),
         start={"lean": 0.02},
-        loop={"p": (0.5, 0.8), "lean": (5.0, 1.2)},
+        loop=({"p": (0.5, 0.8), "lean": (5.0, 1.2)},),
     ),
     "drone": Case(
         states={"z": "m", "v": "m/s", "thrust": "-"},
@@ -282,7 +334,7 @@ CASES = {
         seconds=40,
         amplitude=0.25,
         holds=(0.2, 0.8),
-        loop={"z": (-0.35, -0.25)},
+        loop=({"z": (-0.35, -0.25)},),
     ),
     "fan": Case(
         states={"w": "rad/s"},
@@ -320,7 +372,7 @@ CASES = {
         amplitude=0.2,
         holds=(0.2, 1),
         start={"r": 0.05},
-        loop={"r": (1.5, 1.5)},
+        loop=({"r": (1.5, 1.5)},),
     ),
     "shaft": Case(
         states={"a": "rad", "b": "rad", "va": "rad/s", "vb": "rad/s"},
@@ -332,7 +384,7 @@ CASES = {
         seconds=40,
         amplitude=0.6,
         holds=(0.1, 0.6),
-        loop={"a": (-0.15, 0.0)},
+        loop=({"a": (-0.15, 0.0)},),
     ),
 }
 """The plants, each with its sensors, its log and its task."""

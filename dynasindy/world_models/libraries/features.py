@@ -196,10 +196,12 @@ def of(function_name: str, *variables: str, power: int = 1, frequency: float = 1
 
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_TWO = r"[A-Za-z_]\w* [+-] [A-Za-z_]\w*"
 _TOKEN = re.compile(
     rf"\s*(?:\|(?P<abs>[^|]+)\||/\(1 \+ (?P<per>{_NUMBER}) cos\((?P<angle>[^()]+)\)\^2\)|"
     rf"max\(0, (?P<over>[^()]+) - (?P<edge>{_NUMBER})\)|sqrt\((?P<under>[^()]+) - (?P<start>{_NUMBER})\)|"
     r"exp\(-\((?P<bell>[^()]+)\)\^2\)|"
+    rf"(?P<turned>sin|cos)\((?P<two>{_TWO})\)|"
     r"\((?P<ahead>[A-Za-z_]\w*) - (?P<behind>[A-Za-z_]\w*)\)|"
     r"(?P<function>[A-Za-z_]\w*)\((?P<args>[^()]*)\)|(?P<name>[A-Za-z_]\w*)|(?P<one>1))"
     r"(?:\^(?P<power>\d+))?\s*\*?"
@@ -224,13 +226,15 @@ def parse(text: str) -> Feature:
         place = token.end()
         power = int((token["power"] or "1")[:9])  # more digits than that are refused below, whatever they are
         if token["per"]:
-            factors.append(Factor((token["angle"].strip(),), "per_cos2", power, float(token["per"])))
+            factors.append(_of_angles("per_cos2", token["angle"].strip(), power, float(token["per"])))
         elif token["edge"]:
             factors.append(Factor((token["over"].strip(),), "hinge", power, float(token["edge"])))
         elif token["start"]:
             factors.append(Factor((token["under"].strip(),), "root", power, float(token["start"])))
         elif token["bell"]:
             factors.append(_written("bell", token["bell"], power))
+        elif token["turned"]:
+            factors.append(_of_angles(token["turned"], token["two"], power))
         elif token["ahead"]:
             factors.append(Factor((token["ahead"], token["behind"]), "ahead", power))
         elif token["abs"]:
@@ -240,6 +244,14 @@ def parse(text: str) -> Feature:
         elif token["name"]:
             factors.append(Factor((token["name"],), "id", power))
     return Feature.of(map(_checked, factors))
+
+
+def _of_angles(name: str, angles: str, power: int, number: float = 1.0) -> Factor:
+    """Read a function of an angle, or of the sum or the difference of two."""
+    if re.fullmatch(_TWO, angles):
+        one, sign, two = angles.split()
+        return Factor((one, two), f"{name}_{'sum' if sign == '+' else 'gap'}", power, number)
+    return Factor((angles,), name, power, number)
 
 
 def _written(name: str, arguments: str, power: int) -> Factor:

@@ -26,6 +26,7 @@ class Function:
         by_number: derivative of a parametric function by its number, where it is known.
         formula: format string of its value in operators, numbers and `FORMULA_FUNCTIONS`, which other languages than
             torch are written from; empty where there is none.
+        slopes: derivatives by each variable of a function of several, where they are known.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Function:
     parametric: bool = False
     by_number: Callable[..., Tensor] | None = None
     formula: str = ""
+    slopes: tuple[Callable[..., Tensor], ...] = ()
 
 
 FORMULA_FUNCTIONS = ("sin", "cos", "exp", "tanh", "sqrt", "fabs", "sign", "square", "larger")
@@ -123,6 +125,35 @@ _REGISTRY: dict[str, Function] = {
 }
 
 
+def _turned(plain: Function, name: str, sign: int) -> Function:
+    """Return a function of the sum or the difference of two angles, written as one of their sum or difference."""
+    word = "+" if sign > 0 else "-"
+    slope, by_number, compute = plain.slope, plain.by_number, plain.compute
+    assert slope is not None  # of the functions below
+    return Function(
+        f"{plain.name}_{name}",
+        lambda a, b, *p: compute(a + sign * b, *p),
+        plain.text.replace("{0}", f"{{2}} {word} {{3}}"),
+        plain.latex.replace("{0}", f"({{2}} {word} {{3}})"),
+        plain.atomic,
+        parametric=plain.parametric,
+        by_number=by_number and (lambda a, b, p: by_number(a + sign * b, p)),
+        # The number of a parametric function comes after its variables.
+        formula=plain.formula.replace("{1}", "{2}").replace("{0}", f"{{0}} {word} {{1}}"),
+        slopes=(
+            lambda a, b, *p: slope(a + sign * b, *p),
+            lambda a, b, *p: sign * slope(a + sign * b, *p),
+        ),
+    )
+
+
+for _plain in ("sin", "cos", "per_cos2"):
+    for _name, _sign in (("sum", 1), ("gap", -1)):
+        _made = _turned(_REGISTRY[_plain], _name, _sign)
+        _REGISTRY[_made.name] = _made
+
+QUOTIENTS = ("per_cos2", "per_cos2_sum", "per_cos2_gap")
+"""Functions that are written as a division."""
 _BUILT_IN = frozenset(_REGISTRY)
 
 

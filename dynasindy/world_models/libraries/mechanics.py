@@ -6,12 +6,17 @@ Of two coupled axes whose mass matrix depends on an angle a, the inverse of the 
 
 with p = -m2^2 / (m1 m3) between -1 and 0, as of a pole on a cart or of a pendulum on an arm. So every force, with and
 without cos a, may stand over 1 + p cos^2 a, whose p is fitted.
+
+Of two links in a row it is the same with a the angle between them: the elbow's, or the difference of two angles that
+are both measured against the vertical, or their sum, if one of them is counted the other way. Gravity then pulls by the
+sines of both angles and of their sum or difference. Which of these angles the matrix depends on is not known before the
+data: the library has the quotients of all, and a fit keeps those of one, see `one_quotient`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from itertools import combinations_with_replacement
+from itertools import combinations, combinations_with_replacement
 
 from dynasindy.systems.base import Signature
 from dynasindy.world_models.libraries.features import CONSTANT, Feature, of, variable
@@ -27,16 +32,18 @@ def angles_of(signature: Signature) -> tuple[str, ...]:
     return tuple(name for name, unit in units.items() if unit == "rad" and "rad/s" in units.values())
 
 
-def mechanical(signature: Signature, angles: Iterable[str] | None = None) -> Library:
+def mechanical(signature: Signature, angles: Iterable[str] | None = None, dry: Iterable[Feature] = ()) -> Library:
     """Build the functions of an equation of motion with angles: gravity, turned forces, centrifugal forces, quotients.
 
-    They are linear functions; of each angle a: sin a, cos a, their product; every input and every rate times each of
+    They are linear functions; of one angle a: sin a, cos a, their product; every input and every rate times each of
     both; products of two angular rates times sin a, or sin a cos a. With two rates or more, which may be coupled, all
-    forces with and without cos a are divided by 1 + p cos^2 a, too.
+    forces with and without cos a are divided by 1 + p cos^2 a, too. With two angles or more, a is each of them, and the
+    sum and the difference of two; all their sines and cosines pull, and forces are turned in the quotients alone.
 
     Args:
         signature: names and units of states and inputs; rates are the states whose unit is one per second.
         angles: states that are angles; by default those in rad, where there is a state in rad/s.
+        dry: dry friction of rates, which is a force like any other.
     """
     units = list(zip(signature.state_names, signature.state_units, strict=True))
     rates = [variable(name) for name, unit in units if unit.endswith("/s")]
@@ -44,12 +51,21 @@ def mechanical(signature: Signature, angles: Iterable[str] | None = None) -> Lib
     spun = [one * other for one, other in combinations_with_replacement(turning, 2)]
     inputs = [variable(name) for name in signature.input_names]
     functions: list[Feature] = [CONSTANT, *(variable(n) for n in (*signature.state_names, *signature.input_names))]
-    for angle in angles_of(signature) if angles is None else angles:
-        s, c = of("sin", angle), of("cos", angle)
-        functions += [s, c, s * c, *(f * g for f in (*inputs, *rates) for g in (s, c))]
+    single: list[tuple[str, ...]] = [(name,) for name in (angles_of(signature) if angles is None else angles)]
+    pairs = [(*pair, word) for pair in combinations([angle[0] for angle in single], 2) for word in ("sum", "gap")]
+    pulls = [_turned(name, *angle) for angle in (*single, *pairs) for name in ("sin", "cos")] if pairs else []
+    functions += pulls
+    for angle in (*single, *pairs):
+        s, c, over = (_turned(name, *angle) for name in ("sin", "cos", "per_cos2"))
+        functions += [] if pairs else [s, c, s * c, *(f * g for f in (*inputs, *rates) for g in (s, c))]
         functions += [f * g for f in spun for g in (s, s * c)]
         if len(rates) > 1:
-            over = of("per_cos2", angle, frequency=COUPLING, fitted=True)
-            forces = [CONSTANT, s, *inputs, *rates, *(f * s for f in spun)]
+            forces = [CONSTANT, *(pulls or [s]), *inputs, *rates, *(dry if pairs else ()), *(f * s for f in spun)]
             functions += [f * g * over for f in forces for g in (CONSTANT, c)]
     return Library(signature, functions)
+
+
+def _turned(name: str, *angle: str) -> Feature:
+    """Return a function of an angle, `(a,)`, or of the sum or the difference of two, `(a, b, "sum")`."""
+    full = name if len(angle) == 1 else f"{name}_{angle[-1]}"
+    return of(full, *angle[:2], frequency=COUPLING, fitted=True) if name == "per_cos2" else of(full, *angle[:2])

@@ -229,19 +229,22 @@ def rotor_rig(signature: Signature) -> Library:
     return rotor(signature, friction=True, cable=True)
 
 
-def auto(signature: Signature) -> Library:
+def auto(signature: Signature, dry: Iterable[Feature] = ()) -> Library:
     """Build what suits the units: quadratic polynomials, or for angles and their rates the functions of mechanics.
 
     A plant with an angle in rad and a rate in rad/s gets quadratic polynomials of its other states and inputs only.
 
     Args:
         signature: names and units of states and inputs.
+        dry: dry friction of rates, for a machine with several angles.
     """
     if not angles_of(signature):
         return polynomial(signature)
     units = zip(signature.state_names, signature.state_units, strict=True)
     others = [name for name, unit in units if unit not in ("rad", "rad/s")]
-    return sum_of(signature, [mechanical, partial(polynomial, variables=[*others, *signature.input_names])])
+    return sum_of(
+        signature, [partial(mechanical, dry=dry), partial(polynomial, variables=[*others, *signature.input_names])]
+    )
 
 
 def auto_rig(signature: Signature) -> Library:
@@ -256,7 +259,7 @@ def auto_rig(signature: Signature) -> Library:
     units = zip(signature.state_names, signature.state_units, signature.x_scale, strict=True)
     dry = [of("tanh", name, frequency=FULL / scale, fitted=True) for name, unit, scale in units if unit in SPEEDS]
     turned = [f * of("cos", angle) for f in dry for angle in angles_of(signature)] if len(dry) > 1 else []
-    return Library(signature, [*auto(signature).features, *dry, *turned])
+    return Library(signature, [*auto(signature, dry).features, *dry, *turned])
 
 
 NAMED: dict[str, LibraryBuilder] = {

@@ -33,6 +33,7 @@ from dynasindy.world_models.models.base import WorldModel
 from dynasindy.world_models.models.report import FitReport
 from dynasindy.world_models.refinement.delay import known_inputs
 from dynasindy.world_models.refinement.measured import at_rest, begun, followed, imagined, rates_known, reconstruct
+from dynasindy.world_models.refinement.quotient import one_quotient
 from dynasindy.world_models.refinement.refine import Recording, Refinement
 from dynasindy.world_models.refinement.shapes import stayed
 from dynasindy.world_models.refinement.shooting import RunsAway
@@ -205,12 +206,14 @@ class SindyModel(WorldModel):
             guess = begun(self.library, first, guess, self.followers)
         recording = Recording.of(data, guess, rates, delay)
         self.sums.add(self._rows(recording, delay))
+        free = one_quotient(self.library, self.constraints.free, lambda trial: self._rows(recording, delay, trial))
+        constraints = replace(self.constraints, free=free)
         if first is None:
-            self._solve(self.sums, recording.seen(delay).dependent)
+            self._solve(self.sums, constraints, recording.seen(delay).dependent)
         else:
             self.set_coefficients(first)
         self.delay = delay
-        notes = self._refine(data, guess)
+        notes = self._refine(data, guess, constraints)
         if self.refinement is not None:
             notes += stayed(self.library, self.coefficients)
         seconds = time.perf_counter() - start
@@ -224,7 +227,7 @@ class SindyModel(WorldModel):
         x, u, dx = (t.to(torch.float64) for t in (x, u, dx))
         self.sums = RunningSums(len(self.library), self.signature.n_x)
         self.sums.add((self.library(x, u), dx))
-        self._solve(self.sums)
+        self._solve(self.sums, self.constraints)
 
     def equations(self, digits: int = 4) -> list[str]:
         """Write one equation per state, e.g. `Omega_p' = -0.414 Omega_p + ...`."""
@@ -306,16 +309,16 @@ class SindyModel(WorldModel):
                 "function: collect more data or choose a smaller library"
             )
 
-    def _refine(self, data: Transitions, guess: Transitions) -> list[str]:
+    def _refine(self, data: Transitions, guess: Transitions, constraints: Constraints) -> list[str]:
         """Refine the coefficients and return what is to be said of it."""
         if self.refinement is None:
             return []
         try:
-            found = self.refinement.run(self.library, self.coefficients, self.constraints, data, guess)
+            found = self.refinement.run(self.library, self.coefficients, constraints, data, guess)
         except RunsAway as error:
             raise Diverged(f"model learning: {error}") from error
         refined = self._finite(found.coefficients, "refinement")
-        if self.coefficients[self.constraints.free].any() and not refined[self.constraints.free].any():
+        if self.coefficients[constraints.free].any() and not refined[constraints.free].any():
             return ["the refinement dropped every function, so the fit before it stays; collect more or cleaner data"]
         self.set_coefficients(refined)
         if found.library is not self.library or found.delay != self.delay:
@@ -332,14 +335,14 @@ class SindyModel(WorldModel):
             "the coefficients were fitted on all rows",
         ]
 
-    def _rows(self, recording: Recording, delay: float) -> Rows:
+    def _rows(self, recording: Recording, delay: float, library: Library | None = None) -> Rows:
         """Return averaged functions and rates of change, under inputs that act `delay` seconds later."""
-        seen = recording.seen(delay)
-        return seen.rows(self.library, self) if seen.half else integral_form(self.library, seen.guess)
+        seen, library = recording.seen(delay), library or self.library
+        return seen.rows(library, self) if seen.half else integral_form(library, seen.guess)
 
-    def _solve(self, sums: RunningSums, dependent: float = DEPENDENT) -> None:
+    def _solve(self, sums: RunningSums, constraints: Constraints, dependent: float = DEPENDENT) -> None:
         regression = replace(self.regression, dependent=dependent) if dependent > DEPENDENT else self.regression
-        found = regression.solve(sums, self.constraints.free, self.constraints.offset)
+        found = regression.solve(sums, constraints.free, constraints.offset)
         self.set_coefficients(self._finite(found, "regression"))
 
     def _finite(self, coefficients: Tensor, source: str) -> Tensor:

@@ -6,9 +6,8 @@ import torch
 from torch import Tensor
 
 from dynasindy.world_models.libraries.features import Feature
+from dynasindy.world_models.libraries.functions import QUOTIENTS
 from dynasindy.world_models.libraries.library import Library
-
-QUOTIENT = "per_cos2"
 
 
 def plainer(library: Library, xi: Tensor, free: Tensor, place: int) -> Tensor | None:
@@ -24,7 +23,7 @@ def plainer(library: Library, xi: Tensor, free: Tensor, place: int) -> Tensor | 
         place: place of the quotient among the fitted numbers, `library.shapes`.
     """
     shape, found = library.shapes[place], xi.clone()
-    if shape.function != QUOTIENT:
+    if shape.function not in QUOTIENTS:
         return None
     places = {feature.key: k for k, feature in enumerate(library.features)}
     for k, feature in enumerate(library.features):

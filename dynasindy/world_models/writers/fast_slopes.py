@@ -114,6 +114,12 @@ class _SlopeWriter(Writer):
             self.functions[f"s_{factor.function}"] = slope
             written = f"s_{factor.function}({arguments}, {factor.frequency!r})"
             return self._line((base, "slope"), written)
+        slopes = function(factor.function).slopes
+        if slopes and (function(factor.function).parametric or factor.frequency == 1):
+            place = factor.variables.index(name)
+            number = f", {factor.frequency!r}" if function(factor.function).parametric else ""
+            self.functions[f"s{place}_{factor.function}"] = slopes[place]
+            return self._line((base, "by", name), f"s{place}_{factor.function}({arguments}{number})")
         if slope is None or len(factor.variables) > 1:
             key = f"d{len(self.functions)}_{factor.function}"
             self.functions[key] = _tangent(base, factor.variables.index(name))

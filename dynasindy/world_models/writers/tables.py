@@ -9,10 +9,8 @@ from collections.abc import Sequence
 from torch import Tensor
 
 from dynasindy.world_models.libraries.features import latex_name
+from dynasindy.world_models.libraries.functions import QUOTIENTS
 from dynasindy.world_models.libraries.library import Library
-
-QUOTIENTS = ("per_cos2",)
-"""Functions that are written as a division."""
 
 
 def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[str]:
