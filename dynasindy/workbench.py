@@ -117,7 +117,7 @@ def identify(
     library: str | Sequence[str] | LibraryBuilder = "auto_rig",
     known: Mapping[str, str] | None = None,
     method: Literal["integral", "one_step", "trajectory", "auto"] = "auto",
-    longest_delay: float = LONGEST_DELAY,
+    longest_delay: float | None = LONGEST_DELAY,
 ) -> SindyModel:
     """Identify sparse equations from a log, as `train.py data=csv` does.
 
@@ -132,7 +132,7 @@ def identify(
             the log does not have is estimated with the model. If omitted, rates that the log shows to be missing are
             added as `angle_rate`; `{}` adds none.
         method: How the fit is refined; `auto` chooses by the noise of the data.
-        longest_delay: Longest delay of the inputs that is looked for [s].
+        longest_delay: Longest delay of the inputs that is looked for [s]; None for two samples.
 
     Returns:
         The model; `equations()` shows it, `save` keeps it. A warning says which state misses its rate, and which

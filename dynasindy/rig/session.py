@@ -35,14 +35,14 @@ class Knowledge:
         library: Candidate functions of its equations.
         known: Equations that are known, by state.
         targets: Lower and upper end of the targets of each output [unit of the output].
-        longest_delay: Longest delay of the inputs that is looked for [s].
+        longest_delay: Longest delay of the inputs that is looked for [s]; None for two control periods.
         planning: Settings of `GradientPlanning`.
     """
 
     library: str | Sequence[str] | LibraryBuilder
     known: Mapping[str, str]
     targets: Mapping[str, tuple[float, float]]
-    longest_delay: float = 0.1
+    longest_delay: float | None = None
     planning: Mapping[str, Any] = field(default_factory=dict)
 
     def require_of(self, signature: Signature) -> None:

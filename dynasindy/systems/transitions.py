@@ -21,6 +21,7 @@ class Transitions:
         x_next: states at the end of each transition, `(N, n_x)`.
         dt: time between `x` and `x_next` [s].
         segment: number of the unbroken stretch each row belongs to, `(N,)` int64, in non-decreasing blocks.
+        substeps: transitions in a control period, in which the inputs stay as they are.
     """
 
     x: Tensor
@@ -28,6 +29,7 @@ class Transitions:
     x_next: Tensor
     dt: float
     segment: Tensor
+    substeps: int = 1
 
     def __post_init__(self) -> None:
         """Check shapes and the sampling time.
@@ -76,7 +78,7 @@ class Transitions:
         x = torch.cat([start.unsqueeze(-2), samples[..., :-1, :]], dim=-2).reshape(-1, n_x)
         held = u.unsqueeze(-2).expand(*u.shape[:-1], substeps, u.shape[-1]).reshape(-1, u.shape[-1])
         x_next = samples.reshape(-1, n_x)
-        return cls(x, held, x_next, dt, _segments(x, x_next))
+        return cls(x, held, x_next, dt, _segments(x, x_next), substeps)
 
     @classmethod
     def cat(cls, parts: Sequence[Transitions]) -> Transitions:
@@ -98,7 +100,7 @@ class Transitions:
             segments.append(part.segment + offset)
             offset += int(part.segment.max()) + 1 if len(part) else 0
         x, u, x_next = (torch.cat([getattr(p, name) for p in parts]) for name in ("x", "u", "x_next"))
-        return cls(x, u, x_next, parts[0].dt, torch.cat(segments))
+        return cls(x, u, x_next, parts[0].dt, torch.cat(segments), parts[0].substeps)
 
     def __len__(self) -> int:
         """Count the transitions."""
@@ -116,7 +118,7 @@ class Transitions:
         segment = self.segment[keep]
         breaks = torch.zeros_like(keep)
         breaks[1:] = ((keep.diff() > 1) | (segment.diff() != 0)).long()
-        return Transitions(self.x[keep], self.u[keep], self.x_next[keep], self.dt, breaks.cumsum(0))
+        return replace(self, x=self.x[keep], u=self.u[keep], x_next=self.x_next[keep], segment=breaks.cumsum(0))
 
     def last(self, n: int) -> Transitions:
         """Keep the newest `n` rows."""

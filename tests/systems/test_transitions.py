@@ -122,3 +122,11 @@ def test_every_shape_is_checked(shapes):
     x, u, x_next, n = shapes
     with pytest.raises(ValueError, match="flatten or trim"):
         Transitions(torch.zeros(x), torch.zeros(u), torch.zeros(x_next), 0.1, torch.zeros(n, dtype=torch.int64))
+
+
+def test_samples_of_control_periods_keep_how_many_there_are_in_one():
+    one = Transitions.from_samples(torch.zeros(3, 2), torch.zeros(3, 1), torch.ones(3, 4, 2), 0.5)
+    kept = [one, Transitions.cat([one, one]), one.last(5), one.to(torch.float64)]
+    assert [data.substeps for data in kept] == [4, 4, 4, 4]
+    # A trajectory has an input for every sample.
+    assert _line(3).substeps == 1

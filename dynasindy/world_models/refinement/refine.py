@@ -31,6 +31,9 @@ AGAIN = 3
 """Rounds at most in which delay and equations are fitted in turn."""
 STEPS = 6
 """Gauss-Newton steps after which two delays are compared."""
+PERIODS = 2
+"""Control periods up to which delays are looked for where no time is given. An unstable plant is excited under
+feedback, and from such data a longer delay, together with other equations, can explain as much as the true one."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
 ERRORS = ("auto", "simulation", "coloured", "prediction", "innovation")
 COMPARED = "the fit compares whole simulations with the log and not single steps, as {}"
@@ -113,7 +116,7 @@ class Refinement:
         tolerance: unexplained part of a rate of change that is taken as exact.
         window: sampling intervals between two states that `trajectory` estimates.
         longest_delay: longest delay of the inputs that is looked for [s], in whole samples, by `trajectory` in
-            fractions of them; 0 takes the inputs as they are.
+            fractions of them; 0 takes the inputs as they are, and None looks for delays of up to two control periods.
         error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), what
             is new in such errors, as they last from sample to sample (`coloured`), of windows that begin anew
             (`prediction`), for plants that are pushed at random or unstable, or what a Kalman filter leaves over in
@@ -131,7 +134,7 @@ class Refinement:
     rounds: Count = 2
     tolerance: float = 1e-6
     window: int = 20
-    longest_delay: float = 0.0
+    longest_delay: float | None = 0.0
     error: Literal["auto", "simulation", "coloured", "prediction", "innovation"] | None = None
     correlated: bool = False
 
@@ -140,13 +143,20 @@ class Refinement:
             raise ValueError(f"refinement got method {self.method!r}; allowed are {', '.join(METHODS)}: choose one")
         if self.error not in (None, *ERRORS):
             raise ValueError(f"refinement got error {self.error!r}; allowed are {', '.join(ERRORS)}: choose one")
-        if not 0 <= self.longest_delay < math.inf:
-            raise ValueError(f"refinement got longest_delay {self.longest_delay} s; allowed is 0 or more")
+        if not 0 <= self._longest < math.inf:
+            raise ValueError(
+                f"refinement got longest_delay {self.longest_delay} s; allowed is 0 or more, or null for two control "
+                "periods"
+            )
         if self.rounds < 0 or not self.tolerance > 0 or self.window < 1:
             raise ValueError(
                 f"refinement got rounds {self.rounds}, tolerance {self.tolerance}, window {self.window}; allowed are "
                 "rounds >= 0, tolerance > 0, window >= 1: correct them"
             )
+
+    @property
+    def _longest(self) -> float:
+        return self.longest_delay or 0.0
 
     def run(
         self,
@@ -166,7 +176,10 @@ class Refinement:
             guess: the same, the states that were not measured guessed; needed where there are such states.
         """
         guess = data if guess is None else guess
-        lacking = moving_on(library, data) if self.longest_delay else []
+        if self.longest_delay is None:
+            told = replace(self, longest_delay=PERIODS * data.substeps * data.dt)
+            return told.run(library, coefficients, constraints, data, guess)
+        lacking = moving_on(library, data) if self._longest else []
         if lacking:  # a delay would stand for the rate that is missing
             note = (
                 f"no delay of the inputs was looked for, as it would stand for the rate of {' and '.join(lacking)}, "
@@ -174,7 +187,7 @@ class Refinement:
             )
             alone = replace(self, longest_delay=0.0).run(library, coefficients, constraints, data, guess)
             return alone._replace(notes=(*alone.notes, note))
-        recording = Recording.of(data, guess, rates_known(library, constraints), self.longest_delay)
+        recording = Recording.of(data, guess, rates_known(library, constraints), self._longest)
         delay = self._rough(library, coefficients, constraints, recording)
         found = self._regressed(library, coefficients, constraints, recording.seen(delay))
         method, noisy, notes = self._chosen(*found, data, recording.guessed(delay))
@@ -186,19 +199,19 @@ class Refinement:
                 found = self._regressed(*found, constraints, recording.seen(delay))
             found, delay, why = self._by_trajectories(found, delay, constraints, recording)
             notes += why
-        if delay and delay > self.longest_delay - 0.5 * data.dt:
+        if delay and delay > self._longest - 0.5 * data.dt:
             notes += (
-                f"the best delay of the inputs is the longest that was tried, {self.longest_delay:g} s; it may be "
-                f"longer: give longest_delay={2 * self.longest_delay:g}",
+                f"the best delay of the inputs is the longest that was tried, {self._longest:g} s; it may be "
+                f"longer: give longest_delay={2 * self._longest:g}",
             )
         return Refined(*found, delay, notes)
 
     def _rough(self, library: Library, coefficients: Tensor, constraints: Constraints, recording: Recording) -> float:
         """Return the delay of whole samples that a regression finds [s]; 0 where none is looked for."""
-        if not self.longest_delay:
+        if not self._longest:
             return 0.0
         field, dt = generate(library, coefficients), recording.data.dt
-        return rough_delay(constraints.free, lambda d: recording.seen(d).rows(library, field), dt, self.longest_delay)
+        return rough_delay(constraints.free, lambda d: recording.seen(d).rows(library, field), dt, self._longest)
 
     def _by_trajectories(
         self, first: Model, rough: float, constraints: Constraints, recording: Recording
@@ -252,12 +265,12 @@ class Refinement:
         def _fitted(found: Model, delay: float) -> Fitted:
             return refine_trajectory(*found, free, recording.measured(delay), descent, recording.guessed(delay).x)
 
-        if self.longest_delay:
+        if self._longest:
             delay = self._fine(delay, found, free, recording, descent)
             found = self._regressed(*found, constraints, recording.seen(delay))
         fitted = _fitted(found, delay)
         # The equations that were chosen tell the delay better than those they were chosen from.
-        for _ in range(AGAIN if self.longest_delay else 0):
+        for _ in range(AGAIN if self._longest else 0):
             last, delay = delay, self._fine(delay, fitted[:2], free, recording, descent)
             if abs(delay - last) < 0.02 * recording.data.dt:
                 break
@@ -266,13 +279,13 @@ class Refinement:
 
     def _fine(self, delay: float, found: Model, free: Tensor, recording: Recording, descent: Descent) -> float:
         """Return the delay in fractions of a sample that a few steps of the fit to trajectories find [s]."""
-        tell("fit", words=f"trying delays of the inputs up to {self.longest_delay:g} s")
+        tell("fit", words=f"trying delays of the inputs up to {self._longest:g} s")
         few, data = replace(descent, max_rounds=STEPS), recording.data
 
         def _cost(trial: float) -> float:
             return few_steps(*found, free, recording.measured(trial), few, recording.guessed(trial).x)[0]
 
-        return fine_delay(delay, data.dt, self.longest_delay, math.log(max(len(data), 2)), _cost)
+        return fine_delay(delay, data.dt, self._longest, math.log(max(len(data), 2)), _cost)
 
     def _chosen(
         self, library: Library, coefficients: Tensor, data: Transitions, guess: Transitions
