@@ -89,7 +89,7 @@ class Keys(TypedDict):
     slim: list[str]
     refinement: str
     error_shape: str
-    longest_delay: float
+    longest_delay: float | None
     horizons: list[float] | None
     actuators: bool
     source: Literal["simulated", "logged"]

@@ -6,10 +6,10 @@ import torch
 from scipy.integrate import solve_ivp
 
 from dynasindy.dyna.verdict import judge
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, LateEnv
 from dynasindy.evaluation import predicted as module
 from dynasindy.evaluation.held import Held
-from dynasindy.evaluation.predicted import LateEnv, Prediction, predict
+from dynasindy.evaluation.predicted import Prediction, predict
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.systems import Pendulum, System
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
@@ -171,7 +171,7 @@ def test_a_delay_is_not_negative():
     plant = Pendulum()
     task = Tracking(plant.signature, Step([[0.3]]), ("theta",), ("Omega",), TrackingReward((4.0,)))
     with pytest.raises(ValueError, match="allowed is 0 or more"):
-        LateEnv(ControlEnv(plant, task), -0.1)
+        LateEnv.around(ControlEnv(plant, task), -0.1)
 
 
 def test_a_plan_that_was_too_short_is_told_from_one_that_diverges():
@@ -203,7 +203,7 @@ def test_models_of_which_some_are_held_ask_for_a_better_log_and_not_for_a_longer
 def test_another_task_is_drawn_from_the_same_seed_as_without_a_delay():
     plant = Pendulum()
     task = Tracking(plant.signature, RandomStep([-0.5], [0.5]), ("theta",), ("Omega",), TrackingReward((1.0,)))
-    plain, late = ControlEnv(plant, task), LateEnv(ControlEnv(plant, task), 0.02)
+    plain, late = ControlEnv(plant, task), LateEnv.around(ControlEnv(plant, task), 0.02)
     drawn = [
         float(env.with_task(task, *seed).reset()["reference"]) for env in (plain, late) for seed in ((), (0,), (1,))
     ]

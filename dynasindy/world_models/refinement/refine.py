@@ -16,7 +16,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell
 from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.delay import delayed, fine_delay, known_inputs, rough_delay
+from dynasindy.world_models.refinement.delay import delayed, fine_delay, known_inputs, reach, rough_delay, unexplained
 from dynasindy.world_models.refinement.descent import Descent
 from dynasindy.world_models.refinement.measured import Seen, rates_known, reconstruct
 from dynasindy.world_models.refinement.one_step import refine_one_step
@@ -24,7 +24,7 @@ from dynasindy.world_models.refinement.order import moving_on
 from dynasindy.world_models.refinement.shapes import fit_shapes
 from dynasindy.world_models.refinement.shooting import RunsAway
 from dynasindy.world_models.refinement.trajectory import WORSE, Fitted, few_steps, refine_trajectory, strain
-from dynasindy.world_models.regression.regression import Regression, RunningSums
+from dynasindy.world_models.regression.regression import Regression, Rows, RunningSums
 from dynasindy.world_models.writers.fast_field import generate
 
 AGAIN = 3
@@ -112,8 +112,9 @@ class Refinement:
         rounds: repetitions of the fourth-order regression.
         tolerance: unexplained part of a rate of change that is taken as exact.
         window: sampling intervals between two states that `trajectory` estimates.
-        longest_delay: longest delay of the inputs that is looked for [s], in whole samples, by `trajectory` in
-            fractions of them; 0 takes the inputs as they are.
+        longest_delay: longest delay of the inputs that is looked for [s], in whole samples, then in fractions of them;
+            0 takes the inputs as they are. None looks within ten samples, farther where the delay is longer, and not at
+            all where samples without noise are explained as they are.
         error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), what
             is new in such errors, as they last from sample to sample (`coloured`), of windows that begin anew
             (`prediction`), for plants that are pushed at random or unstable, or what a Kalman filter leaves over in
@@ -131,7 +132,7 @@ class Refinement:
     rounds: Count = 2
     tolerance: float = 1e-6
     window: int = 20
-    longest_delay: float = 0.0
+    longest_delay: float | None = 0.0
     error: Literal["auto", "simulation", "coloured", "prediction", "innovation"] | None = None
     correlated: bool = False
 
@@ -140,7 +141,7 @@ class Refinement:
             raise ValueError(f"refinement got method {self.method!r}; allowed are {', '.join(METHODS)}: choose one")
         if self.error not in (None, *ERRORS):
             raise ValueError(f"refinement got error {self.error!r}; allowed are {', '.join(ERRORS)}: choose one")
-        if not 0 <= self.longest_delay < math.inf:
+        if self.longest_delay is not None and not 0 <= self.longest_delay < math.inf:
             raise ValueError(f"refinement got longest_delay {self.longest_delay} s; allowed is 0 or more")
         if self.rounds < 0 or not self.tolerance > 0 or self.window < 1:
             raise ValueError(
@@ -166,7 +167,10 @@ class Refinement:
             guess: the same, the states that were not measured guessed; needed where there are such states.
         """
         guess = data if guess is None else guess
-        lacking = moving_on(library, data) if self.longest_delay else []
+        if self.longest_delay is None:
+            farthest = self._reach(library, coefficients, constraints, data, guess)
+            return replace(self, longest_delay=farthest).run(library, coefficients, constraints, data, guess)
+        lacking = moving_on(library, data) if self._longest else []
         if lacking:  # a delay would stand for the rate that is missing
             note = (
                 f"no delay of the inputs was looked for, as it would stand for the rate of {' and '.join(lacking)}, "
@@ -174,8 +178,11 @@ class Refinement:
             )
             alone = replace(self, longest_delay=0.0).run(library, coefficients, constraints, data, guess)
             return alone._replace(notes=(*alone.notes, note))
-        recording = Recording.of(data, guess, rates_known(library, constraints), self.longest_delay)
+        recording = Recording.of(data, guess, rates_known(library, constraints), self._longest)
         delay = self._rough(library, coefficients, constraints, recording)
+        if delay and self.method in ("integral", "one_step"):
+            library, coefficients = self._regressed(library, coefficients, constraints, recording.seen(delay))
+            delay = self._regressed_delay(delay, (library, coefficients), constraints, recording)
         found = self._regressed(library, coefficients, constraints, recording.seen(delay))
         method, noisy, notes = self._chosen(*found, data, recording.guessed(delay))
         if method == "one_step":
@@ -186,19 +193,46 @@ class Refinement:
                 found = self._regressed(*found, constraints, recording.seen(delay))
             found, delay, why = self._by_trajectories(found, delay, constraints, recording)
             notes += why
-        if delay and delay > self.longest_delay - 0.5 * data.dt:
+        if delay and delay > self._longest - 0.5 * data.dt:
             notes += (
-                f"the best delay of the inputs is the longest that was tried, {self.longest_delay:g} s; it may be "
-                f"longer: give longest_delay={2 * self.longest_delay:g}",
+                f"the best delay of the inputs is the longest that was tried, {self._longest:g} s; it may be "
+                f"longer: give longest_delay={2 * self._longest:g}",
             )
         return Refined(*found, delay, notes)
 
+    @property
+    def _longest(self) -> float:
+        return self.longest_delay or 0.0
+
     def _rough(self, library: Library, coefficients: Tensor, constraints: Constraints, recording: Recording) -> float:
         """Return the delay of whole samples that a regression finds [s]; 0 where none is looked for."""
-        if not self.longest_delay:
+        if not self._longest:
             return 0.0
         field, dt = generate(library, coefficients), recording.data.dt
-        return rough_delay(constraints.free, lambda d: recording.seen(d).rows(library, field), dt, self.longest_delay)
+        return rough_delay(constraints.free, lambda d: recording.seen(d).rows(library, field), dt, self._longest)
+
+    def _regressed_delay(self, rough: float, found: Model, constraints: Constraints, recording: Recording) -> float:
+        """Return the delay in fractions of a sample that regressions of samples without noise tell [s]."""
+        field, data = generate(*found), recording.data
+
+        def _cost(trial: float) -> float:
+            return unexplained(constraints.free, *recording.seen(trial).rows(found[0], field))
+
+        return fine_delay(rough, data.dt, self._longest, math.log(max(len(data), 2)), _cost)
+
+    def _reach(
+        self, library: Library, coefficients: Tensor, constraints: Constraints, data: Transitions, guess: Transitions
+    ) -> float:
+        """Return how long a delay of the inputs may be [s], as far as a regression tells; 0 where there is none."""
+        field, rates = generate(library, coefficients), rates_known(library, constraints)
+        noisy = self.method == "trajectory" or bool(data.x.isnan().any())
+        if not noisy and self.method == "auto":
+            noisy = looks_noisy(library, coefficients, guess)
+
+        def _rows(late: int, farthest: int) -> Rows:
+            return Recording.of(data, guess, rates, farthest * data.dt).seen(late * data.dt).rows(library, field)
+
+        return reach(constraints.free, _rows, noisy) * data.dt
 
     def _by_trajectories(
         self, first: Model, rough: float, constraints: Constraints, recording: Recording
@@ -252,12 +286,12 @@ class Refinement:
         def _fitted(found: Model, delay: float) -> Fitted:
             return refine_trajectory(*found, free, recording.measured(delay), descent, recording.guessed(delay).x)
 
-        if self.longest_delay:
+        if self._longest:
             delay = self._fine(delay, found, free, recording, descent)
             found = self._regressed(*found, constraints, recording.seen(delay))
         fitted = _fitted(found, delay)
         # The equations that were chosen tell the delay better than those they were chosen from.
-        for _ in range(AGAIN if self.longest_delay else 0):
+        for _ in range(AGAIN if self._longest else 0):
             last, delay = delay, self._fine(delay, fitted[:2], free, recording, descent)
             if abs(delay - last) < 0.02 * recording.data.dt:
                 break
@@ -266,13 +300,13 @@ class Refinement:
 
     def _fine(self, delay: float, found: Model, free: Tensor, recording: Recording, descent: Descent) -> float:
         """Return the delay in fractions of a sample that a few steps of the fit to trajectories find [s]."""
-        tell("fit", words=f"trying delays of the inputs up to {self.longest_delay:g} s")
+        tell("fit", words=f"trying delays of the inputs up to {self._longest:g} s")
         few, data = replace(descent, max_rounds=STEPS), recording.data
 
         def _cost(trial: float) -> float:
             return few_steps(*found, free, recording.measured(trial), few, recording.guessed(trial).x)[0]
 
-        return fine_delay(delay, data.dt, self.longest_delay, math.log(max(len(data), 2)), _cost)
+        return fine_delay(delay, data.dt, self._longest, math.log(max(len(data), 2)), _cost)
 
     def _chosen(
         self, library: Library, coefficients: Tensor, data: Transitions, guess: Transitions
