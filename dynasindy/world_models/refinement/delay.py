@@ -64,8 +64,8 @@ def rough_delay(free: Tensor, rows: Callable[[float], Rows], dt: float, longest:
     return min(range(most + 1), key=costs.__getitem__) * dt
 
 
-def reach(free: Tensor, rows: Callable[[int, int], Rows], noisy: bool) -> int:
-    """Return within how many samples a delay is to be looked for, where nobody says how long it may be.
+def reach(free: Tensor, rows: Callable[[int, int], Rows], noisy: bool) -> tuple[int, int]:
+    """Return within how many samples a delay is to be looked for, where nobody says how long it may be, and the best.
 
     Nothing is looked for where the functions explain samples without noise as they are, or where no delay explains them
     better by far. Where the longest delay that was tried is the best one, it is looked for twice as far.
@@ -77,7 +77,7 @@ def reach(free: Tensor, rows: Callable[[int, int], Rows], noisy: bool) -> int:
         noisy: whether the samples are noisy, so that a delay may hide in what nothing explains.
     """
     if not noisy and _exact(free, *rows(0, 0)):
-        return 0
+        return 0, 0
     farthest = FIRST
     while True:
         costs = [unexplained(free, *rows(k, farthest)) for k in range(farthest + 1)]
@@ -87,7 +87,7 @@ def reach(free: Tensor, rows: Callable[[int, int], Rows], noisy: bool) -> int:
         farthest *= 2
     count = len(rows(best, farthest)[1])
     told = costs[0] - costs[best] > 0.5 * count * math.log(TELLING)
-    return farthest if told or noisy else 0
+    return (farthest, best) if told or noisy else (0, 0)
 
 
 def fine_delay(rough: float, dt: float, longest: float, worth: float, cost: Cost) -> float:

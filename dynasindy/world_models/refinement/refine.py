@@ -31,6 +31,8 @@ AGAIN = 3
 """Rounds at most in which delay and equations are fitted in turn."""
 STEPS = 6
 """Gauss-Newton steps after which two delays are compared."""
+ALIKE = 0.01
+"""Samples by which a delay may differ from a whole number and be taken for it."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
 ERRORS = ("auto", "simulation", "coloured", "prediction", "innovation")
 COMPARED = "the fit compares whole simulations with the log and not single steps, as {}"
@@ -167,17 +169,24 @@ class Refinement:
             guess: the same, the states that were not measured guessed; needed where there are such states.
         """
         guess = data if guess is None else guess
-        if self.longest_delay is None:
-            farthest = self._reach(library, coefficients, constraints, data, guess)
-            return replace(self, longest_delay=farthest).run(library, coefficients, constraints, data, guess)
-        lacking = moving_on(library, data) if self._longest else []
-        if lacking:  # a delay would stand for the rate that is missing
-            note = (
-                f"no delay of the inputs was looked for, as it would stand for the rate of {' and '.join(lacking)}, "
-                "which the log lacks"
-            )
-            alone = replace(self, longest_delay=0.0).run(library, coefficients, constraints, data, guess)
-            return alone._replace(notes=(*alone.notes, note))
+        first, longest, rough = (library, coefficients), self.longest_delay, 0.0
+        if longest is None:
+            longest, rough = self._reach(first, constraints, data, guess)
+        settings = replace(self, longest_delay=longest)
+        # A delay that a regression tells may explain how states go on, where nobody says how long it may be.
+        lacking = moving_on(library, delayed(data, rough).select(known_inputs(data, rough))) if longest else []
+        if not lacking:
+            return settings._run(first, constraints, data, guess)
+        # A delay would stand for the rate that is missing.
+        note = (
+            f"no delay of the inputs was looked for, as it would stand for the rate of {' and '.join(lacking)}, "
+            "which the log lacks"
+        )
+        alone = replace(self, longest_delay=0.0)._run(first, constraints, data, guess)
+        return alone._replace(notes=(*alone.notes, note))
+
+    def _run(self, first: Model, constraints: Constraints, data: Transitions, guess: Transitions) -> Refined:
+        library, coefficients = first
         recording = Recording.of(data, guess, rates_known(library, constraints), self._longest)
         delay = self._rough(library, coefficients, constraints, recording)
         if delay and self.method in ("integral", "one_step"):
@@ -218,21 +227,23 @@ class Refinement:
         def _cost(trial: float) -> float:
             return unexplained(constraints.free, *recording.seen(trial).rows(found[0], field))
 
-        return fine_delay(rough, data.dt, self._longest, math.log(max(len(data), 2)), _cost)
+        fine = fine_delay(rough, data.dt, self._longest, math.log(max(len(data), 2)), _cost)
+        return rough if abs(fine - rough) < ALIKE * data.dt else fine
 
     def _reach(
-        self, library: Library, coefficients: Tensor, constraints: Constraints, data: Transitions, guess: Transitions
-    ) -> float:
-        """Return how long a delay of the inputs may be [s], as far as a regression tells; 0 where there is none."""
-        field, rates = generate(library, coefficients), rates_known(library, constraints)
+        self, found: Model, constraints: Constraints, data: Transitions, guess: Transitions
+    ) -> tuple[float, float]:
+        """Return how long a delay of the inputs may be, and how long it seems to be, as a regression tells [s]."""
+        field, rates = generate(*found), rates_known(found[0], constraints)
         noisy = self.method == "trajectory" or bool(data.x.isnan().any())
         if not noisy and self.method == "auto":
-            noisy = looks_noisy(library, coefficients, guess)
+            noisy = looks_noisy(*found, guess)
 
         def _rows(late: int, farthest: int) -> Rows:
-            return Recording.of(data, guess, rates, farthest * data.dt).seen(late * data.dt).rows(library, field)
+            return Recording.of(data, guess, rates, farthest * data.dt).seen(late * data.dt).rows(found[0], field)
 
-        return reach(constraints.free, _rows, noisy) * data.dt
+        farthest, best = reach(constraints.free, _rows, noisy)
+        return farthest * data.dt, best * data.dt
 
     def _by_trajectories(
         self, first: Model, rough: float, constraints: Constraints, recording: Recording
