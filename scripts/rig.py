@@ -26,7 +26,9 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.terminal import Shown
 
     torch.set_num_threads(cfg.threads)
-    system, sensors, guard = (instantiate(cfg[name], _convert_="all") for name in ("system", "sensors", "guard"))
+    system, guard = (instantiate(cfg[name], _convert_="all") for name in ("system", "guard"))
+    # A rig of which nothing is known but what it sends has a sensor for all of it.
+    sensors = instantiate(cfg.sensors, _convert_="all") if system.known else None
     seen = tuple(name in sensors.channels for name in system.signature.state_names) if sensors else None
     wiring = Wiring(system.signature, seen or (True,) * system.signature.n_x, cfg.dt)
     plant = instantiate(cfg.plant, _convert_="all")
@@ -35,11 +37,14 @@ def main(cfg: DictConfig) -> None:
     ends = zip(plant["outputs"], plant["low"], plant["high"], strict=True)
     targets = {name: (low, high) for name, low, high in ends}
     guard = guard.or_limits(plant.get("bounds") or {}, wiring)
-    knowledge = Knowledge(plant["library"], plant["known"] or {}, targets, planning=dict(cfg.planner or {}))
+    planning = dict(cfg.planner or {})
+    known = plant.get("known") or {}
+    knowledge = Knowledge(plant["library"], known, targets, cfg.longest_delay, planning, ranged=system.known)
     wanted = targets_within(knowledge, cfg.targets)
     given = load(cfg.controller) if cfg.controller else None
     if given is None:
         knowledge.require_of(system.signature)
+    print(guard.words(wiring), flush=True)
     with instantiate(cfg.rig, _convert_="all")(system=system, dt=cfg.dt) as rig:
         session = Session(rig, wiring, guard, Path(cfg.folder), tell=partial(print, flush=True))
         try:
@@ -51,12 +56,18 @@ def main(cfg: DictConfig) -> None:
                         controller = given or session.learn(knowledge, cfg.seed)
                     session.fly(controller, wanted, cfg.seconds)
         except KeyboardInterrupt as stop:
-            words = f"stopped; the rig was asked for its safe input, its logs are in {cfg.folder}"
+            words = f"stopped; the rig was asked for its safe input, its logs are in {cfg.folder}; {again(cfg.folder)}"
             raise Stopped(words, getattr(stop, "signal", 2)) from stop
     draw(session)
     print(f"Logs, model, controller and figures: {cfg.folder}")
     if session.failed:
+        print(f"Mend what ended the flight; {again(cfg.folder)}")
         sys.exit(1)
+
+
+def again(folder: str) -> str:
+    """Say how a session goes on."""
+    return f"the same command with folder={folder} goes on and learns from all logs in it"
 
 
 def draw(session: "Session") -> None:

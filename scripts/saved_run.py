@@ -20,7 +20,7 @@ from dynasindy.dyna.weights import read_weights
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.given import read_record, understood
 from dynasindy.evaluation.scenarios import Policy, Scenario
-from dynasindy.sensing import Observer, Sensing
+from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.world_models import Oracle, SindyModel
 
 
@@ -86,8 +86,11 @@ def load_sensing(config: DictConfig, folder: Path, env: ControlEnv) -> Sensing |
         FileNotFoundError: The run left no model or observer.
         ValueError: The configuration builds no sensors, or a file is damaged.
     """
-    if (sensors := instantiate(config.get("sensors"), _convert_="all")) is None:
-        return None
+    sensors = instantiate(config.get("sensors"), _convert_="all")
+    if sensors is None:
+        if not (folder / "observer.json").is_file():
+            return None
+        sensors = Sensors.exact(env.system.signature)  # a delay was found, for which an observer makes up
     model = instantiate(config.world_model, _convert_="all")(signature=env.system.signature)
     if not isinstance(model, Oracle):
         model = SindyModel.load(folder / "model.json")

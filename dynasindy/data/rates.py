@@ -99,6 +99,20 @@ def unit_of_rate(unit: str) -> str:
     return "1/s" if unit == "-" else f"{unit}/s"
 
 
+def with_rates(signature: Signature, known: Mapping[str, str]) -> Signature:
+    """Return a signature with the rates that are known to belong to a state and are no states yet, behind the others.
+
+    Args:
+        signature: Names and units.
+        known: The rate of each state, by its name; other equations add nothing.
+    """
+    for name, rate in known.items():
+        names = signature.state_names
+        if name in names and rate not in names and rate.isidentifier():
+            signature = signature.with_state(rate, unit_of_rate(signature.state_units[names.index(name)]))
+    return signature
+
+
 def mismatched(data: Transitions, signature: Signature, known: Mapping[str, str] | None = None) -> list[Mismatch]:
     """Return the rates that are clearly not the slopes of their states.
 

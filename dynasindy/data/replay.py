@@ -172,6 +172,15 @@ class DynaReplay:
         """Return the real rows, `(n,)`, the oldest first."""
         return _in_order(self.real)
 
+    def keep(self, keys: Sequence[NestedKey]) -> None:
+        """Keep other keys of real rows from now on; the rows so far are forgotten.
+
+        Args:
+            keys: Keys of a real row, `LEARN_KEYS` among them.
+        """
+        self.real = self._buffer("real", self.capacities[0], keys)
+        self._views.clear()
+
     def rewrite_newest(self, rows: TensorDictBase) -> None:
         """Replace the newest real rows, as by better estimates of their states.
 

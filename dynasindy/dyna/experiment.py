@@ -6,15 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-from torchrl.envs import EnvBase, TransformedEnv
 
 from dynasindy.agents import TD3
 from dynasindy.data import MEASURED_KEYS, DynaReplay
-from dynasindy.dyna.parts import Parts, Settings
+from dynasindy.dyna.parts import Parts, Settings, seen
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
 from dynasindy.limits import check_memory
-from dynasindy.planning import Gate, ModelPrediction, Planner
+from dynasindy.planning import Gate, Planner
 from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.systems import System
 from dynasindy.tasks import Task
@@ -65,7 +64,7 @@ class Recipe:
         plant = self.env(system=self.system, task=self.task(signature=signature), seed=seeds[0])
         plant.check_plant()
         world_model = self.world_model(signature=signature)
-        model_env = plant.with_system(world_model, torch.float32, seed=seeds[1])
+        model_env = plant.with_model(world_model, torch.float32, seed=seeds[1])
         agent = self.agent(n_obs=plant.task.n_o, n_u=signature.n_u, seed=seeds[2])
         sensing = self._sensing(plant, world_model, seeds[5])
         replay = self.replay(seed=seeds[3]) if sensing is None else self.replay(seed=seeds[3], keys=MEASURED_KEYS)
@@ -78,7 +77,7 @@ class Recipe:
             )
         return Parts(
             plant=plant,
-            env=plant.as_used(_predicted(plant if sensing is None else TransformedEnv(plant, sensing), model_env)),
+            env=seen(plant, model_env, sensing),
             model_env=model_env,
             excitation=excitation,
             world_model=world_model,
@@ -93,14 +92,6 @@ class Recipe:
         if self.sensors is None:
             return None
         return Sensing(plant, Observer(world_model, self.sensors, plant), torch.Generator().manual_seed(seed))
-
-
-def _predicted(env: EnvBase, model_env: ControlEnv) -> EnvBase:
-    """Return the real environment with the model's one-step prediction beside every step.
-
-    It predicts from what is seen of the plant, so that it stays outside of the sensors.
-    """
-    return TransformedEnv(env, ModelPrediction(model_env), auto_unwrap=False)
 
 
 def _check_storages(replay: DynaReplay, plant: ControlEnv) -> None:

@@ -34,7 +34,7 @@ def train(parts: Parts, settings: Settings, callback: Callback, place: Place | N
     Returns:
         The trained policy.
     """
-    env, agent, replay, planner = parts.env, parts.agent, parts.replay, parts.planner
+    agent, replay, planner = parts.agent, parts.replay, parts.planner
     place = place or Place()
     cost = place.cost
     if not place.excited:
@@ -44,7 +44,7 @@ def train(parts: Parts, settings: Settings, callback: Callback, place: Place | N
         replay.extend_real(excited)
         cost.real_steps += excited.numel()
         # Model learning: f_SINDy from D_real.
-        callback.fitted(first_fit(parts, settings), excited, cost)
+        callback.fitted(first_fit(parts, settings, excited), excited, cost)
         callback.reached(place.past_excitation())
     if not place.planned:
         # Departure: the first planning phase comes before the first episode, with the model of the excitation.
@@ -53,7 +53,7 @@ def train(parts: Parts, settings: Settings, callback: Callback, place: Place | N
     for number in range(place.episodes + 1, settings.episodes + 1):
         # Real interaction.
         tell("real episode")
-        rollout = interact(env, parts.explore, parts.model_env.task.max_steps, parts.bounds)
+        rollout = interact(parts.env, parts.explore, parts.model_env.task.max_steps, parts.bounds)
         replay.extend_real(rollout)
         cost.real_steps += rollout.numel()
         # Policy learning.

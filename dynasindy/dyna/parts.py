@@ -6,18 +6,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.checkpoint import GlobalRNGState
-from torchrl.envs import EnvBase
+from torchrl.envs import EnvBase, TransformedEnv
 
 from dynasindy.agents import TD3
-from dynasindy.data import DynaReplay
+from dynasindy.data import MEASURED_KEYS, DynaReplay
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
 from dynasindy.limits import Count
-from dynasindy.planning import Gate, Planner
-from dynasindy.sensing import Sensing
+from dynasindy.planning import Gate, ModelPrediction, Planner
+from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.tasks import Task, Tracking
 from dynasindy.world_models import WorldModel
 
@@ -62,6 +63,26 @@ class Parts:
         named = isinstance(task, Tracking) and bool(task.bounds.isfinite().any()) and self.sensing is None
         return (task.bounds[0], task.bounds[1]) if named and isinstance(task, Tracking) else None
 
+    def make_up(self) -> bool:
+        """Have an observer make up for a delay of the inputs that was found, where states are seen as they are.
+
+        The policy is then shown the state for the time at which its action arrives.
+
+        Returns:
+            Whether there is such an observer from now on, which was not there before.
+        """
+        if self.sensing is not None or not self.world_model.delay:
+            return False
+        self._watch()
+        return True
+
+    def _watch(self) -> None:
+        """Put sensors without errors, and an observer, between the plant and all else."""
+        observer = Observer(self.world_model, Sensors.exact(self.plant.system.signature), self.plant)
+        self.sensing = Sensing(self.plant, observer, torch.Generator())
+        self.env = seen(self.plant, self.model_env, self.sensing)
+        self.replay.keep(MEASURED_KEYS)
+
     def state_dict(self) -> dict[str, Any]:
         """Return everything that a resumed run needs to equal an uninterrupted one, between two phases.
 
@@ -81,6 +102,8 @@ class Parts:
             KeyError: The state lacks a part.
             RuntimeError: The state is of parts of other shapes.
         """
+        if "sensing" in state and self.sensing is None:
+            self._watch()
         for name, part in self._kept().items():
             part.load_state_dict(state[name])
         for name in self._drawing:
@@ -96,6 +119,20 @@ class Parts:
         return {name: part for name, part in parts.items() if part is not None}
 
     _drawing: ClassVar = ("plant", "model_env")
+
+
+def seen(plant: ControlEnv, model_env: ControlEnv, sensing: Sensing | None) -> EnvBase:
+    """Return the real environment as it is used: through its sensors, the model's one-step prediction beside each step.
+
+    The model predicts from what is seen of the plant, so that it stays outside of the sensors.
+
+    Args:
+        plant: Real environment.
+        model_env: The same environment around the world model.
+        sensing: Sensors and observer; None where all states are seen as they are.
+    """
+    env = plant if sensing is None else TransformedEnv(plant, sensing)
+    return plant.as_used(TransformedEnv(env, ModelPrediction(model_env), auto_unwrap=False))
 
 
 @dataclass(frozen=True)

@@ -73,13 +73,23 @@ def fit(parts: Parts, settings: Settings, held_out: Tensor | None = None) -> obj
     return report
 
 
-def first_fit(parts: Parts, settings: Settings) -> object:
+def first_fit(parts: Parts, settings: Settings, excited: TensorDictBase | None = None) -> object:
     """Fit the world model to all that counts as recent, let the observer rely on it, and return its report.
+
+    If the fit to the excitation finds that inputs act late, where states are seen as they are, an observer makes up for
+    that from now on.
+
+    Args:
+        parts: The model and the data.
+        settings: Lengths of the loop.
+        excited: What was seen in the excitation, `(T,)`, if that is all that the fit reads.
 
     Raises:
         Diverged: What the model has learnt is not finite.
     """
     report = fit(parts, settings)
+    if excited is not None and parts.make_up():
+        parts.replay.extend_real(excited.copy().set("measurement", excited["state"]))
     _observe(parts)
     return report
 

@@ -113,6 +113,10 @@ class ControlEnv(EnvBase):
         env.left_beyond = self.left_beyond
         return env
 
+    def with_model(self, model: System, dtype: torch.dtype | None = None, seed: int = 0) -> ControlEnv:
+        """Return an environment around a model of its plant, in which episodes are imagined; see `with_system`."""
+        return self.with_system(model, dtype, seed)
+
     def with_task(self, task: Task, seed: int = 0) -> ControlEnv:
         """Return this environment with another task for the same system."""
         env = ControlEnv(self.system, task, self.dt, self.substeps, dtype=self.float_type, seed=seed)

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
-from torch import Tensor
 
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, LateEnv
 from dynasindy.evaluation.held import LOST, WITHIN, Held, held
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate
 from dynasindy.planning.rests import states_that_matter
 from dynasindy.sensing import Sensing
 from dynasindy.systems import Diverged, System
-from dynasindy.tasks import Task
 
 
 @dataclass(frozen=True)
@@ -132,49 +128,6 @@ class Prediction:
         }
 
 
-class LateEnv(ControlEnv):
-    """An environment whose inputs act some time after they were commanded; until then they are zero.
-
-    In a control period in which the input changes, its mean acts, as a model with a delay is fitted. The delay lies
-    behind all that a policy or an observer sees, as that of a plant does.
-
-    Args:
-        env: Environment without the delay.
-        delay: Time between a command and its effect [s].
-        past: Commands that are under way, for environments that share a flight.
-
-    Raises:
-        ValueError: The delay is negative.
-    """
-
-    def __init__(self, env: ControlEnv, delay: float, past: deque[Tensor] | None = None) -> None:
-        if not delay >= 0:
-            raise ValueError(f"an input delay is {delay} s; allowed is 0 or more")
-        super().__init__(
-            env.system, env.task, env.dt, env.substeps, batch_size=tuple(env.batch_size), dtype=env.float_type
-        )
-        self.rng, self.stops, self.delay, self.left_beyond = env.rng, env.stops, delay, env.left_beyond
-        self.whole = int(delay / env.dt + 1e-6)
-        self.part = max(0.0, delay / env.dt - self.whole)
-        self.past: deque[Tensor] = deque(maxlen=self.whole + 2) if past is None else past
-
-    def with_system(self, system: System, dtype: torch.dtype | None = None, seed: int = 0) -> LateEnv:
-        """Return this environment around another system, in the same flight."""
-        return LateEnv(super().with_system(system, dtype, seed), self.delay, self.past)
-
-    def with_task(self, task: Task, seed: int = 0) -> LateEnv:
-        """Return this environment with another task for the same system."""
-        return LateEnv(super().with_task(task, seed), self.delay)
-
-    def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        commanded = tensordict["action"]
-        if not self.past or bool((tensordict["step_count"] == 0).all()):
-            self.past.extend([torch.zeros_like(commanded)] * (self.whole + 2))
-        self.past.append(commanded)
-        before, now = self.past[0], self.past[1]
-        return super()._step(tensordict.copy().set("action", (1 - self.part) * now + self.part * before))
-
-
 def predict(
     models: Sequence[System],
     plan: ControlEnv,
@@ -199,7 +152,7 @@ def predict(
     errors: list[float] = []
     shown: Evaluation | None = None
     for k, model in enumerate(models):
-        env = LateEnv(plan.with_system(model, torch.float64), float(getattr(model, "delay", 0.0)))
+        env = LateEnv.around(plan.with_system(model, torch.float64), float(getattr(model, "delay", 0.0)))
         result: Evaluation | None = None
         with suppress(Diverged):
             seen = None if sensing is None else sensing.on(env, sensing.rng)

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from dynasindy.data.csv import Recording
-from dynasindy.data.rates import unit_of_rate
+from dynasindy.data.rates import with_rates
 from dynasindy.evaluation.arguments import as_arguments
 from dynasindy.systems.base import WHOLE, Signature
 from dynasindy.systems.transitions import Transitions
@@ -89,15 +89,13 @@ class Source:
 
     def _widened(self, known: Mapping[str, str]) -> Source:
         """Add a column for each rate that was not logged."""
-        found = self
-        for name, rate in known.items():
-            old = found.signature
-            if name in old.state_names and rate not in old.state_names and rate.isidentifier():
-                unit = unit_of_rate(old.state_units[old.state_index(name)])
-                training, validation = widened(found.training), widened(found.validation)
-                signature = old.with_state(rate, unit)
-                found = replace(found, signature=signature, training=training, validation=validation)
-        return found
+        signature = with_rates(self.signature, known)
+        if signature == self.signature:
+            return self
+        parts = self.training, self.validation
+        for _ in range(signature.n_x - self.signature.n_x):
+            parts = widened(parts[0]), widened(parts[1])
+        return replace(self, signature=signature, training=parts[0], validation=parts[1])
 
     def with_states_of(self, model: SindyModel) -> Source:
         """Return the data with the states of a model that no sensor sees: known rates, and those that follow a signal.
@@ -108,7 +106,7 @@ class Source:
         Raises:
             ValueError: the model is of another plant, or its inputs have other ends.
         """
-        if not _alike_ends(self.signature, model.signature):
+        if not alike_ends(self.signature, model.signature):
             mine, theirs = (_reached(signature) for signature in (self.signature, model.signature))
             raise ValueError(
                 f"the model has inputs with the ends {theirs}, the log with {mine}; give the ends of the actuator to "
@@ -123,8 +121,13 @@ class Source:
         return replace(source, signature=model.signature, training=training, validation=validation)
 
 
-def _alike_ends(first: Signature, second: Signature) -> bool:
-    """Tell whether two plants have inputs with the same ends, up to the digits in which a note tells them."""
+def alike_ends(first: Signature, second: Signature) -> bool:
+    """Tell whether two plants have inputs with the same ends, up to the digits in which a note tells them.
+
+    Args:
+        first: Names and ends of one.
+        second: Those of the other.
+    """
     both = zip(_numbers(first), _numbers(second), strict=False)
     return all(
         math.isclose(mine, theirs, abs_tol=ALIKE * (own[1] - own[0]))

@@ -85,6 +85,14 @@ class Guard:
                 f"{', '.join(wiring.measured)}"
             )
 
+    def words(self, wiring: Wiring) -> str:
+        """Say within which ranges a flight goes on."""
+        units = dict(zip(wiring.signature.state_names, wiring.signature.state_units, strict=True))
+        told = [f"{name} within {low:g} to {high:g} {units[name]}" for name, (low, high) in self.ranges.items()]
+        if not told:
+            return "No state has a range that ends a flight; give plant.bounds, or guard.low and guard.high"
+        return f"A flight goes on with {', '.join(told)}"
+
     def check(self, y: Array, wiring: Wiring) -> None:
         """Look at a sample, `(n_x,)`.
 
@@ -134,6 +142,7 @@ def fly(
     periods: int,
     path: Path,
     guard: Guard | None = None,
+    clock: Clock = time,
 ) -> Flown:
     """Fly a rig, and leave it at its safe input.
 
@@ -144,6 +153,7 @@ def fly(
         periods: How many of them.
         path: Log to write.
         guard: What it goes on with.
+        clock: Tells the time and waits.
 
     Raises:
         ValueError: A range is that of no measured state, or the log exists already; nothing has moved.
@@ -154,7 +164,7 @@ def fly(
     guard.require(wiring)
     fault: Fault | None = None
     with Log(path, wiring) as log:
-        loop = Loop(rig, wiring, guard)
+        loop = Loop(rig, wiring, guard, clock)
         try:
             loop.run(act, periods, log)
         except Fault as error:

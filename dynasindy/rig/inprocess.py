@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 
 import numpy as np
 import torch
@@ -11,6 +12,9 @@ import torch
 from dynasindy.rig.base import Array, Clock
 from dynasindy.sensing import Sensors
 from dynasindy.systems import System, integrate
+
+ROUNDING = 1e-9
+"""Times that differ by less are the same [s]."""
 
 
 class FastClock:
@@ -42,6 +46,7 @@ class InProcessRig:
         safe: Safe input, `(n_u,)`; zeros if omitted.
         seed: Seed of the sensors' noise.
         step: Longest step of the simulation [s].
+        delay: Time from an input to its effect, which is not told to anybody [s].
     """
 
     streams, number = False, None
@@ -54,11 +59,13 @@ class InProcessRig:
         safe: Array | None = None,
         seed: int = 0,
         step: float = 0.01,
+        delay: float = 0.0,
     ) -> None:
-        self.system, self.sensors, self.clock, self.step = system, sensors, clock, step
+        self.system, self.sensors, self.clock, self.step, self.delay = system, sensors, clock, step, delay
         self.safe = np.zeros(system.signature.n_u) if safe is None else np.asarray(safe, dtype=np.float64)
         self.x = torch.zeros(system.signature.n_x, dtype=torch.float64)
         self.u, self._time = self.safe, clock.monotonic()
+        self._coming: deque[tuple[float, Array]] = deque()
         self._rng, self._lock = torch.Generator().manual_seed(seed), threading.Lock()
 
     def begin(self) -> None:
@@ -74,8 +81,8 @@ class InProcessRig:
     def write(self, u: Array) -> None:
         """Apply inputs from now on, `(n_u,)`."""
         with self._lock:
+            self._coming.append((self.clock.monotonic() + self.delay, np.array(u)))
             self._move()
-            self.u = np.array(u)
 
     def rest(self) -> None:
         """Apply the safe input from now on."""
@@ -84,7 +91,14 @@ class InProcessRig:
     @torch.no_grad()
     def _move(self) -> None:
         now = self.clock.monotonic()
-        past, self._time = round(now - self._time, 9), now  # differences of times carry errors of rounding
+        while self._coming and self._coming[0][0] <= now + ROUNDING:
+            self._move_until(self._coming[0][0])
+            self.u = self._coming.popleft()[1]
+        self._move_until(now)
+
+    def _move_until(self, then: float) -> None:
+        past = round(then - self._time, 9)  # differences of times carry errors of rounding
         if past > 0:
+            self._time = then
             steps = max(1, round(past / self.step))
             self.x = integrate(self.system, self.x, torch.from_numpy(self.u), past, steps, self.system.stops)[0][-1]

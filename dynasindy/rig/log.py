@@ -10,6 +10,14 @@ from types import TracebackType
 from dynasindy.rig.base import Array, Wiring
 
 
+def heading(wiring: Wiring) -> list[str]:
+    """Return the headings of a log: time, the states that are measured, and the inputs, each with its unit."""
+    signature = wiring.signature
+    states = zip(signature.state_names, signature.state_units, wiring.seen, strict=True)
+    measured = [f"{name} [{unit}]" for name, unit, known in states if known]
+    return ["time [s]", *measured, *(f"{name} [-]" for name in signature.input_names)]
+
+
 class Log:
     """Write time, measured states and inputs; a state that no sensor sees has no column.
 
@@ -31,9 +39,7 @@ class Log:
         except FileExistsError as error:
             raise ValueError(f"{path} exists already; give another folder, so that no log is lost") from error
         self._writer = csv.writer(self._file)
-        signature = wiring.signature
-        states = [f"{signature.state_names[i]} [{signature.state_units[i]}]" for i in self._places]
-        self._writer.writerow(["time [s]", *states, *(f"{name} [-]" for name in signature.input_names)])
+        self._writer.writerow(heading(wiring))
 
     def add(self, t: float, y: Array, u: Array) -> None:
         """Write what was measured at a time and the inputs applied from then on; what is missing stays empty."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,10 +14,12 @@ import numpy as np
 from dynasindy import workbench
 from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
-from dynasindy.evaluation.source import Source
+from dynasindy.data.rates import with_rates
+from dynasindy.evaluation.source import Source, alike_ends
 from dynasindy.excitation import Excitation
-from dynasindy.rig.base import Array, Rig, Wiring
+from dynasindy.rig.base import Array, Clock, Rig, Wiring
 from dynasindy.rig.flight import Flown, Guard, fly
+from dynasindy.rig.log import heading
 from dynasindy.rig.shown import Shown
 from dynasindy.systems import Signature
 from dynasindy.systems.transitions import Transitions
@@ -35,8 +39,9 @@ class Knowledge:
         library: Candidate functions of its equations.
         known: Equations that are known, by state.
         targets: Lower and upper end of the targets of each output [unit of the output].
-        longest_delay: Longest delay of the inputs that is looked for [s]; None for two control periods.
+        longest_delay: Longest delay of the inputs that is looked for [s]; None where the data are to tell.
         planning: Settings of `GradientPlanning`.
+        ranged: Whether the ranges of the states are known; if not, they are those of the logs.
     """
 
     library: str | Sequence[str] | LibraryBuilder
@@ -44,6 +49,7 @@ class Knowledge:
     targets: Mapping[str, tuple[float, float]]
     longest_delay: float | None = None
     planning: Mapping[str, Any] = field(default_factory=dict)
+    ranged: bool = True
 
     def require_of(self, signature: Signature) -> None:
         """Refuse, before anything moves, what no model or no task of a plant can be made of.
@@ -51,6 +57,7 @@ class Knowledge:
         Raises:
             ValueError: A function, an equation or an output is not one of this plant.
         """
+        signature = with_rates(signature, self.known)
         workbench.tracking(SindyModel(signature, self.library, known=self.known), self.targets)
 
 
@@ -86,6 +93,7 @@ class Session:
         guard: What a flight goes on with.
         folder: Where logs, model and controller are written.
         tell: Says where it is, a line at a time.
+        clock: Tells the time and waits.
         flights: What came of each flight.
         shown: What the flights of controllers show, by the name of their logs.
     """
@@ -95,6 +103,7 @@ class Session:
     guard: Guard
     folder: Path
     tell: Tell = print
+    clock: Clock = time
     flights: list[Flown] = field(default_factory=list)
     shown: dict[str, Shown] = field(default_factory=dict)
 
@@ -103,15 +112,49 @@ class Session:
         """Whether a flight was ended by a fault."""
         return any(flown.fault is not None for flown in self.flights)
 
-    def excite(self, signal: Excitation) -> Flown:
-        """Move the rig by a signal, open loop, and log it to `excitation.csv`."""
+    def excite(self, signal: Excitation) -> Flown | None:
+        """Move the rig by a signal, open loop, and log it to `excitation.csv`.
+
+        An excitation that an earlier session in the same folder has finished is not repeated. One that was cut short is:
+        its log is kept, and the new one is `excitation_N.csv`.
+
+        Returns:
+            What came of the flight; None if there was none.
+
+        Raises:
+            ValueError: The folder holds logs of another rig; nothing has moved.
+        """
         levels = signal.samples(self.wiring.dt).double().numpy()
+        before = self.logs("excitation")
+        if done := [path for path, rows in before.items() if rows >= len(levels)]:
+            self.tell(f"excitation: {done[0]} is there, so the rig is not excited again")
+            return None
 
         def _act(y: Array, t: float) -> Array:
             level: Array = levels[round(t / self.wiring.dt)]
             return level
 
-        return self._fly("excitation", _act, len(levels))
+        return self._fly(f"excitation_{len(before)}" if before else "excitation", _act, len(levels))
+
+    def logs(self, kind: str) -> dict[Path, int]:
+        """Return the logs in the folder, in the order in which they were flown, each with its number of rows.
+
+        Args:
+            kind: `excitation` or `flight`.
+
+        Raises:
+            ValueError: One is that of another rig.
+        """
+        found = {}
+        for path in sorted(self.folder.glob(f"{kind}*.csv"), key=lambda path: (len(path.stem), path.stem)):
+            with path.open(newline="", encoding="utf-8") as file:
+                first, *rows = list(csv.reader(file)) or [[]]
+            if first != (wanted := heading(self.wiring)):
+                raise ValueError(
+                    f"{path} has the columns {', '.join(first)}, and this rig {', '.join(wanted)}; give another folder"
+                )
+            found[path] = len(rows)
+        return found
 
     def learn(self, knowledge: Knowledge, seed: int = 0) -> Controller:
         """Identify the rig from all logs so far and plan a controller, while it rests.
@@ -123,11 +166,14 @@ class Session:
             ValueError: The logs do not allow a fit.
             Diverged: The model explodes.
         """
-        log = self._logs()
+        log = self._source(knowledge.ranged)
         model = workbench.identify(log, knowledge.library, knowledge.known, longest_delay=knowledge.longest_delay)
         model.save(self.folder / "model.json")
         for line in model.equations():
             self.tell(f"  {line}")
+        if model.delay:
+            periods = model.delay / self.wiring.dt
+            self.tell(f"  inputs act {1e3 * model.delay:.3g} ms late, {periods:.2g} control periods")
         self.tell("planning while the rig rests")
         controller = workbench.plan(
             model, knowledge.targets, log, dt=self.wiring.dt, seed=seed, **dict(knowledge.planning)
@@ -144,20 +190,26 @@ class Session:
         self._require(controller)
         for line in controller.signature.own_inputs():
             self.tell(f"  {line}; the rig gets the controller's number, and has to turn it into its own unit")
+        names, theirs = self.wiring.signature.state_names, set(controller.signature.state_names)
+
+        def _seen(y: Array) -> dict[str, float]:
+            return {name: value for name, value in zip(names, y.tolist(), strict=True) if name in theirs}
+
         for _ in range(WARM):  # the first calls take longer than all others, the first correction among them
-            controller.act(np.zeros(self.wiring.signature.n_x), targets[0])
+            controller.act(_seen(np.zeros(len(names))), targets[0])
         controller.reset()
         held = max(1, round(seconds / self.wiring.dt))
 
         rows = [target for target in targets for _ in range(held)]
 
         def _act(y: Array, t: float) -> Array:
-            return controller.act(y, rows[min(round(t / self.wiring.dt), len(rows) - 1)])
+            return controller.act(_seen(y), rows[min(round(t / self.wiring.dt), len(rows) - 1)])
 
-        name = f"flight_{len(self.flights)}"
+        numbers = [int(path.stem.rpartition("_")[2]) for path in self.logs("flight")]
+        name = f"flight_{max([len(self.flights), *(number + 1 for number in numbers)])}"
         flown = self._fly(name, _act, len(rows))
         fault = "" if flown.fault is None else f"{flown.fault.kind}: {flown.fault}"
-        shown = Shown.of(self.folder / f"{name}.csv", self.wiring.signature, controller.outputs, rows, fault)
+        shown = Shown.of(self.folder / f"{name}.csv", controller.signature, controller.outputs, rows, fault)
         self.shown[name] = shown
         self.tell(f"  {shown.words()}")
         return flown
@@ -168,40 +220,78 @@ class Session:
         Raises:
             ValueError: It is not.
         """
-        wiring, names = self.wiring, self.wiring.signature.state_names
+        mine, theirs = self.wiring.signature, controller.signature
         sensors = controller.observer and controller.observer.sensors.channels
-        wanted = set(sensors) if sensors else set(names)
-        theirs = controller.signature
-        if (theirs.state_names, theirs.input_names) != (names, wiring.signature.input_names):
+        wanted = set(sensors) if sensors else set(theirs.state_names)
+        if theirs.input_names != mine.input_names:
             raise ValueError(
                 f"the controller is one for states {', '.join(theirs.state_names)} and inputs "
-                f"{', '.join(theirs.input_names)}, the rig has {', '.join(names)} and "
-                f"{', '.join(wiring.signature.input_names)}; give another"
+                f"{', '.join(theirs.input_names)}, the rig has {', '.join(mine.state_names)} and "
+                f"{', '.join(mine.input_names)}; give another"
             )
-        if abs(controller.dt - wiring.dt) > 1e-9 * wiring.dt:
-            raise ValueError(f"the controller has a period of {controller.dt:g} s, the rig {wiring.dt:g} s; give dt=")
-        if missing := sorted(wanted - set(wiring.measured)):
+        if abs(controller.dt - self.wiring.dt) > 1e-9 * self.wiring.dt:
+            raise ValueError(
+                f"the controller has a period of {controller.dt:g} s, the rig {self.wiring.dt:g} s; give dt="
+            )
+        if missing := sorted(wanted - set(self.wiring.measured)):
             raise ValueError(
                 f"the controller reads {missing[0]}, which the rig does not measure; plan one for its sensors"
+            )
+        for name in sorted(wanted):
+            units = [s.state_units[s.state_index(name)] for s in (theirs, mine)]
+            if units[0] != units[1]:
+                raise ValueError(
+                    f"the controller reads {name} in {units[0]}, and the rig sends it in {units[1]}; give the same unit "
+                    "to both, or plan a controller from logs of this rig"
+                )
+        if mine.input_ends and not alike_ends(mine, theirs):
+            raise ValueError(
+                f"-1 and 1 of {', '.join(mine.input_names)} are {_ends(mine)} on the rig, and {_ends(theirs)} for the "
+                "controller; give the same ends to both"
             )
 
     def _fly(self, name: str, act: Callable[[Array, float], Array], periods: int) -> Flown:
         self.tell(f"{name.replace('_', ' ')}: {periods * self.wiring.dt:g} s")
-        flown = fly(self.rig, act, self.wiring, periods, self.folder / f"{name}.csv", self.guard)
+        flown = fly(self.rig, act, self.wiring, periods, self.folder / f"{name}.csv", self.guard, self.clock)
         self.flights.append(flown)
         self.tell(f"  {flown}")
         return flown
 
-    def _logs(self) -> Source:
-        """Return all logs as one, each a segment; nothing is kept to judge on, as the rig itself is flown next."""
+    def _source(self, ranged: bool) -> Source:
+        """Return all logs as one, each a segment; nothing is kept to judge on, as the rig itself is flown next.
+
+        A log that is too short, or otherwise none to learn from, is left out with a line that says why.
+
+        Raises:
+            ValueError: Nothing can be learnt from any of them.
+        """
         signature = self.wiring.signature
         columns = {
             name: {"name": name if known else "", "unit": unit}
             for name, unit, known in zip(signature.state_names, signature.state_units, self.wiring.seen, strict=True)
         }
         inputs = {name: name for name in signature.input_names}
-        paths = sorted([*self.folder.glob("excitation.csv"), *self.folder.glob("flight_*.csv")])
-        logs = [workbench.read(path, columns, inputs, dt=self.wiring.dt, validation_share=0) for path in paths]
+        logs, notes, useless = [], [], []
+        for path in (*self.logs("excitation"), *self.logs("flight")):
+            try:
+                log = workbench.read(path, columns, inputs, dt=self.wiring.dt, validation_share=0)
+            except ValueError as error:
+                useless.append(str(error))
+                continue
+            logs.append(log)
+            notes += [f"{path.name}: {note}" for note in log.notes]
+        if not logs:
+            raise ValueError(f"nothing can be learnt from the logs in {self.folder}: {'; '.join(useless) or 'none'}")
+        for why in useless:
+            self.tell(f"  left out: {why}")
+        if not ranged:
+            widest = (max(scales) for scales in zip(*(log.signature.x_scale for log in logs), strict=True))
+            signature = replace(signature, x_scale=tuple(widest))
         data = Transitions.cat([log.training for log in logs])
-        notes = tuple(f"{path.name}: {note}" for path, log in zip(paths, logs, strict=True) for note in log.notes)
-        return replace(logs[0], training=data, signature=signature, notes=notes)
+        return replace(logs[0], training=data, signature=signature, notes=tuple(notes))
+
+
+def _ends(signature: Signature) -> str:
+    """Return what -1 and 1 are of each input in words."""
+    ends = signature.input_ends or ((-1.0, 1.0),) * signature.n_u
+    return ", ".join(f"{low:g} and {high:g}" for low, high in ends)

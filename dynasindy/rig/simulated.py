@@ -10,6 +10,7 @@ import multiprocessing
 import signal
 import socket
 import time
+from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -54,7 +55,7 @@ class SimulatedRig:
     Args:
         system: The plant.
         dt: Control period [s].
-        sensors: What is measured; all states as they are if omitted.
+        sensors: What is measured, and how many periods late an input acts; all states as they are if omitted.
         safe: Safe input, `(n_u,)`; zeros if omitted.
         port: Port to listen on; 0 takes a free one.
         seed: Seed of the sensors' noise.
@@ -104,6 +105,7 @@ class SimulatedRig:
         caller = self._socket.recvfrom(65536)[1]
         x, begun = torch.zeros(self.system.signature.n_x, dtype=torch.float64), time.monotonic()
         u, missed = self.safe, 0
+        coming = deque([self.safe] * (self.sensors.actuator_delay if self.sensors else 0))
         for k in range(periods):
             if not self._send(k, x, caller):
                 break
@@ -115,7 +117,8 @@ class SimulatedRig:
                 self.record.applied.append(u)
                 self.record.answered.append(found is not None)
                 self.record.asked.append(found is self.safe)
-            x = self._moved(x, u)
+            coming.append(u)
+            x = self._moved(x, coming.popleft())
         self._socket.close()
         return self.record
 
@@ -205,9 +208,17 @@ def rehearsal(system: System, dt: float, sensors: Sensors | None = None, seed: i
     Args:
         system: The plant.
         dt: Control period [s].
-        sensors: What is measured; all states as they are if omitted.
+        sensors: What is measured, and how many periods late an input acts; all states as they are if omitted.
         seed: Seed of the sensors' noise.
+
+    Raises:
+        ValueError: Nobody knows the equations of the plant.
     """
+    if not system.known:
+        raise ValueError(
+            "rig=simulated moves a plant by its equations, which nobody knows of this one; give rig=udp and the "
+            "address of the rig, rig.host"
+        )
     with FarEnd() as end:
         port = end.begin(FOREVER, system=system, dt=dt, sensors=sensors, seed=seed)
         with connect(system, dt, port=port) as rig:

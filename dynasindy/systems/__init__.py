@@ -7,6 +7,7 @@ from dynasindy.systems.pendulum import Pendulum
 from dynasindy.systems.stops import Stops
 from dynasindy.systems.tras import Tras
 from dynasindy.systems.trms33 import Trms33
+from dynasindy.systems.unknown import Unknown
 from dynasindy.systems.xi import Xi
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "System",
     "Tras",
     "Trms33",
+    "Unknown",
     "Xi",
     "integrate",
     "rk4",

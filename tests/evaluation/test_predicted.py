@@ -6,10 +6,10 @@ import torch
 from scipy.integrate import solve_ivp
 
 from dynasindy.dyna.verdict import judge
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, LateEnv
 from dynasindy.evaluation import predicted as module
 from dynasindy.evaluation.held import Held
-from dynasindy.evaluation.predicted import LateEnv, Prediction, predict
+from dynasindy.evaluation.predicted import Prediction, predict
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.systems import Pendulum, System
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
@@ -140,10 +140,15 @@ def flown(delay, inputs):
     late = [0.0] * (whole + 1) + list(inputs)
     x, states = np.zeros(2), [np.zeros(2)]
     for k in range(len(inputs)):
-        u = (1 - part) * late[k + 1] + part * late[k]
-        x = solve_ivp(
-            lambda t, x, u=u: [x[1], 12 * u - 9.81 * np.sin(x[0]) - 0.5 * x[1]], (0, 0.05), x, rtol=1e-9, atol=1e-11
-        ).y[:, -1]
+        for u, span in ((late[k], part * 0.05), (late[k + 1], (1 - part) * 0.05)):
+            if span > 1e-9:
+                x = solve_ivp(
+                    lambda t, x, u=u: [x[1], 12 * u - 9.81 * np.sin(x[0]) - 0.5 * x[1]],
+                    (0, span),
+                    x,
+                    rtol=1e-9,
+                    atol=1e-11,
+                ).y[:, -1]
         states.append(x)
     return np.array(states[:-1])
 
@@ -154,7 +159,7 @@ def test_the_inputs_of_a_model_act_as_late_as_it_says(delay):
     plant.delay = delay
     inputs = np.sin(0.7 * np.arange(40))
     task = Tracking(plant.signature, Step([[0.3]]), ("theta",), ("Omega",), TrackingReward((4.0,)), max_steps=40)
-    env = ControlEnv(plant, task, dtype=torch.float64)
+    env = ControlEnv(plant, task, substeps=5, dtype=torch.float64)
 
     def policy(tensordict):
         return tensordict.set("action", torch.from_numpy(inputs)[tensordict["step_count"]].float())
@@ -171,7 +176,7 @@ def test_a_delay_is_not_negative():
     plant = Pendulum()
     task = Tracking(plant.signature, Step([[0.3]]), ("theta",), ("Omega",), TrackingReward((4.0,)))
     with pytest.raises(ValueError, match="allowed is 0 or more"):
-        LateEnv(ControlEnv(plant, task), -0.1)
+        LateEnv.around(ControlEnv(plant, task), -0.1)
 
 
 def test_a_plan_that_was_too_short_is_told_from_one_that_diverges():
@@ -203,7 +208,7 @@ def test_models_of_which_some_are_held_ask_for_a_better_log_and_not_for_a_longer
 def test_another_task_is_drawn_from_the_same_seed_as_without_a_delay():
     plant = Pendulum()
     task = Tracking(plant.signature, RandomStep([-0.5], [0.5]), ("theta",), ("Omega",), TrackingReward((1.0,)))
-    plain, late = ControlEnv(plant, task), LateEnv(ControlEnv(plant, task), 0.02)
+    plain, late = ControlEnv(plant, task), LateEnv.around(ControlEnv(plant, task), 0.02)
     drawn = [
         float(env.with_task(task, *seed).reset()["reference"]) for env in (plain, late) for seed in ((), (0,), (1,))
     ]

@@ -59,7 +59,7 @@ def test_from_nothing_to_a_controller_that_holds_the_rig(session):
     states = np.array(session.server.record.states)[-240:, 0]
     assert np.abs(states[80:118] - 0.4).max() < 0.03
     assert np.abs(states[200:] + 0.2).max() < 0.03
-    rows = len(session._logs().training)
+    rows = len(session._source(True).training)
     assert rows == 159 + 239  # both logs, a transition less than samples each
     assert load(session.folder).outputs == ("theta",)
 

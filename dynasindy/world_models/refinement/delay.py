@@ -12,6 +12,13 @@ from torch import Tensor
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.regression.regression import Rows, least_squares
 
+FIRST, FARTHEST = 10, 80
+"""Samples within which a delay is looked for at first, and at most, where nobody says how long it may be."""
+EXACT = 1e-3
+"""Part of the rates of change, unexplained, below which the inputs act at once: a delay of a sample leaves far more."""
+TELLING = 4.0
+"""Factor on the squared error, of all states together, below which a regression does not tell a delay."""
+
 Cost = Callable[[float], float]
 """Delay [s] to N/2 times the logarithm of the squared error of a model fitted with it, summed over the states."""
 
@@ -55,6 +62,33 @@ def rough_delay(free: Tensor, rows: Callable[[float], Rows], dt: float, longest:
     most = math.floor(longest / dt + 1e-9)
     costs = [unexplained(free, *rows(k * dt)) for k in range(most + 1)]
     return min(range(most + 1), key=costs.__getitem__) * dt
+
+
+def reach(free: Tensor, rows: Callable[[int, int], Rows], least: int) -> tuple[int, int]:
+    """Return within how many samples a delay is to be looked for, where nobody says how long it may be, and the best.
+
+    Where no delay explains the samples better by far, it is looked for within `least` samples; nowhere if that is 0,
+    and also if it is 0 and the functions explain the samples as they are. Where the longest delay that was tried is
+    the best one, it is looked for twice as far.
+
+    Args:
+        free: functions that each equation may have, bool `(n_features, n_x)`.
+        rows: averaged functions and rates of change under inputs delayed by so many samples, the first argument, of
+            those rows whose inputs are known for as many samples as the second one says.
+        least: samples within which a delay is looked for in any case, as it may hide in the noise; 0 without noise.
+    """
+    if not least and _exact(free, *rows(0, 0)):
+        return 0, 0
+    farthest = FIRST
+    while True:
+        costs = [unexplained(free, *rows(k, farthest)) for k in range(farthest + 1)]
+        best = min(range(farthest + 1), key=costs.__getitem__)
+        if best < farthest or farthest >= FARTHEST:
+            break
+        farthest *= 2
+    count = len(rows(best, farthest)[1])
+    told = costs[0] - costs[best] > 0.5 * count * math.log(TELLING)
+    return (farthest, best) if told else (least, min(best, least))
 
 
 def fine_delay(rough: float, dt: float, longest: float, worth: float, cost: Cost) -> float:
@@ -109,6 +143,18 @@ def unexplained(support: Tensor, theta: Tensor, dx: Tensor) -> float:
         error = dx[:, i] - columns @ least_squares(columns, dx[:, i])
         cost += 0.5 * len(dx) * math.log(float(error.square().sum()) + 1e-300)
     return cost
+
+
+def _exact(free: Tensor, theta: Tensor, dx: Tensor) -> bool:
+    """Tell whether the functions explain the rates of change but for errors of the regression itself."""
+    for i in range(dx.shape[1]):
+        if bool(free[:, i].any()):
+            columns = theta[:, free[:, i]]
+            columns = columns / columns.norm(dim=0).clamp_min(1e-300)
+            error = dx[:, i] - columns @ least_squares(columns, dx[:, i])
+            if float(error.norm()) > EXACT * float(dx[:, i].norm()):
+                return False
+    return True
 
 
 def _begin(data: Transitions) -> Tensor:

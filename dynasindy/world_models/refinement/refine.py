@@ -16,7 +16,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell
 from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.delay import delayed, fine_delay, known_inputs, rough_delay
+from dynasindy.world_models.refinement.delay import delayed, fine_delay, known_inputs, reach, rough_delay, unexplained
 from dynasindy.world_models.refinement.descent import Descent
 from dynasindy.world_models.refinement.measured import Seen, rates_known, reconstruct
 from dynasindy.world_models.refinement.one_step import refine_one_step
@@ -24,7 +24,7 @@ from dynasindy.world_models.refinement.order import moving_on
 from dynasindy.world_models.refinement.shapes import fit_shapes
 from dynasindy.world_models.refinement.shooting import RunsAway
 from dynasindy.world_models.refinement.trajectory import WORSE, Fitted, few_steps, refine_trajectory, strain
-from dynasindy.world_models.regression.regression import Regression, RunningSums
+from dynasindy.world_models.regression.regression import Regression, Rows, RunningSums
 from dynasindy.world_models.writers.fast_field import generate
 
 AGAIN = 3
@@ -32,8 +32,11 @@ AGAIN = 3
 STEPS = 6
 """Gauss-Newton steps after which two delays are compared."""
 PERIODS = 2
-"""Control periods up to which delays are looked for where no time is given. An unstable plant is excited under
-feedback, and from such data a longer delay, together with other equations, can explain as much as the true one."""
+"""Control periods within which noisy samples are searched for a delay where no regression tells one. An unstable plant
+is excited under feedback, and in such data a longer delay, with other equations, may explain as much as the true
+one."""
+ALIKE = 0.01
+"""Samples by which a delay may differ from a whole number and be taken for it."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
 ERRORS = ("auto", "simulation", "coloured", "prediction", "innovation")
 COMPARED = "the fit compares whole simulations with the log and not single steps, as {}"
@@ -115,8 +118,9 @@ class Refinement:
         rounds: repetitions of the fourth-order regression.
         tolerance: unexplained part of a rate of change that is taken as exact.
         window: sampling intervals between two states that `trajectory` estimates.
-        longest_delay: longest delay of the inputs that is looked for [s], in whole samples, by `trajectory` in
-            fractions of them; 0 takes the inputs as they are, and None looks for delays of up to two control periods.
+        longest_delay: longest delay of the inputs that is looked for [s], in whole samples, then in fractions of them;
+            0 takes the inputs as they are. None looks within ten samples where a regression clearly tells a delay,
+            farther where it is longer; else within two control periods, or, of samples without noise, not at all.
         error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), what
             is new in such errors, as they last from sample to sample (`coloured`), of windows that begin anew
             (`prediction`), for plants that are pushed at random or unstable, or what a Kalman filter leaves over in
@@ -144,10 +148,7 @@ class Refinement:
         if self.error not in (None, *ERRORS):
             raise ValueError(f"refinement got error {self.error!r}; allowed are {', '.join(ERRORS)}: choose one")
         if not 0 <= self._longest < math.inf:
-            raise ValueError(
-                f"refinement got longest_delay {self.longest_delay} s; allowed is 0 or more, or null for two control "
-                "periods"
-            )
+            raise ValueError(f"refinement got longest_delay {self.longest_delay} s; allowed is 0 or more, or null")
         if self.rounds < 0 or not self.tolerance > 0 or self.window < 1:
             raise ValueError(
                 f"refinement got rounds {self.rounds}, tolerance {self.tolerance}, window {self.window}; allowed are "
@@ -176,19 +177,29 @@ class Refinement:
             guess: the same, the states that were not measured guessed; needed where there are such states.
         """
         guess = data if guess is None else guess
-        if self.longest_delay is None:
-            told = replace(self, longest_delay=PERIODS * data.substeps * data.dt)
-            return told.run(library, coefficients, constraints, data, guess)
-        lacking = moving_on(library, data) if self._longest else []
-        if lacking:  # a delay would stand for the rate that is missing
-            note = (
-                f"no delay of the inputs was looked for, as it would stand for the rate of {' and '.join(lacking)}, "
-                "which the log lacks"
-            )
-            alone = replace(self, longest_delay=0.0).run(library, coefficients, constraints, data, guess)
-            return alone._replace(notes=(*alone.notes, note))
+        first, longest, rough = (library, coefficients), self.longest_delay, 0.0
+        if longest is None:
+            longest, rough = self._reach(first, constraints, data, guess)
+        settings = replace(self, longest_delay=longest)
+        # A delay that a regression tells may explain how states go on, where nobody says how long it may be.
+        lacking = moving_on(library, delayed(data, rough).select(known_inputs(data, rough))) if longest else []
+        if not lacking:
+            return settings._run(first, constraints, data, guess)
+        # A delay would stand for the rate that is missing.
+        note = (
+            f"no delay of the inputs was looked for, as it would stand for the rate of {' and '.join(lacking)}, "
+            "which the log lacks"
+        )
+        alone = replace(self, longest_delay=0.0)._run(first, constraints, data, guess)
+        return alone._replace(notes=(*alone.notes, note))
+
+    def _run(self, first: Model, constraints: Constraints, data: Transitions, guess: Transitions) -> Refined:
+        library, coefficients = first
         recording = Recording.of(data, guess, rates_known(library, constraints), self._longest)
         delay = self._rough(library, coefficients, constraints, recording)
+        if delay and self.method in ("integral", "one_step"):
+            library, coefficients = self._regressed(library, coefficients, constraints, recording.seen(delay))
+            delay = self._regressed_delay(delay, (library, coefficients), constraints, recording)
         found = self._regressed(library, coefficients, constraints, recording.seen(delay))
         method, noisy, notes = self._chosen(*found, data, recording.guessed(delay))
         if method == "one_step":
@@ -212,6 +223,31 @@ class Refinement:
             return 0.0
         field, dt = generate(library, coefficients), recording.data.dt
         return rough_delay(constraints.free, lambda d: recording.seen(d).rows(library, field), dt, self._longest)
+
+    def _regressed_delay(self, rough: float, found: Model, constraints: Constraints, recording: Recording) -> float:
+        """Return the delay in fractions of a sample that regressions of samples without noise tell [s]."""
+        field, data = generate(*found), recording.data
+
+        def _cost(trial: float) -> float:
+            return unexplained(constraints.free, *recording.seen(trial).rows(found[0], field))
+
+        fine = fine_delay(rough, data.dt, self._longest, math.log(max(len(data), 2)), _cost)
+        return rough if abs(fine - rough) < ALIKE * data.dt else fine
+
+    def _reach(
+        self, found: Model, constraints: Constraints, data: Transitions, guess: Transitions
+    ) -> tuple[float, float]:
+        """Return how long a delay of the inputs may be, and how long it seems to be, as a regression tells [s]."""
+        field, rates = generate(*found), rates_known(found[0], constraints)
+        noisy = self.method == "trajectory" or bool(data.x.isnan().any())
+        if not noisy and self.method == "auto":
+            noisy = looks_noisy(*found, guess)
+
+        def _rows(late: int, farthest: int) -> Rows:
+            return Recording.of(data, guess, rates, farthest * data.dt).seen(late * data.dt).rows(found[0], field)
+
+        farthest, best = reach(constraints.free, _rows, PERIODS * data.substeps * noisy)
+        return farthest * data.dt, best * data.dt
 
     def _by_trajectories(
         self, first: Model, rough: float, constraints: Constraints, recording: Recording

@@ -145,3 +145,40 @@ def test_the_report_judges_a_model_under_the_inputs_of_its_delay():
     model.refinement = None
     model.fit(recording(0.0))
     assert model.delay == 0.0 and model.coefficients[:, 0].tolist() == pytest.approx([A, B], rel=0.01)
+
+
+def excited(delay: float, wrong: float = 0.0) -> Transitions:
+    """Exact states of y' = A y + B u(t - delay) + wrong y^2 under sines, held for five samples, as a period has them."""
+    t = np.repeat(5 * DT * np.arange(100), 5)
+    u = sum(np.sin(2 * np.pi * f * t + p) for f, p in ((0.1, 0.3), (0.3, 2.0), (0.5, 4.0), (0.8, 1.0))) / 3
+    if not wrong:
+        y = motion(u, delay)
+    else:
+        y = np.zeros(len(u) + 1)
+        for k, held in enumerate(u):
+            y[k + 1] = y[k]
+            for _ in range(50):
+                y[k + 1] += DT / 50 * (A * y[k + 1] + B * held + wrong * y[k + 1] ** 2)
+    return Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.from_numpy(u)[:, None], DT)
+
+
+def model(longest: float | None) -> SindyModel:
+    return SindyModel(SIGNATURE, LIBRARY, Regression("bic"), Refinement("integral", longest_delay=longest))
+
+
+@pytest.mark.parametrize("samples", [1.0, 5.0, 7.5, 12.5, 33.0])
+def test_a_delay_that_nobody_states_is_found_however_long_it_is(samples):
+    found = model(None)
+    found.fit(excited(samples * DT))
+    assert found.delay == pytest.approx(samples * DT, abs=0.05 * DT)
+    assert found.coefficients[:, 0].tolist() == pytest.approx([A, B], rel=0.01)
+
+
+@pytest.mark.parametrize("wrong", [0.0, 0.5])
+def test_where_inputs_act_at_once_the_fit_is_the_same_as_one_that_looks_for_no_delay(wrong):
+    """Also where a function is missing, which no delay stands for."""
+    looked, plain = model(None), model(0.0)
+    for fitted in (looked, plain):
+        fitted.fit(excited(0.0, wrong))
+    assert looked.delay == 0.0
+    assert torch.equal(looked.coefficients, plain.coefficients)

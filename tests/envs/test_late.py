@@ -1,0 +1,50 @@
+"""An environment whose inputs are late moves as an independent integration of the late inputs says."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import solve_ivp
+from torchrl.envs.utils import check_env_specs
+
+from dynasindy.envs import ControlEnv, LateEnv
+from dynasindy.systems import Pendulum
+from dynasindy.tasks import Step, Tracking, TrackingReward
+
+DT = 0.05
+
+
+def late(delay, substeps=5):
+    plant = Pendulum()
+    task = Tracking(plant.signature, Step([[0.3]]), ("theta",), ("Omega",), TrackingReward((4.0,)), max_steps=40)
+    return LateEnv(plant, task, DT, substeps, delay, dtype=torch.float64)
+
+
+def test_specs_hold():
+    check_env_specs(late(0.12))
+
+
+@pytest.mark.parametrize("periods", [0.0, 1.0, 2.0, 2.5])
+def test_each_sample_is_where_the_late_inputs_have_brought_the_plant(periods):
+    """Omega' = 12 u(t - delay) - 9.81 sin(theta) - 0.5 Omega, by SciPy from one change of the input to the next."""
+    inputs = np.sin(0.7 * np.arange(20))
+    env = late(periods * DT)
+    rows = env.rollout(20, lambda td: td.set("action", torch.from_numpy(inputs)[td["step_count"]].float()))
+    seen = rows["next", "samples"].reshape(-1, 2).numpy()
+    x, truth = np.zeros(2), []
+    for k in range(len(seen)):
+        for half in (0.0, 0.5):  # an input changes in the middle of a sample at 2.5 periods
+            begun = int(np.floor((k + half) / 5 - periods + 1e-9))
+            u = inputs[begun] if begun >= 0 else 0.0
+            x = solve_ivp(
+                lambda t, x, u=u: [x[1], 12 * u - 9.81 * np.sin(x[0]) - 0.5 * x[1]], (0, 0.005), x, rtol=1e-9
+            ).y[:, -1]
+        truth.append(x)
+    np.testing.assert_allclose(seen, truth, atol=2e-3 if periods == 2.5 else 1e-5)
+
+
+def test_a_model_of_the_plant_has_no_delay_and_another_task_has_the_same():
+    env = late(0.1)
+    assert type(env.with_model(Pendulum())) is ControlEnv
+    assert env.with_task(env.task).delay == env.with_system(Pendulum()).delay == 0.1
+    with pytest.raises(ValueError, match="allowed is 0 or more"):
+        late(-0.1)
