@@ -132,7 +132,7 @@ def identify(
             the log does not have is estimated with the model. If omitted, rates that the log shows to be missing are
             added as `angle_rate`; `{}` adds none.
         method: How the fit is refined; `auto` chooses by the noise of the data.
-        longest_delay: Longest delay of the inputs that is looked for [s]; None for two samples.
+        longest_delay: Longest delay of the inputs that is looked for [s]; None where the data are to tell.
 
     Returns:
         The model; `equations()` shows it, `save` keeps it. A warning says which state misses its rate, and which

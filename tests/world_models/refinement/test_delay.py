@@ -11,7 +11,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.libraries.features import variable
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.delay import delayed, fine_delay, known_inputs, rough_delay
+from dynasindy.world_models.refinement.delay import delayed, fine_delay, known_inputs, reach, rough_delay
 from dynasindy.world_models.regression.regression import integral_form
 
 SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
@@ -148,7 +148,7 @@ def test_the_report_judges_a_model_under_the_inputs_of_its_delay():
 
 
 def excited(delay: float, wrong: float = 0.0) -> Transitions:
-    """Exact states of y' = A y + B u(t - delay) + wrong y^2 under sines, held for five samples, as a period has them."""
+    """Exact states of y' = A y + B u(t - delay) + wrong y^2 under sines, held for five samples as in a period."""
     t = np.repeat(5 * DT * np.arange(100), 5)
     u = sum(np.sin(2 * np.pi * f * t + p) for f, p in ((0.1, 0.3), (0.3, 2.0), (0.5, 4.0), (0.8, 1.0))) / 3
     if not wrong:
@@ -172,6 +172,18 @@ def test_a_delay_that_nobody_states_is_found_however_long_it_is(samples):
     found.fit(excited(samples * DT))
     assert found.delay == pytest.approx(samples * DT, abs=0.05 * DT)
     assert found.coefficients[:, 0].tolist() == pytest.approx([A, B], rel=0.01)
+
+
+@pytest.mark.parametrize(("left", "found"), [(0.2, (10, 3)), (0.3, (4, 3)), (1.0, (4, 0))])
+def test_noise_leaves_a_delay_to_be_looked_for_within_few_samples(left, found):
+    """What a regression leaves over, at each delay, is given here; of the squares a quarter has to be left, or less."""
+
+    def rows(late: int, farthest: int) -> tuple[torch.Tensor, torch.Tensor]:
+        rates = torch.zeros(50 - farthest, 1).double()
+        rates[0] = math.sqrt(left) if late == 3 else 1.0
+        return torch.ones_like(rates) * (rates == 0), rates  # the function is zero where the rate is not
+
+    assert reach(torch.ones(1, 1, dtype=torch.bool), rows, 4) == found
 
 
 @pytest.mark.parametrize("wrong", [0.0, 0.5])

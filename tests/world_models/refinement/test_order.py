@@ -91,14 +91,13 @@ def test_a_delay_at_the_end_of_what_was_looked_for_is_said_to_be_one():
     assert longer.delay == pytest.approx(0.06)
 
 
-@pytest.mark.parametrize(("substeps", "found"), [(1, 0.04), (2, 0.06), (4, 0.06)])
-def test_without_a_time_delays_of_two_control_periods_are_looked_for(substeps, found):
-    """The inputs act three samples, 0.06 s, late; a control period has one, two or four samples."""
+@pytest.mark.parametrize("substeps", [1, 2])
+def test_without_a_time_a_delay_beyond_two_control_periods_is_found_where_a_regression_tells_it(substeps):
+    """The inputs act three samples, 0.06 s, late; a control period has one or two samples."""
     data = replace(recorded(lambda x, u: np.array([3 * u - 2 * x[0]]), 1, [0], late=3), substeps=substeps)
     model = SindyModel(ONE, "polynomial", Regression("bic"), Refinement("auto", longest_delay=None))
-    report = model.fit(data)
-    assert model.delay == pytest.approx(found)
-    assert any("is the longest that was tried, 0.04 s" in note for note in report.notes) == (substeps == 1)
+    model.fit(data)
+    assert model.delay == pytest.approx(0.06)
 
 
 def test_a_recording_of_a_few_samples_is_not_judged():
