@@ -19,22 +19,23 @@ from torch import Tensor, nn
 
 from dynasindy.agents import TD3, Actor
 from dynasindy.data import DynaReplay
-from dynasindy.data.recording import transitions
 from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count, check_memory
 from dynasindy.planning.base import Planned, Planner
+from dynasindy.planning.episodes import Episodes, references
 from dynasindy.planning.imitation import Begun, arrives, hold
 from dynasindy.planning.improve import Improved, improve, rewards
+from dynasindy.planning.margin import Margin
 from dynasindy.planning.pace import LONGEST, UNTOLD, PlanSettings, pace_of, rests_of
 from dynasindy.planning.terminal import TerminalValue
 from dynasindy.planning.trust import Bound
-from dynasindy.planning.variation import Members, Variation, Varied
-from dynasindy.planning.window import Network, Rows, backward, imagine
+from dynasindy.planning.variation import Variation
+from dynasindy.planning.window import Network, backward, imagine
 from dynasindy.systems import Diverged, System
 from dynasindy.tasks import Task, Tracking
 from dynasindy.told import tell
 
-FOLLOWING = ("window", "lr", "updates", "patience", "substeps", "held")
+FOLLOWING = ("window", "lr", "updates", "patience", "substeps", "held", "margin")
 """Settings that follow the plant where they are not given."""
 GIVEN_UP, SHORTER = 0.02, 0.1
 """Fall of the imagined score, or one by the best score's own size if that is more, by which a policy has lost a plant
@@ -42,8 +43,6 @@ that has to be held, and the factor on the learning rate then; an error of the w
 FENCE = 40.0
 """Cost of leaving the plant's bounds, at which real episodes end and imagined ones do not [per range and period]; an
 error of a whole target range costs 4."""
-DIVERGED = 100.0
-"""Multiple of the largest value of each state on the plant beyond which an imagined episode has diverged."""
 
 
 class GradientPlanning(Planner):
@@ -53,8 +52,8 @@ class GradientPlanning(Planner):
         env: Imagined environment, `real.with_system(world_model)`.
         agent: Agent whose actor learns, or an actor alone.
         replay: Storages; imagined episodes may begin at real states. None where there are none.
-        updates: Gradient updates of the first planning phase. This, `window`, `lr`, `patience`, `substeps` and `held`
-            follow the plant where they are None, see `dynasindy.planning.pace`.
+        updates: Gradient updates of the first planning phase. This, `window`, `lr`, `patience`, `substeps`, `held` and
+            `margin` follow the plant where they are None, see `dynasindy.planning.pace`.
         more_updates: Gradient updates of each later phase, which goes on from the policy as it is.
         rollouts: Imagined episodes side by side; 0 plans nothing and leaves the actor to TD3.
         window: Control periods that a gradient reaches back.
@@ -64,6 +63,8 @@ class GradientPlanning(Planner):
         width: Error at which the imagined cost turns from quadratic to linear [target ranges]; None plans on the
             task's own reward, as does a task without references.
         held: Whether the policy begins as a linear-quadratic regulator of the model, where that earns more.
+        margin: By what share inputs are weaker or stronger than in the model, at most, in imagined episodes, see
+            `dynasindy.planning.margin`.
         real_starts: Share of imagined episodes that begin at real states.
         jumps: Share that begin where the last episode ended, so that the reference jumps; the rest begin as the
             task does.
@@ -107,6 +108,7 @@ class GradientPlanning(Planner):
         check_every: int = 50,
         patience: int | None = None,
         held: bool | None = None,
+        margin: float | None = None,
         terminal_updates: Count = 0,
         searches: Count = 16,
         variation: Variation | None = None,
@@ -115,10 +117,12 @@ class GradientPlanning(Planner):
         seed: int = 0,
     ) -> None:
         super().__init__(every)
-        given = zip(FOLLOWING, (window, lr, updates, patience, substeps, held), strict=True)
+        given = zip(FOLLOWING, (window, lr, updates, patience, substeps, held, margin), strict=True)
         self.given: dict[str, Any] = {name: value for name, value in given if value is not None}
         sizes = {"check_every": check_every, "more_lr": more_lr, "max_grad_norm": max_grad_norm, "width": width}
-        _require_positive({**{k: v for k, v in self.given.items() if k not in ("updates", "held")}, **sizes})
+        _require_positive({**{k: v for k, v in self.given.items() if k not in ("updates", "held", "margin")}, **sizes})
+        if margin is not None and not 0 <= margin < 1:
+            raise ValueError(f"gradient planning got margin={margin}; give a share of at least 0 and below 1")
         least = min(rollouts, updates or 0, more_updates, terminal_updates, real_starts, jumps)
         if least < 0 or real_starts + jumps > 1:
             raise ValueError(
@@ -143,7 +147,7 @@ class GradientPlanning(Planner):
         self.env = ControlEnv(env.system, _imagined_task(env.task, width, held), env.dt, substeps or 1)
         self.env.stops = env.stops
         self.terminal = self._terminal(terminal_updates)
-        self.held_out = _references(self.env, 64, torch.Generator().manual_seed(seed + 1))
+        self.held_out = references(self.env, 64, torch.Generator().manual_seed(seed + 1))
         self.log_dt, self.finest, self.phase = env.log_dt, env.substeps, 0
         self.pace = dataclasses.replace(PlanSettings(), **self.given)
 
@@ -162,7 +166,7 @@ class GradientPlanning(Planner):
         self.env.substeps = pace.substeps
         updates, lr = (pace.updates, pace.lr) if first else (self.more_updates, self.more_lr or 0.3 * pace.lr)
         episodes = Episodes(self)
-        self.held_out.reach = episodes.rows.reach
+        self.held_out.reach, self.held_out.strength = episodes.rows.reach, None
         begun = Begun(-math.inf)
         if rests is not None and pace.held and (first or not arrives(self.network, self.env, rests, self.rng)):
             begun = hold(self.network, self.env, rests, self.test, self.rng)
@@ -173,6 +177,11 @@ class GradientPlanning(Planner):
         if begun.afar or was_afar:
             self.pace = pace = dataclasses.replace(pace, window=self.given.get("window", LONGEST), afar=True)
         best = begun.score
+        # A way from afar is timed for inputs as strong as the model's; weaker ones would take another way.
+        if (margin := Margin.of(self.env, rests, 0.0 if pace.afar else pace.margin)) is not None:
+            episodes.vary(margin)
+            self.held_out.strength = margin.ends(self.held_out.params)
+            best = self.test()
         optimizer = _optimizer(self.network, lr)
         best_weights, failures, done, made = self._weights(), 0, 0, 0
         for done in range(1, updates + 1):
@@ -289,68 +298,6 @@ class GradientPlanning(Planner):
             self.agent.deployed.load_state_dict(self.agent.policy.state_dict())
 
 
-class Episodes:
-    """Imagined episodes side by side, begun at staggered times and begun anew when they end.
-
-    Attributes:
-        diverged: Windows that have diverged so far.
-
-    Args:
-        planner: Whose episodes they are.
-    """
-
-    def __init__(self, planner: GradientPlanning) -> None:
-        self.planner = planner
-        self.rows = _references(planner.env, planner.rollouts, planner.rng)
-        self.rows.kept = True
-        self.rows.noise = planner.variation.deviations(planner.env.system.signature.n_x)
-        self.system: System = planner.env.system
-        if planner.others:
-            self.system = Members([self.system, *planner.others])
-        if planner.variation.members and planner.replay is not None:
-            data = transitions(planner.replay.real_in_order(), planner.log_dt)
-            self.system = Members.of(self.system, data, planner.variation.members)
-        if planner.variation.plants:
-            self.system = Varied(self.system, planner.variation, planner.rollouts)
-            self.system.draw(torch.ones(planner.rollouts, dtype=torch.bool), planner.rng)
-        self.diverged = 0
-        self.length = planner.env.task.max_steps * planner.env.dt
-        self.end = torch.rand(planner.rollouts, 1, generator=planner.rng) * self.length
-        self.real_states = self.rows.x
-        if planner.replay is not None and len(real := planner.replay.real):
-            self.real_states = real[:]["state"].to(self.rows.x)
-        largest = self.real_states.abs().amax(0)
-        if planner.replay is None:  # where episodes begin says nothing of how far they go
-            ranges = torch.tensor(planner.env.task.signature.x_scale).to(largest)
-            largest = largest.maximum(ranges).where(largest > 0, largest)
-        # A state that never moved says nothing of its range.
-        self.rows.reach = torch.where(largest > 0, DIVERGED * largest, torch.inf)
-
-    def carry_on(self, x: Tensor, held: Tensor, alive: Tensor) -> None:
-        """Go on from the end of a window; episodes that are over, or that diverged, begin anew."""
-        planner, rows = self.planner, self.rows
-        rows.t = rows.t + planner.pace.window * planner.env.dt
-        lost = ~alive
-        new = (rows.t >= self.end - 1e-6).squeeze(-1) | lost
-        rows.x = torch.where(new.unsqueeze(-1), self._starts(x, lost), x)
-        rows.held = torch.where(lost.unsqueeze(-1), torch.zeros_like(held), held)
-        fresh = planner.env.task.sample(new.shape, planner.rng)
-        rows.params = torch.where(new.reshape(-1, *[1] * (fresh.dim() - 1)), fresh, rows.params)
-        rows.t = rows.t.masked_fill(new.unsqueeze(-1), 0.0)
-        self.end = self.end.masked_fill(new.unsqueeze(-1), self.length)
-        if isinstance(self.system, Varied):
-            self.system.draw(new, planner.rng)
-
-    def _starts(self, x: Tensor, lost: Tensor) -> Tensor:
-        """Draw where episodes begin: where the task does, at real states, or where the last one ended."""
-        planner = self.planner
-        chance = torch.rand(len(x), 1, generator=planner.rng)
-        pick = torch.randint(len(self.real_states), (len(x),), generator=planner.rng)
-        starts = planner.env.task.initial_state(lost.shape, planner.rng).to(x)
-        starts = torch.where(chance < planner.real_starts, self.real_states[pick], starts)
-        return torch.where((chance > 1 - planner.jumps) & ~lost.unsqueeze(-1), x, starts)
-
-
 def _require_positive(sizes: dict[str, Any]) -> None:
     """Refuse sizes that are given and not positive."""
     if bad := [f"{name}={value}" for name, value in sizes.items() if value is not None and not value > 0]:
@@ -383,14 +330,6 @@ def _imagined_task(task: Task, width: float | None, held: bool | None) -> Task:
     smooth = task.fenced(FENCE)
     smooth.reward_function = dataclasses.replace(task.reward_function, error_shape="linear", width=width, bonus=0.0)
     return smooth
-
-
-def _references(env: ControlEnv, rows: int, rng: torch.Generator) -> Rows:
-    """Return rows at the start of the task, with drawn references."""
-    batch = torch.Size((rows,))
-    x = env.task.initial_state(batch, rng).to(torch.float32)
-    params = env.task.sample(batch, rng)
-    return Rows(x, torch.zeros(rows, env.system.signature.n_u), params, torch.zeros(rows, 1))
 
 
 def _schedule(step: int, steps: int) -> float:

@@ -6,6 +6,7 @@
 | lr, updates    | whether deviations grow without control: then smaller and more steps, from a held plant   |
 | patience       | likewise                                                                                   |
 | substeps       | the fastest mode of the model                                                              |
+| margin         | whether it has to be held                                                                  |
 
 Times are counted in control periods and lengths in ranges, so that a tank sampled every 2 s and a beam sampled every
 0.05 s are treated alike.
@@ -45,6 +46,9 @@ UNTOLD = 100
 not with 60."""
 STEP = 1.0
 """Largest product of a Runge-Kutta step and a mode's rate; the method itself is stable up to 2.8."""
+MARGIN = 0.1
+"""Share by which inputs are weaker or stronger in imagined episodes of a plant that has to be held. Fits to encoders
+miss the strength of inputs by some hundredths."""
 SUBSTEPS = 10
 """Most Runge-Kutta steps; a mode that would take more is of a model that is wrong, or over within the period."""
 
@@ -62,6 +66,7 @@ class PlanSettings:
         held: Whether the policy begins as a regulator that holds the plant.
         why: What of the plant they follow, in words.
         afar: Whether it begins by imitating ways to the rest from afar, as a swing-up.
+        margin: Share by which inputs are weaker or stronger in imagined episodes, at most.
     """
 
     window: int = 60
@@ -72,6 +77,7 @@ class PlanSettings:
     held: bool = False
     why: str = "as for the twin rotor"
     afar: bool = False
+    margin: float = 0.0
 
     def __str__(self) -> str:
         """Return the settings in one line."""
@@ -124,7 +130,9 @@ def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettin
     why = "; ".join(filter(None, (_fate(slopes, grown, seconds), loop, never)))
     if not grown > GROWN:
         return PlanSettings(window=window, substeps=substeps, why=why)
-    return PlanSettings(window, 3e-3, 200, 3, substeps, regulator is not None, why)
+    if regulator is None:
+        return PlanSettings(window, 3e-3, 200, 3, substeps, why=why)
+    return PlanSettings(window, 3e-3, 200, 3, substeps, True, why, margin=MARGIN)
 
 
 def unheld(env: ControlEnv, rests: Rests) -> str:

@@ -28,6 +28,7 @@ from torch import Tensor
 
 from dynasindy.agents.traced import Layers, Traced, by_hand, trace
 from dynasindy.envs import ControlEnv
+from dynasindy.planning.strength import Strength
 from dynasindy.systems import System, integrate
 
 Network = Callable[[Tensor], Tensor]
@@ -49,6 +50,7 @@ class Rows:
         noise: Standard deviation of the measurement noise of each state, `(n_x,)`; None measures exactly.
         reach: Magnitude of each state beyond which the model has diverged, `(n_x,)`; None for any finite one.
         kept: Whether the policy's layers are kept for `backward`, if its derivatives are taken by hand.
+        strength: How strong the inputs of each episode are; None for that of the model.
     """
 
     x: Tensor
@@ -58,6 +60,7 @@ class Rows:
     noise: Tensor | None = None
     reach: Tensor | None = None
     kept: bool = False
+    strength: Strength | None = None
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,8 @@ class Window:
     Attributes:
         states: `(T + 1, rows, n_x)`.
         applied: Inputs that reached the plant, `(T, rows, n_u)`.
-        actions: Actions of the policy, `(T, rows, n_u)`; those applied unless the actuator is late.
+        actions: Actions of the policy, `(T, rows, n_u)`; those applied unless the actuator is late, or of another
+            strength.
         seen: States as measured, `(T, rows, n_x)`.
         times: `(T + 1, rows, 1)` [s].
         alive: Where the row has not diverged so far, bool `(T + 1, rows)`.
@@ -120,6 +124,8 @@ def imagine(
             layers.append(traced)
             u = traced.actions
         entering, held = (held, u) if late else (u, held)
+        if rows.strength is not None:
+            entering = rows.strength.acting(entering)
         samples, _ = integrate(system, x, entering, env.dt, env.substeps, env.stops)
         x = samples[..., -1, :]
         states.append(x)
@@ -169,6 +175,8 @@ def backward(
     """
     with torch.enable_grad():
         a, b = sensitivities(env, system, window.states[:-1], window.applied)
+        if rows.strength is not None:
+            b = b * rows.strength.factor.unsqueeze(-2)
         # A period that ends in divergence has derivatives without bounds; times zero they would not be zero.
         a, b = (slope.where(window.alive[1:, :, None, None], torch.zeros(())) for slope in (a, b))
         reward, cost, effort = _cost(env, rows, window)

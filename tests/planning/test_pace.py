@@ -39,6 +39,7 @@ def test_the_twin_rotor_keeps_the_settings_that_it_was_measured_with(plant):
 def test_a_plant_that_runs_away_is_held_and_trained_in_smaller_steps():
     calm, wild = pace(Linear(-1.0, 1.0, 4.0)), pace(Linear(4.0, 0.0, 4.0))
     assert wild.held and not calm.held
+    assert wild.margin == 0.1 and calm.margin == 0
     # p'' = 4 p: exp(2 t) doubles every ln(2) / 2 s.
     assert wild.why.startswith(
         "the plant is unstable, without control a deviation doubles every 0.35 s; under a linear"

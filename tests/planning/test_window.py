@@ -6,6 +6,7 @@ from torch import nn
 
 from dynasindy.agents.networks import MLP
 from dynasindy.envs import ControlEnv
+from dynasindy.planning.strength import Strength
 from dynasindy.planning.window import Rows, backward, imagine, sensitivities
 from dynasindy.systems import rk4
 from dynasindy.systems.pendulum import Pendulum
@@ -27,14 +28,14 @@ def setting():
     return env, network, rows, rng
 
 
-def unrolled(env, network, rows, late=False):
+def unrolled(env, network, rows, late=False, factor=1.0, rest=0.0):
     """Back-propagate through time, step by step, with nothing but autograd."""
     x, held, total = rows.x, rows.held, 0.0
     for k in range(STEPS):
         t = torch.full((8, 1), k * env.dt)
         u = network(env.task.observation(x, rows.params, t))
         entering, held = (held, u) if late else (u, held)
-        x_next = rk4(env.system, x, entering, env.dt)
+        x_next = rk4(env.system, x, rest + factor * (entering - rest), env.dt)
         stopped = torch.zeros(8, dtype=torch.bool)
         total = total + env.task.earned(x, u, x_next, rows.params, t + env.dt, stopped).mean() / STEPS
         x = x_next
@@ -42,10 +43,13 @@ def unrolled(env, network, rows, late=False):
     return total.detach()
 
 
+@pytest.mark.parametrize("strong", [False, True])
 @pytest.mark.parametrize("late", [False, True])
-def test_gradient_equals_back_propagation_through_time(late):
+def test_gradient_equals_back_propagation_through_time(late, strong):
     env, network, rows, rng = setting()
-    expected = unrolled(env, network, rows, late)
+    factor, rest = (0.7 + 0.6 * torch.rand(8, 2, generator=rng), torch.rand(8, 2, generator=rng)) if strong else (1, 0)
+    expected = unrolled(env, network, rows, late, factor, rest)
+    rows.strength = Strength(factor, rest) if strong else None
     wanted = [p.grad.clone() for p in network.parameters()]
     network.zero_grad()
     window = imagine(env, env.system, network, rows, STEPS, late, rng)
@@ -95,6 +99,22 @@ def test_late_inputs_arrive_one_period_later():
     window = imagine(env, env.system, network, rows, STEPS, True, rng)
     torch.testing.assert_close(window.applied[0], rows.held)
     torch.testing.assert_close(window.applied[1:], window.actions[:-1])
+
+
+def test_layers_that_are_kept_give_the_gradient_of_inputs_of_other_strength():
+    env, _, rows, rng = setting()
+    network = MLP(env.task.n_o, 2, (16, 8), squash=True)
+    factor, rest = torch.tensor([[0.8, 1.2]]).expand(8, 2), torch.full((8, 2), 0.3)
+    unrolled(env, network, rows, factor=factor, rest=rest)
+    wanted = [p.grad.clone() for p in network.parameters()]
+    network.zero_grad()
+    rows.kept, rows.strength = True, Strength(factor, rest)
+    window = imagine(env, env.system, network, rows, STEPS, False, rng)
+    assert window.layers is not None
+    torch.testing.assert_close(window.applied, rest + factor * (window.actions - rest))
+    backward(env, env.system, network, rows, window, False)
+    for parameter, gradient in zip(network.parameters(), wanted, strict=True):
+        torch.testing.assert_close(parameter.grad, gradient, rtol=2e-3, atol=1e-5 * float(gradient.abs().max()))
 
 
 def test_noise_disturbs_what_is_seen_and_not_the_plant():

@@ -1,0 +1,44 @@
+"""Inputs that are weaker or stronger: around the rest of a pendulum in closed form, and what a policy makes of them."""
+
+import math
+
+import pytest
+import torch
+
+from dynasindy.planning.margin import Margin
+
+
+def params(*targets):
+    """Task parameters of steps to the targets."""
+    return torch.tensor([[[target, 0.0, 0.0, 0.0, 0.0]] for target in targets])
+
+
+def test_inputs_at_rest_hold_the_target_whatever_their_strength(inverted):
+    env, rests = inverted()
+    strength = Margin.of(env, rests, 0.2).draw(params(-0.3, 0.0, 0.25), torch.Generator().manual_seed(0))
+    # theta'' = 4 sin(theta) + 6 u
+    wanted = [-4.0 / 6.0 * math.sin(target) for target in (-0.3, 0.0, 0.25)]
+    assert strength.rest.flatten().tolist() == pytest.approx(wanted, abs=1e-3)
+    assert torch.equal(strength.acting(strength.rest), strength.rest)
+
+
+def test_strengths_fill_the_share_evenly_and_go_no_further(inverted):
+    env, rests = inverted()
+    many = Margin.of(env, rests, 0.2).draw(params(*[0.1] * 4000), torch.Generator().manual_seed(1)).factor
+    assert 0.8 <= many.min() < 0.801 and 1.199 < many.max() <= 1.2
+    # Of a uniform distribution of half width w: mean 1, deviation w / sqrt(3).
+    assert many.mean().item() == pytest.approx(1.0, abs=0.006)
+    assert many.std().item() == pytest.approx(0.2 / math.sqrt(3), rel=0.03)
+
+
+def test_a_policy_is_tested_with_the_weakest_the_model_s_and_the_strongest_inputs(inverted):
+    env, rests = inverted()
+    ends = Margin.of(env, rests, 0.2).ends(params(*[0.1] * 6)).factor.flatten().tolist()
+    assert ends == pytest.approx([0.8, 1.0, 1.2, 0.8, 1.0, 1.2])
+
+
+def test_there_is_no_margin_where_none_is_asked_for_and_where_nothing_is_regulated(inverted):
+    env, rests = inverted()
+    assert Margin.of(env, rests, 0.0) is None and Margin.of(env, None, 0.1) is None
+    dead, none = inverted(pull=0.0)
+    assert Margin.of(dead, none, 0.1) is None
