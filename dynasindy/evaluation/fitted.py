@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 import torch
@@ -18,6 +20,8 @@ BETTER = 0.7
 """Part of a model's errors, their geometric mean over states and horizons, that are left where a state is believed."""
 MOST = 3
 """States that are tried, those first that regressions prefer."""
+FAILURES = ArithmeticError, ValueError, RuntimeError
+"""What a search or a fit raises where numbers run away, or where there are too few samples."""
 
 
 @dataclass(frozen=True)
@@ -56,23 +60,28 @@ def fitted(model: SindyModel, source: Source) -> Fitted:
     before = forecast(model, source.training, source.validation) if source.logged else None
     if before is None or not bool(unresolved(before, model.signature).any()):
         return plain
-    for trial in trials(model, source.training)[:MOST]:
-        try:
-            found = _with(trial, source)
-        except (ArithmeticError, ValueError, RuntimeError):  # numbers that run away, or too few samples
-            continue
+    for found in _wider(model, source):
         after = forecast(found.model, found.source.training, found.source.validation) if found.follower else None
         if after is not None and _better(before, after, model.signature):
             return found
     return plain
 
 
-def _with(trial: Trial, source: Source) -> Fitted:
-    """Return the fit with one state more."""
-    data = source.with_states_of(trial.model)
-    with telling(f"fit with a state that follows {trial.signal}"):
+def _wider(model: SindyModel, source: Source) -> Iterator[Fitted]:
+    """Yield fits with one state more, those first that regressions prefer; a fit that fails is left out."""
+    with suppress(*FAILURES):
+        for trial in trials(model, source.training)[:MOST]:
+            if (found := _with(trial, source)) is not None:
+                yield found
+
+
+def _with(trial: Trial, source: Source) -> Fitted | None:
+    """Return the fit with one state more; None where it fails."""
+    with suppress(*FAILURES), telling(f"fit with a state that follows {trial.signal}"):
+        data = source.with_states_of(trial.model)
         report = trial.model.fit(data.training)
-    return Fitted(trial.model, data, report, trial.words())
+        return Fitted(trial.model, data, report, trial.words())
+    return None
 
 
 def _better(before: Forecasts, after: Forecasts, signature: Signature) -> bool:

@@ -111,14 +111,14 @@ class _Search:
     def best(self) -> Trial | None:
         """Return the model of the time with which all functions together explain most; None where none does."""
         times, keep = self._times()
+        if not times:
+            return None
         plain = Seen.of(self.guess.select(keep), self.data.select(keep), self.rates, self.noisy)
         free = self.model.constraints.free
         fixed = torch.where(free, 0.0, self.model.coefficients)
         theta, dx = plain.rows(self.model.library, generate(self.model.library, self.model.coefficients))
         left = unexplained(free, theta, dx - theta @ fixed)
         costs = {time: self._cost(time, keep) for time in times}
-        if not costs:
-            return None
         time = min(costs, key=costs.__getitem__)
         if not self.input and time == times[0]:  # what hardly lags stands for a rate of change, which explains itself
             return None

@@ -61,7 +61,7 @@ def arm(lag=0.0, creep=0.0):
 
 def oven(noise=0.0, start=(80.0, 20.0), wall=1 / 200):
     """An oven of 2 heat stores, air and wall, of which the air alone is measured; by the matrix exponential."""
-    u = levels(20, 40, seed=1)
+    u = levels(12, 40, seed=1)
     a = torch.tensor([[-wall - 1 / 500 * (wall == 0), wall], [1 / 600, -1 / 600 - 1 / 900]], dtype=torch.float64)
     b = torch.tensor([[0.12, 0.12], [0.0, 20 / 900]], dtype=torch.float64)
     whole = torch.linalg.matrix_exp(MINUTE * torch.cat([torch.cat([a, b], 1), torch.zeros(2, 4).double()]))
