@@ -73,7 +73,7 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
         say(*told)
     found = fitted(built, source)
     lag = [f"found: {found.lag}"] if found.lag else []
-    say(found.report.to_text(), *lag, *(f"note: {note}" for note in source.notes))
+    say(found.report.to_text(), *lag)
     return found.model
 
 
