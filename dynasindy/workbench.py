@@ -38,6 +38,7 @@ from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.evaluation.symptoms import resolution as resolution_of
 from dynasindy.evaluation.symptoms import samples_of, step_of
+from dynasindy.evaluation.targets import require_radians
 from dynasindy.evaluation.verdict import beyond, doubts, known_ranges, unlogged, unmoved
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.integral import IntegralAction
@@ -192,6 +193,8 @@ def plan(
     task = task.following(model.followers)
     if log is not None:
         log = log.with_states_of(model)
+        if task.ends is not None:
+            require_radians(log, dict(zip(task.output_names, zip(*task.ends, strict=True), strict=True)))
         data = log.training
         task = task.as_logged(_typical(data, model), known_ranges(model, data.u))
     pace = Pace(task, dt or nearest_period(log), stops=model.stops)

@@ -71,7 +71,10 @@ def following(cfg: DictConfig, found: "Identified", known: Sequence[str], rates:
     keys = ("outputs", "low", "high")
     given = {key: None if OmegaConf.is_missing(cfg.plant, key) else cfg.plant[key] for key in keys}
     if targets := targets_like(found.source, rates.values(), given):
-        does += "; put in its targets what you want to hold, within which limits"
+        units = dict(zip(found.source.signature.state_names, found.source.signature.state_units, strict=True))
+        named = [str(name) for name in given["outputs"] or targets["outputs"]]
+        told = ", ".join(f"{name} in {units[name]}" for name in named if units.get(name, "-") != "-")
+        does += "; put in its targets what you want to hold, within which limits" + (told and f", {told}")
     if found.forecasts is not None and not found.predicts:
         does += "; this model does not predict, so mend first what is said above"
     return f"{planning(words, logged, system, targets)}  # {does}"

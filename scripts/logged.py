@@ -21,6 +21,7 @@ from dynasindy.dyna.stopped import Stopped
 from dynasindy.evaluation.files import write_json, write_text
 from dynasindy.evaluation.given import read_record, understood
 from dynasindy.evaluation.held import WITHIN
+from dynasindy.evaluation.targets import in_words, require_radians
 from dynasindy.planning import GradientPlanning
 from dynasindy.terminal import say
 from dynasindy.viz.evaluation import draw_evaluation
@@ -45,6 +46,9 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     if source is not None:  # what cannot be is refused before the fit
         for name in ("task", "world_model") if cfg.model is None else ("task",):  # a given model has its own library
             parts[name](signature=source.signature)
+        targets = {name: ends for name, *ends in zip(cfg.plant.outputs, cfg.plant.low, cfg.plant.high, strict=False)}
+        require_radians(source, targets)
+        say(in_words(source.signature, targets))
     dt = nearest_period(source, cfg.env.dt)
     say(f"Run folder: {folder}", *told)
     if dt != cfg.env.dt:

@@ -8,8 +8,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from dynasindy.data.table import MAP, all_headings, numeric_headings, split_unit
+from dynasindy.data.table import CLOCK, MAP, all_headings, clock_of, numeric_headings, split_unit
 from dynasindy.data.units import with_units
+from dynasindy.data.unnamed import settings_for
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Column:
 
 
 def infer(
-    path: str, time: str = "time", inputs: Collection[str] | None = None
+    path: str, time: str = CLOCK, inputs: Collection[str] | None = None
 ) -> tuple[dict[str, Column], dict[str, Column]]:
     """Read the columns of states and inputs off the headings of a file, `name` or `name [unit]`.
 
@@ -54,23 +55,36 @@ def infer(
         ValueError: no heading is that of a state, none that of an input, or one that is named does not exist.
     """
     given = {heading: split_unit(heading) for heading in numeric_headings(Path(path))}
+    headings = all_headings(Path(path))
+    clock = clock_of(headings, time)
     columns = {name: Column(heading) for heading, (name, _) in given.items()}
     others = {
-        n: c for n, c in columns.items() if n != split_unit(time)[0] and not n.startswith(("reference_", "predicted_"))
+        n: c for n, c in columns.items() if n != split_unit(clock)[0] and not n.startswith(("reference_", "predicted_"))
     }
     if inputs is None:
         found = {n: c for n, c in others.items() if re.fullmatch(r"(u|U|input)([_\d].*)?", n)}
     else:
         found = chosen(others, inputs, path, "data.inputs")
+    timed = any(clock in (heading, split_unit(heading)[0]) for heading in headings)
     states = with_units({n: c for n, c in others.items() if n not in found}, given, states=True)
     found = with_units(found, given, states=False)
-    if not states or not found:
+    if not states or not found or not timed:
+        lacking = _LACKING["time" if not timed else "inputs" if not found else "states"]
+        filled = settings_for(Path(path), list(given), clock if timed else None, list(found)) if given else ""
+        guess = f" This is a first guess, to be corrected: {filled}" if filled else ""
         raise ValueError(
-            f"{path} has the columns {', '.join(all_headings(Path(path)))}, with numbers in "
-            f"{', '.join(given) or 'none'}; allowed are time, one state or more, and one input or more, u, u_... or "
-            "input_...: name the inputs, as in data.inputs=[torque], and all others are states"
+            f"{path} has the columns {', '.join(headings)}, with numbers in {', '.join(given) or 'none'}; {lacking}. "
+            "Allowed are a column of time, one state or more, and one input or more: say which is which, by data.time, "
+            f"data.inputs and data.states.{guess}"
         )
     return states, found
+
+
+_LACKING = {
+    "time": "none of them is called time",
+    "inputs": "none of them is called u, u_... or input_..., as inputs are",
+    "states": "besides time and inputs none is left, which would be a state",
+}
 
 
 def chosen(columns: Mapping[str, Column], names: Collection[str], path: str, key: str) -> dict[str, Column]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dynasindy.data.columns import Column, columns_of, require_names
 from dynasindy.data.ends import acting, reaches, scaled
-from dynasindy.data.table import MAP, Table, read_table, seconds_of
+from dynasindy.data.table import CLOCK, MAP, Table, all_headings, clock_of, read_table, seconds_of
 from dynasindy.data.units import conversions, with_units
 from dynasindy.durations import in_words
 from dynasindy.systems.base import Signature
@@ -61,7 +61,7 @@ class CsvLog:
         path: the file, with a line of headings; separated by commas, semicolons or tabs.
         states: columns of the states, by name, in the order of x.
         inputs: columns of the inputs, by name, in the order of u.
-        time: heading of the time column [s].
+        time: heading of the time column [s]; `Time` or `t`, too, where nobody says one.
         dt: sampling time [s]; the median of the file by default.
         missing: whether rows with a value that is missing are skipped or the file is refused.
         min_samples: fewest transitions that are worth a fit.
@@ -75,7 +75,7 @@ class CsvLog:
     path: str
     states: Mapping[str, Column | Mapping[str, object] | str]
     inputs: Mapping[str, Column | Mapping[str, object] | str]
-    time: str = "time"
+    time: str = CLOCK
     dt: float | None = None
     missing: Literal["skip", "refuse"] = "skip"
     min_samples: int = 50
@@ -102,9 +102,12 @@ class CsvLog:
         if bounded := [name for name, column in states.items() if column.low is not None]:
             raise ValueError(f"{self.path}: state {bounded[0]} was given low and high, which inputs alone have: {MAP}")
         notes: list[str] = []
-        names = [self.time, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
+        time = clock_of(all_headings(Path(self.path)), self.time)
+        names = [time, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
         require_names([*states, *inputs], self.path)
-        table = self._complete(read_table(Path(self.path), names), notes)
+        table = read_table(Path(self.path), names)
+        notes += table.words
+        table = self._complete(table, notes)
         states, inputs = with_units(states, table.headings, True), with_units(inputs, table.headings, False)
         notes += conversions(states, table.headings)
         t = table.values[:, 0] * seconds_of(Path(self.path), table.headings[0])

@@ -17,6 +17,9 @@ CLEAR = 3.0
 """Factor between slope and rate, either way, from which on a unit is wrong: no filter or noise makes as much."""
 TIED = 0.95
 """Correlation from which on a state is told to move by the integral of another one; the factor is sure within 5 %."""
+LOOSE = 0.3
+"""Correlation below which a state does not move by what is said to be its rate; sensors as noisy as their states move
+by half leave more."""
 ALIKE = 0.99
 """The same where only the units make it likely: coupled axes move alike, too."""
 USUAL = 0.95
@@ -111,6 +114,33 @@ def with_rates(signature: Signature, known: Mapping[str, str]) -> Signature:
         if name in names and rate not in names and rate.isidentifier():
             signature = signature.with_state(rate, unit_of_rate(signature.state_units[names.index(name)]))
     return signature
+
+
+def contradicted(data: Transitions, signature: Signature, known: Mapping[str, str]) -> dict[str, str]:
+    """Return sentences on the states that clearly do not move by what is said to be their rate, by state.
+
+    Args:
+        data: the recording; what was not measured is NaN, and is not judged.
+        signature: names and units of the states.
+        known: the rate of each state, as it was said.
+    """
+    told, names = {}, signature.state_names
+    for state, rate in known.items():
+        places = names.index(state), names.index(rate)
+        tie, turned = _factor(data, *places), _factor(data, *reversed(places))
+        swapped = turned[1] > TIED and 1 / CLEAR < turned[0] < CLEAR and not tie[1] > TIED
+        if swapped:
+            told[state] = (
+                f"{rate} was given as the rate of {state}, and in the log it is the other way round: {state} is the "
+                f"rate of {rate}; give 'plant.known={{{rate}: {state}}}'"
+            )
+        elif tie != NO_TIE and -TIED < tie[1] < LOOSE:
+            told[state] = (
+                f"{rate} was given as the rate of {state}, and the log contradicts it: {state} does not move by the "
+                f"integral of {rate} (correlation {tie[1]:.2f}); correct plant.known or the columns, for this equation "
+                "is taken as exact"
+            )
+    return told
 
 
 def mismatched(data: Transitions, signature: Signature, known: Mapping[str, str] | None = None) -> list[Mismatch]:

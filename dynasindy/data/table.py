@@ -27,7 +27,16 @@ SECONDS = {
     "ns": 1e-9,
     "min": 60.0,
     "h": 3600.0,
+    **dict.fromkeys(("second", "seconds"), 1.0),
+    **dict.fromkeys(("millisecond", "milliseconds"), 1e-3),
+    **dict.fromkeys(("minute", "minutes"), 60.0),
+    **dict.fromkeys(("hour", "hours"), 3600.0),
 }
+"""Units of time, in seconds; capital letters are as good."""
+CLOCKS = ("time", "t", "timestamp")
+"""What a column of time is called, in small letters."""
+CLOCK = "time"
+"""Heading of the time where no other is given; `Time` or `t` is taken where the file has none."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +47,13 @@ class Table:
         headings: headings of the columns as the file has them.
         values: what is no number is NaN, `(rows, columns)`.
         lines: line of each row in the file, `(rows,)`.
+        words: sentences on cells that hold something else than a number, one for each such column.
     """
 
     headings: tuple[str, ...]
     values: NDArray[np.float64]
     lines: NDArray[np.int64]
+    words: tuple[str, ...] = ()
 
 
 def read_table(path: Path, names: Sequence[str]) -> Table:
@@ -59,6 +70,7 @@ def read_table(path: Path, names: Sequence[str]) -> Table:
     columns = [_find(path, name, headings) for name in names]
     values, lines = array("d"), array("q")
     first: dict[int, str] = {}
+    wrong: dict[int, list[tuple[int, str]]] = {}
     for line, row in rows:
         if len(row) > len(headings) and any(text.strip() for text in row[len(headings) :]):
             raise ValueError(
@@ -67,12 +79,17 @@ def read_table(path: Path, names: Sequence[str]) -> Table:
             )
         lines.append(line)
         texts = [row[k] if k < len(row) else "" for k in columns]
-        values.extend(map(number, texts))
-        if texts and math.isnan(values[-len(texts)]):
-            values[-len(texts)] = _date(texts[0])
+        numbers = list(map(number, texts))
+        if texts and math.isnan(numbers[0]):
+            numbers[0] = _date(texts[0])
+        for k, (value, text) in enumerate(zip(numbers, texts, strict=True)):
+            if math.isnan(value) and text.strip().lower() not in ("", "nan"):
+                wrong.setdefault(k, []).append((line, text.strip()[:40]))
+        values.extend(numbers)
         first = first or {k: text for k, text in zip(columns, texts, strict=True) if text.strip()}
     found = tuple(headings[k] for k in columns)
-    table = Table(found, np.array(values).reshape(len(lines), len(names)), np.array(lines, dtype=np.int64))
+    words = tuple(_told(found[k], *cells[0], len(cells) - 1) for k, cells in sorted(wrong.items()))
+    table = Table(found, np.array(values).reshape(len(lines), len(names)), np.array(lines, dtype=np.int64), words)
     for k, heading, column in zip(columns, found, table.values.T, strict=True):
         if k in first and np.isnan(column).all():
             raise ValueError(
@@ -80,6 +97,15 @@ def read_table(path: Path, names: Sequence[str]) -> Table:
                 "and of time dates such as 2024-05-31 12:00:00.05: convert the column"
             )
     return table
+
+
+def _told(heading: str, line: int, text: str, more: int) -> str:
+    """Say which cell of a column holds text, and how many more of them do."""
+    first = f"line {line}, column {heading!r} holds {text!r}, which is no number"
+    if not more:
+        return f"{first}; it counts as missing"
+    others = "1 more cell of the column holds none" if more == 1 else f"{more} more cells of the column hold none"
+    return f"{first}, and {others}; they count as missing"
 
 
 def numeric_headings(path: Path) -> list[str]:
@@ -124,11 +150,32 @@ def seconds_of(path: Path, heading: str) -> float:
         ValueError: the unit is not one of time.
     """
     unit = split_unit(heading)[1]
-    if unit and unit not in SECONDS:
+    if unit and unit.lower() not in SECONDS:
         raise ValueError(
             f"{path} has the time column {heading!r}; allowed units are {', '.join(SECONDS)}, or none for s: rename it"
         )
-    return SECONDS.get(unit, 1.0)
+    return SECONDS.get(unit.lower(), 1.0)
+
+
+def clock_of(headings: Sequence[str], time: str = CLOCK) -> str:
+    """Return the heading of the column of time: the one that is named, or the only one that can be meant.
+
+    Where nobody named one and no heading is `time`, it is `Time` or `t`, or `T` with a unit of time, for alone it may
+    be a temperature. What is not there is returned as it was named.
+
+    Args:
+        headings: All headings of the file.
+        time: Heading or name of the column; `time` if nobody named one.
+    """
+    split = {heading: split_unit(heading) for heading in headings}
+    if time != CLOCK or any(time in (heading, name) for heading, (name, _) in split.items()):
+        return time
+    meant = [
+        heading
+        for heading, (name, unit) in split.items()
+        if (unit.lower() in SECONDS and name.lower() in CLOCKS) or (not unit and name.lower() in CLOCKS and name != "T")
+    ]
+    return meant[0] if len(meant) == 1 else time
 
 
 def number(text: str) -> float:
@@ -167,9 +214,11 @@ def _rows(path: Path) -> tuple[tuple[int, list[str]], Iterator[tuple[int, list[s
     if not any(headings):
         raise ValueError(f"{path} is empty or begins with an empty line; allowed is a CSV file with a line of headings")
     if all(not math.isnan(number(heading)) for heading in headings):
+        names = ",".join(["time", *(f"x{k}" for k in range(1, len(headings) - 1)), "u"][: len(headings)])
         raise ValueError(
             f"{path} has numbers in line {line}, where headings are wanted; allowed is a CSV file with a line of "
-            "headings: write one above, such as time,angle,u"
+            f"headings: write one above, such as {names}, with names and units of yours, as in angle [deg]; columns "
+            "that are called u or u_... are inputs, all others but time are states"
         )
     return (line, headings), rows
 

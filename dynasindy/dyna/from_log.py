@@ -73,7 +73,7 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
         say(*told)
     found = fitted(built, source)
     more = [f"found: {found.follower}"] if found.follower else []
-    say(found.report.to_text(), *more, *(f"note: {note}" for note in source.notes))
+    say(found.report.to_text(), *more)
     return found.model
 
 

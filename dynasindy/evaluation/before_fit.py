@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from dynasindy.data.rates import mismatched
+from dynasindy.data.rates import contradicted, mismatched
 from dynasindy.data.units import TURNS
 from dynasindy.evaluation.source import Source
 from dynasindy.systems import Pendulum, System, Tras, Trms33, Xi
@@ -18,19 +18,19 @@ PLANTS: Mapping[str, Callable[[], System]] = {"pendulum": Pendulum, "tras": Tras
 """Plants whose library and known equations `system=NAME` takes."""
 MANY, MANY_OF_KNOWN = 150, 50
 """Candidate functions from which on a library is said to be long: of any plant, and of one whose own list is known."""
-LEFT_OUT = ("skipped", "masked", "split the recording")
-"""Words of notes on rows that were left out."""
 FEW = 50
 """Rows below which little can be told from a recording."""
 
 
 def before_fit(model: SindyModel, source: Source) -> list[str]:
-    """Say what is wrong with the data or costs the fit dearly, a line each, what is worst first."""
+    """Say what was read, what is wrong with it or costs the fit dearly, a line each, what is worst first."""
+    notes = [f"note: {note}" for note in source.notes]
     if not source.logged:
-        return wrong_units(model, source)
+        return [*wrong_units(model, source), *notes]
     return [
         *wrong_units(model, source),
         *_few_rows(source),
+        *notes,
         *_angles(model, source),
         *_many_functions(model, source),
         *missing_rates(model, source),
@@ -38,19 +38,21 @@ def before_fit(model: SindyModel, source: Source) -> list[str]:
 
 
 def wrong_units(model: SindyModel, source: Source) -> list[str]:
-    """Say which measured rates are not the slopes of their states, a line for each."""
-    return [f"warning: {found}" for found in mismatched(source.training, source.signature, _known(model))]
+    """Say which measured rates are not those of their states, or not the slopes of these, a line for each."""
+    data, signature, known = source.training, source.signature, _known(model)
+    wrong = contradicted(data, signature, known)
+    units = mismatched(data, signature, known)
+    told = [*wrong.values(), *(found for found in units if found.state not in wrong)]
+    return [f"warning: {found}" for found in told]
 
 
 def _few_rows(source: Source) -> list[str]:
-    """Say that there are so few rows that nothing can be told of units, and what was left out."""
+    """Say that there are so few rows that nothing can be told of units; notes say what was left out."""
     rows = len(source.training)
     if rows >= FEW:
         return []
-    out = [note for note in source.notes if any(word in note for word in LEFT_OUT)]
-    lost = f" ({'; '.join(out)})" if out else ""
     return [
-        f"warning: the fit has {rows} rows only{lost}, so few that wrong units or missing rates would not be noticed; "
+        f"warning: the fit has {rows} rows only, so few that wrong units or missing rates would not be noticed; "
         f"record longer, or mend what was left out: {FEW} rows are the least, some hundreds are usual"
     ]
 

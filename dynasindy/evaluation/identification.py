@@ -306,7 +306,7 @@ def to_words(found: Identified, source: Source) -> str:
     )
     lines += [f"  {state:<10} {_percent(error)}" for state, error in free.items()]
     unsought = (found.found.words,) if found.found is not None and not found.found.sought else ()
-    lines += [f"note: {note}" for note in (*source.notes, *unsought)]
+    lines += [f"note: {note}" for note in unsought]
     if shown is None:
         return "\n".join([*lines, "the validation data are too short to judge how far ahead the model predicts"])
     return "\n".join([*lines, *verdict.judge(shown, signature)])

@@ -6,11 +6,16 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 
 from dynasindy.evaluation.source import Source
+from dynasindy.systems.base import Signature
 
 INNER = 0.1
 """Part of the samples beyond either end of the targets: the plant was at all of them, for some time."""
 DIGITS = 2
 """Digits of the extent of the targets that are kept."""
+DEGREE = math.pi / 180
+"""A degree [rad]."""
+FAR, NEAR = 5.0, 3.0
+"""Targets this many times as far as the log went are in another unit, if in degrees they are not beyond the latter."""
 
 
 def targets_like(
@@ -40,6 +45,51 @@ def targets_like(
         "high": [_short(high, high - low) for low, high in ends],
     }
     return {key: found[key] for key in ("outputs", "low", "high") if given.get(key) is None}
+
+
+def in_words(signature: Signature, targets: Mapping[str, Sequence[float]]) -> str:
+    """Return in one line what is to be held, and in which units.
+
+    Args:
+        signature: Names and units of the states.
+        targets: Lower and upper end of the targets of each output.
+    """
+    told = []
+    for name, (low, high) in targets.items():
+        unit = signature.state_units[signature.state_index(name)]
+        degrees = f" ({low / DEGREE:.4g} to {high / DEGREE:.4g} deg)" if unit == "rad" else ""
+        told.append(f"{name} from {low:g} to {high:g}{'' if unit == '-' else f' {unit}'}{degrees}")
+    return f"targets: {'; '.join(told)}"
+
+
+def require_radians(source: Source, targets: Mapping[str, Sequence[float]]) -> None:
+    """Refuse targets in degrees of an angle that is in radians.
+
+    They are such where they lie many times as far as the log went, and as degrees within what it saw, or nearly so.
+
+    Args:
+        source: The log.
+        targets: Lower and upper end of the targets of each output.
+
+    Raises:
+        ValueError: Targets of an output are in degrees.
+    """
+    signature = source.signature
+    for name, ends in targets.items():
+        if name not in signature.state_names or signature.state_units[signature.state_index(name)] != "rad":
+            continue
+        seen = source.training.x[:, signature.state_index(name)]
+        reach, asked = (
+            float(seen[seen.isfinite()].abs().max()) if bool(seen.isfinite().any()) else 0.0,
+            max(map(abs, ends)),
+        )
+        if 0 < FAR * reach < asked and asked * DEGREE < NEAR * reach:
+            radians = [f"{end * DEGREE:.4g}" for end in ends]
+            raise ValueError(
+                f"the targets of {name} go from {ends[0]:g} to {ends[1]:g} rad, the log to {reach:.3g} rad only; "
+                f"{name} is in rad, and these look like degrees: give {radians[0]} and {radians[1]} in plant.low and "
+                f"plant.high, or keep degrees by 'data.states={{{name}: {{name: {name}, unit: deg}}}}'"
+            )
 
 
 def _short(value: float, extent: float) -> str:

@@ -100,7 +100,8 @@ def test_text_and_short_rows_are_missing_values(tmp_path):
     lines = path.read_text().splitlines()
     lines[10], lines[30] = "0.09,off,1,1", "0.29"
     path.write_text("\n".join(lines))
-    (note, gaps) = CsvLog(str(path), STATES, INPUTS).read().notes
+    (text, note, gaps) = CsvLog(str(path), STATES, INPUTS).read().notes
+    assert text == "line 11, column 'angle' holds 'off', which is no number; it counts as missing"
     assert "2 of 80 rows" in note and "angle: 2, rate: 1, volt: 1" in note and "2 gaps" in gaps
 
 
@@ -224,7 +225,8 @@ def test_text_in_the_first_row_costs_that_row_and_no_state(tmp_path):
     assert list(states) == ["angle", "rate"] and list(inputs) == ["u"]
     found = CsvLog(str(path), states, inputs).read()
     assert np.array_equal(found.transitions.x.numpy(), log()[1:-1, 1:3])
-    assert "1 of 80 rows" in found.notes[0] and "the first in line 2" in found.notes[0]
+    assert found.notes[0] == "line 2, column 'angle' holds 'off', which is no number; it counts as missing"
+    assert "1 of 80 rows" in found.notes[1] and "the first in line 2" in found.notes[1]
 
 
 def test_a_stray_quote_is_refused_at_its_line(tmp_path):

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from dynasindy.data.rates import mismatched
+from dynasindy.data.rates import contradicted, mismatched
 from dynasindy.data.simulated import disturb, record
 from dynasindy.excitation import Chirp, Multisine
 from dynasindy.systems import Pendulum, Signature, Tras, Xi
@@ -173,3 +173,33 @@ def test_no_simulated_plant_is_told(plant, noise):
     for signal in (Chirp(system.signature.n_u, 10.0), Multisine(system.signature.n_u, duration=10.0, dt=0.05, seed=1)):
         data = disturb(record(system, signal.samples(0.01), 0.01, substeps=2), noise, 0)
         assert mismatched(data, system.signature) == []
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05, 0.2])
+def test_a_rate_and_its_state_that_were_exchanged_are_told_with_the_right_words(noise):
+    told = contradicted(swing(noise=noise), SIGNATURE, {"rate": "angle"})
+    assert list(told) == ["rate"] and "rate is the rate of angle; give 'plant.known={angle: rate}'" in told["rate"]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3, 1.0, 2.0])
+@pytest.mark.parametrize("unit", [1.0, -1.0, 57.3])
+def test_a_rate_is_not_contradicted_however_noisy_and_in_whatever_unit(noise, unit):
+    """What is wrong of units and signs is told as such."""
+    noise = noise if unit == 1.0 else 0.1 * noise
+    assert contradicted(swing(unit, 1.0, noise), SIGNATURE, {"angle": "rate"}) == {}
+
+
+def test_a_state_that_moves_by_something_else_contradicts_its_rate():
+    data = swing()
+    other = torch.randn(len(data), 1, generator=torch.Generator().manual_seed(1), dtype=torch.float64).cumsum(0)
+    mixed = Transitions.from_trajectory(torch.cat([data.x[:, :1], other], -1), data.u[1:], 0.01)
+    told = contradicted(mixed, SIGNATURE, {"angle": "rate"})
+    assert "the log contradicts it: angle does not move by the integral of rate" in told["angle"]
+
+
+def test_what_was_not_measured_or_does_not_move_contradicts_nothing():
+    data = swing()
+    x = data.x.clone()
+    x[:, 1] = math.nan
+    assert contradicted(replace(data, x=x, x_next=x), SIGNATURE, {"angle": "rate"}) == {}
+    assert contradicted(replace(data, x=0 * data.x, x_next=0 * data.x), SIGNATURE, {"angle": "rate"}) == {}

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynasindy.data.table import all_headings, numeric_headings, read_table, seconds_of, split_unit
+from dynasindy.data.table import all_headings, clock_of, numeric_headings, read_table, seconds_of, split_unit
 
 
 def write(folder: Path, text: str) -> Path:
@@ -58,6 +58,37 @@ def test_a_heading_is_a_name_and_a_unit(heading, parts):
 @pytest.mark.parametrize(("unit", "seconds"), [("s", 1), ("ms", 1e-3), ("\u00b5s", 1e-6), ("min", 60), ("h", 3600)])
 def test_a_unit_of_time_is_so_many_seconds(unit, seconds):
     assert seconds_of(Path("log.csv"), f"t [{unit}]") == seconds
+    assert seconds_of(Path("log.csv"), f"t ({unit.upper()})") == seconds
+
+
+@pytest.mark.parametrize(
+    ("headings", "clock"),
+    [
+        (["time [s]", "Time"], "time"),
+        (["Time", "a"], "Time"),
+        (["a", "Time (s)"], "Time (s)"),
+        (["t [ms]", "T [degC]"], "t [ms]"),
+        (["TIME [S]", "a"], "TIME [S]"),
+        (["Timestamp", "a"], "Timestamp"),
+        (["T [s]", "a"], "T [s]"),
+        (["T", "a"], "time"),  # a temperature
+        (["t", "Time"], "time"),  # which?
+        (["t [degC]", "a"], "time"),
+    ],
+)
+def test_time_is_found_where_only_one_heading_can_mean_it(headings, clock):
+    assert clock_of(headings) == clock
+    assert clock_of(headings, "a") == "a"
+
+
+def test_text_in_a_column_of_numbers_is_told_with_its_line(tmp_path):
+    """What is empty or nan was not measured, and is no text."""
+    table = read_table(write(tmp_path, "time,a [m],b\n0,1,5\n1,off,nan\n2,,6\n3,ERR 4,7\n4,1,2\n"), ["time", "a", "b"])
+    assert table.words == (
+        "line 3, column 'a [m]' holds 'off', which is no number, and 1 more cell of the column holds none; they count "
+        "as missing",
+    )
+    assert read_table(write(tmp_path, "time,a\n2024-02-28 23:59:59,1\n"), ["time", "a"]).words == ()
 
 
 @pytest.mark.parametrize(
@@ -67,6 +98,7 @@ def test_a_unit_of_time_is_so_many_seconds(unit, seconds):
         ("a,b\n1,2,3\n", "line 2 has 3 values for 2 headings"),
         ('a,b\n1,2\n3,"4\n5,6\n', "line 3: a quote opens that is not closed"),
         ("1,2\n3,4\n", "numbers in line 1"),
+        ("1,2,3,4\n3,4,5,6\n", "write one above, such as time,x1,x2,u, with names"),
         ("a,a\n1,2\n", "2 columns 'a'"),
         ("b,c\n1,2\n", "no column 'a'; allowed are b, c"),
         ("a\0b\n", "is not text"),

@@ -97,18 +97,20 @@ def test_a_rate_that_is_missing_is_told_once_and_not_once_it_is_given(tmp_path, 
     for library, given in (("auto", {}), (["1", "a", "u"], None)):  # nobody wants it, or the functions are chosen
         assert with_missing_rates(partial(SindyModel, library=library), source, given) == (source, {}, [])
     model = SindyModel(known.signature, "auto", known={"a": "a_rate"})
-    assert not before_fit(model, known) and rates_lacking(model, known) == {"a": "a_rate"}
+    assert before_fit(model, known) == ["note: a_rate is seen by no sensor; it is estimated with the model"]
+    assert rates_lacking(model, known) == {"a": "a_rate"}
 
 
 def test_few_rows_are_told_with_what_was_left_out(tmp_path):
     heading = "time,theta [rad],Omega [rad/s],u"
-    (words,) = told(log(tmp_path / "log.csv", heading, rows=61), ["theta", "Omega", "u", "sin(theta)"])
+    words = told(log(tmp_path / "log.csv", heading, rows=61), ["theta", "Omega", "u", "sin(theta)"])[0]
     assert words.startswith("warning: the fit has 45 rows only, so few that wrong units")  # three quarters of 60
-    assert not told(log(tmp_path / "log.csv", heading, rows=81), ["theta", "Omega", "u", "sin(theta)"])
+    enough = told(log(tmp_path / "log.csv", heading, rows=81), ["theta", "Omega", "u", "sin(theta)"])
+    assert not any("rows only" in line for line in enough)
     lines = (tmp_path / "log.csv").read_text().splitlines()
     (tmp_path / "log.csv").write_text("\n".join([*lines[:30], "0.3,,,", *lines[31:62]]))
-    (words,) = told(Logged(str(tmp_path / "log.csv")).load(None, EXCITATION), ["theta", "Omega", "u", "sin(theta)"])
-    assert "rows only (1 of 61 rows have values that are missing" in words
+    words = told(Logged(str(tmp_path / "log.csv")).load(None, EXCITATION), ["theta", "Omega", "u", "sin(theta)"])
+    assert "rows only, so few" in words[0] and words[1].startswith("note: 1 of 61 rows have values that are missing")
 
 
 def test_many_functions_are_counted_and_the_plants_named_that_have_fewer(tmp_path):
@@ -128,6 +130,15 @@ def test_many_functions_are_counted_and_the_plants_named_that_have_fewer(tmp_pat
         (tmp_path / "log.csv").write_text("\n".join(lines[:number]))
         words = told(Logged(str(tmp_path / "log.csv")).load(None, EXCITATION))
         assert ["plant.library=" in line and "system=" not in line for line in words] == [True] * many
+
+
+def test_a_rate_that_was_exchanged_with_its_state_is_the_first_line(tmp_path):
+    source = log(tmp_path / "log.csv", "time,theta [rad],Omega [rad/s],u")
+    model = SindyModel(source.signature, ["theta", "Omega", "u"], known={"Omega": "theta"})
+    assert before_fit(model, source)[0].startswith(
+        "warning: theta was given as the rate of Omega, and in the log it is"
+    )
+    assert len(wrong_units(model, source)) == 1
 
 
 def test_every_plant_that_is_named_is_an_option():
