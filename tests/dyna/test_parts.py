@@ -1,15 +1,25 @@
-"""Settings of the loop: what a loop cannot run with is refused when they are made."""
+"""Settings of the loop, what a run keeps, and an observer that makes up for a delay which the fit has found."""
 
+import copy
 import math
 from dataclasses import FrozenInstanceError, fields
+from functools import partial
 
 import pytest
 import torch
 
 from dynasindy.agents import TD3
+from dynasindy.data import DynaReplay
+from dynasindy.dyna.callback import Callback, Place
+from dynasindy.dyna.experiment import Recipe
+from dynasindy.dyna.loop import train
 from dynasindy.dyna.parts import Parts, Settings
-from dynasindy.systems import Diverged
-from dynasindy.tasks import Task
+from dynasindy.envs import LateEnv
+from dynasindy.excitation import Multisine
+from dynasindy.planning import Gate, ImaginedReplay
+from dynasindy.systems import Diverged, Pendulum
+from dynasindy.tasks import RandomStep, Task, Tracking, TrackingReward
+from dynasindy.world_models import Refinement, Regression, SindyModel
 
 
 @pytest.mark.parametrize(
@@ -122,3 +132,93 @@ def test_what_a_task_has_learnt_goes_on_with_the_run():
     one.plant.task.learnt = 7
     other.load_state_dict(one.state_dict())
     assert other.plant.task.learnt == 7
+
+
+WORDS = ["1", "u", "theta", "Omega", "sin(theta)"]
+
+
+def pendulum(periods, sensors=None):
+    """Return a recipe of a pendulum all of whose states are seen, and whose input is late without a word."""
+    return Recipe(
+        system=Pendulum(),
+        task=partial(
+            Tracking,
+            reference=RandomStep([-0.5], [0.5]),
+            outputs=["theta"],
+            rates=["Omega"],
+            reward=TrackingReward((4.0,)),
+            max_steps=80,
+        ),
+        env=partial(LateEnv, substeps=2, delay=0.05 * periods, dtype=torch.float64),
+        excitation=partial(Multisine, duration=4.0, amplitude=[0.3]),
+        world_model=partial(
+            SindyModel,
+            library=WORDS,
+            regression=Regression("bic", tolerance=1e-4),
+            refinement=Refinement("integral", longest_delay=None),
+            known={"theta": "Omega"},
+        ),
+        agent=partial(TD3, hidden=(8,)),
+        replay=partial(DynaReplay, 1000, 16),
+        planning=partial(ImaginedReplay, rollouts=4, horizon=5),
+        gate=Gate(math.inf, math.inf),
+        train=Settings(2, 0.2),
+        sensors=sensors,
+    )
+
+
+class Heard(Callback):
+    """Keep the episodes, and the state of the parts at each place."""
+
+    def __init__(self, parts, place):
+        self.parts, self.place, self.rollouts, self.states = parts, place, [], []
+
+    def episode(self, episode, cost):
+        self.rollouts.append(episode.rollout)
+
+    def reached(self, place):
+        self.states.append(copy.deepcopy((place.state_dict(), self.parts.state_dict())))
+
+
+@pytest.mark.parametrize("periods", [1, 2.5])
+def test_the_policy_is_shown_where_the_plant_will_be_when_its_input_arrives(periods):
+    made = pendulum(periods)
+    parts, place = made.build(), Place()
+    heard = Heard(parts, place)
+    train(parts, made.train, heard, place)
+    assert parts.world_model.delay == pytest.approx(0.05 * periods, abs=1e-3)
+    rows = heard.rollouts[-1]
+    samples, later = rows["next", "samples"].reshape(-1, 2), round(2 * periods)  # two samples in a period
+    truth = samples[later - 1 :: 2][: len(rows) - math.ceil(periods)]
+    shown = rows["state"][: len(truth)]
+    now = rows["true_state"][: len(truth)]
+    assert (now - truth).abs().max() > 0.1  # the plant moves much meanwhile
+    torch.testing.assert_close(shown[3:], truth[3:], atol=2e-3, rtol=0.0)
+
+
+def test_states_that_are_seen_at_once_stay_as_they_are():
+    made = pendulum(0)
+    parts, place = made.build(), Place()
+    heard = Heard(parts, place)
+    train(parts, made.train, heard, place)
+    assert parts.sensing is None and parts.world_model.delay == 0.0
+    assert "true_state" not in heard.rollouts[-1].keys() and "sensing" not in parts.state_dict()
+
+
+def test_a_run_that_makes_up_for_a_delay_goes_on_where_it_was_stopped():
+    made = pendulum(2)
+    whole, place = made.build(), Place()
+    heard = Heard(whole, place)
+    train(whole, made.train, heard, place)
+    assert len(heard.states) == 4
+    for where, state in heard.states[:-1]:
+        again, place = made.build(), Place()
+        again.load_state_dict(state)
+        place.load_state_dict(where)
+        train(again, made.train, Callback(), place)
+        wanted, found = whole.state_dict(), again.state_dict()
+        assert torch.equal(wanted["world_model"]["coefficients"], found["world_model"]["coefficients"])
+        stored = [state["replay"]["real"]["rows"]["observation"] for state in (wanted, found)]
+        assert torch.equal(*stored)
+        weights = [list(parts.agent.deployed.parameters()) for parts in (whole, again)]
+        assert all(torch.equal(one, other) for one, other in zip(*weights, strict=True)) and weights[0]
