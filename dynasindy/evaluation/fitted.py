@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 
 import torch
@@ -13,6 +14,7 @@ from dynasindy.systems import Signature
 from dynasindy.told import tell, telling
 from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.models.follower import lag_of, with_follower
+from dynasindy.world_models.refinement.order import moving_on
 
 BETTER = 0.7
 """Part of a model's errors, their geometric mean over states and horizons, that are left where a lag is believed."""
@@ -39,7 +41,8 @@ def fitted(model: SindyModel, source: Source) -> Fitted:
     """Fit a model; where something lacks in it, fit it with the lag of an input as one state more.
 
     A lag is looked for where the model misses the last part of a log by more than the sensors explain, and believed
-    where with the lag the model misses far less.
+    where with the lag the model misses far less. It is not looked for where a rate is missing, as it would stand for
+    that.
 
     Args:
         model: what to fit.
@@ -49,10 +52,18 @@ def fitted(model: SindyModel, source: Source) -> Fitted:
         ValueError: the model refuses the data.
         Diverged: a coefficient is not finite.
     """
+    began = time.perf_counter()
+    found = _fitted(model, source)
+    return replace(found, report=replace(found.report, seconds=time.perf_counter() - began))
+
+
+def _fitted(model: SindyModel, source: Source) -> Fitted:
     tell("fit")
     plain = Fitted(model, source, model.fit(source.training))
     before = forecast(model, source.training, source.validation) if source.logged else None
     if before is None or not bool(unresolved(before, model.signature).any()):
+        return plain
+    if moving_on(model.library, source.training):
         return plain
     for place, name in enumerate(model.signature.input_names):
         try:
