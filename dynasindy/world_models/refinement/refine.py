@@ -24,6 +24,7 @@ from dynasindy.world_models.refinement.order import moving_on
 from dynasindy.world_models.refinement.shapes import fit_shapes
 from dynasindy.world_models.refinement.shooting import RunsAway
 from dynasindy.world_models.refinement.trajectory import WORSE, Fitted, few_steps, refine_trajectory, strain
+from dynasindy.world_models.refinement.windows import ENOUGH, spread
 from dynasindy.world_models.regression.regression import Regression, RunningSums
 from dynasindy.world_models.writers.fast_field import generate
 
@@ -31,6 +32,8 @@ AGAIN = 3
 """Rounds at most in which delay and equations are fitted in turn."""
 STEPS = 6
 """Gauss-Newton steps after which two delays are compared."""
+BRIEF = 2 * ENOUGH
+"""Rows of a recording by which regressions choose functions, delays and numbers inside functions."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
 ERRORS = ("auto", "simulation", "coloured", "prediction", "innovation")
 COMPARED = "the fit compares whole simulations with the log and not single steps, as {}"
@@ -81,6 +84,18 @@ class Recording:
     def of(cls, data: Transitions, guess: Transitions, rates: Mapping[int, int], longest: float) -> Recording:
         """Leave out the rows whose inputs of up to `longest` seconds before are not known."""
         return cls(data, guess, rates, known_inputs(data, longest))
+
+    def brief(self, longest: float) -> Recording:
+        """Return stretches of a long recording, enough for a regression; all of a short one.
+
+        Args:
+            longest: time before a row at which its inputs are to be known [s].
+        """
+        rows = spread(len(self.data), BRIEF)
+        if bool(rows.all()):
+            return self
+        part = Recording.of(self.data.select(rows), self.guess.select(rows), self.rates, longest)
+        return replace(part, noisy=self.noisy)
 
     def smoothed(self) -> Recording:
         """Return the recording as one whose samples are noisy, wherever it is read from now on."""
@@ -175,15 +190,16 @@ class Refinement:
             alone = replace(self, longest_delay=0.0).run(library, coefficients, constraints, data, guess)
             return alone._replace(notes=(*alone.notes, note))
         recording = Recording.of(data, guess, rates_known(library, constraints), self.longest_delay)
-        delay = self._rough(library, coefficients, constraints, recording)
-        found = self._regressed(library, coefficients, constraints, recording.seen(delay))
+        brief = recording.brief(self.longest_delay)
+        delay = self._rough(library, coefficients, constraints, brief)
+        found = self._regressed(library, coefficients, constraints, brief.seen(delay))
         method, noisy, notes = self._chosen(*found, data, recording.guessed(delay))
         if method == "one_step":
             found = refine_one_step(*found, constraints.free, recording.guessed(delay), self.tolerance)
         if method == "trajectory":
             if noisy:
                 recording = recording.smoothed()
-                found = self._regressed(*found, constraints, recording.seen(delay))
+                found = self._regressed(*found, constraints, recording.brief(self.longest_delay).seen(delay))
             found, delay, why = self._by_trajectories(found, delay, constraints, recording)
             notes += why
         if delay and delay > self.longest_delay - 0.5 * data.dt:
@@ -254,7 +270,7 @@ class Refinement:
 
         if self.longest_delay:
             delay = self._fine(delay, found, free, recording, descent)
-            found = self._regressed(*found, constraints, recording.seen(delay))
+            found = self._regressed(*found, constraints, recording.brief(self.longest_delay).seen(delay))
         fitted = _fitted(found, delay)
         # The equations that were chosen tell the delay better than those they were chosen from.
         for _ in range(AGAIN if self.longest_delay else 0):
