@@ -21,7 +21,7 @@ def main(cfg: DictConfig) -> None:
     """Load data, fit, judge, write everything and print it."""
     import torch
 
-    from dynasindy.evaluation.before_fit import before_fit, plants_with, rates_lacking
+    from dynasindy.evaluation.before_fit import Lacking, before_fit, plants_with, rates_lacking
     from dynasindy.evaluation.identification import identify, to_words, write
     from dynasindy.terminal import say
     from dynasindy.told import tell
@@ -33,9 +33,9 @@ def main(cfg: DictConfig) -> None:
     tell("data")
     source, told = loaded(cfg)
     model, folder = instantiate(cfg.world_model, _convert_="all")(signature=source.signature), Path(cfg.folder)
-    if told := [*told, *before_fit(model, source)]:
+    lacking = rates_lacking(model, source) if source.logged else Lacking({}, {})
+    if told := [*told, *before_fit(model, source, lacking)]:
         say(*told)
-    lacking = [rates_lacking(model, source, angles) for angles in (False, True)] if source.logged else [{}, {}]
     found = identify(model, source, cfg.horizons, cfg.actuators)
     known = plants_with(source.signature) if source.logged and system is None else []
     source = found.source
@@ -44,7 +44,7 @@ def main(cfg: DictConfig) -> None:
     say(
         to_words(found, source),
         f"written to {folder}",
-        listed(following(cfg, found, known, lacking[not found.predicts])),
+        listed(following(cfg, found, known, lacking.shown if found.predicts else lacking.with_angles)),
     )
 
 

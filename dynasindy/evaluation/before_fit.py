@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 from dynasindy.data.rates import contradicted, mismatched
 from dynasindy.data.units import TURNS
@@ -13,6 +14,7 @@ from dynasindy.world_models import SindyModel
 from dynasindy.world_models.libraries import auto, auto_rig
 from dynasindy.world_models.refinement.measured import rates_known
 from dynasindy.world_models.refinement.order import moving_on
+from dynasindy.world_models.refinement.quotient import of_one_angle
 
 PLANTS: Mapping[str, Callable[[], System]] = {"pendulum": Pendulum, "tras": Tras, "trms33": Trms33, "xi": Xi}
 """Plants whose library and known equations `system=NAME` takes."""
@@ -22,8 +24,14 @@ FEW = 50
 """Rows below which little can be told from a recording."""
 
 
-def before_fit(model: SindyModel, source: Source) -> list[str]:
-    """Say what was read, what is wrong with it or costs the fit dearly, a line each, what is worst first."""
+def before_fit(model: SindyModel, source: Source, lacking: Lacking | None = None) -> list[str]:
+    """Say what was read, what is wrong with it or costs the fit dearly, a line each, what is worst first.
+
+    Args:
+        model: A model of the data, not fitted yet.
+        source: The data.
+        lacking: What `rates_lacking` returned, if it was asked before.
+    """
     notes = [f"note: {note}" for note in source.notes]
     if not source.logged:
         return [*wrong_units(model, source), *notes]
@@ -33,7 +41,7 @@ def before_fit(model: SindyModel, source: Source) -> list[str]:
         *notes,
         *_angles(model, source),
         *_many_functions(model, source),
-        *missing_rates(model, source),
+        *missing_rates(model, source, lacking or rates_lacking(model, source)),
     ]
 
 
@@ -72,24 +80,29 @@ def _angles(model: SindyModel, source: Source) -> list[str]:
     return lines
 
 
-def missing_rates(model: SindyModel, source: Source) -> list[str]:
+def missing_rates(model: SindyModel, source: Source, lacking: Lacking) -> list[str]:
     """Say which rates a log lacks or may lack, and the words that give them, once for each state.
 
     Rates that a log clearly lacks are named where `with_missing_rates` has left them out.
+
+    Args:
+        model: A model of the log, not fitted yet.
+        source: The log.
+        lacking: What `rates_lacking` returned.
     """
-    given, lacking = _known(model), rates_lacking(model, source)
-    lines = []
-    if new := [name for name in lacking if name not in given]:
+    given, lines = _known(model), []
+    if new := [name for name in lacking.shown if name not in given]:
         its = "its rate, which is" if len(new) == 1 else "their rates, which are"
         lines.append(
-            f"hint: what {' and '.join(new)} will do depends on {its} no state yet. Give '{known_word(lacking)}': a "
-            "column of that name is read as the rate; where there is none, the rate is estimated"
+            f"hint: what {' and '.join(new)} will do depends on {its} no state yet. Give "
+            f"'{known_word(lacking.shown)}': a column of that name is read as the rate; where there is none, the rate "
+            "is estimated"
         )
     return lines + [
         f"hint: sin({name}) and cos({name}) are not tried, as no state is in rad/s. If a torque moves {name}, give its "
         f"rate in rad/s, or '{known_word({**given, name: f'{name}_rate'})}' if none was logged"
-        for name in rates_lacking(model, source, angles=True)
-        if name not in lacking
+        for name in lacking.with_angles
+        if name not in lacking.shown
     ]
 
 
@@ -112,7 +125,7 @@ def with_missing_rates(
     if known is not None or not source.logged:
         return source, dict(known or {}), []
     model = build(signature=source.signature)
-    found = {} if _chosen(model, source.signature) else rates_lacking(model, source)
+    found = {} if _chosen(model, source.signature) else rates_lacking(model, source).shown
     if not found:
         return source, {}, []
     its, are = ("its rate", "It is") if len(found) == 1 else ("their rates", "They are")
@@ -123,19 +136,38 @@ def with_missing_rates(
     return source.with_rates(found), found, [told]
 
 
-def rates_lacking(model: SindyModel, source: Source, angles: bool = False) -> dict[str, str]:
-    """Return the rate of each state, those that are known and those that a log shows to be missing, by its name.
+@dataclass(frozen=True)
+class Lacking:
+    """Hold the rate of each state, by its name: those that are known and those that are missing.
+
+    Attributes:
+        shown: With those that the log itself shows to be missing.
+        with_angles: The same, and with one of each angle in rad where no state is in rad/s and nobody chose the
+            functions.
+    """
+
+    shown: dict[str, str]
+    with_angles: dict[str, str]
+
+
+def rates_lacking(model: SindyModel, source: Source) -> Lacking:
+    """Return which rates a log lacks; to find them takes a regression of each state.
 
     Args:
         model: A model of the log, not fitted yet.
         source: The log.
-        angles: Whether each angle in rad is to have one, where no state is in rad/s and nobody chose the functions.
     """
     signature, known = source.signature, _known(model)
     missing = moving_on(model.library, source.training)
-    if angles and "rad/s" not in signature.state_units and not _chosen(model, signature):
-        missing += [n for n, unit in zip(signature.state_names, signature.state_units, strict=True) if unit == "rad"]
-    return known | {name: f"{name}_rate" for name in missing if name not in known}
+    angles = []
+    if "rad/s" not in signature.state_units and not _chosen(model, signature):
+        angles = [n for n, unit in zip(signature.state_names, signature.state_units, strict=True) if unit == "rad"]
+    return Lacking(
+        *(
+            known | {name: f"{name}_rate" for name in names if name not in known}
+            for names in (missing, [*missing, *angles])
+        )
+    )
 
 
 def known_word(known: Mapping[str, str]) -> str:
@@ -180,7 +212,9 @@ def plants_with(signature: Signature) -> list[str]:
 
 def _many_functions(model: SindyModel, source: Source) -> list[str]:
     """Say how many functions the fit chooses from, if that is many, and how they become fewer."""
-    count, rows, signature = len(model.library), len(source.training), source.signature
+    rows, signature = len(source.training), source.signature
+    each = of_one_angle(model.library).values()
+    count = max((int(own.sum()) for own in each), default=len(model.library))
     known = plants_with(signature)
     if count < (MANY_OF_KNOWN if known else MANY) and 2 * count <= rows:
         return []

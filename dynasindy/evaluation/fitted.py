@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -15,6 +16,7 @@ from dynasindy.systems import Signature
 from dynasindy.told import tell, telling
 from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.models.follower import Trial, trials
+from dynasindy.world_models.refinement.order import moving_on
 
 BETTER = 0.7
 """Part of a model's errors, their geometric mean over states and horizons, that are left where a state is believed."""
@@ -45,7 +47,8 @@ def fitted(model: SindyModel, source: Source) -> Fitted:
     """Fit a model; where something lacks in it, fit it with one state more, which follows an input or a measured state.
 
     Such a state is looked for where the model misses the last part of a log by more than the sensors explain, and
-    believed where with it the model misses far less.
+    believed where with it the model misses far less. It is not looked for where a rate is missing, as it would stand
+    for that.
 
     Args:
         model: what to fit.
@@ -55,10 +58,18 @@ def fitted(model: SindyModel, source: Source) -> Fitted:
         ValueError: the model refuses the data.
         Diverged: a coefficient is not finite.
     """
+    began = time.perf_counter()
+    found = _fitted(model, source)
+    return replace(found, report=replace(found.report, seconds=time.perf_counter() - began))
+
+
+def _fitted(model: SindyModel, source: Source) -> Fitted:
     tell("fit")
     plain = Fitted(model, source, model.fit(source.training))
     before = forecast(model, source.training, source.validation) if source.logged else None
     if before is None or not bool(unresolved(before, model.signature).any()):
+        return plain
+    if moving_on(model.library, source.training):
         return plain
     for found in _wider(model, source):
         after = forecast(found.model, found.source.training, found.source.validation) if found.follower else None

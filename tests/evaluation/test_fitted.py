@@ -1,6 +1,7 @@
 """A state more is looked for where equations lack something, and believed where with it they predict."""
 
 import math
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -55,6 +56,19 @@ def test_a_state_is_looked_for_only_where_something_lacks_and_believed_only_wher
     assert found.source.signature == found.model.signature and found.report is not plain.report
     assert found.source.training.x.shape[-1] == found.source.validation.x.shape[-1] == 3
     assert "u acts through a lag of" in found.follower
+
+
+def test_no_lag_is_looked_for_while_a_rate_is_missing(source, model, monkeypatch):
+    monkeypatch.setattr(module, "unresolved", lambda *given: torch.ones(1))
+    monkeypatch.setattr(module, "lag_of", lambda *given: pytest.fail("a lag was looked for"))
+    monkeypatch.setattr(module, "moving_on", lambda *given: ["theta"])
+    assert fitted(model, source).model is model
+
+
+def test_the_time_of_a_fit_holds_that_of_the_lag(source, model, monkeypatch):
+    clock = iter((10.0, 17.5))
+    monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
+    assert fitted(model, source).report.seconds == 7.5
 
 
 def test_a_fit_that_fails_leaves_the_model(source, model, monkeypatch):

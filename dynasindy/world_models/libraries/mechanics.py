@@ -16,6 +16,7 @@ data: the library has the quotients of all, and a fit keeps those of one, see `o
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import combinations, combinations_with_replacement
 
 from dynasindy.systems.base import Signature
@@ -24,6 +25,8 @@ from dynasindy.world_models.libraries.library import Library
 
 COUPLING = -0.03
 """First guess of p; a fit goes 30 times as far at most, so 1 + p cos^2 a stays positive."""
+LINKS = -0.3
+"""Where the fit of p begins for links in a row; nearer to zero a force and its quotient can hardly be told apart."""
 
 
 def angles_of(signature: Signature) -> tuple[str, ...]:
@@ -56,7 +59,8 @@ def mechanical(signature: Signature, angles: Iterable[str] | None = None, dry: I
     pulls = [_turned(name, *angle) for angle in (*single, *pairs) for name in ("sin", "cos")] if pairs else []
     functions += pulls
     for angle in (*single, *pairs):
-        s, c, over = (_turned(name, *angle) for name in ("sin", "cos", "per_cos2"))
+        s, c = (_turned(name, *angle) for name in ("sin", "cos"))
+        over = _over(LINKS if pairs else COUPLING, *angle)
         functions += [] if pairs else [s, c, s * c, *(f * g for f in (*inputs, *rates) for g in (s, c))]
         functions += [f * g for f in spun for g in (s, s * c)]
         if len(rates) > 1:
@@ -68,4 +72,10 @@ def mechanical(signature: Signature, angles: Iterable[str] | None = None, dry: I
 def _turned(name: str, *angle: str) -> Feature:
     """Return a function of an angle, `(a,)`, or of the sum or the difference of two, `(a, b, "sum")`."""
     full = name if len(angle) == 1 else f"{name}_{angle[-1]}"
-    return of(full, *angle[:2], frequency=COUPLING, fitted=True) if name == "per_cos2" else of(full, *angle[:2])
+    return of(full, *angle[:2])
+
+
+def _over(number: float, *angle: str) -> Feature:
+    """Return the quotient of an angle, whose fit begins at a number."""
+    (factor,) = _turned("per_cos2", *angle).factors
+    return Feature((replace(factor, fitted=COUPLING).with_number(number),))

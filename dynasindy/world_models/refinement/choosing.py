@@ -19,6 +19,8 @@ from dynasindy.world_models.regression.sensitivity import Parameters
 
 NOISY = 1e-7
 """Part of a coefficient's effect that those of others leave over, below which data cannot tell it from them."""
+ROUGH, SETTLED = 1e-4, 1e-5
+"""Part of the cost that a step gains, below which steps end: where functions may still go, and where none does."""
 TRIES = 10
 """Sets of functions that are tried at most."""
 
@@ -125,11 +127,11 @@ def _cheaper(estimate: Estimate, simple: Estimate, free: Tensor, windows: Window
 def descend(estimate: Estimate, support: Tensor, windows: Windows, limits: Limits) -> tuple[Estimate, Tensor]:
     """Converge and drop until the support stands still; what turns out worth more than was foreseen comes back."""
     before: tuple[Estimate, Tensor] | None = None
-    left, allowed = math.inf, 0.0
+    left, allowed, enough = math.inf, 0.0, ROUGH
     while bool(support.any()):
         parameters = Parameters.where(support)
         try:
-            estimate = converge(estimate, parameters, windows, limits.max_rounds)
+            estimate = converge(estimate, parameters, windows, limits.max_rounds, enough)
             flow = Flow.of(estimate, parameters, windows)
             model = linearise(estimate, parameters, windows, None, flow)
         except RunsAway:
@@ -138,12 +140,15 @@ def descend(estimate: Estimate, support: Tensor, windows: Windows, limits: Limit
             return before
         cost = left_over(model, windows)
         if before is not None and 2 * (cost - left) > allowed:
-            return before
+            return converge(before[0], Parameters.where(before[1]), windows, limits.max_rounds), before[1]
         n_fixed = len(model.scale) - len(parameters)
         limit = limits.at(model.errors, windows)
         kept, _ = walk_down(model.triangle, torch.arange(len(model.scale)) >= n_fixed, limit, NOISY)
         if len(kept) == len(model.scale):
-            break
+            if enough == SETTLED:
+                break
+            enough = SETTLED  # what may go is judged once more where the steps have come to their end
+            continue
         changed = _changed(estimate, model, parameters, kept, windows)
         if changed is None:
             break
@@ -170,8 +175,10 @@ def _changed(
     return None
 
 
-def converge(estimate: Estimate, parameters: Parameters, windows: Windows, max_rounds: int) -> Estimate:
-    """Make Levenberg-Marquardt steps until the cost stands still."""
+def converge(
+    estimate: Estimate, parameters: Parameters, windows: Windows, max_rounds: int, enough: float = SETTLED
+) -> Estimate:
+    """Make Levenberg-Marquardt steps until one gains less than a part of the cost, `enough`."""
     damping = 0.0
     model = linearise(estimate, parameters, windows)
     what = f"{len(parameters)} coefficients, by simulations of {len(windows) * windows.length} samples"
@@ -189,6 +196,6 @@ def converge(estimate: Estimate, parameters: Parameters, windows: Windows, max_r
         gain = (model.cost - trial.cost) / model.cost
         estimate, damping = candidate, damping / 10 if damping > 1e-6 else 0.0
         model = linearise(estimate, parameters, windows, None, flow)
-        if gain < 1e-5:
+        if gain < enough:
             break
     return estimate

@@ -70,11 +70,14 @@ def _moves_on(library: Library, data: Transitions, i: int) -> bool:
     u, u_past = ((sums[k + length] - sums[k]) / length for k in (now, past))
     columns = torch.cat([library(data.x[now], u), u_past], -1)
     columns = columns[:, columns.isfinite().all(0)]
-    total, alone = float((moved - moved.mean()).square().sum()), _left(columns, moved)
-    if not alone[0] > UNEXPLAINED * total:
+    total, everything = float((moved - moved.mean()).square().sum()), torch.cat([columns, before], -1)
+    scale = everything.norm(dim=0).clamp_min(1e-300)
+    triangle = torch.linalg.qr(torch.cat([everything / scale, moved.unsqueeze(-1)], -1), mode="r")[1]
+    alone, _ = _left(triangle[:, : columns.shape[1]], triangle[:, -1:])
+    if not alone > UNEXPLAINED * total:
         return False
-    left, weight = _left(torch.cat([columns, before], -1), moved)
-    return left < (1 - EXPLAINED) * alone[0] and weight > 0
+    left, weight = _left(triangle[:, :-1], triangle[:, -1:])
+    return left < (1 - EXPLAINED) * alone and weight > 0
 
 
 def _steps(data: Transitions, i: int) -> tuple[Tensor, int] | None:
@@ -97,7 +100,5 @@ def _steps(data: Transitions, i: int) -> tuple[Tensor, int] | None:
 
 def _left(columns: Tensor, target: Tensor) -> tuple[float, float]:
     """Return the squares that least squares leave over, and the weight of the last column."""
-    scale = columns.norm(dim=0).clamp_min(1e-300)
-    solution = torch.linalg.lstsq(columns / scale, target.unsqueeze(-1), driver="gelsd").solution
-    error = target.unsqueeze(-1) - columns / scale @ solution
-    return float(error.square().sum()), float(solution[-1, 0])
+    solution = torch.linalg.lstsq(columns, target, driver="gelsd").solution
+    return float((target - columns @ solution).square().sum()), float(solution[-1, 0])

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
 
-from dynasindy.world_models.libraries.features import Factor
+from dynasindy.world_models.libraries.features import Factor, Feature
 from dynasindy.world_models.libraries.functions import QUOTIENTS
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement.delay import unexplained
@@ -32,16 +32,10 @@ def one_quotient(library: Library, free: Tensor, rows: Callable[[Library], Rows]
     Returns:
         What stays free, bool `(n_features, n_x)`; all of it where there is one angle or none.
     """
-    angles = [_angle(shape) for shape in library.shapes if shape.function in QUOTIENTS]
-    if len(angles) < 2:
+    kept = {angle: free & own.unsqueeze(-1) for angle, own in of_one_angle(library).items()}
+    if len(kept) < 2:
         return free
-    owners = [next((_angle(f) for f in feature.factors if _angle(f) in angles), None) for feature in library.features]
-    bare = [len(feature.factors) < 2 for feature in library.features]
-    kept = {
-        angle: free & torch.tensor([b or own in (None, angle) for b, own in zip(bare, owners)]).unsqueeze(-1)
-        for angle in angles
-    }
-    costs = dict.fromkeys(angles, math.inf)
+    costs = dict.fromkeys(kept, math.inf)
     for number in COUPLINGS:
         trial = [number if shape.function in QUOTIENTS else shape.frequency for shape in library.shapes]
         theta, dx = rows(library.with_shapes(trial))
@@ -51,6 +45,33 @@ def one_quotient(library: Library, free: Tensor, rows: Callable[[Library], Rows]
                 costs[angle], unexplained(support, triangle[:, : len(library)], triangle[:, len(library) :])
             )
     return kept[min(costs, key=costs.__getitem__)]
+
+
+def of_one_angle(library: Library) -> dict[tuple[str, ...], Tensor]:
+    """Return which functions an equation may have, by the angle of its quotients, bool `(n_features,)` each.
+
+    They are those of that angle, those of gravity, and those of no angle; empty where the library has no quotients.
+
+    Args:
+        library: candidate functions.
+    """
+    angles = [_angle(shape) for shape in library.shapes if shape.function in QUOTIENTS]
+    owners = [_owner(feature, angles) for feature in library.features]
+    pulls = [len(feature.factors) < 2 and not _divided(feature) for feature in library.features]
+    return {
+        angle: torch.tensor([pull or own in (None, angle) for pull, own in zip(pulls, owners, strict=True)])
+        for angle in angles
+    }
+
+
+def _divided(feature: Feature) -> bool:
+    return any(factor.function in QUOTIENTS for factor in feature.factors)
+
+
+def _owner(feature: Feature, angles: Sequence[tuple[str, ...]]) -> tuple[str, ...] | None:
+    """Return the angle that turns a force: that of its quotient, else that of a sine or cosine; None of no angle."""
+    quotients = sorted(feature.factors, key=lambda factor: factor.function not in QUOTIENTS)
+    return next((_angle(factor) for factor in quotients if _angle(factor) in angles), None)
 
 
 def _angle(factor: Factor) -> tuple[str, ...]:

@@ -24,6 +24,7 @@ from dynasindy.world_models.refinement.order import moving_on
 from dynasindy.world_models.refinement.shapes import fit_shapes
 from dynasindy.world_models.refinement.shooting import RunsAway
 from dynasindy.world_models.refinement.trajectory import WORSE, Fitted, few_steps, refine_trajectory, strain
+from dynasindy.world_models.refinement.windows import ENOUGH, spread
 from dynasindy.world_models.regression.regression import Regression, Rows, RunningSums
 from dynasindy.world_models.writers.fast_field import generate
 
@@ -37,6 +38,8 @@ is excited under feedback, and in such data a longer delay, with other equations
 one."""
 ALIKE = 0.01
 """Samples by which a delay may differ from a whole number and be taken for it."""
+BRIEF = 2 * ENOUGH
+"""Rows of a recording by which regressions choose functions, delays and numbers inside functions."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
 ERRORS = ("auto", "simulation", "coloured", "prediction", "innovation")
 COMPARED = "the fit compares whole simulations with the log and not single steps, as {}"
@@ -87,6 +90,18 @@ class Recording:
     def of(cls, data: Transitions, guess: Transitions, rates: Mapping[int, int], longest: float) -> Recording:
         """Leave out the rows whose inputs of up to `longest` seconds before are not known."""
         return cls(data, guess, rates, known_inputs(data, longest))
+
+    def brief(self, longest: float) -> Recording:
+        """Return stretches of a long recording, enough for a regression; all of a short one.
+
+        Args:
+            longest: time before a row at which its inputs are to be known [s].
+        """
+        rows = spread(len(self.data), BRIEF)
+        if bool(rows.all()):
+            return self
+        part = Recording.of(self.data.select(rows), self.guess.select(rows), self.rates, longest)
+        return replace(part, noisy=self.noisy)
 
     def smoothed(self) -> Recording:
         """Return the recording as one whose samples are noisy, wherever it is read from now on."""
@@ -196,18 +211,19 @@ class Refinement:
     def _run(self, first: Model, constraints: Constraints, data: Transitions, guess: Transitions) -> Refined:
         library, coefficients = first
         recording = Recording.of(data, guess, rates_known(library, constraints), self._longest)
-        delay = self._rough(library, coefficients, constraints, recording)
+        brief = recording.brief(self._longest)
+        delay = self._rough(library, coefficients, constraints, brief)
         if delay and self.method in ("integral", "one_step"):
-            library, coefficients = self._regressed(library, coefficients, constraints, recording.seen(delay))
-            delay = self._regressed_delay(delay, (library, coefficients), constraints, recording)
-        found = self._regressed(library, coefficients, constraints, recording.seen(delay))
+            library, coefficients = self._regressed(library, coefficients, constraints, brief.seen(delay))
+            delay = self._regressed_delay(delay, (library, coefficients), constraints, brief)
+        found = self._regressed(library, coefficients, constraints, brief.seen(delay))
         method, noisy, notes = self._chosen(*found, data, recording.guessed(delay))
         if method == "one_step":
             found = refine_one_step(*found, constraints.free, recording.guessed(delay), self.tolerance)
         if method == "trajectory":
             if noisy:
                 recording = recording.smoothed()
-                found = self._regressed(*found, constraints, recording.seen(delay))
+                found = self._regressed(*found, constraints, recording.brief(self._longest).seen(delay))
             found, delay, why = self._by_trajectories(found, delay, constraints, recording)
             notes += why
         if delay and delay > self._longest - 0.5 * data.dt:
@@ -244,7 +260,8 @@ class Refinement:
             noisy = looks_noisy(*found, guess)
 
         def _rows(late: int, farthest: int) -> Rows:
-            return Recording.of(data, guess, rates, farthest * data.dt).seen(late * data.dt).rows(found[0], field)
+            recording = Recording.of(data, guess, rates, farthest * data.dt).brief(farthest * data.dt)
+            return recording.seen(late * data.dt).rows(found[0], field)
 
         farthest, best = reach(constraints.free, _rows, PERIODS * data.substeps * noisy)
         return farthest * data.dt, best * data.dt
@@ -303,7 +320,7 @@ class Refinement:
 
         if self._longest:
             delay = self._fine(delay, found, free, recording, descent)
-            found = self._regressed(*found, constraints, recording.seen(delay))
+            found = self._regressed(*found, constraints, recording.brief(self._longest).seen(delay))
         fitted = _fitted(found, delay)
         # The equations that were chosen tell the delay better than those they were chosen from.
         for _ in range(AGAIN if self._longest else 0):

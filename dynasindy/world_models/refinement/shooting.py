@@ -28,9 +28,9 @@ LARGEST = 500.0
 """Logarithm of the largest factor on a cost."""
 FAINT = 0.01
 """Weighted error below which a start that moves by a whole spread of its state is taken to change nothing."""
-FINE, STABLE, MOST_STEPS = 0.1, 1.5, 10
-"""Runge-Kutta step times the fastest rate of the model: for an error of 1e-7, and the most that is stable; and how many
-steps of an interval the first may ask for."""
+FINE, COARSE, STABLE, MOST_STEPS = 0.1, 0.3, 1.5, 10
+"""Runge-Kutta step times the fastest rate of the model: for an error of 1e-7, for one of 2e-5, by which functions and
+delays are compared, and the most that is stable; and how many steps of an interval the first two may ask for."""
 
 
 class RunsAway(ValueError):
@@ -360,7 +360,7 @@ def growth(flow: Flow, windows: Windows, nodes: Tensor, farthest: float = math.i
     return largest, joined
 
 
-def substeps_for(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float) -> int:
+def substeps_for(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float, turned: float = FINE) -> int:
     """Return into how many Runge-Kutta steps an interval is divided, by the fastest rate of a model.
 
     Args:
@@ -369,13 +369,14 @@ def substeps_for(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float) 
         x: states that occur, `(N, n_x)`.
         u: inputs there, `(N, n_u)`.
         dt: length of an interval [s].
+        turned: step times the fastest rate that is wanted.
     """
     slopes = Propagator(library, xi, Parameters.where(xi != 0)).slopes_by_state(x, u)
     rates = torch.linalg.eigvals(slopes[slopes.isfinite().all(-1).all(-1)]).abs().amax(-1)
     if not len(rates):
         return 1
     turn = dt * float(torch.quantile(rates[-100_000:], 0.999))
-    return max(1, min(math.ceil(turn / FINE - 1e-6), MOST_STEPS), min(math.ceil(turn / STABLE), 10 * MOST_STEPS))
+    return max(1, min(math.ceil(turn / turned - 1e-6), MOST_STEPS), min(math.ceil(turn / STABLE), 10 * MOST_STEPS))
 
 
 def left_over(model: Linearised, windows: Windows) -> float:

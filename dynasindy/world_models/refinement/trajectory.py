@@ -23,7 +23,9 @@ from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement.choosing import Limits, converge, descend, price, search
 from dynasindy.world_models.refinement.descent import Descent
 from dynasindy.world_models.refinement.shooting import (
+    COARSE,
     EXACT,
+    FINE,
     Estimate,
     Flow,
     growth,
@@ -88,8 +90,10 @@ def refine_trajectory(
     joined = descent.joined
     some = spread(len(data), ENOUGH)
     part, limits = data.select(some), Limits(price(int(some.sum()), free), descent.max_rounds, descent.correlated)
-    found, windows = _grown(Estimate(library, xi, guess[some]), (xi != 0) & free, part, descent)
-    if descent.pushed or descent.coloured:
+    weighed = descent.pushed or descent.coloured
+    first = Estimate(library, xi, guess[some])
+    found, windows = _grown(first, (xi != 0) & free, part, descent, FINE if weighed else COARSE)
+    if weighed:
         return _refine_weighed(found, free, windows, (data, guess), limits, descent)
     may_begin_anew = joined is None
     # Windows on their own tell little of a state that was not measured: then they begin anew where they have to.
@@ -105,13 +109,24 @@ def refine_trajectory(
             found, joined, may_begin_anew = own, False, False
     else:
         found = search(found, free, windows, limits)
-    if not bool(some.all()):
+    if bool(some.all()):
+        found = _finely(found, free, windows, limits)
+    else:
         support = (found.xi != 0) & free
         whole, windows = _grown(replace(found, nodes=guess), support, data, replace(descent, joined=joined))
         if may_begin_anew:
             windows = replace(windows, joined=_grows(whole, windows)[1])
         found, _ = descend(whole, support, windows, replace(limits, price=price(len(data), free)))
     return Fitted(found.library, found.xi, windows.length)
+
+
+def _finely(found: Estimate, free: Tensor, windows: Windows, limits: Limits) -> Estimate:
+    """Return an estimate by the steps that its fastest rate asks for, where it was found by longer ones."""
+    wanted = substeps_for(found.library, found.xi, found.nodes, windows.inputs[:, 0], windows.dt)
+    support = (found.xi != 0) & free
+    if wanted <= windows.substeps or not bool(support.any()):
+        return found
+    return descend(found, support, replace(windows, substeps=wanted), limits)[0]
 
 
 def _refine_weighed(
@@ -173,7 +188,7 @@ def few_steps(
     """
     some = spread(len(data), ENOUGH)
     support, data = (xi != 0) & free, data.to(torch.float64).select(some)
-    estimate, windows = _grown(Estimate(library, xi, start[some]), support, data, descent)
+    estimate, windows = _grown(Estimate(library, xi, start[some]), support, data, descent, COARSE)
     estimate = converge(estimate, Parameters.where(support), windows, descent.max_rounds)
     model = linearise(estimate, Parameters.where(support), windows)
     errors = (model.errors * model.sigma).square().sum(1) if windows.length == descent.window else None
@@ -199,7 +214,7 @@ def strain(library: Library, xi: Tensor, free: Tensor, data: Transitions, descen
     support, data = (xi != 0) & free, data.to(torch.float64).select(some)
     if not bool(support.any()):
         return torch.full(xi.shape[1:], math.inf, dtype=torch.float64)
-    first, windows = _grown(Estimate(library, xi, start[some]), support, data, replace(descent, joined=None))
+    first, windows = _grown(Estimate(library, xi, start[some]), support, data, replace(descent, joined=None), COARSE)
     if not bool(data.x_next.isnan().any()):
         windows = replace(windows, joined=_grows(first, windows)[1])
     alone, parameters = replace(windows, joined=torch.zeros_like(windows.joined)), Parameters.where(support)
@@ -210,7 +225,9 @@ def strain(library: Library, xi: Tensor, free: Tensor, data: Transitions, descen
     return torch.where(error > EXACT, (error + floor) / (own / allowed + floor), 0.0)
 
 
-def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Descent) -> tuple[Estimate, Windows]:
+def _grown(
+    estimate: Estimate, support: Tensor, data: Transitions, descent: Descent, turned: float = FINE
+) -> tuple[Estimate, Windows]:
     """Return windows of the wanted length, or as long as there are, and an estimate that does not run away in them.
 
     Args:
@@ -218,8 +235,9 @@ def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Desc
         support: coefficients in the model.
         data: the recording.
         descent: wanted length, whether the windows join, and the limit on the steps of each length.
+        turned: Runge-Kutta step times the fastest rate of the model.
     """
-    substeps = substeps_for(estimate.library, estimate.xi, estimate.nodes, data.u, data.dt)
+    substeps = substeps_for(estimate.library, estimate.xi, estimate.nodes, data.u, data.dt, turned)
     parameters, guess, length = Parameters.where(support), estimate.nodes, descent.window
 
     def _cut(found: Estimate, length: int) -> tuple[Estimate, Windows, bool]:
