@@ -89,7 +89,7 @@ def step_response(
         band = f"{100 * SETTLING_BAND:g} % band"
         axis.axhspan(target[-1, i] - half, target[-1, i] + half, color=GREY, alpha=0.2, lw=0, label=band)
         end = span(seconds)[1]
-        told = f"steady state: last {in_words(steady, longest=float(np.ptp(seconds)))}"
+        told = f"steady state: last {in_words(steady, longest=float(np.ptp(seconds)), digits=3)}"
         axis.axvspan(end - steady, end, color=GREY, alpha=0.08, lw=0, label=told)
     legend_above(figure.axes[0])
     return figure
