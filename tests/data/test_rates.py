@@ -44,6 +44,23 @@ def test_the_factor_and_its_likely_cause_are_told(angle, rate, factor, cause, no
     assert cause in str(found) and "angle" in str(found) and f"{found.factor:.3g} times rate" in str(found)
 
 
+@pytest.mark.parametrize(
+    ("angle", "rate", "cause"),
+    [
+        (1.0, 60.0, "a rate per minute"),
+        (6.0, 1.0, "degrees beside rpm"),
+        (2 * math.pi, 1.0, "rad beside revolutions per second"),
+        (1.0, 2 * math.pi, "revolutions beside rad/s"),
+        (100.0, 1.0, "as cm beside m/s"),
+        (1.0, 100.0, "m beside cm/s"),
+        (1.0, 1e6, "a time in us without its unit"),
+    ],
+)
+def test_causes_whose_factors_are_near_each_other_are_told_apart_where_nothing_is_noisy(angle, rate, cause):
+    (found,) = mismatched(swing(angle, rate), SIGNATURE)
+    assert f"; {cause}? Correct" in str(found).replace("hundredths of a unit beside the unit, ", "")
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.05, 0.3, 1.0])
 @pytest.mark.parametrize("scale", [1.0, 2.5, 0.4])
 def test_a_rate_that_fits_is_not_told_however_noisy(noise, scale):

@@ -1,6 +1,7 @@
 """A state more is looked for where equations lack something, and believed where with it they predict."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -84,6 +85,29 @@ def test_a_fit_that_fails_leaves_the_model(source, model, monkeypatch):
     assert fitted(model, source).model is model
 
 
+def test_an_input_that_cannot_be_tried_does_not_keep_the_next_one_from_being_tried(source, monkeypatch):
+    """The first input moves nothing, and a lag of it cannot be fitted; the lag of the second one is what helps."""
+
+    def two(data):
+        return replace(data, u=torch.cat([torch.zeros_like(data.u), data.u], -1))
+
+    given = source.signature
+    signature = Signature(given.state_names, given.state_units, ("idle", *given.input_names), given.x_scale)
+    wide = Source(signature, two(source.training), two(source.validation), logged=True)
+    made = SindyModel(signature, ["1", "u", "Omega", "sin(theta)"], Regression("bic"), known={"theta": "Omega"})
+
+    def lag_of(model, data, place):
+        if place == 0:
+            raise ValueError("too few samples")
+        return 0.1
+
+    monkeypatch.setattr(module, "lag_of", lag_of)
+    monkeypatch.setattr(module, "unresolved", lambda *given: torch.ones(1))
+    monkeypatch.setattr(module, "_better", lambda *given: True)
+    found = fitted(made, wide)
+    assert found.model.signature.state_names[-1] == "u_lagging" and found.lag.startswith("u acts through a lag of")
+
+
 def forecasts(*errors):
     model = torch.tensor(errors, dtype=torch.float64)
     same = torch.ones_like(model)
@@ -99,5 +123,9 @@ def test_what_runs_away_or_is_exact_counts_and_does_not_decide():
     assert module._better(lost, forecasts([math.inf, 0.01], [0.01, 0.01]), signature)
     assert module._better(forecasts([0.0, 0.1], [0.1, 0.1]), forecasts([0.0, 0.01], [0.01, 0.01]), signature)
     assert not module._better(forecasts([0.1, 0.1], [0.1, 0.1]), forecasts([0.08] * 2, [0.08] * 2), signature)
+    # Ten ranges of 2 rad and 0.5 rad/s: 20 and 5, whatever beyond; half of all that is far less.
+    uneven = Signature(("q", "w"), ("rad", "rad/s"), ("u",), (2.0, 0.5))
+    assert module._better(forecasts([18.0, 4.0], [18.0, 4.0]), forecasts([9.0, 2.0], [9.0, 2.0]), uneven)
+    assert not module._better(forecasts([80.0, 20.0], [80.0, 20.0]), forecasts([20.0, 5.0], [20.0, 5.0]), uneven)
     unseen = forecasts([0.1, math.nan], [0.1, math.nan])
     assert module._better(unseen, forecasts([0.01, math.nan], [0.01, math.nan]), signature)

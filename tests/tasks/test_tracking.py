@@ -285,6 +285,8 @@ def test_a_task_of_a_log_begins_where_the_log_was_and_sees_outputs_in_the_range_
     assert task.signature.x_scale == far.x_scale and task.start.abs().max() == 0
     given = Tracking(far, RandomStep([-1.5, -1.0], [0.5, 0.2]), **made, start={"a": 0.0})
     assert given.as_logged(torch.ones(2, 3)).start.abs().max() == 0
+    small = Tracking(far, Step([[0.0]]), ["a"], [], TrackingReward((1.0,)), low=[-0.2], high=[0.4])
+    assert small.as_logged(torch.ones(2, 3)).signature.x_scale[0] == pytest.approx(1.2)  # three times 0.4 rad
     upright = Tracking(far, Step([[0.0]]), ["a"], [], TrackingReward((1.0,)), low=[0.0], high=[0.0])
     assert upright.as_logged(torch.ones(2, 3)).signature.x_scale == far.x_scale
     free = Tracking(far, Step([[0.0]]), ["a"], [], TrackingReward((1.0,)))
@@ -300,6 +302,8 @@ def test_inputs_that_a_log_has_not_tried_cost_as_states_beyond_their_bounds_do()
     # Nothing within, and beyond by a quarter of the range, which is one, and by a half: e^2 / (0.05 + e) each.
     cost = logged.fenced(10.0).effort(torch.tensor([[0.5], [1.0], [-0.75]]))
     torch.testing.assert_close(cost, torch.tensor([0.0, 10 * 0.0625 / 0.3, 10 * 0.25 / 0.55]))
+    deep = logged.fenced(10.0).effort(torch.tensor([0.5, 1.0, -0.75]).reshape(1, 3, 1))
+    torch.testing.assert_close(deep, cost.unsqueeze(0))  # inputs are summed, dimensions of a batch are not
     x, t, free = torch.zeros(3, 2), torch.zeros(3, 1), torch.zeros(3, dtype=torch.bool)
     params = logged.sample(torch.Size((3,)), torch.Generator())
     paid = [
@@ -309,6 +313,7 @@ def test_inputs_that_a_log_has_not_tried_cost_as_states_beyond_their_bounds_do()
     torch.testing.assert_close(paid[0] - paid[1], cost)
     assert task.input_limits.tolist() == [[-1.0], [1.0]]
     assert task.with_input_limits([[1.0], [1.0]]).limited  # all that a log of 2 to 12 leaves
+    assert task.with_input_limits([[-0.75], [1.0]]).limited and task.with_input_limits([[-1.0], [0.75]]).limited
     given = task.with_input_limits([[-0.5], [0.5]]).as_logged(torch.zeros(2, 2), {"u": (-0.25, 0.75)})
     assert given.input_limits.tolist() == [[-0.25], [0.5]]
 
