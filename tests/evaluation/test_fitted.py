@@ -1,7 +1,6 @@
 """A state more is looked for where equations lack something, and believed where with it they predict."""
 
 import math
-from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -32,17 +31,22 @@ def model(source):
     return made
 
 
+def lag(source):
+    """Return a model in which the input acts through a lag."""
+    wide = source.signature.with_state("u_lagging", "1")
+    words = ["1", "u_lagging", "Omega", "sin(theta)", "(u - u_lagging)"]
+    own = {"Omega": words[:-1], "u_lagging": words[-1:]}
+    start = {"u_lagging": {words[-1]: 10.0}, "Omega": {"u_lagging": 1.0}}
+    made = SindyModel(wide, words, Regression("bic"), known={"theta": "Omega"}, allowed=own, initial=start)
+    return Trial(made, "u", 1.0)
+
+
 def test_a_state_is_looked_for_only_where_something_lacks_and_believed_only_where_it_helps(source, model, monkeypatch):
     asked = []
 
     def _trials(given, data):
         asked.append(given)
-        wide = source.signature.with_state("u_lagging", "1")
-        words = ["1", "u_lagging", "Omega", "sin(theta)", "(u - u_lagging)"]
-        own = {"Omega": words[:-1], "u_lagging": words[-1:]}
-        start = {"u_lagging": {words[-1]: 10.0}, "Omega": {"u_lagging": 1.0}}
-        made = SindyModel(wide, words, Regression("bic"), known={"theta": "Omega"}, allowed=own, initial=start)
-        return [Trial(made, "u", 1.0)]
+        return [lag(source)]
 
     monkeypatch.setattr(module, "trials", _trials)
     assert fitted(model, source).model is model and not asked
@@ -61,7 +65,7 @@ def test_a_state_is_looked_for_only_where_something_lacks_and_believed_only_wher
 
 def test_no_lag_is_looked_for_while_a_rate_is_missing(source, model, monkeypatch):
     monkeypatch.setattr(module, "unresolved", lambda *given: torch.ones(1))
-    monkeypatch.setattr(module, "lag_of", lambda *given: pytest.fail("a lag was looked for"))
+    monkeypatch.setattr(module, "trials", lambda *given: pytest.fail("a lag was looked for"))
     monkeypatch.setattr(module, "moving_on", lambda *given: ["theta"])
     assert fitted(model, source).model is model
 
@@ -85,27 +89,17 @@ def test_a_fit_that_fails_leaves_the_model(source, model, monkeypatch):
     assert fitted(model, source).model is model
 
 
-def test_an_input_that_cannot_be_tried_does_not_keep_the_next_one_from_being_tried(source, monkeypatch):
-    """The first input moves nothing, and a lag of it cannot be fitted; the lag of the second one is what helps."""
+def test_a_trial_that_fails_does_not_keep_the_next_one_from_being_tried(source, model, monkeypatch):
+    class Failing(SindyModel):
+        def fit(self, transitions):
+            raise Diverged("no")
 
-    def two(data):
-        return replace(data, u=torch.cat([torch.zeros_like(data.u), data.u], -1))
-
-    given = source.signature
-    signature = Signature(given.state_names, given.state_units, ("idle", *given.input_names), given.x_scale)
-    wide = Source(signature, two(source.training), two(source.validation), logged=True)
-    made = SindyModel(signature, ["1", "u", "Omega", "sin(theta)"], Regression("bic"), known={"theta": "Omega"})
-
-    def lag_of(model, data, place):
-        if place == 0:
-            raise ValueError("too few samples")
-        return 0.1
-
-    monkeypatch.setattr(module, "lag_of", lag_of)
+    wide = Failing(source.signature, ["u"])
+    second = lag(source)
+    monkeypatch.setattr(module, "trials", lambda *given: [Trial(wide, "theta", 2.0), second])
     monkeypatch.setattr(module, "unresolved", lambda *given: torch.ones(1))
     monkeypatch.setattr(module, "_better", lambda *given: True)
-    found = fitted(made, wide)
-    assert found.model.signature.state_names[-1] == "u_lagging" and found.lag.startswith("u acts through a lag of")
+    assert fitted(model, source).model is second.model
 
 
 def forecasts(*errors):

@@ -63,6 +63,20 @@ def pendulum_controller(
     return Controller(policy_of(task), pace, watching, integral)
 
 
+def oven_controller(pushed=True):
+    """Return a controller of an oven of which the air is measured; a wall that follows it has no sensor."""
+    signature = Signature(("T", "T_lagging"), ("degC", "degC"), ("u",), (120.0, 120.0))
+    words = ["1", "T", "u", "(T - T_lagging)"]
+    model = SindyModel(signature, words, allowed={"T_lagging": words[-1:]})
+    table = [[0.16, 0.0], [-0.002, 0.0], [0.12, 0.0], [-0.003, 1 / 360]]
+    model.set_coefficients(torch.tensor(table, dtype=torch.float64))
+    task = Tracking(signature, Step([[70.0]]), ("T",), (), TrackingReward((1.0,)), low=[50.0], high=[90.0])
+    pace = Pace(task, 5.0, 2)
+    watching = Observer(model, Sensors({"T": {"resolution": 0.1, "noise": 0.05}}, disturbance=pushed), pace)
+    watching.load_state_dict({"process_noise": [0.002, 0.002, 0.001][: 2 + pushed], "nis": 1.0})
+    return Controller(policy_of(task), pace, watching, {"gain": 0.5})
+
+
 def rotor_controller(integral=None, delay=0.03):
     """Return a controller of two rotors on a beam, of which angles and rotor speeds are measured."""
     signature = Tras().signature
@@ -87,6 +101,11 @@ def rotor_controller(integral=None, delay=0.03):
 @pytest.fixture
 def pendulum():
     return pendulum_controller
+
+
+@pytest.fixture(scope="session")
+def oven():
+    return oven_controller
 
 
 @pytest.fixture(scope="session")

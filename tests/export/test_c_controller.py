@@ -98,6 +98,29 @@ def test_it_flies_two_rotors_as_python_does(rotors, integral):
     assert difference(rotors(integral), Tras(), 2) < 1e-6
 
 
+def from_hot(act, controller, periods=60):
+    """Inputs and measurements of a flight of the model itself, whose both stores are at 80 degC in the beginning."""
+    rng, x, found = np.random.default_rng(6), torch.tensor([80.0, 80.0], dtype=torch.float64), []
+    for k in range(periods):
+        y = math.nan if k % 7 == 3 else round((float(x[0]) + 0.05 * rng.standard_normal()) / 0.1) * 0.1
+        u = act([y, math.nan], [60.0 + 20 * (k > 30)], [0.0])
+        found.append((float(np.asarray(u)[0]), y))
+        x = integrate(controller.observer.model, x, torch.as_tensor(np.array(u)), controller.dt, 4)[0][-1]
+    return np.array(found)
+
+
+@needs_compiler
+@pytest.mark.parametrize("pushed", [True, False])
+def test_a_store_that_nobody_measures_begins_at_80_degrees_as_in_python(oven, pushed):
+    controller = oven(pushed)
+    expected = from_hot(controller.act, controller)
+    assert expected[:, 0].std() > 0.005
+    estimate = controller.estimate[1]  # of a store that is between what it was at first and the air, not near zero
+    assert 60 < estimate < 85
+    found = from_hot(Native(controller_sources(controller)).act, controller)
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
 @needs_compiler
 @pytest.mark.parametrize("observer", [True, False])
 def test_a_one_sided_actuator_is_off_where_the_first_call_is_refused_and_never_set_below(pendulum, observer):

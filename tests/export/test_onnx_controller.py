@@ -57,6 +57,14 @@ def test_it_flies_two_rotors_as_python_does(rotors, integral, tmp_path):
     assert flights_in_c.apart(controller, written(controller, tmp_path).act, Tras(), 2) < 1e-6
 
 
+@pytest.mark.parametrize("pushed", [True, False])
+def test_a_store_that_nobody_measures_begins_at_80_degrees_as_in_python(oven, pushed, tmp_path):
+    controller = oven(pushed)
+    expected = flights_in_c.from_hot(controller.act, controller)
+    found = flights_in_c.from_hot(written(controller, tmp_path).act, controller)
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
 def test_what_is_no_number_changes_nothing(pendulum, tmp_path):
     step = written(pendulum(), tmp_path)
     first = step.act([0.1, math.nan], [0.2], [0.0])

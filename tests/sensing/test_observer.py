@@ -232,6 +232,34 @@ def test_before_there_is_a_model_rates_are_those_of_the_latest_angles():
     assert (means[:, 2] - t).abs().max() < 1e-6
 
 
+class Stores(System):
+    """Two heat stores: x' = (y - x) / 5, y' = (x - y) / 20 at rest alone; y has no sensor."""
+
+    @property
+    def followers(self):
+        return {1: 0}
+
+    def __init__(self):
+        super().__init__(Signature(("x", "y"), ("K", "K"), ("u",), (100.0, 100.0)))
+
+    def forward(self, x, u):
+        flow = (x[..., :1] - x[..., 1:]) * torch.tensor([-1 / 5, 1 / 20]).to(x)
+        return flow + torch.nn.functional.pad(u, (0, 1)).to(x)
+
+
+def test_a_state_that_follows_begins_at_what_it_follows_and_a_lost_sample_tells_nothing():
+    plant = Stores()
+    task = Tracking(plant.signature, Step([[0.0]]), ["x"], [], TrackingReward([1.0]))
+    made = Observer(plant, Sensors({"x": {"noise": 0.5}}, disturbance=True), ControlEnv(plant, task, 1.0))
+    belief = made.begin(torch.tensor([[80.0, math.nan], [math.nan, math.nan]]))
+    assert belief.mean.tolist() == [[80.0, 80.0, 0.0], [0.0, 0.0, 0.0]]
+    # A tenth of the range for what is not measured; the noise of what is.
+    assert belief.covariance[0].diagonal()[:2].tolist() == pytest.approx([0.25, 100.0])
+    made.nis = 1.0
+    still = made.advance(belief, torch.zeros(2, made.memory, 1)).mean[0]
+    assert still[:2].tolist() == pytest.approx([80.0, 80.0])  # at rest nothing flows
+
+
 def test_a_model_that_explodes_costs_no_estimate():
     ours = observer()
     ours.model.forward = lambda x, u: torch.full_like(x, torch.inf)

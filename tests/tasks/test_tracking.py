@@ -293,6 +293,23 @@ def test_a_task_of_a_log_begins_where_the_log_was_and_sees_outputs_in_the_range_
     assert free.as_logged(torch.ones(2, 3)).start[0].tolist() == [1.0, 1.0, 1.0]
 
 
+def test_a_state_that_follows_begins_beside_what_it_follows_unless_its_start_is_given():
+    oven = Signature(("T", "T_lagging"), ("K", "K"), ("u",), (100.0, 100.0))
+    ends = {"outputs": ["T"], "rates": [], "reward": TrackingReward((1.0,)), "low": [0.0], "high": [90.0]}
+
+    def begun(start, typical=None):
+        task = Tracking(oven, Step([[0.0]]), **ends, start=start).following({1: 0})
+        task = task if typical is None else task.as_logged(torch.tensor(typical))
+        return task.initial_state(torch.Size((300,)), torch.Generator().manual_seed(0))
+
+    x = begun({"T": [20.0, 60.0]})
+    assert torch.equal(x[:, 0], x[:, 1]) and x[:, 0].min() < 21 and x[:, 0].max() > 59
+    assert begun({"T": 50.0, "T_lagging": 7.0})[0].tolist() == [50.0, 7.0]
+    behind = begun(None, [[80.0, -10.0], [80.0, 5.0]])
+    assert (behind[:, 0] == 80).all() and 70 <= behind[:, 1].min() < 70.2 and 84.8 < behind[:, 1].max() <= 85
+    assert begun({"T": 50.0}, [[80.0, -10.0], [80.0, 5.0]])[0].tolist() == [50.0, 50.0]
+
+
 def test_inputs_that_a_log_has_not_tried_cost_as_states_beyond_their_bounds_do():
     task = Tracking(Pendulum().signature, Step([[0.0]]), ["theta"], ["Omega"], TrackingReward((1.0,)))
     assert not task.limited and task.fenced(10.0).effort(torch.ones(1, 1)) is None

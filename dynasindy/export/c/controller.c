@@ -13,6 +13,7 @@ static void integrate(@name@_state *s, const double x[NX], const double r[NR], c
 @end
 @if !rates
         const double moving = 0.0; /* a plant without rates tells nothing of its motion */
+        (void)rate;
 @end
         if (fabs(error) < @integral_band@)
             s->integral[i] += @integral_gain@ * @dt@ * error / (1.0 + moving * moving);

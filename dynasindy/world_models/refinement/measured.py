@@ -224,26 +224,25 @@ def begun(library: Library, xi: Tensor, guess: Transitions, followers: Mapping[i
         guess: the recording, with a guess of each state that begins at rest.
         followers: which state follows which other one, `{follower: state}`.
     """
-    field, x, x_next = generate(library, xi), guess.x.clone(), guess.x_next.clone()
+    field, ends = generate(library, xi), [guess.x.clone(), guess.x_next.clone()]
+    places = torch.arange(len(guess))
+    seconds = (places - torch.where(guess.begins(), places, 0).cummax(0).values).double() * guess.dt
     for follower in followers:
-        others = [i for i in range(x.shape[1]) if i != follower and bool(xi[:, i].any())]
-        seconds = torch.arange(len(x)) * guess.dt
-        seconds = seconds - torch.where(guess.begins(), seconds, 0.0).cummax(0).values
-        rate = float(xi[:, follower].sum())
-        parts = [torch.exp(-rate * seconds.double()), torch.exp(-rate * (seconds + guess.dt).double())]
-        off = torch.zeros_like(x)
-        off[:, follower] = parts[0]
-        slope = (field(x + off, guess.u) - field(x, guess.u))[:, others]
-        left = ((x_next - x) / guess.dt - 0.5 * (field(x, guess.u) + field(x_next, guess.u)))[:, others]
-        size = left.square().mean(0).clamp_min(1e-300)
-        both = torch.stack([(slope * left / size).sum(-1), (slope.square() / size).sum(-1)])
+        others = [i for i in range(xi.shape[1]) if i != follower and bool(xi[:, i].any())]
+        offs = [torch.zeros_like(end) for end in ends]
+        for k, off in enumerate(offs):
+            off[:, follower] = torch.exp(-float(xi[:, follower].sum()) * (seconds + k * guess.dt))
+        rates = [field(end, guess.u)[:, others] for end in ends]
+        moved = [field(end + off, guess.u)[:, others] for end, off in zip(ends, offs, strict=True)]
+        slope = 0.5 * (moved[0] - rates[0] + moved[1] - rates[1])
+        left = (ends[1] - ends[0])[:, others] / guess.dt - 0.5 * (rates[0] + rates[1])
+        weight = 1 / left.square().mean(0).clamp_min(1e-300)
         for segment in guess.segment.unique().tolist():
             mine = guess.segment == segment
-            along, square = both[:, mine].sum(-1).tolist()
-            part = along / square if square > 0 and math.isfinite(along / square) else 0.0
-            x[mine, follower] += part * parts[0][mine]
-            x_next[mine, follower] += part * parts[1][mine]
-    return replace(guess, x=x, x_next=x_next)
+            part = float((slope * left * weight)[mine].sum() / (slope.square() * weight)[mine].sum().clamp_min(1e-300))
+            for end, off in zip(ends, offs, strict=True):
+                end[mine] += (part if math.isfinite(part) else 0.0) * off[mine]
+    return replace(guess, x=ends[0], x_next=ends[1])
 
 
 def filled(column: Array) -> Array | None:

@@ -1,6 +1,7 @@
 """States are guessed from measurements by local cubics, which are exact for cubics, and by a first model."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,15 +10,18 @@ import torch
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.constraints import Constraints
-from dynasindy.world_models.libraries.features import CONSTANT, variable
+from dynasindy.world_models.libraries.features import CONSTANT, of, variable
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement.measured import (
     LENGTHS,
     LONGEST_BUMP,
     SHORTEST_BUMP,
     Seen,
+    at_rest,
+    begun,
     best_length,
     filled,
+    followed,
     has_gaps,
     imagined,
     local_cubic,
@@ -105,6 +109,46 @@ def test_a_rate_that_was_measured_is_itself_and_lost_samples_are_filled():
     guess = reconstruct(recording(cubic(t), line, cubic(-t)), {1: 0})
     np.testing.assert_allclose(guess.x[:, 1], 2 * t[:-1] - 1, atol=1e-9)
     np.testing.assert_allclose(guess.x_next[:, 2], cubic(-t[1:]), atol=1e-9)
+
+
+def store(spread=None):
+    """A library of T' = -0.2 (T - b) + u, b' = (T - b) / 4, and its constraints and coefficients."""
+    signature = Signature(("T", "b"), ("K", "K"), ("u",), (1.0, 1.0))
+    library = Library(signature, [variable("T"), variable("u"), of("ahead", "T", "b")])
+    constraints = Constraints.build(library, {}, {"b": ["(T - b)"]} if spread is None else spread, {})
+    return library, constraints, torch.tensor([[0.0, 0.0], [1.0, 0.0], [-0.2, 0.25]], dtype=torch.float64)
+
+
+def test_a_state_follows_if_its_equation_may_have_nothing_else():
+    library, constraints, _ = store()
+    assert followed(library, constraints) == {"b": "T"}
+    assert followed(*store({"b": ["(T - b)", "u"]})[:2]) == {} == followed(*store({"b": ["T"]})[:2])
+    assert followed(*store({"T": ["(T - b)"], "b": ["T"]})[:2]) == {}  # T' of itself and of what follows it
+    fixed = Constraints.build(library, {}, {"b": []}, {"b": {"(T - b)": 0.25}})
+    assert followed(library, fixed) == {"b": "T"}
+
+
+def test_where_a_state_that_follows_began_is_told_by_the_rates_that_it_acts_on():
+    """Both stretches obey the equations exactly, b from 30 K and from -20 K while T is at 80 K and at 10 K."""
+    library, _, xi = store()
+    a = torch.tensor([[-0.2, 0.2], [0.25, -0.25]], dtype=torch.float64)
+    parts = []
+    for start in ([80.0, 30.0], [10.0, -20.0]):
+        times = 0.02 * torch.arange(401, dtype=torch.float64)
+        path = torch.linalg.matrix_exp(times[:, None, None] * a) @ torch.tensor(start, dtype=torch.float64)
+        parts.append(Transitions.from_trajectory(path, torch.zeros(400, 1).double(), 0.02))
+    true = Transitions.cat(parts)
+    rest = at_rest(true, {1: 0})
+    assert torch.equal(rest.x[:, 1], true.x[:, 0]) and torch.equal(rest.x_next[:, 1], true.x_next[:, 0])
+    assert at_rest(true, {}) is true
+    b = true.x.clone(), true.x_next.clone()
+    for part, off in zip((slice(0, 400), slice(400, 800)), (50.0, 30.0), strict=True):  # as if it began at rest
+        left = off * torch.exp(-0.25 * 0.02 * torch.arange(401).double())
+        b[0][part, 1] += left[:-1]
+        b[1][part, 1] += left[1:]
+    found = begun(library, xi, replace(true, x=b[0], x_next=b[1]), {1: 0})
+    np.testing.assert_allclose(found.x, true.x, atol=1e-2)
+    np.testing.assert_allclose(found.x_next, true.x_next, atol=1e-2)
 
 
 def test_segments_are_guessed_apart():
