@@ -73,8 +73,8 @@ def following(cfg: DictConfig, found: "Identified", known: Sequence[str], rates:
     if targets := targets_like(found.source, rates.values(), given):
         units = dict(zip(found.source.signature.state_names, found.source.signature.state_units, strict=True))
         named = [str(name) for name in given["outputs"] or targets["outputs"]]
-        told = ", ".join(f"{name} in {units[name]}" for name in named if units.get(name, "-") != "-")
-        does += "; put in its targets what you want to hold, within which limits" + (told and f", {told}")
+        asked = ", ".join(f"{name} in {units[name]}" for name in named if units.get(name, "-") != "-")
+        does += "; put in its targets what you want to hold, within which limits" + (asked and f", {asked}")
     if found.forecasts is not None and not found.predicts:
         does += "; this model does not predict, so mend first what is said above"
     return f"{planning(words, logged, system, targets)}  # {does}"
