@@ -117,8 +117,8 @@ class Session:
     def excite(self, signal: Excitation) -> Flown | None:
         """Move the rig by a signal, open loop, and log it to `excitation.csv`.
 
-        An excitation that an earlier session in the same folder has finished is not repeated. One that was cut short is:
-        its log is kept, and the new one is `excitation_N.csv`.
+        An excitation that an earlier session in the same folder has finished is not repeated. One that was cut short
+        is: its log is kept, and the new one is `excitation_N.csv`.
 
         Returns:
             What came of the flight; None if there was none.
@@ -244,8 +244,8 @@ class Session:
             units = [s.state_units[s.state_index(name)] for s in (theirs, mine)]
             if units[0] != units[1]:
                 raise ValueError(
-                    f"the controller reads {name} in {units[0]}, and the rig sends it in {units[1]}; give the same unit "
-                    "to both, or plan a controller from logs of this rig"
+                    f"the controller reads {name} in {units[0]}, and the rig sends it in {units[1]}; give the same "
+                    "unit to both, or plan a controller from logs of this rig"
                 )
         if mine.input_ends and not alike_ends(mine, theirs):
             raise ValueError(

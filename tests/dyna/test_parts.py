@@ -202,7 +202,7 @@ def test_states_that_are_seen_at_once_stay_as_they_are():
     heard = Heard(parts, place)
     train(parts, made.train, heard, place)
     assert parts.sensing is None and parts.world_model.delay == 0.0
-    assert "true_state" not in heard.rollouts[-1].keys() and "sensing" not in parts.state_dict()
+    assert "true_state" not in set(heard.rollouts[-1].keys()) and "sensing" not in parts.state_dict()
 
 
 def test_a_run_that_makes_up_for_a_delay_goes_on_where_it_was_stopped():
