@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from dynasindy.data.rates import mismatched
+from dynasindy.data.rates import mismatched, with_rates
 from dynasindy.data.simulated import disturb, record
 from dynasindy.excitation import Chirp, Multisine
 from dynasindy.systems import Pendulum, Signature, Tras, Xi
@@ -173,3 +173,11 @@ def test_no_simulated_plant_is_told(plant, noise):
     for signal in (Chirp(system.signature.n_u, 10.0), Multisine(system.signature.n_u, duration=10.0, dt=0.05, seed=1)):
         data = disturb(record(system, signal.samples(0.01), 0.01, substeps=2), noise, 0)
         assert mismatched(data, system.signature) == []
+
+
+def test_rates_that_are_known_and_no_states_yet_are_added_in_their_unit():
+    signature = Signature(("angle", "h", "Omega"), ("rad", "-", "rad/s"), ("u",), (1.0, 2.0, 3.0))
+    wide = with_rates(signature, {"angle": "rate", "h": "dh", "Omega": "-2 Omega", "other": "v"})
+    assert wide.state_names == ("angle", "h", "Omega", "rate", "dh")
+    assert wide.state_units == ("rad", "-", "rad/s", "rad/s", "1/s")
+    assert with_rates(signature, {"angle": "Omega"}) == signature
