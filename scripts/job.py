@@ -95,7 +95,9 @@ def settings_of(cfg: DictConfig) -> str:
     """
     if cfg.system is None:
         given = HydraConfig.get().runtime.choices.system
-        plants = sorted(file.stem for file in (CONF / "system").glob("[a-z]*.yaml") if file.stem != given)
+        plants = sorted(
+            file.stem for file in (CONF / "system").glob("[a-z]*.yaml") if file.stem not in (given, "unknown")
+        )
         raise ValueError(
             f"system={given} is no plant to train on, only a log of one; choose one of {', '.join(plants)}, "
             f"or fit a model to the log: {called('identify')} data=csv data.path=FILE"

@@ -27,8 +27,9 @@ def main(cfg: DictConfig) -> None:
 
     torch.set_num_threads(cfg.threads)
     system, guard = (instantiate(cfg[name], _convert_="all") for name in ("system", "guard"))
-    # A rig of which nothing is known but what it sends has a sensor for all of it.
-    sensors = instantiate(cfg.sensors, _convert_="all") if system.known else None
+    if not system.known:
+        cfg.sensors = None  # what is known of it is what it sends, and for that it has sensors
+    sensors = instantiate(cfg.sensors, _convert_="all")
     seen = tuple(name in sensors.channels for name in system.signature.state_names) if sensors else None
     wiring = Wiring(system.signature, seen or (True,) * system.signature.n_x, cfg.dt)
     plant = instantiate(cfg.plant, _convert_="all")

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from dynasindy.data.rates import contradicted, mismatched
+from dynasindy.data.rates import contradicted, mismatched, with_rates
 from dynasindy.data.simulated import disturb, record
 from dynasindy.excitation import Chirp, Multisine
 from dynasindy.systems import Pendulum, Signature, Tras, Xi
@@ -220,3 +220,11 @@ def test_what_was_not_measured_or_does_not_move_contradicts_nothing():
     x[:, 1] = math.nan
     assert contradicted(replace(data, x=x, x_next=x), SIGNATURE, {"angle": "rate"}) == {}
     assert contradicted(replace(data, x=0 * data.x, x_next=0 * data.x), SIGNATURE, {"angle": "rate"}) == {}
+
+
+def test_rates_that_are_known_and_no_states_yet_are_added_in_their_unit():
+    signature = Signature(("angle", "h", "Omega"), ("rad", "-", "rad/s"), ("u",), (1.0, 2.0, 3.0))
+    wide = with_rates(signature, {"angle": "rate", "h": "dh", "Omega": "-2 Omega", "other": "v"})
+    assert wide.state_names == ("angle", "h", "Omega", "rate", "dh")
+    assert wide.state_units == ("rad", "-", "rad/s", "rad/s", "1/s")
+    assert with_rates(signature, {"angle": "Omega"}) == signature

@@ -7,7 +7,7 @@ from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs.transforms import Transform
 
 from dynasindy.data import replay as module
-from dynasindy.data.replay import LEARN_KEYS, REAL_KEYS, DynaReplay
+from dynasindy.data.replay import LEARN_KEYS, MEASURED_KEYS, REAL_KEYS, DynaReplay
 from dynasindy.systems import Diverged
 
 
@@ -376,3 +376,9 @@ def test_columns_are_taken_anew_after_a_write_and_only_then():
     replay.extend_real(rows(1, keys=REAL_KEYS))
     after = replay._columns(replay.real)
     assert after is not before and [len(column) for column in after] == [201] * len(LEARN_KEYS)
+
+
+def test_other_keys_are_kept_from_now_on():
+    replay = DynaReplay(10, 4)
+    replay.keep(MEASURED_KEYS)
+    assert replay.real.writer.keys == frozenset(MEASURED_KEYS) and not len(replay.real)

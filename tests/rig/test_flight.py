@@ -337,3 +337,10 @@ def test_the_limits_of_a_plant_guard_what_has_no_range_of_its_own():
     assert Guard().or_limits({"Omega": [-1.0, 3.0]}, WIRING).high == {"Omega": 3.0}
     own = Guard(high={"theta": 0.1})
     assert own.or_limits({"theta": 0.5}, WIRING) is own
+
+
+def test_the_ranges_in_which_a_flight_goes_on_are_said_in_the_units_of_the_states():
+    wiring = Wiring(Pendulum().signature, (True, True), 0.05)
+    said = Guard({"theta": -1.5}, {"theta": 1.5, "Omega": 8.0}).words(wiring)
+    assert said == "A flight goes on with theta within -1.5 to 1.5 rad, Omega within -inf to 8 rad/s"
+    assert "No state has a range that ends a flight" in Guard().words(wiring)

@@ -51,3 +51,13 @@ def test_sensors_stand_between_the_plant_and_who_asks():
     rig.x = torch.tensor([0.234, 1.0], dtype=torch.float64)
     np.testing.assert_allclose(rig.read(0.1), [0.23, np.nan])
     assert rig.x.tolist() == [0.234, 1.0]
+
+
+def test_a_late_rig_moves_by_the_inputs_of_some_time_before():
+    clock = FastClock()
+    rig = InProcessRig(Pendulum(), clock=clock, delay=0.03)
+    rig.write(np.array([0.5]))
+    clock.sleep(0.02)
+    rig.write(np.array([-0.5]))
+    clock.sleep(0.04)
+    np.testing.assert_allclose(rig.read(0.1), by_hand([0.0, 0.0], [0.0] * 3 + [0.5] * 2 + [-0.5], 0.01), atol=1e-12)

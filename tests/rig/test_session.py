@@ -4,22 +4,20 @@ import csv
 import threading
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from omegaconf import OmegaConf
 
 from dynasindy import Controller, load
 from dynasindy.agents.networks import actor
 from dynasindy.control.controller import Pace
 from dynasindy.excitation import Multisine
-from dynasindy.rig import Guard, UdpRig, Wiring
+from dynasindy.rig import FastClock, Guard, InProcessRig, UdpRig, Wiring
 from dynasindy.rig.session import Knowledge, Session, targets_within
 from dynasindy.rig.simulated import SimulatedRig
 from dynasindy.sensing import Sensors
-from dynasindy.systems import Pendulum
+from dynasindy.systems import Pendulum, Unknown
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 from dynasindy.world_models import SindyModel
 
@@ -128,3 +126,126 @@ def test_what_no_model_can_be_made_of_is_refused_before_anything_moves(change, m
     KNOWLEDGE.require_of(Pendulum().signature)
     with pytest.raises(ValueError, match=message):
         replace(KNOWLEDGE, **change).require_of(Pendulum().signature)
+
+
+class AngleOnly(InProcessRig):
+    """A pendulum of which the angle alone is sent, as the sample of a rig with one sensor."""
+
+    def read(self, seconds):
+        y = super().read(seconds)
+        return None if y is None else y[:1]
+
+
+def blind(folder, delay=0.0, unit="rad", inputs=("u",), **settings):
+    """Return a session with a pendulum of which nobody knows more than a name and a unit, and its rig."""
+    clock = FastClock()
+    rig = AngleOnly(Pendulum(), Sensors({"theta": {"resolution": COUNT}}), clock, delay=delay)
+    wiring = Wiring(Unknown({"theta": unit}, inputs).signature, (True,), 0.05)
+    return Session(rig, wiring, Guard(**settings), folder, tell=lambda line: None, clock=clock), rig
+
+
+UNKNOWN = replace(KNOWLEDGE, known={"theta": "Omega"}, longest_delay=None, ranged=False)
+
+
+def multisine(seconds=10.0):
+    return Multisine(1, duration=seconds, dt=0.05, amplitude=[0.5], seed=0)
+
+
+def test_a_rig_of_which_names_and_units_are_known_is_identified_and_held_though_its_input_is_late(tmp_path):
+    """Omega' = 12 u(t - 80 ms) - 9.81 sin(theta) - 0.5 Omega, from an encoder of the angle alone."""
+    session, rig = blind(tmp_path, 0.08)
+    UNKNOWN.require_of(session.wiring.signature)
+    session.excite(multisine())
+    controller = session.learn(UNKNOWN)
+    model = SindyModel.load(tmp_path / "model.json")
+    assert model.delay == pytest.approx(0.08, abs=0.004)
+    theta, omega, u = (torch.linspace(-1, 1, 9).double() * k for k in (0.4, 1.0, 0.3))
+    found = model(torch.stack([theta, omega], -1), u.unsqueeze(-1))[:, 1]
+    torch.testing.assert_close(found, 12 * u - 9.81 * theta.sin() - 0.5 * omega, atol=0.15, rtol=0.02)
+    session.fly(controller, [[0.4], [-0.2]], 6.0)
+    assert not session.failed
+    assert abs(float(rig.x[0]) + 0.2) < 0.02
+
+
+def test_the_ranges_of_states_are_those_of_the_logs(tmp_path):
+    session, _ = blind(tmp_path)
+    session.excite(multisine())
+    largest = np.abs(np.genfromtxt(tmp_path / "excitation.csv", delimiter=",", skip_header=1)[:, 1]).max()
+    assert 0.3 * largest < session._source(False).signature.x_scale[0] <= 1.01 * largest
+    assert session._source(True).signature.x_scale == (1.0,)
+
+
+def test_a_session_goes_on_in_its_folder_and_what_was_cut_short_is_repeated(tmp_path):
+    first, _ = blind(tmp_path, high={"theta": 0.1}, low={"theta": -9.0})
+    first.excite(multisine())
+    assert first.failed and "theta is" in str(first.flights[0].fault)
+    second, _ = blind(tmp_path)
+    assert second.excite(multisine()).periods == 200
+    third, rig = blind(tmp_path)
+    told = []
+    third.tell = told.append
+    assert third.excite(multisine()) is None and rig.x.tolist() == [0.0, 0.0]
+    assert "excitation_1.csv is there, so the rig is not excited again" in told[0]
+    task = Tracking(Pendulum().signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), TrackingReward((1.0,)))
+    wiring = replace(third.wiring, signature=Pendulum().signature, seen=(True, True))
+    assert [path.name for path in third.logs("excitation")] == ["excitation.csv", "excitation_1.csv"]
+    assert len(third._source(False).training) == 199  # the first one is too short to learn from
+    assert "excitation.csv" in told[-1] and "left out" in told[-1]
+    whole = Session(
+        rig := InProcessRig(Pendulum(), clock=third.clock), wiring, Guard(), tmp_path / "more", clock=third.clock
+    )
+    whole.tell = told.append
+    for _ in range(2):
+        whole.fly(Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)), [[0.1]], 0.1)
+    again = replace(whole, flights=[], shown={})
+    again.fly(Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)), [[0.1]], 0.1)
+    assert [path.name for path in again.logs("flight")] == ["flight_0.csv", "flight_1.csv", "flight_2.csv"]
+
+
+def test_a_rig_that_is_unplugged_leaves_its_log_and_the_next_session_excites_it_again(tmp_path):
+    session, rig = blind(tmp_path)
+    read = rig.read
+
+    def unplugged(seconds):
+        if rig.clock.monotonic() > 3.0:
+            raise ConnectionRefusedError("nobody is there")
+        return read(seconds)
+
+    rig.read = unplugged
+    flown = session.excite(multisine())
+    assert flown.fault.kind == "connection" and session.failed
+    rows = list(session.logs("excitation").values())
+    assert rows == [flown.periods] and 59 <= flown.periods <= 61
+    second, _ = blind(tmp_path)
+    assert second.excite(multisine()).fault is None
+    assert len(second._source(False).training) == 199 + flown.periods - 1
+
+
+def test_logs_of_another_rig_are_refused_before_anything_moves(tmp_path):
+    session, _ = blind(tmp_path)
+    session.excite(multisine(1.0))
+    other, rig = blind(tmp_path, unit="deg")
+    with pytest.raises(
+        ValueError, match=r"excitation.csv has the columns time \[s\], theta \[rad\], u \[-\], and this rig"
+    ):
+        other.excite(multisine())
+    assert rig.x.tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("mine", "theirs", "message"),
+    [
+        ({"state_units": ("deg", "rad/s")}, {}, "reads theta in rad, and the rig sends it in deg"),
+        ({"input_ends": ((0.0, 12.0),)}, {}, "of u are 0 and 12 on the rig, and -1 and 1 for the controller"),
+        ({"input_ends": ((0.0, 12.0),)}, {"input_ends": ((-12.0, 12.0),)}, "0 and 12 on the rig, and -12 and 12 for"),
+    ],
+)
+def test_a_controller_in_other_units_is_refused_before_anything_moves(session, mine, theirs, message):
+    signature = session.wiring.signature
+    session.wiring = replace(session.wiring, signature=replace(signature, **mine), seen=(True, True))
+    task = Tracking(
+        replace(signature, **theirs), RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), TrackingReward((1.0,))
+    )
+    with pytest.raises(ValueError, match=message):
+        session.fly(Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)), [[0.1]], 1.0)
+    assert session.flights == []

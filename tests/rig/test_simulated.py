@@ -9,6 +9,7 @@ import pytest
 from dynasindy.rig import simulated
 from dynasindy.rig.simulated import SimulatedRig, rehearsal
 from dynasindy.rig.udp import REST, pack
+from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum
 from dynasindy.systems.integrators import integrate
 
@@ -87,3 +88,21 @@ def test_the_plant_is_ready_before_anybody_calls(monkeypatch):
 def test_an_unknown_fault_is_refused():
     with pytest.raises(ValueError, match="use some of silent, old"):
         SimulatedRig(Pendulum(), faults={"fire": 3})
+
+
+def test_a_command_reaches_the_plant_as_many_periods_late_as_its_sensors_say():
+    """Omega' = 12 u: the rate begins to move after two periods, and not before."""
+    late = Sensors({"theta": {}, "Omega": {}}, actuator_delay=2)
+    server = SimulatedRig(Pendulum(), 0.05, late, lockstep=10.0)
+    thread = threading.Thread(target=server.serve, args=(4,))
+    thread.start()
+    caller = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    caller.connect(("127.0.0.1", server.port))
+    caller.send(pack(REST, np.zeros(1)))
+    for k in range(4):
+        caller.recv(100)
+        caller.send(pack(k, np.array([0.5])))
+    thread.join()
+    caller.close()
+    rates = [x[1] for x in server.record.states]
+    assert rates[:3] == [0.0, 0.0, 0.0] and rates[3] == pytest.approx(12 * 0.5 * 0.05, rel=0.02)

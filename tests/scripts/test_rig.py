@@ -1,6 +1,7 @@
 """The command that flies a rig finds mistakes before anything moves, and says how it was stopped."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -44,6 +45,19 @@ def test_a_mistake_costs_one_line_and_nothing_moves(tmp_path, word, message):
     assert message in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     assert not list(tmp_path.rglob("*.csv"))
+
+
+def test_the_file_of_the_page_is_a_rig_that_only_a_connection_is_missing_of(tmp_path):
+    page = (ROOT / "docs" / "rig.md").read_text()
+    (block,) = re.findall(r"```yaml\n# my_rig/system/arm.yaml\n(.*?)```", page, re.S)
+    (tmp_path / "system").mkdir()
+    (tmp_path / "system" / "arm.yaml").write_text(block)
+    words = ["--config-dir", str(tmp_path), "system=arm", f"folder={tmp_path}/run"]
+    words = [sys.executable, str(ROOT / "scripts" / "rig.py"), *words]
+    done = subprocess.run(words, capture_output=True, text=True, env=ENVIRONMENT, timeout=200, check=False)
+    assert done.returncode == 2
+    assert done.stdout == "A flight goes on with angle within -1.5 to 1.5 rad\n"
+    assert "nobody knows of this one; give rig=udp" in done.stderr
 
 
 @pytest.mark.slow

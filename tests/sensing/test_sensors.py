@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from dynasindy.sensing import Channel, Sensors, Wired
-from dynasindy.systems import Signature
+from dynasindy.systems import Pendulum, Signature
 
 SIGNATURE = Signature(("a", "b", "c"), ("rad", "rad/s", "rpm"), ("u",), (1.0, 2.0, 1000.0))
 
@@ -106,3 +106,10 @@ def test_simulated_sensors_know_the_truth():
 def test_what_only_simulated_sensors_have_is_refused_of_real_ones(simulated):
     with pytest.raises(ValueError, match="which only simulated ones can have; give 0 for each"):
         Wired({"a": {}}, **simulated)
+
+
+def test_exact_sensors_measure_all_states_as_they_are():
+    signature = Pendulum().signature
+    sensors, x = Sensors.exact(signature), torch.tensor([[0.123456789, -4.0]], dtype=torch.float64)
+    assert torch.equal(sensors.read(x, signature, torch.Generator().manual_seed(0)), x)
+    assert sensors.variance(signature).tolist() == [0.0, 0.0]

@@ -148,7 +148,7 @@ def test_the_report_judges_a_model_under_the_inputs_of_its_delay():
 
 
 def excited(delay: float, wrong: float = 0.0) -> Transitions:
-    """Exact states of y' = A y + B u(t - delay) + wrong y^2 under sines, held for five samples as in a period."""
+    """States of y' = A y + B u(t - delay) + wrong y^2 under sines that are held for five samples, as by a period."""
     t = np.repeat(5 * DT * np.arange(100), 5)
     u = sum(np.sin(2 * np.pi * f * t + p) for f, p in ((0.1, 0.3), (0.3, 2.0), (0.5, 4.0), (0.8, 1.0))) / 3
     if not wrong:

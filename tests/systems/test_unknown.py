@@ -1,0 +1,39 @@
+"""A plant of which only names and units are known has a signature, and refuses to move."""
+
+import pytest
+import torch
+
+from dynasindy.rig.simulated import rehearsal
+from dynasindy.systems import Unknown
+
+
+def test_names_units_and_ends_are_those_that_were_given_in_their_order():
+    plant = Unknown({"h1": "cm", "h2": "cm"}, {"pump": [0, 12], "valve": [-1, 1]})
+    signature = plant.signature
+    assert signature.state_names == ("h1", "h2") and signature.state_units == ("cm", "cm")
+    assert signature.input_names == ("pump", "valve") and signature.input_ends == ((0.0, 12.0), (-1.0, 1.0))
+    assert Unknown({"angle": "rad"}, ["motor"]).signature.input_ends == ()
+
+
+def test_nobody_knows_how_it_moves():
+    plant = Unknown({"angle": "rad"}, ["motor"])
+    assert not plant.known
+    with pytest.raises(RuntimeError, match="nobody knows its equations"):
+        plant(torch.zeros(1), torch.zeros(1))
+    with pytest.raises(ValueError, match="give rig=udp"), rehearsal(plant, 0.05):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("states", "inputs", "message"),
+    [
+        ({}, ["motor"], "give one or more of each"),
+        ({"angle": "rad"}, [], "give one or more of each"),
+        ({"angle": "rad"}, {"motor": [12]}, r"motor: \[12\]; give the two ends"),
+        ({"angle": "rad"}, {"motor": [12, -12]}, "a lower and a higher number"),
+        ({"angle": "rad"}, ["angle"], "must differ"),
+    ],
+)
+def test_what_is_no_rig_is_refused(states, inputs, message):
+    with pytest.raises(ValueError, match=message):
+        Unknown(states, inputs)
