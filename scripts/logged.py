@@ -23,7 +23,7 @@ from dynasindy.evaluation.held import WITHIN
 from dynasindy.planning import GradientPlanning
 from dynasindy.terminal import say
 from dynasindy.viz.evaluation import draw_evaluation
-from dynasindy.workbench import damped, nearest_period
+from dynasindy.workbench import PERIOD, damped, nearest_period
 
 
 def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
@@ -44,9 +44,11 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
             parts[name](signature=source.signature)
     dt = nearest_period(source, cfg.env.dt)
     say(f"Run folder: {folder}")
-    if dt != cfg.env.dt:
+    if cfg.env.dt is None and dt < PERIOD:
+        say(f"note: the control period is {dt:g} s, ten samples of the log; env.dt chooses another one")
+    elif dt != (cfg.env.dt or PERIOD):
         sampled = f"the log is sampled every {source.training.dt:g} s" if source else ""
-        say(f"note: the control period is {dt:g} s and not env.dt={cfg.env.dt:g}, as {sampled}")
+        say(f"note: the control period is {dt:g} s and not env.dt={cfg.env.dt or PERIOD:g}, as {sampled}")
     with _stopped_in_words(f"the fit was not finished and nothing is kept in {folder}; the same command begins anew"):
         model = model_of(source, parts["world_model"], cfg.model)
     task = parts["task"](signature=model.signature)
