@@ -42,13 +42,14 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     if source is not None:  # what cannot be is refused before the fit
         for name in ("task", "world_model") if cfg.model is None else ("task",):  # a given model has its own library
             parts[name](signature=source.signature)
-    dt = nearest_period(source, cfg.env.dt)
+    asked = any(word.startswith("env.dt=") for word in HydraConfig.get().overrides.task) or cfg.env.dt != PERIOD
+    dt = nearest_period(source, cfg.env.dt if asked else None)
     say(f"Run folder: {folder}")
-    if cfg.env.dt is None and dt < PERIOD:
+    if not asked and source is not None and dt < PERIOD - source.training.dt:
         say(f"note: the control period is {dt:g} s, ten samples of the log; env.dt chooses another one")
-    elif dt != (cfg.env.dt or PERIOD):
+    elif dt != cfg.env.dt:
         sampled = f"the log is sampled every {source.training.dt:g} s" if source else ""
-        say(f"note: the control period is {dt:g} s and not env.dt={cfg.env.dt or PERIOD:g}, as {sampled}")
+        say(f"note: the control period is {dt:g} s and not env.dt={cfg.env.dt:g}, as {sampled}")
     with _stopped_in_words(f"the fit was not finished and nothing is kept in {folder}; the same command begins anew"):
         model = model_of(source, parts["world_model"], cfg.model)
     task = parts["task"](signature=model.signature)
