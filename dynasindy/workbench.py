@@ -56,6 +56,8 @@ from dynasindy.world_models.refinement.measured import rates_known
 
 PERIOD = 0.05
 """Control period unless another is given [s]; with a log the multiple of its sampling time that is nearest."""
+SAMPLES = 10
+"""Samples of a log in a control period at most, if nobody asks for another one."""
 FINE = 5
 """Runge-Kutta steps of a predicted control period."""
 FLOWN = 64
@@ -173,7 +175,8 @@ def plan(
         task: Outputs to hold, each with the lower and upper end of its targets; or a task.
         log: Log of the plant, from which the controller's observer learns its noise levels; needed with sensors.
         sensors: What will be measured in flight; if omitted, what the log shows. Without a log all states.
-        dt: Control period [s]; 0.05 s, or the multiple of the log's sampling time nearest to it, of two the shorter.
+        dt: Control period [s]; 0.05 s or ten samples of the log, what is shorter, or the multiple of the log's sampling
+            time nearest to it, of two the shorter.
         seed: Seed of networks, references and starts.
         **settings: Settings of `GradientPlanning`, such as `updates`.
 
@@ -365,18 +368,20 @@ def _typical(data: Transitions, model: SindyModel) -> Tensor:
     return ends
 
 
-def nearest_period(log: Source | None, wanted: float = PERIOD) -> float:
+def nearest_period(log: Source | None, wanted: float | None = None) -> float:
     """Return the control period that suits a log: the multiple of its sampling time nearest to the one wanted [s].
 
-    Of two that are as near it is the shorter; without a log it is the one wanted.
+    Of two that are as near it is the shorter; without a log it is the one wanted. If none is wanted, it is 0.05 s, or
+    ten samples of a log that is sampled faster: so is the log of a plant that is as fast.
 
     Raises:
         ValueError: The one wanted is not positive.
     """
-    if not wanted > 0:
+    if wanted is not None and not wanted > 0:
         raise ValueError(f"env.dt must be a time > 0, got {wanted} s; the default is {PERIOD} s")
     if log is None:
-        return wanted
+        return wanted or PERIOD
+    wanted = wanted or min(PERIOD, SAMPLES * log.training.dt)
     step = log.training.dt
     period = step * max(1, math.ceil(wanted / step - 0.5 - 1e-6))
     return wanted if math.isclose(period, wanted, rel_tol=1e-6) else period

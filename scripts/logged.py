@@ -25,7 +25,7 @@ from dynasindy.evaluation.targets import in_words, require_radians
 from dynasindy.planning import GradientPlanning
 from dynasindy.terminal import say
 from dynasindy.viz.evaluation import draw_evaluation
-from dynasindy.workbench import damped, nearest_period
+from dynasindy.workbench import PERIOD, damped, nearest_period
 
 
 def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
@@ -49,9 +49,12 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
         targets = {name: ends for name, *ends in zip(cfg.plant.outputs, cfg.plant.low, cfg.plant.high, strict=False)}
         require_radians(source, targets)
         say(in_words(source.signature, targets))
-    dt = nearest_period(source, cfg.env.dt)
+    asked = any(word.startswith("env.dt=") for word in HydraConfig.get().overrides.task) or cfg.env.dt != PERIOD
+    dt = nearest_period(source, cfg.env.dt if asked else None)
     say(f"Run folder: {folder}", *told)
-    if dt != cfg.env.dt:
+    if not asked and source is not None and dt < PERIOD - source.training.dt:
+        say(f"note: the control period is {dt:g} s, ten samples of the log; env.dt chooses another one")
+    elif dt != cfg.env.dt:
         sampled = f"the log is sampled every {source.training.dt:g} s" if source else ""
         say(f"note: the control period is {dt:g} s and not env.dt={cfg.env.dt:g}, as {sampled}")
     with _stopped_in_words(f"the fit was not finished and nothing is kept in {folder}; the same command begins anew"):

@@ -41,7 +41,7 @@ def before_fit(model: SindyModel, source: Source, lacking: Lacking | None = None
         *notes,
         *_angles(model, source),
         *_many_functions(model, source),
-        *missing_rates(model, source, lacking or rates_lacking(model, source)),
+        *missing_rates(model, source, lacking),
     ]
 
 
@@ -80,7 +80,7 @@ def _angles(model: SindyModel, source: Source) -> list[str]:
     return lines
 
 
-def missing_rates(model: SindyModel, source: Source, lacking: Lacking) -> list[str]:
+def missing_rates(model: SindyModel, source: Source, lacking: Lacking | None = None) -> list[str]:
     """Say which rates a log lacks or may lack, and the words that give them, once for each state.
 
     Rates that a log clearly lacks are named where `with_missing_rates` has left them out.
@@ -88,9 +88,9 @@ def missing_rates(model: SindyModel, source: Source, lacking: Lacking) -> list[s
     Args:
         model: A model of the log, not fitted yet.
         source: The log.
-        lacking: What `rates_lacking` returned.
+        lacking: What `rates_lacking` returned, if it was asked before.
     """
-    given, lines = _known(model), []
+    given, lines, lacking = _known(model), [], lacking or rates_lacking(model, source)
     if new := [name for name in lacking.shown if name not in given]:
         its = "its rate, which is" if len(new) == 1 else "their rates, which are"
         lines.append(

@@ -6,6 +6,7 @@ from results_page import limit_cycle
 from tables import cell, middle, numbers, pair, record, rows, setting, short, table
 from ties import Tie, Untied
 
+from dynasindy.benchmarks.instruments import logged
 from dynasindy.world_models.refinement.trajectory import WORSE
 
 README, IDENTIFICATION, BASELINES = "README.md", "docs/identification.md", "docs/results/baselines.md"
@@ -28,9 +29,9 @@ def readme(text: str) -> Iterator[Tie]:
     edge = max(*numbers(noisy, "azimuth"), *numbers(noisy, "pitch"))
     words = "planning by gradient stays within {} rad after 10 s of data, on ten seeds of ten on both plants"
     yield Tie(README, words, (f"{edge:.4f}",))
-    logged = max(max(numbers(list(table("from_log.csv")), axis)) for axis in ("azimuth", "pitch"))
-    yield Tie(README, "file that holds the plant within {} rad, in the worst of ten seeds", (f"{logged:.4f}",))
-    logs = table("logs.csv")
+    held = max(max(numbers(list(table("from_log.csv")), axis)) for axis in ("azimuth", "pitch"))
+    yield Tie(README, "file that holds the plant within {} rad, in the worst of ten seeds", (f"{held:.4f}",))
+    logs = [row for row in table("logs.csv") if row["plant"] in logged.CASES]
     runs, promised = (
         {(row["plant"], row["seed"]) for row in logs if row["foretold"] in verdicts}
         for verdicts in (("CONTROLLED", "NOT promised"), ("CONTROLLED",))

@@ -99,11 +99,6 @@ def test_a_fault_is_kept_and_told(session):
     assert max(float(row[1]) for row in rows) <= 0.05
 
 
-def test_delays_of_a_rig_are_looked_for_as_far_as_in_training():
-    config = OmegaConf.load(Path(__file__).parents[2] / "conf" / "world_model" / "sindy.yaml")
-    assert Knowledge(["u"], {}, {}).longest_delay == config.refinement.longest_delay
-
-
 def test_targets_lie_in_the_box_of_the_plant():
     assert targets_within(KNOWLEDGE, [[0.6], [-0.1]]) == [[0.6], [-0.1]]
     wide = replace(KNOWLEDGE, targets={"theta": (-0.2, 0.6)})

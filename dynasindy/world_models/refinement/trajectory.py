@@ -122,9 +122,11 @@ def refine_trajectory(
 
 def _finely(found: Estimate, free: Tensor, windows: Windows, limits: Limits) -> Estimate:
     """Return an estimate by the steps that its fastest rate asks for, where it was found by longer ones."""
-    wanted = substeps_for(found.library, found.xi, found.nodes, windows.inputs[:, 0], windows.dt)
     support = (found.xi != 0) & free
-    if wanted <= windows.substeps or not bool(support.any()):
+    if not bool(support.any()):
+        return found
+    wanted = substeps_for(found.library, found.xi, found.nodes, windows.inputs[:, 0], windows.dt)
+    if wanted <= windows.substeps:
         return found
     return descend(found, support, replace(windows, substeps=wanted), limits)[0]
 
