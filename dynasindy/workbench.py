@@ -64,8 +64,6 @@ FLOWN = 64
 """Targets that are flown to where no scenario is given."""
 HALVES = 2
 """Stretches of a log that a model is fitted to again, to see what the log leaves open."""
-LONGEST_DELAY = 0.05
-"""Longest delay of the inputs that is looked for unless another is given [s]."""
 
 
 @contextmanager
@@ -120,7 +118,7 @@ def identify(
     library: str | Sequence[str] | LibraryBuilder = "auto_rig",
     known: Mapping[str, str] | None = None,
     method: Literal["integral", "one_step", "trajectory", "auto"] = "auto",
-    longest_delay: float | None = LONGEST_DELAY,
+    longest_delay: float | None = None,
 ) -> SindyModel:
     """Identify sparse equations from a log, as `train.py data=csv` does.
 

@@ -13,7 +13,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.regression.regression import Rows, least_squares
 
 FIRST, FARTHEST = 10, 80
-"""Samples within which a delay is looked for at first, and at most, where nobody says how long it may be."""
+"""Samples within which a delay is looked for at first, at least, and at most, where nobody says how long it may be."""
 EXACT = 1e-3
 """Part of the rates of change, unexplained, below which the inputs act at once: a delay of a sample leaves far more."""
 TELLING = 4.0
@@ -79,7 +79,7 @@ def reach(free: Tensor, rows: Callable[[int, int], Rows], least: int) -> tuple[i
     """
     if not least and _exact(free, *rows(0, 0)):
         return 0, 0
-    farthest = FIRST
+    farthest = max(FIRST, least)
     while True:
         costs = [unexplained(free, *rows(k, farthest)) for k in range(farthest + 1)]
         best = min(range(farthest + 1), key=costs.__getitem__)

@@ -36,6 +36,8 @@ PERIODS = 2
 """Control periods within which noisy samples are searched for a delay where no regression tells one. An unstable plant
 is excited under feedback, and in such data a longer delay, with other equations, may explain as much as the true
 one."""
+SOON = 0.05
+"""The same [s], of samples that are so close that two control periods are less."""
 ALIKE = 0.01
 """Samples by which a delay may differ from a whole number and be taken for it."""
 BRIEF = 2 * ENOUGH
@@ -135,7 +137,7 @@ class Refinement:
         window: sampling intervals between two states that `trajectory` estimates.
         longest_delay: longest delay of the inputs that is looked for [s], in whole samples, then in fractions of them;
             0 takes the inputs as they are. None looks within ten samples where a regression clearly tells a delay,
-            farther where it is longer; else within two control periods, or, of samples without noise, not at all.
+            farther where it is longer; else within two control periods or 0.05 s, or, without noise, not at all.
         error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), what
             is new in such errors, as they last from sample to sample (`coloured`), of windows that begin anew
             (`prediction`), for plants that are pushed at random or unstable, or what a Kalman filter leaves over in
@@ -263,7 +265,8 @@ class Refinement:
             recording = Recording.of(data, guess, rates, farthest * data.dt).brief(farthest * data.dt)
             return recording.seen(late * data.dt).rows(found[0], field)
 
-        farthest, best = reach(constraints.free, _rows, PERIODS * data.substeps * noisy)
+        least = max(PERIODS * data.substeps, math.floor(SOON / data.dt + 1e-9)) if noisy else 0
+        farthest, best = reach(constraints.free, _rows, least)
         return farthest * data.dt, best * data.dt
 
     def _by_trajectories(
