@@ -112,17 +112,14 @@ def _paper(text: str) -> Iterator[Tie]:
 
 
 def _paper_in_full() -> Iterator[Tie]:
-    def after(rollouts: int, episode: int, digits: int = 3) -> str:
-        (row,) = rows("paper_in_full.csv", setting=f"rollouts_{rollouts}", seed=0, episode=episode)
+    def after(run: str, seed: int, episode: int, digits: int = 3) -> str:
+        (row,) = rows("paper_in_full.csv", setting=run, seed=seed, episode=episode)
         return pair(lambda axis: float(row[axis]), digits, axes=("azimuth", "pitch"))
 
-    words = (
-        "After 180 episodes the error of azimuth / pitch at the end is {} rad with 800 rollouts and {} without; after "
-        "220 it is {} and {}. With 400 rollouts it is {} after 60 episodes, and with 800 {} then. The run of 1200 "
-        "episodes ends at {}."
-    )
-    figures = (after(800, 180), after(0, 180), after(800, 220), after(0, 220), after(400, 60, 2), after(800, 60))
-    yield Tie(PAGE, words, (*figures, after(800, 1200, 4)))
+    for run, seed in sorted({(row["setting"], int(row["seed"])) for row in table("paper_in_full.csv")}):
+        shown = [after(run, seed, episode) for episode in (60, 180, 220)]
+        yield Tie(PAGE, f"| {run.removeprefix('rollouts_')}, {seed} | {{}} | {{}} | {{}} |", tuple(shown))
+    yield Tie(PAGE, "went on to 1200 episodes, and ends at {}.", (after("rollouts_800", 0, 1200, 4),))
 
 
 def _tuned(changed: dict[str, object], episode: int) -> str:
