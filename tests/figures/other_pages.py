@@ -7,6 +7,8 @@ from tables import cell, middle, numbers, pair, record, rows, setting, short, ta
 from ties import Tie, Untied
 
 from dynasindy.benchmarks.instruments import logged
+from dynasindy.evaluation.fitted import BETTER
+from dynasindy.world_models.models.follower import TIMES
 from dynasindy.world_models.refinement.trajectory import WORSE
 
 README, IDENTIFICATION, BASELINES = "README.md", "docs/identification.md", "docs/results/baselines.md"
@@ -126,6 +128,8 @@ JOBS = {
 def identification(text: str) -> Iterator[Tie]:
     """Yield what docs/identification.md must say."""
     yield Tie(IDENTIFICATION, "the trajectory has {} times the error of the windows", (str(WORSE),))
+    yield Tie(IDENTIFICATION, "led through lags of {} to {} samples", (str(TIMES[0]), str(TIMES[-1])))
+    yield Tie(IDENTIFICATION, "are at most {} times as large, in their geometric mean", (str(BETTER),))
 
     def tie(words: str, *figures: str) -> Tie:
         return Tie(IDENTIFICATION, words, figures)
