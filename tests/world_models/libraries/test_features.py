@@ -19,6 +19,15 @@ def test_names_are_those_a_reader_would_write():
     assert CONSTANT.name() == "1"
 
 
+@pytest.mark.parametrize(
+    "text", ["sin(a + b)", "w cos(a - b)^2", "u /(1 + -0.3 cos(a - b)^2)", "/(1 + 0.5 cos(a + b)^2)"]
+)
+def test_functions_of_two_angles_are_read_as_they_are_written(text):
+    feature = parse(text)
+    assert feature.name() == text and Feature.from_list(feature.to_list()) == feature
+    assert {"a", "b"} <= feature.variables
+
+
 def test_latex_is_that_of_the_paper():
     square = variable("x_3", 2) * of("sin", "x_2")
     assert square.latex() == r"x_{3}^{2} \, \sin x_{2}"

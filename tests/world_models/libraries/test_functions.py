@@ -18,7 +18,7 @@ POINTS = [(-1.3, 0.4), (0.7, 0.4), (2.1, -0.6)]
 
 
 def arguments(name, z, p):
-    first = (z, 0.25) if name in ("ahead", "slack") else (z,)
+    first = (z, 0.25) if name in ("ahead", "slack") or name.endswith(("_sum", "_gap")) else (z,)
     return (*first, p) if function(name).parametric else first
 
 
@@ -64,3 +64,21 @@ def test_a_formula_calls_what_every_language_has(monkeypatch):
         register_function("no name", torch.sin)
     with pytest.raises(ValueError, match="function 'evil' is not known"):
         function("evil")
+
+
+@pytest.mark.parametrize("point", POINTS)
+@pytest.mark.parametrize("name", sorted(name for name, f in functions._REGISTRY.items() if f.slopes))
+def test_slopes_by_each_of_two_angles_are_differences_of_values(name, point):
+    known, step = function(name), 1e-6
+    a, b = (torch.tensor(v, dtype=torch.float64) for v in (point[0], 0.25))
+    number = (abs(point[1]),) if known.parametric else ()
+    by_a = (known.compute(a + step, b, *number) - known.compute(a - step, b, *number)) / (2 * step)
+    by_b = (known.compute(a, b + step, *number) - known.compute(a, b - step, *number)) / (2 * step)
+    found = [float(slope(a, b, *number)) for slope in known.slopes]
+    assert found == pytest.approx([float(by_a), float(by_b)], rel=1e-5, abs=1e-8)
+
+
+def test_functions_of_two_angles_are_those_of_their_sum_and_difference():
+    a, b = torch.tensor([0.3, -1.2]), torch.tensor([0.9, 2.0])
+    torch.testing.assert_close(function("sin_sum").compute(a, b), a.sin() * b.cos() + a.cos() * b.sin())
+    torch.testing.assert_close(function("cos_gap").compute(a, b), a.cos() * b.cos() + a.sin() * b.sin())

@@ -48,6 +48,11 @@ PARAMETRIC = {
 }
 """Functions of a variable and a number, and their derivatives by either."""
 
+TURNED = {
+    f"{name}_{word}": (name, sign) for name in ("sin", "cos", "per_cos2") for word, sign in (("sum", 1), ("gap", -1))
+}
+"""Functions of the sum or the difference of two variables: which function, and the sign of the second variable."""
+
 
 def points(n: int = 9, n_x: int = 2, n_u: int = 1) -> tuple[torch.Tensor, torch.Tensor]:
     generator = torch.Generator().manual_seed(3)
@@ -66,7 +71,7 @@ def full(slopes: Slopes, library: Library, x: torch.Tensor, u: torch.Tensor, n_s
 
 
 def test_every_function_of_the_package_has_its_closed_form_here():
-    assert {*SCALED, *PARAMETRIC, "ahead", "slack"} == {name for name in OWN if not name.endswith("_test")}
+    assert {*SCALED, *PARAMETRIC, *TURNED, "ahead", "slack"} == {name for name in OWN if not name.endswith("_test")}
 
 
 @pytest.mark.parametrize("scale", [1.0, -2.5])
@@ -96,6 +101,22 @@ def test_slopes_of_functions_with_a_number_of_their_own(name, number):
     np.testing.assert_allclose(by_state[:, 0, 1], slope(b, number), rtol=1e-10, atol=1e-12)
     for found in (by_shape, library.by_shapes(x, u, library.shapes)):
         np.testing.assert_allclose(found[:, 0, 0], by_number(b, number), rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", TURNED)
+def test_slopes_of_functions_of_the_sum_and_the_difference_of_two_variables(name):
+    plain, sign = TURNED[name]
+    number = (0.3,) if plain in PARAMETRIC else ()
+    value, slope, *by_number = (PARAMETRIC if number else SCALED)[plain]
+    library = Library(SIGNATURE, [of(name, "a", "b", frequency=0.3, fitted=True) if number else of(name, "a", "b")])
+    x, u = points()
+    theta, by_state, by_shape = full(Slopes(library, library.shapes), library, x, u, len(number))
+    angle = x[:, 0].numpy() + sign * x[:, 1].numpy()
+    np.testing.assert_allclose(theta[:, 0], value(angle, *number), rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(by_state[:, 0, 0], slope(angle, *number), rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(by_state[:, 0, 1], sign * slope(angle, *number), rtol=1e-10, atol=1e-12)
+    for closed in by_number:
+        np.testing.assert_allclose(by_shape[:, 0, 0], closed(angle, *number), rtol=1e-10, atol=1e-12)
 
 
 def test_slopes_of_products_and_powers_by_states_and_by_the_numbers_inside():
