@@ -77,11 +77,16 @@ def conversions(columns: Mapping[str, Column], headings: Iterable[str]) -> list[
     if not changed:
         return []
     told = ", ".join(f"{name} from {unit} to {columns[name].unit}" for name, unit in changed.items())
-    name, unit = next(iter(changed.items()))
-    kept = f"data.states={{{name}: {{name: {split_unit(columns[name].name)[0]}, unit: {unit}}}}}"
+    kept = ", ".join(
+        f"{name}: {{name: {split_unit(column.name)[0]}, unit: {changed[name]}}}"
+        if name in changed
+        else f"{name}: {split_unit(column.name)[0]}"
+        for name, column in columns.items()
+        if column.name
+    )
     return [
         f"converted: {told}. Targets and limits are to be given in these units, and a controller reads them so; "
-        f"'{kept}' would keep the unit of the file"
+        f"'data.states={{{kept}}}' would keep the units of the file"
     ]
 
 

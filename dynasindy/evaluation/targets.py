@@ -88,7 +88,7 @@ def require_radians(source: Source, targets: Mapping[str, Sequence[float]]) -> N
             raise ValueError(
                 f"the targets of {name} go from {ends[0]:g} to {ends[1]:g} rad, the log to {reach:.3g} rad only; "
                 f"{name} is in rad, and these look like degrees: give {radians[0]} and {radians[1]} in plant.low and "
-                f"plant.high, or keep degrees by 'data.states={{{name}: {{name: {name}, unit: deg}}}}'"
+                "plant.high, or keep degrees by unit: deg of its column in data.states"
             )
 
 

@@ -85,8 +85,8 @@ def test_a_log_in_degrees_is_read_in_radians_and_says_so_in_a_line(tmp_path):
     (word,) = [word for word in shlex.split(note) if word.startswith("data.states=")]
     given = yaml.safe_load(word.removeprefix("data.states="))
     kept = Logged(path, given).recording(None)
-    assert kept.signature.state_units == ("deg",) and not kept.notes
-    assert kept.transitions.x.numpy() == pytest.approx(np.degrees(np.sin(t))[:-1, None])
+    assert kept.signature.state_units == ("deg", "deg/s") and not kept.notes
+    assert kept.transitions.x.numpy() == pytest.approx(np.degrees(np.stack([np.sin(t), np.cos(t)], -1)[:-1]))
 
 
 def test_a_rate_that_is_known_or_differentiated_is_one_of_radians(tmp_path):
