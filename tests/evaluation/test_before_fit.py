@@ -130,7 +130,7 @@ def test_many_functions_are_counted_and_the_plants_named_that_have_fewer(tmp_pat
     assert not told(source, "rotor")
     # The columns of no plant that is known here: fewer than 150 functions are many for few rows alone.
     lines = (tmp_path / "log.csv").read_text().replace("alpha_a", "yaw", 1).splitlines()
-    for number, many in ((201, True), (len(lines), False)):
+    for number, many in ((101, True), (len(lines), False)):
         (tmp_path / "log.csv").write_text("\n".join(lines[:number]))
         words = told(Logged(str(tmp_path / "log.csv")).load(None, EXCITATION))
         assert ["plant.library=" in line and "system=" not in line for line in words] == [True] * many
