@@ -191,7 +191,8 @@ def plan(
         )
     if still := unmoved(model, task.output_names):
         raise ValueError(still)
-    task = task.following(model.followers)
+    if model.followers:
+        task = task.following(model.followers)
     if log is not None:
         log = log.with_states_of(model)
         if task.ends is not None:

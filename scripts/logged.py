@@ -25,7 +25,8 @@ from dynasindy.evaluation.targets import in_words, require_radians
 from dynasindy.planning import GradientPlanning
 from dynasindy.terminal import say
 from dynasindy.viz.evaluation import draw_evaluation
-from dynasindy.workbench import PERIOD, damped, nearest_period
+from dynasindy.workbench import PERIOD, damped, nearest_period, rates_of
+from dynasindy.world_models import SindyModel
 
 
 def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
@@ -33,8 +34,9 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     planning = _required(cfg)
     torch.set_num_threads(cfg.threads)
     source, told = loaded(cfg) if cfg.get("data") is not None else (None, [])
+    given = None if cfg.model is None else SindyModel.load(str(cfg.model))
     if OmegaConf.is_missing(cfg.plant, "rates"):
-        cfg.plant.rates = damped(cfg.plant.outputs, cfg.plant.get("known") or {})
+        cfg.plant.rates = damped(cfg.plant.outputs, rates_of(given) if given else cfg.plant.get("known") or {})
     folder, settings = Path(cfg.folder), OmegaConf.to_yaml(cfg, resolve=True)
     swept = HydraConfig.get().mode == RunMode.MULTIRUN
     read = {"read": _digests(cfg)}
@@ -44,12 +46,14 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     names = ("task", "sensors", "world_model", "scenario")
     parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
     if source is not None:  # what cannot be is refused before the fit
-        for name in ("task", "world_model") if cfg.model is None else ("task",):  # a given model has its own library
-            parts[name](signature=source.signature)
+        parts["task"](signature=given.signature if given else source.signature)
+        if given is None:  # one that is given has its own library
+            parts["world_model"](signature=source.signature)
         targets = {name: ends for name, *ends in zip(cfg.plant.outputs, cfg.plant.low, cfg.plant.high, strict=False)}
         require_radians(source, targets)
-        say(in_words(source.signature, targets))
-    asked = any(word.startswith("env.dt=") for word in HydraConfig.get().overrides.task) or cfg.env.dt != PERIOD
+        told = [in_words(source.signature, targets), *told]
+    words = HydraConfig.get().overrides.task
+    asked = cfg.env.dt != PERIOD or any(word.lstrip("+").startswith("env.dt=") for word in words)
     dt = nearest_period(source, cfg.env.dt if asked else None)
     say(f"Run folder: {folder}", *told)
     if not asked and source is not None and dt < PERIOD - source.training.dt:

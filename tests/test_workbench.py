@@ -372,7 +372,7 @@ def test_errors_name_arguments_and_no_settings_of_scripts(tmp_path, exact):
     with pytest.raises(FileNotFoundError, match=r"correct path$"):
         dynasindy.read(tmp_path / "data.csv")
     (tmp_path / "data.csv").write_text("time,angle\n0,1\n1,2\n")
-    with pytest.raises(ValueError, match=r"data\.csv has .*: name the inputs, as in inputs=\[torque\], "):
+    with pytest.raises(ValueError, match=r"data\.csv has .*: say which is which, by time, inputs and states"):
         dynasindy.read(tmp_path / "data.csv")
     with pytest.raises(ValueError, match=r"^inputs names 'torque'; .*data\.csv has angle: name columns of the file"):
         dynasindy.read(tmp_path / "data.csv", inputs=["torque"])

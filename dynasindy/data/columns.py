@@ -157,7 +157,15 @@ def _is_sound(column: Column) -> bool:
 
 
 def require_names(names: list[str], path: str) -> None:
-    """Refuse names that could not be told from functions and numbers in an equation."""
+    """Refuse names that could not be told from functions and numbers in an equation.
+
+    Args:
+        names: Names of states or inputs.
+        path: File that they are of.
+
+    Raises:
+        ValueError: A name is not allowed, or there twice.
+    """
     for name in names:
         if not re.fullmatch(r"[^\W\d][\w .-]*", name) or names.count(name) > 1:
             raise ValueError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -164,10 +165,18 @@ def rates_lacking(model: SindyModel, source: Source) -> Lacking:
         angles = [n for n, unit in zip(signature.state_names, signature.state_units, strict=True) if unit == "rad"]
     return Lacking(
         *(
-            known | {name: f"{name}_rate" for name in names if name not in known}
+            known | {name: _name_of_rate(name, signature) for name in names if name not in known}
             for names in (missing, [*missing, *angles])
         )
     )
+
+
+def _name_of_rate(name: str, signature: Signature) -> str:
+    """Return a name that functions and words of the command line can hold, and that no state or input has."""
+    rate = re.sub(r"\W", "_", name) + "_rate"
+    while rate in (*signature.state_names, *signature.input_names):
+        rate += "_"
+    return rate
 
 
 def known_word(known: Mapping[str, str]) -> str:

@@ -31,7 +31,7 @@ from dynasindy.planning.terminal import TerminalValue
 from dynasindy.planning.trust import Bound
 from dynasindy.planning.variation import Variation
 from dynasindy.planning.window import Network, backward, imagine
-from dynasindy.systems import Diverged, System
+from dynasindy.systems import Diverged, Signature, System
 from dynasindy.tasks import Task, Tracking
 from dynasindy.told import tell
 
@@ -121,8 +121,7 @@ class GradientPlanning(Planner):
         self.given: dict[str, Any] = {name: value for name, value in given if value is not None}
         sizes = {"check_every": check_every, "more_lr": more_lr, "max_grad_norm": max_grad_norm, "width": width}
         _require_positive({**{k: v for k, v in self.given.items() if k not in ("updates", "held", "margin")}, **sizes})
-        if margin is not None and not 0 <= margin < 1:
-            raise ValueError(f"gradient planning got margin={margin}; give a share of at least 0 and below 1")
+        _require_share(margin)
         least = min(rollouts, updates or 0, more_updates, terminal_updates, real_starts, jumps)
         if least < 0 or real_starts + jumps > 1:
             raise ValueError(
@@ -130,11 +129,7 @@ class GradientPlanning(Planner):
                 f"terminal_updates={terminal_updates}, real_starts={real_starts}, jumps={jumps}; rollouts and updates "
                 "must be >= 0 and the shares at most 1 together: mend planning"
             )
-        signature, longest = env.system.signature, window or UNTOLD
-        check_memory(
-            8.0 * rollouts * longest * signature.n_x * (signature.n_x + signature.n_u + 4),
-            f"planning.rollouts={rollouts} of planning.window={longest} periods",
-        )
+        _require_memory(env.system.signature, rollouts, window or UNTOLD)
         self.agent, self.replay, self.network = agent, replay, _network(agent)
         self.more_updates, self.more_lr, self.searches = more_updates, more_lr, searches
         self.rollouts, self.max_grad_norm = rollouts, max_grad_norm
@@ -296,6 +291,16 @@ class GradientPlanning(Planner):
         """Let an agent that deploys a running average of its actor deploy the planned actor."""
         if self.agent.deployed is not self.agent.policy:
             self.agent.deployed.load_state_dict(self.agent.policy.state_dict())
+
+
+def _require_memory(signature: Signature, rollouts: int, window: int) -> None:
+    size = 8.0 * rollouts * window * signature.n_x * (signature.n_x + signature.n_u + 4)
+    check_memory(size, f"planning.rollouts={rollouts} of planning.window={window} periods")
+
+
+def _require_share(margin: float | None) -> None:
+    if margin is not None and not 0 <= margin < 1:
+        raise ValueError(f"gradient planning got margin={margin}; give a share of at least 0 and below 1")
 
 
 def _require_positive(sizes: dict[str, Any]) -> None:

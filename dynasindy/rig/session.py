@@ -37,7 +37,7 @@ class Knowledge:
 
     Attributes:
         library: Candidate functions of its equations.
-        known: Equations that are known, by state.
+        known: Equations that are known, by state; None where the logs have to tell which rates are missing.
         targets: Lower and upper end of the targets of each output [unit of the output].
         longest_delay: Longest delay of the inputs that is looked for [s]; None where the data are to tell.
         planning: Settings of `GradientPlanning`.
@@ -45,7 +45,7 @@ class Knowledge:
     """
 
     library: str | Sequence[str] | LibraryBuilder
-    known: Mapping[str, str]
+    known: Mapping[str, str] | None
     targets: Mapping[str, tuple[float, float]]
     longest_delay: float | None = None
     planning: Mapping[str, Any] = field(default_factory=dict)
@@ -57,7 +57,7 @@ class Knowledge:
         Raises:
             ValueError: A function, an equation or an output is not one of this plant.
         """
-        signature = with_rates(signature, self.known)
+        signature = with_rates(signature, self.known or {})
         workbench.tracking(SindyModel(signature, self.library, known=self.known), self.targets)
 
 

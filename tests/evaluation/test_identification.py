@@ -97,9 +97,7 @@ def test_a_log_whose_headings_say_nothing_is_read_by_its_maps_alone(tmp_path):
     (tmp_path / "log.csv").write_text("\n".join(["time,angle,torque", *rows]))
     read = Logged(str(tmp_path / "log.csv"), {"a": "angle"}, {"b": "torque"}).load(None, EXCITATION).signature
     assert (read.state_names, read.input_names) == (("a",), ("b",))
-    with pytest.raises(
-        ValueError, match=r"to be corrected: 'data\.inputs=\[torque\]' 'data\.states=\[angle\]'$"
-    ):
+    with pytest.raises(ValueError, match=r"to be corrected: 'data\.inputs=\[torque\]' 'data\.states=\[angle\]'$"):
         Logged(str(tmp_path / "log.csv"), {"a": "angle"}).load(None, EXCITATION)
 
 

@@ -95,7 +95,7 @@ class Equilibria:
         n_free = len(self.free)
         x = torch.zeros(*reference.shape[:-1], n_free + len(self.outputs), dtype=torch.float64)
         x = x.index_copy(-1, torch.tensor(self.outputs), reference.double())
-        x = x.index_copy(-1, torch.tensor(self.free), values[..., :n_free])
+        x = x.index_copy(-1, torch.tensor(self.free, dtype=torch.int64), values[..., :n_free])
         return x, values[..., n_free:]
 
     def _residual(self, unknowns: Tensor, reference: Tensor) -> Tensor:

@@ -14,6 +14,8 @@ from dynasindy.world_models.regression.regression import Rows, least_squares
 
 FIRST, FARTHEST = 10, 80
 """Samples within which a delay is looked for at first, at least, and at most, where nobody says how long it may be."""
+ENOUGH = 2
+"""Rows per function from which on a regression may tell a delay: of as many rows as functions nothing is left over."""
 EXACT = 1e-3
 """Part of the rates of change, unexplained, below which the inputs act at once: a delay of a sample leaves far more."""
 TELLING = 4.0
@@ -69,7 +71,7 @@ def reach(free: Tensor, rows: Callable[[int, int], Rows], least: int) -> tuple[i
 
     Where no delay explains the samples better by far, it is looked for within `least` samples; nowhere if that is 0,
     and also if it is 0 and the functions explain the samples as they are. Where the longest delay that was tried is
-    the best one, it is looked for twice as far.
+    the best one, it is looked for twice as far, as long as enough rows know their inputs.
 
     Args:
         free: functions that each equation may have, bool `(n_features, n_x)`.
@@ -79,16 +81,19 @@ def reach(free: Tensor, rows: Callable[[int, int], Rows], least: int) -> tuple[i
     """
     if not least and _exact(free, *rows(0, 0)):
         return 0, 0
-    farthest = max(FIRST, least)
-    while True:
+    enough = ENOUGH * int(free.sum(0).max())
+    if len(rows(0, least)[1]) < enough:
+        return 0, 0
+    farthest, found = max(FIRST, least), (least, 0)
+    while farthest <= FARTHEST and len(rows(0, farthest)[1]) >= enough:
         costs = [unexplained(free, *rows(k, farthest)) for k in range(farthest + 1)]
         best = min(range(farthest + 1), key=costs.__getitem__)
-        if best < farthest or farthest >= FARTHEST:
+        if costs[0] - costs[best] > 0.5 * len(rows(best, farthest)[1]) * math.log(TELLING):
+            found = farthest, best
+        if best < farthest:
             break
         farthest *= 2
-    count = len(rows(best, farthest)[1])
-    told = costs[0] - costs[best] > 0.5 * count * math.log(TELLING)
-    return (farthest, best) if told else (least, min(best, least))
+    return found
 
 
 def fine_delay(rough: float, dt: float, longest: float, worth: float, cost: Cost) -> float:
