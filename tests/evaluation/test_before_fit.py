@@ -102,6 +102,15 @@ def test_a_rate_that_is_missing_is_told_once_and_not_once_it_is_given(tmp_path, 
     assert rates_lacking(model, known).shown == {"a": "a_rate"}
 
 
+def test_a_missing_rate_is_named_so_that_words_can_hold_it_and_nothing_else_has_it(tmp_path, write_log):
+    data = record(Pendulum(), HeldRandom(1, 8.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
+    path = str(write_log(tmp_path / "log.csv", ["arm angle [rad]", "arm_angle_rate"], data.x[:, :1], data.u))
+    source = Logged(path, inputs=["arm_angle_rate"]).load(None, EXCITATION)
+    found, rates, _ = with_missing_rates(partial(SindyModel, library="auto"), source, None)
+    assert rates == {"arm angle": "arm_angle_rate_"} and found.signature.state_names == tuple(*rates.items())
+    assert SindyModel(found.signature, "auto", known=rates).signature == found.signature
+
+
 def test_few_rows_are_told_with_what_was_left_out(tmp_path):
     heading = "time,theta [rad],Omega [rad/s],u"
     words = told(log(tmp_path / "log.csv", heading, rows=61), ["theta", "Omega", "u", "sin(theta)"])[0]

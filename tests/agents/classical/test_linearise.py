@@ -6,7 +6,7 @@ import torch
 from scipy.signal import cont2discrete
 
 from dynasindy.agents.classical.linearise import Equilibria, jacobians, zero_order_hold
-from dynasindy.systems import Pendulum, Tras, Xi
+from dynasindy.systems import Pendulum, Signature, System, Tras, Xi
 
 OUTPUTS = ("alpha_a", "alpha_p")
 
@@ -28,6 +28,22 @@ def test_zero_order_hold_is_that_of_scipy(dt):
     wanted = np.hstack(cont2discrete((a.numpy(), b.numpy(), np.eye(6), np.zeros((6, 2))), dt)[:2])
     given = np.hstack([m.numpy() for m in zero_order_hold(a, b, dt)])
     np.testing.assert_allclose(given, wanted, rtol=1e-9, atol=1e-9)
+
+
+def test_a_plant_whose_only_state_is_held_rests_where_its_input_makes_up_for_its_loss():
+    """x' = -2 x + 3 u rests at x with u = 2 x / 3."""
+
+    class Box(System):
+        def __init__(self):
+            super().__init__(Signature(("x",), ("-",), ("u",), (1.0,)))
+
+        def forward(self, x, u):
+            return -2 * x + 3 * u
+
+    equilibria = Equilibria(Box(), ["x"])
+    reference = torch.tensor([[0.3]])
+    x, u = equilibria.state_and_input(reference, equilibria(reference))
+    assert float(x) == pytest.approx(0.3) and float(u) == pytest.approx(0.2)
 
 
 def test_an_integrator_with_two_inputs_is_held_exactly():
