@@ -64,6 +64,7 @@ def test_the_file_of_the_page_is_a_rig_that_only_a_connection_is_missing_of(tmp_
 def test_ctrl_c_says_that_the_rig_rests_and_where_its_logs_are(tmp_path):
     words = command(f"folder={tmp_path}/run", "guard.late=50")
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT) as flying:
+        assert "No state has a range" in flying.stdout.readline()
         assert "excitation" in flying.stdout.readline()
         while not list(tmp_path.rglob("excitation.csv")):
             pass
@@ -83,7 +84,8 @@ def test_a_rig_in_another_process_is_excited_identified_planned_for_flown_and_re
     done = subprocess.run(words, capture_output=True, text=True, env=ENVIRONMENT, timeout=1500, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     said = [line.split(":")[0] for line in done.stdout.splitlines() if not line.startswith(" ")]
-    assert said[:4] == ["excitation", "planning while the rig rests", "flight 1", "planning while the rig rests"]
+    assert said[0].startswith("No state has a range that ends a flight")
+    assert said[1:5] == ["excitation", "planning while the rig rests", "flight 1", "planning while the rig rests"]
     files = [tmp_path / "run" / f"{name}.csv" for name in ("excitation", "flight_1", "flight_2")]
     # The encoder measures the angle alone.
     assert {file.read_text().splitlines()[0] for file in files} == {"time [s],theta [rad],u [-]"}
