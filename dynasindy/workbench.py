@@ -28,7 +28,7 @@ from dynasindy.control import Controller
 from dynasindy.control.controller import Pace
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.arguments import as_arguments, as_warning
-from dynasindy.evaluation.before_fit import missing_rates, rates_lacking, with_missing_rates, wrong_units
+from dynasindy.evaluation.before_fit import missing_rates, with_missing_rates, wrong_units
 from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.horizons import forecast
@@ -148,7 +148,7 @@ def identify(
     source, rates, _ = with_missing_rates(build, log, known)
     source = source.with_rates(rates)
     model = build(signature=source.signature, known=rates)
-    for found in (*wrong_units(model, source), *missing_rates(model, source, rates_lacking(model, source))):
+    for found in (*wrong_units(model, source), *missing_rates(model, source)):
         warnings.warn(as_warning(found), stacklevel=3)  # past the context manager
     return fitted(model, source).model
 

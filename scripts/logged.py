@@ -21,6 +21,7 @@ from dynasindy.dyna.stopped import Stopped
 from dynasindy.evaluation.files import write_json, write_text
 from dynasindy.evaluation.given import read_record, understood
 from dynasindy.evaluation.held import WITHIN
+from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.targets import in_words, require_radians
 from dynasindy.planning import GradientPlanning
 from dynasindy.terminal import say
@@ -45,22 +46,15 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
         return before
     names = ("task", "sensors", "world_model", "scenario")
     parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
+    targets = {name: ends for name, *ends in zip(cfg.plant.outputs, cfg.plant.low, cfg.plant.high, strict=False)}
     if source is not None:  # what cannot be is refused before the fit
         parts["task"](signature=given.signature if given else source.signature)
         if given is None:  # one that is given has its own library
             parts["world_model"](signature=source.signature)
-        targets = {name: ends for name, *ends in zip(cfg.plant.outputs, cfg.plant.low, cfg.plant.high, strict=False)}
         require_radians(source, targets)
         told = [in_words(source.signature, targets), *told]
-    words = HydraConfig.get().overrides.task
-    asked = cfg.env.dt != PERIOD or any(word.lstrip("+").startswith("env.dt=") for word in words)
-    dt = nearest_period(source, cfg.env.dt if asked else None)
-    say(f"Run folder: {folder}", *told)
-    if not asked and source is not None and dt < PERIOD - source.training.dt:
-        say(f"note: the control period is {dt:g} s, ten samples of the log; env.dt chooses another one")
-    elif dt != cfg.env.dt:
-        sampled = f"the log is sampled every {source.training.dt:g} s" if source else ""
-        say(f"note: the control period is {dt:g} s and not env.dt={cfg.env.dt:g}, as {sampled}")
+    dt, why = _period(cfg, source)
+    say(f"Run folder: {folder}", *told, *why)
     with _stopped_in_words(f"the fit was not finished and nothing is kept in {folder}; the same command begins anew"):
         model = model_of(source, parts["world_model"], cfg.model)
     task = parts["task"](signature=model.signature)
@@ -83,6 +77,19 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
         words = HydraConfig.get().overrides.task
         print(following(folder, "check", "export") if prediction.controlled else mending(folder, words))
     return prediction.record()
+
+
+def _period(cfg: DictConfig, source: Source | None) -> tuple[float, list[str]]:
+    """Return the control period, and why it is not the one of the settings, in a line at most."""
+    words = HydraConfig.get().overrides.task
+    asked = cfg.env.dt != PERIOD or any(word.lstrip("+").startswith("env.dt=") for word in words)
+    dt = nearest_period(source, cfg.env.dt if asked else None)
+    if source is None or dt == cfg.env.dt:
+        return dt, []
+    if not asked and dt < PERIOD - source.training.dt:
+        return dt, [f"note: the control period is {dt:g} s, ten samples of the log; env.dt chooses another one"]
+    sampled = f"the log is sampled every {source.training.dt:g} s"
+    return dt, [f"note: the control period is {dt:g} s and not env.dt={cfg.env.dt:g}, as {sampled}"]
 
 
 @contextmanager

@@ -39,7 +39,9 @@ def main(cfg: DictConfig) -> None:
     targets = {name: (low, high) for name, low, high in ends}
     guard = guard.or_limits(plant.get("bounds") or {}, wiring)
     planning = dict(cfg.planner or {})
-    known = plant.get("known") or ({} if system.known else None)  # of an unknown plant the logs tell which rates lack
+    known = plant.get("known")
+    if known is None and system.known:  # of an unknown plant the logs tell which rates are missing
+        known = {}
     knowledge = Knowledge(plant["library"], known, targets, cfg.longest_delay, planning, ranged=system.known)
     wanted = targets_within(knowledge, cfg.targets)
     given = load(cfg.controller) if cfg.controller else None

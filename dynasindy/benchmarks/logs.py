@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 import dynasindy
 from dynasindy import Controller
@@ -111,7 +110,6 @@ def flown(case: Case, controller: Controller, seed: int) -> NDArray[np.float64]:
         seed: Seed of targets and of the sensors' noise.
     """
     plant, sensors, (least, most) = case.plant, Sensors(case.sensors), case.ends
-    middle, half = _scaled(controller, case)
     rng = torch.Generator().manual_seed(1000 + seed)
     low, high = torch.tensor(list(case.targets.values()), dtype=torch.float64).unbind(-1)
     outputs = [list(case.states).index(name) for name in case.targets]
@@ -131,20 +129,13 @@ def flown(case: Case, controller: Controller, seed: int) -> NDArray[np.float64]:
         y = sensors.read(x, plant.signature, rng)
         seen = [{name: float(row[list(case.states).index(name)]) for name in case.sensors} for row in y]
         acts = [pilot.act(*given) for pilot, given in zip(pilots, zip(seen, targets.tolist()), strict=True)]
-        u = (middle + half * torch.from_numpy(np.stack(acts))).clamp(least, most)
+        u = torch.from_numpy(controller.signature.in_own_units(np.stack(acts))).clamp(least, most)
         x = integrate(plant, x, u, controller.dt, substeps)[0][..., -1, :]
         away |= ~(x.abs() < FAR).all(-1, keepdim=True)
         x = torch.where(away, case.begins, x)  # what has run away is lost; where it goes on does not matter
         if k >= last:
             errors += (x[:, outputs] - targets).abs() / (periods - last)
     return torch.where(away, math.inf, errors / ranges).numpy()
-
-
-def _scaled(controller: Controller, case: Case) -> tuple[Tensor, Tensor]:
-    """Return what 0 of a controller is of each input in its own unit, and how far it is from there to 1."""
-    ends = controller.signature.input_ends or [(-1.0, 1.0)] * len(case.inputs)
-    low, high = torch.tensor(ends, dtype=torch.float64).unbind(-1)
-    return 0.5 * (low + high), 0.5 * (high - low)
 
 
 def rows_of(

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from dynasindy.data.columns import Column, chosen, columns_of, infer
 from dynasindy.data.csv import CsvLog, Recording
-from dynasindy.data.rates import unit_of_rate
+from dynasindy.data.rates import rates_without_state
 from dynasindy.data.simulated import before_leaving, disturb, record
 from dynasindy.data.table import all_headings, split_unit
 from dynasindy.data.units import with_units
@@ -205,11 +205,8 @@ class Logged:
     def _with_rates(self, states: Mapping[str, Any]) -> dict[str, Any]:
         """Add the rates that are known to belong to a state and have no column; the model tells them."""
         read = with_units(columns_of(states), all_headings(Path(str(self.path))), states=True, known=self.known)
-        found: dict[str, Any] = dict(read)
-        for name, rate in (self.known or {}).items():
-            if name in found and rate not in found and rate.isidentifier():
-                found[rate] = Column("", unit_of_rate(found[name].unit))
-        return found
+        units = {name: column.unit for name, column in read.items()}
+        return read | {rate: Column("", unit) for rate, unit in rates_without_state(units, self.known or {}).items()}
 
 
 @dataclass(frozen=True)

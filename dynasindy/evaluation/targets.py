@@ -79,10 +79,7 @@ def require_radians(source: Source, targets: Mapping[str, Sequence[float]]) -> N
         if name not in signature.state_names or signature.state_units[signature.state_index(name)] != "rad":
             continue
         seen = source.training.x[:, signature.state_index(name)]
-        reach, asked = (
-            float(seen[seen.isfinite()].abs().max()) if bool(seen.isfinite().any()) else 0.0,
-            max(map(abs, ends)),
-        )
+        reach, asked = float(seen.abs().nan_to_num(nan=0.0).max()), max(map(abs, ends))
         if 0 < FAR * reach < asked and asked * DEGREE < NEAR * reach:
             radians = [f"{end * DEGREE:.4g}" for end in ends]
             raise ValueError(

@@ -205,8 +205,8 @@ class Session:
         def _act(y: Array, t: float) -> Array:
             return controller.act(_seen(y), rows[min(round(t / self.wiring.dt), len(rows) - 1)])
 
-        numbers = [int(path.stem.rpartition("_")[2]) for path in self.logs("flight")]
-        name = f"flight_{max([len(self.flights), *(number + 1 for number in numbers)])}"
+        numbers = (path.stem.removeprefix("flight_") for path in self.logs("flight"))
+        name = f"flight_{max([len(self.flights), *(int(number) + 1 for number in numbers if number.isdigit())])}"
         flown = self._fly(name, _act, len(rows))
         fault = "" if flown.fault is None else f"{flown.fault.kind}: {flown.fault}"
         shown = Shown.of(self.folder / f"{name}.csv", controller.signature, controller.outputs, rows, fault)

@@ -21,10 +21,10 @@ from dynasindy.world_models import Oracle, SindyModel
 SIGNATURE = Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.5, 3.0))
 
 
-def built(observer=True, integral=None, delay=0.07, stops=None):
-    """Return a controller with numbers that are no defaults."""
-    task = Tracking(
-        SIGNATURE,
+def tracking(signature):
+    """Return a task with numbers that are no defaults."""
+    return Tracking(
+        signature,
         Step([[0.0]]),
         ("theta",),
         ("Omega",),
@@ -34,6 +34,11 @@ def built(observer=True, integral=None, delay=0.07, stops=None):
         low=[-0.5],
         high=[1.3],
     )
+
+
+def built(observer=True, integral=None, delay=0.07, stops=None):
+    """Return a controller with numbers that are no defaults."""
+    task = tracking(SIGNATURE)
     pace = Pace(task, 0.04, 3, stops or Stops((0,), (1,), (-0.6,), (0.6,)))
     with torch.random.fork_rng():
         torch.manual_seed(1)
@@ -92,17 +97,7 @@ def test_a_one_sided_actuator_rests_at_its_zero_and_an_earlier_file_at_the_middl
     free = acts_seeing_all(controller)
     assert free.min() < -1e-3 and free.max() > 1e-3
     free_task, inputs = controller.pace.task, torch.tensor(heated.input_limits).mT
-    task = Tracking(
-        heated,
-        Step([[0.0]]),
-        ("theta",),
-        ("Omega",),
-        TrackingReward((1.0,)),
-        observe_rate=True,
-        error_scale=0.7,
-        low=[-0.5],
-        high=[1.3],
-    )
+    task = tracking(heated)
     assert torch.equal(task.input_limits, inputs) and not free_task.limited
     controller.pace = replace(controller.pace, task=task)
     save(controller, tmp_path / "c.json")

@@ -6,10 +6,14 @@ import torch
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.envs import ControlEnv
+from dynasindy.planning import GradientPlanning
 from dynasindy.planning.pace import rests_of
 from dynasindy.systems import Signature, System
 from dynasindy.systems.xi import Xi
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
+
+SMALL = {"rollouts": 16, "window": 20, "check_every": 4}
+"""Settings of a planning that takes no time."""
 
 
 class Inverted(System):
@@ -33,6 +37,17 @@ def setting():
         task = Tracking(plant.signature, RandomStep([-0.3, -0.3], [0.3, 0.3]), max_steps=max_steps)
         env = ControlEnv(plant, task)
         return env, TD3(task.n_o, 2, hidden=(32, 32), **agent), DynaReplay(1000, 16)
+
+    return make
+
+
+@pytest.fixture
+def planned(setting):
+    """Make a planner of a small setting."""
+
+    def make(**settings):
+        env, agent, replay = setting()
+        return GradientPlanning(env, agent, replay, **(SMALL | {"updates": 1} | settings))
 
     return make
 

@@ -20,17 +20,6 @@ def flown(env, agent, steps=20):
     return env.rollout(steps, agent.policy)
 
 
-@pytest.fixture
-def planned(setting):
-    """Make a planner of a small setting."""
-
-    def make(**settings):
-        env, agent, replay = setting()
-        return GradientPlanning(env, agent, replay, **(SMALL | {"updates": 1} | settings))
-
-    return make
-
-
 def planner_of(env):
     agent = TD3(env.task.n_o, 1, hidden=(8, 8), seed=0)
     return GradientPlanning(env, agent, rollouts=16, window=10, updates=2, seed=3)

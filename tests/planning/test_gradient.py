@@ -232,17 +232,6 @@ def test_the_learning_rate_warms_up_over_ten_updates_and_falls_along_half_a_cosi
     assert _schedule(0, 1000) == pytest.approx(0.1) and _schedule(1000, 1000) == pytest.approx(0.01)
 
 
-@pytest.fixture
-def planned(setting):
-    """Make a planner of a small setting."""
-
-    def make(**settings):
-        env, agent, replay = setting()
-        return GradientPlanning(env, agent, replay, **(SMALL | {"updates": 1} | settings))
-
-    return make
-
-
 def test_each_phase_begins_with_its_own_learning_rate_and_steps_along_the_schedule(planned):
     planner, rates = planned(updates=3, more_updates=2, lr=0.5, more_lr=0.2), []
     planner._update = lambda episodes, optimizer: rates.append(optimizer.param_groups[0]["lr"]) or True
