@@ -17,6 +17,7 @@ from dynasindy.planning import Gate, Planner
 from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.systems import System
 from dynasindy.tasks import Task
+from dynasindy.together import here
 from dynasindy.world_models import WorldModel
 
 
@@ -67,7 +68,9 @@ class Recipe:
         model_env = plant.with_model(world_model, torch.float32, seed=seeds[1])
         agent = self.agent(n_obs=plant.task.n_o, n_u=signature.n_u, seed=seeds[2])
         sensing = self._sensing(plant, world_model, seeds[5])
-        replay = self.replay(seed=seeds[3]) if sensing is None else self.replay(seed=seeds[3], keys=MEASURED_KEYS)
+        company = here()
+        kept = {} if company is None else {"device": company.device}
+        replay = self.replay(seed=seeds[3], **kept, **({} if sensing is None else {"keys": MEASURED_KEYS}))
         _check_storages(replay, plant)
         excitation = self.excitation(n_u=signature.n_u, dt=plant.dt)
         if excitation.n_steps > plant.task.max_steps:
