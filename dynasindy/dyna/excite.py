@@ -33,7 +33,7 @@ from dynasindy.planning import ModelPrediction
 from dynasindy.planning.regulator import riccati
 from dynasindy.systems import steps_needed
 from dynasindy.tasks import Tracking
-from dynasindy.together import fly
+from dynasindy.together import EPISODE, fly
 from dynasindy.told import tell
 
 BEYOND = 10.0
@@ -184,10 +184,9 @@ def explore(parts: Parts) -> TensorDict:
     """Let the agent explore on the real system for an episode, `(T,)`."""
     steps = parts.model_env.task.max_steps
     if parts.sensing is None and parts.bounds is None:
-        rollout = fly(parts.plant, parts.explore, parts.plant.reset, steps, "real episode")
+        rollout = fly(parts.plant, parts.explore, parts.plant.reset, steps, EPISODE)
         if rollout is not None:
-            ModelPrediction(parts.model_env)._step(rollout, rollout["next"])
-            return rollout
+            return ModelPrediction(parts.model_env).beside(rollout)
     return interact(parts.env, parts.explore, steps, parts.bounds)
 
 

@@ -49,7 +49,7 @@ GATE_COLUMNS = (
 )
 
 
-WRITTEN_EVERY = 1.0
+WRITTEN_EVERY = 10.0
 """Time between two writings of the tables [s]; they are written whole, which after a thousand episodes takes a while."""
 
 

@@ -68,7 +68,7 @@ class Imagination(Transform):
             Imagined transitions with `LEARN_KEYS`, flat, at most `batch * horizon` of them.
         """
         starts = partial(self.env.start_from, states.reshape(-1, states.shape[-1]).cpu())
-        rollout = fly(self.env, self.policy, starts, self.horizon, "model", home=False)
+        rollout = fly(self.env, self.policy, starts, self.horizon, "imagined rollouts", home=False)
         if rollout is None:
             rollout = self.env.rollout(
                 self.horizon, self.policy, auto_reset=False, tensordict=starts(), break_when_any_done=False

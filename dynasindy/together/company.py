@@ -26,6 +26,11 @@ class Work(ABC):
     def kind(self) -> Hashable:
         """What has to be equal for the work of several runs to be done at once."""
 
+    @property
+    def waits(self) -> bool:
+        """Whether all runs begin this at the same time: it waits until no run needs anything else."""
+        return False
+
     @abstractmethod
     def done(self, all_of_it: Sequence[Any], company: Company) -> Sequence[Any]:
         """Do the work of several runs, and return what came of each: a result, or the exception that it ended in.
@@ -81,8 +86,10 @@ class Company:
             for member in members:
                 member.go_on()
             while waiting := [member for member in members if member.work is not None]:
-                self._serve(waiting)
-                for member in waiting:
+                # Runs that skip a phase, as those that do not trust their model, fall into step again.
+                ready = [member for member in waiting if not member.work.waits] or waiting  # type: ignore[union-attr]
+                self._serve(ready)
+                for member in ready:
                     member.go_on()
         except KeyboardInterrupt:
             for member in members:

@@ -30,8 +30,12 @@ from dynasindy.systems import System
 from dynasindy.systems.integrators import rk4
 from dynasindy.together.captured import captured
 from dynasindy.together.company import Company, Work, here
-from dynasindy.world_models import SindyModel
+from dynasindy.world_models import SindyModel, WorldModel
 
+EPISODE = "real episode"
+"""Name of the flights on the plant from which a run learns."""
+KINDS = 64
+"""Kinds of flights that torch compiles before it gives up."""
 Policy = Callable[[TensorDictBase], TensorDictBase]
 
 
@@ -64,6 +68,33 @@ def fly(
     return found.cpu() if home else found
 
 
+def replay(
+    env: ControlEnv, x: Tensor, params: Tensor, begun: Tensor, u: Tensor, what: str
+) -> tuple[Tensor, Tensor] | None:
+    """Move an environment by given actions, as part of the company that this run goes in.
+
+    Args:
+        env: The environment, around a model.
+        x: Where its rows begin, `(n, n_x)`.
+        params: What they track, `(n, *params_shape)`.
+        begun: Control periods since the start of the episode there, `(n,)`.
+        u: Actions, `(T, n, n_u)`.
+        what: What the replay is, in a word.
+
+    Returns:
+        States at the ends of the periods, `(T, n, n_x)`, and what each period earns, `(T, n)`, in the CPU's memory; None
+        if this run goes by itself, or models of this kind are not moved together.
+    """
+    company = here()
+    if company is None or type(env) is not ControlEnv or not _stacks(env.system):
+        return None
+    start = TensorDict({"state": x, "task_params": params, "step_count": begun.unsqueeze(-1)}, [len(x)])
+    start["observation"] = torch.zeros(len(x), env.task.n_o)  # nobody looks
+    found = company.ask(Flight(env, None, u, start, len(u), what))
+    following = found["next"].select("state", "reward").cpu()
+    return following["state"].transpose(0, 1), following["reward"].squeeze(-1).transpose(0, 1)
+
+
 def _acting(policy: Policy) -> tuple[MLP, Exploring | None] | None:
     """Return the perceptron of a policy and its noise; None if it is something else."""
     noise = policy if isinstance(policy, Exploring) else None
@@ -79,15 +110,15 @@ class Flight(Work):
 
     Attributes:
         env: The environment.
-        network: The policy.
-        noise: What is added to each action, `(T, n, n_u)`; None for nothing.
+        network: The policy; None for given actions.
+        noise: What is added to each action, `(T, n, n_u)`; None for nothing. Without a policy, the actions.
         start: What `env.start_from` returned, `(n,)`.
         steps: Control periods.
         what: What the flight is, in a word.
     """
 
     env: ControlEnv
-    network: MLP
+    network: MLP | None
     noise: Tensor | None
     start: TensorDictBase
     steps: int
@@ -97,9 +128,19 @@ class Flight(Work):
     def kind(self) -> Hashable:
         """Name, sizes and the functions of the model, if it is one whose coefficients may differ."""
         system = self.env.system
-        model = tuple(f.key for f in system.library.features) if _stacks(system) else id(system)  # type: ignore[attr-defined]
-        alike = model if _stacks(system) or "model" in self.what else None
-        return self.what, alike, self.steps, tuple(self.start.batch_size), self.noise is None, self.env.float_type
+        # A plant is that of every run; a model that is no stack of coefficients is of its run alone.
+        alike: Hashable = None
+        if _stacks(system):
+            alike = tuple(f.key for f in system.library.features)  # type: ignore[attr-defined]
+        elif isinstance(system, WorldModel):
+            alike = id(system)
+        acting = self.network is None, self.noise is None
+        return self.what, alike, self.steps, tuple(self.start.batch_size), acting, self.env.float_type
+
+    @property
+    def waits(self) -> bool:
+        """Whether it is a real episode, which all runs begin at the same time."""
+        return self.what == EPISODE
 
     def done(self, all_of_it: Sequence[Flight], company: Company) -> list[TensorDict]:
         """Fly, all runs at once; return the rollout of each, `(n, T)`."""
@@ -131,7 +172,7 @@ class Pilot:
         self.seen = torch.zeros(runs, n, task.n_o, device=device)
         self.layers = [
             Layer(*(None if part is None else torch.zeros(runs, *part.shape, device=device) for part in layer))  # type: ignore[arg-type]
-            for layer in like.network.layers()
+            for layer in (like.network.layers() if like.network is not None else [])
         ]
         shape = (like.steps, runs, n)
         self.noise = None if like.noise is None else torch.zeros(*shape, signature.n_u, device=device)
@@ -160,7 +201,7 @@ class Pilot:
         for key, room in (("state", self.x), ("task_params", self.params), ("step_count", self.count)):
             room[r].copy_(flight.start[key].reshape(room[r].shape))
         self.seen[r].copy_(flight.start["observation"].reshape(self.seen[r].shape))
-        for room, layer in zip(self.layers, flight.network.layers(), strict=True):
+        for room, layer in zip(self.layers, [] if flight.network is None else flight.network.layers(), strict=True):
             for mine, theirs in zip(room, layer, strict=True):
                 if mine is not None and theirs is not None:
                     mine[r].copy_(theirs.detach())
@@ -172,9 +213,11 @@ class Pilot:
     def _period(self) -> None:
         """Move all rows by one control period."""
         env = self.env
-        u = self.network.functional(self.layers, self.seen)
+        u = None if self.network is None else self.network.functional(self.layers, self.seen)
         if self.noise is not None:
-            u = (u + self.noise.index_select(0, self.place).squeeze(0)).clamp(-1.0, 1.0)
+            added = self.noise.index_select(0, self.place).squeeze(0)
+            u = added if u is None else (u + added).clamp(-1.0, 1.0)
+        assert u is not None
         samples, touched = self._advance(self.x, u.to(self.x.dtype))
         if math.isfinite(env.left_beyond):
             samples = env._left(self.x, samples)
@@ -271,7 +314,11 @@ def _advancing(
         x = rk4(system, x, u, step)
         return (x, torch.zeros_like(x[..., 0], dtype=torch.bool)) if stops is None else stops.apply(x)
 
-    moved = torch.compile(_substep, dynamic=False) if device.type == "cuda" else _substep
+    moved = _substep
+    if device.type == "cuda":
+        # Each kind of flight has a plant or a library of its own, in one function.
+        torch._dynamo.config.recompile_limit = max(KINDS, torch._dynamo.config.recompile_limit)
+        moved = torch.compile(_substep)
 
     def _advance(x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         samples, touches = [], []

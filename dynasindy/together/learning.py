@@ -108,6 +108,7 @@ class Learner:
         self.batches = {name: torch.zeros(CHUNK, runs, rows, width, device=device) for name, width in widths.items()}
         self.place = torch.zeros(1, dtype=torch.int64, device=device)
         self.losses = torch.zeros(2, CHUNK, runs, device=device)
+        self.given: list[tuple[TD3, int]] = []
         self.steps: dict[tuple[bool, bool], Callable[[], None]] = {}
 
     def learn(self, all_of_it: Sequence[Learning]) -> list[Exception | None]:
@@ -118,7 +119,9 @@ class Learner:
             if kind not in self.steps:
                 # What a step changes while it is captured is read from the agents afterwards.
                 self.steps[kind] = captured(lambda kind=kind: self._update(*kind), self.device)  # type: ignore[misc]
-        self._exchange(agents, give=False)
+        now = [(agent, agent.updates) for agent in agents]
+        if self.given != now:
+            self._exchange(agents, give=False)
         losses, remaining = [], iter(kinds)
         while chunk := list(islice(remaining, CHUNK)):
             tell("policy learning", sum(map(len, losses)), first.updates, "updates")
@@ -128,7 +131,9 @@ class Learner:
                 self.steps[kind]()
             losses.append(self.losses[:, : len(chunk)].clone().movedim(1, 0))
         self._exchange(agents, give=True)
-        return self._ends(agents, torch.cat(losses).cpu(), kinds)
+        ends = self._ends(agents, torch.cat(losses).cpu(), kinds)
+        self.given = [(agent, agent.updates) for agent in agents]
+        return ends
 
     def _kind(self, number: int) -> tuple[bool, bool]:
         """Return whether the actor and the targets move in an update, counted from 1."""
