@@ -50,7 +50,7 @@ GATE_COLUMNS = (
 
 
 WRITTEN_EVERY = 10.0
-"""Time between two writings of the tables [s]; they are written whole, which after a thousand episodes takes a while."""
+"""Time between two writings of the tables [s]; they are written whole, which takes a while after many episodes."""
 
 
 class Recorder(Callback):

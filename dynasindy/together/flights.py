@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
+from typing import TypedDict
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -82,8 +83,8 @@ def replay(
         what: What the replay is, in a word.
 
     Returns:
-        States at the ends of the periods, `(T, n, n_x)`, and what each period earns, `(T, n)`, in the CPU's memory; None
-        if this run goes by itself, or models of this kind are not moved together.
+        States at the ends of the periods, `(T, n, n_x)`, and what each period earns, `(T, n)`, in the CPU's memory;
+        None if this run goes by itself, or models of this kind are not moved together.
     """
     company = here()
     if company is None or type(env) is not ControlEnv or not _stacks(env.system):
@@ -98,10 +99,12 @@ def replay(
 def _acting(policy: Policy) -> tuple[MLP, Exploring | None] | None:
     """Return the perceptron of a policy and its noise; None if it is something else."""
     noise = policy if isinstance(policy, Exploring) else None
-    plain = noise.policy if noise is not None else policy
-    network = plain.module if type(plain) is TensorDictModule else None
-    known = isinstance(network, MLP) and plain.in_keys == ["observation"] and plain.out_keys == ["action"]
-    return (network, noise) if known and isinstance(network, MLP) else None
+    plain = policy if noise is None else noise.policy
+    if not isinstance(plain, TensorDictModule) or type(plain) is not TensorDictModule:
+        return None
+    if (plain.in_keys, plain.out_keys) != (["observation"], ["action"]):
+        return None
+    return (plain.module, noise) if isinstance(plain.module, MLP) else None
 
 
 @dataclass(eq=False)
@@ -130,8 +133,8 @@ class Flight(Work):
         system = self.env.system
         # A plant is that of every run; a model that is no stack of coefficients is of its run alone.
         alike: Hashable = None
-        if _stacks(system):
-            alike = tuple(f.key for f in system.library.features)  # type: ignore[attr-defined]
+        if isinstance(system, SindyModel) and _stacks(system):
+            alike = tuple(f.key for f in system.library.features)
         elif isinstance(system, WorldModel):
             alike = id(system)
         acting = self.network is None, self.noise is None
@@ -151,6 +154,11 @@ class Flight(Work):
         return pilot.fly(all_of_it)
 
 
+class _Kinds(TypedDict):
+    dtype: torch.dtype
+    device: torch.device
+
+
 class Pilot:
     """Room for flights of one kind.
 
@@ -164,8 +172,10 @@ class Pilot:
         self.env, self.steps, self.device, self.network = like.env, like.steps, device, like.network
         signature, task, dtype = like.env.system.signature, like.env.task, like.env.float_type
         self.rows = tuple(like.start.batch_size)
-        n, kinds = like.start.numel(), {"dtype": dtype, "device": device}
-        self.system = Coefficients(like.env.system, runs, dtype, device) if _stacks(like.env.system) else like.env.system
+        n, kinds = like.start.numel(), _Kinds(dtype=dtype, device=device)
+        self.system = (
+            Coefficients(like.env.system, runs, dtype, device) if _stacks(like.env.system) else like.env.system
+        )
         self.x = torch.zeros(runs, n, signature.n_x, **kinds)
         self.params = torch.zeros(runs, n, *task.params_shape, **kinds)
         self.count = torch.zeros(runs, n, 1, dtype=torch.int64, device=device)
@@ -201,8 +211,9 @@ class Pilot:
         for key, room in (("state", self.x), ("task_params", self.params), ("step_count", self.count)):
             room[r].copy_(flight.start[key].reshape(room[r].shape))
         self.seen[r].copy_(flight.start["observation"].reshape(self.seen[r].shape))
-        for room, layer in zip(self.layers, [] if flight.network is None else flight.network.layers(), strict=True):
-            for mine, theirs in zip(room, layer, strict=True):
+        layers = [] if flight.network is None else flight.network.layers()
+        for place, layer in zip(self.layers, layers, strict=True):
+            for mine, theirs in zip(place, layer, strict=True):
                 if mine is not None and theirs is not None:
                     mine[r].copy_(theirs.detach())
         if self.noise is not None and flight.noise is not None:
@@ -301,7 +312,7 @@ class Coefficients(System):
 
 def _stacks(system: System) -> bool:
     """Return whether models of several runs differ by their coefficients alone."""
-    return type(system) is SindyModel and not system.library.shapes
+    return isinstance(system, SindyModel) and type(system) is SindyModel and not system.library.shapes
 
 
 def _advancing(

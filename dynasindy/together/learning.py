@@ -1,8 +1,8 @@
 """Policy learning of several runs as one batch: the updates of TD3 with a leading dimension of runs.
 
-The arithmetic is that of `dynasindy.agents.TD3.update` (Fujimoto 2018, Algorithm 1), and so are the random numbers: each
-run draws its batches and its smoothing noise from its own generators in the order in which it would draw them alone.
-While a GPU is busy with some updates, the CPU draws those that follow.
+The arithmetic is that of `dynasindy.agents.TD3.update` (Fujimoto 2018, Algorithm 1), and so are the random numbers:
+each run draws its batches and its smoothing noise from its own generators in the order in which it would draw them
+alone. While a GPU is busy with some updates, the CPU draws those that follow.
 
 | name     | shape            | meaning                                          |
 | -------- | ---------------- | ------------------------------------------------ |
@@ -103,7 +103,10 @@ class Learner:
         self.target_actors = self._networks(like.loss.actor_layers, learns=False)
         self.target_critics = self._networks(like.loss.critic_layers, learns=False)
         self.averages = self._networks(like.loss.actor_layers, learns=False)
-        self.optimizers = [self._adam(self.critics, like.settings.critic_lr), self._adam(self.actors, like.settings.actor_lr)]
+        self.optimizers = [
+            self._adam(self.critics, like.settings.critic_lr),
+            self._adam(self.actors, like.settings.actor_lr),
+        ]
         widths = {"observation": n_obs, "action": n_u, "next": n_obs, "reward": 1, "ended": 1, "noise": n_u}
         self.batches = {name: torch.zeros(CHUNK, runs, rows, width, device=device) for name, width in widths.items()}
         self.place = torch.zeros(1, dtype=torch.int64, device=device)
@@ -122,9 +125,10 @@ class Learner:
         now = [(agent, agent.updates) for agent in agents]
         if self.given != now:
             self._exchange(agents, give=False)
-        losses, remaining = [], iter(kinds)
+        losses: list[Tensor] = []
+        remaining = iter(kinds)
         while chunk := list(islice(remaining, CHUNK)):
-            tell("policy learning", sum(map(len, losses)), first.updates, "updates")
+            tell("policy learning", sum(len(each) for each in losses), first.updates, "updates")
             self._draw(all_of_it, len(chunk))
             self.place.zero_()
             for kind in chunk:
@@ -188,7 +192,7 @@ class Learner:
         """Take a step of Adam down the losses of all runs, none of which depends on another run's weights."""
         self.losses[which].index_copy_(0, self.place, losses.detach().unsqueeze(0))
         weights = _flat(layers)
-        # Adam's one call for all tensors reads gradients in the order of the memory, and those of products are transposed.
+        # Adam, fused, reads gradients in the order of the memory, and those of products are transposed.
         gradients = [g.contiguous() for g in torch.autograd.grad(losses.sum(), weights)]
         if bound := self.settings.max_grad_norm:
             squares = [g.reshape(self.runs, -1).square().sum(-1) for g in gradients]
@@ -231,7 +235,9 @@ class Learner:
         def _room(tensor: Tensor | None, single: int) -> Tensor | None:
             if tensor is None:
                 return None
-            shape = (self.runs, *tensor.shape) if tensor.dim() == single else (self.runs * len(tensor), *tensor.shape[1:])
+            shape = (
+                (self.runs, *tensor.shape) if tensor.dim() == single else (self.runs * len(tensor), *tensor.shape[1:])
+            )
             return torch.zeros(shape, device=self.device, requires_grad=learns)
 
         return [Layer(*(_room(part, 2 - (k > 0)) for k, part in enumerate(layer))) for layer in layers]  # type: ignore[arg-type]
@@ -293,7 +299,9 @@ class Learner:
                 for name in ("exp_avg", "exp_avg_sq"):
                     yield mine[name][part], state[name].view_as(mine[name][part])
 
-    def _ends(self, agents: Sequence[TD3], losses: Tensor, kinds: Sequence[tuple[bool, bool]]) -> list[Exception | None]:
+    def _ends(
+        self, agents: Sequence[TD3], losses: Tensor, kinds: Sequence[tuple[bool, bool]]
+    ) -> list[Exception | None]:
         """Return what the learning of each run ended in.
 
         Args:

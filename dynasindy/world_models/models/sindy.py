@@ -195,7 +195,7 @@ class SindyModel(WorldModel):
 
     @property
     def additive(self) -> bool:
-        """Whether `update` equals a fit to all data: where nothing but the coefficients of given functions is fitted."""
+        """Whether `update` equals a fit to all data, as where nothing but coefficients of given functions is fitted."""
         return self.refinement is None and self.initial is None and not self.library.shapes
 
     def absorb(self, transitions: Transitions) -> None:
