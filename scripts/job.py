@@ -1,6 +1,7 @@
 """What the scripts that train share: one run of Algorithm 1 from a composed config."""
 
 import subprocess
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.folder import result
 from dynasindy.dyna.run import Evaluating, Provenance, Saving, run
 from dynasindy.evaluation.given import refuse_links
+from dynasindy.together import Company, here
 
 
 @dataclass(frozen=True)
@@ -58,10 +60,22 @@ def run_job(cfg: DictConfig, progress: bool = True) -> Done:
         print(f"Run folder: {cfg.folder}", flush=True)
     known = result(Path(cfg.folder), recipe.train.episodes) is not None
     saving = Saving(**cfg.checkpoint, again=called("train"))
-    metrics = run(recipe, evaluating, Path(cfg.folder), provenance, saving, progress, cfg.finish)
+    with _device(cfg.get("device", "cpu")):
+        metrics = run(recipe, evaluating, Path(cfg.folder), provenance, saving, progress, cfg.finish)
     usable = metrics["verdict"]["usable"] or not cfg.evaluation.must_improve
     controlled = metrics["verdict"].get("controlled") is not False or not cfg.evaluation.get("must_control", False)
     return Done(recipe, metrics, known, usable and controlled)
+
+
+def _device(name: str) -> AbstractContextManager[None]:
+    """Return the context of a run on a device: the company of the sweep, one of its own, or none on the CPU.
+
+    Raises:
+        ValueError: There is no such device here.
+    """
+    if here() is not None or name == "cpu":
+        return nullcontext()
+    return Company(name).alone()
 
 
 def _resumed(cfg: DictConfig) -> DictConfig:

@@ -19,7 +19,7 @@ from torch.optim import Adam
 
 from dynasindy.agents.loss import TD3Loss
 from dynasindy.agents.networks import Layer
-from dynasindy.agents.steps import Check, Steps
+from dynasindy.agents.steps import Check, Steps, kept_by
 from dynasindy.systems.compiler import load
 
 LINE = 64
@@ -215,17 +215,10 @@ def _network(layers: Sequence[Layer]) -> _Network:
 
 
 def _weights(optimizer: Adam, layers: Sequence[Layer], gradients: Sequence[Layer]) -> _Weights:
-    """Return what a step of Adam reads and writes; moments that Adam has not made yet are made as it would."""
+    """Return what a step of Adam reads and writes."""
     flat = [tensor for layer in layers for tensor in (layer.weight, layer.bias)]
     slopes = [tensor for layer in gradients for tensor in (layer.weight, layer.bias)]
-    owners = {parameter.data_ptr(): parameter for parameter in optimizer.param_groups[0]["params"]}
-    states = []
-    for tensor in flat:
-        state = optimizer.state[owners[tensor.data_ptr()]]
-        if not state:
-            state["step"] = torch.zeros((), dtype=torch.float32)
-            state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(tensor), torch.zeros_like(tensor)
-        states.append(state)
+    states = kept_by(optimizer, flat)
     moments = ([state[name] for state in states] for name in ("exp_avg", "exp_avg_sq", "step"))
     sizes = (ctypes.c_long * len(flat))(*(tensor.numel() for tensor in flat))
     return _Weights(len(flat), sizes, *map(_pointers, (flat, slopes, *moments)))

@@ -83,10 +83,13 @@ class MLP(nn.Module):
         return [Layer(*pair, *norm) for pair, norm in zip_longest(pairs, norms, fillvalue=())]
 
     def functional(self, layers: Sequence[Layer], *inputs: Tensor) -> Tensor:
-        """Evaluate with given tensors: `(*batch, n_out)`, or `(n_nets, batch, n_out)` for stacked ones."""
+        """Evaluate with given tensors: `(*batch, n_out)`, or `(n_nets, batch, n_out)` for stacked ones.
+
+        Stacked networks take one batch for all, `(batch, n_i)`, or one for each, `(n_nets, batch, n_i)`.
+        """
         x = torch.cat(inputs, -1) if len(inputs) > 1 else inputs[0]
         *hidden, last = layers
-        if last.weight.dim() == 3:
+        if last.weight.dim() == 3 and x.dim() == 2:
             x = x.expand(last.weight.shape[0], *x.shape)
         for layer in hidden:
             x = _linear(x, layer)

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, exploration_type
 
@@ -72,6 +72,21 @@ class DecayingGaussian(TensorDictModuleBase):
         """
         return TensorDictModule(self.perturb, in_keys=["action"], out_keys=["action"])
 
+    def ahead(self, steps: int, shape: torch.Size, decays: bool) -> Tensor:
+        """Draw what so many calls would add, `(steps, *shape)`.
+
+        Args:
+            steps: Control steps.
+            shape: Shape of the actions of a step, `(*batch, n_u)`.
+            decays: Whether sigma decays with each step.
+        """
+        drawn = torch.empty(steps, *shape)
+        for row in drawn:
+            torch.randn(shape, generator=self.generator, out=row)
+            row.mul_(self.sigma)
+            self.sigma = max(self.minimum, self.sigma * (1.0 - self.decay)) if decays else self.sigma
+        return drawn
+
     def get_extra_state(self) -> dict[str, object]:
         """Return what `state_dict` keeps: the present sigma and the generator."""
         return {"sigma": self.sigma, "generator": self.generator.get_state()}
@@ -82,3 +97,22 @@ class DecayingGaussian(TensorDictModuleBase):
         assert isinstance(state["generator"], Tensor)
         self.sigma = state["sigma"]
         self.generator.set_state(state["generator"])
+
+
+class Exploring(TensorDictSequential):
+    """A policy and the noise on its actions.
+
+    Attributes:
+        policy: `observation` to `action`, deterministic.
+        noise: What is added.
+        decays: Whether each call is a control step of the real plant, after which the noise decays.
+
+    Args:
+        policy: See above.
+        noise: See above.
+        decays: See above.
+    """
+
+    def __init__(self, policy: TensorDictModule, noise: DecayingGaussian, decays: bool) -> None:
+        super().__init__(policy, noise if decays else noise.frozen())
+        self.__dict__.update(policy=policy, noise=noise, decays=decays)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
+import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 from torch.optim import Adam
@@ -61,3 +62,21 @@ class Steps:
         if self.bound:
             nn.utils.clip_grad_norm_(optimizer.param_groups[0]["params"], self.bound)
         optimizer.step()
+
+
+def kept_by(optimizer: Adam, weights: Sequence[Tensor]) -> list[dict[str, Tensor]]:
+    """Return what Adam keeps of some weights; what it has not made yet is made as it would.
+
+    Args:
+        optimizer: The optimiser.
+        weights: Tensors that lie where its parameters do.
+    """
+    owners = {parameter.data_ptr(): parameter for parameter in optimizer.param_groups[0]["params"]}
+    states = []
+    for tensor in weights:
+        state = optimizer.state[owners[tensor.data_ptr()]]
+        if not state:
+            state["step"] = torch.zeros((), dtype=torch.float32)
+            state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(tensor), torch.zeros_like(tensor)
+        states.append(state)
+    return states

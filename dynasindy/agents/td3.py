@@ -23,14 +23,13 @@ from typing import Annotated, Any
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictSequential
 from torch import Tensor, nn
 from torch.optim import Adam
 
 from dynasindy.agents.loss import SoftUpdate, TD3Loss
 from dynasindy.agents.machine import best_steps
 from dynasindy.agents.networks import actor, critic
-from dynasindy.agents.noise import DecayingGaussian
+from dynasindy.agents.noise import DecayingGaussian, Exploring
 from dynasindy.agents.steps import Steps
 from dynasindy.limits import check_memory
 from dynasindy.systems import Diverged
@@ -118,6 +117,7 @@ class TD3:
         loss: the TorchRL loss module with all parameters and targets.
         settings: the hyperparameters.
         updates: number of updates so far.
+        widths: numbers of an observation and of an action.
 
     Args:
         n_obs: width of `observation`.
@@ -162,13 +162,13 @@ class TD3:
             generator=generator,
         )
         self.noise = DecayingGaussian(s.exploration_noise, s.noise_decay, s.noise_min, seed + 2, device)
-        self.explore = TensorDictSequential(self.policy, self.noise)
-        self.explore_imagined = TensorDictSequential(self.policy, self.noise.frozen())
+        self.explore = Exploring(self.policy, self.noise, decays=True)
+        self.explore_imagined = Exploring(self.policy, self.noise, decays=False)
         self.deployed = copy.deepcopy(self.policy).requires_grad_(False) if s.policy_average else self.policy
         self.target_updater = SoftUpdate(self.loss, tau=s.tau)
         self.actor_optimizer = self._optimizer(self.loss.actor_network_params, s.actor_lr)
         self.critic_optimizer = self._optimizer(self.loss.qvalue_network_params, s.critic_lr)
-        self._widths, self._device = (n_obs, n_u), device
+        self.widths, self._device = (n_obs, n_u), device
         self.updates = 0
         self.actor_loss = torch.zeros((), device=device)
         self._made: Steps | None = None
@@ -224,7 +224,7 @@ class TD3:
         """
         for name, weight in (*self.loss.state_dict().items(), *self.deployed.state_dict().items()):
             if not bool(weight.isfinite().all()):
-                raise self._diverged(f"weights of {name} are not finite")
+                raise self.diverged(f"weights of {name} are not finite")
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that a resumed run needs to equal an uninterrupted one."""
@@ -260,16 +260,21 @@ class TD3:
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "TD3":
         """Return an agent that learns apart: what TorchRL's parameters are copied to is not what they are read from."""
-        copied = TD3(*self._widths, device=self._device, **asdict(self.settings))
+        copied = TD3(*self.widths, device=self._device, **asdict(self.settings))
         copied.load_state_dict(copy.deepcopy(self.state_dict()))
         return copied
 
     def _require_finite(self, loss: Tensor, what: str) -> None:
         # A loss that is not finite stays so: weights that it has moved are NaN, and so is what they give.
         if (loss.is_cpu or self.updates % CHECK_EVERY == 0) and not math.isfinite(loss.item()):
-            raise self._diverged(f"{what} is {loss.item()}")
+            raise self.diverged(f"{what} is {loss.item()}")
 
-    def _diverged(self, what: str) -> Diverged:
+    def diverged(self, what: str) -> Diverged:
+        """Return the error that learning ended in, with what can be done about it.
+
+        Args:
+            what: What went wrong, in words.
+        """
         s = self.settings
         return Diverged(
             f"policy learning: {what} at update {self.updates} (critic_lr={s.critic_lr}, actor_lr={s.actor_lr}, "

@@ -148,7 +148,8 @@ class DynaReplay:
         self.batch_size, self.real_ratio = batch_size, real_ratio
         self.capacities = capacity, model_capacity
         self.device = torch.device(device)
-        self.generator = torch.Generator(device).manual_seed(seed)
+        # In the CPU's memory, so that a seed draws the same rows on every device.
+        self.generator = torch.Generator().manual_seed(seed)
         self.real = self._buffer("real", capacity, keys)
         self.model = self._buffer("model", model_capacity, LEARN_KEYS)
         self._views: dict[str, tuple[int, list[Tensor]]] = {}
@@ -231,10 +232,8 @@ class DynaReplay:
         if not len(self.real) and not len(self.model):
             raise RuntimeError("Replay is empty; collect real transitions before sampling.")
         drawn = [
-            [column.index_select(0, index) for column in self._columns(buffer)]
-            for buffer, k in zip((self.real, self.model), self.counts())
-            if k
-            for index in (torch.randint(len(buffer), (k,), generator=self.generator, device=self.device),)
+            [column.index_select(0, index.to(self.device)) for column in self.columns(buffer)]
+            for buffer, index in self.draw()
         ]
         columns = [torch.cat(pair) for pair in zip(*drawn)] if len(drawn) == 2 else drawn[0]
         observation, action, next_observation, reward, done, terminated, truncated = columns
@@ -242,6 +241,22 @@ class DynaReplay:
         following |= {"done": done, "terminated": terminated, "truncated": truncated}
         size = [self.batch_size]
         return TensorDict({"observation": observation, "action": action, "next": TensorDict(following, size)}, size)
+
+    def draw(self) -> list[tuple[TensorDictReplayBuffer, Tensor]]:
+        """Draw which rows a batch holds: a storage and rows of it, `(k,)`, in the CPU's memory; the real ones first."""
+        counts = zip((self.real, self.model), self.counts(), strict=True)
+        return [(buffer, torch.randint(len(buffer), (k,), generator=self.generator)) for buffer, k in counts if k]
+
+    def columns(self, buffer: TensorDictReplayBuffer) -> list[Tensor]:
+        """Return views of the columns of a storage to learn from, in the order of `LEARN_KEYS`."""
+        writer = buffer.writer
+        assert isinstance(writer, CheckedWriter)
+        version, columns = self._views.get(writer.name, (None, []))
+        if version != writer.version:  # they are taken anew after each write
+            rows = buffer.storage.get(slice(0, len(buffer)))
+            columns = [rows.get(key) for key in LEARN_KEYS]
+            self._views[writer.name] = writer.version, columns
+        return columns
 
     def state_dict(self) -> dict[str, Any]:
         """Return the written rows of both storages, and the sampling's generator."""
@@ -283,25 +298,16 @@ class DynaReplay:
                 "and replay.model_capacity."
             )
 
-    def _columns(self, buffer: TensorDictReplayBuffer) -> list[Tensor]:
-        """Return views of the columns to learn from, taken anew after each write."""
-        writer = buffer.writer
-        assert isinstance(writer, CheckedWriter)
-        version, columns = self._views.get(writer.name, (None, []))
-        if version != writer.version:
-            rows = buffer.storage.get(slice(0, len(buffer)))
-            columns = [rows.get(key) for key in LEARN_KEYS]
-            self._views[writer.name] = writer.version, columns
-        return columns
-
 
 def _in_order(buffer: TensorDictReplayBuffer) -> TensorDict:
     """Return a copy of the rows of a ring, the oldest first."""
     writer = buffer.writer
     assert isinstance(writer, CheckedWriter)
-    rows = torch.arange(len(buffer)).roll(-writer._cursor if len(buffer) == writer._storage.max_size else 0)
-    ordered: TensorDict = buffer.storage.get(rows).clone()
-    return ordered
+    rows: TensorDict = buffer.storage.get(slice(0, len(buffer)))
+    if len(buffer) < writer._storage.max_size or not writer._cursor:
+        return rows.clone()
+    begun: TensorDict = torch.cat([rows[writer._cursor :], rows[: writer._cursor]])
+    return begun
 
 
 def _bytes(rows: TensorDictBase) -> int:

@@ -29,9 +29,11 @@ from dynasindy.dyna.nearby import Nearby, nearby
 from dynasindy.dyna.parts import Parts
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
+from dynasindy.planning import ModelPrediction
 from dynasindy.planning.regulator import riccati
 from dynasindy.systems import steps_needed
 from dynasindy.tasks import Tracking
+from dynasindy.together import EPISODE, fly
 from dynasindy.told import tell
 
 BEYOND = 10.0
@@ -176,6 +178,16 @@ def interact(
                 break
             now = env.step_mdp(rows[-1])
         return torch.stack(rows).contiguous()
+
+
+def explore(parts: Parts) -> TensorDict:
+    """Let the agent explore on the real system for an episode, `(T,)`."""
+    steps = parts.model_env.task.max_steps
+    if parts.sensing is None and parts.bounds is None:
+        rollout = fly(parts.plant, parts.explore, parts.plant.reset, steps, EPISODE)
+        if rollout is not None:
+            return ModelPrediction(parts.model_env).beside(rollout)
+    return interact(parts.env, parts.explore, steps, parts.bounds)
 
 
 class Loop:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 
@@ -17,6 +18,7 @@ from dynasindy.planning import Gate, Planner
 from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.systems import System
 from dynasindy.tasks import Task
+from dynasindy.together import here
 from dynasindy.world_models import WorldModel
 
 
@@ -67,7 +69,7 @@ class Recipe:
         model_env = plant.with_model(world_model, torch.float32, seed=seeds[1])
         agent = self.agent(n_obs=plant.task.n_o, n_u=signature.n_u, seed=seeds[2])
         sensing = self._sensing(plant, world_model, seeds[5])
-        replay = self.replay(seed=seeds[3]) if sensing is None else self.replay(seed=seeds[3], keys=MEASURED_KEYS)
+        replay = self.replay(seed=seeds[3], **self._storing(sensing))
         _check_storages(replay, plant)
         excitation = self.excitation(n_u=signature.n_u, dt=plant.dt)
         if excitation.n_steps > plant.task.max_steps:
@@ -87,6 +89,13 @@ class Recipe:
             gate=self.gate,
             sensing=sensing,
         )
+
+    def _storing(self, sensing: Sensing | None) -> dict[str, Any]:
+        """Return which rows the storages keep of a plant behind sensors, and where they lie."""
+        if sensing is not None:
+            return {"keys": MEASURED_KEYS}
+        company, planner = here(), getattr(self.planning, "func", self.planning)
+        return {"device": company.device} if company is not None and getattr(planner, "on_device", False) else {}
 
     def _sensing(self, plant: ControlEnv, world_model: WorldModel, seed: int) -> Sensing | None:
         if self.sensors is None:

@@ -15,11 +15,12 @@ from __future__ import annotations
 from tensordict.nn import TensorDictModuleBase
 
 from dynasindy.dyna.callback import Callback, Episode, Place
-from dynasindy.dyna.excite import excite, interact
+from dynasindy.dyna.excite import excite, explore
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.dyna.refit import first_fit, refit
 from dynasindy.planning import replay_error
-from dynasindy.told import counted, tell
+from dynasindy.together import learn
+from dynasindy.told import tell
 
 
 def train(parts: Parts, settings: Settings, callback: Callback, place: Place | None = None) -> TensorDictModuleBase:
@@ -53,15 +54,13 @@ def train(parts: Parts, settings: Settings, callback: Callback, place: Place | N
     for number in range(place.episodes + 1, settings.episodes + 1):
         # Real interaction.
         tell("real episode")
-        rollout = interact(parts.env, parts.explore, parts.model_env.task.max_steps, parts.bounds)
+        rollout = explore(parts)
         replay.extend_real(rollout)
         cost.real_steps += rollout.numel()
         # Policy learning.
         updates = round(settings.updates_per_step * rollout.numel()) if planner.learns_by_td3 else 0
-        for _ in counted("policy learning", range(updates), updates, "updates"):
-            agent.update(replay.sample())
-            cost.updates += 1
-        agent.check()
+        learn(agent, replay, updates)
+        cost.updates += updates
         # Planning: after every N episodes, on the updated model if it is trusted.
         error, refitted = replay_error(parts.model_env, rollout), None
         if planner.due(number):

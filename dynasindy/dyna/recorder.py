@@ -49,6 +49,10 @@ GATE_COLUMNS = (
 )
 
 
+WRITTEN_EVERY = 10.0
+"""Time between two writings of the tables [s]; they are written whole, which takes a while after many episodes."""
+
+
 class Recorder(Callback):
     """Write the run folder and evaluate the policy now and then.
 
@@ -87,6 +91,7 @@ class Recorder(Callback):
         self.rows: list[dict[str, float | None]] = []
         self.decisions: list[list[float | None]] = []
         self.start, self.seconds_before = time.perf_counter(), 0.0
+        self.written = -WRITTEN_EVERY
         self.cost, self.evaluation_steps = Cost(), 0
         self.restarts = ""
         self.untrained: Summary = {}
@@ -142,7 +147,8 @@ class Recorder(Callback):
         row |= {f"evaluated_{key}": value if due else None for key, value in _headline(self.latest).items()}
         self._log(row)
         self._log_decision(episode)
-        self._write_tables()
+        if due or time.perf_counter() - self.written > WRITTEN_EVERY:
+            self._write_tables()
         if episode.number in (1, self.episodes):
             when = "first" if episode.number == 1 else "last"
             self._write_prediction(f"prediction_{when}_episode", episode)
@@ -271,6 +277,7 @@ class Recorder(Callback):
         self.decisions.append([*before, *judged, *decided, *tested, stored])
 
     def _write_tables(self) -> None:
+        self.written = time.perf_counter()
         if self.rows:
             write_csv(self.folder / "progress.csv", list(self.rows[0]), [list(row.values()) for row in self.rows])
             write_csv(self.folder / "gate.csv", GATE_COLUMNS, self.decisions)

@@ -13,7 +13,9 @@ from dynasindy.data.recording import measured, transitions
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.planning import ModelError, replay_error
 from dynasindy.systems import Diverged
+from dynasindy.tasks import Task
 from dynasindy.told import tell
+from dynasindy.world_models import WorldModel
 
 WINDOW = 20
 """Control periods of a held-out window: an imagined rollout."""
@@ -54,7 +56,7 @@ def fit(parts: Parts, settings: Settings, held_out: Tensor | None = None) -> obj
         Diverged: What the model has learnt is not finite.
     """
     tell("fit")
-    rows = parts.replay.real_in_order()
+    rows = parts.replay.real_in_order().cpu()
     if settings.recent_steps is not None:
         rows = rows[-settings.recent_steps :]
     if held_out is not None:
@@ -62,15 +64,40 @@ def fit(parts: Parts, settings: Settings, held_out: Tensor | None = None) -> obj
         used[-len(held_out) :] &= ~held_out[-len(rows) :]
         rows = rows[used]
     report = parts.world_model.fit(transitions(rows, parts.model_env.log_dt))
-    for name, learnt in parts.world_model.state_dict().items():
-        if isinstance(learnt, Tensor) and not bool(learnt.isfinite().all()):
-            raise Diverged(
-                f"model learning: the fit to {len(rows)} real steps left {name} that are not finite in "
-                f"{type(parts.world_model).__name__}; choose a smaller library, or check what the plant logged"
-            )
+    _require_finite(parts.world_model, len(rows))
     following = rows["next"]
     parts.plant.task.learn(rows["state"], rows["action"], following["state"], following["reward"].squeeze(-1))
     return report
+
+
+def _added(parts: Parts, rows: TensorDictBase) -> object:
+    """Fit the world model to its earlier data and to new real steps, `(T,)`, and return its report.
+
+    Raises:
+        Diverged: What the model has learnt is not finite.
+    """
+    tell("fit")
+    data = transitions(rows, parts.model_env.log_dt)
+    report = parts.world_model.update(data) if len(data) else None  # all of them may have touched a stop
+    _require_finite(parts.world_model, len(rows))
+    return report
+
+
+def _adds(parts: Parts, settings: Settings) -> bool:
+    """Return whether the fit to all real data may be had at the cost of the newest ones."""
+    task, real = parts.plant.task, parts.replay.real
+    learns = task.own or type(task).learn is not Task.learn  # a reward is told by all data
+    kept = len(real) < real.storage.max_size  # a full ring has lost its oldest data, as a fit to it has
+    return parts.world_model.additive and settings.recent_steps is None and not learns and kept
+
+
+def _require_finite(model: WorldModel, count: int) -> None:
+    for name, learnt in model.state_dict().items():
+        if isinstance(learnt, Tensor) and not bool(learnt.isfinite().all()):
+            raise Diverged(
+                f"model learning: the fit to {count} real steps left {name} that are not finite in "
+                f"{type(model).__name__}; choose a smaller library, or check what the plant logged"
+            )
 
 
 def first_fit(parts: Parts, settings: Settings, excited: TensorDictBase | None = None) -> object:
@@ -115,11 +142,11 @@ def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
         return Refit(first_fit(parts, settings), torch.nan, torch.nan, True, unseen)
     held_out = torch.zeros(rollout.numel(), dtype=torch.bool)
     held_out[(starts.unsqueeze(-1) + torch.arange(length)).flatten()] = True
-    earlier = copy.deepcopy(parts.world_model.state_dict())
+    adds, earlier = _adds(parts, settings), copy.deepcopy(parts.world_model.state_dict())
     before = replay_error(parts.model_env, rollout, starts, length)
     report: object
     try:
-        report = fit(parts, settings, held_out)
+        report = _added(parts, rollout[~held_out]) if adds else fit(parts, settings, held_out)
         after = replay_error(parts.model_env, rollout, starts, length)
         kept = after.state_error <= max(WORSE * before.state_error, NEGLIGIBLE)
     except Diverged as lost:  # the worst of refits, and taken back like any other
@@ -128,6 +155,8 @@ def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
         parts.world_model.load_state_dict(earlier)
         if parts.plant.task.own:  # a reward is told by all data, whatever became of the model: the gate judges both
             before = replay_error(parts.model_env, rollout, starts, length)
+    if adds:  # the next refit reads what this one was tested by, and what one that was taken back was made of
+        parts.world_model.absorb(transitions(rollout[held_out] if kept else rollout, parts.model_env.log_dt))
     _observe(parts)
     return Refit(report, before.state_error, after.state_error, kept, after if kept else before)
 

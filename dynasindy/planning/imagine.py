@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -13,6 +14,7 @@ from torchrl.envs import Transform
 from dynasindy.data.replay import LEARN_KEYS
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.bounds import Mask
+from dynasindy.together import fly
 
 
 class Imagination(Transform):
@@ -65,10 +67,12 @@ class Imagination(Transform):
         Returns:
             Imagined transitions with `LEARN_KEYS`, flat, at most `batch * horizon` of them.
         """
-        starts = self.env.start_from(states.reshape(-1, states.shape[-1]))
-        rollout = self.env.rollout(
-            self.horizon, self.policy, auto_reset=False, tensordict=starts, break_when_any_done=False
-        )
+        starts = partial(self.env.start_from, states.reshape(-1, states.shape[-1]).cpu())
+        rollout = fly(self.env, self.policy, starts, self.horizon, "imagined rollouts", home=False)
+        if rollout is None:
+            rollout = self.env.rollout(
+                self.horizon, self.policy, auto_reset=False, tensordict=starts(), break_when_any_done=False
+            )
         finite = _finite(rollout)
         self.diverged = len(finite) - int(finite[:, 0].sum())
         kept, last = _kept(finite, rollout, self.masks)

@@ -26,6 +26,8 @@ class NoPlanning(Planner):
         **parts: What other planners are built from; not used.
     """
 
+    on_device = True
+
     def __init__(self, **parts: object) -> None:
         super().__init__()
 
@@ -60,6 +62,8 @@ class ImaginedReplay(Planner):
     Raises:
         ValueError: A number is out of range.
     """
+
+    on_device = True
 
     # Departure: the paper adds imagined transitions to one buffer for good; here those of the newest `generations`
     # of the model are kept, since the models that made the others are gone.

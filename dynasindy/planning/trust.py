@@ -11,6 +11,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from dynasindy.envs import ControlEnv
+from dynasindy.together import replay
 
 Bound = Annotated[float, math.inf]
 """A limit, infinite where there is none."""
@@ -51,19 +52,27 @@ def replay_error(
     params = episode["task_params"][starts].to(x)
     u, x_real, reward_real = (episode[key].to(x) for key in ("action", ("next", "state"), ("next", "reward")))
     scale = torch.tensor(model_env.system.signature.x_scale, dtype=x.dtype)
-    states, squares, differences = [], [], []
-    for k in range(len(episode) if length is None else length):
-        samples, touched = model_env.advance(x, u[starts + k])
-        following = samples[..., -1, :]
-        t_next = (starts + k + 1).unsqueeze(-1) * model_env.dt
-        reward = model_env.task.earned(x, u[starts + k], following, params, t_next.to(x), touched)
-        differences.append((reward - reward_real[starts + k].squeeze(-1)).abs() / model_env.task.unit)
-        squares.append(((following - x_real[starts + k]) / scale).square().mean(-1))
-        states.append(following)
-        x = following
-    errors = torch.stack([torch.stack(differences).mean(), torch.stack(squares).mean().sqrt()])
+    places = torch.arange(len(episode) if length is None else length).unsqueeze(-1) + starts
+    following, reward = replay(model_env, x, params, starts, u[places], "replay") or _replayed(
+        model_env, x, params, starts, u[places]
+    )
+    differences = (reward - reward_real[places].squeeze(-1)).abs() / model_env.task.unit
+    squares = ((following - x_real[places]) / scale).square().mean(-1)
+    errors = torch.stack([differences.mean(), squares.mean().sqrt()])
     reward_error, state_error = errors.nan_to_num(nan=torch.inf, posinf=torch.inf).tolist()
-    return ModelError(reward_error, state_error, torch.stack(states, 1).flatten(0, 1))
+    return ModelError(reward_error, state_error, following.transpose(0, 1).flatten(0, 1))
+
+
+def _replayed(model_env: ControlEnv, x: Tensor, params: Tensor, starts: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+    """Return what `together.replay` does, of this run alone."""
+    states, stopped = [x], []
+    for action in u:
+        samples, touched = model_env.advance(states[-1], action)
+        states.append(samples[..., -1, :])
+        stopped.append(touched)
+    before, following = torch.stack(states[:-1]), torch.stack(states[1:])
+    t_next = (starts + torch.arange(1, len(u) + 1).unsqueeze(-1)).unsqueeze(-1) * model_env.dt
+    return following, model_env.task.earned(before, u, following, params, t_next.to(x), torch.stack(stopped))
 
 
 class Gate:

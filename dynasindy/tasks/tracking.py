@@ -103,7 +103,7 @@ class Tracking(Task):
         self.error_scale = error_scale
         self.n_r = reference.n_r
         self.n_o = signature.n_x + (2 if observe_rate else 1) * self.n_r
-        self._box = _boxes(signature, self.outputs, low, high)
+        self._extents = tuple(_boxes(signature, self.outputs, low, high).tolist())
         self.ends = None if low is None or high is None else (tuple(map(float, low)), tuple(map(float, high)))
         self.start = ranges.starts(signature, start or {}, "task.start")
         self.bounds = ranges.limits(signature, bounds or {}, "task.bounds")
@@ -160,7 +160,7 @@ class Tracking(Task):
                 "give one positive number for each"
             )
         other = copy.copy(self)
-        other._box = torch.tensor([float(extent) for extent in extents], dtype=torch.float64)
+        other._extents = tuple(float(extent) for extent in extents)
         return other
 
     def following(self, followers: Mapping[int, int]) -> Tracking:
@@ -233,7 +233,7 @@ class Tracking(Task):
 
     def boxes(self) -> Tensor:
         """Return the extent of the target range, `(n_r,)`: the largest among the outputs of the same unit."""
-        return self._box
+        return torch.tensor(self._extents, dtype=torch.float64)
 
     def sample(self, batch: torch.Size, generator: torch.Generator) -> Tensor:
         """Draw reference parameters of new episodes, `(*batch, n_r, 5)`."""
@@ -294,7 +294,7 @@ class Tracking(Task):
         return self.fence * ERROR_SHAPES["linear"](outside, FENCE_WIDTH).sum(-1)
 
     def _unit(self, like: Tensor, share: float) -> Tensor:
-        return (share * self._box).to(like)
+        return constants(tuple(share * extent for extent in self._extents), like.dtype, like.device)
 
 
 def _beyond(values: Tensor, ends: Tensor) -> Tensor:

@@ -206,12 +206,12 @@ def test_the_newest_real_rows_are_replaced_in_the_order_of_time_also_across_the_
     for number in range(written):
         replay.extend_real(rows(1, number))
     before = replay.real_in_order()["next", "reward"].flatten().tolist()
-    columns = replay._columns(replay.real)
+    columns = replay.columns(replay.real)
     stored = replay.real_in_order()[-3:]
     stored["next", "reward"] = torch.tensor([[100.0], [200.0], [300.0]])
     replay.rewrite_newest(stored)
     assert replay.real_in_order()["next", "reward"].flatten().tolist() == [*before[:-3], 100, 200, 300]
-    assert replay._columns(replay.real) is not columns  # batches are drawn from the new rows
+    assert replay.columns(replay.real) is not columns  # batches are drawn from the new rows
     replay.extend_real(rows(1, 50.0))
     expected = [*before[:-3], 100, 200, 300, 50][-5:]
     assert replay.real_in_order()["next", "reward"].flatten().tolist() == expected
@@ -371,10 +371,10 @@ def test_each_size_and_share_is_checked(wrong):
 
 def test_columns_are_taken_anew_after_a_write_and_only_then():
     replay = filled()
-    before = replay._columns(replay.real)
-    assert replay._columns(replay.real) is before
+    before = replay.columns(replay.real)
+    assert replay.columns(replay.real) is before
     replay.extend_real(rows(1, keys=REAL_KEYS))
-    after = replay._columns(replay.real)
+    after = replay.columns(replay.real)
     assert after is not before and [len(column) for column in after] == [201] * len(LEARN_KEYS)
 
 

@@ -193,6 +193,24 @@ class SindyModel(WorldModel):
         """
         return self._identify(transitions, self.sums, self.delay)
 
+    @property
+    def additive(self) -> bool:
+        """Whether `update` equals a fit to all data, as where nothing but coefficients of given functions is fitted."""
+        return self.refinement is None and self.initial is None and not self.library.shapes
+
+    def absorb(self, transitions: Transitions) -> None:
+        """Add transitions to the sums that the next `update` solves; the equations stay as they are.
+
+        Raises:
+            ValueError: a sample is not finite, or has other numbers of states or inputs.
+        """
+        if not len(transitions):
+            return
+        data, rates = transitions.to(torch.float64), rates_known(self.library, self.constraints)
+        self._check(data)
+        guess = at_rest(reconstruct(data, rates), self.followers)
+        self.sums.add(self._rows(Recording.of(data, guess, rates, self.delay), self.delay))
+
     def _identify(self, transitions: Transitions, sums: RunningSums, delay: float) -> FitReport:
         """Fit to the sums of earlier data and to new transitions, whose inputs act `delay` seconds later."""
         start = time.perf_counter()

@@ -1,0 +1,199 @@
+"""Runs in lockstep: each goes on until it needs work that others need, too; then the work of all is done at once.
+
+Each run is the ordinary one, in a thread of its own, and only one thread moves at a time, in the order of the runs. So
+nothing is done in parallel but what is batched, and what comes out does not depend on how fast a thread is.
+"""
+
+from __future__ import annotations
+
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any, TypeVar
+
+import torch
+
+T = TypeVar("T")
+
+
+class Work(ABC):
+    """What a run needs done."""
+
+    @property
+    @abstractmethod
+    def kind(self) -> Hashable:
+        """What has to be equal for the work of several runs to be done at once."""
+
+    @property
+    def waits(self) -> bool:
+        """Whether all runs begin this at the same time: it waits until no run needs anything else."""
+        return False
+
+    @abstractmethod
+    def done(self, all_of_it: Sequence[Any], company: Company) -> Sequence[Any]:
+        """Do the work of several runs, and return what came of each: a result, or the exception that it ended in.
+
+        Args:
+            all_of_it: Work of one kind, this one among it.
+            company: The runs, and what they keep from one time to the next.
+        """
+
+
+class Company:
+    """Runs that go in lockstep on one device; one run alone is a company, too.
+
+    Attributes:
+        device: Where the work is done.
+        kept: What workers keep from one time to the next, by a name of their own.
+
+    Args:
+        device: Where the work is done: "cpu", or "cuda" where there is a GPU.
+
+    Raises:
+        ValueError: There is no such device here.
+    """
+
+    def __init__(self, device: torch.device | str = "cpu") -> None:
+        self.device = found(device)
+        self.kept: dict[Hashable, Any] = {}
+        self._members: list[_Member] = []
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Let the run in this thread be the only one."""
+        token = _HERE.set(self)
+        try:
+            yield
+        finally:
+            _HERE.reset(token)
+
+    def run(self, runs: Sequence[Callable[[], T]]) -> list[T | BaseException]:
+        """Go through runs in lockstep.
+
+        Args:
+            runs: What to call, each in a thread of its own.
+
+        Returns:
+            What each returned, or the exception that it ended in; one that fails does not end the others.
+
+        Raises:
+            KeyboardInterrupt: The process was asked to stop; so was each run, which ended in its own time.
+        """
+        self._members = members = [_Member(self, run) for run in runs]
+        try:
+            for member in members:
+                member.go_on()
+            while waiting := [member for member in members if member.work is not None]:
+                # Runs that skip a phase, as those that do not trust their model, fall into step again.
+                ready = [member for member in waiting if not member.work.waits] or waiting  # type: ignore[union-attr]
+                self._serve(ready)
+                for member in ready:
+                    member.go_on()
+        except KeyboardInterrupt:
+            for member in members:
+                member.stop()
+            raise
+        return [member.came for member in members]
+
+    def ask(self, work: Work) -> Any:
+        """Have work done, together with that of the other runs, and return what came of it."""
+        for member in self._members:
+            if member.thread is threading.current_thread():
+                return member.ask(work)
+        return _result(work.done([work], self)[0])
+
+    def _serve(self, waiting: Sequence[_Member]) -> None:
+        groups: dict[Hashable, list[_Member]] = {}
+        for member in waiting:
+            assert member.work is not None
+            groups.setdefault((type(member.work), member.work.kind), []).append(member)
+        for group in groups.values():
+            works = [member.work for member in group]
+            first = works[0]
+            assert first is not None
+            try:
+                results = first.done(works, self)
+            except Exception as error:  # each run says by itself what that means to it
+                results = [error] * len(group)
+            for member, result in zip(group, results, strict=True):
+                member.result = result
+
+
+class _Member:
+    """A run in its thread."""
+
+    def __init__(self, company: Company, run: Callable[[], Any]) -> None:
+        self.work: Work | None = None
+        self.result: Any = None
+        self.came: Any = None
+        self._mine, self._others = threading.Semaphore(0), threading.Semaphore(0)
+        self.thread = threading.Thread(target=self._run, args=(company, run), daemon=True)
+        self._begun = False
+
+    def go_on(self) -> None:
+        """Let the run move until it asks for work or ends."""
+        if not self._begun:
+            self._begun = True
+            self.thread.start()
+        else:
+            self.work = None
+            self._mine.release()
+        self._others.acquire()
+
+    def ask(self, work: Work) -> Any:
+        """Wait, in the thread of the run, until the work is done."""
+        self.work = work
+        self._others.release()
+        self._mine.acquire()
+        result, self.result = self.result, None
+        return _result(result)
+
+    def stop(self) -> None:
+        """Ask the run to stop, and wait until it has."""
+        if not self._begun or not self.thread.is_alive():
+            return
+        if self.work is None:
+            self._others.acquire()  # it moves; wait until it asks for work or ends
+        if self.work is not None:
+            self.result = KeyboardInterrupt()
+            self.go_on()
+
+    def _run(self, company: Company, run: Callable[[], Any]) -> None:
+        with company.alone():
+            try:
+                self.came = run()
+            except BaseException as error:
+                self.came = error
+        self._others.release()
+
+
+_HERE: ContextVar[Company | None] = ContextVar("company", default=None)
+
+
+def here() -> Company | None:
+    """Return the company in which the present run goes; None where it goes by itself on the CPU."""
+    return _HERE.get()
+
+
+def found(device: torch.device | str) -> torch.device:
+    """Return a device.
+
+    Raises:
+        ValueError: There is no such device here.
+    """
+    try:
+        named = torch.device(device)
+    except RuntimeError:
+        named = torch.device("meta")
+    if named.type == "cpu" or (named.type == "cuda" and torch.cuda.is_available()):
+        return named
+    here_are = "cpu and cuda" if torch.cuda.is_available() else "cpu alone, as torch finds no GPU"
+    raise ValueError(f"device={device} is not to be had; on this machine there is {here_are}: choose one")
+
+
+def _result(result: Any) -> Any:
+    if isinstance(result, BaseException):
+        raise result
+    return result

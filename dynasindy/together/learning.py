@@ -1,0 +1,329 @@
+"""Policy learning of several runs as one batch: the updates of TD3 with a leading dimension of runs.
+
+The arithmetic is that of `dynasindy.agents.TD3.update` (Fujimoto 2018, Algorithm 1), and so are the random numbers:
+each run draws its batches and its smoothing noise from its own generators in the order in which it would draw them
+alone. While a GPU is busy with some updates, the CPU draws those that follow.
+
+| name     | shape            | meaning                                          |
+| -------- | ---------------- | ------------------------------------------------ |
+| R        |                  | runs                                             |
+| C        |                  | critics of a run                                 |
+| B        |                  | transitions of a batch                           |
+| networks | `(R, ...)`       | weights of the actors; of the critics `(R C, ...)` |
+| batches  | `(U, R, B, ...)` | of U updates in a row                            |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.optim import Adam
+
+from dynasindy.agents import TD3
+from dynasindy.agents.networks import MLP, Layer
+from dynasindy.agents.steps import kept_by
+from dynasindy.data import DynaReplay
+from dynasindy.together.captured import captured
+from dynasindy.together.company import Company, Work, here
+from dynasindy.told import counted, tell
+
+CHUNK = 50
+"""Updates whose batches lie on the device at a time."""
+
+
+def learn(agent: TD3, replay: DynaReplay, updates: int) -> None:
+    """Take so many steps of TD3 on batches from the storages.
+
+    Args:
+        agent: Agent, improved in place.
+        replay: Where the batches are drawn.
+        updates: How many.
+
+    Raises:
+        Diverged: A loss is not finite.
+    """
+    company = here()
+    if company is None:
+        for _ in counted("policy learning", range(updates), updates, "updates"):
+            agent.update(replay.sample())
+    elif updates:
+        company.ask(Learning(agent, replay, updates))
+    agent.check()
+
+
+@dataclass(eq=False)
+class Learning(Work):
+    """Policy learning that a run needs done.
+
+    Attributes:
+        agent: Agent, improved in place.
+        replay: Where its batches are drawn.
+        updates: How many.
+    """
+
+    agent: TD3
+    replay: DynaReplay
+    updates: int
+
+    @property
+    def kind(self) -> Hashable:
+        """Settings, sizes and the number of updates, those before among them."""
+        settings = tuple((name, str(value)) for name, value in vars(self.agent.settings).items())
+        return settings, self.agent.widths, self.replay.batch_size, self.updates, self.agent.updates
+
+    def done(self, all_of_it: Sequence[Learning], company: Company) -> list[Exception | None]:
+        """Learn, all runs at once; return for each what its learning ended in, None for nothing."""
+        place = ("learner", len(all_of_it), self.kind[:-2])  # type: ignore[index]
+        learner = company.kept.get(place)
+        if learner is None:
+            learner = company.kept[place] = Learner(self.agent, len(all_of_it), self.replay.batch_size, company.device)
+        return learner.learn(all_of_it)
+
+
+class Learner:
+    """Agents side by side.
+
+    Args:
+        like: Agent whose sizes and settings all of them have.
+        runs: How many there are.
+        rows: Transitions of a batch.
+        device: Where they learn.
+    """
+
+    def __init__(self, like: TD3, runs: int, rows: int, device: torch.device) -> None:
+        self.runs, self.rows, self.device, self.settings, self.loss = runs, rows, device, like.settings, like.loss
+        self.count = like.settings.critics
+        n_obs, n_u = like.widths
+        self.actors, self.critics = self._networks(like.loss.actor_layers), self._networks(like.loss.critic_layers)
+        self.target_actors = self._networks(like.loss.actor_layers, learns=False)
+        self.target_critics = self._networks(like.loss.critic_layers, learns=False)
+        self.averages = self._networks(like.loss.actor_layers, learns=False)
+        self.optimizers = [
+            self._adam(self.critics, like.settings.critic_lr),
+            self._adam(self.actors, like.settings.actor_lr),
+        ]
+        widths = {"observation": n_obs, "action": n_u, "next": n_obs, "reward": 1, "ended": 1, "noise": n_u}
+        self.batches = {name: torch.zeros(CHUNK, runs, rows, width, device=device) for name, width in widths.items()}
+        self.place = torch.zeros(1, dtype=torch.int64, device=device)
+        self.losses = torch.zeros(2, CHUNK, runs, device=device)
+        self.given: list[tuple[TD3, int]] = []
+        self.steps: dict[tuple[bool, bool], Callable[[], None]] = {}
+
+    def learn(self, all_of_it: Sequence[Learning]) -> list[Exception | None]:
+        """Take the updates of all runs, and return what each ended in, None for nothing."""
+        agents, first = [work.agent for work in all_of_it], all_of_it[0]
+        kinds = [self._kind(first.agent.updates + k + 1) for k in range(first.updates)]
+        for kind in sorted(set(kinds)):
+            if kind not in self.steps:
+                # What a step changes while it is captured is read from the agents afterwards.
+                self.steps[kind] = captured(lambda kind=kind: self._update(*kind), self.device)  # type: ignore[misc]
+        now = [(agent, agent.updates) for agent in agents]
+        if self.given != now:
+            self._exchange(agents, give=False)
+        losses: list[Tensor] = []
+        remaining = iter(kinds)
+        while chunk := list(islice(remaining, CHUNK)):
+            tell("policy learning", sum(len(each) for each in losses), first.updates, "updates")
+            self._draw(all_of_it, len(chunk))
+            self.place.zero_()
+            for kind in chunk:
+                self.steps[kind]()
+            losses.append(self.losses[:, : len(chunk)].clone().movedim(1, 0))
+        self._exchange(agents, give=True)
+        ends = self._ends(agents, torch.cat(losses).cpu(), kinds)
+        self.given = [(agent, agent.updates) for agent in agents]
+        return ends
+
+    def _kind(self, number: int) -> tuple[bool, bool]:
+        """Return whether the actor and the targets move in an update, counted from 1."""
+        s = self.settings
+        return number % s.policy_delay == 0, number % s.target_update_interval == 0
+
+    def _update(self, actor: bool, targets: bool) -> None:
+        """Take one update of all runs."""
+        batch = {name: column.index_select(0, self.place).squeeze(0) for name, column in self.batches.items()}
+        s = self.settings
+        self._descend(0, self._critic_losses(batch), self.critics)
+        if actor:
+            self._descend(1, self._actor_losses(batch), self.actors)
+            if s.policy_average:
+                torch._foreach_lerp_(_flat(self.averages), [p.detach() for p in _flat(self.actors)], s.policy_average)
+        if targets:
+            moved = [*_flat(self.target_actors), *_flat(self.target_critics)]
+            to = [p.detach() for p in (*_flat(self.actors), *_flat(self.critics))]
+            torch._foreach_lerp_(moved, to, s.tau)
+        for optimizer in self.optimizers if s.lr_decay else ():
+            optimizer.param_groups[0]["lr"].mul_(1.0 - s.lr_decay)
+        self.place.add_(1)
+
+    def _critic_losses(self, batch: dict[str, Tensor]) -> Tensor:
+        """Return sum_i mean (Q_i(s, a) - y)^2 of each run, `(R,)`, y = r + gamma min_i Q'_i(s', pi'(s') + noise)."""
+        s, actor, critic = self.settings, self.loss.actor, self.loss.critic
+        with torch.no_grad():
+            noise = (batch["noise"] * s.policy_noise).clamp(-s.noise_clip, s.noise_clip)
+            action = (actor.functional(self.target_actors, batch["next"]) + noise).clamp(-1.0, 1.0)
+            value = self._values(critic, self.target_critics, batch["next"], action).amin(1)
+            value = torch.where(batch["ended"].squeeze(-1) > 0, 0.0, value)
+            target = value * s.gamma + batch["reward"].squeeze(-1)
+        value = self._values(critic, self.critics, batch["observation"], batch["action"])
+        return (value - target.unsqueeze(1)).square().mean(-1).sum(-1)
+
+    def _actor_losses(self, batch: dict[str, Tensor]) -> Tensor:
+        """Return -mean Q_1(s, pi(s)) of each run, `(R,)`."""
+        action = self.loss.actor.functional(self.actors, batch["observation"])
+        first = [
+            Layer(*(None if part is None else part.detach().unflatten(0, (self.runs, -1))[:, 0] for part in layer))  # type: ignore[arg-type]
+            for layer in self.critics
+        ]
+        value: Tensor = self.loss.critic.functional(first, batch["observation"], action)
+        return -value.mean((-2, -1))
+
+    def _values(self, critic: MLP, layers: Sequence[Layer], observation: Tensor, action: Tensor) -> Tensor:
+        """Return what each critic says, `(R, C, B)`."""
+        seen = torch.cat([observation, action], -1).repeat_interleave(self.count, 0)
+        return critic.functional(layers, seen).view(self.runs, self.count, self.rows)
+
+    def _descend(self, which: int, losses: Tensor, layers: Sequence[Layer]) -> None:
+        """Take a step of Adam down the losses of all runs, none of which depends on another run's weights."""
+        self.losses[which].index_copy_(0, self.place, losses.detach().unsqueeze(0))
+        weights = _flat(layers)
+        # Adam, fused, reads gradients in the order of the memory, and those of products are transposed.
+        gradients = [g.contiguous() for g in torch.autograd.grad(losses.sum(), weights)]
+        if bound := self.settings.max_grad_norm:
+            squares = [g.reshape(self.runs, -1).square().sum(-1) for g in gradients]
+            factor = (bound / (torch.stack(squares).sum(0).sqrt() + 1e-6)).clamp_max(1.0)
+            gradients = [(g.view(self.runs, -1) * factor.unsqueeze(-1)).view_as(g) for g in gradients]
+        for weight, gradient in zip(weights, gradients, strict=True):
+            weight.grad = gradient
+        self.optimizers[which].step()
+
+    def _draw(self, all_of_it: Sequence[Learning], updates: int) -> None:
+        """Put the batches of so many updates on the device."""
+        for r, work in enumerate(all_of_it):
+            replay, generator = work.replay, work.agent.loss.generator
+            counts = dict(zip((replay.real, replay.model), replay.counts(), strict=True))
+            rows = {buffer: self._fresh((updates, k), torch.int64) for buffer, k in counts.items() if k}
+            noise = self._fresh((updates, *self.batches["noise"].shape[2:]), torch.float32)
+            for u in range(updates):
+                for buffer, index in rows.items():
+                    torch.randint(len(buffer), index[u].shape, generator=replay.generator, out=index[u])
+                noise[u].normal_(0.0, 1.0, generator=generator)
+            self.batches["noise"][:updates, r].copy_(noise, non_blocking=True)
+            begin = 0
+            for buffer, index in rows.items():
+                places = index.flatten().to(replay.device, non_blocking=True)
+                end = begin + index.shape[-1]
+                observation, action, following, reward, _, terminated, _ = replay.columns(buffer)
+                columns = (observation, action, following, reward, terminated)
+                for name, column in zip(("observation", "action", "next", "reward", "ended"), columns, strict=True):
+                    drawn = column.index_select(0, places).view(updates, index.shape[-1], -1)
+                    self.batches[name][:updates, r, begin:end].copy_(drawn)
+                begin = end
+
+    def _fresh(self, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
+        """Return room in the CPU's memory, from which a GPU reads while the CPU goes on."""
+        return torch.empty(shape, dtype=dtype, pin_memory=self.device.type == "cuda")
+
+    def _networks(self, layers: Sequence[Layer], learns: bool = True) -> list[Layer]:
+        """Return room for the same networks of all runs."""
+
+        def _room(tensor: Tensor | None, single: int) -> Tensor | None:
+            if tensor is None:
+                return None
+            shape = (
+                (self.runs, *tensor.shape) if tensor.dim() == single else (self.runs * len(tensor), *tensor.shape[1:])
+            )
+            return torch.zeros(shape, device=self.device, requires_grad=learns)
+
+        return [Layer(*(_room(part, 2 - (k > 0)) for k, part in enumerate(layer))) for layer in layers]  # type: ignore[arg-type]
+
+    def _adam(self, layers: Sequence[Layer], lr: float) -> Adam:
+        gpu = self.device.type == "cuda"
+        rate = torch.tensor(lr, device=self.device) if gpu or self.settings.lr_decay else lr
+        optimizer = Adam(_flat(layers), lr=rate, fused=True, capturable=gpu)
+        for weight in _flat(layers):
+            optimizer.state[weight] = {
+                "step": torch.zeros((), device=self.device),
+                "exp_avg": torch.zeros_like(weight, requires_grad=False),
+                "exp_avg_sq": torch.zeros_like(weight, requires_grad=False),
+            }
+        return optimizer
+
+    @torch.no_grad()
+    def _exchange(self, agents: Sequence[TD3], give: bool) -> None:
+        """Read weights, targets and moments of all agents, or give them back."""
+        for r, agent in enumerate(agents):
+            pairs = list(self._pairs(agent, r))
+            mine, others = [a for a, _ in pairs], [b for _, b in pairs]
+            torch._foreach_copy_(*((others, mine) if give else (mine, others)))
+        for which, name in enumerate(("critic_optimizer", "actor_optimizer")):
+            group = self.optimizers[which].param_groups[0]
+            states = list(self.optimizers[which].state.values())
+            for agent in agents:
+                theirs = getattr(agent, name)
+                if give:
+                    theirs.param_groups[0]["lr"] = float(group["lr"])
+                for state in theirs.state.values():
+                    (state["step"] if give else states[0]["step"]).copy_(states[0]["step"] if give else state["step"])
+            if not give:
+                for state in states[1:]:
+                    state["step"].copy_(states[0]["step"])
+                rate = getattr(agents[0], name).param_groups[0]["lr"]
+                group["lr"].fill_(rate) if isinstance(group["lr"], Tensor) else group.update(lr=rate)
+
+    def _pairs(self, agent: TD3, r: int) -> Iterator[tuple[Tensor, Tensor]]:
+        """Yield where a tensor of a run lies here, and there."""
+        loss, c = agent.loss, self.count
+        averages = agent.deployed.module.layers() if self.settings.policy_average else []
+        single, several = slice(r, r + 1), slice(r * c, (r + 1) * c)
+        for mine, theirs, part in (
+            (self.actors, loss.actor_layers, single),
+            (self.target_actors, loss.target_actor_layers, single),
+            (self.averages if averages else [], averages, single),
+            (self.critics, loss.critic_layers, several),
+            (self.target_critics, loss.target_critic_layers, several),
+        ):
+            for here_, there in zip(_flat(mine), _flat(theirs), strict=True):
+                yield here_.detach()[part], there.detach().view_as(here_[part])
+        for optimizer, layers, there, part in (
+            (self.optimizers[1], loss.actor_layers, agent.actor_optimizer, single),
+            (self.optimizers[0], loss.critic_layers, agent.critic_optimizer, several),
+        ):
+            states = kept_by(there, _flat(layers))
+            for mine, state in zip(optimizer.state.values(), states, strict=True):
+                for name in ("exp_avg", "exp_avg_sq"):
+                    yield mine[name][part], state[name].view_as(mine[name][part])
+
+    def _ends(
+        self, agents: Sequence[TD3], losses: Tensor, kinds: Sequence[tuple[bool, bool]]
+    ) -> list[Exception | None]:
+        """Return what the learning of each run ended in.
+
+        Args:
+            agents: The agents.
+            losses: Of critics and actors, `(U, 2, R)`.
+            kinds: Which updates the actors took part in.
+        """
+        ends: list[Exception | None] = []
+        moved = torch.tensor([actor for actor, _ in kinds])
+        for r, agent in enumerate(agents):
+            before, agent.updates = agent.updates, agent.updates + len(losses)
+            sound = losses[:, 0, r].isfinite() & (losses[:, 1, r].isfinite() | ~moved)
+            if moved.any():
+                agent.actor_loss = losses[moved, 1, r][-1].clone()
+            if bool(sound.all()):
+                ends.append(None)
+                continue
+            agent.updates = before + int((~sound).int().argmax()) + 1
+            ends.append(agent.diverged("a loss is not finite"))
+        return ends
+
+
+def _flat(layers: Sequence[Layer]) -> list[Any]:
+    """Return the tensors of layers in a row."""
+    return [part for layer in layers for part in layer if part is not None]

@@ -1,0 +1,135 @@
+"""Runs that fly together come to what each comes to alone."""
+
+from functools import partial
+
+import pytest
+import torch
+
+from dynasindy.agents import TD3
+from dynasindy.envs import ControlEnv
+from dynasindy.planning import replay_error
+from dynasindy.systems import Tras, Xi
+from dynasindy.tasks import RandomStep, Tracking
+from dynasindy.together import Company, fly
+from dynasindy.world_models import Oracle, SindyModel
+
+GPU = pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU"))
+
+
+def env(seed, plant=Xi, steps=12):
+    system = plant()
+    task = Tracking(system.signature, RandomStep([-0.5, -0.5], [0.5, 0.4]), max_steps=steps)
+    return ControlEnv(system, task, dtype=torch.float64, seed=seed)
+
+
+def model(seed):
+    """Return the paper's model, off by some per cent: another one for each seed."""
+    found, rng = SindyModel(Xi().signature), torch.Generator().manual_seed(0)
+    x = torch.randn(400, 6, generator=rng).double() * torch.tensor(Xi().signature.x_scale)
+    u = torch.randn(400, 2, generator=rng).double()
+    found.fit_derivatives(x, u, Xi()(x, u))
+    found.set_coefficients(found.coefficients * (1.0 + 0.03 * (seed + 1)))
+    return found
+
+
+def agent(seed):
+    return TD3(8, 2, seed=seed, hidden=(16, 8), exploration_noise=0.3)
+
+
+def assert_same(found, wanted):
+    assert set(found.keys(True, True)) == set(wanted.keys(True, True))
+    assert found.batch_size == wanted.batch_size
+    for key in wanted.keys(True, True):
+        assert found[key].dtype == wanted[key].dtype, key
+        torch.testing.assert_close(
+            found[key], wanted[key], rtol=1e-4, atol=1e-5, msg=lambda said, key=key: f"{key}: {said}"
+        )
+
+
+@pytest.mark.parametrize("device", ["cpu", GPU])
+@pytest.mark.parametrize("plant", [Xi, Tras])
+def test_real_episodes_are_those_of_each_run_alone(plant, device):
+    def _fly(seed):
+        place = env(seed, plant)
+        return fly(place, agent(seed).explore, place.reset, 12, "real episode")
+
+    found = Company(device).run([partial(_fly, seed) for seed in range(3)])
+    for seed, rollout in enumerate(found):
+        place = env(seed, plant)
+        wanted = place.rollout(12, agent(seed).explore)
+        assert_same(rollout, wanted)
+    assert not torch.equal(found[0]["action"], found[1]["action"])
+
+
+def test_noise_decays_with_real_steps_alone():
+    def _fly(seed):
+        mine, place = agent(seed), env(seed)
+        fly(place, mine.explore_imagined, place.reset, 5, "imagined")
+        kept = mine.noise.sigma
+        fly(place, mine.explore, place.reset, 5, "real episode")
+        return kept, mine.noise.sigma
+
+    assert Company().run([partial(_fly, 0)]) == [(0.3, pytest.approx(0.3 * (1 - 1e-3) ** 5))]
+
+
+@pytest.mark.parametrize("device", ["cpu", GPU])
+def test_models_with_coefficients_of_their_own_fly_at_once(device):
+    def _start(place):
+        return place.start_from(0.1 * torch.ones(4, 6, dtype=torch.float64))
+
+    def _fly(seed):
+        place = env(0).with_system(model(seed), torch.float32, seed)
+        return fly(place, agent(seed).deployed, partial(_start, place), 6, "imagined")
+
+    company = Company(device)
+    for seed, rollout in enumerate(company.run([partial(_fly, seed) for seed in range(2)])):
+        place = env(0).with_system(model(seed), torch.float32, seed)
+        wanted = place.rollout(6, agent(seed).deployed, auto_reset=False, tensordict=_start(place))
+        assert_same(rollout, wanted)
+    assert len(company.kept) == 1
+
+
+def test_models_of_other_kinds_fly_apart():
+    def _fly(seed):
+        place = env(0).with_system(Oracle(Xi().signature, Xi()))
+        return fly(place, agent(seed).deployed, place.reset, 4, "imagined")
+
+    company = Company()
+    assert len(company.run([partial(_fly, seed) for seed in range(2)])) == 2
+    assert len(company.kept) == 2
+
+
+def test_a_plant_that_runs_away_stays_at_the_end_of_its_ranges():
+    def _env():
+        place = env(0)
+        place.left_beyond = 0.01
+        return place
+
+    with Company().alone():
+        found = fly(_env(), agent(0).deployed, _env().reset, 12, "evaluation")
+    assert_same(found, _env().rollout(12, agent(0).deployed, break_when_any_done=False))
+    assert (found["next", "state"].abs() >= 0.01).any()
+
+
+def test_nothing_flies_together_outside_of_a_company_or_with_a_policy_of_another_kind():
+    place = env(0)
+    assert fly(place, agent(0).deployed, place.reset, 2, "evaluation") is None
+    with Company().alone():
+        assert fly(place, lambda seen: seen.set("action", torch.zeros(2)), place.reset, 2, "evaluation") is None
+
+
+@pytest.mark.parametrize("device", ["cpu", GPU])
+@pytest.mark.parametrize("windows", [None, torch.tensor([2, 5])])
+def test_replays_of_models_are_those_of_each_run_alone(windows, device):
+    def _judge(seed):
+        place = env(seed)
+        episode = place.rollout(12, agent(seed).explore)
+        model_env = place.with_system(model(seed), torch.float32)
+        return replay_error(model_env, episode, windows, None if windows is None else 4)
+
+    found = Company(device).run([partial(_judge, seed) for seed in range(2)])
+    for seed, error in enumerate(found):
+        wanted = _judge(seed)
+        assert error.reward_error == pytest.approx(wanted.reward_error, rel=1e-4)
+        assert error.state_error == pytest.approx(wanted.state_error, rel=1e-4)
+        torch.testing.assert_close(error.states, wanted.states, rtol=1e-4, atol=1e-5)
