@@ -100,8 +100,8 @@ def missing_rates(model: SindyModel, source: Source, lacking: Lacking | None = N
             "is estimated"
         )
     return lines + [
-        f"hint: of {name} only sin({name}) and cos({name}) are tried, and no forces that {name} turns, as no state is in "
-        f"rad/s. If a torque moves {name}, give its rate in rad/s, or "
+        f"hint: of {name} only sin({name}) and cos({name}) are tried, and no forces that {name} turns, as no state is "
+        f"in rad/s. If a torque moves {name}, give its rate in rad/s, or "
         f"'{known_word({**given, name: f'{name}_rate'})}' if none was logged"
         for name in lacking.with_angles
         if name not in lacking.shown

@@ -128,7 +128,7 @@ def test_three_functions_are_exchanged_for_one_whichever_equations_they_are_of()
 
 
 def test_an_exchange_one_for_one_is_within_an_equation():
-    """The target is the sum of what is outside and what must stay; either function of the model stands for the first."""
+    """The target is the sum of what is outside and of the second function; the first one nearly is what is outside."""
     columns = torch.eye(4, dtype=torch.float64)
     columns[:, 2] = columns[:, 0] + 0.01 * columns[:, 3]
     target = 10 * (columns[:, 2:3] + columns[:, 1:2])
