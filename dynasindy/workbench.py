@@ -127,8 +127,8 @@ def identify(
     Args:
         log: What `read` returned.
         library: Candidate functions: a name of `dynasindy.world_models.libraries.NAMED`, or functions in words.
-            `auto_rig` is quadratic polynomials, or for angles in rad and their rates in rad/s the functions of
-            mechanics, and dry friction of every rate.
+            `auto_rig` is quadratic polynomials and sines of states in rad, or for angles in rad and their rates in
+            rad/s the functions of mechanics, and dry friction of every rate.
         known: Equations that are known, such as `{"angle": "rate"}`: the state's rate is that function. A rate that
             the log does not have is estimated with the model. If omitted, rates that the log shows to be missing are
             added as `angle_rate`; `{}` adds none.

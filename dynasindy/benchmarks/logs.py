@@ -27,6 +27,7 @@ from dynasindy.evaluation.files import write_csv
 from dynasindy.evaluation.rows import Row
 from dynasindy.sensing import Sensors
 from dynasindy.systems import integrate
+from dynasindy.world_models import SindyModel
 
 COLUMNS = (
     *("plant", "seed", "foretold", "foretold_percent", "output", "error_percent", "worst_percent"),
@@ -59,11 +60,17 @@ def measure(name: str, seed: int) -> list[Row]:
         spent, complaint = trained(given, Path(folder))
         if not (place / "model.json").is_file():
             raise RuntimeError(f"train.py left no model for {name}, seed {seed}: {complaint}")
+        terms = terms_of(place / "model.json")
         found, errors = None, np.full((1, len(case.targets)), math.inf)
         if (place / "metrics.json").is_file():
             found = json.loads((place / "metrics.json").read_text())
             errors = flown(case, dynasindy.load(place), seed)
-    return rows_of(name, seed, found, errors, spent)
+    return rows_of(name, seed, found, errors, terms, spent)
+
+
+def terms_of(path: Path) -> int:
+    """Count the terms of a saved model: signs in its equations are also those inside functions and quotients."""
+    return int(SindyModel.load(path).coefficients.count_nonzero())
 
 
 def words(case: Case, log: Path) -> list[str]:
@@ -139,7 +146,7 @@ def flown(case: Case, controller: Controller, seed: int) -> NDArray[np.float64]:
 
 
 def rows_of(
-    name: str, seed: int, metrics: dict[str, Any] | None, errors: NDArray[np.float64], seconds: float
+    name: str, seed: int, metrics: dict[str, Any] | None, errors: NDArray[np.float64], terms: int, seconds: float
 ) -> list[Row]:
     """Return a row per output.
 
@@ -148,10 +155,11 @@ def rows_of(
         seed: Seed of log, plan and flights.
         metrics: What `metrics.json` holds; None if the command ended without a controller.
         errors: What `flown` returned.
+        terms: How many terms the equations have.
         seconds: CPU time of the command [s].
     """
     prediction: dict[str, Any] = metrics["prediction"] if metrics else {"controlled": False, "score": None}
-    score, equations = prediction["score"], metrics["equations"] if metrics else []
+    score = prediction["score"]
     foretold = "CONTROLLED" if prediction["controlled"] else "NOT promised"
     return [
         {
@@ -159,7 +167,7 @@ def rows_of(
             "foretold_percent": "inf" if score is None else f"{100 * score:.3g}",
             **{"output": output, "error_percent": f"{100 * errors[:, k].mean():.3g}"},
             "worst_percent": f"{100 * errors[:, k].max():.3g}",
-            "terms": sum(1 + line.count(" + ") + line.count(" - ") for line in equations),
+            "terms": terms,
             **{"cpu_seconds": round(seconds, 1), "commit": commit()},
         }
         for k, output in enumerate(CASES[name].targets)

@@ -100,8 +100,9 @@ def missing_rates(model: SindyModel, source: Source, lacking: Lacking | None = N
             "is estimated"
         )
     return lines + [
-        f"hint: sin({name}) and cos({name}) are not tried, as no state is in rad/s. If a torque moves {name}, give its "
-        f"rate in rad/s, or '{known_word({**given, name: f'{name}_rate'})}' if none was logged"
+        f"hint: of {name} only sin({name}) and cos({name}) are tried, and no forces that {name} turns, as no state is "
+        f"in rad/s. If a torque moves {name}, give its rate in rad/s, or "
+        f"'{known_word({**given, name: f'{name}_rate'})}' if none was logged"
         for name in lacking.with_angles
         if name not in lacking.shown
     ]

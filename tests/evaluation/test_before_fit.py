@@ -71,7 +71,7 @@ def test_an_angle_in_degrees_is_told_the_words_that_read_it_in_rad(tmp_path, lib
 
 def test_an_angle_without_its_rate_in_rad_is_told_of_it(tmp_path):
     (words,) = told(log(tmp_path / "log.csv", "time,theta [rad],Omega [1/s],u"))
-    assert words.startswith("hint: sin(theta) and cos(theta) are not tried, as no state is in rad/s.")
+    assert words.startswith("hint: of theta only sin(theta) and cos(theta) are tried, and no forces that theta turns")
     assert words.endswith("give its rate in rad/s, or 'plant.known={theta: theta_rate}' if none was logged")
     source = Logged(str(tmp_path / "log.csv")).load(None, EXCITATION)
     model = SindyModel(source.signature, "auto")

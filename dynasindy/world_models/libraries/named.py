@@ -233,14 +233,18 @@ def auto(signature: Signature, dry: Iterable[Feature] = ()) -> Library:
     """Build what suits the units: quadratic polynomials, or for angles and their rates the functions of mechanics.
 
     A plant with an angle in rad and a rate in rad/s gets quadratic polynomials of its other states and inputs only.
+    An angle in rad where no state is in rad/s, as the tilt of a beam that an actuator sets, has sine and cosine beside
+    the polynomials: gravity acts on other states by them.
 
     Args:
         signature: names and units of states and inputs.
         dry: dry friction of rates, for a machine with several angles.
     """
+    units = list(zip(signature.state_names, signature.state_units, strict=True))
     if not angles_of(signature):
-        return polynomial(signature)
-    units = zip(signature.state_names, signature.state_units, strict=True)
+        tilts = [name for name, unit in units if unit == "rad"]
+        pulls = [of(word, name) for name in tilts for word in ("sin", "cos")]
+        return Library(signature, [*polynomial(signature).features, *pulls])
     others = [name for name, unit in units if unit not in ("rad", "rad/s")]
     return sum_of(
         signature, [partial(mechanical, dry=dry), partial(polynomial, variables=[*others, *signature.input_names])]

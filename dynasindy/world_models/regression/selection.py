@@ -82,7 +82,9 @@ def reconsider(triangle: Tensor, n_fixed: int, active: Parameters, others: Param
 
     First a score test: a function outside the model that would lower the error by more than it costs comes in, the
     best one of each equation. If there is none, an exchange: a function comes in if two or more can go for it, as
-    sin(alpha) for the three functions that imitate it at small angles. At last the best of the exchanges one for one.
+    sin(alpha) for the three functions that imitate it at small angles. They may go in other equations, too: a wrong
+    function in one equation may hold one in another that makes up for it. At last the best of the exchanges one for
+    one, within an equation.
 
     Args:
         triangle: R of [fixed unknowns, active, others, target].
@@ -103,15 +105,15 @@ def reconsider(triangle: Tensor, n_fixed: int, active: Parameters, others: Param
     swaps: dict[float, Tensor] = {}
     for k in range(len(others)):
         state = others.states[k]
-        mine = (active.states == state).nonzero().flatten()
         chosen = [*range(n), n + k, triangle.shape[1] - 1]
         small = torch.linalg.qr(triangle[:, chosen], mode="r")[1]
         removable = torch.zeros(n + 1, dtype=torch.bool)
-        removable[n_fixed + mine] = True
-        kept, _ = walk_down(small, removable, limit) if len(mine) > 2 else (torch.arange(n + 1), None)
+        removable[n_fixed:n] = True
+        kept, _ = walk_down(small, removable, limit)
         if len(kept) <= n - 1:
             stay = kept[(kept >= n_fixed) & (kept < n)] - n_fixed
             return torch.cat([stay, torch.tensor([len(active) + k])])
+        removable[n_fixed:n] = active.states == state
         out, missed = least_missed(small, n + 1, removable)
         if float(growth[k]) > missed + BETTER:
             stay = torch.tensor([j for j in range(len(active)) if j != out - n_fixed], dtype=torch.int64)

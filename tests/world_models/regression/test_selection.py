@@ -122,9 +122,21 @@ def exchange(states: list[int], n_fixed: int = 0) -> list[int] | None:
     return None if better is None else better.tolist()
 
 
-def test_an_exchange_needs_three_functions_of_its_own_equation():
-    assert exchange([0, 0, 0]) == exchange([0, 0, 0], n_fixed=2) == [3]
-    assert exchange([0, 0, 1]) is None
+def test_three_functions_are_exchanged_for_one_whichever_equations_they_are_of():
+    for states in ([0, 0, 0], [0, 0, 1], [0, 1, 1]):
+        assert exchange(states) == exchange(states, n_fixed=2) == [3]
+
+
+def test_an_exchange_one_for_one_is_within_an_equation():
+    """The target is the sum of what is outside and of the second function; the first one nearly is what is outside."""
+    columns = torch.eye(4, dtype=torch.float64)
+    columns[:, 2] = columns[:, 0] + 0.01 * columns[:, 3]
+    target = 10 * (columns[:, 2:3] + columns[:, 1:2])
+    others = Parameters(torch.tensor([2]), torch.tensor([0]))
+    for states, found in (([0, 1], [1, 2]), ([1, 0], None)):
+        active = Parameters(torch.tensor([0, 1]), torch.tensor(states))
+        better = reconsider(_triangle(columns[:, :3], target) / 0.04, 0, active, others, 5.0)
+        assert (better if better is None else better.tolist()) == found
 
 
 def test_a_parameter_that_stays_and_has_no_effect_is_zero_and_changes_nothing_else():
