@@ -83,10 +83,9 @@ def infer(
         found = {n: c for n, c in others.items() if INPUT.fullmatch(n) and n not in still}
     else:
         found = chosen(others, inputs, path, "data.inputs")
-    if states is None:
-        left = {n: c for n, c in others.items() if n not in found and n not in still}
-    else:
-        left = chosen(others, states, path, "data.states")
+    left = {n: c for n, c in others.items() if n not in found and n not in still}
+    if states is not None:
+        left = chosen(left, states, path, "data.states")
         still = {name: value for name, value in still.items() if INPUT.fullmatch(name)}
     out = _left_out(still, words)
     if not left or not found or clock.heading not in look.headings:
@@ -123,7 +122,7 @@ def _lacking(
     left_out = "".join(f" {note[:1].upper()}{note[1:]}." for note in out)
     moving = [name for name in look.numeric if name not in look.still and name != clock]
     if timed and len(moving) < 2:
-        beside = f"besides the time {clock} only {moving[0]} changes" if moving else f"nothing but {clock} changes"
+        beside = f"besides {clock}, the time, {f'only {moving[0]}' if moving else 'nothing'} changes"
         return (
             f"{begin}; {beside}. Allowed are one state or more and one input or more: log the command that moves the "
             f"plant, too, for without one nothing can be identified.{left_out}"

@@ -130,7 +130,12 @@ def _find(path: Path, name: str, headings: Sequence[str]) -> int:
 
 
 def rows_of(path: Path) -> tuple[tuple[int, list[str]], Iterator[tuple[int, list[str]]]]:
-    """Return the line and fields of the headings, and of the rows below them; rows without a value are no rows."""
+    """Return the line and fields of the headings, and of the rows below them; rows without a value are no rows.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is no table of text, or does not begin with a line of headings.
+    """
     rows = _lines(path)
     line, fields = next(rows, (0, []))
     headings = [field.strip() for field in fields]

@@ -106,7 +106,7 @@ def test_dates_are_taken_for_the_time_and_a_counter_only_where_there_is_no_other
 def test_a_log_without_a_command_does_not_propose_its_state_as_one(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("\n".join(["time,angle", *(f"{0.1 * k},{math.sin(k)}" for k in range(80))]))
-    with pytest.raises(ValueError, match=r"besides the time time only angle changes.*log the command") as error:
+    with pytest.raises(ValueError, match=r"besides time, the time, only angle changes.*log the command") as error:
         infer(str(path))
     assert "data.inputs=" not in str(error.value) and "\n" not in str(error.value)
     path.write_text("\n".join(["time,a,b", *(f"{0.1 * k},{math.sin(k)},{math.cos(k)}" for k in range(80))]))
