@@ -52,8 +52,9 @@ def evened(
         return t, x, u, segment
     notes.append(
         f"{int(uneven.sum())} of {len(t) - 1} sampling times are not {dt:g} s; states were resampled by splines "
-        "between the jumps of the inputs, and inputs, taken as held from each sample to the next, are means over each step. If "
-        f"the samples were even and only their times were written late, give a counter as the time and data.dt={dt:g}"
+        "between the jumps of the inputs, and inputs, taken as held from each sample to the next, are means over each "
+        "step. If the samples were even and only their times were written late, give a counter as the time and "
+        f"data.dt={dt:g}"
     )
     states, wide = np.stack(list(x.values()), -1), np.ptp(u, axis=0)
     parts = []
