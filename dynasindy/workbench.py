@@ -94,8 +94,8 @@ def read(
         states: Columns of the states by name: the heading, or keys of `dynasindy.data.columns.Column`; a list takes
             them as they are; all columns but time and inputs if omitted.
         inputs: Columns of the inputs, likewise; those that are called `u`, `u_...` or `input_...` if omitted.
-        time: Heading of the time column [s].
-        dt: Sampling time [s]; the file's own if omitted.
+        time: Heading of the time column, in seconds unless it says another unit, as in `count [ms]`.
+        dt: Sampling time [s]; the file's own if omitted. Where the time counts rows it is the time between two.
         validation_share: Part of the log, at its end, that neither the fit nor the plan sees. With 0 they see all of
             it, and `foretell` can promise nothing.
 

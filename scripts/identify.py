@@ -59,6 +59,7 @@ def following(cfg: DictConfig, found: "Identified", known: Sequence[str], rates:
     """
     from dynasindy.evaluation.before_fit import known_word
     from dynasindy.evaluation.targets import targets_like
+    from dynasindy.workbench import nearest_period
 
     job, logged, told = HydraConfig.get(), found.source.logged, cfg.plant.get("known") or {}
     words, system = job.overrides.task, job.runtime.choices.system
@@ -70,7 +71,8 @@ def following(cfg: DictConfig, found: "Identified", known: Sequence[str], rates:
     does = "plans a controller on the log" if logged else "excites, identifies and plans in one go"
     keys = ("outputs", "low", "high")
     given = {key: None if OmegaConf.is_missing(cfg.plant, key) else cfg.plant[key] for key in keys}
-    if targets := targets_like(found.source, rates.values(), given):
+    period = nearest_period(found.source)
+    if targets := targets_like(found.source, rates.values(), given, found.model, period):
         units = dict(zip(found.source.signature.state_names, found.source.signature.state_units, strict=True))
         named = [str(name) for name in given["outputs"] or targets["outputs"]]
         asked = ", ".join(f"{name} in {units[name]}" for name in named if units.get(name, "-") != "-")

@@ -371,11 +371,11 @@ def test_a_warning_says_which_rate_is_in_other_units(exact):
 def test_errors_name_arguments_and_no_settings_of_scripts(tmp_path, exact):
     with pytest.raises(FileNotFoundError, match=r"correct path$"):
         dynasindy.read(tmp_path / "data.csv")
-    (tmp_path / "data.csv").write_text("time,angle\n0,1\n1,2\n")
+    (tmp_path / "data.csv").write_text("time,angle,torque\n0,1,5\n1,2,6\n")
     with pytest.raises(ValueError, match=r"data\.csv has .*: say which is which, by time, inputs and states"):
         dynasindy.read(tmp_path / "data.csv")
-    with pytest.raises(ValueError, match=r"^inputs names 'torque'; .*data\.csv has angle: name columns of the file"):
-        dynasindy.read(tmp_path / "data.csv", inputs=["torque"])
+    with pytest.raises(ValueError, match=r"^inputs names 'force'; .*data\.csv has angle, torque: name columns of the"):
+        dynasindy.read(tmp_path / "data.csv", inputs=["force"])
     with pytest.raises(ValueError, match=r"choose one of them in library, or in libraries for a source"):
         dynasindy.identify(exact, "polynomials")
     model = dynasindy.identify(exact, WORDS, longest_delay=0.0)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from dynasindy.data.table import CLOCK, MAP, all_headings, clock_of, numeric_headings, split_unit
+from dynasindy.data.clock import CLOCK, clock_of
+from dynasindy.data.survey import Survey, survey
+from dynasindy.data.table import MAP, split_unit
 from dynasindy.data.units import with_units
-from dynasindy.data.unnamed import settings_for
+from dynasindy.data.unnamed import guessed
 
 
 @dataclass(frozen=True)
@@ -38,51 +40,106 @@ class Column:
 
 
 def infer(
-    path: str, time: str = CLOCK, inputs: Collection[str] | None = None
+    path: str,
+    time: str = CLOCK,
+    inputs: Collection[str] | None = None,
+    states: Collection[str] | None = None,
+    notes: list[str] | None = None,
 ) -> tuple[dict[str, Column], dict[str, Column]]:
     """Read the columns of states and inputs off the headings of a file, `name` or `name [unit]`.
 
-    Inputs, unless they are named, are called u, u1, u_..., or input...; references, predictions and columns without any
-    number are left out; all other columns but time are states.
+    Inputs, unless they are named, are called u, u1, u_..., or input...; references, predictions, columns without any
+    number and those that never change are left out; all other columns but time are states, unless they are named.
 
     Args:
         path: the file.
         time: heading of the time column.
         inputs: names or headings of the inputs, without their units or with them.
+        states: those of the states.
+        notes: sentences on what was read; those on what was left out are added.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: no heading is that of a state, none that of an input, or one that is named does not exist.
+        ValueError: no heading is that of a state, none that of an input, one that is named does not exist, or an input
+            holds words.
     """
-    given = {heading: split_unit(heading) for heading in numeric_headings(Path(path))}
-    headings = all_headings(Path(path))
-    clock = clock_of(headings, time)
-    columns = {name: Column(heading) for heading, (name, _) in given.items()}
+    look = survey(Path(path))
+    clock = clock_of(look.headings, time)
+    given = {heading: split_unit(heading) for heading in look.numeric}
     others = {
-        n: c for n, c in columns.items() if n != split_unit(clock)[0] and not n.startswith(("reference_", "predicted_"))
+        name: Column(heading)
+        for heading, (name, _) in given.items()
+        if heading != clock.heading and name != clock.heading and not name.startswith(("reference_", "predicted_"))
     }
+    words = {split_unit(h)[0]: t for h, t in look.worded.items() if clock.heading not in (h, split_unit(h)[0])}
+    if worded := [name for name in words if (INPUT.fullmatch(name) if inputs is None else name in _names(inputs))]:
+        raise ValueError(
+            f"{path}: the input {worded[0]} holds words, such as {words[worded[0]]!r}; allowed are numbers: write them "
+            "as numbers, ON and OFF as 1 and 0"
+        )
+    named = {*_names(inputs or ()), *_names(states or ())}
+    still = {name: look.still[c.name] for name, c in others.items() if c.name in look.still and name not in named}
     if inputs is None:
-        found = {n: c for n, c in others.items() if re.fullmatch(r"(u|U|input)([_\d].*)?", n)}
+        found = {n: c for n, c in others.items() if INPUT.fullmatch(n) and n not in still}
     else:
         found = chosen(others, inputs, path, "data.inputs")
-    timed = any(clock in (heading, split_unit(heading)[0]) for heading in headings)
-    states = with_units({n: c for n, c in others.items() if n not in found}, given, states=True)
-    found = with_units(found, given, states=False)
-    if not states or not found or not timed:
-        lacking = _LACKING["time" if not timed else "inputs" if not found else "states"]
-        filled = settings_for(Path(path), list(given), clock if timed else None, list(found)) if given else ""
-        guess = f" This is a first guess, to be corrected: {filled}" if filled else ""
-        raise ValueError(
-            f"{path} has the columns {', '.join(headings)}, with numbers in {', '.join(given) or 'none'}; {lacking}. "
-            "Allowed are a column of time, one state or more, and one input or more: say which is which, by data.time, "
-            f"data.inputs and data.states.{guess}"
+    left = {n: c for n, c in others.items() if n not in found and n not in still}
+    if states is not None:
+        left = chosen(left, states, path, "data.states")
+        still = {name: value for name, value in still.items() if INPUT.fullmatch(name)}
+    out = _left_out(still, words)
+    if not left or not found or clock.heading not in look.headings:
+        raise ValueError(_lacking(path, look, clock.heading, list(left), list(found), out))
+    if notes is not None:
+        notes += out
+    return with_units(left, given, states=True), with_units(found, given, states=False)
+
+
+def _names(named: Collection[str]) -> set[str]:
+    return {split_unit(name)[0] for name in named}
+
+
+def _left_out(still: Mapping[str, float], words: Mapping[str, str]) -> list[str]:
+    """Say which columns were left out, and why."""
+    notes = []
+    if still:
+        told = ", ".join(f"{name} ({value:g} in all rows)" for name, value in still.items())
+        notes.append(f"left out, as what never changes tells nothing of the plant: {told}")
+    if words:
+        told = ", ".join(f"{name} ({text!r})" for name, text in words.items())
+        notes.append(
+            f"left out, as they hold words and no numbers: {told}; write ON and OFF as 1 and 0 to have them read"
         )
-    return states, found
+    return notes
 
 
+def _lacking(
+    path: str, look: Survey, clock: str, states: Sequence[str], inputs: Sequence[str], out: Sequence[str]
+) -> str:
+    """Say what a file lacks, what was left out of it, and the settings that may mend it."""
+    timed = clock in look.headings
+    begin = f"{path} has the columns {', '.join(look.headings)}, with numbers in {', '.join(look.numeric) or 'none'}"
+    left_out = "".join(f" {note[:1].upper()}{note[1:]}." for note in out)
+    moving = [name for name in look.numeric if name not in look.still and name != clock]
+    if timed and len(moving) < 2:
+        beside = f"besides {clock}, the time, {f'only {moving[0]}' if moving else 'nothing'} changes"
+        return (
+            f"{begin}; {beside}. Allowed are one state or more and one input or more: log the command that moves the "
+            f"plant, too, for without one nothing can be identified.{left_out}"
+        )
+    lacking = _LACKING["time" if not timed else "inputs" if not inputs else "states"]
+    guess = guessed(Path(path), look, clock if timed else None, inputs) if look.numeric else ""
+    return (
+        f"{begin}; {lacking}. Allowed are a column of time, one state or more, and one input or more: say which is "
+        f"which, by data.time, data.inputs and data.states.{left_out}{guess}"
+    )
+
+
+INPUT = re.compile(r"(u|U|input)([_\d].*)?")
+"""How inputs are called."""
 _LACKING = {
     "time": "none of them is called time",
-    "inputs": "none of them is called u, u_... or input_..., as inputs are",
+    "inputs": "none that moves is called u, u_... or input_..., as inputs are",
     "states": "besides time and inputs none is left, which would be a state",
 }
 

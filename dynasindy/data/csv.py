@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -12,9 +11,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from dynasindy.data.clock import CLOCK, clock_of, in_seconds
 from dynasindy.data.columns import Column, columns_of, require_names
 from dynasindy.data.ends import acting, reaches, scaled
-from dynasindy.data.table import CLOCK, MAP, Table, all_headings, clock_of, read_table, seconds_of
+from dynasindy.data.resampled import evened, stretches
+from dynasindy.data.table import MAP, Table, all_headings, read_table
 from dynasindy.data.units import conversions, with_units
 from dynasindy.durations import in_words
 from dynasindy.systems.base import Signature
@@ -61,8 +62,9 @@ class CsvLog:
         path: the file, with a line of headings; separated by commas, semicolons or tabs.
         states: columns of the states, by name, in the order of x.
         inputs: columns of the inputs, by name, in the order of u.
-        time: heading of the time column [s]; `Time` or `t`, too, where nobody says one.
-        dt: sampling time [s]; the median of the file by default.
+        time: heading of the time column, with another unit than seconds as in `count [ms]`; `Time` or `t`, too, where
+            nobody says one.
+        dt: sampling time [s]; the median of the file by default. Where the time counts rows it is the time between two.
         missing: whether rows with a value that is missing are skipped or the file is refused.
         min_samples: fewest transitions that are worth a fit.
         into_range: whether inputs that go beyond [-1, 1], and whose ends were not given, are taken into it by the range
@@ -102,23 +104,24 @@ class CsvLog:
         if bounded := [name for name, column in states.items() if column.low is not None]:
             raise ValueError(f"{self.path}: state {bounded[0]} was given low and high, which inputs alone have: {MAP}")
         notes: list[str] = []
-        time = clock_of(all_headings(Path(self.path)), self.time)
-        names = [time, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
+        clock = clock_of(all_headings(Path(self.path)), self.time)
+        names = [clock.heading, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
         require_names([*states, *inputs], self.path)
         table = read_table(Path(self.path), names)
         notes += table.words
         table = self._complete(table, notes)
         states, inputs = with_units(states, table.headings, True), with_units(inputs, table.headings, False)
         notes += conversions(states, table.headings)
-        t = table.values[:, 0] * seconds_of(Path(self.path), table.headings[0])
-        self._check_time(t, table.lines)
+        t, said = in_seconds(self.path, table, clock, self.dt)
+        self._check_time(t, table)
+        notes.insert(0, said)
         values = dict(zip(names[1:], table.values[:, 1:].T, strict=True))
         x = {s: values[c.name] * c.scale for s, c in states.items() if c.name}
         u = np.stack([values[c.name] * c.scale for c in inputs.values()], -1)
         found = reaches(self.path, u, inputs, self.into_range, notes)
         u = scaled(u, found)
         dt = float(np.median(np.diff(t))) if self.dt is None else self.dt
-        t, x, u, segment = _even(t, x, u, dt, notes)
+        t, x, u, segment = evened(t, x, u, dt, notes)
         free = ~_stuck(x, notes)
         full = _with_rates(x, states, segment, dt, notes)
         seen = [bool(c.name or c.derivative_of) for c in states.values()]
@@ -152,61 +155,16 @@ class CsvLog:
         notes.append(f"{message}, the first in line {first}; they were skipped")
         return Table(table.headings, table.values[~rows], table.lines[~rows])
 
-    def _check_time(self, t: Array, lines: NDArray[np.int64]) -> None:
+    def _check_time(self, t: Array, table: Table) -> None:
         steps = np.diff(t)
         if len(t) < 2:
             raise ValueError(f"{self.path} gives {len(t)} complete rows; allowed are {self.min_samples} or more")
         if (steps <= 0).any():
             k = int(np.flatnonzero(steps <= 0)[0])
             raise ValueError(
-                f"{self.path}, line {lines[k + 1]}, column {self.time}: time does not increase, {t[k + 1]:g} s follows "
-                f"{t[k]:g} s; allowed is increasing time: sort the rows or split the recordings"
+                f"{self.path}, line {table.lines[k + 1]}, column {table.headings[0]}: time does not increase, "
+                f"{t[k + 1]:g} s follows {t[k]:g} s; allowed is increasing time: sort the rows or split the recordings"
             )
-
-
-def _even(
-    t: Array, x: dict[str, Array], u: Array, dt: float, notes: list[str]
-) -> tuple[Array, dict[str, Array], Array, NDArray[np.int64]]:
-    """Break segments at gaps; resample what is not even: states by cubic splines, inputs held."""
-    breaks = np.diff(t) > 1.5 * dt
-    if breaks.any():
-        notes.append(f"{int(breaks.sum())} gaps longer than 1.5 sampling times split the recording")
-    segment = np.concatenate([[0], np.cumsum(breaks)])
-    uneven = np.abs(np.diff(t)[~breaks] - dt) > 0.02 * dt
-    if not uneven.any():
-        return t, x, u, segment
-    notes.append(
-        f"{int(uneven.sum())} of {len(t) - 1} sampling times are not {dt:g} s; states were resampled by splines"
-    )
-    from scipy.interpolate import CubicSpline  # half a second of imports that most logs do without
-
-    grids, states, inputs, labels = [], [], [], []
-    for label, rows in enumerate(_stretches(segment)):
-        if len(t[rows]) < 4:
-            continue
-        grid = np.arange(t[rows][0], t[rows][-1] + 1e-9 * dt, dt)
-        grids.append(grid)
-        states.append(CubicSpline(t[rows], np.stack([v[rows] for v in x.values()], -1))(grid))
-        inputs.append(u[rows][np.searchsorted(t[rows], grid + 1e-6 * dt, side="right") - 1])
-        labels.append(np.full(len(grid), label))
-    if not grids:
-        raise ValueError(
-            f"no stretch of the recording has 4 samples {dt:g} s apart; allowed are stretches of 4 or more: check the "
-            "sampling time, and what was left out: " + "; ".join(notes)
-        )
-    stacked = np.concatenate(states)
-    return (
-        np.concatenate(grids),
-        {name: stacked[:, k] for k, name in enumerate(x)},
-        np.concatenate(inputs),
-        np.concatenate(labels),
-    )
-
-
-def _stretches(segment: NDArray[np.int64]) -> list[slice]:
-    """Return the rows of each segment."""
-    edges = [0, *(np.flatnonzero(np.diff(segment)) + 1).tolist(), len(segment)]
-    return [slice(start, end) for start, end in pairwise(edges)]
 
 
 def _stuck(x: dict[str, Array], notes: list[str]) -> NDArray[np.bool_]:
@@ -263,7 +221,7 @@ def _with_rates(
         if not column.derivative_of:
             notes.append(f"{name} is seen by no sensor; it is estimated with the model")
             continue
-        for rows in _stretches(segment):
+        for rows in stretches(segment):
             if len(rate[rows]) >= SMOOTH:
                 rate[rows] = savgol_filter(x[column.derivative_of][rows], SMOOTH, 3, deriv=1, delta=dt)
         rate *= column.scale

@@ -9,34 +9,20 @@ from array import array
 from codecs import getincrementaldecoder
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dynasindy.data.dates import ALLOWED, seconds_of_date
+
 MAP = "correct the column map (data.time, data.states, data.inputs)"
-SECONDS = {
-    "s": 1.0,
-    "sec": 1.0,
-    "ms": 1e-3,
-    "us": 1e-6,
-    "\u00b5s": 1e-6,
-    "\u03bcs": 1e-6,
-    "ns": 1e-9,
-    "min": 60.0,
-    "h": 3600.0,
-    **dict.fromkeys(("second", "seconds"), 1.0),
-    **dict.fromkeys(("millisecond", "milliseconds"), 1e-3),
-    **dict.fromkeys(("minute", "minutes"), 60.0),
-    **dict.fromkeys(("hour", "hours"), 3600.0),
-}
-"""Units of time, in seconds; capital letters are as good."""
-CLOCKS = ("time", "t", "timestamp")
-"""What a column of time is called, in small letters."""
-CLOCK = "time"
-"""Heading of the time where no other is given; `Time` or `t` is taken where the file has none."""
+SEPARATORS = ",;\t"
+"""What may stand between the values of a line."""
+TITLES = 50
+"""Lines among which the headings are looked for, to tell a title above them."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +34,14 @@ class Table:
         values: what is no number is NaN, `(rows, columns)`.
         lines: line of each row in the file, `(rows,)`.
         words: sentences on cells that hold something else than a number, one for each such column.
+        dated: whether the first column holds dates.
     """
 
     headings: tuple[str, ...]
     values: NDArray[np.float64]
     lines: NDArray[np.int64]
     words: tuple[str, ...] = ()
+    dated: bool = False
 
 
 def read_table(path: Path, names: Sequence[str]) -> Table:
@@ -66,11 +54,12 @@ def read_table(path: Path, names: Sequence[str]) -> Table:
         ValueError: the file is no table of text, a column is missing or stands there twice, or one has values and none
             of them is a number.
     """
-    (_, headings), rows = _rows(path)
+    (_, headings), rows = rows_of(path)
     columns = [_find(path, name, headings) for name in names]
     values, lines = array("d"), array("q")
     first: dict[int, str] = {}
     wrong: dict[int, list[tuple[int, str]]] = {}
+    dated = False
     for line, row in rows:
         if len(row) > len(headings) and any(text.strip() for text in row[len(headings) :]):
             raise ValueError(
@@ -81,20 +70,22 @@ def read_table(path: Path, names: Sequence[str]) -> Table:
         texts = [row[k] if k < len(row) else "" for k in columns]
         numbers = list(map(number, texts))
         if texts and math.isnan(numbers[0]):
-            numbers[0] = _date(texts[0])
+            numbers[0] = seconds_of_date(texts[0])
+            dated = dated or not math.isnan(numbers[0])
         for k, (value, text) in enumerate(zip(numbers, texts, strict=True)):
             if math.isnan(value) and text.strip().lower() not in ("", "nan"):
                 wrong.setdefault(k, []).append((line, text.strip()[:40]))
         values.extend(numbers)
         first = first or {k: text for k, text in zip(columns, texts, strict=True) if text.strip()}
     found = tuple(headings[k] for k in columns)
-    words = tuple(_told(found[k], *cells[0], len(cells) - 1) for k, cells in sorted(wrong.items()))
-    table = Table(found, np.array(values).reshape(len(lines), len(names)), np.array(lines, dtype=np.int64), words)
+    words = tuple(_told(found[k], *told[0], len(told) - 1) for k, told in sorted(wrong.items()))
+    cells = np.array(values).reshape(len(lines), len(names))
+    table = Table(found, cells, np.array(lines, dtype=np.int64), words, dated)
     for k, heading, column in zip(columns, found, table.values.T, strict=True):
         if k in first and np.isnan(column).all():
             raise ValueError(
                 f"{path}, column {heading!r} has no number, but values such as {first[k][:40]!r}; allowed are numbers, "
-                "and of time dates such as 2024-05-31 12:00:00.05: convert the column"
+                f"and of time dates such as {ALLOWED}: convert the column, words such as ON and OFF to 1 and 0"
             )
     return table
 
@@ -108,33 +99,9 @@ def _told(heading: str, line: int, text: str, more: int) -> str:
     return f"{first}, and {others}; they count as missing"
 
 
-def numeric_headings(path: Path) -> list[str]:
-    """Return the headings of columns that hold a number somewhere; the others are comments, or empty.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file is no table of text, a heading is missing, or two agree but for their unit.
-    """
-    (_, headings), rows = _rows(path)
-    names = [split_unit(heading)[0] for heading in headings]
-    if double := sorted({name for name in names if name and names.count(name) > 1}):
-        raise ValueError(
-            f"{path} has {', '.join(map(repr, double))} more than once in its headings; rename all but one"
-        )
-    waiting = set(range(len(headings)))
-    for _, row in rows:
-        waiting -= {k for k in waiting if k < len(row) and not math.isnan(number(row[k]))}
-        if not waiting:
-            break
-    found = [k for k in range(len(headings)) if k not in waiting]
-    if nameless := [k + 1 for k in found if k and not headings[k]]:  # the first may be the index of another program
-        raise ValueError(f"{path} has numbers in column {nameless[0]} and no heading above them; give it one")
-    return [headings[k] for k in found if headings[k]]
-
-
 def all_headings(path: Path) -> list[str]:
     """Return all headings of a file."""
-    return _rows(path)[0][1]
+    return rows_of(path)[0][1]
 
 
 def split_unit(heading: str) -> tuple[str, str]:
@@ -143,56 +110,12 @@ def split_unit(heading: str) -> tuple[str, str]:
     return (found[1], (found[2] or found[3] or "").strip()) if found and found[1] else (heading, "")
 
 
-def seconds_of(path: Path, heading: str) -> float:
-    """Return how many seconds the unit of a time column is; without a unit it is seconds.
-
-    Raises:
-        ValueError: the unit is not one of time.
-    """
-    unit = split_unit(heading)[1]
-    if unit and unit.lower() not in SECONDS:
-        raise ValueError(
-            f"{path} has the time column {heading!r}; allowed units are {', '.join(SECONDS)}, or none for s: rename it"
-        )
-    return SECONDS.get(unit.lower(), 1.0)
-
-
-def clock_of(headings: Sequence[str], time: str = CLOCK) -> str:
-    """Return the heading of the column of time: the one that is named, or the only one that can be meant.
-
-    Where nobody named one and no heading is `time`, it is `Time` or `t`, or `T` with a unit of time, for alone it may
-    be a temperature. What is not there is returned as it was named.
-
-    Args:
-        headings: All headings of the file.
-        time: Heading or name of the column; `time` if nobody named one.
-    """
-    split = {heading: split_unit(heading) for heading in headings}
-    if time != CLOCK or any(time in (heading, name) for heading, (name, _) in split.items()):
-        return time
-    meant = [
-        heading
-        for heading, (name, unit) in split.items()
-        if (unit.lower() in SECONDS and name.lower() in CLOCKS) or (not unit and name.lower() in CLOCKS and name != "T")
-    ]
-    return meant[0] if len(meant) == 1 else time
-
-
 def number(text: str) -> float:
     """Return a number, NaN for what is none; a comma that is left in a value is that of a decimal."""
     try:
         return float(text.replace(",", "."))
     except ValueError:
         return math.nan
-
-
-def _date(text: str) -> float:
-    """Return the seconds of a date with its time of day, NaN for what is none."""
-    try:
-        found = datetime.fromisoformat(text.strip())
-    except ValueError:
-        return math.nan
-    return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()  # else summer time would leave a gap
 
 
 def _find(path: Path, name: str, headings: Sequence[str]) -> int:
@@ -206,8 +129,13 @@ def _find(path: Path, name: str, headings: Sequence[str]) -> int:
     return places[0]
 
 
-def _rows(path: Path) -> tuple[tuple[int, list[str]], Iterator[tuple[int, list[str]]]]:
-    """Return the line and fields of the headings, and of the rows below them; rows without a value are no rows."""
+def rows_of(path: Path) -> tuple[tuple[int, list[str]], Iterator[tuple[int, list[str]]]]:
+    """Return the line and fields of the headings, and of the rows below them; rows without a value are no rows.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is no table of text, or does not begin with a line of headings.
+    """
     rows = _lines(path)
     line, fields = next(rows, (0, []))
     headings = [field.strip() for field in fields]
@@ -219,6 +147,12 @@ def _rows(path: Path) -> tuple[tuple[int, list[str]], Iterator[tuple[int, list[s
             f"{path} has numbers in line {line}, where headings are wanted; allowed is a CSV file with a line of "
             f"headings: write one above, such as {names}, with names and units of yours, as in angle [deg]; columns "
             "that are called u or u_... are inputs, all others but time are states"
+        )
+    if below := _below_a_title(path):
+        what = f"line 1 holds {', '.join(filter(None, headings))[:60]!r}"
+        raise ValueError(
+            f"{path}: {what}, as a title does, and the headings seem to stand in line {below}; allowed is a CSV file "
+            f"whose first line holds the headings: delete what stands above line {below}"
         )
     return (line, headings), rows
 
@@ -241,6 +175,23 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
                 f"{path}, after line {before}: {error}; allowed are lines of short values: look for a quote that is "
                 "not closed"
             ) from error
+
+
+def _below_a_title(path: Path) -> int:
+    """Return the line of the headings if a title stands above them, else 0.
+
+    Headings are words above numbers, and more of them than the title has parts; a line of units has as many.
+    """
+    with _opened(path) as file:
+        lines = [line.rstrip("\r\n") for line in islice(file, TITLES)]
+    for k, (line, below) in enumerate(pairwise(lines)):
+        separator = max(SEPARATORS, key=line.count)
+        words, values = ([part.strip() for part in text.split(separator)] for text in (line, below))
+        title = [part for part in lines[0].split(separator) if part.strip()]
+        wordy = all(math.isnan(number(word)) for word in words)
+        if len(words) == len(values) > 1 and wordy and any(not math.isnan(number(value)) for value in values):
+            return k + 1 if len(title) < len([word for word in words if word]) else 0
+    return 0
 
 
 def _opened(path: Path) -> TextIO:
@@ -266,4 +217,4 @@ def _separator(file: TextIO) -> str:
     """Guess the separator from the line of headings, and go back to it."""
     first = file.readline(100_000)
     file.seek(0)
-    return max(",;\t", key=first.count)
+    return max(SEPARATORS, key=first.count)

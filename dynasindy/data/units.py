@@ -38,6 +38,11 @@ def in_radians(unit: str, turns: bool = True) -> tuple[str, float]:
     return unit, 1.0
 
 
+def turn_of(unit: str) -> float:
+    """Return how much one turn is in a unit of angles, such as 360 deg; infinite in any other unit."""
+    return 2 * math.pi if unit == "rad" else 2 * math.pi / TURNS[unit] if unit in TURNS else math.inf
+
+
 def with_units(
     columns: Mapping[str, Column], headings: Iterable[str], states: bool, known: Mapping[str, str] | None = None
 ) -> dict[str, Column]:

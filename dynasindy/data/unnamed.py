@@ -10,40 +10,54 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dynasindy.data.table import CLOCK, read_table, split_unit
+from dynasindy.data.clock import CLOCK, is_counter, parts_of
+from dynasindy.data.survey import Survey
+from dynasindy.data.table import read_table, split_unit
 
 Array = NDArray[np.float64]
 
 
-def settings_for(path: Path, headings: Sequence[str], time: str | None, inputs: Sequence[str]) -> str:
-    """Return the words of the command line that say what is time, what an input and what a state.
+def guessed(path: Path, look: Survey, time: str | None, inputs: Sequence[str]) -> str:
+    """Return a first guess at what is time, what an input and what a state: sentences, then words of the command line.
 
-    Time is the first column that grows all along. The input is the column that is held longest, as only levels of an
-    actuator are, or else the last one. Both are guesses, and what was found by its heading is none.
+    Time is a column of dates, or the first column that grows all along, one that counts rows only where there is no
+    other. The input is the column that is held longest, as only levels of an actuator are, or else the last one. Both
+    are guesses, and what was found by its heading is none. A column that never changes is neither input nor state.
 
     Args:
         path: The file.
-        headings: Those of columns with numbers.
+        look: Its columns.
         time: Heading of the time, None where it is not known.
         inputs: Names of inputs that were found.
 
     Raises:
         ValueError: The file is no table of text.
     """
+    headings = [heading for heading in look.numeric if heading not in look.still]
     values = read_table(path, headings).values
     columns = dict(zip(headings, values[np.isfinite(values).all(1)].T, strict=True))
+    growing = [heading for heading, column in columns.items() if _grows(column)]
     if time is None:
-        time = next((heading for heading, column in columns.items() if _grows(column)), None)
-    names = [split_unit(heading)[0] for heading in columns if heading != time and split_unit(heading)[0] != time]
-    if not inputs:
+        time = next(iter([*look.dated, *sorted(growing, key=lambda heading: is_counter(columns[heading]))]), None)
+    names = [split_unit(heading)[0] for heading in columns if heading != time]
+    hints = []
+    if time in growing and not parts_of(time)[1] and is_counter(columns[time]):
+        hints.append(f"{time} holds whole numbers, as a counter does: if it counts rows, give data.dt, too, in seconds")
+    if not inputs and names:
         still = {split_unit(heading)[0]: float((np.diff(column) == 0).mean()) for heading, column in columns.items()}
-        held = max(names, key=lambda name: still[name], default="")
-        inputs = [held] if names and still[held] > 0.5 else names[-1:]
+        held = max(names, key=lambda name: still[name])
+        inputs = [held] if still[held] > 0.5 else names[-1:]
+        if still[held] <= 0.5:
+            hints.append(
+                "No column is held for some samples, as commands are: if the log has no command, log it, too, for "
+                "without one nothing can be identified"
+            )
     states = [name for name in names if name not in inputs]
     clock = split_unit(time)[0] if time else "HEADING"
     words = [] if clock == CLOCK else [f"data.time={_quoted(clock)}"]
     words += [f"data.{key}=[{','.join(map(_quoted, each))}]" for key, each in (("inputs", inputs), ("states", states))]
-    return " ".join(map(shlex.quote, words))
+    told = "".join(f" {hint}." for hint in hints)
+    return f"{told} This is a first guess, to be corrected: {' '.join(map(shlex.quote, words))}"
 
 
 def _grows(column: Array) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from dynasindy.evaluation.held import LOST, WITHIN
+from dynasindy.evaluation.held import LOST, WITHIN, of_what
 
 HARDLY = 0.01
 """Gain, as a share of the untrained policy's return, below which a policy is said to be hardly better."""
@@ -69,7 +69,8 @@ def _held(held: Mapping[str, Mapping[str, float | None]], within: float, usable:
     for name, given in held["share"].items():
         share, worst = _number(given), _number(held["worst"][name])
         missed |= not (share <= within and worst <= LOST * within)
-        told.append(f"{name} {_percent(share)} of the target range on average, {_percent(worst)} at worst")
+        range_ = of_what(name, held.get("turned", ()))
+        told.append(f"{name} {_percent(share)} {range_} on average, {_percent(worst)} at worst")
     lines = [f"errors at the end: {'; '.join(told)} ({_percent(within)} is asked for)"]
     if not told:
         lines = [

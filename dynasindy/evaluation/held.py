@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
+from dynasindy.data.units import turn_of
 from dynasindy.evaluation.scenarios import Evaluation
 
 FAR = 20.0
@@ -29,6 +31,7 @@ class Held:
         away: States that run away or do not come to rest though they are not tracked, with the share of runs.
         idle: Those of them that nothing depends on, as a mileage.
         swings: Those of `away` that stay near and only do not come to rest.
+        turned: Outputs whose targets reach over a turn or more, and whose errors are shares of one turn.
     """
 
     share: dict[str, float | None]
@@ -36,6 +39,7 @@ class Held:
     away: dict[str, float]
     idle: dict[str, float]
     swings: dict[str, float] = field(default_factory=dict)
+    turned: tuple[str, ...] = ()
 
 
 def held(evaluation: Evaluation, matter: Tensor) -> Held:
@@ -64,7 +68,22 @@ def held(evaluation: Evaluation, matter: Tensor) -> Held:
         away={names[i]: share for i, share in gone.items() if bool(matter[i])},
         idle={names[i]: share for i, share in gone.items() if not bool(matter[i])},
         swings={names[i]: share for i, share in gone.items() if bool(matter[i]) and near[i]},
+        turned=tuple(
+            name
+            for (name, unit), box in zip(evaluation.units.items(), evaluation.boxes, strict=False)
+            if box >= turn_of(unit)
+        ),
     )
+
+
+def of_what(name: str, turned: Collection[str]) -> str:
+    """Say of what the error of an output is a share.
+
+    Args:
+        name: The output.
+        turned: Outputs whose errors are shares of a turn.
+    """
+    return "of a turn" if name in turned else "of the target range"
 
 
 def _named(evaluation: Evaluation, values: Tensor) -> dict[str, float | None]:

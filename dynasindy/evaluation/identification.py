@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from dynasindy.data.columns import Column, chosen, columns_of, infer
+from dynasindy.data.columns import Column, columns_of, infer
 from dynasindy.data.csv import CsvLog, Recording
 from dynasindy.data.rates import rates_without_state
 from dynasindy.data.simulated import before_leaving, disturb, record
@@ -161,7 +161,8 @@ class Logged:
 
     def recording(self, system: System | None) -> Recording:
         """Read the file, all of it; of the plant the names are used at most."""
-        states, inputs = self._columns(system)
+        notes: list[str] = []
+        states, inputs = self._columns(system, notes)
         own = system is None  # a plant that is named has inputs in [-1, 1]
         log = CsvLog(str(self.path), states, inputs, self.time, self.dt, self.missing, into_range=own)  # type: ignore[arg-type]
         recording = log.read()
@@ -172,11 +173,11 @@ class Logged:
             signature = replace(signature, x_scale=tuple(plant if blind else own for blind, plant, own in ranges))
         else:
             signature = ranged(signature, data, self.known or {})
-        return replace(recording, signature=signature)
+        return replace(recording, signature=signature, notes=(*recording.notes, *notes))
 
-    def _columns(self, system: System | None) -> tuple[dict[str, Any], dict[str, Any]]:
+    def _columns(self, system: System | None, notes: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
         if system is None:
-            return self._read_off()
+            return self._read_off(notes)
         both = self.states, self.inputs
         given = [{name: name for name in each} if isinstance(each, list) else each for each in both]
         if given[0] and given[1]:
@@ -190,17 +191,16 @@ class Logged:
         inputs = {n: Column(n) for n in plant.input_names}
         return given[0] or dict(states), given[1] or dict(inputs)
 
-    def _read_off(self) -> tuple[dict[str, Any], dict[str, Any]]:
+    def _read_off(self, notes: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
         """Return what is mapped, what is listed, or else what the headings say."""
         mapped = {"states": self.states, "inputs": self.inputs}
         maps = {key: dict(given) for key, given in mapped.items() if given and isinstance(given, Mapping)}
         if len(maps) == 2:
             return self._with_rates(maps["states"]), maps["inputs"]
-        taken = [_heading(name, given) for name, given in maps["inputs"].items()] if "inputs" in maps else self.inputs
-        states, inputs = infer(str(self.path), self.time, taken or None)
-        if self.states and "states" not in maps:
-            states = chosen(states, self.states, str(self.path), "data.states")
-        return self._with_rates(maps.get("states", states)), maps.get("inputs", dict(inputs))
+        inputs = [_heading(name, given) for name, given in maps["inputs"].items()] if "inputs" in maps else self.inputs
+        listed = None if "states" in maps else self.states
+        states, found = infer(str(self.path), self.time, inputs or None, listed or None, notes)
+        return self._with_rates(maps.get("states", states)), maps.get("inputs", dict(found))
 
     def _with_rates(self, states: Mapping[str, Any]) -> dict[str, Any]:
         """Add the rates that are known to belong to a state and have no column; the model tells them."""

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 
 from dynasindy.envs import ControlEnv, LateEnv
-from dynasindy.evaluation.held import LOST, WITHIN, Held, held
+from dynasindy.evaluation.held import LOST, WITHIN, Held, held, of_what
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate
 from dynasindy.planning.rests import states_that_matter
 from dynasindy.sensing import Sensing
@@ -88,7 +88,7 @@ class Prediction:
             shares = [100 * _number(flight.share[name]) for flight in flown]
             worst = max(100 * _number(flight.worst[name]) for flight in flown)
             ends = f"{min(shares):.2g} to {max(shares):.2g} %"
-            told.append(f"{name} {ends} of the target range on average, {worst:.2g} % at worst")
+            told.append(f"{name} {ends} {of_what(name, flown[0].turned)} on average, {worst:.2g} % at worst")
         lost = [f"{n - len(flown)} of {n} models run away"] if len(flown) < n else []
         fates = {(name, name not in flight.swings) for flight in flown for name in flight.away}
         lost += sorted(f"{name}, which is not tracked, {_fate(away)}" for name, away in fates)

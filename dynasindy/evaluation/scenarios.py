@@ -20,6 +20,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.agents import Exploring
 from dynasindy.data.sound import require_finite
+from dynasindy.data.units import turn_of
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.control_env import FARTHEST
 from dynasindy.evaluation.disturbances import SensorNoise, Told
@@ -94,7 +95,7 @@ class Evaluation:
         trajectory: `[episodes, T]` as `ControlEnv.rollout` writes it; behind sensors, `estimate` is what was seen.
         metrics: Per row, see `dynasindy.evaluation.metrics`.
         windows: Times `(start, end)` at which the plant was disturbed [s], where that was not all the time.
-        boxes: Extents of the outputs' targets, `(n_r,)`; one of each unit if empty.
+        boxes: Extents of the outputs' targets, `(n_r,)`, of an angle one turn at most; one of each unit if empty.
         disturbances: What disturbed it and by how much, in words.
     """
 
@@ -354,7 +355,9 @@ def _measure(env: ControlEnv, task: Task, scenario: Scenario, trajectory: Tensor
     time = torch.arange(trajectory.shape[-1], dtype=torch.float64) * env.dt
     outputs = [env.system.signature.state_index(name) for name in task.output_names]
     y, r, u = trajectory["state"][..., outputs], trajectory["reference"], trajectory["action"]
-    boxes = task.boxes() if isinstance(task, Tracking) else torch.ones(len(outputs))
+    # Of an angle no error is small beside many turns: one turn is the most that errors are a share of.
+    turns = torch.tensor([turn_of(env.system.signature.state_units[i]) for i in outputs], dtype=torch.float64)
+    boxes = task.boxes().minimum(turns) if isinstance(task, Tracking) else torch.ones(len(outputs))
     metrics = tracking_metrics(time, y, r, u, boxes)
     windows = tuple((start, end) for start, end in scenario.windows or ()) if scenario.plant else ()
     return Evaluation(

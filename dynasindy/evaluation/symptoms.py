@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -21,6 +23,8 @@ OFTEN = 0.01
 """Part of the samples at an end of an input's range that is called saturation."""
 LEVELS = 20
 """Values of an input up to which it switches between levels, and does not saturate."""
+AT_END = 1e-3
+"""Part of an input's range by which it may be off an end and still be at it, as rounding makes it."""
 STAYS = 3
 """Separate stays at an end of an input's range from which on they are saturation."""
 USUAL = 0.95
@@ -70,15 +74,23 @@ def _noise(column: Array) -> float:
     return float(np.sqrt(np.mean(np.square(known - local_cubic(known, best_length(known), 1.0, 0)))))
 
 
-def saturated(data: Transitions) -> Tensor:
-    """Return the part of the samples with each input at an end of its range, `(n_u,)`; 0 where it is hardly any."""
+def saturated(data: Transitions, limits: Sequence[tuple[float, float]] = ()) -> Tensor:
+    """Return the part of the samples with each input at an end of its range, `(n_u,)`; 0 where it is hardly any.
+
+    What a log alone has as its largest value is no such end where the actuator reaches further.
+
+    Args:
+        data: The recording.
+        limits: Least and largest value of each input; -1 and 1 if omitted.
+    """
     shares = []
-    for u in data.u.double().unbind(-1):
-        share = 0.0
-        for end in (u.min(), u.max()):
-            held = torch.nn.functional.pad((u == end).long(), (1, 0))
-            if int((held.diff() > 0).sum()) >= STAYS and len(u.unique()) > LEVELS:
-                share += float(held.double().sum()) / len(u)
+    for u, ends in zip(data.u.double().unbind(-1), limits or ((-1.0, 1.0),) * data.u.shape[1], strict=True):
+        share, near = 0.0, AT_END * (ends[1] - ends[0])
+        for most, end in ((u.min(), ends[0]), (u.max(), ends[1])):
+            held = (u == most) & (abs(float(most) - end) <= near)
+            begins = torch.nn.functional.pad(held.long(), (1, 0)).diff() > 0
+            if int(begins.sum()) >= STAYS and len(u.unique()) > LEVELS:
+                share += float(held.double().mean())
         shares.append(share if share > OFTEN else 0.0)
     return torch.tensor(shares)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -253,9 +254,14 @@ def found_in_data(data: Transitions, signature: Signature) -> list[str]:
     for name, unit, column in zip(signature.state_names, signature.state_units, samples_of(data), strict=True):
         if step := step_of(column):
             lines.append(f"{name} is read in steps of {step:.3g} {unit}")
-    for name, share in zip(signature.input_names, saturated(data).tolist(), strict=True):
+    limits = signature.input_limits or ((-1.0, 1.0),) * signature.n_u
+    ends = signature.in_own_units(np.array(limits).T).T.tolist()
+    units = signature.input_units or ("-",) * signature.n_u
+    told = zip(signature.input_names, saturated(data, limits).tolist(), ends, units, strict=True)
+    for name, share, (low, high), unit in told:
         if share:
-            lines.append(f"{name} is at an end of its range in {100 * share:.0f} % of the samples")
+            reach = f"{low:.6g} to {high:.6g}{'' if unit == '-' else f' {unit}'}"
+            lines.append(f"{name} is at an end of its range, {reach}, in {100 * share:.0f} % of the samples")
     if driven := [name for name, told in zip(signature.input_names, closed_loop(data), strict=True) if told]:
         lines.append(f"a controller made {' and '.join(driven)} out of the measured states (closed loop)")
     return lines

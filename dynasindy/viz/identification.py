@@ -89,14 +89,17 @@ def training_data(
     """
     seconds, values = array(time), array(x)
     inputs = () if u is None else signature.input_names
-    names, units = (*signature.state_names, *inputs), (*signature.state_units, *("-",) * len(inputs))
+    seen = [i for i in range(signature.n_x) if not np.isnan(values[:, i]).all()]
+    if unseen := [name for i, name in enumerate(signature.state_names) if i not in seen]:
+        title = f"{title}; not measured: {', '.join(unseen)}"
+    names = (*(signature.state_names[i] for i in seen), *inputs)
+    units = (*(signature.state_units[i] for i in seen), *("-",) * len(inputs))
     figure, axes, columns = _panels(names, units, title)
-    for i in range(signature.n_x):
-        axes[i].plot(_broken(seconds, segment), _broken(values[:, i], segment), color=BLUE)
-        _say_unmeasured(axes[i], values[:, i])
+    for axis, i in zip(axes, seen, strict=False):
+        axis.plot(_broken(seconds, segment), _broken(values[:, i], segment), color=BLUE)
     moving = np.zeros((len(seconds), 0)) if u is None else array(u)
     for i in range(len(inputs)):
-        _input(axes[signature.n_x + i], seconds, moving, signature, i, segment)
+        _input(axes[len(seen) + i], seconds, moving, signature, i, segment)
     shown = axes[: len(names)]
     _mark_restarts(shown, seconds, moving)
     _mark_gaps(shown, seconds, segment)
@@ -281,11 +284,6 @@ def _until_lost(predicted: Array, real: Array, wide: float) -> Array:
     with np.errstate(invalid="ignore"):
         lost = ~(np.abs(predicted - real) <= LOST * wide) if wide > 0 else ~np.isfinite(predicted)
     return np.where(np.logical_or.accumulate(lost), np.nan, predicted)
-
-
-def _say_unmeasured(axis: Axes, values: Array) -> None:
-    if np.isnan(values).all():
-        axis.text(0.5, 0.5, "not measured", transform=axis.transAxes, ha="center", va="center", color=GREY)
 
 
 def _legend_below(figure: Figure, axis: Axes) -> None:

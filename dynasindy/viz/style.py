@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
+from dynasindy.data.rates import NAMED
 from dynasindy.durations import unit_of
 from dynasindy.systems.base import Signature
 from dynasindy.told import tell
@@ -117,10 +118,13 @@ def wrapped(line: str, letters: int) -> list[str]:
 def symbol(name: str) -> str:
     r"""Return a name as mathematics: `alpha_a` becomes `$\alpha_a$`; one that is no symbol stays as it is.
 
-    Mathematics would lose spaces, and several `_` are no subscript.
+    Mathematics would lose spaces, and several `_` are no subscript. Nor is a rate the subscript of its angle, and a
+    word such as `angle` is no product of letters.
     """
     head, _, tail = name.partition("_")
     if not head.isalnum() or not (tail.isalnum() or head == name):
+        return name
+    if (head.isalpha() and len(head) > 1 and head not in GREEK) or f"{{}}_{tail}" in NAMED:
         return name
     head = rf"\{head}" if head in GREEK else head
     return f"${head}_{{{tail}}}$" if tail else f"${head}$"

@@ -67,7 +67,7 @@ def test_zero_stays_zero_and_what_an_actuator_does_not_reach_are_limits(tmp_path
     assert (signature.input_limits or ((-1, 1),))[0] == pytest.approx(limits)
     assert signature.in_own_units(found.transitions.u)[:, 0] == pytest.approx(values[:-1])
     assert signature.in_own_units([limits[0]]) == pytest.approx([low])
-    assert f"0 is {rest} %, 1 is {rest + one} %; a controller keeps it from {low} to {high} %" in found.notes[0]
+    assert f"0 is {rest} %, 1 is {rest + one} %; a controller keeps it from {low} to {high} %" in found.notes[1]
     assert Task(signature).input_limits.flatten().tolist() == pytest.approx(limits)
 
 
@@ -101,7 +101,7 @@ def test_a_log_alone_tells_the_range_that_an_input_used(tmp_path, low, high, res
     assert rest + one * found.transitions.u[:, 0].numpy() == pytest.approx(values[:-1])
     limits = (found.signature.input_limits or ((-1, 1),))[0]
     assert [rest + one * limit for limit in limits] == pytest.approx(reach)
-    (word,) = shlex.split(found.notes[1].rpartition("as they are: ")[2])
+    (word,) = shlex.split(found.notes[2].rpartition("as they are: ")[2])
     given = yaml.safe_load(word.removeprefix("data.inputs="))
     assert (given["valve"]["low"], given["valve"]["high"]) == reach
     again = Logged(path, inputs=given).recording(None)
@@ -113,7 +113,7 @@ def test_an_input_within_one_that_never_leaves_one_side_is_asked_about(tmp_path,
     path = written(tmp_path / "log.csv", levels(low, high), "valve")
     found = Logged(path, inputs=["valve"]).recording(None)
     assert found.signature.input_ends == () == found.signature.input_limits
-    (note,) = found.notes
+    (_, note) = found.notes
     assert f"'data.inputs={{valve: {{name: valve, {ends}}}}}'" in note and "from -1 to 1" in note
 
 
@@ -122,7 +122,7 @@ def test_ends_far_wider_than_the_log_are_asked_about(tmp_path):
     path = written(tmp_path / "log.csv", levels(0.0, 10.0), "valve [V]")
     wide = {"valve": {"name": "valve", "low": 0, "high": 10_000}}
     notes = Logged(path, inputs=wide).recording(None).notes
-    assert "goes from 0 to 10 only, 0.1 % of that; check that both are in one unit" in notes[0]
+    assert "goes from 0 to 10 only, 0.1 % of that; check that both are in one unit" in notes[1]
     fair = {"valve": {"name": "valve", "low": 0, "high": 100}}
     assert not any("only" in note for note in Logged(path, inputs=fair).recording(None).notes)
 
@@ -132,7 +132,7 @@ def test_an_input_within_one_is_taken_as_it_is(tmp_path, most):
     values = levels(-most, most)
     found = Logged(written(tmp_path / "log.csv", values), inputs=["valve"]).recording(None)
     assert np.array_equal(found.transitions.u[:, 0].numpy(), values[:-1])
-    assert found.signature.input_ends == () and not found.notes
+    assert found.signature.input_ends == () and not found.notes[1:]
 
 
 def test_ends_of_minus_one_and_one_keep_the_numbers(tmp_path):
@@ -140,7 +140,7 @@ def test_ends_of_minus_one_and_one_keep_the_numbers(tmp_path):
     kept = {"valve": {"name": "valve", "low": -1, "high": 1}}
     found = Logged(written(tmp_path / "log.csv", values), inputs=kept).recording(None)
     assert np.array_equal(found.transitions.u[:, 0].numpy(), values[:-1])
-    assert "beyond the [-1, 1]" in found.notes[0]
+    assert "beyond the [-1, 1]" in found.notes[1]
 
 
 @pytest.mark.parametrize(
@@ -165,7 +165,7 @@ def test_a_proposed_setting_reads_the_same_numbers(tmp_path):
     path = written(tmp_path / "log.csv", levels(-12_000.0, 12_000.0), "valve [mV]")
     scaled = {"valve": {"name": "valve", "unit": "V", "scale": 0.001}}
     first = Logged(path, inputs=scaled).recording(None)
-    (word,) = shlex.split(first.notes[1].rpartition("as they are: ")[2])
+    (word,) = shlex.split(first.notes[2].rpartition("as they are: ")[2])
     given = yaml.safe_load(word.removeprefix("data.inputs="))
     assert given["valve"] == {"name": "valve", "unit": "V", "scale": 0.001, "low": -12, "high": 12}
     second = Logged(path, inputs=given).recording(None)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynasindy.data.table import all_headings, clock_of, numeric_headings, read_table, seconds_of, split_unit
+from dynasindy.data.table import all_headings, read_table, split_unit
 
 
 def write(folder: Path, text: str) -> Path:
@@ -25,22 +25,6 @@ def test_the_ends_of_lines_of_all_systems_are_read(tmp_path, ends):
     assert read_table(write(tmp_path, ends.join(["a,b", "1,2", "3,4"])), ["a", "b"]).values.tolist() == [[1, 2], [3, 4]]
 
 
-def test_a_heading_has_a_number_below_it_or_is_left_out(tmp_path):
-    file = write(tmp_path, "a,b,c,d\nx,,1,\ny,,2,5\n")
-    assert numeric_headings(file) == ["c", "d"] and list(all_headings(file)) == ["a", "b", "c", "d"]
-
-
-def test_a_heading_that_stands_twice_is_refused_whatever_its_units(tmp_path):
-    with pytest.raises(ValueError, match="'b' more than once"):
-        numeric_headings(write(tmp_path, "a,b [m],b [s]\n1,2,3\n"))
-
-
-def test_an_index_needs_no_heading_but_other_numbers_do(tmp_path):
-    assert numeric_headings(write(tmp_path, ",a,b\n0,1,2\n")) == ["a", "b"]
-    with pytest.raises(ValueError, match=r"numbers in column 2 and no heading above them; give it one"):
-        numeric_headings(write(tmp_path, "a,,b\n0,1,2\n"))
-
-
 @pytest.mark.parametrize(
     ("heading", "parts"),
     [
@@ -55,32 +39,6 @@ def test_a_heading_is_a_name_and_a_unit(heading, parts):
     assert split_unit(heading) == parts
 
 
-@pytest.mark.parametrize(("unit", "seconds"), [("s", 1), ("ms", 1e-3), ("\u00b5s", 1e-6), ("min", 60), ("h", 3600)])
-def test_a_unit_of_time_is_so_many_seconds(unit, seconds):
-    assert seconds_of(Path("log.csv"), f"t [{unit}]") == seconds
-    assert seconds_of(Path("log.csv"), f"t ({unit.upper()})") == seconds
-
-
-@pytest.mark.parametrize(
-    ("headings", "clock"),
-    [
-        (["time [s]", "Time"], "time"),
-        (["Time", "a"], "Time"),
-        (["a", "Time (s)"], "Time (s)"),
-        (["t [ms]", "T [degC]"], "t [ms]"),
-        (["TIME [S]", "a"], "TIME [S]"),
-        (["Timestamp", "a"], "Timestamp"),
-        (["T [s]", "a"], "T [s]"),
-        (["T", "a"], "time"),  # a temperature
-        (["t", "Time"], "time"),  # which?
-        (["t [degC]", "a"], "time"),
-    ],
-)
-def test_time_is_found_where_only_one_heading_can_mean_it(headings, clock):
-    assert clock_of(headings) == clock
-    assert clock_of(headings, "a") == "a"
-
-
 def test_text_in_a_column_of_numbers_is_told_with_its_line(tmp_path):
     """What is empty or nan was not measured, and is no text."""
     table = read_table(write(tmp_path, "time,a [m],b\n0,1,5\n1,off,nan\n2,,6\n3,ERR 4,7\n4,1,2\n"), ["time", "a", "b"])
@@ -89,6 +47,28 @@ def test_text_in_a_column_of_numbers_is_told_with_its_line(tmp_path):
         "as missing",
     )
     assert read_table(write(tmp_path, "time,a\n2024-02-28 23:59:59,1\n"), ["time", "a"]).words == ()
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("Motor test 3\na,b,c\n1,2,3\n", 2),
+        ("Motor test 3, third run\nSolver; RK4\n\na;b;c\n1,5;2;3\n", 4),
+        ("a,b,c\ns,V,-\n1,2,3\n", 0),
+        ("a,b,c\n,,\n1,2,3\n", 0),
+        ("a,b\nx,y\n", 0),
+    ],
+)
+def test_a_title_above_the_headings_is_told_and_a_line_of_units_is_none(tmp_path, text, line):
+    file = write(tmp_path, text)
+    if not line:
+        assert len(all_headings(file)) > 1
+        return
+    with pytest.raises(
+        ValueError, match=rf"as a title does, and the headings seem to stand in line {line}; allowed"
+    ) as e:
+        read_table(file, ["a"])
+    assert "\n" not in str(e.value) and "'Motor test 3" in str(e.value)
 
 
 @pytest.mark.parametrize(

@@ -80,12 +80,12 @@ def test_a_log_in_degrees_is_read_in_radians_and_says_so_in_a_line(tmp_path):
     found = Logged(path).recording(None)
     assert found.signature.state_units == ("rad", "rad/s")
     assert found.transitions.x.numpy() == pytest.approx(np.stack([np.sin(t), np.cos(t)], -1)[:-1])
-    (note,) = found.notes
+    (_, note) = found.notes
     assert note.startswith("converted: angle from deg to rad, rate from deg/s to rad/s. Targets and limits are to be")
     (word,) = [word for word in shlex.split(note) if word.startswith("data.states=")]
     given = yaml.safe_load(word.removeprefix("data.states="))
     kept = Logged(path, given).recording(None)
-    assert kept.signature.state_units == ("deg", "deg/s") and not kept.notes
+    assert kept.signature.state_units == ("deg", "deg/s") and not kept.notes[1:]
     assert kept.transitions.x.numpy() == pytest.approx(np.degrees(np.stack([np.sin(t), np.cos(t)], -1)[:-1]))
 
 
@@ -103,7 +103,7 @@ def test_a_plant_that_is_named_reads_degrees_too(tmp_path):
     path, t = written(tmp_path / "log.csv", "time [s],theta [°],Omega [°/s],u")
     found = Logged(path).recording(Pendulum())
     assert found.transitions.x[:, 0].numpy() == pytest.approx(np.sin(t)[:-1])
-    assert len(found.notes) == 1 and "theta from ° to rad" in found.notes[0]
+    assert len(found.notes) == 2 and "theta from ° to rad" in found.notes[1]
 
 
 def test_nothing_is_said_where_nothing_was_converted():

@@ -8,7 +8,8 @@ import pytest
 import yaml
 
 from dynasindy.data.columns import infer
-from dynasindy.data.unnamed import settings_for
+from dynasindy.data.survey import survey
+from dynasindy.data.unnamed import guessed
 from dynasindy.evaluation.identification import Logged
 
 
@@ -21,6 +22,7 @@ def written(path, headings, order=(0, 1, 2, 3)):
 
 
 def settings(words):
+    words = words.rpartition("to be corrected: ")[2]
     return {key: yaml.safe_load(value) for key, _, value in (word.partition("=") for word in shlex.split(words))}
 
 
@@ -37,7 +39,7 @@ def test_the_first_error_has_all_settings_and_these_read_the_log(tmp_path, headi
     with pytest.raises(ValueError, match=r"none of them is called time\. Allowed are") as error:
         Logged(str(path)).recording(None)
     assert "\n" not in str(error.value)
-    given = settings(str(error.value).rpartition("to be corrected: ")[2])
+    given = settings(str(error.value))
     assert given["data.time"] == "Zeit" and given["data.states"] == ["Winkel", "Rate"]
     read = {key.removeprefix("data."): value for key, value in given.items()}
     found = Logged(str(path), **read).recording(None)
@@ -46,21 +48,78 @@ def test_the_first_error_has_all_settings_and_these_read_the_log(tmp_path, headi
 
 def test_what_headings_tell_is_no_guess(tmp_path):
     path = written(tmp_path / "log.csv", "t,a,b,c")
-    with pytest.raises(ValueError, match=r"none of them is called u, u_\.\.\. or input_") as error:
+    with pytest.raises(ValueError, match=r"none that moves is called u, u_\.\.\. or input_") as error:
         infer(str(path))
-    given = settings(str(error.value).rpartition("to be corrected: ")[2])
+    given = settings(str(error.value))
     assert given == {"data.time": "t", "data.inputs": ["c"], "data.states": ["a", "b"]}
-    named = settings_for(path, ["t", "a", "b", "c"], "t", ["a"])
+    named = guessed(path, survey(path), "t", ["a"])
     assert settings(named) == {"data.time": "t", "data.inputs": ["a"], "data.states": ["b", "c"]}
 
 
 def test_without_a_column_that_is_held_the_last_one_is_the_input(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("\n".join(["time,a,b", *(f"{k},{math.sin(k)},{math.cos(k)}" for k in range(20))]))
-    assert settings(settings_for(path, ["time", "a", "b"], "time", [])) == {"data.inputs": ["b"], "data.states": ["a"]}
+    assert settings(guessed(path, survey(path), "time", [])) == {"data.inputs": ["b"], "data.states": ["a"]}
 
 
 def test_where_nothing_grows_the_heading_of_time_is_left_to_the_user(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("a,b\n1,2\n0,3\n1,1\n")
-    assert settings(settings_for(path, ["a", "b"], None, []))["data.time"] == "HEADING"
+    assert settings(guessed(path, survey(path), None, []))["data.time"] == "HEADING"
+
+
+def test_a_column_that_never_changes_is_no_input_and_no_state_and_is_said(tmp_path):
+    """It is held longer than any other."""
+    path = tmp_path / "log.csv"
+    rows = [f"{0.1 * k},{math.sin(k)},{k // 4 % 2},24.5" for k in range(80)]
+    path.write_text("\n".join(["time,angle,motor,supply", *rows]))
+    with pytest.raises(ValueError, match=r"never changes tells nothing of the plant: supply \(24\.5 in all") as error:
+        infer(str(path))
+    assert settings(str(error.value)) == {"data.inputs": ["motor"], "data.states": ["angle"]}
+    found = Logged(str(path), inputs=["motor"]).recording(None)
+    assert found.signature.state_names == ("angle",) and "supply (24.5 in all rows)" in found.notes[-1]
+    path.write_text("\n".join(["time,angle,u_motor,u_supply", *rows]))
+    found = Logged(str(path)).recording(None)
+    assert found.signature.input_names == ("u_motor",) and "u_supply (24.5 in all rows)" in found.notes[-1]
+    assert Logged(str(path), states=["angle"]).recording(None).signature.input_names == ("u_motor",)
+
+
+def test_dates_are_taken_for_the_time_and_a_counter_only_where_there_is_no_other(tmp_path):
+    path = tmp_path / "log.csv"
+    rows = [f"{k},31.05.2024 12:00:{k // 10:02d}.{k % 10},{math.sin(k)},{k // 4 % 2},{0.1 * k}" for k in range(80)]
+    path.write_text("\n".join(["row,Uhr,Winkel,Motor,Zeit", *rows]))
+    with pytest.raises(ValueError, match="none of them is called time") as error:
+        infer(str(path))
+    given = settings(str(error.value))
+    assert given["data.time"] == "Uhr" and given["data.inputs"] == ["Motor"]
+    read = {key.removeprefix("data."): value for key, value in given.items()}
+    assert Logged(str(path), **read).recording(None).transitions.dt == pytest.approx(0.1)
+    path.write_text(
+        "\n".join(["row,Winkel,Motor,Zeit", *(",".join(np.array(r.split(","))[[0, 2, 3, 4]]) for r in rows)])
+    )
+    assert settings(guessed(path, survey(path), None, []))["data.time"] == "Zeit"
+    path.write_text("\n".join(["row,Winkel,Motor", *(",".join(np.array(r.split(","))[[0, 2, 3]]) for r in rows)]))
+    told = guessed(path, survey(path), None, [])
+    assert settings(told)["data.time"] == "row" and "if it counts rows, give data.dt" in told
+
+
+def test_a_log_without_a_command_does_not_propose_its_state_as_one(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["time,angle", *(f"{0.1 * k},{math.sin(k)}" for k in range(80))]))
+    with pytest.raises(ValueError, match=r"besides time, the time, only angle changes.*log the command") as error:
+        infer(str(path))
+    assert "data.inputs=" not in str(error.value) and "\n" not in str(error.value)
+    path.write_text("\n".join(["time,a,b", *(f"{0.1 * k},{math.sin(k)},{math.cos(k)}" for k in range(80))]))
+    with pytest.raises(ValueError, match=r"if the log has no command, log it, too"):
+        infer(str(path))
+
+
+def test_a_command_of_words_is_told_how_to_write_it(tmp_path):
+    path = tmp_path / "log.csv"
+    rows = [f"{0.1 * k},{math.sin(k)},{'ON' if k % 9 < 4 else 'OFF'}" for k in range(80)]
+    for heading, named in (("u", None), ("heater", ["heater"])):
+        path.write_text("\n".join([f"time,angle,{heading}", *rows]))
+        with pytest.raises(ValueError, match=rf"input {heading} holds words, such as 'ON'.*ON and OFF as 1 and 0"):
+            infer(str(path), inputs=named)
+    with pytest.raises(ValueError, match=r"only angle changes.*no numbers: heater \('ON'\); write ON and OFF as 1"):
+        infer(str(path))

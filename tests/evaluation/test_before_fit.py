@@ -29,7 +29,8 @@ def log(path, heading, factors=(1.0, 1.0, 1.0), rows=400):
 
 
 def told(source, library="auto"):
-    return before_fit(SindyModel(source.signature, library), source)
+    lines = before_fit(SindyModel(source.signature, library), source)
+    return [line for line in lines if not line.startswith("note: time is the column")]
 
 
 def test_a_log_with_an_angle_in_degrees_and_a_rate_in_rad_is_told(tmp_path):
@@ -86,7 +87,7 @@ def test_a_rate_that_is_missing_is_told_once_and_not_once_it_is_given(tmp_path, 
     data = record(Pendulum(), HeldRandom(1, 8.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
     path = str(write_log(tmp_path / "log.csv", ["a [rad]", "u"], data.x[:, :1], data.u))
     source = Logged(path).load(None, EXCITATION)
-    (hint,) = before_fit(SindyModel(source.signature, "auto"), source)
+    (hint,) = told(source)
     assert hint.startswith("hint: what a will do depends on its rate") and "'plant.known={a: a_rate}'" in hint
     known = Logged(path, known={"a": "a_rate"}).load(None, EXCITATION)
     found, rates, words = with_missing_rates(partial(SindyModel, library="auto"), source, None)
@@ -98,7 +99,9 @@ def test_a_rate_that_is_missing_is_told_once_and_not_once_it_is_given(tmp_path, 
     for library, given in (("auto", {}), (["1", "a", "u"], None)):  # nobody wants it, or the functions are chosen
         assert with_missing_rates(partial(SindyModel, library=library), source, given) == (source, {}, [])
     model = SindyModel(known.signature, "auto", known={"a": "a_rate"})
-    assert before_fit(model, known) == ["note: a_rate is seen by no sensor; it is estimated with the model"]
+    clock, unseen = before_fit(model, known)
+    assert clock.startswith("note: time is the column time,") and clock.endswith(": 0.01 s between rows")
+    assert unseen == "note: a_rate is seen by no sensor; it is estimated with the model"
     assert rates_lacking(model, known).shown == {"a": "a_rate"}
 
 

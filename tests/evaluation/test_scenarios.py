@@ -9,6 +9,8 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 
 from dynasindy.agents import TD3
 from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.held import held
+from dynasindy.evaluation.predicted import Prediction
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, _phases, evaluate, step_references
 from dynasindy.evaluation.summary import heading, summarise, to_text
 from dynasindy.systems import Diverged, Pendulum, Signature, System, Tras, Xi
@@ -339,3 +341,20 @@ def test_a_task_without_references_is_run_as_it_draws_its_episodes(settle) -> No
 
 def test_ends_may_be_whole_numbers():
     assert step_references([-2], [2], 8).targets.equal(step_references([-2.0], [2.0], 8).targets)
+
+
+def test_of_an_angle_that_goes_over_many_turns_errors_are_shares_of_one_turn() -> None:
+    """A pendulum that hangs, 3.6 degrees off its targets of twenty turns, is a hundredth of a turn away."""
+    system = Pendulum()
+    for reach, box in ((20.0, 2 * math.pi), (0.5, 1.0)):
+        steps, paid = RandomStep([-reach], [reach]), TrackingReward(error_weights=(1.0,))
+        task = Tracking(system.signature, steps, ["theta"], ["Omega"], paid, low=[-reach], high=[reach])
+        env = ControlEnv(system, task, substeps=1, seed=7)
+        hang = lambda td: td.set("action", torch.zeros(*td.batch_size, 1))  # noqa: E731
+        result = evaluate(env, hang, Scenario("hang", Step([[0.02 * math.pi]]), seconds=1.0))
+        assert result.boxes == (pytest.approx(box),)
+        assert result.errors[0, -1, 0].item() == pytest.approx(0.02 * math.pi / box)
+        found = held(result, torch.tensor([True, True]))
+        assert found.turned == (("theta",) if box > 6 else ())
+        told = Prediction((found,), result).words()
+        assert ("1 to 1 % of a turn on average" in told) is (box > 6)

@@ -1,5 +1,7 @@
 """Targets that are proposed lie where the log was, and nothing that was given is proposed again."""
 
+import math
+
 import pytest
 import torch
 
@@ -8,6 +10,7 @@ from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.targets import in_words, require_radians, targets_like
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import SindyModel
 
 NONE = {"outputs": None, "low": None, "high": None}
 
@@ -61,3 +64,44 @@ def test_targets_in_degrees_of_an_angle_in_radians_are_refused_with_those_in_rad
 )
 def test_targets_that_may_be_meant_as_they_are_stay(reach, unit, ends):
     require_radians(swung(reach, unit), {"angle": ends, "other": (-60, 60)})
+
+
+def logged(columns, units):
+    """A log of states that move between minus and plus their factors, under an input of all its range."""
+    ramp = torch.linspace(-1, 1, 1001, dtype=torch.float64)
+    x = torch.stack([factor * ramp for factor in columns.values()], -1)
+    signature = Signature(tuple(columns), units, ("u",), tuple(map(float, columns.values())))
+    return Source.of(Recording(Transitions.from_trajectory(x, ramp[:-1, None], 0.01), signature), 0)
+
+
+def test_only_targets_that_an_input_holds_are_proposed():
+    """Half of the weight is lifted, as far as an angle whose sine is a half: 30 degrees; the log went to 1.2 rad."""
+    source = logged({"angle": 1.5, "rate": 3.0}, ("rad", "rad/s"))
+    equations = {"angle": {"rate": 1.0}, "rate": {"sin(angle)": -10.0, "rate": -0.5, "u": 5.0}}
+    model = SindyModel(source.signature, ["rate", "sin(angle)", "u"], fixed=equations)
+    found = targets_like(source, ["rate"], NONE, model)
+    low, high = float(found["low"][0]), float(found["high"][0])
+    assert found["outputs"] == ["angle"]
+    assert 0.8 * math.pi / 6 < high <= math.pi / 6 and -math.pi / 6 <= low < -0.8 * math.pi / 6
+    strong = {**equations, "rate": {"sin(angle)": -10.0, "rate": -0.5, "u": 12.0}}
+    whole = SindyModel(source.signature, ["rate", "sin(angle)", "u"], fixed=strong)
+    assert targets_like(source, ["rate"], NONE, whole) == {"outputs": ["angle"], "low": ["-1.2"], "high": ["1.2"]}
+
+
+def test_an_output_that_no_input_moves_is_not_proposed_where_another_one_is_held():
+    source = logged({"outside": 1.0, "inside": 1.0}, ("degC", "degC"))
+    equations = {"outside": {"outside": -1.0}, "inside": {"inside": -1.0, "u": 2.0}}
+    model = SindyModel(source.signature, ["outside", "inside", "u"], fixed=equations)
+    assert targets_like(source, [], NONE, model)["outputs"] == ["inside"]
+    given = {**NONE, "outputs": ["outside"]}
+    assert targets_like(source, [], given, model)["low"] == ["-0.8"]  # whoever names it gets where the log was
+
+
+@pytest.mark.parametrize(("unit", "turn"), [("rad", 2 * math.pi), ("deg", 360.0)])
+def test_of_an_angle_that_was_spun_a_turn_around_zero_is_proposed(unit, turn):
+    source = logged({"angle": 20 * turn}, (unit,))
+    found = targets_like(source, [], NONE)
+    low, high = float(found["low"][0]), float(found["high"][0])
+    assert 0.9 * turn < high - low <= turn and high == -low
+    way = logged({"way": 20 * turn}, ("m",))
+    assert float(targets_like(way, [], NONE)["high"][0]) == pytest.approx(16 * turn, rel=0.05)

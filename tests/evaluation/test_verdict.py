@@ -184,9 +184,15 @@ def test_what_sensors_and_inputs_show_is_said_of_those_that_show_it():
     share = 100 * np.mean(np.abs(clipped[:-1]) == 1)  # |sin| > 1/2 in two thirds of the time
     assert found_in_data(data, Signature(("q", "w"), ("rad", "rpm"), ("u", "v"), (1.0, 1.0))) == [
         "q is read in steps of 0.02 rad",
-        f"u is at an end of its range in {share:.0f} % of the samples",
+        f"u is at an end of its range, -1 to 1, in {share:.0f} % of the samples",
         "a controller made v out of the measured states (closed loop)",
     ]
+    volts = {"input_ends": ((-24.0, 24.0), (-1.0, 1.0)), "input_units": ("V", "-")}
+    own = Signature(("q", "w"), ("rad", "rpm"), ("u", "v"), (1.0, 1.0), **volts)
+    assert found_in_data(data, own)[1].startswith("u is at an end of its range, -24 to 24 V, in ")
+    wide = Signature(("q", "w"), ("rad", "rpm"), ("u", "v"), (1.0, 1.0), input_limits=((-1.0, 0.9), (-1.0, 1.0)))
+    low = 100 * np.mean(clipped[:-1] == -1)
+    assert f"in {low:.0f} %" in found_in_data(data, wide)[1]  # the other end is none of the actuator's
 
 
 def test_an_error_is_unresolved_beyond_the_sensor_and_beyond_a_thousandth_of_the_range():

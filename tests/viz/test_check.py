@@ -134,4 +134,4 @@ def test_steps_have_inputs_in_the_unit_of_the_actuator():
     volts = Signature(("p",), ("m",), ("force",), (1.0,), [[-8, 8]], [[0, 1]], ["N"])
     y, u = np.zeros((2, 6, 1)), np.full((2, 5, 1), 0.5)
     lower = steps(0.1, y, u, [0.3], [("p", "m", 0.05)], volts).axes[1]
-    assert lower.lines[1].get_ydata().tolist() == [4.0] * 6 and lower.get_ylabel() == "$force$ [N]"
+    assert lower.lines[1].get_ydata().tolist() == [4.0] * 6 and lower.get_ylabel() == "force [N]"

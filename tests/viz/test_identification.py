@@ -56,6 +56,14 @@ def test_one_state_gets_one_panel() -> None:
     assert figure.axes[0].get_ylabel() == r"$\theta$ [rad]"
 
 
+def test_a_rate_that_nobody_measured_has_no_empty_panel_and_is_named() -> None:
+    x = np.stack([STATES[:, 0], np.full(100, np.nan)], -1)
+    figure = training_data(TIME, x, STATES[:, 2:3], Pendulum().signature)
+    assert [axis.get_ylabel() for axis in figure.axes] == [r"$\theta$ [rad]", "$u$ [-]"]
+    np.testing.assert_array_equal(figure.axes[0].lines[0].get_ydata(), STATES[:, 0])
+    assert figure.get_suptitle() == "Training data; not measured: Omega"
+
+
 def test_model_error_is_the_median_on_a_log_axis_with_refits() -> None:
     errors = np.array([[1.0, 3.0, 100.0], [0.1, 0.2, 0.3]])
     figure = model_error([1, 2], errors, refits=[1.5])

@@ -34,7 +34,24 @@ def test_symbols(name: str, expected: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["arm_angle_raw", "a__b", "_x", "x_", "room temperature", "left arm_rate", "x'", "x''_1", "T.in", "T-in_a"]
+    "name",
+    [
+        "angle_rate",
+        "theta_rate",
+        "x_dot",
+        "angle",
+        "heater_on",
+        "arm_angle_raw",
+        "a__b",
+        "_x",
+        "x_",
+        "room temperature",
+        "left arm_rate",
+        "x'",
+        "x''_1",
+        "T.in",
+        "T-in_a",
+    ],
 )
 def test_a_name_that_is_no_symbol_stays_a_word(name: str) -> None:
     """Mathematics would lose its spaces, or refuse it."""

@@ -1,0 +1,107 @@
+"""Samples at uneven times, taken to even ones: what a held input did to the states stays what it did.
+
+A digital controller that is late now and then sets its input late, too. So the input jumps between two even times, and
+with it the slopes of the states. Each of the two costs little to respect, and much if it is not: a spline over such a
+jump swings, and the value of an input at the beginning of an even step is not what acted during that step.
+
+| of       | taken is                                                                                        |
+| -------- | ----------------------------------------------------------------------------------------------- |
+| a state  | a cubic spline over the samples between two jumps of an input; straight lines between single ones |
+| an input | its mean over the step, held from each sample to the next: to first order in the step the same    |
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+GAP = 1.5
+"""Sampling times from which on what lies between two samples is lost."""
+EVEN = 0.02
+"""Part of a sampling time by which samples may be early or late and are taken as they are."""
+FEWEST = 4
+"""Samples in a stretch from which on it is resampled."""
+JUMP = 0.05
+"""Part of its range by which an input changes from sample to sample where it jumps; one that moves less is smooth."""
+
+
+def evened(
+    t: Array, x: dict[str, Array], u: Array, dt: float, notes: list[str]
+) -> tuple[Array, dict[str, Array], Array, NDArray[np.int64]]:
+    """Return times, states, inputs and segments of samples at even times; segments break at gaps.
+
+    Args:
+        t: Times of the samples [s], increasing, `(N,)`.
+        x: States by name, `(N,)` each.
+        u: Inputs, held from each sample to the next, `(N, n_u)`.
+        dt: Sampling time [s].
+        notes: Sentences on what was read; those on what was done are added.
+
+    Raises:
+        ValueError: No stretch without a gap has enough samples.
+    """
+    breaks = np.diff(t) > GAP * dt
+    if breaks.any():
+        notes.append(f"{int(breaks.sum())} gaps longer than 1.5 sampling times split the recording")
+    segment = np.concatenate([[0], np.cumsum(breaks)])
+    uneven = np.abs(np.diff(t)[~breaks] - dt) > EVEN * dt
+    if not uneven.any():
+        return t, x, u, segment
+    notes.append(
+        f"{int(uneven.sum())} of {len(t) - 1} sampling times are not {dt:g} s; states were resampled by splines "
+        "between the jumps of the inputs, and inputs, taken as held from each sample to the next, are means over each "
+        "step. If the samples were even and only their times were written late, give a counter as the time and "
+        f"data.dt={dt:g}"
+    )
+    states, wide = np.stack(list(x.values()), -1), np.ptp(u, axis=0)
+    parts = []
+    for label, rows in enumerate(stretches(segment)):
+        if len(t[rows]) < FEWEST:
+            continue
+        grid = np.arange(t[rows][0], t[rows][-1] + 1e-9 * dt, dt)
+        means = _means(t[rows], u[rows], grid, dt)
+        jumps = (np.abs(np.diff(u[rows], axis=0)) > JUMP * wide).any(-1)
+        parts.append((grid, _between_jumps(t[rows], states[rows], jumps, grid), means, np.full(len(grid), label)))
+    if not parts:
+        raise ValueError(
+            f"no stretch of the recording has 4 samples {dt:g} s apart; allowed are stretches of 4 or more: check the "
+            "sampling time, and what was left out: " + "; ".join(notes)
+        )
+    times, found, inputs, labels = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return times, {name: found[:, k] for k, name in enumerate(x)}, inputs, labels
+
+
+def stretches(segment: NDArray[np.int64]) -> list[slice]:
+    """Return the rows of each segment.
+
+    Args:
+        segment: Number of the segment of each row, `(N,)`.
+    """
+    edges = [0, *(np.flatnonzero(np.diff(segment)) + 1).tolist(), len(segment)]
+    return [slice(start, end) for start, end in pairwise(edges)]
+
+
+def _between_jumps(t: Array, x: Array, jumps: NDArray[np.bool_], grid: Array) -> Array:
+    """Return states at even times, `(n, n_x)`; `jumps` says at which samples but the first an input jumps."""
+    from scipy.interpolate import CubicSpline  # half a second of imports that most logs do without
+
+    found = np.stack([np.interp(grid, t, column) for column in x.T], -1)
+    edges = [0, *(np.flatnonzero(jumps) + 1).tolist(), len(t) - 1]
+    for start, end in pairwise(edges):
+        if end - start > 1:  # of two samples alone the line is all that is known
+            here = slice(*np.searchsorted(grid, (t[start], t[end] * (1 + 1e-12))))
+            found[here] = CubicSpline(t[start : end + 1], x[start : end + 1])(grid[here])
+    return found
+
+
+def _means(t: Array, u: Array, grid: Array, dt: float) -> Array:
+    """Return the mean of held inputs over each even step, `(n, n_u)`, that of the last one up to the last sample."""
+    moved = np.concatenate([np.zeros((1, u.shape[1])), np.cumsum(u[:-1] * np.diff(t)[:, None], 0)])
+    ends = np.minimum(np.append(grid, grid[-1] + dt), t[-1])
+    sums = np.stack([np.interp(ends, t, column) for column in moved.T], -1)
+    widths = np.diff(ends)[:, None]
+    held = u[np.searchsorted(t, grid + 1e-6 * dt, side="right") - 1]
+    return np.where(widths > 1e-6 * dt, np.diff(sums, axis=0) / np.maximum(widths, 1e-6 * dt), held)

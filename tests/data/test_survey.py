@@ -1,0 +1,41 @@
+"""What a first look at a file says of its columns, against what was written into it."""
+
+from pathlib import Path
+
+import pytest
+
+from dynasindy.data.survey import survey
+
+
+def write(folder: Path, text: str) -> Path:
+    (folder / "log.csv").write_text(text, newline="")
+    return folder / "log.csv"
+
+
+def test_a_heading_has_a_number_below_it_or_is_left_out(tmp_path):
+    file = write(tmp_path, "a,b,c,d\nx,,1,\ny,,2,5\n")
+    assert survey(file).numeric == ("c", "d") and survey(file).headings == ("a", "b", "c", "d")
+
+
+def test_a_heading_that_stands_twice_is_refused_whatever_its_units(tmp_path):
+    with pytest.raises(ValueError, match="'b' more than once"):
+        survey(write(tmp_path, "a,b [m],b [s]\n1,2,3\n"))
+
+
+def test_an_index_needs_no_heading_but_other_numbers_do(tmp_path):
+    assert survey(write(tmp_path, ",a,b\n0,1,2\n")).numeric == ("a", "b")
+    with pytest.raises(ValueError, match=r"numbers in column 2 and no heading above them; give it one"):
+        survey(write(tmp_path, "a,,b\n0,1,2\n"))
+
+
+def test_a_column_of_one_number_never_changes_and_a_column_of_words_is_told_by_its_first_one(tmp_path):
+    """What is empty or nan is no word, and one other number, however late, is a change."""
+    rows = [f"{k},5,1.0,{k == 7:d},,{'OFF' if k else 'ON'},{'nan' if k < 3 else 'late'}" for k in range(8)]
+    look = survey(write(tmp_path, "\n".join(["t,still [V],same,last,none,word,text", *rows])))
+    assert look.still == {"still [V]": 5.0, "same": 1.0} and look.numeric == ("t", "still [V]", "same", "last")
+    assert look.worded == {"word": "ON", "text": "late"} and look.dated == ()
+
+
+def test_a_column_of_dates_is_told_from_one_of_words(tmp_path):
+    text = "a,when,since,word\n1,31.05.2024 12:00:00,2024-05-31,31.13.2024 12:00\n"
+    assert survey(write(tmp_path, text)).dated == ("when", "since")
