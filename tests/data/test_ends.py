@@ -103,9 +103,18 @@ def test_a_log_alone_tells_the_range_that_an_input_used(tmp_path, low, high, res
     assert [rest + one * limit for limit in limits] == pytest.approx(reach)
     (word,) = shlex.split(found.notes[1].rpartition("as they are: ")[2])
     given = yaml.safe_load(word.removeprefix("data.inputs="))
-    assert (given["valve"]["low"], given["valve"]["high"]) == reach
+    # An actuator that rests at zero reaches zero, whether the log has tried it or not.
+    assert (given["valve"]["low"], given["valve"]["high"]) == (min(*reach, rest), max(*reach, rest))
     again = Logged(path, inputs=given).recording(None)
-    assert again.signature == found.signature and torch.equal(again.transitions.u, found.transitions.u)
+    assert again.signature.input_ends == found.signature.input_ends
+    assert torch.equal(again.transitions.u, found.transitions.u)
+
+
+def test_a_rest_outside_of_the_ends_is_refused(tmp_path):
+    path = written(tmp_path / "log.csv", levels(1100.0, 1900.0))
+    servo = {"servo": {"name": "valve", "low": 1000, "high": 2000, "rest": 2500}}
+    with pytest.raises(ValueError, match="from low 1000 to high 2000 was given rest 2500, which it does not reach"):
+        CsvLog(path, {"level": "level"}, servo).read()
 
 
 @pytest.mark.parametrize(("low", "high", "ends"), [(0.05, 0.6, "low: 0, high: 1"), (-0.9, 0.0, "low: -1, high: 0")])

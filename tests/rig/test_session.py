@@ -1,6 +1,7 @@
 """An afternoon with a simulated rig: from nothing to a controller that holds it."""
 
 import csv
+import re
 import threading
 from dataclasses import replace
 from functools import partial
@@ -86,6 +87,23 @@ def test_units_of_inputs_are_told_before_a_flight(session, ends, lines):
     session.fly(Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)), [[0.1]], 0.1)
     begun = told.index("flight 0: 0.1 s")
     assert begun == lines and all("u is 6 + 6 times the controller's" in line for line in told[:begun])
+
+
+def test_an_excitation_beyond_an_actuator_is_refused_and_the_words_that_are_told_fit(tmp_path):
+    """A pump of 0 to 12 V cannot be excited by -0.3 to 0.3 of its range."""
+    session, rig = blind(tmp_path, inputs={"u": {"low": 0, "high": 12, "unit": "V"}})
+    with pytest.raises(ValueError, match=r"reaches 0 to 1; nothing has moved: give plant.amp\S+ plant.offset") as error:
+        session.excite(Multisine(1, duration=2, dt=0.05, amplitude=0.4, offset=0.1, seed=0))
+    assert not session.flights and rig.u.tolist() == [0.0]
+    words = re.findall(r"plant\.(\w+)=\[([\d.]+)\]", str(error.value))
+    told = []
+    session.tell = told.append
+    fits = {key: float(value) for key, value in words}
+    assert fits == {"amplitude": 0.4, "offset": 0.4}
+    assert session.excite(Multisine(1, duration=2, dt=0.05, seed=0, **fits)).fault is None
+    assert "the plant's u is 12 V times the controller's, which is in [0, 1]" in told[0]
+    u = np.genfromtxt(tmp_path / "excitation.csv", delimiter=",", skip_header=1)[:, 2]
+    assert u.min() >= 0.0 and u.max() <= 0.8 and np.ptp(u) > 0.4
 
 
 def test_a_fault_is_kept_and_told(session):
