@@ -5,13 +5,16 @@ Zero stays zero, as `dynasindy.systems.reach` says. A log alone tells the range 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dynasindy.data.columns import Column
+from dynasindy.data.columns import Column, columns_of
 from dynasindy.data.table import split_unit
+from dynasindy.systems.base import WHOLE, Signature
 from dynasindy.systems.reach import PLAIN, Reach
 
 Array = NDArray[np.float64]
@@ -66,6 +69,72 @@ def reaches(path: str, u: Array, inputs: Mapping[str, Column], into_range: bool,
             f"numbers as they are: {_words(inputs, found)}"
         )
     return list(found.values())
+
+
+def with_ends(
+    inputs: Mapping[str, Column | Mapping[str, object] | str], headings: Sequence[str], plant: Signature
+) -> dict[str, Column]:
+    """Return columns of inputs with the ends that a plant says of its actuators.
+
+    A column whose heading has the unit `[-]` holds the numbers that a rig gets, as its logs do, and keeps them.
+
+    Args:
+        inputs: Columns by name, as they were given.
+        headings: Headings of the file.
+        plant: Names, ends and units of the inputs.
+
+    Raises:
+        ValueError: Other ends, or another unit, were given of an input.
+    """
+    columns = columns_of(inputs, may_be_rates=False)
+    inside = dict(map(split_unit, headings)) | {heading: split_unit(heading)[1] for heading in headings}
+    for place, (name, own) in enumerate(zip(plant.input_names, _units(plant), strict=True)):
+        column, reach = columns.get(name), _reach_of(plant, place)
+        if column is None or reach == PLAIN:
+            continue
+        unit = inside.get(column.name, "") if column.unit == "-" else column.unit
+        if column.low is not None and column.high is not None:
+            _require_same(name, Reach.of(column.low, column.high, column.rest), reach)
+        elif unit != "-":
+            if unit and own not in ("-", unit):
+                given = f"{{{name}: {{name: {split_unit(column.name)[0]}, unit: {own}, scale: NUMBER}}}}"
+                raise ValueError(
+                    f"input {name} is in {unit} in the log, and in {own} in system.inputs; give the factor from one to "
+                    f"the other: 'data.inputs={given}'"
+                )
+            columns[name] = replace(column, unit=unit or own, low=reach.low, high=reach.high, rest=reach.rest)
+    return columns
+
+
+def _require_same(name: str, given: Reach, plant: Reach) -> None:
+    """Refuse ends of a column that are not those of the plant."""
+    rounding = 1e-9 * (plant.high - plant.low)
+    pairs = (given.low, plant.low), (given.high, plant.high), (given.rest, plant.rest)
+    if not all(math.isclose(*pair, abs_tol=rounding) for pair in pairs):
+        raise ValueError(
+            f"input {name} goes from {given.low:g} to {given.high:g} and rests at {given.rest:g} in data.inputs, and "
+            f"from {plant.low:g} to {plant.high:g} and at {plant.rest:g} in system.inputs; give the ends once"
+        )
+
+
+def acting_as(log: Signature, plant: Signature) -> Signature:
+    """Return what a log has, with the ends and limits of a plant's actuators where the plant says any."""
+    if log.input_names != plant.input_names or not (plant.input_ends or plant.input_limits):
+        return log
+    units = plant.input_units or log.input_units
+    return replace(log, input_ends=plant.input_ends, input_limits=plant.input_limits, input_units=units)
+
+
+def _units(plant: Signature) -> tuple[str, ...]:
+    """Return the unit of each input, `-` where none is known."""
+    return plant.input_units or ("-",) * plant.n_u
+
+
+def _reach_of(plant: Signature, place: int) -> Reach:
+    """Return what an input of a plant reaches, in its own unit, and what is zero of it."""
+    limits = np.array(plant.input_limits or (WHOLE,) * plant.n_u)
+    low, high = (float(plant.in_own_units(ends)[place]) for ends in limits.T)
+    return Reach(low, high, float(plant.in_own_units(np.zeros(plant.n_u))[place]))
 
 
 def scaled(u: Array, found: Sequence[Reach]) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from dynasindy.data.rates import contradicted, mismatched
 from dynasindy.data.units import TURNS
@@ -134,7 +134,7 @@ def with_missing_rates(
         f"note: what {' and '.join(found)} will do depends on {its}, which the log lacks. {are} estimated with the "
         f"model, as if '{known_word(found)}' had been given; 'plant.known={{}}' leaves that out"
     )
-    return source.with_rates(found), found, [told]
+    return replace(source.with_rates(found), notes=source.notes), found, [told]
 
 
 @dataclass(frozen=True)

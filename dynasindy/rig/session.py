@@ -15,6 +15,7 @@ from dynasindy import workbench
 from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
 from dynasindy.data.rates import with_rates
+from dynasindy.evaluation.identification import Logged
 from dynasindy.evaluation.source import Source, alike_ends
 from dynasindy.excitation import Excitation
 from dynasindy.rig.base import Array, Clock, Rig, Wiring
@@ -278,11 +279,11 @@ class Session:
             name: {"name": name if known else "", "unit": unit}
             for name, unit, known in zip(signature.state_names, signature.state_units, self.wiring.seen, strict=True)
         }
-        inputs = {name: name for name in signature.input_names}
+        inputs: dict[str, Any] = {name: name for name in signature.input_names}
         logs, notes, useless = [], [], []
         for path in (*self.logs("excitation"), *self.logs("flight")):
             try:
-                log = workbench.read(path, columns, inputs, dt=self.wiring.dt, validation_share=0)
+                log = Source.of(Logged(str(path), columns, inputs, dt=self.wiring.dt).recording(signature), 0)
             except ValueError as error:
                 useless.append(str(error))
                 continue
@@ -294,7 +295,7 @@ class Session:
             self.tell(f"  left out: {why}")
         if not ranged:
             widest = (max(scales) for scales in zip(*(log.signature.x_scale for log in logs), strict=True))
-            signature = replace(signature, x_scale=tuple(widest))
+            signature = replace(logs[0].signature, x_scale=tuple(widest))
         data = Transitions.cat([log.training for log in logs])
         return replace(logs[0], training=data, signature=signature, notes=tuple(notes))
 

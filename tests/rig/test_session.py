@@ -13,6 +13,7 @@ import torch
 from dynasindy import Controller, load
 from dynasindy.agents.networks import actor
 from dynasindy.control.controller import Pace
+from dynasindy.evaluation.identification import Logged
 from dynasindy.excitation import Multisine
 from dynasindy.rig import FastClock, Guard, InProcessRig, UdpRig, Wiring
 from dynasindy.rig.session import Knowledge, Session, targets_within
@@ -186,6 +187,22 @@ def test_the_ranges_of_states_are_those_of_the_logs(tmp_path):
     largest = np.abs(np.genfromtxt(tmp_path / "excitation.csv", delimiter=",", skip_header=1)[:, 1]).max()
     assert 0.3 * largest < session._source(False).signature.x_scale[0] <= 1.01 * largest
     assert session._source(True).signature.x_scale == (1.0,)
+
+
+def test_a_log_of_a_rig_known_by_names_says_the_same_in_a_session_and_to_the_commands(tmp_path):
+    """The command `data=csv system=arm` reads the numbers, the ends, the limits and the rate that the session has."""
+    pump = {"u": {"low": 0, "high": 12, "unit": "V"}}
+    session, _ = blind(tmp_path, inputs=pump)
+    session.excite(Multisine(1, duration=10, dt=0.05, amplitude=0.3, offset=0.4, seed=0))
+    mine = session._source(False).with_rates({"theta": "Omega"})
+    plant, known = Unknown({"theta": "rad"}, pump), {"theta": "Omega"}
+    theirs = Logged(str(tmp_path / "excitation.csv"), known=known).load(plant, None)
+    assert mine.signature.alike(theirs.signature) and theirs.signature.state_names == ("theta", "Omega")
+    assert mine.signature.x_scale == pytest.approx(theirs.signature.x_scale)
+    assert theirs.signature.input_limits == ((0.0, 1.0),) and theirs.signature.input_units == ("V",)
+    table = np.genfromtxt(tmp_path / "excitation.csv", delimiter=",", skip_header=1)
+    np.testing.assert_array_equal(theirs.whole.u.numpy(), table[:-1, 2:])
+    assert torch.equal(mine.training.u, theirs.whole.u) and theirs.whole.x[:, 1].isnan().all()
 
 
 def test_a_session_goes_on_in_its_folder_and_what_was_cut_short_is_repeated(tmp_path):
