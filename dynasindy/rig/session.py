@@ -172,7 +172,10 @@ class Session:
             Diverged: The model explodes.
         """
         log = self._source(knowledge.ranged)
-        model = workbench.identify(log, knowledge.library, knowledge.known, longest_delay=knowledge.longest_delay)
+        delay = knowledge.longest_delay
+        model = workbench.identify(
+            log, knowledge.library, knowledge.known, longest_delay=delay, tell=lambda line: self.tell(f"  {line}")
+        )
         model.save(self.folder / "model.json")
         for line in model.equations():
             self.tell(f"  {line}")

@@ -29,7 +29,7 @@ def log(path, heading, factors=(1.0, 1.0, 1.0), rows=400):
 
 
 def told(source, library="auto"):
-    return before_fit(SindyModel(source.signature, library), source)
+    return list(before_fit(SindyModel(source.signature, library), source).lines)
 
 
 def test_a_log_with_an_angle_in_degrees_and_a_rate_in_rad_is_told(tmp_path):
@@ -41,9 +41,9 @@ def test_a_log_with_an_angle_in_degrees_and_a_rate_in_rad_is_told(tmp_path):
     model = SindyModel(source.signature, "auto")
     (told,) = wrong_units(model, source)
     assert told.startswith("warning: Omega does not fit theta, whose slope over time is 57.3 times Omega;")
-    assert before_fit(model, source)[0] == told
+    assert before_fit(model, source).lines[0] == told
     exact = Simulated().load(Pendulum(), EXCITATION)
-    assert not before_fit(SindyModel(exact.signature, "auto"), exact)
+    assert not before_fit(SindyModel(exact.signature, "auto"), exact).lines
 
 
 @pytest.mark.parametrize("library", ["auto", "auto_rig"])
@@ -86,7 +86,7 @@ def test_a_rate_that_is_missing_is_told_once_and_not_once_it_is_given(tmp_path, 
     data = record(Pendulum(), HeldRandom(1, 8.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
     path = str(write_log(tmp_path / "log.csv", ["a [rad]", "u"], data.x[:, :1], data.u))
     source = Logged(path).load(None, EXCITATION)
-    (hint,) = before_fit(SindyModel(source.signature, "auto"), source)
+    (hint,) = before_fit(SindyModel(source.signature, "auto"), source).lines
     assert hint.startswith("hint: what a will do depends on its rate") and "'plant.known={a: a_rate}'" in hint
     known = Logged(path, known={"a": "a_rate"}).load(None, EXCITATION)
     found, rates, words = with_missing_rates(partial(SindyModel, library="auto"), source, None)
@@ -98,8 +98,10 @@ def test_a_rate_that_is_missing_is_told_once_and_not_once_it_is_given(tmp_path, 
     for library, given in (("auto", {}), (["1", "a", "u"], None)):  # nobody wants it, or the functions are chosen
         assert with_missing_rates(partial(SindyModel, library=library), source, given) == (source, {}, [])
     model = SindyModel(known.signature, "auto", known={"a": "a_rate"})
-    assert before_fit(model, known) == ["note: a_rate is seen by no sensor; it is estimated with the model"]
-    assert rates_lacking(model, known).shown == {"a": "a_rate"}
+    assert before_fit(model, known).lines == ("note: a_rate is seen by no sensor; it is estimated with the model",)
+    assert (
+        before_fit(model, known).lacking == rates_lacking(model, known) and rates_lacking(model, known).shown == rates
+    )
 
 
 def test_a_missing_rate_is_named_so_that_words_can_hold_it_and_nothing_else_has_it(tmp_path, write_log):
@@ -148,8 +150,10 @@ def test_many_functions_are_counted_and_the_plants_named_that_have_fewer(tmp_pat
 def test_a_rate_that_was_exchanged_with_its_state_is_the_first_line(tmp_path):
     source = log(tmp_path / "log.csv", "time,theta [rad],Omega [rad/s],u")
     model = SindyModel(source.signature, ["theta", "Omega", "u"], known={"Omega": "theta"})
-    assert before_fit(model, source)[0].startswith(
-        "warning: theta was given as the rate of Omega, and in the log it is"
+    assert (
+        before_fit(model, source)
+        .lines[0]
+        .startswith("warning: theta was given as the rate of Omega, and in the log it is")
     )
     assert len(wrong_units(model, source)) == 1
 
