@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -28,7 +28,7 @@ from dynasindy.control import Controller
 from dynasindy.control.controller import Pace
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.arguments import as_arguments, as_warning
-from dynasindy.evaluation.before_fit import missing_rates, with_missing_rates, wrong_units
+from dynasindy.evaluation.before_fit import missing_rates, rates_lacking, with_missing_rates, wrong_units
 from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.horizons import forecast
@@ -119,6 +119,7 @@ def identify(
     known: Mapping[str, str] | None = None,
     method: Literal["integral", "one_step", "trajectory", "auto"] = "auto",
     longest_delay: float | None = None,
+    tell: Callable[[str], None] | None = None,
 ) -> SindyModel:
     """Identify sparse equations from a log, as `train.py data=csv` does.
 
@@ -134,10 +135,11 @@ def identify(
             added as `angle_rate`; `{}` adds none.
         method: How the fit is refined; `auto` chooses by the noise of the data.
         longest_delay: Longest delay of the inputs that is looked for [s]; None where the data are to tell.
+        tell: Called before the fit with a line, in the words of the commands, for each rate that was added, that is
+            missing, or that is in other units than its state. If omitted, these are warnings.
 
     Returns:
-        The model; `equations()` shows it, `save` keeps it. A warning says which state misses its rate, and which
-            rate is in other units than its state.
+        The model; `equations()` shows it, `save` keeps it.
 
     Raises:
         ValueError: The data or the library do not allow a fit.
@@ -145,11 +147,14 @@ def identify(
     """
     refinement = Refinement(method, longest_delay=longest_delay)
     build = partial(SindyModel, library=library, regression=Regression("bic", tolerance=1e-4), refinement=refinement)
-    source, rates, _ = with_missing_rates(build, log, known)
+    source, rates, added = with_missing_rates(build, log, known)
     source = source.with_rates(rates)
     model = build(signature=source.signature, known=rates)
-    for found in (*wrong_units(model, source), *missing_rates(model, source)):
-        warnings.warn(as_warning(found), stacklevel=3)  # past the context manager
+    for line in (*added, *wrong_units(model, source), *missing_rates(model, rates_lacking(model, source))):
+        if tell is None:
+            warnings.warn(as_warning(line), stacklevel=3)  # past the context manager
+        else:
+            tell(line)
     return fitted(model, source).model
 
 

@@ -21,7 +21,7 @@ def main(cfg: DictConfig) -> None:
     """Load data, fit, judge, write everything and print it."""
     import torch
 
-    from dynasindy.evaluation.before_fit import Lacking, before_fit, plants_with, rates_lacking
+    from dynasindy.evaluation.before_fit import before_fit, plants_with
     from dynasindy.evaluation.identification import identify, to_words, write
     from dynasindy.terminal import say
     from dynasindy.told import tell
@@ -33,8 +33,8 @@ def main(cfg: DictConfig) -> None:
     tell("data")
     source, told = loaded(cfg)
     model, folder = instantiate(cfg.world_model, _convert_="all")(signature=source.signature), Path(cfg.folder)
-    lacking = rates_lacking(model, source) if source.logged else Lacking({}, {})
-    if told := [*told, *before_fit(model, source, lacking)]:
+    before = before_fit(model, source)
+    if told := [*told, *before.lines]:
         say(*told)
     found = identify(model, source, cfg.horizons, cfg.actuators)
     known = plants_with(source.signature) if source.logged and system is None else []
@@ -44,7 +44,7 @@ def main(cfg: DictConfig) -> None:
     say(
         to_words(found, source),
         f"written to {folder}",
-        listed(following(cfg, found, known, lacking.shown if found.predicts else lacking.with_angles)),
+        listed(following(cfg, found, known, before.lacking.shown if found.predicts else before.lacking.with_angles)),
     )
 
 

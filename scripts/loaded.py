@@ -12,7 +12,8 @@ if TYPE_CHECKING:
 def loaded(cfg: DictConfig) -> tuple["Source", list[str]]:
     """Return the data of a config, and what is told of them, in lines.
 
-    Rates that a log of a plant without a name lacks become states, and equations that are known, in `plant.known`.
+    Where nobody knows the equations, rates that a log lacks become states, and equations that are known, in
+    `plant.known`.
 
     Args:
         cfg: The settings. `plant.known` is written into them where nobody gave it.
@@ -21,7 +22,8 @@ def loaded(cfg: DictConfig) -> tuple["Source", list[str]]:
 
     data, system, excitation = (instantiate(cfg[name], _convert_="all") for name in ("data", "system", "excitation"))
     source = data.load(system, excitation)
-    if system is not None or cfg.get("model") is not None or cfg.plant.get("known") is not None:
+    named = system is not None and system.known
+    if named or cfg.get("model") is not None or cfg.plant.get("known") is not None:
         return source, []
     build = instantiate(cfg.world_model, _convert_="all")
     source, cfg.plant.known, told = with_missing_rates(build, source, None)

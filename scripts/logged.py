@@ -36,8 +36,9 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     torch.set_num_threads(cfg.threads)
     source, told = loaded(cfg) if cfg.get("data") is not None else (None, [])
     given = None if cfg.model is None else SindyModel.load(str(cfg.model))
-    if OmegaConf.is_missing(cfg.plant, "rates"):
-        cfg.plant.rates = damped(cfg.plant.outputs, rates_of(given) if given else cfg.plant.get("known") or {})
+    if "rates" not in cfg.plant:  # nor where they are to be given
+        rates = damped(cfg.plant.outputs, rates_of(given) if given else cfg.plant.get("known") or {})
+        OmegaConf.update(cfg, "plant.rates", rates, force_add=True)
     folder, settings = Path(cfg.folder), OmegaConf.to_yaml(cfg, resolve=True)
     swept = HydraConfig.get().mode == RunMode.MULTIRUN
     read = {"read": _digests(cfg)}

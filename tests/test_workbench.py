@@ -340,7 +340,13 @@ def angle_alone(source):
 
 def test_a_rate_that_a_log_lacks_is_added_and_estimated(exact):
     """theta'' = 12 u - 9.81 sin(theta) - 0.5 theta', as the pendulum's constants say, out of theta alone."""
-    model = dynasindy.identify(angle_alone(exact))
+    added = r"^what theta will do depends on its rate, which the log lacks.*identify\(known=\{'theta': 'theta_rate'\}\)"
+    with pytest.warns(UserWarning, match=added) as warned:
+        model = dynasindy.identify(angle_alone(exact))
+    assert [warning.filename for warning in warned] == [__file__]  # where the user called it
+    told = []
+    dynasindy.identify(angle_alone(exact), method="one_step", tell=told.append)
+    assert len(told) == 1 and "'plant.known={theta: theta_rate}' had been given" in told[0]
     assert model.signature.state_names == ("theta", "theta_rate")
     theta, rate, u = (exact.training.x[:, 0], exact.training.x[:, 1], exact.training.u[:, 0])
     with torch.no_grad():

@@ -111,7 +111,8 @@ class Case:
         oracle: Plan with the true plant as the model.
         moving: Train on moving references and evaluate on the paper's sine and square.
         sensors: What is measured of the plant, in the data and in flight; all states as they are if None.
-        longest_delay: Longest delay of the inputs that the fit looks for [s].
+        longest_delay: Longest delay of the inputs that the fit looks for [s]; None where the data are to tell, as in
+            the commands.
         detuned: Evaluate on a plant with other parameters, in a gust.
         late: Control periods that inputs need to reach the plant in flight.
         integral: Evaluate with integral action, too.
@@ -128,7 +129,7 @@ class Case:
     oracle: bool = False
     moving: bool = False
     sensors: Sensors | None = None
-    longest_delay: float = 0.0
+    longest_delay: float | None = 0.0
     detuned: bool = False
     late: int = 0
     integral: bool = False
@@ -152,8 +153,8 @@ CASES = {
     "noise": Case(episodes=3, sensors=NOISY, integral=True),
     "noise_robust": Case(episodes=1, sensors=NOISY, integral=True, variation=Variation(noise=NOISE)),
     "noise_members": Case(episodes=1, sensors=NOISY, integral=True, variation=Variation(members=4)),
-    "bench": Case(sensors=BENCH, longest_delay=0.1),
-    "bench_delay": Case(sensors=replace(BENCH, actuator_delay=1), longest_delay=0.1),
+    "bench": Case(sensors=BENCH, longest_delay=None),
+    "bench_delay": Case(sensors=replace(BENCH, actuator_delay=1), longest_delay=None),
     "late": Case(late=1),
     "late_robust": Case(late=1, variation=Variation(late=True)),
     "detuned": Case(detuned=True, integral=True, plants=("tras",)),

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from dynasindy.data.clock import CLOCK, clock_of, in_seconds
 from dynasindy.data.columns import Column, columns_of, require_names
-from dynasindy.data.ends import acting, reaches, scaled
+from dynasindy.data.ends import reaches, scaled
 from dynasindy.data.resampled import evened, stretches
 from dynasindy.data.table import MAP, Table, all_headings, read_table
 from dynasindy.data.units import conversions, with_units
 from dynasindy.durations import in_words
 from dynasindy.systems.base import Signature
+from dynasindy.systems.reach import acting
 from dynasindy.systems.transitions import Transitions
 
 Array = NDArray[np.float64]
@@ -138,7 +139,8 @@ class CsvLog:
             )
         units = tuple(c.unit for c in states.values())
         scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(np.nan_to_num(full[known])).max(0, initial=0.0))
-        signature = Signature(tuple(states), units, tuple(inputs), scale, **acting(found, inputs))
+        ends = acting(found, [column.unit for column in inputs.values()])
+        signature = Signature(tuple(states), units, tuple(inputs), scale, **ends)
         return Recording(data, signature, tuple(notes))
 
     def _complete(self, table: Table, notes: list[str]) -> Table:

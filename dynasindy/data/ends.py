@@ -1,29 +1,21 @@
-"""Inputs in the units of their actuators, such as volts or per cent, taken into [-1, 1], where planning needs them.
+"""Inputs of a log in the units of their actuators, taken into [-1, 1], where planning needs them.
 
-Zero stays zero: a heater of 0 to 100 % becomes one of 0 to 1, so that what begins at zero, rests at zero or answers
-zero is a heater that is off. What the actuator does not reach, the part from -1 to 0 here, are limits of the input. A
-log alone tells the range that it used.
-
-| name         | what it is                                       | of 0 to 12 V | of -2 to 10 V | of 4 to 20 mA |
-| ------------ | ------------------------------------------------ | ------------ | ------------- | ------------- |
-| `rest`       | what 0 is, the value of the range nearest to 0   | 0 V          | 0 V           | 4 mA          |
-| `unit`       | by how much 1 is more                            | 12 V         | 10 V          | 16 mA         |
-| `limits`     | least and largest input of the model             | 0, 1         | -0.2, 1       | 0, 1          |
-| `both`       | what -1 and 1 are, in reach or not               | -12, 12 V    | -10, 10 V     | -12, 20 mA    |
+Zero stays zero, as `dynasindy.systems.reach` says. A log alone tells the range that it used.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dynasindy.data.columns import Column
+from dynasindy.data.columns import Column, columns_of
 from dynasindy.data.table import split_unit
-from dynasindy.systems.base import UNIT, WHOLE
+from dynasindy.systems.base import WHOLE, Signature
+from dynasindy.systems.reach import PLAIN, Reach
 
 Array = NDArray[np.float64]
 ROUNDED = 1e-3
@@ -32,45 +24,6 @@ EVEN = 0.8
 """Ratio of the ways to both sides of zero from which on an input is taken to go as far to either."""
 WIDE = 20.0
 """Range of an actuator, as a multiple of that in its log, from which on a note asks whether it is the right one."""
-
-
-@dataclass(frozen=True)
-class Reach:
-    """Say what an actuator reaches, in its own unit, and what of it becomes 0 and 1.
-
-    Attributes:
-        low: least value.
-        high: largest value.
-        rest: value that becomes 0.
-    """
-
-    low: float
-    high: float
-    rest: float
-
-    @classmethod
-    def of(cls, low: float, high: float, rest: float | None = None) -> Reach:
-        """Return what lies between two ends; it rests at zero, or at the end next to zero."""
-        return cls(low, high, min(max(0.0, low), high) if rest is None else rest)
-
-    @property
-    def unit(self) -> float:
-        """How much one is, in the own unit of the input."""
-        return max(self.high - self.rest, self.rest - self.low)
-
-    @property
-    def both(self) -> tuple[float, float]:
-        """What -1 and 1 are, whether the actuator reaches them or not."""
-        return self.rest - self.unit, self.rest + self.unit
-
-    @property
-    def limits(self) -> tuple[float, float]:
-        """Least and largest input in [-1, 1]."""
-        return (self.low - self.rest) / self.unit, (self.high - self.rest) / self.unit
-
-
-PLAIN = Reach(-1.0, 1.0, 0.0)
-"""An input that is in [-1, 1] already."""
 
 
 def reaches(path: str, u: Array, inputs: Mapping[str, Column], into_range: bool, notes: list[str]) -> list[Reach]:
@@ -118,6 +71,72 @@ def reaches(path: str, u: Array, inputs: Mapping[str, Column], into_range: bool,
     return list(found.values())
 
 
+def with_ends(
+    inputs: Mapping[str, Column | Mapping[str, object] | str], headings: Sequence[str], plant: Signature
+) -> dict[str, Column]:
+    """Return columns of inputs with the ends that a plant says of its actuators.
+
+    A column whose heading has the unit `[-]` holds the numbers that a rig gets, as its logs do, and keeps them.
+
+    Args:
+        inputs: Columns by name, as they were given.
+        headings: Headings of the file.
+        plant: Names, ends and units of the inputs.
+
+    Raises:
+        ValueError: Other ends, or another unit, were given of an input.
+    """
+    columns = columns_of(inputs, may_be_rates=False)
+    inside = dict(map(split_unit, headings)) | {heading: split_unit(heading)[1] for heading in headings}
+    for place, (name, own) in enumerate(zip(plant.input_names, _units(plant), strict=True)):
+        column, reach = columns.get(name), _reach_of(plant, place)
+        if column is None or reach == PLAIN:
+            continue
+        unit = inside.get(column.name, "") if column.unit == "-" else column.unit
+        if column.low is not None and column.high is not None:
+            _require_same(name, Reach.of(column.low, column.high, column.rest), reach)
+        elif unit != "-":
+            if unit and own not in ("-", unit):
+                given = f"{{{name}: {{name: {split_unit(column.name)[0]}, unit: {own}, scale: NUMBER}}}}"
+                raise ValueError(
+                    f"input {name} is in {unit} in the log, and in {own} in system.inputs; give the factor from one to "
+                    f"the other: 'data.inputs={given}'"
+                )
+            columns[name] = replace(column, unit=unit or own, low=reach.low, high=reach.high, rest=reach.rest)
+    return columns
+
+
+def _require_same(name: str, given: Reach, plant: Reach) -> None:
+    """Refuse ends of a column that are not those of the plant."""
+    rounding = 1e-9 * (plant.high - plant.low)
+    pairs = (given.low, plant.low), (given.high, plant.high), (given.rest, plant.rest)
+    if not all(math.isclose(*pair, abs_tol=rounding) for pair in pairs):
+        raise ValueError(
+            f"input {name} goes from {given.low:g} to {given.high:g} and rests at {given.rest:g} in data.inputs, and "
+            f"from {plant.low:g} to {plant.high:g} and at {plant.rest:g} in system.inputs; give the ends once"
+        )
+
+
+def acting_as(log: Signature, plant: Signature) -> Signature:
+    """Return what a log has, with the ends and limits of a plant's actuators where the plant says any."""
+    if log.input_names != plant.input_names or not (plant.input_ends or plant.input_limits):
+        return log
+    units = plant.input_units or log.input_units
+    return replace(log, input_ends=plant.input_ends, input_limits=plant.input_limits, input_units=units)
+
+
+def _units(plant: Signature) -> tuple[str, ...]:
+    """Return the unit of each input, `-` where none is known."""
+    return plant.input_units or ("-",) * plant.n_u
+
+
+def _reach_of(plant: Signature, place: int) -> Reach:
+    """Return what an input of a plant reaches, in its own unit, and what is zero of it."""
+    limits = np.array(plant.input_limits or (WHOLE,) * plant.n_u)
+    low, high = (float(plant.in_own_units(ends)[place]) for ends in limits.T)
+    return Reach(low, high, float(plant.in_own_units(np.zeros(plant.n_u))[place]))
+
+
 def scaled(u: Array, found: Sequence[Reach]) -> Array:
     """Return inputs with their rest at 0 and one unit at 1, those of [-1, 1] as they are, `(N, n_u)`.
 
@@ -132,23 +151,6 @@ def scaled(u: Array, found: Sequence[Reach]) -> Array:
     return np.stack(columns, -1)
 
 
-def acting(found: Sequence[Reach], inputs: Mapping[str, Column]) -> dict[str, tuple[Any, ...]]:
-    """Return what a signature holds of inputs with units of their own; nothing of what is as in every plant.
-
-    Args:
-        found: What each input reaches.
-        inputs: Their columns by name.
-    """
-    units = tuple(column.unit if UNIT.fullmatch(column.unit) else "-" for column in inputs.values())
-    held: dict[str, tuple[Any, ...]] = {
-        "input_ends": tuple(reach.both for reach in found),
-        "input_limits": tuple(reach.limits for reach in found),
-        "input_units": units,
-    }
-    usual = (WHOLE, WHOLE, "-")
-    return {key: values for (key, values), plain in zip(held.items(), usual, strict=True) if set(values) != {plain}}
-
-
 def _range_of(values: Array) -> Reach:
     """Return what an input reaches as far as a log shows: [-1, 1] if it stays within, else its range.
 
@@ -159,7 +161,7 @@ def _range_of(values: Array) -> Reach:
         return PLAIN
     if min(-low, high) >= EVEN * max(-low, high):
         low, high = -max(-low, high), max(-low, high)
-    return Reach.of(low, high, 0.0 if max(low, -high) <= high - low else None)
+    return Reach(low, high, 0.0) if max(low, -high) <= high - low else Reach.of(low, high)
 
 
 def _require_within(path: str, name: str, values: Array, reach: Reach) -> None:
@@ -202,6 +204,8 @@ def _words(inputs: Mapping[str, Column], found: Mapping[str, Reach]) -> str:
         heading, unit = split_unit(column.name)
         own = f'unit: "{column.unit}", ' if column.unit not in ("-", unit) else ""
         own += f"scale: {column.scale!r}, " if column.scale != 1 else ""
-        rest = f", rest: {reach.rest:.6g}" if reach != Reach.of(reach.low, reach.high) else ""
-        columns.append(f"{name}: {{name: {heading}, {own}low: {reach.low:.6g}, high: {reach.high:.6g}{rest}}}")
+        # A log that has not tried zero keeps it all the same; an actuator that rests there reaches it.
+        low, high = min(reach.low, reach.rest), max(reach.high, reach.rest)
+        rest = f", rest: {reach.rest:.6g}" if reach.rest != Reach.of(low, high).rest else ""
+        columns.append(f"{name}: {{name: {heading}, {own}low: {low:.6g}, high: {high:.6g}{rest}}}")
     return f"'data.inputs={{{', '.join(columns)}}}'"

@@ -109,24 +109,10 @@ def with_rates(signature: Signature, known: Mapping[str, str]) -> Signature:
         signature: Names and units.
         known: The rate of each state, by its name; other equations add nothing.
     """
-    units = dict(zip(signature.state_names, signature.state_units, strict=True))
-    for rate, unit in rates_without_state(units, known).items():
-        signature = signature.with_state(rate, unit)
+    for name, rate in known.items():  # a rate may be a state that has a rate
+        if name in signature.state_names and rate not in signature.state_names and rate.isidentifier():
+            signature = signature.with_state(rate, unit_of_rate(signature.state_units[signature.state_index(name)]))
     return signature
-
-
-def rates_without_state(units: Mapping[str, str], known: Mapping[str, str]) -> dict[str, str]:
-    """Return the rates that are known to belong to a state and are no states yet, each with its unit.
-
-    Args:
-        units: Unit of each state.
-        known: The rate of each state, by its name; other equations add nothing.
-    """
-    every = dict(units)  # a rate may be a state that has a rate
-    for name, rate in known.items():
-        if name in every and rate not in every and rate.isidentifier():
-            every[rate] = unit_of_rate(every[name])
-    return {rate: unit for rate, unit in every.items() if rate not in units}
 
 
 def contradicted(data: Transitions, signature: Signature, known: Mapping[str, str]) -> dict[str, str]:

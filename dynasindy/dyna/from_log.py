@@ -69,7 +69,7 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
     built = build(signature=source.signature)
     if not isinstance(built, SindyModel):
         raise TypeError(f"world_model is a {type(built).__name__}, which no log is fitted by; leave world_model=sindy")
-    if told := before_fit(built, source):
+    if told := before_fit(built, source).lines:
         say(*told)
     found = fitted(built, source)
     more = [f"found: {found.follower}"] if found.follower else []

@@ -63,18 +63,23 @@ class Parts:
         named = isinstance(task, Tracking) and bool(task.bounds.isfinite().any()) and self.sensing is None
         return (task.bounds[0], task.bounds[1]) if named and isinstance(task, Tracking) else None
 
-    def make_up(self) -> bool:
+    def make_up(self, newest: TensorDictBase) -> None:
         """Have an observer make up for a delay of the inputs that was found, where states are seen as they are.
 
-        The policy is then shown the state for the time at which its action arrives.
+        The policy is then shown the state for the time at which its action arrives. Real rows stay, as measurements of
+        what was seen. Only the newest are estimated anew, so that of the others no reference has to be known.
 
-        Returns:
-            Whether there is such an observer from now on, which was not there before.
+        Args:
+            newest: The newest real control periods, `(T,)`, as the environment returned them.
         """
         if self.sensing is not None or not self.world_model.delay:
-            return False
+            return
+        rows = self.replay.real_in_order()
+        older, params = rows[: max(0, len(rows) - len(newest))].exclude("index"), newest["task_params"]
+        older["task_params"] = params[:1].expand(len(older), *params.shape[1:]).clone()
         self._watch()
-        return True
+        for seen_before in filter(len, (older, newest.copy())):
+            self.replay.extend_real(seen_before.set("measurement", seen_before["state"]))
 
     def _watch(self) -> None:
         """Put sensors without errors, and an observer, between the plant and all else."""

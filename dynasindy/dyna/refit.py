@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -100,24 +101,19 @@ def _require_finite(model: WorldModel, count: int) -> None:
             )
 
 
-def first_fit(parts: Parts, settings: Settings, excited: TensorDictBase | None = None) -> object:
+def first_fit(parts: Parts, settings: Settings, newest: TensorDictBase) -> object:
     """Fit the world model to all that counts as recent, let the observer rely on it, and return its report.
-
-    If the fit to the excitation finds that inputs act late, where states are seen as they are, an observer makes up for
-    that from now on.
 
     Args:
         parts: The model and the data.
         settings: Lengths of the loop.
-        excited: What was seen in the excitation, `(T,)`, if that is all that the fit reads.
+        newest: What was seen in the excitation, or in the newest episode, `(T,)`.
 
     Raises:
         Diverged: What the model has learnt is not finite.
     """
     report = fit(parts, settings)
-    if excited is not None and parts.make_up():
-        parts.replay.extend_real(excited.copy().set("measurement", excited["state"]))
-    _observe(parts)
+    _observe(parts, newest)
     return report
 
 
@@ -139,15 +135,16 @@ def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
     starts = held_out_windows(rollout.numel(), length, settings.held_out)
     if not len(starts):
         unseen = replay_error(parts.model_env, rollout)
-        return Refit(first_fit(parts, settings), torch.nan, torch.nan, True, unseen)
+        return Refit(first_fit(parts, settings, rollout), torch.nan, torch.nan, True, unseen)
     held_out = torch.zeros(rollout.numel(), dtype=torch.bool)
     held_out[(starts.unsqueeze(-1) + torch.arange(length)).flatten()] = True
     adds, earlier = _adds(parts, settings), copy.deepcopy(parts.world_model.state_dict())
-    before = replay_error(parts.model_env, rollout, starts, length)
+    before, shown_for = replay_error(parts.model_env, rollout, starts, length), parts.world_model.delay
     report: object
     try:
         report = _added(parts, rollout[~held_out]) if adds else fit(parts, settings, held_out)
-        after = replay_error(parts.model_env, rollout, starts, length)
+        later = (parts.world_model.delay - shown_for) / parts.plant.dt
+        after = replay_error(parts.model_env, _acting(rollout, later), starts, length)
         kept = after.state_error <= max(WORSE * before.state_error, NEGLIGIBLE)
     except Diverged as lost:  # the worst of refits, and taken back like any other
         report, after, kept = lost, replace(before, reward_error=torch.inf, state_error=torch.inf), False
@@ -157,12 +154,36 @@ def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
             before = replay_error(parts.model_env, rollout, starts, length)
     if adds:  # the next refit reads what this one was tested by, and what one that was taken back was made of
         parts.world_model.absorb(transitions(rollout[held_out] if kept else rollout, parts.model_env.log_dt))
-    _observe(parts)
+    _observe(parts, rollout)
     return Refit(report, before.state_error, after.state_error, kept, after if kept else before)
 
 
-def _observe(parts: Parts) -> None:
-    """Adapt the observer, if there is one, to the model as it is on the newest real episode, and estimate that anew."""
+def _acting(rollout: TensorDictBase, later: float) -> TensorDictBase:
+    """Return a real episode with the inputs that acted, by a model in which they are later than the states were for.
+
+    Where an input changes within a control period, its mean acts, as in `LateEnv`.
+
+    Args:
+        rollout: The episode, `(T,)`; before it inputs were zero, and after it they stay.
+        later: By how much they are later [control periods]; less than zero if they are earlier.
+    """
+    if not later:
+        return rollout
+    whole = math.floor(later)
+    places = torch.arange(rollout.numel()) - whole
+    now, before = (
+        torch.where((at >= 0).unsqueeze(-1), rollout["action"][at.clamp(0, rollout.numel() - 1)], 0.0)
+        for at in (places, places - 1)
+    )
+    return rollout.copy().set("action", torch.lerp(now, before, later - whole))
+
+
+def _observe(parts: Parts, newest: TensorDictBase) -> None:
+    """Adapt the observer, if there is one, to the model as it is on the newest real episode, and estimate that anew.
+
+    If the fit found that inputs act late, where states are seen as they are, there is an observer from now on.
+    """
+    parts.make_up(newest)
     if parts.sensing is None:
         return
     rows = parts.replay.real_in_order()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from dynasindy.data.rates import contradicted, mismatched
 from dynasindy.data.units import TURNS
@@ -25,25 +25,39 @@ FEW = 50
 """Rows below which little can be told from a recording."""
 
 
-def before_fit(model: SindyModel, source: Source, lacking: Lacking | None = None) -> list[str]:
-    """Say what was read, what is wrong with it or costs the fit dearly, a line each, what is worst first.
+@dataclass(frozen=True)
+class Before:
+    """Hold what is told before the fit.
+
+    Attributes:
+        lines: What was read, what is wrong with it or costs the fit dearly, a line each, what is worst first.
+        lacking: Which rates a log lacks; none of other data.
+    """
+
+    lines: tuple[str, ...]
+    lacking: Lacking
+
+
+def before_fit(model: SindyModel, source: Source) -> Before:
+    """Look at a model and its data before the fit.
 
     Args:
         model: A model of the data, not fitted yet.
         source: The data.
-        lacking: What `rates_lacking` returned, if it was asked before.
     """
     notes = [f"note: {note}" for note in source.notes]
     if not source.logged:
-        return [*wrong_units(model, source), *notes]
-    return [
+        return Before((*wrong_units(model, source), *notes), Lacking({}, {}))
+    lacking = rates_lacking(model, source)
+    lines = [
         *wrong_units(model, source),
         *_few_rows(source),
         *notes,
         *_angles(model, source),
         *_many_functions(model, source),
-        *missing_rates(model, source, lacking),
+        *missing_rates(model, lacking),
     ]
+    return Before(tuple(lines), lacking)
 
 
 def wrong_units(model: SindyModel, source: Source) -> list[str]:
@@ -81,17 +95,16 @@ def _angles(model: SindyModel, source: Source) -> list[str]:
     return lines
 
 
-def missing_rates(model: SindyModel, source: Source, lacking: Lacking | None = None) -> list[str]:
+def missing_rates(model: SindyModel, lacking: Lacking) -> list[str]:
     """Say which rates a log lacks or may lack, and the words that give them, once for each state.
 
     Rates that a log clearly lacks are named where `with_missing_rates` has left them out.
 
     Args:
         model: A model of the log, not fitted yet.
-        source: The log.
-        lacking: What `rates_lacking` returned, if it was asked before.
+        lacking: What `rates_lacking` returned of it.
     """
-    given, lines, lacking = _known(model), [], lacking or rates_lacking(model, source)
+    given, lines = _known(model), []
     if new := [name for name in lacking.shown if name not in given]:
         its = "its rate, which is" if len(new) == 1 else "their rates, which are"
         lines.append(
@@ -135,7 +148,7 @@ def with_missing_rates(
         f"note: what {' and '.join(found)} will do depends on {its}, which the log lacks. {are} estimated with the "
         f"model, as if '{known_word(found)}' had been given; 'plant.known={{}}' leaves that out"
     )
-    return source.with_rates(found), found, [told]
+    return replace(source.with_rates(found), notes=source.notes), found, [told]
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from dynasindy.systems import Signature
 from dynasindy.told import tell, telling
 from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.models.follower import Trial, trials
+from dynasindy.world_models.refinement.delay import arrived
 from dynasindy.world_models.refinement.order import moving_on
 
 BETTER = 0.7
@@ -69,7 +70,7 @@ def _fitted(model: SindyModel, source: Source) -> Fitted:
     before = forecast(model, source.training, source.validation) if source.logged else None
     if before is None or not bool(unresolved(before, model.signature).any()):
         return plain
-    if moving_on(model.library, source.training):
+    if moving_on(model.library, arrived(source.training, model.delay)):
         return plain
     for found in _wider(model, source):
         after = forecast(found.model, found.source.training, found.source.validation) if found.follower else None

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from dynasindy.data.columns import Column, columns_of, infer
 from dynasindy.data.csv import CsvLog, Recording
-from dynasindy.data.rates import rates_without_state
+from dynasindy.data.ends import acting_as, with_ends
 from dynasindy.data.simulated import before_leaving, disturb, record
 from dynasindy.data.table import all_headings, split_unit
 from dynasindy.data.units import with_units
@@ -23,7 +23,7 @@ from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.horizons import Forecasts, begun, forecast
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.excitation import Excitation, HeldRandom
-from dynasindy.systems.base import System
+from dynasindy.systems.base import Signature, System
 from dynasindy.systems.ranges import Ends, drawn, starts
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell, telling
@@ -31,7 +31,6 @@ from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.models.actuators import Found, behind, find_actuator
 from dynasindy.world_models.models.prediction import nrmse, one_step_error, open_loop
 from dynasindy.world_models.refinement.delay import delayed
-from dynasindy.world_models.refinement.measured import ranged
 from dynasindy.world_models.writers.tables import to_csv, to_latex, to_text
 
 ExcitationBuilder = Callable[..., Excitation]
@@ -156,57 +155,62 @@ class Logged:
             raise ValueError(f"data=csv got dt {self.dt} s; allowed is a positive time, or null for the file's own")
 
     def load(self, system: System | None, excitation: ExcitationBuilder) -> Source:
-        """Read the file; of the plant the names are used at most, and nothing of the excitation."""
-        return Source.of(self.recording(system), self.validation_share)
+        """Read the file, and add what it lacks; of the plant names, units and ends are used, nothing of the excitation.
 
-    def recording(self, system: System | None) -> Recording:
-        """Read the file, all of it; of the plant the names are used at most."""
+        Rates that are known and that neither the file nor the plant has become states that the model tells.
+        """
+        source = Source.of(self.recording(None if system is None else system.signature), self.validation_share)
+        return source if system is not None and system.known else source.with_rates(self.known or {})
+
+    def recording(self, plant: Signature | None) -> Recording:
+        """Read the file, all of it.
+
+        Args:
+            plant: Names, units and ends of the plant that it is of; the file itself has to tell them where there is
+                none. Of states without a column the ranges are used, too.
+        """
         notes: list[str] = []
-        states, inputs = self._columns(system, notes)
-        own = system is None  # a plant that is named has inputs in [-1, 1]
+        states, inputs = self._columns(plant, notes)
+        own = plant is None  # a plant that is named has inputs in [-1, 1], or says their ends
         log = CsvLog(str(self.path), states, inputs, self.time, self.dt, self.missing, into_range=own)  # type: ignore[arg-type]
         recording = log.read()
-        data, signature = recording.transitions, recording.signature
-        if system is not None and signature.state_names == system.signature.state_names:
-            unseen = data.x.isnan().all(0).tolist()
-            ranges = zip(unseen, system.signature.x_scale, signature.x_scale, strict=True)
-            signature = replace(signature, x_scale=tuple(plant if blind else own for blind, plant, own in ranges))
-        else:
-            signature = ranged(signature, data, self.known or {})
-        return replace(recording, signature=signature, notes=(*recording.notes, *notes))
+        recording = replace(recording, notes=(*recording.notes, *notes))
+        if plant is None:
+            return recording
+        signature = acting_as(recording.signature, plant)
+        if signature.state_names == plant.state_names:
+            unseen = recording.transitions.x.isnan().all(0).tolist()
+            ranges = zip(unseen, plant.x_scale, signature.x_scale, strict=True)
+            signature = replace(signature, x_scale=tuple(theirs if blind else own for blind, theirs, own in ranges))
+        return replace(recording, signature=signature)
 
-    def _columns(self, system: System | None, notes: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
-        if system is None:
+    def _columns(self, plant: Signature | None, notes: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
+        if plant is None:
             return self._read_off(notes)
         both = self.states, self.inputs
         given = [{name: name for name in each} if isinstance(each, list) else each for each in both]
-        if given[0] and given[1]:
-            return given[0], given[1]
-        plant, rates = system.signature, set((self.known or {}).values())
-        headings = {split_unit(heading)[0] for heading in all_headings(Path(str(self.path)))}
-        states = {
-            n: Column("" if n in rates and n not in headings else n, unit)
+        headings = all_headings(Path(str(self.path)))
+        names, rates = {split_unit(heading)[0] for heading in headings}, set((self.known or {}).values())
+        states = given[0] or {
+            n: Column("" if n in rates and n not in names else n, unit)
             for n, unit in zip(plant.state_names, plant.state_units, strict=True)
         }
-        inputs = {n: Column(n) for n in plant.input_names}
-        return given[0] or dict(states), given[1] or dict(inputs)
+        return dict(states), with_ends(given[1] or {n: n for n in plant.input_names}, headings, plant)
 
     def _read_off(self, notes: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
         """Return what is mapped, what is listed, or else what the headings say."""
         mapped = {"states": self.states, "inputs": self.inputs}
         maps = {key: dict(given) for key, given in mapped.items() if given and isinstance(given, Mapping)}
         if len(maps) == 2:
-            return self._with_rates(maps["states"]), maps["inputs"]
+            return self._in_units(maps["states"]), maps["inputs"]
         inputs = [_heading(name, given) for name, given in maps["inputs"].items()] if "inputs" in maps else self.inputs
         listed = None if "states" in maps else self.states
         states, found = infer(str(self.path), self.time, inputs or None, listed or None, notes)
-        return self._with_rates(maps.get("states", states)), maps.get("inputs", dict(found))
+        return self._in_units(maps.get("states", states)), maps.get("inputs", dict(found))
 
-    def _with_rates(self, states: Mapping[str, Any]) -> dict[str, Any]:
-        """Add the rates that are known to belong to a state and have no column; the model tells them."""
-        read = with_units(columns_of(states), all_headings(Path(str(self.path))), states=True, known=self.known)
-        units = {name: column.unit for name, column in read.items()}
-        return read | {rate: Column("", unit) for rate, unit in rates_without_state(units, self.known or {}).items()}
+    def _in_units(self, states: Mapping[str, Any]) -> dict[str, Any]:
+        """Return columns in the units of their headings; known rates of angles in rad are in rad/s."""
+        return dict(with_units(columns_of(states), all_headings(Path(str(self.path))), states=True, known=self.known))
 
 
 @dataclass(frozen=True)

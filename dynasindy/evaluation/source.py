@@ -78,14 +78,16 @@ class Source:
     def with_rates(self, known: Mapping[str, str]) -> Source:
         """Return the data with the rates that are known to belong to a state and were not logged.
 
-        Such a rate has the range in which its state moved.
+        Whatever reads a log adds them here. Such a rate has the range in which its state moved.
 
         Args:
             known: the rate of each state, by its name.
         """
         found = self._widened(known)
         signature = ranged(found.signature, found.whole, known)
-        return found if signature == found.signature else replace(found, signature=signature)
+        added = found.signature.state_names[self.signature.n_x :]
+        notes = (f"{name} is seen by no sensor; it is estimated with the model" for name in added)
+        return replace(found, signature=signature, notes=(*found.notes, *notes))
 
     def _widened(self, known: Mapping[str, str]) -> Source:
         """Add a column for each rate that was not logged."""

@@ -8,7 +8,8 @@ plant, whose inputs are a few hundredths weaker, is lost then. A gain margin is 
 | factor | k      | input that acts = u_e + k (u - u_e), k between 1 - share and 1 + share |
 | rest   | u_e    | input that holds the reference in the model                      |
 
-What holds a plant at rest stays as it is, so that no policy has to be wrong there for some of the factors.
+What holds a plant at rest stays as it is, so that no policy has to be wrong there for some of the factors. Where an
+actuator reaches less than [-1, 1] to a side, as a pump that cannot draw, no strength takes an input beyond that.
 """
 
 from __future__ import annotations
@@ -34,6 +35,9 @@ class Margin:
 
     def __init__(self, regulator: Regulator, task: Tracking, share: float) -> None:
         self.regulator, self.task, self.share = regulator, task, share
+        low, high = task.input_limits
+        ends = torch.stack([low.where(low > -1, -torch.inf), high.where(high < 1, torch.inf)])
+        self.limits = ends if bool(ends.isfinite().any()) else None
 
     @classmethod
     def of(cls, env: ControlEnv, rests: Rests | None, share: float) -> Margin | None:
@@ -46,13 +50,13 @@ class Margin:
     def draw(self, params: Tensor, rng: torch.Generator) -> Strength:
         """Return strengths between the ends, each input's its own, for episodes with task parameters `(rows, ...)`."""
         rest = self._rest(params)
-        return Strength(1 + self.share * (2 * torch.rand(rest.shape, generator=rng) - 1), rest)
+        return Strength(1 + self.share * (2 * torch.rand(rest.shape, generator=rng) - 1), rest, self.limits)
 
     def ends(self, params: Tensor) -> Strength:
         """Return strengths to test a policy with: the weakest, that of the model, and the strongest, in turn."""
         rest = self._rest(params)
         turn = torch.arange(len(rest)).remainder(3).sub(1).unsqueeze(-1)
-        return Strength((1 + self.share * turn).expand_as(rest), rest)
+        return Strength((1 + self.share * turn).expand_as(rest), rest, self.limits)
 
     def _rest(self, params: Tensor) -> Tensor:
         reference = self.task.reference(params, torch.zeros(len(params), 1))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -15,16 +15,32 @@ class Strength:
     Attributes:
         factor: Of the inputs' distance from rest, `(rows, n_u)`.
         rest: Inputs at rest, `(rows, n_u)`.
+        limits: Least and largest input that acts, `(2, n_u)`, infinite where there is none; None for none at all.
     """
 
     factor: Tensor
     rest: Tensor
+    limits: Tensor | None = None
 
     def acting(self, u: Tensor) -> Tensor:
         """Return the inputs that act when `u` is commanded, `(rows, n_u)`."""
-        return torch.lerp(self.rest, u, self.factor)
+        stronger = torch.lerp(self.rest, u, self.factor)
+        return stronger if self.limits is None else stronger.clamp(self.limits[0], self.limits[1])
+
+    def slope(self, acting: Tensor) -> Tensor:
+        """Return the derivative of the inputs that acted by those commanded, each by its own, `(*batch, rows, n_u)`.
+
+        Args:
+            acting: What `acting` returned, `(*batch, rows, n_u)`.
+        """
+        if self.limits is None:
+            return self.factor
+        return self.factor * ((acting > self.limits[0]) & (acting < self.limits[1]))
 
     def where(self, new: Tensor, fresh: Strength) -> Strength:
         """Return the strengths with those of the rows that are new, bool `(rows,)`, taken from others."""
         mask = new.unsqueeze(-1)
-        return Strength(torch.where(mask, fresh.factor, self.factor), torch.where(mask, fresh.rest, self.rest))
+        factor, rest = (
+            torch.where(mask, theirs, mine) for theirs, mine in ((fresh.factor, self.factor), (fresh.rest, self.rest))
+        )
+        return replace(self, factor=factor, rest=rest)

@@ -176,7 +176,7 @@ def backward(
     with torch.enable_grad():
         a, b = sensitivities(env, system, window.states[:-1], window.applied)
         if rows.strength is not None:
-            b = b * rows.strength.factor.unsqueeze(-2)
+            b = b * rows.strength.slope(window.applied).unsqueeze(-2)
         # A period that ends in divergence has derivatives without bounds; times zero they would not be zero.
         a, b = (slope.where(window.alive[1:, :, None, None], torch.zeros(())) for slope in (a, b))
         reward, cost, effort = _cost(env, rows, window)

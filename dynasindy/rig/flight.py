@@ -18,6 +18,7 @@ import numpy as np
 from dynasindy.rig.base import Array, Clock, Fault, Rig, Wiring
 from dynasindy.rig.log import Log
 from dynasindy.rig.watchdog import Watchdog
+from dynasindy.systems.base import WHOLE
 from dynasindy.systems.ranges import Ends, limits
 
 Act = Callable[[Array, float], Array]
@@ -176,6 +177,8 @@ def fly(
     return Flown(loop.flown, fault, np.array(loop.computing), np.array(loop.jitter))
 
 
+ROUNDING = 1e-6
+"""By how much an input may leave its limits, as single precision makes it."""
 FIRST = 10
 """Times longer that the first sample may take: a rig has to begin."""
 
@@ -325,9 +328,12 @@ class Loop:
             raise Fault("controller", f"it failed with {type(error).__name__}: {why}") from error
 
     def _inputs(self, given: Any) -> Array:
-        u, n_u = np.asarray(given, dtype=np.float64), self.wiring.signature.n_u
-        if u.shape != (n_u,) or not np.isfinite(u).all() or np.abs(u).max() > 1 + 1e-6:
-            raise Fault("controller", f"it gave {u.tolist()}, not {n_u} numbers in [-1, 1]")
+        u, signature = np.asarray(given, dtype=np.float64), self.wiring.signature
+        limits = signature.input_limits or (WHOLE,) * signature.n_u
+        low, high = np.array(limits).T
+        if u.shape != (signature.n_u,) or not ((low - ROUNDING <= u) & (u <= high + ROUNDING)).all():
+            allowed = ", ".join(f"[{least:.6g}, {most:.6g}]" for least, most in dict.fromkeys(limits))
+            raise Fault("controller", f"it gave {u.tolist()}, not {signature.n_u} numbers in {allowed}")
         return u
 
     def _on_time(self, took: float) -> None:

@@ -15,13 +15,15 @@ from dynasindy import workbench
 from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
 from dynasindy.data.rates import with_rates
+from dynasindy.evaluation.identification import Logged
 from dynasindy.evaluation.source import Source, alike_ends
 from dynasindy.excitation import Excitation
 from dynasindy.rig.base import Array, Clock, Rig, Wiring
-from dynasindy.rig.flight import Flown, Guard, fly
+from dynasindy.rig.flight import ROUNDING, Flown, Guard, fly
 from dynasindy.rig.log import heading
 from dynasindy.rig.shown import Shown
 from dynasindy.systems import Signature
+from dynasindy.systems.base import WHOLE
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.libraries import LibraryBuilder
@@ -122,13 +124,16 @@ class Session:
             What came of the flight; None if there was none.
 
         Raises:
-            ValueError: The folder holds logs of another rig; nothing has moved.
+            ValueError: The folder holds logs of another rig, or an input would go beyond what its actuator reaches;
+                nothing has moved.
         """
         levels = signal.samples(self.wiring.dt).double().numpy()
         before = self.logs("excitation")
         if done := [path for path, rows in before.items() if rows >= len(levels)]:
             self.tell(f"excitation: {done[0]} is there, so the rig is not excited again")
             return None
+        _require_reached(signal, levels, self.wiring.signature)
+        self._tell_inputs(self.wiring.signature)
 
         def _act(y: Array, t: float) -> Array:
             level: Array = levels[round(t / self.wiring.dt)]
@@ -167,7 +172,10 @@ class Session:
             Diverged: The model explodes.
         """
         log = self._source(knowledge.ranged)
-        model = workbench.identify(log, knowledge.library, knowledge.known, longest_delay=knowledge.longest_delay)
+        delay = knowledge.longest_delay
+        model = workbench.identify(
+            log, knowledge.library, knowledge.known, longest_delay=delay, tell=lambda line: self.tell(f"  {line}")
+        )
         model.save(self.folder / "model.json")
         for line in model.equations():
             self.tell(f"  {line}")
@@ -188,8 +196,7 @@ class Session:
             ValueError: The controller is one for another plant, period or sensors; nothing has moved.
         """
         self._require(controller)
-        for line in controller.signature.own_inputs():
-            self.tell(f"  {line}; the rig gets the controller's number, and has to turn it into its own unit")
+        self._tell_inputs(controller.signature)
         names, theirs = self.wiring.signature.state_names, set(controller.signature.state_names)
 
         def _seen(y: Array) -> dict[str, float]:
@@ -250,6 +257,11 @@ class Session:
                 "controller; give the same ends to both"
             )
 
+    def _tell_inputs(self, signature: Signature) -> None:
+        """Say what the numbers that the rig gets are in the units of its actuators."""
+        for line in signature.own_inputs():
+            self.tell(f"  {line}; the rig gets the controller's number, and has to turn it into its own unit")
+
     def _fly(self, name: str, act: Callable[[Array, float], Array], periods: int) -> Flown:
         self.tell(f"{name.replace('_', ' ')}: {periods * self.wiring.dt:g} s")
         flown = fly(self.rig, act, self.wiring, periods, self.folder / f"{name}.csv", self.guard, self.clock)
@@ -270,11 +282,11 @@ class Session:
             name: {"name": name if known else "", "unit": unit}
             for name, unit, known in zip(signature.state_names, signature.state_units, self.wiring.seen, strict=True)
         }
-        inputs = {name: name for name in signature.input_names}
+        inputs: dict[str, Any] = {name: name for name in signature.input_names}
         logs, notes, useless = [], [], []
         for path in (*self.logs("excitation"), *self.logs("flight")):
             try:
-                log = workbench.read(path, columns, inputs, dt=self.wiring.dt, validation_share=0)
+                log = Source.of(Logged(str(path), columns, inputs, dt=self.wiring.dt).recording(signature), 0)
             except ValueError as error:
                 useless.append(str(error))
                 continue
@@ -286,12 +298,32 @@ class Session:
             self.tell(f"  left out: {why}")
         if not ranged:
             widest = (max(scales) for scales in zip(*(log.signature.x_scale for log in logs), strict=True))
-            signature = replace(signature, x_scale=tuple(widest))
+            signature = replace(logs[0].signature, x_scale=tuple(widest))
         data = Transitions.cat([log.training for log in logs])
         return replace(logs[0], training=data, signature=signature, notes=tuple(notes))
 
 
+def _require_reached(signal: Excitation, levels: Array, signature: Signature) -> None:
+    """Make sure that an excitation, `(N, n_u)`, stays within what the actuators reach.
+
+    Raises:
+        ValueError: It does not.
+    """
+    low, high = np.array(signature.input_limits or (WHOLE,) * signature.n_u).T
+    beyond = np.maximum(levels.max(0) - high, low - levels.min(0))
+    if not (beyond > ROUNDING).any():
+        return
+    amplitude = np.minimum(signal.amplitude.abs().numpy(), 0.5 * (high - low))
+    offset = np.clip(signal.offset.numpy(), low + amplitude, high - amplitude)
+    place, words = int(beyond.argmax()), [f"[{','.join(f'{v:.4g}' for v in values)}]" for values in (amplitude, offset)]
+    raise ValueError(
+        f"the excitation takes {signature.input_names[place]} from {levels[:, place].min():.3g} to "
+        f"{levels[:, place].max():.3g}, and its actuator reaches {low[place]:.3g} to {high[place]:.3g}; nothing has "
+        f"moved: give plant.amplitude={words[0]} plant.offset={words[1]}, or others within these limits"
+    )
+
+
 def _ends(signature: Signature) -> str:
     """Return what -1 and 1 are of each input in words."""
-    ends = signature.input_ends or ((-1.0, 1.0),) * signature.n_u
+    ends = signature.input_ends or (WHOLE,) * signature.n_u
     return ", ".join(f"{low:g} and {high:g}" for low, high in ends)

@@ -1,14 +1,18 @@
 """The benchmark of planning by gradient: its rows, its plants, and how it is carried on."""
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import torch
+from omegaconf import OmegaConf
 
 from dynasindy.benchmarks import gradient
 from dynasindy.evaluation.rows import read_rows
+from dynasindy.systems import Xi
 
+ROOT = Path(__file__).parents[2]
 TINY = {"updates": 2, "more_updates": 1, "rollouts": 4, "window": 5}
 
 
@@ -43,6 +47,14 @@ def test_the_bench_sees_no_rates_and_its_delay_is_in_the_data():
         first = parts.plant.advance(torch.zeros(6).double(), u.double())[0][-1]
         starts[name] = (seen["next", "true_state"][0] - first).abs().max().item()
     assert starts == {"bench": 0.0, "bench_delay": 0.0}
+
+
+@pytest.mark.parametrize("name", ["bench", "bench_delay"])
+def test_the_bench_looks_for_delays_as_the_command_does(name):
+    """What stands in conf/train.yaml is what a user gets."""
+    wanted = OmegaConf.load(ROOT / "conf" / "train.yaml").longest_delay
+    made = gradient.sparse_model("paper_table", gradient.CASES[name], Xi().signature)
+    assert made.refinement.longest_delay == wanted
 
 
 def test_a_case_behind_sensors_tells_errors_inputs_and_consistency():

@@ -11,6 +11,7 @@ import yaml
 
 from dynasindy.data.csv import CsvLog
 from dynasindy.evaluation.identification import Logged
+from dynasindy.systems import Unknown
 from dynasindy.tasks import base
 
 
@@ -103,9 +104,18 @@ def test_a_log_alone_tells_the_range_that_an_input_used(tmp_path, low, high, res
     assert [rest + one * limit for limit in limits] == pytest.approx(reach)
     (word,) = shlex.split(found.notes[2].rpartition("as they are: ")[2])
     given = yaml.safe_load(word.removeprefix("data.inputs="))
-    assert (given["valve"]["low"], given["valve"]["high"]) == reach
+    # An actuator that rests at zero reaches zero, whether the log has tried it or not.
+    assert (given["valve"]["low"], given["valve"]["high"]) == (min(*reach, rest), max(*reach, rest))
     again = Logged(path, inputs=given).recording(None)
-    assert again.signature == found.signature and torch.equal(again.transitions.u, found.transitions.u)
+    assert again.signature.input_ends == found.signature.input_ends
+    assert torch.equal(again.transitions.u, found.transitions.u)
+
+
+def test_a_rest_outside_of_the_ends_is_refused(tmp_path):
+    path = written(tmp_path / "log.csv", levels(1100.0, 1900.0))
+    servo = {"servo": {"name": "valve", "low": 1000, "high": 2000, "rest": 2500}}
+    with pytest.raises(ValueError, match="from low 1000 to high 2000 was given rest 2500, which it does not reach"):
+        CsvLog(path, {"level": "level"}, servo).read()
 
 
 @pytest.mark.parametrize(("low", "high", "ends"), [(0.05, 0.6, "low: 0, high: 1"), (-0.9, 0.0, "low: -1, high: 0")])
@@ -190,3 +200,50 @@ def test_ends_of_a_state_are_refused(tmp_path):
     path = written(tmp_path / "log.csv", levels(0.0, 100.0))
     with pytest.raises(ValueError, match="state level was given low and high, which inputs alone have"):
         CsvLog(path, {"level": {"name": "level", "low": 0, "high": 2}}, VALVE).read()
+
+
+PLANT = Unknown({"level": "m"}, {"valve": {"low": 4, "high": 20, "unit": "mA"}}).signature
+
+
+@pytest.mark.parametrize(("heading", "given"), [("valve [mA]", "valve"), ("valve", "valve"), ("i [A]", "scaled")])
+def test_a_plant_that_is_known_by_names_says_the_ends_of_its_actuators(tmp_path, heading, given):
+    """Of 4 to 20 mA a quarter is 8 mA, in whatever part of it the log lies."""
+    values = levels(6.0, 12.0)
+    inputs = None if given == "valve" else {"valve": {"name": "i", "unit": "mA", "scale": 1000.0}}
+    path = written(tmp_path / "log.csv", values if inputs is None else values / 1000, heading)
+    found = Logged(path, inputs=inputs).recording(PLANT)
+    assert found.transitions.u[:, 0].numpy() == pytest.approx((values[:-1] - 4) / 16)
+    assert found.signature.input_ends == ((-12.0, 20.0),) and found.signature.input_limits == ((0.0, 1.0),)
+    assert found.signature.input_units == ("mA",)
+
+
+def test_the_numbers_that_a_rig_has_logged_stay_what_they_are(tmp_path):
+    values = levels(0.1, 0.5)
+    found = Logged(written(tmp_path / "log.csv", values, "valve [-]")).recording(PLANT)
+    assert np.array_equal(found.transitions.u[:, 0].numpy(), values[:-1])
+    assert found.signature.in_own_units(found.transitions.u)[:, 0] == pytest.approx(4 + 16 * values[:-1])
+    assert not found.notes
+
+
+@pytest.mark.parametrize(
+    ("heading", "given", "message"),
+    [
+        (
+            "valve [mA]",
+            {"low": 0, "high": 20},
+            "from 0 to 20 and rests at 0 in data.inputs, and from 4 to 20 and at 4 in",
+        ),
+        ("valve [A]", {}, "is in A in the log, and in mA in system.inputs; give the factor from one to the other"),
+        ("valve [mA]", {"scale": 2.0}, "was given low 4 and high 20, its column goes from 12 to 24"),
+    ],
+)
+def test_a_log_that_contradicts_its_plant_is_refused(tmp_path, heading, given, message):
+    path = written(tmp_path / "log.csv", levels(6.0, 12.0), heading)
+    with pytest.raises(ValueError, match=message):
+        Logged(path, inputs={"valve": {"name": "valve", **given}}).recording(PLANT)
+
+
+def test_ends_that_are_those_of_the_plant_may_be_said_again(tmp_path):
+    path = written(tmp_path / "log.csv", levels(6.0, 12.0), "valve [mA]")
+    again = {"valve": {"name": "valve", "low": 4, "high": 20}}
+    assert Logged(path, inputs=again).recording(PLANT).signature == Logged(path).recording(PLANT).signature

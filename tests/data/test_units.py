@@ -91,7 +91,7 @@ def test_a_log_in_degrees_is_read_in_radians_and_says_so_in_a_line(tmp_path):
 
 def test_a_rate_that_is_known_or_differentiated_is_one_of_radians(tmp_path):
     path, t = written(tmp_path / "log.csv", "time [s],angle [deg],speed [deg/s],u")
-    alone = Logged(path, ["angle"], known={"angle": "angle_rate"}).recording(None)
+    alone = Logged(path, ["angle"], known={"angle": "angle_rate"}).load(None, None)
     assert alone.signature.state_units == ("rad", "rad/s")
     states = {"angle": "angle", "w": {"derivative_of": "angle", "unit": "deg/s"}}
     slope = Logged(path, states).recording(None)
@@ -101,7 +101,7 @@ def test_a_rate_that_is_known_or_differentiated_is_one_of_radians(tmp_path):
 
 def test_a_plant_that_is_named_reads_degrees_too(tmp_path):
     path, t = written(tmp_path / "log.csv", "time [s],theta [°],Omega [°/s],u")
-    found = Logged(path).recording(Pendulum())
+    found = Logged(path).recording(Pendulum().signature)
     assert found.transitions.x[:, 0].numpy() == pytest.approx(np.sin(t)[:-1])
     assert len(found.notes) == 2 and "theta from ° to rad" in found.notes[1]
 

@@ -2,7 +2,7 @@
 
 import copy
 import math
-from dataclasses import FrozenInstanceError, fields
+from dataclasses import FrozenInstanceError, fields, replace
 from functools import partial
 
 import pytest
@@ -171,10 +171,11 @@ class Heard(Callback):
     """Keep the episodes, and the state of the parts at each place."""
 
     def __init__(self, parts, place):
-        self.parts, self.place, self.rollouts, self.states = parts, place, [], []
+        self.parts, self.place, self.rollouts, self.states, self.refits = parts, place, [], [], []
 
     def episode(self, episode, cost):
         self.rollouts.append(episode.rollout)
+        self.refits.append(episode.refit)
 
     def reached(self, place):
         self.states.append(copy.deepcopy((place.state_dict(), self.parts.state_dict())))
@@ -187,13 +188,44 @@ def test_the_policy_is_shown_where_the_plant_will_be_when_its_input_arrives(peri
     heard = Heard(parts, place)
     train(parts, made.train, heard, place)
     assert parts.world_model.delay == pytest.approx(0.05 * periods, abs=1e-3)
-    rows = heard.rollouts[-1]
+    ahead(heard.rollouts[-1], periods)
+
+
+def ahead(rows, periods):
+    """Make sure that a policy was shown where the plant is so many periods later."""
     samples, later = rows["next", "samples"].reshape(-1, 2), round(2 * periods)  # two samples in a period
     truth = samples[later - 1 :: 2][: len(rows) - math.ceil(periods)]
     shown = rows["state"][: len(truth)]
     now = rows["true_state"][: len(truth)]
     assert (now - truth).abs().max() > 0.1  # the plant moves much meanwhile
     torch.testing.assert_close(shown[3:], truth[3:], atol=2e-3, rtol=0.0)
+
+
+class Later(Heard):
+    """Have delays looked for after the first fit only."""
+
+    def fitted(self, report, excited, cost):
+        assert self.parts.world_model.delay == 0.0 and self.parts.sensing is None
+        self.parts.world_model.refinement = Refinement("integral", longest_delay=None)
+
+
+@pytest.mark.parametrize(("periods", "held_out"), [(1, 2), (2.5, 2), (2.5, 0)])
+def test_a_delay_that_a_refit_finds_is_made_up_for_from_then_on(periods, held_out):
+    made = pendulum(periods)
+    made.world_model.keywords["refinement"] = Refinement("integral", longest_delay=0.0)
+    parts, place = made.build(), Place()
+    heard = Later(parts, place)
+    train(parts, replace(made.train, held_out=held_out), heard, place)
+    first, second = heard.rollouts
+    assert "true_state" not in set(first.keys()) and "true_state" in set(second.keys())
+    assert parts.world_model.delay == pytest.approx(0.05 * periods, abs=1e-3)
+    ahead(second, periods)
+    if held_out:  # the refit is judged by inputs as late as it says, by which it predicts what it has not seen
+        assert heard.refits[0].error_after < 0.01 * heard.refits[0].error_before
+    # Every period that was flown still counts, and the fit reads what was seen of the first ones.
+    assert len(parts.replay.real) == 80 + len(first) + len(second)
+    seen = parts.replay.real_in_order()["measurement"][80 : 80 + len(first)]
+    torch.testing.assert_close(seen, first["state"])
 
 
 def test_states_that_are_seen_at_once_stay_as_they_are():

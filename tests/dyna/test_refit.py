@@ -5,13 +5,14 @@ from functools import cache, partial
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.dyna.excite import interact
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.parts import Settings
-from dynasindy.dyna.refit import fit, held_out_windows, refit
+from dynasindy.dyna.refit import _acting, fit, held_out_windows, refit
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, ModelError, NoPlanning, replay_error
@@ -222,3 +223,19 @@ def test_a_window_needs_its_whole_second():
     assert held_out_windows(80, 20, 4).tolist() == [60]
     assert held_out_windows(100, 20, 2).tolist() == [20, 60]
     assert held_out_windows(120, 20, 3).tolist() == [40, 100] and held_out_windows(119, 20, 3).tolist() == [40]
+
+
+@pytest.mark.parametrize(
+    ("later", "expected"),
+    [
+        (0.0, [1, 2, 3, 4]),
+        (1.0, [0, 1, 2, 3]),
+        (1.5, [0, 0.5, 1.5, 2.5]),
+        (-1.0, [2, 3, 4, 4]),
+        (0.25, [0.75, 1.75, 2.75, 3.75]),
+    ],
+)
+def test_inputs_act_as_much_later_as_a_model_says(later, expected):
+    """An input that arrives within a period acts by its mean there; before the episode inputs were zero."""
+    rollout = TensorDict({"action": torch.tensor([[1.0], [2.0], [3.0], [4.0]])}, [4])
+    assert _acting(rollout, later)["action"].flatten().tolist() == expected

@@ -29,7 +29,7 @@ def log(path, heading, factors=(1.0, 1.0, 1.0), rows=400):
 
 
 def told(source, library="auto"):
-    lines = before_fit(SindyModel(source.signature, library), source)
+    lines = before_fit(SindyModel(source.signature, library), source).lines
     return [line for line in lines if not line.startswith("note: time is the column")]
 
 
@@ -42,9 +42,9 @@ def test_a_log_with_an_angle_in_degrees_and_a_rate_in_rad_is_told(tmp_path):
     model = SindyModel(source.signature, "auto")
     (told,) = wrong_units(model, source)
     assert told.startswith("warning: Omega does not fit theta, whose slope over time is 57.3 times Omega;")
-    assert before_fit(model, source)[0] == told
+    assert before_fit(model, source).lines[0] == told
     exact = Simulated().load(Pendulum(), EXCITATION)
-    assert not before_fit(SindyModel(exact.signature, "auto"), exact)
+    assert not before_fit(SindyModel(exact.signature, "auto"), exact).lines
 
 
 @pytest.mark.parametrize("library", ["auto", "auto_rig"])
@@ -99,10 +99,11 @@ def test_a_rate_that_is_missing_is_told_once_and_not_once_it_is_given(tmp_path, 
     for library, given in (("auto", {}), (["1", "a", "u"], None)):  # nobody wants it, or the functions are chosen
         assert with_missing_rates(partial(SindyModel, library=library), source, given) == (source, {}, [])
     model = SindyModel(known.signature, "auto", known={"a": "a_rate"})
-    clock, unseen = before_fit(model, known)
+    clock, unseen = before_fit(model, known).lines
     assert clock.startswith("note: time is the column time,") and clock.endswith(": 0.01 s between rows")
     assert unseen == "note: a_rate is seen by no sensor; it is estimated with the model"
     assert rates_lacking(model, known).shown == {"a": "a_rate"}
+    assert before_fit(model, known).lacking == rates_lacking(model, known)
 
 
 def test_a_missing_rate_is_named_so_that_words_can_hold_it_and_nothing_else_has_it(tmp_path, write_log):
@@ -151,8 +152,10 @@ def test_many_functions_are_counted_and_the_plants_named_that_have_fewer(tmp_pat
 def test_a_rate_that_was_exchanged_with_its_state_is_the_first_line(tmp_path):
     source = log(tmp_path / "log.csv", "time,theta [rad],Omega [rad/s],u")
     model = SindyModel(source.signature, ["theta", "Omega", "u"], known={"Omega": "theta"})
-    assert before_fit(model, source)[0].startswith(
-        "warning: theta was given as the rate of Omega, and in the log it is"
+    assert (
+        before_fit(model, source)
+        .lines[0]
+        .startswith("warning: theta was given as the rate of Omega, and in the log it is")
     )
     assert len(wrong_units(model, source)) == 1
 

@@ -55,7 +55,10 @@ def test_a_rate_that_was_not_logged_is_a_state_that_no_sensor_sees():
     assert source.signature.state_units == ("rad", "-", "rad/s", "1/s")
     for part in (source.training, source.validation):
         assert part.x[:, 2:].isnan().all() and not part.x[:, :2].isnan().any()
-    assert source.with_rates({"q": "w"}) is source
+    unseen = [f"{name} is seen by no sensor; it is estimated with the model" for name in ("w", "p_rate")]
+    assert list(source.notes[-2:]) == unseen
+    again = source.with_rates({"q": "w"})
+    assert again.signature == source.signature and again.notes == source.notes
 
 
 def test_data_get_the_states_of_a_model_and_those_of_another_plant_are_refused():

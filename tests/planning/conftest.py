@@ -12,8 +12,11 @@ from dynasindy.systems import Signature, System
 from dynasindy.systems.xi import Xi
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
-SMALL = {"rollouts": 16, "window": 20, "check_every": 4}
-"""Settings of a planning that takes no time."""
+
+@pytest.fixture
+def small():
+    """Settings of a planning that takes no time."""
+    return {"rollouts": 16, "window": 20, "check_every": 4}
 
 
 class Inverted(System):
@@ -42,12 +45,12 @@ def setting():
 
 
 @pytest.fixture
-def planned(setting):
+def planned(setting, small):
     """Make a planner of a small setting."""
 
     def make(**settings):
         env, agent, replay = setting()
-        return GradientPlanning(env, agent, replay, **(SMALL | {"updates": 1} | settings))
+        return GradientPlanning(env, agent, replay, **(small | {"updates": 1} | settings))
 
     return make
 

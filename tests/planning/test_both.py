@@ -7,8 +7,6 @@ import torch
 
 from dynasindy.planning import Bounds, GradientPlanning, GradientThenReplay, ImaginedReplay, Planned, Planner
 
-SMALL = {"rollouts": 16, "window": 20, "check_every": 4}
-
 
 @torch.no_grad()
 def flown(env, agent, steps=20):
@@ -19,10 +17,10 @@ def weights(policy):
     return torch.cat([p.detach().reshape(-1).clone() for p in policy.parameters()])
 
 
-def test_both_ways_of_planning_share_one_phase(setting):
+def test_both_ways_of_planning_share_one_phase(setting, small):
     env, agent, replay = setting()
     replay.extend_real(flown(env, agent))
-    gradient = partial(GradientPlanning, updates=2, **SMALL)
+    gradient = partial(GradientPlanning, updates=2, **small)
     planner = GradientThenReplay(
         env, agent, replay, gradient, partial(ImaginedReplay, rollouts=3, horizon=2, bounds=Bounds(reach=1e6))
     )
@@ -32,12 +30,12 @@ def test_both_ways_of_planning_share_one_phase(setting):
     assert not len(replay.model)
 
 
-def test_critics_learn_the_planned_actor_and_leave_it_alone(setting):
+def test_critics_learn_the_planned_actor_and_leave_it_alone(setting, small):
     planned = {}
     for critic_updates in (0, 300):
         env, agent, replay = setting(target_update_interval=1)
         replay.extend_real(flown(env, agent))
-        gradient = partial(GradientPlanning, updates=2, **SMALL)
+        gradient = partial(GradientPlanning, updates=2, **small)
         imagined = partial(ImaginedReplay, rollouts=3, horizon=2, bounds=Bounds(reach=1e6))
         planner = GradientThenReplay(env, agent, replay, gradient, imagined, critic_updates=critic_updates)
         assert planner.plan().updates == 2 + critic_updates

@@ -12,8 +12,6 @@ from dynasindy.planning.margin import Margin
 from dynasindy.planning.variation import Members
 from dynasindy.systems.xi import Xi
 
-SMALL = {"rollouts": 16, "window": 20, "check_every": 4}
-
 
 @torch.no_grad()
 def flown(env, agent, steps=20):
@@ -73,12 +71,12 @@ def test_episodes_begin_staggered_and_anew_where_they_end_or_diverge(planned):
     assert torch.equal(changed, over)
 
 
-def test_shares_of_the_starts_are_those_asked_for(setting):
+def test_shares_of_the_starts_are_those_asked_for(setting, small):
     env, agent, replay = setting()
     real = flown(env, agent)
     real["state"] = torch.arange(20.0).unsqueeze(-1).expand(20, 6) + 1
     replay.extend_real(real)
-    planner = GradientPlanning(env, agent, replay, real_starts=0.3, jumps=0.2, **(SMALL | {"rollouts": 4000}))
+    planner = GradientPlanning(env, agent, replay, real_starts=0.3, jumps=0.2, **(small | {"rollouts": 4000}))
     episodes = Episodes(planner)
     x = torch.full((4000, 6), -5.0)
     lost = torch.arange(4000) < 2000
@@ -92,29 +90,29 @@ def test_shares_of_the_starts_are_those_asked_for(setting):
     assert starts[starts > 0].unique().tolist() == [float(n) for n in range(1, 21)]
 
 
-def test_members_of_the_model_are_fitted_to_what_is_stored(setting, monkeypatch):
+def test_members_of_the_model_are_fitted_to_what_is_stored(setting, monkeypatch, small):
     env, agent, replay = setting()
     replay.extend_real(flown(env, agent))
     asked, two = [], Members([Xi(), Xi()])
     monkeypatch.setattr(Members, "of", lambda model, data, number: asked.append((model, data, number)) or two)
-    planner = GradientPlanning(env, agent, replay, variation=Variation(members=2), **SMALL)
+    planner = GradientPlanning(env, agent, replay, variation=Variation(members=2), **small)
     assert Episodes(planner).system is two
     ((model, data, number),) = asked
     # Of 20 control periods each has five samples.
     assert model is planner.env.system and number == 2 and (len(data.x), data.dt) == (100, pytest.approx(0.01))
 
 
-def test_divergence_is_a_hundred_times_the_largest_real_value_and_nothing_where_a_state_never_moved(setting):
+def test_divergence_is_a_hundred_times_the_largest_real_value_and_nothing_where_a_state_never_moved(setting, small):
     env, agent, replay = setting()
     real = flown(env, agent)
     real["state"] = torch.tensor([1.0, -2.0, 0.0, 4.0, 50.0, 0.5]) * torch.linspace(0, 1, 20).unsqueeze(-1)
     replay.extend_real(real)
-    reach = Episodes(GradientPlanning(env, agent, replay, **SMALL)).rows.reach
+    reach = Episodes(GradientPlanning(env, agent, replay, **small)).rows.reach
     assert reach.tolist() == pytest.approx([100.0, 200.0, math.inf, 400.0, 5000.0, 50.0])
 
 
-def test_without_real_states_divergence_is_a_hundred_ranges_however_near_zero_episodes_begin(setting):
+def test_without_real_states_divergence_is_a_hundred_ranges_however_near_zero_episodes_begin(setting, small):
     env, agent, _ = setting()
     env.task.start = torch.tensor([[1e-3, 2.0, 0.0, 0.0, 0.0, 0.0]]).expand(2, -1)
-    reach = Episodes(GradientPlanning(env, agent, **SMALL)).rows.reach
+    reach = Episodes(GradientPlanning(env, agent, **small)).rows.reach
     assert reach.tolist() == [100.0, 200.0, *[math.inf] * 4]

@@ -21,8 +21,6 @@ from dynasindy.planning.window import imagine
 from dynasindy.systems import Diverged, Signature, System
 from dynasindy.systems.xi import Xi
 
-SMALL = {"rollouts": 16, "window": 20, "check_every": 4}
-
 
 @torch.no_grad()
 def total(env, agent):
@@ -38,30 +36,30 @@ def weights(policy):
     return torch.cat([p.detach().reshape(-1).clone() for p in policy.parameters()])
 
 
-def test_planning_improves_the_return_in_the_real_environment(setting):
+def test_planning_improves_the_return_in_the_real_environment(setting, small):
     env, agent, replay = setting()
     before = total(env, agent)
-    planned = GradientPlanning(env, agent, replay, updates=40, lr=1e-2, **SMALL).plan()
+    planned = GradientPlanning(env, agent, replay, updates=40, lr=1e-2, **small).plan()
     after = total(env, agent)
     assert planned.updates == 40
     assert planned.imagined == 40 * 16 * 20
     assert after > 0.5 * before  # returns are negative: more than half of the cost is gone
 
 
-def test_the_actor_of_the_agent_itself_learns_and_td3_goes_on_from_it(setting):
+def test_the_actor_of_the_agent_itself_learns_and_td3_goes_on_from_it(setting, small):
     env, agent, replay = setting()
     before = weights(agent.policy)
-    GradientPlanning(env, agent, replay, updates=4, **SMALL).plan()
+    GradientPlanning(env, agent, replay, updates=4, **small).plan()
     learnt = torch.cat([p.reshape(-1) for p in agent.loss.actor_network_params.values(True, True)])
     assert not torch.equal(weights(agent.policy), before)
     assert sorted(learnt.tolist()) == sorted(weights(agent.policy).tolist())
 
 
-def test_a_terminal_value_changes_the_plan_and_trains_the_critics(setting, planned):
+def test_a_terminal_value_changes_the_plan_and_trains_the_critics(setting, planned, small):
     def planned(terminal_updates):
         env, agent, replay = setting()
         before = agent.critic_optimizer.param_groups[0]["params"][0].clone()
-        GradientPlanning(env, agent, replay, updates=4, terminal_updates=terminal_updates, **SMALL).plan()
+        GradientPlanning(env, agent, replay, updates=4, terminal_updates=terminal_updates, **small).plan()
         moved = not torch.equal(before, agent.critic_optimizer.param_groups[0]["params"][0])
         return weights(agent.policy), moved
 
@@ -69,34 +67,34 @@ def test_a_terminal_value_changes_the_plan_and_trains_the_critics(setting, plann
     assert trained and not left and not torch.equal(plain, valued)
 
 
-def test_a_deployed_average_becomes_the_planned_actor(setting):
+def test_a_deployed_average_becomes_the_planned_actor(setting, small):
     env, agent, replay = setting(policy_average=0.01)
-    GradientPlanning(env, agent, replay, updates=4, **SMALL).plan()
+    GradientPlanning(env, agent, replay, updates=4, **small).plan()
     torch.testing.assert_close(weights(agent.deployed), weights(agent.policy))
 
 
-def test_without_a_width_the_plan_is_for_the_reward_of_the_task(setting):
+def test_without_a_width_the_plan_is_for_the_reward_of_the_task(setting, small):
     policies = []
     for shape, width in (("quadratic", 0.07), ("linear", None)):
         env, agent, replay = setting()
         env.task.reward_function = replace(env.task.reward_function, error_shape=shape, width=0.07, bonus=0.0)
-        GradientPlanning(env, agent, replay, updates=4, width=width, **SMALL).plan()
+        GradientPlanning(env, agent, replay, updates=4, width=width, **small).plan()
         policies.append(weights(agent.policy))
     assert torch.equal(*policies)
 
 
-def test_equal_seeds_plan_equally(setting):
+def test_equal_seeds_plan_equally(setting, small):
     policies = []
     for _ in range(2):
         env, agent, replay = setting()
-        GradientPlanning(env, agent, replay, updates=6, seed=5, **SMALL).plan()
+        GradientPlanning(env, agent, replay, updates=6, seed=5, **small).plan()
         policies.append(weights(agent.policy))
     assert torch.equal(*policies)
 
 
-def test_later_phases_take_their_own_number_of_updates(setting):
+def test_later_phases_take_their_own_number_of_updates(setting, small):
     env, agent, replay = setting()
-    planner = GradientPlanning(env, agent, replay, updates=5, more_updates=2, **SMALL)
+    planner = GradientPlanning(env, agent, replay, updates=5, more_updates=2, **small)
     assert [planner.plan().updates for _ in range(3)] == [5, 2, 2]
 
 
@@ -110,12 +108,12 @@ def test_the_best_policy_on_held_out_references_is_kept_and_a_phase_without_prog
     assert torch.equal(weights(agent.policy), seen[1])
 
 
-def test_episodes_begin_at_real_states_when_asked(setting):
+def test_episodes_begin_at_real_states_when_asked(setting, small):
     env, agent, replay = setting()
     real = env.rollout(20, agent.policy)
     real["state"] = torch.full_like(real["state"], 0.123)
     replay.extend_real(real)
-    planner = GradientPlanning(env, agent, replay, updates=1, real_starts=1.0, jumps=0.0, **SMALL)
+    planner = GradientPlanning(env, agent, replay, updates=1, real_starts=1.0, jumps=0.0, **small)
     episodes = Episodes(planner)
     episodes.carry_on(torch.zeros(16, 6), torch.zeros(16, 2), alive=torch.zeros(16, dtype=torch.bool))
     torch.testing.assert_close(episodes.rows.x, torch.full((16, 6), 0.123))
@@ -130,22 +128,22 @@ class Runaway(Xi):
         return torch.cat([dx[..., :5], dx[..., 5:] - backwards**3], -1)
 
 
-def test_a_model_that_explodes_elsewhere_is_still_planned_with(setting):
+def test_a_model_that_explodes_elsewhere_is_still_planned_with(setting, small):
     env, agent, replay = setting()
     replay.extend_real(flown(env, agent))
     before = total(env, agent)
-    planner = GradientPlanning(env.with_system(Runaway()), agent, replay, updates=40, lr=1e-2, **SMALL)
+    planner = GradientPlanning(env.with_system(Runaway()), agent, replay, updates=40, lr=1e-2, **small)
     whole = imagine(planner.env, planner.env.system, planner.network, Episodes(planner).rows, 60, False, planner.rng)
     assert not whole.alive[-1].all()  # the untrained policy does run it backwards
     planner.plan()
     assert total(env, agent) > 0.5 * before
 
 
-def test_every_variation_can_be_planned_with(setting):
+def test_every_variation_can_be_planned_with(setting, small):
     env, agent, replay = setting()
     noise = [5e-4, 5e-4, 5e-3, 5e-3, 20.0, 20.0]
     variation = Variation(parameters=0.1, disturbance=0.05, noise=noise, late=True)
-    planner = GradientPlanning(env, agent, replay, updates=3, variation=variation, **SMALL)
+    planner = GradientPlanning(env, agent, replay, updates=3, variation=variation, **small)
     planner.plan()
     assert bool(weights(agent.policy).isfinite().all())
 
@@ -159,11 +157,11 @@ def test_impossible_settings_are_refused(setting, wrong):
         GradientPlanning(env, agent, replay, **wrong)
 
 
-def test_no_rollouts_plan_nothing_and_leave_the_actor_to_td3(setting):
+def test_no_rollouts_plan_nothing_and_leave_the_actor_to_td3(setting, small):
     env, agent, replay = setting()
     idle = GradientPlanning(env, agent, replay, rollouts=0)
     assert idle.plan() == Planned() and idle.learns_by_td3
-    assert not GradientPlanning(env, agent, replay, **SMALL).learns_by_td3
+    assert not GradientPlanning(env, agent, replay, **small).learns_by_td3
 
 
 @pytest.mark.parametrize("noise", [[0.1], [0.1] * 5, [0.1] * 7])
@@ -180,10 +178,10 @@ class Nowhere(Xi):
         return super().forward(x, u) + math.inf
 
 
-def test_a_model_in_which_every_episode_diverges_stops_the_phase_at_its_first_test(setting):
+def test_a_model_in_which_every_episode_diverges_stops_the_phase_at_its_first_test(setting, small):
     env, agent, replay = setting(policy_average=0.01)
     before = weights(agent.policy), weights(agent.deployed)
-    planner = GradientPlanning(env.with_system(Nowhere()), agent, replay, updates=40, **SMALL)
+    planner = GradientPlanning(env.with_system(Nowhere()), agent, replay, updates=40, **small)
     # Four updates up to the first test, with sixteen windows each.
     told = r"planning by gradient: 0 of 4 updates .* 64 of 64 imagined windows diverged.*the model explodes"
     with pytest.raises(Diverged, match=told):
@@ -191,10 +189,10 @@ def test_a_model_in_which_every_episode_diverges_stops_the_phase_at_its_first_te
     assert torch.equal(weights(agent.policy), before[0]) and torch.equal(weights(agent.deployed), before[1])
 
 
-def test_a_reward_that_is_not_finite_is_told_from_a_model_that_explodes(setting):
+def test_a_reward_that_is_not_finite_is_told_from_a_model_that_explodes(setting, small):
     env, agent, replay = setting()
     before = weights(agent.policy)
-    planner = GradientPlanning(env, agent, replay, updates=40, **SMALL)
+    planner = GradientPlanning(env, agent, replay, updates=40, **small)
     reward = planner.env.task.reward_function
     planner.env.task.reward_function = lambda *of: reward(*of) * math.nan
     with pytest.raises(Diverged, match=r"0 of 4 updates .* 0 of 64 imagined windows diverged.*check the task's reward"):
@@ -202,18 +200,18 @@ def test_a_reward_that_is_not_finite_is_told_from_a_model_that_explodes(setting)
     assert torch.equal(weights(agent.policy), before)
 
 
-def test_an_actor_that_leaves_all_bounds_is_taken_back_and_told(setting):
+def test_an_actor_that_leaves_all_bounds_is_taken_back_and_told(setting, small):
     env, agent, replay = setting()
     before = weights(agent.policy)
-    planner = GradientPlanning(env, agent, replay, updates=4, lr=math.inf, **SMALL)
+    planner = GradientPlanning(env, agent, replay, updates=4, lr=math.inf, **small)
     with pytest.raises(Diverged, match=r"1 of 4 updates .*the actor's weights left all bounds: lower planning\.lr"):
         planner.plan()
     assert torch.equal(weights(agent.policy), before)
 
 
-def test_a_step_that_was_skipped_is_no_update(setting):
+def test_a_step_that_was_skipped_is_no_update(setting, small):
     env, agent, replay = setting()
-    planner = GradientPlanning(env, agent, replay, updates=4, **SMALL)
+    planner = GradientPlanning(env, agent, replay, updates=4, **small)
     reward, calls = planner.env.task.reward_function, iter(range(100))
 
     def sometimes(*of):  # the second and the third window have no finite gradient
@@ -257,9 +255,9 @@ def test_patience_counts_failures_in_a_row(planned):
     assert planner.plan().updates == 7  # an equal score is a failure, a better one forgives
 
 
-def test_a_plant_that_is_lost_is_won_back_from_the_best_policy_in_shorter_steps(setting):
+def test_a_plant_that_is_lost_is_won_back_from_the_best_policy_in_shorter_steps(setting, small):
     env, agent, replay = setting()
-    planner = GradientPlanning(env, agent, replay, **(SMALL | {"updates": 6, "check_every": 2}), held=True, lr=0.5)
+    planner = GradientPlanning(env, agent, replay, **(small | {"updates": 6, "check_every": 2}), held=True, lr=0.5)
     # Six regulators and the untrained policy, the imitation, then a policy that has lost the plant, a worse and a
     # better one.
     scores, rates, seen = iter([-9.0, *6 * [-2.0], -1.0, -2.1, -1.9, -0.5]), [], []
@@ -282,9 +280,9 @@ def test_a_plant_that_is_lost_is_won_back_from_the_best_policy_in_shorter_steps(
 @pytest.mark.parametrize(
     ("best", "then", "back"), [(0.15, 0.149, False), (-1e-6, -3e-6, False), (-1e-6, -0.03, True), (0.15, -0.01, True)]
 )
-def test_a_plant_is_lost_by_what_its_score_falls_and_not_by_its_sign(setting, best, then, back):
+def test_a_plant_is_lost_by_what_its_score_falls_and_not_by_its_sign(setting, best, then, back, small):
     env, agent, replay = setting()
-    settings = SMALL | {"updates": 4, "check_every": 2, "patience": 1}
+    settings = small | {"updates": 4, "check_every": 2, "patience": 1}
     planner = GradientPlanning(env, agent, replay, **settings, held=True, lr=0.5)
     scores = iter([-9.0, *6 * [-2.0], best, then, then])
     planner._update = lambda *_: True
@@ -294,9 +292,9 @@ def test_a_plant_is_lost_by_what_its_score_falls_and_not_by_its_sign(setting, be
     assert next(scores, None) == (None if back else then)
 
 
-def test_the_held_out_score_is_the_mean_reward_over_whole_episodes_from_rest(setting):
+def test_the_held_out_score_is_the_mean_reward_over_whole_episodes_from_rest(setting, small):
     env, agent, replay = setting(max_steps=12)
-    planner = GradientPlanning(env, agent, replay, width=None, **SMALL)
+    planner = GradientPlanning(env, agent, replay, width=None, **small)
     params = env.task.sample(torch.Size((64,)), torch.Generator().manual_seed(1))  # the seed of the planner and one
     start = env.start_from(torch.zeros(64, 6))
     start["task_params"] = params
@@ -375,49 +373,49 @@ def test_the_memory_of_a_window_is_that_of_its_derivatives_and_states(planned, m
     assert sizes == [16 * 20 * 8 * (36 + 12 + 24)]
 
 
-def test_what_is_not_given_follows_the_plant_and_what_is_given_stays(setting):
+def test_what_is_not_given_follows_the_plant_and_what_is_given_stays(setting, small):
     env, agent, replay = setting()
     planner = GradientPlanning(env, agent, replay, updates=1, rollouts=4, lr=0.02)
     assert planner.plan().imagined == 4 * 60  # the window of the twin rotor
     assert (planner.pace.window, planner.pace.updates, planner.pace.lr) == (60, 1, 0.02)
-    planner = GradientPlanning(env, agent, replay, updates=1, substeps=3, patience=7, **SMALL)
+    planner = GradientPlanning(env, agent, replay, updates=1, substeps=3, patience=7, **small)
     planner.plan()
     assert (planner.pace.window, planner.pace.patience, planner.env.substeps) == (20, 7, 3)
 
 
-def test_a_policy_that_is_told_to_begins_as_a_regulator(setting):
+def test_a_policy_that_is_told_to_begins_as_a_regulator(setting, small):
     earned = {}
     for held in (False, True):
         env, agent, replay = setting()
-        planner = GradientPlanning(env, agent, replay, updates=1, lr=1e-6, held=held, **SMALL)
+        planner = GradientPlanning(env, agent, replay, updates=1, lr=1e-6, held=held, **small)
         planner.plan()
         earned[held] = planner.test()
     assert earned[True] > 0.2 * earned[False]  # costs are negative: four fifths of them are gone
 
 
-def test_an_actor_alone_is_planned_as_that_of_an_agent_with_empty_storages(setting):
+def test_an_actor_alone_is_planned_as_that_of_an_agent_with_empty_storages(setting, small):
     env, agent, replay = setting()
     alone = Actor(env.task.n_o, 2, hidden=(32, 32))
     assert torch.equal(weights(alone.policy), weights(agent.policy))
     before = weights(alone.policy)
     for actor, stored in ((agent, replay), (alone, None)):
-        assert GradientPlanning(env, actor, stored, updates=4, **SMALL).plan().updates == 4
+        assert GradientPlanning(env, actor, stored, updates=4, **small).plan().updates == 4
     assert torch.equal(weights(alone.policy), weights(agent.policy)) and alone.deployed is alone.policy
     assert not torch.equal(weights(alone.policy), before)
 
 
 @pytest.mark.parametrize(("wrong", "words"), [({"terminal_updates": 1}, "critics"), ({"variation": 4}, "replay=")])
-def test_what_an_actor_alone_cannot_do_is_refused(setting, wrong, words):
+def test_what_an_actor_alone_cannot_do_is_refused(setting, wrong, words, small):
     env, _, _ = setting()
     if "variation" in wrong:
         wrong = {"variation": Variation(members=4)}
     with pytest.raises(ValueError, match=words):
-        GradientPlanning(env, Actor(env.task.n_o, 2, hidden=(8, 8)), **wrong, **SMALL)
+        GradientPlanning(env, Actor(env.task.n_o, 2, hidden=(8, 8)), **wrong, **small)
 
 
-def test_a_resumed_plan_says_what_the_plan_before_it_chose(setting):
+def test_a_resumed_plan_says_what_the_plan_before_it_chose(setting, small):
     env, agent, replay = setting()
-    first, second = (GradientPlanning(env, agent, replay, updates=2, **SMALL) for _ in range(2))
+    first, second = (GradientPlanning(env, agent, replay, updates=2, **small) for _ in range(2))
     first.plan()
     second.load_state_dict(first.state_dict())
     assert second.words() == first.words() != ""

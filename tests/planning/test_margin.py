@@ -42,3 +42,18 @@ def test_there_is_no_margin_where_none_is_asked_for_and_where_nothing_is_regulat
     assert Margin.of(env, rests, 0.0) is None and Margin.of(env, None, 0.1) is None
     dead, none = inverted(pull=0.0)
     assert Margin.of(dead, none, 0.1) is None
+
+
+def test_a_one_sided_input_stays_one_sided_whatever_its_strength(inverted):
+    """A pump of 0 to 12 V holds by a tenth of it: 20 % stronger it would draw 0.24 V where it is off."""
+    env, rests = inverted()
+    whole = Margin.of(env, rests, 0.2).ends(params(*[-0.15] * 3))
+    assert whole.limits is None
+    assert float(whole.acting(torch.zeros(3, 1)).min()) == pytest.approx(-0.2 * 4 / 6 * math.sin(0.15), abs=1e-4)
+    env.task = env.task.with_input_limits([[0.0], [1.0]])
+    pump = Margin.of(env, rests, 0.2).ends(params(*[-0.15] * 3))
+    assert float(pump.rest[0]) == pytest.approx(4 / 6 * math.sin(0.15), abs=1e-3)
+    assert float(pump.acting(torch.zeros(3, 1)).min()) == 0.0
+    # A plant that is more sensitive to the whole of its input is as likely as before.
+    stronger = float(pump.rest[0]) + 1.2 * (1 - float(pump.rest[0]))
+    assert float(pump.acting(torch.ones(3, 1)).max()) == pytest.approx(stronger)

@@ -1,5 +1,7 @@
 """The adjoint gradient equals automatic differentiation through the rollout."""
 
+import math
+
 import pytest
 import torch
 from torch import nn
@@ -28,14 +30,14 @@ def setting():
     return env, network, rows, rng
 
 
-def unrolled(env, network, rows, late=False, factor=1.0, rest=0.0):
+def unrolled(env, network, rows, late=False, factor=1.0, rest=0.0, limits=(-math.inf, math.inf)):
     """Back-propagate through time, step by step, with nothing but autograd."""
     x, held, total = rows.x, rows.held, 0.0
     for k in range(STEPS):
         t = torch.full((8, 1), k * env.dt)
         u = network(env.task.observation(x, rows.params, t))
         entering, held = (held, u) if late else (u, held)
-        x_next = rk4(env.system, x, rest + factor * (entering - rest), env.dt)
+        x_next = rk4(env.system, x, (rest + factor * (entering - rest)).clamp(*limits), env.dt)
         stopped = torch.zeros(8, dtype=torch.bool)
         total = total + env.task.earned(x, u, x_next, rows.params, t + env.dt, stopped).mean() / STEPS
         x = x_next
@@ -43,16 +45,20 @@ def unrolled(env, network, rows, late=False, factor=1.0, rest=0.0):
     return total.detach()
 
 
-@pytest.mark.parametrize("strong", [False, True])
+@pytest.mark.parametrize(("strong", "limits"), [(False, None), (True, None), (True, (-0.4, -0.1))])
 @pytest.mark.parametrize("late", [False, True])
-def test_gradient_equals_back_propagation_through_time(late, strong):
+def test_gradient_equals_back_propagation_through_time(late, strong, limits):
     env, network, rows, rng = setting()
     factor, rest = (0.7 + 0.6 * torch.rand(8, 2, generator=rng), torch.rand(8, 2, generator=rng)) if strong else (1, 0)
-    expected = unrolled(env, network, rows, late, factor, rest)
-    rows.strength = Strength(factor, rest) if strong else None
+    expected = unrolled(env, network, rows, late, factor, rest, limits or (-math.inf, math.inf))
+    ends = None if limits is None else torch.tensor(limits).unsqueeze(-1).expand(2, 2)
+    rows.strength = Strength(factor, rest, ends) if strong else None
     wanted = [p.grad.clone() for p in network.parameters()]
     network.zero_grad()
     window = imagine(env, env.system, network, rows, STEPS, late, rng)
+    if limits is not None:
+        clamped = (window.applied == ends[0]) | (window.applied == ends[1])
+        assert 0.1 < clamped.float().mean() < 0.9
     reward = backward(env, env.system, network, rows, window, late)
     torch.testing.assert_close(reward, expected, rtol=1e-5, atol=1e-6)
     for parameter, gradient in zip(network.parameters(), wanted, strict=True):

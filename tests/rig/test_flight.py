@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from dynasindy.data.csv import CsvLog
-from dynasindy.rig import Fault, Guard, UdpRig, Wiring, fly
+from dynasindy.rig import FastClock, Fault, Guard, InProcessRig, UdpRig, Wiring, fly
 from dynasindy.rig.simulated import SimulatedRig
 from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, rk4
@@ -162,6 +162,15 @@ class Noticing(Still):
     def rest(self):
         self.told.append("rest")
         self.resting.set()
+
+
+def test_inputs_beyond_what_an_actuator_reaches_never_leave(tmp_path):
+    """A pump that takes 0 to 12 V gets no -0.1 of it."""
+    rig = InProcessRig(Pendulum(), clock=FastClock())
+    pump = replace(WIRING, signature=replace(WIRING.signature, input_limits=((0.0, 1.0),)))
+    result = fly(rig, lambda y, t: [0.3 - t], pump, 20, tmp_path / "log.csv", clock=rig.clock)
+    assert result.periods == 7 and result.fault.kind == "controller"  # 0.3 s are six periods and their first sample
+    assert "not 1 numbers in [0, 1]" in str(result.fault) and rig.u.tolist() == [0.0]
 
 
 def test_a_controller_that_hangs_is_overtaken_by_the_watchdog(tmp_path):

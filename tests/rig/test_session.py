@@ -1,6 +1,7 @@
 """An afternoon with a simulated rig: from nothing to a controller that holds it."""
 
 import csv
+import re
 import threading
 from dataclasses import replace
 from functools import partial
@@ -12,6 +13,7 @@ import torch
 from dynasindy import Controller, load
 from dynasindy.agents.networks import actor
 from dynasindy.control.controller import Pace
+from dynasindy.evaluation.identification import Logged
 from dynasindy.excitation import Multisine
 from dynasindy.rig import FastClock, Guard, InProcessRig, UdpRig, Wiring
 from dynasindy.rig.session import Knowledge, Session, targets_within
@@ -86,6 +88,23 @@ def test_units_of_inputs_are_told_before_a_flight(session, ends, lines):
     session.fly(Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)), [[0.1]], 0.1)
     begun = told.index("flight 0: 0.1 s")
     assert begun == lines and all("u is 6 + 6 times the controller's" in line for line in told[:begun])
+
+
+def test_an_excitation_beyond_an_actuator_is_refused_and_the_words_that_are_told_fit(tmp_path):
+    """A pump of 0 to 12 V cannot be excited by -0.3 to 0.3 of its range."""
+    session, rig = blind(tmp_path, inputs={"u": {"low": 0, "high": 12, "unit": "V"}})
+    with pytest.raises(ValueError, match=r"reaches 0 to 1; nothing has moved: give plant.amp\S+ plant.offset") as error:
+        session.excite(Multisine(1, duration=2, dt=0.05, amplitude=0.4, offset=0.1, seed=0))
+    assert not session.flights and rig.u.tolist() == [0.0]
+    words = re.findall(r"plant\.(\w+)=\[([\d.]+)\]", str(error.value))
+    told = []
+    session.tell = told.append
+    fits = {key: float(value) for key, value in words}
+    assert fits == {"amplitude": 0.4, "offset": 0.4}
+    assert session.excite(Multisine(1, duration=2, dt=0.05, seed=0, **fits)).fault is None
+    assert "the plant's u is 12 V times the controller's, which is in [0, 1]" in told[0]
+    u = np.genfromtxt(tmp_path / "excitation.csv", delimiter=",", skip_header=1)[:, 2]
+    assert u.min() >= 0.0 and u.max() <= 0.8 and np.ptp(u) > 0.4
 
 
 def test_a_fault_is_kept_and_told(session):
@@ -168,6 +187,22 @@ def test_the_ranges_of_states_are_those_of_the_logs(tmp_path):
     largest = np.abs(np.genfromtxt(tmp_path / "excitation.csv", delimiter=",", skip_header=1)[:, 1]).max()
     assert 0.3 * largest < session._source(False).signature.x_scale[0] <= 1.01 * largest
     assert session._source(True).signature.x_scale == (1.0,)
+
+
+def test_a_log_of_a_rig_known_by_names_says_the_same_in_a_session_and_to_the_commands(tmp_path):
+    """The command `data=csv system=arm` reads the numbers, the ends, the limits and the rate that the session has."""
+    pump = {"u": {"low": 0, "high": 12, "unit": "V"}}
+    session, _ = blind(tmp_path, inputs=pump)
+    session.excite(Multisine(1, duration=10, dt=0.05, amplitude=0.3, offset=0.4, seed=0))
+    mine = session._source(False).with_rates({"theta": "Omega"})
+    plant, known = Unknown({"theta": "rad"}, pump), {"theta": "Omega"}
+    theirs = Logged(str(tmp_path / "excitation.csv"), known=known).load(plant, None)
+    assert mine.signature.alike(theirs.signature) and theirs.signature.state_names == ("theta", "Omega")
+    assert mine.signature.x_scale == pytest.approx(theirs.signature.x_scale)
+    assert theirs.signature.input_limits == ((0.0, 1.0),) and theirs.signature.input_units == ("V",)
+    table = np.genfromtxt(tmp_path / "excitation.csv", delimiter=",", skip_header=1)
+    np.testing.assert_array_equal(theirs.whole.u.numpy(), table[:-1, 2:])
+    assert torch.equal(mine.training.u, theirs.whole.u) and theirs.whole.x[:, 1].isnan().all()
 
 
 def test_a_session_goes_on_in_its_folder_and_what_was_cut_short_is_repeated(tmp_path):

@@ -150,6 +150,34 @@ def test_a_run_of_a_log_says_that_there_is_no_plant_to_fly(tmp_path):
     assert f"python scripts/check.py run={tmp_path}" in done.stderr
 
 
+ARM = """# @package _global_
+defaults: [unknown, _self_]
+system:
+  states: {theta: rad}
+  inputs: {u: {low: -12, high: 12, unit: V}}
+plant: {outputs: [theta], low: [-0.6], high: [0.6]}
+"""
+
+
+@pytest.mark.slow
+def test_the_log_of_a_rig_that_is_known_by_names_is_identified_with_its_ends_and_its_rate(tmp_path, write_log):
+    """12 V are a torque of 12: Omega' = 12 u - 9.81 sin(theta) - 0.5 Omega of the controller's number u."""
+    data = record(Pendulum(), Multisine(1, duration=10, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
+    path = write_log(tmp_path / "log.csv", ["theta [rad]", "u [V]"], data.x[:, :1], 12 * data.u)
+    (tmp_path / "system").mkdir()
+    (tmp_path / "system" / "arm.yaml").write_text(ARM)
+    words = ["--config-dir", str(tmp_path), "system=arm", "data=csv", f"data.path={path}", f"folder={tmp_path}/run"]
+    functions = "plant.library=['1',u,theta,theta_rate,'sin(theta)']"
+    done = train(*words, "plant.known={theta: theta_rate}", functions, *SHORT, "evaluation.must_control=false")
+    assert done.returncode == 0, done.stderr
+    assert "the plant's u is 12 V times the controller's, which is in [-1, 1]" in done.stdout
+    model = SindyModel.load(tmp_path / "run" / "model.json")
+    assert model.signature.input_ends == ((-12.0, 12.0),) and model.signature.input_units == ("V",)
+    column = [float(model.coefficients[model.library.index(name), 1]) for name in ("u", "sin(theta)", "theta_rate")]
+    assert column == pytest.approx([12.0, -9.81, -0.5], rel=0.02)
+    assert OmegaConf.load(tmp_path / "run" / "config.yaml").plant.rates == ["theta_rate"]
+
+
 def test_a_folder_that_is_a_file_is_found_before_the_fit(log, tmp_path):
     (tmp_path / "here").write_text("a file")
     done = train("data=csv", f"data.path={log}", *TASK, f"folder={tmp_path}/here/run")

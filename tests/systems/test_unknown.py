@@ -11,7 +11,9 @@ def test_names_units_and_ends_are_those_that_were_given_in_their_order():
     plant = Unknown({"h1": "cm", "h2": "cm"}, {"pump": [0, 12], "valve": [-1, 1]})
     signature = plant.signature
     assert signature.state_names == ("h1", "h2") and signature.state_units == ("cm", "cm")
-    assert signature.input_names == ("pump", "valve") and signature.input_ends == ((0.0, 12.0), (-1.0, 1.0))
+    assert signature.input_names == ("pump", "valve") and signature.input_units == ()
+    assert signature.in_own_units([[0, 0], [1, 1]]).tolist() == [[0, 0], [12, 1]]  # zero is 0 V, as in a log
+    assert signature.input_limits == ((0.0, 1.0), (-1.0, 1.0))
     assert Unknown({"angle": "rad"}, ["motor"]).signature.input_ends == ()
 
 
@@ -30,6 +32,9 @@ def test_nobody_knows_how_it_moves():
         ({}, ["motor"], "give one or more of each"),
         ({"angle": "rad"}, [], "give one or more of each"),
         ({"angle": "rad"}, {"motor": [12]}, r"motor: \[12\]; give the two ends"),
+        ({"angle": "rad"}, {"motor": {"low": 0, "high": 12, "rst": 0}}, "'rst': 0}; give the two ends"),
+        ({"angle": "rad"}, {"motor": {"low": 0, "high": 12, "rest": "x"}}, "'x'}; give the two ends"),
+        ({"angle": "rad"}, {"motor": {"low": 0, "high": 12, "rest": 13}}, "rest 13, which it does not reach"),
         ({"angle": "rad"}, {"motor": [12, -12]}, "a lower and a higher number"),
         ({"angle": "rad"}, ["angle"], "must differ"),
     ],

@@ -24,7 +24,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.features import of
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.models.sindy import SindyModel
-from dynasindy.world_models.refinement.delay import known_inputs, unexplained
+from dynasindy.world_models.refinement.delay import delayed, known_inputs, unexplained
 from dynasindy.world_models.refinement.measured import Seen, has_gaps, rates_known, reconstruct
 from dynasindy.world_models.regression.regression import Rows, RunningSums, least_squares
 from dynasindy.world_models.writers.fast_field import generate
@@ -35,6 +35,8 @@ LONGER = (*TIMES, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)
 """The same of one that follows a measured state, which may be far slower than that: as far as `SLOWEST` allows."""
 SLOWEST = 0.25
 """Longest time that is tried [lengths of the longest stretch]."""
+PARTS = (0.0, 0.25, 0.5, 0.75)
+"""Parts of a model's delay that are tried beside all of it."""
 FORGOTTEN = math.log(1000.0)
 """Times after which it no longer matters where a state that follows an input began: a part in 1000 is left."""
 
@@ -69,7 +71,9 @@ class Trial:
 def trials(model: SindyModel, data: Transitions) -> list[Trial]:
     """Return models with a state that follows an input or a measured state, those first that regressions prefer.
 
-    Those are left out by which a regression explains no more, and all where equations are known beyond rates.
+    Those are left out by which a regression explains no more, and all where equations are known beyond rates. What
+    the model takes for a delay of the inputs may be one, may stand for the state that is missing, or be a part of both:
+    shorter delays are tried, too.
 
     Args:
         model: what was fitted to the recording.
@@ -79,8 +83,19 @@ def trials(model: SindyModel, data: Transitions) -> list[Trial]:
     others = [i for i in range(model.signature.n_x) if i not in known]
     if not bool(model.constraints.free[:, others].any()) or bool(model.constraints.offset[:, others].any()):
         return []
-    found = (_Search(model, data.to(torch.float64), signal).best() for signal in _signals(model, data))
-    return sorted((trial for trial in found if trial), key=lambda trial: -trial.gain)
+    data, keep = data.to(torch.float64), known_inputs(data, model.delay)
+    late = {delay: delayed(data, delay).select(keep) for delay in _delays(model.delay, data.dt)}
+    found = []
+    for signal in _signals(model, data):
+        plain = _Search(model, late[model.delay], signal)
+        tried = [_Search(model, other, signal).best(plain) for other in late.values()]
+        found += sorted((trial for trial in tried if trial), key=lambda trial: -trial.gain)[:1]
+    return sorted(found, key=lambda trial: -trial.gain)
+
+
+def _delays(longest: float, dt: float) -> list[float]:
+    """Return delays between none and that of a model [s], in whole samples but for the longest."""
+    return sorted({*(round(part * longest / dt) * dt for part in PARTS if part * longest < longest), longest})
 
 
 def _signals(model: SindyModel, data: Transitions) -> list[str]:
@@ -108,26 +123,35 @@ class _Search:
         held = self.guess.u if self.input else 0.5 * (self.guess.x + self.guess.x_next)
         self.follows, self.moved = held[:, place], place if self.input else _moved(model, place)[0]
 
-    def best(self) -> Trial | None:
-        """Return the model of the time with which all functions together explain most; None where none does."""
+    def best(self, plain: _Search) -> Trial | None:
+        """Return the model of the time with which all functions together explain most; None where none does.
+
+        Args:
+            plain: The same under the inputs of the model as it is: what its functions explain is to be outdone.
+        """
         times, keep = self._times()
         if not times:
             return None
-        plain = Seen.of(self.guess.select(keep), self.data.select(keep), self.rates, self.noisy)
-        free = self.model.constraints.free
-        fixed = torch.where(free, 0.0, self.model.coefficients)
-        theta, dx = plain.rows(self.model.library, generate(self.model.library, self.model.coefficients))
-        left = unexplained(free, theta, dx - theta @ fixed)
+        left = plain.left(keep)
         costs = {time: self._cost(time, keep) for time in times}
         time = min(costs, key=costs.__getitem__)
         if not self.input and time == times[0]:  # what hardly lags stands for a rate of change, which explains itself
             return None
         gain = left - costs[time]
-        if not gain > math.log(len(theta)):  # of two numbers more, each worth half of that
-            return None
         wide = self._wide(time)
-        wide.initial = self._solved(wide, self._rows(wide, time, keep), time)
-        return Trial(wide, self.signal, gain / len(theta))
+        rows = self._rows(wide, time, keep)
+        if not gain > math.log(len(rows[0])):  # of two numbers more, each worth half of that
+            return None
+        wide.initial = self._solved(wide, rows, time)
+        return Trial(wide, self.signal, gain / len(rows[0]))
+
+    def left(self, keep: Tensor) -> float:
+        """Return N/2 log of what is left over without the state, of rows bool `(N,)`."""
+        seen = Seen.of(self.guess.select(keep), self.data.select(keep), self.rates, self.noisy)
+        free = self.model.constraints.free
+        fixed = torch.where(free, 0.0, self.model.coefficients)
+        theta, dx = seen.rows(self.model.library, generate(self.model.library, self.model.coefficients))
+        return unexplained(free, theta, dx - theta @ fixed)
 
     def _times(self) -> tuple[list[float], Tensor]:
         """Return the times that are tried [s], and rows in which the states that follow are known, bool `(N,)`.

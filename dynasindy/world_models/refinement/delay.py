@@ -52,6 +52,11 @@ def known_inputs(data: Transitions, longest: float) -> Tensor:
     return torch.arange(len(data)) - _begin(data) >= math.ceil(longest / data.dt - 1e-9)
 
 
+def arrived(data: Transitions, delay: float) -> Transitions:
+    """Return a recording whose inputs act `delay` seconds later, without the rows whose inputs are not known then."""
+    return delayed(data, delay).select(known_inputs(data, delay))
+
+
 def rough_delay(free: Tensor, rows: Callable[[float], Rows], dt: float, longest: float) -> float:
     """Return the delay of whole samples with which all functions explain the rates of change best [s].
 

@@ -16,7 +16,15 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell
 from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.delay import delayed, fine_delay, known_inputs, reach, rough_delay, unexplained
+from dynasindy.world_models.refinement.delay import (
+    arrived,
+    delayed,
+    fine_delay,
+    known_inputs,
+    reach,
+    rough_delay,
+    unexplained,
+)
 from dynasindy.world_models.refinement.descent import Descent
 from dynasindy.world_models.refinement.measured import Seen, rates_known, reconstruct
 from dynasindy.world_models.refinement.one_step import refine_one_step
@@ -199,7 +207,7 @@ class Refinement:
             longest, rough = self._reach(first, constraints, data, guess)
         settings = replace(self, longest_delay=longest)
         # A delay that a regression tells may explain how states go on, where nobody says how long it may be.
-        lacking = moving_on(library, delayed(data, rough).select(known_inputs(data, rough))) if longest else []
+        lacking = moving_on(library, arrived(data, rough)) if longest else []
         if not lacking:
             return settings._run(first, constraints, data, guess)
         # A delay would stand for the rate that is missing.

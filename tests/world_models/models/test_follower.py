@@ -152,6 +152,48 @@ def test_a_second_heat_store_is_found_behind_noise():
     assert terms(best.model, "T") == {name: pytest.approx(value, rel=0.03) for name, value in found.items()}
 
 
+def commanded(data, samples):
+    """Return a recording whose inputs were commanded so many samples before they acted."""
+    rows = len(data) - samples
+    return replace(data.select(torch.arange(len(data)) < rows), u=data.u[samples:])
+
+
+def test_a_second_heat_store_is_found_though_inputs_act_late():
+    """The fan takes 30 s; the wall's time of 360 s was found to be 203 s by inputs that act at once."""
+    data = commanded(oven(), 3)
+    model = made(OVEN, ["1", "T", "u", "T^2", "T u"], {}, "auto")
+    model.refinement = replace(model.refinement, longest_delay=80.0)
+    model.fit(data)
+    assert model.delay == pytest.approx(30.0, abs=0.5)
+    best = trials(model, data)[0]
+    assert best.signal == "T"
+    best.model.fit(widened(data))
+    assert best.model.delay == pytest.approx(30.0, abs=0.1)
+    found = {"1": 0.16, "T": -0.002, "u": 0.12, "(T - T_lagging)": -0.003}
+    assert terms(best.model, "T") == {name: pytest.approx(value, rel=1e-3) for name, value in found.items()}
+    assert terms(best.model, "T_lagging") == {"(T - T_lagging)": pytest.approx(1 / 360, rel=1e-3)}
+
+
+def test_what_a_delay_stood_for_is_told_from_it():
+    """Without the spring that creeps the model takes its inputs to be 8 samples late; they are 2."""
+    data, model = commanded(arm(creep=20.0), 2), made()
+    model.refinement = replace(model.refinement, longest_delay=8 * DT)
+    model.fit(data)
+    assert model.delay > 6 * DT
+    best = trials(model, data)[0]
+    assert best.signal == "q" and best.model.initial is not None
+    initial = best.model.initial[:, 1]
+    assert float(initial[best.model.library.index("(q - q_lagging)")]) == pytest.approx(-20, rel=0.25)
+    assert float(initial[best.model.library.index("u")]) == pytest.approx(8, rel=0.1)
+
+
+def test_a_delay_alone_is_no_lag():
+    data, model = commanded(arm(), 3), made()
+    model.refinement = replace(model.refinement, longest_delay=8 * DT)
+    model.fit(data)
+    assert model.delay == pytest.approx(3 * DT, abs=0.02 * DT) and trials(model, data) == []
+
+
 @pytest.mark.parametrize("noise", [0.02, 0.1])
 def test_an_oven_of_one_store_has_no_second_one(noise):
     data = oven(noise=noise, wall=0.0)

@@ -1,0 +1,39 @@
+"""What of an actuator becomes 0 and 1, against the straight line through its rest and its farther end."""
+
+import pytest
+
+from dynasindy.systems import Unknown
+from dynasindy.systems.reach import PLAIN, Reach, acting
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "given", "rest", "one", "limits"),
+    [
+        (0, 12, None, 0, 12, (0, 1)),
+        (-2, 10, None, 0, 10, (-0.2, 1)),
+        (4, 20, None, 4, 16, (0, 1)),
+        (-100, -4, None, -4, 96, (-1, 0)),
+        (1000, 2000, 1500, 1500, 500, (-1, 1)),
+        (1000, 2000, 1000, 1000, 1000, (0, 1)),
+        (0, 12, 12, 12, 12, (-1, 0)),
+    ],
+)
+def test_zero_stays_zero_or_becomes_what_is_said_on_a_rig_as_in_a_log(low, high, given, rest, one, limits):
+    reach = Reach.of(low, high, given)
+    assert (reach.rest, reach.unit, reach.both) == (rest, one, (rest - one, rest + one))
+    assert reach.limits == pytest.approx(limits)
+    signature = Unknown({"h": "m"}, {"pump": {"low": low, "high": high, "rest": given, "unit": "V"}}).signature
+    assert signature.in_own_units([0.0])[0] == rest and signature.in_own_units([1.0])[0] == rest + one
+    assert signature.in_own_units([limits[0]]) == pytest.approx([low])
+    assert signature.input_units == ("V",)
+
+
+@pytest.mark.parametrize("rest", [-0.1, 12.1, 1500])
+def test_a_rest_that_the_actuator_does_not_reach_is_refused(rest):
+    with pytest.raises(ValueError, match=rf"low 0 to high 12 was given rest {rest:g}, which it does not reach"):
+        Reach.of(0, 12, rest)
+
+
+def test_what_is_as_in_every_plant_is_left_out():
+    assert acting([PLAIN, PLAIN], ["-", "-"]) == {}
+    assert acting([Reach.of(0, 1)], ["<b>"]) == {"input_limits": ((0.0, 1.0),)}
