@@ -10,12 +10,13 @@ WARM_UP = 3
 """Calls before a step is captured, in which torch and its libraries take what they need of the GPU."""
 
 
-def captured(step: Callable[[], None], device: torch.device) -> Callable[[], None]:
+def captured(step: Callable[[], None], device: torch.device, ready: Callable[[], object]) -> Callable[[], None]:
     """Return what repeats a step that reads and writes the same tensors each time.
 
     Args:
         step: The step; on a GPU it is called a few times here, and changes what it writes.
         device: Where its tensors lie.
+        ready: Called before each of these calls, such that there is room for what the step writes.
     """
     if device.type != "cuda":
         return step
@@ -23,7 +24,9 @@ def captured(step: Callable[[], None], device: torch.device) -> Callable[[], Non
     side.wait_stream(torch.cuda.current_stream(device))
     with torch.cuda.stream(side):
         for _ in range(WARM_UP):
+            ready()
             step()
+        ready()
     torch.cuda.current_stream(device).wait_stream(side)
     graph = torch.cuda.CUDAGraph()
     with torch.cuda.graph(graph):

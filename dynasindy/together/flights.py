@@ -198,7 +198,7 @@ class Pilot:
     def fly(self, flights: Sequence[Flight]) -> list[TensorDict]:
         """Fly and return the rollout of each run, `(n, T)`."""
         if self.period is None:
-            self.period = captured(self._period, self.device)
+            self.period = captured(self._period, self.device, self.place.zero_)
         for r, flight in enumerate(flights):
             self._board(r, flight)
         self.place.zero_()

@@ -121,7 +121,7 @@ class Learner:
         for kind in sorted(set(kinds)):
             if kind not in self.steps:
                 # What a step changes while it is captured is read from the agents afterwards.
-                self.steps[kind] = captured(lambda kind=kind: self._update(*kind), self.device)  # type: ignore[misc]
+                self.steps[kind] = captured(lambda kind=kind: self._update(*kind), self.device, self.place.zero_)  # type: ignore[misc]
         now = [(agent, agent.updates) for agent in agents]
         if self.given != now:
             self._exchange(agents, give=False)

@@ -15,7 +15,7 @@ def test_a_step_goes_on_from_what_the_last_one_left(device):
     def _step():
         number.mul_(2.0).add_(1.0)
 
-    again = captured(_step, torch.device(device))
+    again = captured(_step, torch.device(device), number.zero_)
     number.zero_()
     for _ in range(5):
         again()
