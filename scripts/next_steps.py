@@ -32,6 +32,18 @@ def following(folder: object, *names: str) -> str:
     return listed(*(f"{_of_run(name, folder)}  # {NEXT[name]}" for name in names))
 
 
+def after_flights(folder: object, words: Sequence[str]) -> str:
+    """Return what to do next with the folder of a session on a rig: look at its controller, take it away, fly again.
+
+    Args:
+        folder: Folder of the session.
+        words: What the user gave.
+    """
+    more = _command("rig", [*_without(words, ("folder",)), f"folder={folder}"])
+    lines = (f"{_of_run(name, folder)}  # {NEXT[name]}" for name in ("check", "export"))
+    return listed(*lines, f"{more}  # learns from all logs in the folder and flies again")
+
+
 def mending(folder: object, words: Sequence[str], episodes: int | None = None, checked: bool = True) -> str:
     """Return what helps where the plant is not controlled: where the loop is weak, and more or better data.
 

@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from command import command
+from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
-from omegaconf import DictConfig
+from next_steps import after_flights
+from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.dyna.stopped import Stopped
 
@@ -21,6 +23,7 @@ def main(cfg: DictConfig) -> None:
     import torch
 
     from dynasindy import load
+    from dynasindy.evaluation.files import write_text
     from dynasindy.rig import Wiring
     from dynasindy.rig.session import Knowledge, Session, targets_within
     from dynasindy.terminal import Shown
@@ -48,7 +51,9 @@ def main(cfg: DictConfig) -> None:
     if given is None:
         knowledge.require_of(system.signature)
     print(guard.words(wiring), flush=True)
+    words = HydraConfig.get().overrides.task
     with instantiate(cfg.rig, _convert_="all")(system=system, dt=cfg.dt) as rig:
+        write_text(Path(cfg.folder) / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))  # targets, for check.py
         session = Session(rig, wiring, guard, Path(cfg.folder), tell=partial(print, flush=True))
         try:
             if given is None:
@@ -59,13 +64,15 @@ def main(cfg: DictConfig) -> None:
                         controller = given or session.learn(knowledge, cfg.seed)
                     session.fly(controller, wanted, cfg.seconds)
         except KeyboardInterrupt as stop:
-            words = f"stopped; the rig was asked for its safe input, its logs are in {cfg.folder}; {again(cfg.folder)}"
-            raise Stopped(words, getattr(stop, "signal", 2)) from stop
+            told = f"stopped; the rig was asked for its safe input, its logs are in {cfg.folder}; {again(cfg.folder)}"
+            raise Stopped(told, getattr(stop, "signal", 2)) from stop
     draw(session)
     print(f"Logs, model, controller and figures: {cfg.folder}")
     if session.failed:
         print(f"Mend what ended the flight; {again(cfg.folder)}")
         sys.exit(1)
+    if given is None:
+        print(after_flights(cfg.folder, words))
 
 
 def again(folder: str) -> str:

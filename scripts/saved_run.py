@@ -44,6 +44,11 @@ def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
             f"{folder} was planned from a log or a model, so there is no plant to fly; what its controller does on "
             f"models stands in {folder / 'metrics.json'}, and {called('check')} run={folder} tells more of it"
         )
+    if config.get("rig") is not None:
+        raise ValueError(
+            f"{folder} is that of a session on a rig, so there is no simulated plant to fly; {called('check')} "
+            f"run={folder} tells what its controller does on the model, {called('rig')} folder={folder} flies again"
+        )
     named = [plugins] if isinstance(plugins, str) else list(plugins)
     named += os.environ.get(PLUGINS, "").split()
     check(OmegaConf.to_container(config, resolve=False), named, str(file))

@@ -10,6 +10,7 @@ The number 0xffffffff asks for the safe input; so does silence, which the far en
 
 from __future__ import annotations
 
+import errno
 import socket
 import struct
 import time
@@ -54,18 +55,19 @@ class UdpRig:
 
     Raises:
         ValueError: There is no such port.
-        OSError: There is no such address.
+        OSError: There is no such address; like all errors of the connection it names host and port.
     """
 
     streams = True
 
     def __init__(self, n_x: int, n_u: int, host: str = "127.0.0.1", port: int = 9870) -> None:
-        self.n_x, self.n_u = n_x, n_u
+        self.n_x, self.n_u, self.place = n_x, n_u, f"{host}, port {port}"
         self.last = -1
         self.first: int | None = None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._socket.connect((host, port))
+            with self._named():
+                self._socket.connect((host, port))
         except OverflowError as error:
             raise ValueError(f"port {port} of a rig does not exist; give one of 1 to 65535") from error
 
@@ -89,7 +91,8 @@ class UdpRig:
                 continue
             except (TimeoutError, BlockingIOError):
                 break
-        self._socket.send(pack(REST, np.zeros(self.n_u)))
+        with self._named():
+            self._socket.send(pack(REST, np.zeros(self.n_u)))
 
     def read(self, seconds: float) -> Array | None:
         """Return the newest sample that is newer than the last one, `(n_x,)`; None if none came in time.
@@ -107,7 +110,8 @@ class UdpRig:
                 return None
             self._socket.settimeout(max(left, 1e-6))
             try:
-                found = unpack(self._socket.recv(65536), self.n_x)
+                with self._named():
+                    found = unpack(self._socket.recv(65536), self.n_x)
             except (TimeoutError, BlockingIOError):
                 if newest is not None:
                     return newest
@@ -125,7 +129,8 @@ class UdpRig:
         """
         if len(u) != self.n_u:
             raise Fault("controller", f"{len(u)} inputs for a rig with {self.n_u}")
-        self._socket.send(pack(max(self.last, 0), u))
+        with self._named():
+            self._socket.send(pack(max(self.last, 0), u))
 
     def rest(self) -> None:
         """Ask for the safe input, several times, as datagrams get lost; an answer is not waited for."""
@@ -134,6 +139,19 @@ class UdpRig:
             # far end has noticed the silence.
             with suppress(OSError):
                 self._socket.send(pack(REST, np.zeros(self.n_u)))
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        """Name host and port in errors of the connection; that nothing came in time is none."""
+        try:
+            yield
+        except (TimeoutError, BlockingIOError):
+            raise
+        except OSError as error:
+            mend = "give the rig's rig.host and rig.port"
+            if error.errno == errno.ECONNREFUSED:
+                mend = "no program of a rig listens there: start it, or give its rig.host and rig.port"
+            raise OSError(error.errno, f"{error.strerror or error} ({self.place}); {mend}") from error
 
     def close(self) -> None:
         """Ask for the safe input and let go of the network."""

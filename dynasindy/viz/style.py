@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dynasindy.data.rates import NAMED
 from dynasindy.durations import unit_of
-from dynasindy.systems.base import Signature
+from dynasindy.systems.base import WHOLE, Signature
 from dynasindy.told import tell
 
 P = ParamSpec("P")
@@ -148,7 +148,10 @@ def input_axis(axis: Axes, signature: Signature, place: int) -> None:
     low, high = signature.in_own_units(np.array(limits).T)[:, place]
     room = 0.04 * (high - low)
     axis.set_ylim(low - room, high + room)
-    axis.set_ylabel(label(signature.input_names[place], signature.input_units[place] if signature.input_units else "-"))
+    unit = signature.input_units[place] if signature.input_units else "-"
+    if unit == "-" and signature.input_ends and signature.input_ends[place] != WHOLE:
+        unit = "unit of its actuator"
+    axis.set_ylabel(label(signature.input_names[place], unit))
 
 
 def array(values: ArrayLike) -> Array:

@@ -62,6 +62,20 @@ def test_inputs_answer_the_last_sample(ends):
         rig.write(np.array([0.1, 0.2]))
 
 
+def test_nobody_at_the_other_end_is_told_with_host_and_port():
+    """A port that was bound and let go refuses datagrams; the next call hears of it."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+    rig = UdpRig(2, 1, port=port)
+    rig.begin()
+    with pytest.raises(ConnectionRefusedError, match=rf"\(127\.0\.0\.1, port {port}\); no program of a rig listens"):
+        rig.read(2.0)
+    rig.close()
+    with pytest.raises(OSError, match=r"nowhere\.invalid, port 9870\); give the rig's rig\.host and rig\.port"):
+        UdpRig(2, 1, host="nowhere.invalid")
+
+
 def test_the_end_asks_for_the_safe_input(ends):
     rig, far, _, _ = ends
     rig.close()

@@ -138,15 +138,27 @@ def test_what_is_missing_costs_one_line(log, tmp_path, words, message):
     assert done.stdout == "" and not list(tmp_path.iterdir())  # no fit, and no folder
 
 
-def test_a_run_of_a_log_says_that_there_is_no_plant_to_fly(tmp_path):
-    data = {"_target_": "dynasindy.evaluation.identification.Logged", "path": "log.csv"}
-    settings = {"data": data, "system": None, "plant": {"outputs": ["theta"]}}
+LOGGED = {"data": {"_target_": "dynasindy.evaluation.identification.Logged", "path": "log.csv"}, "system": None}
+
+
+@pytest.mark.parametrize(
+    ("settings", "why"),
+    [
+        (LOGGED, "was planned from a log or a model, so there is no plant to fly"),
+        (
+            {"rig": {"_target_": "dynasindy.rig.udp.connect"}},
+            "a session on a rig, so there is no simulated plant to fly",
+        ),
+    ],
+)
+def test_a_run_without_a_simulated_plant_says_that_there_is_none_to_fly(tmp_path, settings, why):
+    settings = {**settings, "plant": {"outputs": ["theta"]}}
     (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(settings))
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     command = [sys.executable, str(ROOT / "scripts" / "evaluate.py"), f"run={tmp_path}"]
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, check=False)
     assert done.returncode == 2
-    assert "was planned from a log or a model, so there is no plant to fly" in done.stderr
+    assert why in done.stderr
     assert f"python scripts/check.py run={tmp_path}" in done.stderr
 
 

@@ -53,6 +53,17 @@ def test_the_next_step_has_the_words_that_were_given(steps, monkeypatch, words, 
     ]
 
 
+def test_after_a_session_on_a_rig_its_controller_is_looked_at_taken_away_and_flown_again(steps, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["scripts/rig.py", "--config-dir", "my_rig"])
+    lines = steps.after_flights("runs/a b", ["system=arm", "rig=udp", "folder=runs/old", "targets=[[0.4]]"]).split("\n")
+    assert lines[0] == "next:"
+    assert [shlex.split(line, comments=True)[1:] for line in lines[1:]] == [
+        ["scripts/check.py", "run=runs/a b"],
+        ["scripts/export.py", "run=runs/a b"],
+        ["scripts/rig.py", "--config-dir", "my_rig", "system=arm", "rig=udp", "targets=[[0.4]]", "folder=runs/a b"],
+    ]
+
+
 def test_the_next_step_finds_the_folder_of_the_users_own_settings(steps, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["scripts/identify.py", "--config-dir", "my conf", "system=own"])
     line = steps.planning(["system=own"], False, "own", {})

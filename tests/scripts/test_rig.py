@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -86,6 +87,12 @@ def test_a_rig_in_another_process_is_excited_identified_planned_for_flown_and_re
     said = [line.split(":")[0] for line in done.stdout.splitlines() if not line.startswith(" ")]
     assert said[0].startswith("No state has a range that ends a flight")
     assert said[1:5] == ["excitation", "planning while the rig rests", "flight 1", "planning while the rig rests"]
+    check, export, again = done.stdout.strip().splitlines()[-3:]
+    assert "export.py run=" in export and "rig.py system=pendulum sensors=bench flights=2 seconds=5" in again
+    words = [sys.executable, str(ROOT / "scripts" / "check.py"), *shlex.split(check, comments=True)[2:]]
+    words += ["points=3", "draws=2", "grid=3", "seconds=5"]
+    looked = subprocess.run(words, capture_output=True, text=True, env=ENVIRONMENT, timeout=300, check=False)
+    assert looked.returncode == 0, looked.stdout + looked.stderr
     files = [tmp_path / "run" / f"{name}.csv" for name in ("excitation", "flight_1", "flight_2")]
     # The encoder measures the angle alone.
     assert {file.read_text().splitlines()[0] for file in files} == {"time [s],theta [rad],u [-]"}

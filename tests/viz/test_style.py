@@ -74,7 +74,7 @@ def parse_math(text: str) -> None:
     [
         ((), (), (), (-1.08, 1.08, "$u_{b}$ [-]")),
         ([[-1, 1], [-12, 12]], [[-1, 1], [0, 1]], ["-", "V"], (-0.48, 12.48, "$u_{b}$ [V]")),
-        ([[-1, 1], [0, 10]], (), (), (-0.4, 10.4, "$u_{b}$ [-]")),
+        ([[-1, 1], [0, 10]], (), (), (-0.4, 10.4, "$u_{b}$ [unit of its actuator]")),
     ],
 )
 def test_the_axis_of_an_input_has_the_range_and_the_unit_of_its_actuator(ends, limits, units, axis) -> None:
