@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.checking.flights import Flights, Plane, fly, recovery
+from dynasindy.checking.flown import Flown, flown, rubs
 from dynasindy.checking.linear import RESTS, Array, Rest, rest
 from dynasindy.checking.loop import Loop
 from dynasindy.checking.margins import Margins, margins
@@ -90,6 +91,8 @@ class Check:
         drawn: Flights from the origin to the farthest target with each plant that was drawn.
         spread: What becomes of the loop with other plants, at the targets where it is stable with the model.
         planes: From which errors around the middle target the plant comes back.
+        flown: Margins of flights from each target at which the loop is stable to the opposite one; None where there is
+            none, and of a plant without dry friction, whose margins at rest are those of large movements as well.
     """
 
     loop: Loop
@@ -103,6 +106,7 @@ class Check:
     drawn: Flights | None
     spread: Spread
     planes: list[Plane]
+    flown: Flown | None
 
     @property
     def seconds(self) -> float:
@@ -169,6 +173,7 @@ def check(loop: Loop, settings: Settings, errors: Tensor | None = None) -> Check
             settings.grid,
             seconds,
         ),
+        _flown(loop, targets[good], found.z[good], seconds),
     )
 
 
@@ -186,6 +191,14 @@ def _stated(loop: Loop) -> Array:
         return np.zeros(loop.signature.n_x)
     variance = loop.observer.sensors.variance(loop.signature)
     return variance.where(variance.isfinite(), 0.0).sqrt().numpy()
+
+
+def _flown(loop: Loop, targets: Tensor, z: Tensor, seconds: float) -> Flown | None:
+    """Fly from rest at each target to the opposite one; a single target is flown to from the origin."""
+    if not len(targets) or not rubs(loop.plant.model):
+        return None
+    x = z[:, loop.parts["x"]]
+    return flown(loop, x if len(targets) > 1 else torch.zeros_like(x), targets.flip(0), seconds)
 
 
 def _drawn(loop: Loop, targets: Tensor, others: Variants, seconds: float) -> Flights | None:
@@ -236,7 +249,8 @@ def record(found: Check) -> dict[str, Any]:
     ]
     planes = [{"states": plane.names, "share": plane.share} for plane in found.planes]
     settings = {name: list(v) if isinstance(v, tuple) else v for name, v in vars(found.settings).items()}
-    return {"settings": settings, "targets": targets, "changes": changes, "recovery": planes}
+    flights = None if found.flown is None else vars(found.flown)
+    return {"settings": settings, "targets": targets, "flown": flights, "changes": changes, "recovery": planes}
 
 
 def number(value: float) -> float | None:

@@ -97,6 +97,20 @@ class Loop:
         other.plant = replace(self.plant, coefficients=coefficients)
         return other
 
+    def worse(self, gain: float | Tensor, later: float) -> Loop:
+        """Return the same controller around a plant whose inputs act more strongly, and later; nobody tells it.
+
+        Args:
+            gain: Factor on their effect, or one for each row, `(rows, 1)`.
+            later: How much later they act [s].
+        """
+        other = copy.copy(self)
+        other.plant = replace(self.plant, gain=gain, later=later)
+        other.parts = other._layout()
+        other.size = max(part.stop for part in other.parts.values())
+        other.scale = other._scale()
+        return other
+
     def rows(self, index: Tensor) -> Loop:
         """Return the loop with some of its plants, if it has several."""
         xi = self.plant.coefficients

@@ -21,6 +21,8 @@ class Plant:
         step: Longest Runge-Kutta step [s].
         stops: Mechanical stops, if any.
         coefficients: Xi of each row of a batch, `(rows, n_features, n_x)`; None for those of the model.
+        gain: Factor on the effect of all inputs, or one for each row, `(rows, 1)`.
+        later: How much later all inputs act than the model says [s].
     """
 
     model: SindyModel
@@ -28,12 +30,15 @@ class Plant:
     step: float
     stops: Stops | None = None
     coefficients: Tensor | None = None
+    gain: float | Tensor = 1.0
+    later: float = 0.0
 
     @property
     def late(self) -> tuple[int, float]:
         """Delay of the inputs, in whole control periods and the rest [s]."""
-        whole = int(self.model.delay / self.dt + 1e-6)
-        rest = self.model.delay - whole * self.dt
+        delay = self.model.delay + self.later
+        whole = int(delay / self.dt + 1e-6)
+        rest = delay - whole * self.dt
         return whole, rest if rest > 1e-6 * self.dt else 0.0
 
     @property
@@ -64,4 +69,4 @@ class Plant:
 
     def _flow(self, x: Tensor, u: Tensor, seconds: float) -> Tensor:
         steps = max(1, math.ceil(seconds / self.step - 1e-6))
-        return integrate(self.rates, x, u, seconds, steps, self.stops)[0][..., -1, :]
+        return integrate(self.rates, x, self.gain * u, seconds, steps, self.stops)[0][..., -1, :]

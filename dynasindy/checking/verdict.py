@@ -11,6 +11,7 @@ import torch
 
 from dynasindy.checking.check import Check
 from dynasindy.checking.flights import TOLERANCE
+from dynasindy.checking.flown import GAINS, LATEST
 from dynasindy.checking.margins import Margins
 from dynasindy.checking.uncertainty import SHARE
 from dynasindy.durations import in_words
@@ -67,7 +68,7 @@ def verdict(found: Check, thresholds: Thresholds | None = None) -> list[Finding]
     limits = thresholds or Thresholds()
     lines = [_stability(found)]
     if any(found.margins):
-        lines += [*_margins(found, limits), _noise(found, limits)]
+        lines += [*_margins(found, limits), *_flown(found, limits), _noise(found, limits)]
     lines += [*_flights(found, limits), *_changes(found, limits)]
     return [*lines, _recovery(found, limits)] if found.planes else lines
 
@@ -141,6 +142,23 @@ def _margins(found: Check, limits: Thresholds) -> list[Finding]:
             "disk margin", disk >= limits.disk, f"the least is {disk:.2f} {where_disk}; threshold: {limits.disk:g}"
         ),
     ]
+
+
+def _flown(found: Check, limits: Thresholds) -> list[Finding]:
+    name, margins, dt = "large movements", found.flown, found.loop.dt
+    if margins is None:
+        return []
+    if not margins.gain:
+        return [Finding(name, False, "flown from target to target, the plant does not come to rest")]
+    stronger, later = (
+        f"{'at least ' if value >= most else ''}{value:.3g}"
+        for value, most in ((margins.gain, float(GAINS[-1])), (margins.delay, LATEST))
+    )
+    words = (
+        f"flown from target to target, the inputs may act {stronger} times as strongly, or {later} control periods, "
+        f"{1000 * margins.delay * dt:.0f} ms, later; thresholds: {limits.gain:g} and {limits.delay:g}"
+    )
+    return [Finding(name, margins.gain >= limits.gain and margins.delay >= limits.delay, words)]
 
 
 def _noise(found: Check, limits: Thresholds) -> Finding:

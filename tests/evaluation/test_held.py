@@ -70,4 +70,4 @@ def test_where_nothing_is_tracked_motion_is_no_fault_and_running_away_is():
     trajectory = TensorDict({"state": x, "reference": torch.zeros(2, len(TIME), 0)}, [2, len(TIME)])
     untracked = Evaluation("task", SIGNATURE, (), TIME, trajectory, {})
     found = held(untracked, torch.tensor([True, True, False]))
-    assert asdict(found) == {"share": {}, "worst": {}, "away": {"p": 0.5}, "idle": {}, "swings": {}, "turned": ()}
+    assert asdict(found) == {"share": {}, "worst": {}, "away": {"p": 0.5}, "idle": {}, "swings": {}, "turned": []}
