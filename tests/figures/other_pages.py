@@ -12,7 +12,19 @@ from dynasindy.world_models.models.follower import TIMES
 from dynasindy.world_models.refinement.trajectory import WORSE
 
 README, IDENTIFICATION, BASELINES = "README.md", "docs/identification.md", "docs/results/baselines.md"
-SPEED = "docs/speed.md"
+SPEED, GPU = "docs/speed.md", "docs/gpu.md"
+
+
+def gpu(text: str) -> Iterator[Tie]:
+    """Yield what docs/gpu.md must say of the paper's experiment in lockstep."""
+    runs = rows("ablation.csv", system="xi", experiment="paper")
+    episodes, seconds = {row["episodes"] for row in runs}, max(numbers(runs, "wall_seconds"))
+    yield Tie(GPU, "went through {} episodes in {} s on one NVIDIA H100", (*episodes, f"{seconds:.1f}"))
+    yield Tie(GPU, "{} runs of the paper's experiment", ({9: "Nine"}[len(runs)],))
+    hidden, batch = (setting(key, "experiment=paper") for key in ("agent.hidden", "replay.batch_size"))
+    each = seconds / len(runs) / float(*episodes)
+    yield Tie(GPU, "That is {} s per episode of a run.", (f"{each:.2f}",))
+    yield Tie(GPU, "{} by {} units and batches of {},", (*map(str, hidden), str(batch)))
 
 
 def readme(text: str) -> Iterator[Tie]:

@@ -55,3 +55,38 @@ def test_the_jobs_of_a_cluster_are_gathered_too(tmp_path):
     run(*SMALL, "hydra/launcher=submitit_local", cwd=tmp_path)
     assert len(jobs(tmp_path)) == 2
     assert rows(tmp_path) == [("direct", "1"), ("rollouts_400", "1")]
+
+
+@pytest.mark.slow
+def test_jobs_in_lockstep_come_to_what_they_come_to_one_after_the_other(tmp_path):
+    folders = {name: tmp_path / name for name in ("basic", "together")}
+    for name, folder in folders.items():
+        folder.mkdir()
+        run(*SMALL, f"hydra/launcher={name}", cwd=folder)
+    assert rows(folders["together"]) == [("direct", "1"), ("rollouts_400", "1")]
+    for alone, among in zip(*map(jobs, folders.values()), strict=True):
+        wanted, found = (json.loads(file.read_text()) for file in (alone, among))
+        assert found["cost"]["imagined_transitions"] == wanted["cost"]["imagined_transitions"]
+        told = {key: value for key, value in wanted["evaluation"].items() if value is not None}
+        assert {key: found["evaluation"][key] for key in told} == pytest.approx(told, rel=1e-3)
+    assert "finished before" in run(*SMALL, "hydra/launcher=together", cwd=folders["together"])
+
+
+@pytest.mark.slow
+def test_a_job_in_lockstep_that_fails_does_not_end_the_others(tmp_path):
+    command = [sys.executable, str(SCRIPT), *SMALL, "hydra/launcher=together", "agent.critics=2,1"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 2
+    assert "agent.critics is 1" in done.stderr
+    assert "2 jobs failed; error.txt says why" in done.stderr
+    assert len(jobs(tmp_path)) == 2
+
+
+def test_a_device_that_is_not_there_costs_one_line(tmp_path):
+    command = [sys.executable, str(SCRIPT), *SMALL, "hydra/launcher=together", "device=tpu"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 2
+    assert (
+        done.stderr.strip().splitlines()[-1].startswith("error: device=tpu is not to be had; on this machine there is")
+    )
+    assert not jobs(tmp_path)
