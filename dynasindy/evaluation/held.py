@@ -39,7 +39,7 @@ class Held:
     away: dict[str, float]
     idle: dict[str, float]
     swings: dict[str, float] = field(default_factory=dict)
-    turned: tuple[str, ...] = ()
+    turned: list[str] = field(default_factory=list)
 
 
 def held(evaluation: Evaluation, matter: Tensor) -> Held:
@@ -68,11 +68,11 @@ def held(evaluation: Evaluation, matter: Tensor) -> Held:
         away={names[i]: share for i, share in gone.items() if bool(matter[i])},
         idle={names[i]: share for i, share in gone.items() if not bool(matter[i])},
         swings={names[i]: share for i, share in gone.items() if bool(matter[i]) and near[i]},
-        turned=tuple(
+        turned=[
             name
             for (name, unit), box in zip(evaluation.units.items(), evaluation.boxes, strict=False)
             if box >= turn_of(unit)
-        ),
+        ],
     )
 
 

@@ -43,7 +43,7 @@ def test_a_spinning_pole_and_a_mileage_are_told_apart():
     x = states(theta=3.0 * TIME, way=2.0 * TIME)
     found = judge(torch.stack([x, states()]))
     assert found.away == {"theta": 0.5} and found.idle == {"way": 0.5}
-    json.dumps(asdict(found), allow_nan=False)
+    assert json.loads(json.dumps(asdict(found), allow_nan=False)) == asdict(found)
 
 
 def test_a_state_that_swings_has_not_come_to_rest():
@@ -70,4 +70,4 @@ def test_where_nothing_is_tracked_motion_is_no_fault_and_running_away_is():
     trajectory = TensorDict({"state": x, "reference": torch.zeros(2, len(TIME), 0)}, [2, len(TIME)])
     untracked = Evaluation("task", SIGNATURE, (), TIME, trajectory, {})
     found = held(untracked, torch.tensor([True, True, False]))
-    assert asdict(found) == {"share": {}, "worst": {}, "away": {"p": 0.5}, "idle": {}, "swings": {}, "turned": ()}
+    assert asdict(found) == {"share": {}, "worst": {}, "away": {"p": 0.5}, "idle": {}, "swings": {}, "turned": []}

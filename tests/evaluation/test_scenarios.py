@@ -355,6 +355,6 @@ def test_of_an_angle_that_goes_over_many_turns_errors_are_shares_of_one_turn() -
         assert result.boxes == (pytest.approx(box),)
         assert result.errors[0, -1, 0].item() == pytest.approx(0.02 * math.pi / box)
         found = held(result, torch.tensor([True, True]))
-        assert found.turned == (("theta",) if box > 6 else ())
+        assert found.turned == (["theta"] if box > 6 else [])
         told = Prediction((found,), result).words()
         assert ("1 to 1 % of a turn on average" in told) is (box > 6)
