@@ -222,7 +222,7 @@ def test_the_numbers_that_a_rig_has_logged_stay_what_they_are(tmp_path):
     found = Logged(written(tmp_path / "log.csv", values, "valve [-]")).recording(PLANT)
     assert np.array_equal(found.transitions.u[:, 0].numpy(), values[:-1])
     assert found.signature.in_own_units(found.transitions.u)[:, 0] == pytest.approx(4 + 16 * values[:-1])
-    assert not found.notes
+    assert len(found.notes) == 1 and found.notes[0].startswith("time is the column time")  # none on the input's ends
 
 
 @pytest.mark.parametrize(

@@ -43,7 +43,7 @@ def test_a_spinning_pole_and_a_mileage_are_told_apart():
     x = states(theta=3.0 * TIME, way=2.0 * TIME)
     found = judge(torch.stack([x, states()]))
     assert found.away == {"theta": 0.5} and found.idle == {"way": 0.5}
-    json.dumps(asdict(found), allow_nan=False)
+    assert json.loads(json.dumps(asdict(found), allow_nan=False)) == asdict(found)
 
 
 def test_a_state_that_swings_has_not_come_to_rest():
