@@ -263,7 +263,7 @@ class DynaReplay:
         buffers = {"real": self.real, "model": self.model}
         state: dict[str, Any] = {"generator": self.generator.get_state()}
         for name, buffer in buffers.items():
-            rows = buffer[:].clone().to_dict() if len(buffer) else {}
+            rows = buffer[:].clone().cpu().to_dict() if len(buffer) else {}
             state[name] = {"rows": rows, "writer": buffer.writer.state_dict()}
         return state
 

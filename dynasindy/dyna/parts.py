@@ -19,7 +19,7 @@ from dynasindy.excitation import Excitation
 from dynasindy.limits import Count
 from dynasindy.planning import Gate, ModelPrediction, Planner
 from dynasindy.sensing import Observer, Sensing, Sensors
-from dynasindy.tasks import Task, Tracking
+from dynasindy.tasks import Tracking
 from dynasindy.world_models import WorldModel
 
 
@@ -119,8 +119,7 @@ class Parts:
     def _kept(self) -> dict[str, Any]:
         parts = {name: getattr(self, name) for name in ("world_model", "agent", "replay", "planner", "sensing")}
         task = self.plant.task
-        learns = task.own or type(task).state_dict is not Task.state_dict
-        parts |= {"task": task if learns else None}
+        parts |= {"task": task if task.learns else None}
         return {name: part for name, part in parts.items() if part is not None}
 
     _drawing: ClassVar = ("plant", "model_env")

@@ -14,7 +14,6 @@ from dynasindy.data.recording import measured, transitions
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.planning import ModelError, replay_error
 from dynasindy.systems import Diverged
-from dynasindy.tasks import Task
 from dynasindy.told import tell
 from dynasindy.world_models import WorldModel
 
@@ -86,8 +85,7 @@ def _added(parts: Parts, rows: TensorDictBase) -> object:
 
 def _adds(parts: Parts, settings: Settings) -> bool:
     """Return whether the fit to all real data may be had at the cost of the newest ones."""
-    task, real = parts.plant.task, parts.replay.real
-    learns = task.own or type(task).learn is not Task.learn  # a reward is told by all data
+    real, learns = parts.replay.real, parts.plant.task.learns  # a reward is told by all data
     kept = len(real) < real.storage.max_size  # a full ring has lost its oldest data, as a fit to it has
     return parts.world_model.additive and settings.recent_steps is None and not learns and kept
 

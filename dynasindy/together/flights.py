@@ -58,7 +58,7 @@ def fly(
         fly it.
     """
     company, acting = here(), _acting(policy)
-    if company is None or acting is None or type(env) is not ControlEnv:
+    if company is None or acting is None or not _flies(env):
         return None
     (network, noise), begun, drawn = acting, start(), None
     if noise is not None:
@@ -87,7 +87,7 @@ def replay(
         None if this run goes by itself, or models of this kind are not moved together.
     """
     company = here()
-    if company is None or type(env) is not ControlEnv or not _stacks(env.system):
+    if company is None or not _flies(env) or not _stacks(env.system):
         return None
     start = TensorDict({"state": x, "task_params": params, "step_count": begun.unsqueeze(-1)}, [len(x)])
     start["observation"] = torch.zeros(len(x), env.task.n_o)  # nobody looks
@@ -308,6 +308,11 @@ class Coefficients(System):
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt of states `(R, n, n_x)` under inputs `(R, n, n_u)`."""
         return torch.bmm(self.library(x, u), self.stacked)
+
+
+def _flies(env: ControlEnv) -> bool:
+    """Return whether an environment is this code's own, with a task that is the same in all runs."""
+    return type(env) is ControlEnv and not env.task.learns
 
 
 def _stacks(system: System) -> bool:

@@ -111,7 +111,7 @@ class Learner:
         self.batches = {name: torch.zeros(CHUNK, runs, rows, width, device=device) for name, width in widths.items()}
         self.place = torch.zeros(1, dtype=torch.int64, device=device)
         self.losses = torch.zeros(2, CHUNK, runs, device=device)
-        self.given: list[tuple[TD3, int]] = []
+        self.given: list[tuple[TD3, int, int]] = []
         self.steps: dict[tuple[bool, bool], Callable[[], None]] = {}
 
     def learn(self, all_of_it: Sequence[Learning]) -> list[Exception | None]:
@@ -122,7 +122,7 @@ class Learner:
             if kind not in self.steps:
                 # What a step changes while it is captured is read from the agents afterwards.
                 self.steps[kind] = captured(lambda kind=kind: self._update(*kind), self.device, self.place.zero_)  # type: ignore[misc]
-        now = [(agent, agent.updates) for agent in agents]
+        now = _state_of(agents)
         if self.given != now:
             self._exchange(agents, give=False)
         losses: list[Tensor] = []
@@ -136,7 +136,7 @@ class Learner:
             losses.append(self.losses[:, : len(chunk)].clone().movedim(1, 0))
         self._exchange(agents, give=True)
         ends = self._ends(agents, torch.cat(losses).cpu(), kinds)
-        self.given = [(agent, agent.updates) for agent in agents]
+        self.given = _state_of(agents)
         return ends
 
     def _kind(self, number: int) -> tuple[bool, bool]:
@@ -327,3 +327,8 @@ class Learner:
 def _flat(layers: Sequence[Layer]) -> list[Any]:
     """Return the tensors of layers in a row."""
     return [part for layer in layers for part in layer if part is not None]
+
+
+def _state_of(agents: Sequence[TD3]) -> list[tuple[TD3, int, int]]:
+    """Return what tells whether agents are as they were left."""
+    return [(agent, agent.updates, agent.loads) for agent in agents]

@@ -1,6 +1,7 @@
 """A refit is believed only where it predicts held-out data no worse."""
 
 import math
+from dataclasses import replace
 from functools import cache, partial
 
 import pytest
@@ -9,16 +10,17 @@ from tensordict import TensorDict
 
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
+from dynasindy.data.recording import transitions
 from dynasindy.dyna.excite import interact
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.parts import Settings
-from dynasindy.dyna.refit import _acting, fit, held_out_windows, refit
+from dynasindy.dyna.refit import _acting, first_fit, fit, held_out_windows, refit
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, ModelError, NoPlanning, replay_error
 from dynasindy.systems import Diverged, Xi
 from dynasindy.tasks import RandomStep, Tracking
-from dynasindy.world_models import Oracle
+from dynasindy.world_models import Oracle, SindyModel
 
 
 class Scaled(Oracle):
@@ -239,3 +241,59 @@ def test_inputs_act_as_much_later_as_a_model_says(later, expected):
     """An input that arrives within a period acts by its mean there; before the episode inputs were zero."""
     rollout = TensorDict({"action": torch.tensor([[1.0], [2.0], [3.0], [4.0]])}, [4])
     assert _acting(rollout, later)["action"].flatten().tolist() == expected
+
+
+def test_a_refit_at_the_cost_of_the_newest_episode_equals_one_to_all_data():
+    """The paper's regression keeps sums; the oracle is a fit to all rows at once."""
+
+    def _model(**given):
+        parts = Recipe(
+            system=Xi(),
+            task=partial(Tracking, reference=RandomStep([-0.5, -0.5], [0.5, 0.4]), max_steps=160),
+            env=ControlEnv,
+            excitation=partial(Chirp, duration=5.0),
+            world_model=partial(SindyModel, **given),
+            agent=partial(TD3, hidden=(8,)),
+            replay=partial(DynaReplay, 2000, 16),
+            planning=NoPlanning,
+            gate=Gate(),
+            train=Settings(3),
+        ).build()
+        return parts
+
+    parts = _model()
+    excited = interact(parts.env, parts.excitation, 100)
+    parts.replay.extend_real(excited)
+    first_fit(parts, Settings(3), excited)
+    assert parts.world_model.additive
+    rows = [excited]
+    for _ in range(3):
+        rollout = interact(parts.env, parts.agent.explore, 160)
+        parts.replay.extend_real(rollout)
+        found = refit(parts, Settings(3), rollout)
+        held_out = torch.zeros(160, dtype=torch.bool)
+        for start in held_out_windows(160, 20, 4).tolist():
+            held_out[start : start + 20] = True
+        whole = _model().world_model
+        whole.fit(transitions(torch.cat([*rows, rollout[~held_out]]), parts.model_env.log_dt))
+        assert found.kept
+        torch.testing.assert_close(parts.world_model.coefficients, whole.coefficients, rtol=1e-6, atol=1e-9)
+        rows.append(rollout)
+    assert parts.world_model.sums.count == sum(len(transitions(each, parts.model_env.log_dt)) for each in rows)
+
+
+def test_a_refit_that_is_taken_back_leaves_its_data_to_the_next(monkeypatch):
+    parts = built()
+    model = SindyModel(Xi().signature)
+    parts = replace(parts, world_model=model, model_env=parts.plant.with_model(model, torch.float32))
+    excited = interact(parts.env, parts.agent.explore, 80)
+    parts.replay.extend_real(excited)
+    first_fit(parts, Settings(1), excited)
+    kept, before = model.coefficients.clone(), model.sums.count
+    errors = iter([ModelError(0.0, 1e-3, torch.zeros(1, 6)), ModelError(0.0, 1.0, torch.zeros(1, 6))])
+    monkeypatch.setattr("dynasindy.dyna.refit.replay_error", lambda *given: next(errors))
+    rollout = interact(parts.env, parts.agent.explore, 80)
+    parts.replay.extend_real(rollout)
+    assert not refit(parts, Settings(1), rollout).kept
+    assert torch.equal(model.coefficients, kept)
+    assert model.sums.count == before + len(transitions(rollout, parts.model_env.log_dt))

@@ -118,6 +118,17 @@ def test_nothing_flies_together_outside_of_a_company_or_with_a_policy_of_another
         assert fly(place, lambda seen: seen.set("action", torch.zeros(2)), place.reset, 2, "evaluation") is None
 
 
+def test_tasks_that_learn_what_a_plant_pays_fly_alone():
+    class Learning(Tracking):
+        def learn(self, x, u, x_next, paid):
+            self.paid = paid
+
+    system = Xi()
+    place = ControlEnv(system, Learning(system.signature, RandomStep([-0.5, -0.5], [0.5, 0.4])), dtype=torch.float64)
+    with Company().alone():
+        assert fly(place, agent(0).deployed, place.reset, 2, "evaluation") is None
+
+
 @pytest.mark.parametrize("device", ["cpu", GPU])
 @pytest.mark.parametrize("windows", [None, torch.tensor([2, 5])])
 def test_replays_of_models_are_those_of_each_run_alone(windows, device):

@@ -77,7 +77,7 @@ def test_each_agent_learns_what_it_learns_alone(settings, device):
 def test_an_agent_that_was_changed_between_two_calls_learns_from_what_it_is_now():
     def _learn(agent, replay, begun):
         learn(agent, replay, 4)
-        agent.load_state_dict(begun)
+        agent.load_state_dict({**begun, "updates": 4})  # as many as it has learnt by
         learn(agent, replay, 4)
 
     (one, its), (other, others) = (agent_and_replay(1) for _ in range(2))
