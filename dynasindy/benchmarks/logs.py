@@ -107,14 +107,18 @@ def write_log(case: Case, path: Path, seed: int) -> None:
 
 
 def flown(case: Case, controller: Controller, seed: int) -> NDArray[np.float64]:
-    """Return the errors at the end of each flight [target ranges], infinite where it ran away, `(TARGETS, n_outputs)`.
+    """Return the errors at the end of each flight [target ranges], infinite where it was lost, `(TARGETS, n_outputs)`.
 
+    A flight is lost where the plant runs away, and where the numbers of the controller grow beyond all limits.
     An output that is held at one value has the range of the state in the controller's log.
 
     Args:
         case: The plant.
         controller: Flies it.
         seed: Seed of targets and of the sensors' noise.
+
+    Raises:
+        ValueError: The controller does not fit the plant's names.
     """
     plant, sensors, (least, most) = case.plant, Sensors(case.sensors), case.ends
     rng = torch.Generator().manual_seed(1000 + seed)
@@ -135,14 +139,31 @@ def flown(case: Case, controller: Controller, seed: int) -> NDArray[np.float64]:
     for k in range(periods):
         y = sensors.read(x, plant.signature, rng)
         seen = [{name: float(row[list(case.states).index(name)]) for name in case.sensors} for row in y]
-        acts = [pilot.act(*given) for pilot, given in zip(pilots, zip(seen, targets.tolist()), strict=True)]
-        u = torch.from_numpy(controller.signature.in_own_units(np.stack(acts))).clamp(least, most)
+        acts = np.zeros((TARGETS, len(case.inputs)))
+        for i, (pilot, *given) in enumerate(zip(pilots, seen, targets.tolist(), strict=True)):
+            if not away[i]:
+                acts[i], away[i] = _act(pilot, *given)
+        u = torch.from_numpy(controller.signature.in_own_units(acts)).clamp(least, most)
         x = integrate(plant, x, u, controller.dt, substeps)[0][..., -1, :]
         away |= ~(x.abs() < FAR).all(-1, keepdim=True)
         x = torch.where(away, case.begins, x)  # what has run away is lost; where it goes on does not matter
         if k >= last:
             errors += (x[:, outputs] - targets).abs() / (periods - last)
     return torch.where(away, math.inf, errors / ranges).numpy()
+
+
+def _act(pilot: Controller, seen: dict[str, float], target: list[float]) -> tuple[NDArray[np.float64] | float, bool]:
+    """Return the inputs, and whether none follow as the numbers of the controller have grown beyond all limits.
+
+    Raises:
+        ValueError: A name or a number is missing in what the controller was given, or does not exist.
+    """
+    try:
+        return pilot.act(seen, target), False
+    except ValueError as error:
+        if error.__cause__ is None:  # then it is no number beyond all limits, but a name that does not fit
+            raise
+        return 0.0, True
 
 
 def rows_of(

@@ -77,6 +77,33 @@ def test_a_flight_that_runs_away_is_infinitely_wrong(monkeypatch):
     assert np.isinf(flown(CASES["fan"], Given(lambda y, r: 1.0, ("w",)), 0)).all()
 
 
+def test_a_controller_whose_numbers_leave_all_limits_loses_its_flight_and_no_other():
+    """The policy gives what holds the fan at its target, and no number for targets above 90 rad/s."""
+
+    def policy(shown):
+        w = shown["task_params"][0, 0]
+        u = (2 * w + 0.008 * w * w + 10) / 250 - 1
+        return shown.set("action", torch.where(w > 90.0, math.nan, u).reshape(1).float())
+
+    signature = Signature(("w",), ("rad/s",), ("u",), (100.0,))
+    pace = Pace(Tracking(signature, RandomStep([40.0], [140.0]), ["w"], [], TrackingReward((1.0,))), 0.05)
+    rng = torch.Generator().manual_seed(1000)
+    targets = 40 + 100 * torch.rand(TARGETS, 1, generator=rng, dtype=torch.float64).numpy()
+    assert 0 < (targets > 90).sum() < TARGETS
+    errors = flown(CASES["fan"], Controller(policy, pace), 0)
+    np.testing.assert_array_equal(np.isinf(errors), targets > 90)
+    np.testing.assert_allclose(errors[targets < 90], 0.0, atol=1e-4)
+
+
+def test_a_controller_of_other_names_is_no_lost_flight():
+    signature = Signature(("v",), ("rad/s",), ("u",), (100.0,))
+    pace = Pace(Tracking(signature, RandomStep([40.0], [140.0]), ["v"], [], TrackingReward((1.0,))), 0.05)
+    given = Given(None, ("w",))
+    given.act = Controller(actor(pace.task.n_o, 1, (4,)), pace).act
+    with pytest.raises(ValueError, match="measurement has 'w', which does not exist"):
+        flown(CASES["fan"], given, 0)
+
+
 def test_a_row_holds_what_was_foretold_and_what_came_of_it():
     metrics = {"prediction": {"controlled": True, "score": 0.0123}}
     errors = np.array([[0.001, 0.02], [0.003, 0.04]])
