@@ -45,6 +45,7 @@ def run_job(cfg: DictConfig, progress: bool = True) -> Done:
         raise ValueError(f"threads must be a whole number >= 1, got {cfg.threads}; 1 unless the cores are idle")
     if cfg.resume is not None:
         cfg = _resumed(cfg)
+    device = _device(cfg.get("device", "cpu"))
     provenance = Provenance(settings_of(cfg), command_and_commit(HydraConfig.get()))
     torch.set_num_threads(cfg.threads)
     names = [field.name for field in fields(Recipe) if field.name != "seed"]
@@ -60,7 +61,7 @@ def run_job(cfg: DictConfig, progress: bool = True) -> Done:
         print(f"Run folder: {cfg.folder}", flush=True)
     known = result(Path(cfg.folder), recipe.train.episodes) is not None
     saving = Saving(**cfg.checkpoint, again=called("train"))
-    with _device(cfg.get("device", "cpu")):
+    with device:
         metrics = run(recipe, evaluating, Path(cfg.folder), provenance, saving, progress, cfg.finish)
     usable = metrics["verdict"]["usable"] or not cfg.evaluation.must_improve
     controlled = metrics["verdict"].get("controlled") is not False or not cfg.evaluation.get("must_control", False)
@@ -84,7 +85,7 @@ def _resumed(cfg: DictConfig) -> DictConfig:
     Raises:
         ValueError: Other settings were given, which the run does not have, or its folder holds a link.
     """
-    own = ("resume=", "finish=", "threads=", "plugins=")
+    own = ("resume=", "finish=", "threads=", "plugins=", "device=")
     if others := [word for word in HydraConfig.get().overrides.task if not word.startswith(own)]:
         raise ValueError(f"resume={cfg.resume} goes on with the run's own settings; leave out {' '.join(others)}")
     kept = load_config(Path(cfg.resume), cfg.plugins)
@@ -97,7 +98,7 @@ def _resumed(cfg: DictConfig) -> DictConfig:
             f"{folder} holds results and no checkpoint, it cannot go on and would begin anew; give the folder of a "
             "stopped run, or restore its files"
         )
-    here = {name: cfg[name] for name in ("resume", "finish", "threads")}
+    here = {name: cfg[name] for name in ("resume", "finish", "threads", "device")}
     return DictConfig({**kept, **here, "folder": str(Path(cfg.resume).absolute())})
 
 

@@ -273,7 +273,7 @@ class DynaReplay:
         for name, buffer in (("real", self.real), ("model", self.model)):
             buffer.empty()
             if rows := state[name]["rows"]:
-                stored = TensorDict(rows, batch_size=[len(rows["action"])])
+                stored = TensorDict(rows, batch_size=[len(rows["action"])]).to(self.device)
                 buffer.storage.set(range(len(stored)), stored)
             buffer.writer.load_state_dict(state[name]["writer"])
         self._views.clear()

@@ -125,7 +125,7 @@ def _read(path: Path) -> State | None:
         with zipfile.ZipFile(io.BytesIO(payload)) as archive:  # torch packs nothing, so that nothing can swell
             if any(entry.compress_type != zipfile.ZIP_STORED for entry in archive.infolist()):
                 return None
-        state = torch.load(io.BytesIO(payload), weights_only=True)
+        state = torch.load(io.BytesIO(payload), weights_only=True, map_location="cpu")
     except OSError:  # the disk, which may be well again later: nothing is begun anew for that
         raise
     except Exception:  # any: what a file of others makes the reader do ends here

@@ -69,7 +69,7 @@ class Recipe:
         model_env = plant.with_model(world_model, torch.float32, seed=seeds[1])
         agent = self.agent(n_obs=plant.task.n_o, n_u=signature.n_u, seed=seeds[2])
         sensing = self._sensing(plant, world_model, seeds[5])
-        replay = self.replay(seed=seeds[3], **self._storing(sensing))
+        replay = self.replay(seed=seeds[3], **self._storing(sensing, world_model))
         _check_storages(replay, plant)
         excitation = self.excitation(n_u=signature.n_u, dt=plant.dt)
         if excitation.n_steps > plant.task.max_steps:
@@ -90,12 +90,16 @@ class Recipe:
             sensing=sensing,
         )
 
-    def _storing(self, sensing: Sensing | None) -> dict[str, Any]:
-        """Return which rows the storages keep of a plant behind sensors, and where they lie."""
+    def _storing(self, sensing: Sensing | None, world_model: WorldModel) -> dict[str, Any]:
+        """Return which rows the storages keep of a plant behind sensors, and where they lie.
+
+        They lie in the CPU's memory where fits read them all: a model that is refined may also find a delay.
+        """
         if sensing is not None:
             return {"keys": MEASURED_KEYS}
         company, planner = here(), getattr(self.planning, "func", self.planning)
-        return {"device": company.device} if company is not None and getattr(planner, "on_device", False) else {}
+        elsewhere = company is not None and world_model.additive and getattr(planner, "on_device", False)
+        return {"device": company.device} if company is not None and elsewhere else {}
 
     def _sensing(self, plant: ControlEnv, world_model: WorldModel, seed: int) -> Sensing | None:
         if self.sensors is None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import torch
 
-FREE = ("folder:", "threads:", "results:", "resume:", "finish:", "plugins:")
+FREE = ("folder:", "threads:", "device:", "results:", "resume:", "finish:", "plugins:")
 """Keys of a configuration, as its lines begin, that do not change a result."""
 MADE = (
     *("metrics.json", "policy.pt", "model.json", "observer.json", "controller.json"),

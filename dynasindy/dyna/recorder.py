@@ -148,7 +148,7 @@ class Recorder(Callback):
         self._log(row)
         self._log_decision(episode)
         if due or time.perf_counter() - self.written > WRITTEN_EVERY:
-            self._write_tables()
+            self.write_tables()
         if episode.number in (1, self.episodes):
             when = "first" if episode.number == 1 else "last"
             self._write_prediction(f"prediction_{when}_episode", episode)
@@ -230,7 +230,7 @@ class Recorder(Callback):
         self._open_logs()
         for row in self.rows:
             self._log_scalars(row)
-        self._write_tables()
+        self.write_tables()
 
     _logged = ("rows", "decisions", "evaluation_steps", "untrained", "latest", "restarts")
 
@@ -276,7 +276,8 @@ class Recorder(Callback):
         stored = float(len(self.parts.replay.model))
         self.decisions.append([*before, *judged, *decided, *tested, stored])
 
-    def _write_tables(self) -> None:
+    def write_tables(self) -> None:
+        """Write `progress.csv` and `gate.csv` as they are now."""
         self.written = time.perf_counter()
         if self.rows:
             write_csv(self.folder / "progress.csv", list(self.rows[0]), [list(row.values()) for row in self.rows])

@@ -87,7 +87,8 @@ def _adds(parts: Parts, settings: Settings) -> bool:
     """Return whether the fit to all real data may be had at the cost of the newest ones."""
     real, learns = parts.replay.real, parts.plant.task.learns  # a reward is told by all data
     kept = len(real) < real.storage.max_size  # a full ring has lost its oldest data, as a fit to it has
-    return parts.world_model.additive and settings.recent_steps is None and not learns and kept
+    seen = parts.sensing is None  # else what is estimated of a row depends on its neighbours
+    return parts.world_model.additive and seen and settings.recent_steps is None and not learns and kept
 
 
 def _require_finite(model: WorldModel, count: int) -> None:

@@ -145,7 +145,7 @@ def run(
         saver = Saver(
             checkpoints, saving.every, lambda: {name: p.state_dict() for name, p in kept.items()}, saving.again
         )
-        with _left_in_order(saver, folder, lambda: place.present(recipe.train.episodes)):
+        with _left_in_order(saver, recorder, lambda: place.present(recipe.train.episodes)):
             state = checkpoints.newest()
             if state is None and finish:
                 raise ValueError(f"{folder} keeps no checkpoint, there is nothing to finish; leave out finish=true")
@@ -201,13 +201,16 @@ def _resume(folder: Path, provenance: Provenance) -> None:
 
 
 @contextmanager
-def _left_in_order(saver: Saver, folder: Path, present: Callable[[], str]) -> Iterator[None]:
-    """Say what was kept when the run is asked to stop, and where it was when its numbers went wrong."""
+def _left_in_order(saver: Saver, recorder: Recorder, present: Callable[[], str]) -> Iterator[None]:
+    """Write the tables and say what was kept when the run is asked to stop, or where its numbers went wrong."""
+    folder = recorder.folder
     try:
         yield
     except KeyboardInterrupt as stop:
+        recorder.write_tables()
         raise Stopped(f"stopped; {saver.words(folder)}", getattr(stop, "signal", 2)) from stop
     except Diverged as error:
+        recorder.write_tables()
         raise Diverged(f"in {present()}: {error}; {saver.words(folder)}") from error
 
 

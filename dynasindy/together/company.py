@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import torch
@@ -41,6 +42,19 @@ class Work(ABC):
         """
 
 
+@dataclass(frozen=True)
+class Carried:
+    """What is one for all threads, and is to be another for each run, such as the settings of a job.
+
+    Attributes:
+        take: Return it as it is.
+        give: Put it back.
+    """
+
+    take: Callable[[], Any] = lambda: None
+    give: Callable[[Any], object] = lambda kept: None
+
+
 class Company:
     """Runs that go in lockstep on one device; one run alone is a company, too.
 
@@ -50,13 +64,14 @@ class Company:
 
     Args:
         device: Where the work is done: "cpu", or "cuda" where there is a GPU.
+        carried: What each run finds as it left it when it moves again; nothing by default.
 
     Raises:
         ValueError: There is no such device here.
     """
 
-    def __init__(self, device: torch.device | str = "cpu") -> None:
-        self.device = found(device)
+    def __init__(self, device: torch.device | str = "cpu", carried: Carried | None = None) -> None:
+        self.device, self.carried = found(device), carried or Carried()
         self.kept: dict[Hashable, Any] = {}
         self._members: list[_Member] = []
 
@@ -91,9 +106,9 @@ class Company:
                 self._serve(ready)
                 for member in ready:
                     member.go_on()
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as signal:
             for member in members:
-                member.stop()
+                member.stop(signal)
             raise
         return [member.came for member in members]
 
@@ -122,42 +137,47 @@ class Company:
 
 
 class _Member:
-    """A run in its thread."""
+    """A run in its thread; `moves` says whose turn it is, the run's or the company's."""
 
     def __init__(self, company: Company, run: Callable[[], Any]) -> None:
         self.work: Work | None = None
         self.result: Any = None
         self.came: Any = None
-        self._mine, self._others = threading.Semaphore(0), threading.Semaphore(0)
+        self.begun = self.ended = self.moves = False
+        self._turn = threading.Condition()
         self.thread = threading.Thread(target=self._run, args=(company, run), daemon=True)
-        self._begun = False
+        self._company = company
 
     def go_on(self) -> None:
         """Let the run move until it asks for work or ends."""
-        if not self._begun:
-            self._begun = True
+        self.moves = True
+        if not self.begun:
+            self.begun = True
             self.thread.start()
-        else:
-            self.work = None
-            self._mine.release()
-        self._others.acquire()
+        with self._turn:
+            self._turn.notify_all()
+            self._turn.wait_for(lambda: not self.moves)
 
     def ask(self, work: Work) -> Any:
         """Wait, in the thread of the run, until the work is done."""
+        kept = self._company.carried.take()
         self.work = work
-        self._others.release()
-        self._mine.acquire()
+        self._hand_over()
+        with self._turn:
+            self._turn.wait_for(lambda: self.moves)
+        self.work = None
+        self._company.carried.give(kept)
         result, self.result = self.result, None
         return _result(result)
 
-    def stop(self) -> None:
-        """Ask the run to stop, and wait until it has."""
-        if not self._begun or not self.thread.is_alive():
+    def stop(self, signal: KeyboardInterrupt) -> None:
+        """Ask the run to stop, and wait until it has ended; what it asks for on the way is not done any more."""
+        if not self.begun:
             return
-        if self.work is None:
-            self._others.acquire()  # it moves; wait until it asks for work or ends
-        if self.work is not None:
-            self.result = KeyboardInterrupt()
+        with self._turn:
+            self._turn.wait_for(lambda: not self.moves)
+        while not self.ended:
+            self.result = signal
             self.go_on()
 
     def _run(self, company: Company, run: Callable[[], Any]) -> None:
@@ -166,7 +186,13 @@ class _Member:
                 self.came = run()
             except BaseException as error:
                 self.came = error
-        self._others.release()
+        self.ended = True
+        self._hand_over()
+
+    def _hand_over(self) -> None:
+        with self._turn:
+            self.moves = False
+            self._turn.notify_all()
 
 
 _HERE: ContextVar[Company | None] = ContextVar("company", default=None)
@@ -187,7 +213,8 @@ def found(device: torch.device | str) -> torch.device:
         named = torch.device(device)
     except RuntimeError:
         named = torch.device("meta")
-    if named.type == "cpu" or (named.type == "cuda" and torch.cuda.is_available()):
+    there = torch.cuda.device_count() if named.type == "cuda" else 0
+    if named.type == "cpu" or (named.index or 0) < there:
         return named
     here_are = "cpu and cuda" if torch.cuda.is_available() else "cpu alone, as torch finds no GPU"
     raise ValueError(f"device={device} is not to be had; on this machine there is {here_are}: choose one")

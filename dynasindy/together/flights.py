@@ -29,9 +29,10 @@ from dynasindy.agents.networks import Layer
 from dynasindy.envs import ControlEnv
 from dynasindy.systems import System
 from dynasindy.systems.integrators import rk4
+from dynasindy.together.alike import alike
 from dynasindy.together.captured import captured
 from dynasindy.together.company import Company, Work, here
-from dynasindy.world_models import SindyModel, WorldModel
+from dynasindy.world_models import SindyModel
 
 EPISODE = "real episode"
 """Name of the flights on the plant from which a run learns."""
@@ -129,16 +130,16 @@ class Flight(Work):
 
     @property
     def kind(self) -> Hashable:
-        """Name, sizes and the functions of the model, if it is one whose coefficients may differ."""
+        """Name, sizes, plant, task and pace; of a model whose coefficients may differ, its functions."""
         system = self.env.system
-        # A plant is that of every run; a model that is no stack of coefficients is of its run alone.
-        alike: Hashable = None
+        env, network = self.env, self.network
+        moved = alike(system)
         if isinstance(system, SindyModel) and _stacks(system):
-            alike = tuple(f.key for f in system.library.features)
-        elif isinstance(system, WorldModel):
-            alike = id(system)
-        acting = self.network is None, self.noise is None
-        return self.what, alike, self.steps, tuple(self.start.batch_size), acting, self.env.float_type
+            moved = tuple(f.key for f in system.library.features)
+        sizes = None if network is None else tuple(tuple(layer.weight.shape) for layer in network.layers())
+        pace = env.dt, env.substeps, env.stops, env.left_beyond, env.float_type
+        shapes = self.steps, tuple(self.start.batch_size), sizes, self.noise is None
+        return self.what, moved, alike(env.task), pace, shapes
 
     @property
     def waits(self) -> bool:

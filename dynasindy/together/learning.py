@@ -120,6 +120,7 @@ class Learner:
         kinds = [self._kind(first.agent.updates + k + 1) for k in range(first.updates)]
         for kind in sorted(set(kinds)):
             if kind not in self.steps:
+                self.given = []
                 # What a step changes while it is captured is read from the agents afterwards.
                 self.steps[kind] = captured(lambda kind=kind: self._update(*kind), self.device, self.place.zero_)  # type: ignore[misc]
         now = _state_of(agents)

@@ -21,13 +21,16 @@ class Together(Launcher):
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
         """Run jobs, and return what came of each."""
-        from dynasindy.together import Company
+        from dynasindy.together import Carried, Company
 
         setup_globals()
         Path(str(self.config.hydra.sweep.dir)).mkdir(parents=True, exist_ok=True)
         before = HydraConfig.instance().cfg
         try:
-            company = Company(self.config.get("device", "cpu"))
+            # Hydra keeps the settings of the present job in one place; here each job finds its own again.
+            hydra = HydraConfig.instance()
+            carried = Carried(lambda: hydra.cfg, lambda kept: setattr(hydra, "cfg", kept))
+            company = Company(self.config.get("device", "cpu"), carried)
         except ValueError as error:
             print(f"error: {error}", file=sys.stderr)
             sys.exit(2)

@@ -82,6 +82,20 @@ def test_a_job_in_lockstep_that_fails_does_not_end_the_others(tmp_path):
     assert len(jobs(tmp_path)) == 2
 
 
+@pytest.mark.slow
+def test_a_job_in_lockstep_that_diverges_under_way_leaves_its_word_and_the_others_end(tmp_path):
+    words = ("setting=rollouts_400", "agent.critic_lr=1e19,1e-3,1e-4", "train.updates_per_step=1")
+    given = [word for word in SMALL if not word.startswith(("setting=", "train.updates"))]
+    command = [sys.executable, str(SCRIPT), *given, *words, "hydra/launcher=together"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 2
+    assert "1 jobs failed; error.txt says why" in done.stderr
+    (word,) = (tmp_path / "runs").rglob("error.txt")
+    assert "critic_lr-1e" in str(word) and "policy learning" in word.read_text()
+    assert not (word.parent / "metrics.json").exists()
+    assert len(jobs(tmp_path)) == 2
+
+
 def test_a_device_that_is_not_there_costs_one_line(tmp_path):
     command = [sys.executable, str(SCRIPT), *SMALL, "hydra/launcher=together", "device=tpu"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import pytest
 import torch
 
-from dynasindy.together import Company, here
+from dynasindy.together import Carried, Company, here
 from dynasindy.together.company import Work, found
 
 
@@ -77,6 +77,18 @@ def test_an_error_of_the_work_itself_reaches_all_runs():
     assert [str(error) for error in Company().run([lambda: here().ask(Broken(0))] * 2)] == ["broken"] * 2
 
 
+def test_each_run_finds_what_is_one_for_all_as_it_left_it():
+    now = {"job": None}
+
+    def _run(n):
+        now["job"] = n
+        here().ask(Sum(0))
+        return now["job"]
+
+    carried = Carried(lambda: now["job"], lambda kept: now.update(job=kept))
+    assert Company(carried=carried).run([lambda n=n: _run(n) for n in range(3)]) == [0, 1, 2]
+
+
 def test_one_run_moves_at_a_time():
     moving, most = [], []
 
@@ -103,22 +115,28 @@ def test_each_run_is_stopped_in_its_own_time_when_the_process_is():
 
     class Interrupted(Sum):
         def done(self, all_of_it, company):
-            raise KeyboardInterrupt
+            signal = KeyboardInterrupt()
+            signal.signal = 15
+            raise signal
 
     def _run(n):
         try:
             here().ask(Interrupted(n))
+        except KeyboardInterrupt as signal:
+            stopped.append((n, signal.signal))
+            raise
         finally:
-            stopped.append(n)
+            with pytest.raises(KeyboardInterrupt):  # nothing more is done
+                here().ask(Sum(0))
 
     before = threading.active_count()
     with pytest.raises(KeyboardInterrupt):
         Company().run([lambda n=n: _run(n) for n in range(3)])
-    assert stopped == [0, 1, 2]
+    assert stopped == [(0, 15), (1, 15), (2, 15)]
     assert threading.active_count() == before
 
 
-@pytest.mark.parametrize("device", ["tpu", "cude", "meta"])
+@pytest.mark.parametrize("device", ["tpu", "cude", "meta", "cuda:99"])
 def test_a_device_that_is_none_is_refused_with_those_there_are(device):
     with pytest.raises(ValueError, match=f"device={device} is not to be had; on this machine there is cpu"):
         found(device)

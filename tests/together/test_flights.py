@@ -9,17 +9,18 @@ from dynasindy.agents import TD3
 from dynasindy.envs import ControlEnv
 from dynasindy.planning import replay_error
 from dynasindy.systems import Tras, Xi
-from dynasindy.tasks import RandomStep, Tracking
+from dynasindy.tasks import RandomStep, Tracking, Wave
 from dynasindy.together import Company, fly
 from dynasindy.world_models import Oracle, SindyModel
 
 GPU = pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU"))
 
 
-def env(seed, plant=Xi, steps=12):
-    system = plant()
-    task = Tracking(system.signature, RandomStep([-0.5, -0.5], [0.5, 0.4]), max_steps=steps)
-    return ControlEnv(system, task, dtype=torch.float64, seed=seed)
+def env(seed, plant=Xi, steps=12, dt=0.05, **given):
+    system = plant(**given)
+    moving = Wave([0.4, 0.3], [0.5, 0.3], random=True)  # what is told of the wrong time is seen
+    task = Tracking(system.signature, moving, max_steps=steps, observe_rate=True)
+    return ControlEnv(system, task, dt=dt, dtype=torch.float64, seed=seed)
 
 
 def model(seed):
@@ -33,7 +34,7 @@ def model(seed):
 
 
 def agent(seed):
-    return TD3(8, 2, seed=seed, hidden=(16, 8), exploration_noise=0.3)
+    return TD3(10, 2, seed=seed, hidden=(16, 8), exploration_noise=0.3)
 
 
 def assert_same(found, wanted):
@@ -89,14 +90,37 @@ def test_models_with_coefficients_of_their_own_fly_at_once(device):
     assert len(company.kept) == 1
 
 
-def test_models_of_other_kinds_fly_apart():
-    def _fly(seed):
-        place = env(0).with_system(Oracle(Xi().signature, Xi()))
+@pytest.mark.parametrize("given", [{"plant": Tras}, {"dt": 0.1}, {"azimuth_stop": 1e-3}, {"steps": 13}])
+def test_runs_of_other_plants_paces_and_tasks_fly_apart(given):
+    def _fly(given):
+        place = env(0, **given)
+        return fly(place, agent(0).deployed, place.reset, 12, "evaluation")
+
+    cases = ({}, given)
+    for case, found in zip(cases, Company().run([partial(_fly, case) for case in cases]), strict=True):
+        assert_same(found, env(0, **case).rollout(12, agent(0).deployed, break_when_any_done=False))
+
+
+def test_policies_of_other_widths_fly_apart():
+    def _fly(width):
+        place, mine = env(0), TD3(10, 2, seed=0, hidden=(width,))
+        return fly(place, mine.deployed, place.reset, 4, "evaluation")["action"].shape
+
+    assert Company().run([partial(_fly, width) for width in (4, 6)]) == [(4, 2)] * 2
+
+
+def test_models_of_other_kinds_fly_apart_and_equal_ones_at_once():
+    def _fly(seed, plant):
+        place = env(0).with_system(Oracle(Xi().signature, plant()))
         return fly(place, agent(seed).deployed, place.reset, 4, "imagined")
 
-    company = Company()
-    assert len(company.run([partial(_fly, seed) for seed in range(2)])) == 2
-    assert len(company.kept) == 2
+    for plants, kinds in (((Xi, Xi), 1), ((Xi, Tras), 2)):
+        company = Company()
+        found = company.run([partial(_fly, seed, plant) for seed, plant in enumerate(plants)])
+        assert len(company.kept) == kinds
+        for seed, (plant, rollout) in enumerate(zip(plants, found, strict=True)):
+            place = env(0).with_system(Oracle(Xi().signature, plant()))
+            assert_same(rollout, place.rollout(4, agent(seed).deployed, break_when_any_done=False))
 
 
 def test_a_plant_that_runs_away_stays_at_the_end_of_its_ranges():
