@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import torch
-from torch import Tensor
 
 from dynasindy.agents import Actor
 from dynasindy.control import Controller
@@ -33,6 +32,7 @@ from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.horizons import forecast
 from dynasindy.evaluation.identification import Logged
+from dynasindy.evaluation.period import suited_period, typical
 from dynasindy.evaluation.predicted import Prediction, predict
 from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
@@ -51,13 +51,8 @@ from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.libraries import LibraryBuilder
 from dynasindy.world_models.models.ensemble import refits
-from dynasindy.world_models.models.follower import begins
 from dynasindy.world_models.refinement.measured import rates_known
 
-PERIOD = 0.05
-"""Control period unless another is given [s]; with a log the multiple of its sampling time that is nearest."""
-SAMPLES = 10
-"""Samples of a log in a control period at most, if nobody asks for another one."""
 FINE = 5
 """Runge-Kutta steps of a predicted control period."""
 FLOWN = 64
@@ -178,8 +173,8 @@ def plan(
         task: Outputs to hold, each with the lower and upper end of its targets; or a task.
         log: Log of the plant, from which the controller's observer learns its noise levels; needed with sensors.
         sensors: What will be measured in flight; if omitted, what the log shows. Without a log all states.
-        dt: Control period [s]; 0.05 s or ten samples of the log, what is shorter, or the multiple of the log's sampling
-            time nearest to it, of two the shorter.
+        dt: Control period [s]. If omitted it is the least of 0.05 s, ten samples of the log, and a fifth of the model's
+            fastest oscillation that is lightly damped, as a multiple of the log's sampling time.
         seed: Seed of networks, references and starts.
         **settings: Settings of `GradientPlanning`, such as `updates`.
 
@@ -203,8 +198,8 @@ def plan(
         if task.ends is not None:
             require_radians(log, dict(zip(task.output_names, zip(*task.ends, strict=True), strict=True)))
         data = log.training
-        task = task.as_logged(_typical(data, model), known_ranges(model, data.u))
-    pace = Pace(task, dt or nearest_period(log), stops=model.stops)
+        task = task.as_logged(typical(data, model), known_ranges(model, data.u))
+    pace = Pace(task, dt or suited_period(model, task, log).seconds, stops=model.stops)
     if log is not None and sensors is None:
         sensors = sensors_of(log, model)
     observer = None if sensors is None else watching(model, sensors, pace, log)
@@ -355,37 +350,3 @@ def watching(model: SindyModel, sensors: Sensors, pace: Pace, log: Source | None
     observer = Observer(model, sensors, pace)
     observer.learn(y, u)
     return observer
-
-
-def _typical(data: Transitions, model: SindyModel) -> Tensor:
-    """Return where the log mostly was, `(2, n_x)`: zero of states that pass through it, of others the median.
-
-    A state that follows an input may be wherever the log had it, and zero, where inputs are before a flight; one that
-    follows a measured state as far from that as in the log. Other states that were not measured are zero.
-    """
-    x = data.x.double()
-    middle = x.nanmedian(0).values.nan_to_num(nan=0.0)
-    middle[((x <= 0).any(0)) & ((x >= 0).any(0))] = 0.0
-    ends = middle.expand(2, -1).clone()
-    for place, (low, high) in begins(model, data).items():
-        ends[:, place] = torch.tensor([low, high]).double()
-    return ends
-
-
-def nearest_period(log: Source | None, wanted: float | None = None) -> float:
-    """Return the control period that suits a log: the multiple of its sampling time nearest to the one wanted [s].
-
-    Of two that are as near it is the shorter; without a log it is the one wanted. If none is wanted, it is 0.05 s, or
-    ten samples of a log that is sampled faster: so is the log of a plant that is as fast.
-
-    Raises:
-        ValueError: The one wanted is not positive.
-    """
-    if wanted is not None and not wanted > 0:
-        raise ValueError(f"env.dt must be a time > 0, got {wanted} s; the default is {PERIOD} s")
-    if log is None:
-        return wanted or PERIOD
-    wanted = wanted or min(PERIOD, SAMPLES * log.training.dt)
-    step = log.training.dt
-    period = step * max(1, math.ceil(wanted / step - 0.5 - 1e-6))
-    return wanted if math.isclose(period, wanted, rel_tol=1e-6) else period

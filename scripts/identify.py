@@ -58,8 +58,8 @@ def following(cfg: DictConfig, found: "Identified", known: Sequence[str], rates:
         rates: Rate of each state, known or lacking.
     """
     from dynasindy.evaluation.before_fit import known_word
+    from dynasindy.evaluation.period import nearest_period
     from dynasindy.evaluation.targets import targets_like
-    from dynasindy.workbench import nearest_period
 
     job, logged, told = HydraConfig.get(), found.source.logged, cfg.plant.get("known") or {}
     words, system = job.overrides.task, job.runtime.choices.system

@@ -21,12 +21,13 @@ from dynasindy.dyna.stopped import Stopped
 from dynasindy.evaluation.files import write_json, write_text
 from dynasindy.evaluation.given import read_record, understood
 from dynasindy.evaluation.held import WITHIN
+from dynasindy.evaluation.period import PERIOD, nearest_period, sampled_in_words, suited_period
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.targets import in_words, require_radians
 from dynasindy.planning import GradientPlanning
 from dynasindy.terminal import say
 from dynasindy.viz.evaluation import draw_evaluation
-from dynasindy.workbench import PERIOD, damped, nearest_period, rates_of
+from dynasindy.workbench import damped, rates_of
 from dynasindy.world_models import SindyModel
 
 
@@ -54,7 +55,7 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
             parts["world_model"](signature=source.signature)
         require_radians(source, targets)
         told = [in_words(source.signature, targets), *told]
-    dt, why = _period(cfg, source)
+    dt, why = _asked(cfg, source)
     say(f"Run folder: {folder}", *told, *why)
     with _stopped_in_words(f"the fit was not finished and nothing is kept in {folder}; the same command begins anew"):
         model = model_of(source, parts["world_model"], cfg.model)
@@ -63,6 +64,11 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     write_text(folder / "config.yaml", settings)  # before the plan, which may fail
     write_json(folder / "origin.json", command_and_commit(HydraConfig.get()) | read)
     model.save(folder / "model.json")
+    if dt is None:
+        period = suited_period(model, task, source)
+        dt = period.seconds
+        if period.why:
+            say(f"note: {period.why}")
     within = cfg.evaluation.get("within", WITHIN)
     wanted = Wanted(task, parts["scenario"], parts["sensors"], dt, cfg.seed, within, planning)
     again = planning_on(folder / "model.json", HydraConfig.get().overrides.task)
@@ -80,17 +86,15 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     return prediction.record()
 
 
-def _period(cfg: DictConfig, source: Source | None) -> tuple[float, list[str]]:
-    """Return the control period, and why it is not the one of the settings, in a line at most."""
+def _asked(cfg: DictConfig, source: Source | None) -> tuple[float | None, list[str]]:
+    """Return the control period that was asked for, if any, and why it is another one, in a line at most."""
     words = HydraConfig.get().overrides.task
-    asked = cfg.env.dt != PERIOD or any(word.lstrip("+").startswith("env.dt=") for word in words)
-    dt = nearest_period(source, cfg.env.dt if asked else None)
+    if cfg.env.dt == PERIOD and not any(word.lstrip("+").startswith("env.dt=") for word in words):
+        return None, []
+    dt = nearest_period(source, cfg.env.dt)
     if source is None or dt == cfg.env.dt:
         return dt, []
-    if not asked and dt < PERIOD - source.training.dt:
-        return dt, [f"note: the control period is {dt:g} s, ten samples of the log; env.dt chooses another one"]
-    sampled = f"the log is sampled every {source.training.dt:g} s"
-    return dt, [f"note: the control period is {dt:g} s and not env.dt={cfg.env.dt:g}, as {sampled}"]
+    return dt, [f"note: {sampled_in_words(dt, cfg.env.dt, source.training.dt)}"]
 
 
 @contextmanager

@@ -27,7 +27,7 @@ from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
 from dynasindy.told import hearing
-from dynasindy.workbench import foretell, nearest_period, sensors_of
+from dynasindy.workbench import foretell, sensors_of
 
 COUNT = 2 * math.pi / 4096
 WORDS = ["1", "u", "theta", "Omega", "sin(theta)", "Omega^2"]
@@ -156,21 +156,6 @@ def test_the_control_period_is_the_nearest_multiple_of_the_logs(exact):
     model = dynasindy.identify(exact, WORDS, longest_delay=0.0)
     controller = dynasindy.plan(model, {"theta": (-0.6, 0.6)}, exact, **SHORT)
     assert controller.dt == pytest.approx(0.04)
-
-
-@pytest.mark.parametrize(
-    ("step", "period"), [(0.001, 0.01), (0.01, 0.05), (0.02, 0.04), (0.03, 0.06), (0.04, 0.04), (0.2, 0.2)]
-)
-def test_a_control_period_is_never_shorter_than_a_sample(exact, step, period):
-    changed = replace(exact, training=replace(exact.training, dt=step))
-    assert nearest_period(changed) == pytest.approx(period)
-
-
-def test_a_control_period_that_is_asked_for_is_kept_whatever_the_log(exact):
-    fast = replace(exact, training=replace(exact.training, dt=0.001))
-    assert nearest_period(fast, 0.05) == 0.05 and nearest_period(None) == 0.05 and nearest_period(None, 0.02) == 0.02
-    with pytest.raises(ValueError, match=r"env\.dt must be a time > 0"):
-        nearest_period(fast, 0.0)
 
 
 def test_an_observer_makes_up_for_a_delay(exact, late):

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 from omegaconf import OmegaConf
 
 import dynasindy
@@ -16,7 +17,7 @@ from dynasindy.benchmarks.logs import words as log_words
 from dynasindy.benchmarks.logs import write_log
 from dynasindy.data.simulated import record
 from dynasindy.excitation import Multisine
-from dynasindy.systems import Pendulum
+from dynasindy.systems import Pendulum, Signature
 from dynasindy.world_models import SindyModel
 
 ROOT = Path(__file__).parents[2]
@@ -102,6 +103,20 @@ def test_the_library_gives_the_verdict_of_the_command(plant, promised, tmp_path)
     assert found.words() in done.stdout
     assert found.promised == promised
     assert any("lagging" in line for line in told["equations"]) == (plant == "propeller")
+
+
+def test_a_model_that_swings_fast_is_controlled_in_shorter_periods_unless_one_is_asked_for(tmp_path):
+    """p'' = -3600 p + 3600 u swings in 2 pi / 60 s, 0.1047 s; a fifth of it is 0.0209 s."""
+    signature = Signature(("p", "v"), ("m", "m/s"), ("u",), (1.0, 60.0))
+    model = SindyModel(signature, library=["p", "v", "u"])
+    rows = {"p": (0.0, -3600.0), "v": (1.0, 0.0), "u": (0.0, 3600.0)}
+    model.coefficients = torch.tensor([rows[name] for name in model.library.names], dtype=torch.float64)
+    model.save(tmp_path / "model.json")
+    words = ["system=logged", f"model={tmp_path}/model.json", "plant.outputs=[p]", "plant.low=[-0.5]"]
+    words += ["plant.high=[0.5]", "planning.lr=-1.0", f"folder={tmp_path}/run"]
+    told = "note: the control period is 0.02 s, a fifth of the model's fastest oscillation of 0.105 s; env.dt chooses"
+    assert told in train(*words).stdout
+    assert "the control period" not in train(*words, "env.dt=0.05").stdout
 
 
 def test_a_plan_that_fails_leaves_the_model(log, tmp_path):

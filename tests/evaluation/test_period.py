@@ -1,0 +1,126 @@
+"""Control periods of a mass on a spring, whose frequency and damping are known."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+import dynasindy
+from dynasindy.data.csv import Recording
+from dynasindy.data.simulated import record
+from dynasindy.evaluation.period import nearest_period, suited_period, typical
+from dynasindy.evaluation.source import Source
+from dynasindy.excitation import Multisine
+from dynasindy.systems import Signature, System
+from dynasindy.workbench import tracking
+from dynasindy.world_models import SindyModel
+
+NAMES = ["p", "v", "u"]
+
+
+class Spring(System):
+    """p' = v, v' = w^2 (u - p) - 2 z w v."""
+
+    def __init__(self, hertz, damping):
+        super().__init__(Signature(("p", "v"), ("m", "m/s"), ("u",), (1.0, 60.0)))
+        self.w, self.damping = 2 * math.pi * hertz, damping
+
+    def forward(self, x, u):
+        p, v = x.unbind(-1)
+        return torch.stack((v, self.w**2 * (u[..., 0] - p) - 2 * self.damping * self.w * v), -1)
+
+
+def known(hertz, damping):
+    """Return a model with the equations of the spring."""
+    spring = Spring(hertz, damping)
+    model, w = SindyModel(spring.signature, library=NAMES), spring.w
+    rows = {"p": (0.0, -w * w), "v": (1.0, -2 * damping * w), "u": (0.0, w * w)}
+    model.coefficients = torch.tensor([rows[name] for name in model.library.names], dtype=torch.float64)
+    return model
+
+
+def logged(dt, signature):
+    """Return a log with a sampling time."""
+    u = Multisine(1, duration=4, dt=0.05, amplitude=[0.8], seed=0).samples(0.01)
+    return Source.of(Recording(replace(record(Spring(2.0, 0.2), u, 0.01), dt=dt), signature))
+
+
+def suited(hertz, damping, dt):
+    model = known(hertz, damping)
+    log = None if dt is None else logged(dt, model.signature)
+    return suited_period(model, tracking(model, {"p": (-0.5, 0.5)}), log)
+
+
+@pytest.mark.parametrize(
+    ("hertz", "dt", "seconds"),
+    [
+        (9.4, 0.005, 0.02),  # 0.107 s are 21.5 ms five times, which are four samples
+        (9.4, 0.008, 0.016),
+        (9.4, 0.02, 0.02),  # 40 ms by the log alone
+        (4.0, 0.01, 0.05),  # 0.25 s are five times 50 ms
+        (5.0, 0.01, 0.04),
+        (50.0, 0.01, 0.01),  # a fifth is less than a sample
+        (0.5, 0.001, 0.01),  # slow: ten samples
+        (9.4, 0.2, 0.2),
+        (9.4, None, 0.021),
+    ],
+)
+def test_a_period_is_a_fifth_of_the_swing_of_a_spring_in_whole_samples(hertz, dt, seconds):
+    found = suited(hertz, 0.1, dt)
+    assert found.seconds == pytest.approx(seconds)
+    if dt is not None:
+        assert found.seconds / dt == pytest.approx(round(found.seconds / dt))
+        longest = 1 / (5 * hertz * math.sqrt(1 - 0.1**2))
+        assert found.seconds <= max(longest, dt) * (1 + 1e-6)
+
+
+def test_an_overdamped_spring_keeps_ten_samples():
+    found = suited(9.4, 2.0, 0.002)
+    assert found.seconds == pytest.approx(0.02)
+    assert found.why == "the control period is 0.02 s, ten samples of the log; env.dt chooses another one"
+    assert suited(9.4, 2.0, 0.005).seconds == pytest.approx(0.05)
+    assert suited(9.4, 2.0, None).seconds == 0.05
+
+
+def test_a_note_says_what_the_period_follows():
+    """The damped period of 9.4 Hz at a damping of 0.1 is 0.10692 s."""
+    ends = "; env.dt chooses another one"
+    swing = "a fifth of the model's fastest oscillation of 0.107 s"
+    assert suited(9.4, 0.1, 0.005).why == f"the control period is 0.02 s, {swing}{ends}"
+    assert suited(9.4, 0.1, None).why == f"the control period is 0.021 s, {swing}{ends}"
+    sample = "one sample of the log, as the model's fastest oscillation takes 0.0201 s"
+    assert suited(50.0, 0.1, 0.01).why == f"the control period is 0.01 s, {sample}{ends}"
+    assert suited(1.0, 0.1, 0.005).why == ""
+    sampled = "the control period is 0.04 s and not env.dt=0.05, as the log is sampled every 0.02 s"
+    assert suited(1.0, 0.1, 0.02).why == sampled
+
+
+def test_a_plan_takes_the_period_that_suits_unless_another_one_is_given():
+    model, short = known(9.4, 0.1), {"updates": 1, "rollouts": 4, "window": 5}
+    log = logged(0.005, model.signature)
+    assert dynasindy.plan(model, {"p": (-0.5, 0.5)}, log, **short).dt == pytest.approx(0.02)
+    assert dynasindy.plan(model, {"p": (-0.5, 0.5)}, log, dt=0.05, **short).dt == 0.05
+
+
+def test_a_log_tells_where_it_mostly_was():
+    """A state that passes through zero was mostly there; of another one it is the median."""
+    model = known(1.0, 0.1)
+    data = logged(0.01, model.signature).training
+    x = torch.stack([torch.linspace(2, 4, len(data)), torch.linspace(-1, 3, len(data))], -1)
+    middle = float(x[:, 0].nanmedian())
+    assert typical(replace(data, x=x), model).tolist() == [[pytest.approx(middle), 0.0]] * 2
+
+
+@pytest.mark.parametrize(
+    ("step", "period"), [(0.001, 0.01), (0.01, 0.05), (0.02, 0.04), (0.03, 0.06), (0.04, 0.04), (0.2, 0.2)]
+)
+def test_a_control_period_is_never_shorter_than_a_sample(step, period):
+    assert nearest_period(logged(step, known(1.0, 0.1).signature)) == pytest.approx(period)
+
+
+def test_a_control_period_that_is_asked_for_is_kept_whatever_the_log():
+    fast = logged(0.001, known(1.0, 0.1).signature)
+    assert nearest_period(fast, 0.05) == 0.05 and nearest_period(None) == 0.05 and nearest_period(None, 0.02) == 0.02
+    with pytest.raises(ValueError, match=r"env\.dt must be a time > 0"):
+        nearest_period(fast, 0.0)
