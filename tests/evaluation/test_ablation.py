@@ -117,6 +117,16 @@ def test_each_cell_of_the_table_is_that_of_its_column():
         assert found[words] == ("1, never" if n == 1 else f"{n}, {n}")
 
 
+def test_each_figure_at_the_level_says_so_in_its_heading(tmp_path):
+    run_folder(tmp_path / "runs", "s", 0, [0.2, 0.04, 0.04, 0.04, 0.04, 0.04])  # it goes on behind the level
+    head, _, cells = to_markdown(gather(tmp_path / "runs", tmp_path, LEVEL), LEVEL).splitlines()[-3:]
+    found = dict(zip(head.strip("| ").split(" | "), cells.strip("| ").split(" | "), strict=True))
+    assert {words.removesuffix(" to the level"): cell for words, cell in found.items() if "to the level" in words} == {
+        "real episodes": "4", "real steps": "1800", "plant time to the level [s]": "90", "gradient updates": "200",
+        "imagined transitions": "400",
+    }  # fmt: skip
+
+
 def test_figures_at_the_end_are_those_of_the_last_evaluation(tmp_path):
     run_folder(tmp_path / "runs", "s", 3, [0.5, 0.3, 0.1])
     (row,) = gather(tmp_path / "runs", tmp_path, LEVEL)
