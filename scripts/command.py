@@ -101,7 +101,10 @@ def command(
             gc.freeze()  # else the interpreter looks for a second whether anything that torch made is garbage
             if Sweep.failed:
                 folders = ", ".join(Sweep.failed)
-                print(f"error: {len(Sweep.failed)} jobs failed; error.txt says why in {folders}", file=sys.stderr)
+                Sweep.wrong.append(f"{len(Sweep.failed)} jobs failed; error.txt says why in {folders}")
+            for line in Sweep.wrong:
+                print(f"error: {line}", file=sys.stderr)
+            if Sweep.wrong:
                 sys.exit(2)
 
         return start
@@ -126,6 +129,9 @@ class Sweep(Callback):
     running: ClassVar[str | None] = None
     """Folder of the sweep that is under way."""
     failed: ClassVar[list[str]] = []
+    """Folders of the jobs that failed."""
+    wrong: ClassVar[list[str]] = []
+    """What is told as an error when all is over, a line each."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:
         """Remember the folder, and show how many of the jobs are done."""
