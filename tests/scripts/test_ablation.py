@@ -118,6 +118,22 @@ def test_jobs_that_all_fail_leave_no_tables(tmp_path):
     assert not list((tmp_path / "results").iterdir())
 
 
+def test_only_jobs_of_the_present_command_are_counted(tmp_path):
+    earlier = tmp_path / "runs" / "ablation" / "xi" / "smoke" / "direct"
+    for name in ("other", "agent.critics-0"):
+        (earlier / name / "seed_1").mkdir(parents=True)
+        (earlier / name / "seed_1" / "error.txt").write_text("error: earlier\n")
+    words = ("experiment=smoke", "system=xi", "setting=direct", "seed=1", "results=results", "agent.critics=1,0")
+    command = [sys.executable, str(SCRIPT), *words, "hydra/launcher=basic"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    last = done.stderr.strip().splitlines()[-1]
+    assert done.returncode == 2 and last == (
+        "error: 2 jobs failed; error.txt says why in runs/ablation/xi/smoke/direct/agent.critics-0/seed_1, "
+        "runs/ablation/xi/smoke/direct/agent.critics-1/seed_1"
+    )
+    assert (earlier / "other" / "seed_1" / "error.txt").read_text() == "error: earlier\n"
+
+
 def test_a_table_that_cannot_be_read_is_one_line_before_the_first_job(tmp_path):
     (tmp_path / "results").mkdir()
     (tmp_path / "results" / "ablation.csv").write_text("\n")
