@@ -41,8 +41,8 @@ os.environ["PYTHONWARNINGS"] = ",".join(
 )
 
 
-JOBS = "DYNASINDY_JOBS"
-"""Variable that tells the workers of a sweep how many jobs there are."""
+JOBS, SWEPT = "DYNASINDY_JOBS", "DYNASINDY_SWEPT"
+"""Variables that tell the workers of a sweep how many jobs there are, and in which settings they differ."""
 SHOWN = ExitStack()
 """What shows the work of the command that was started in this process."""
 
@@ -146,6 +146,7 @@ class Sweep(Callback):
             logging.getLogger(name).setLevel(logging.WARNING)
         show()
         os.environ[JOBS] = str(number_of_jobs(config.hydra))
+        os.environ[SWEPT] = " ".join(swept(config.hydra))
         folder = Path(Sweep.running)
         Sweep.earlier = {file: _written(file) for file in folder.rglob("error.txt")}
         # All ablations share a folder. To compose a job takes a fifth of a second, so it is not done for nothing.
@@ -157,8 +158,9 @@ class Sweep(Callback):
     def on_job_start(self, config: DictConfig, **kwargs: object) -> None:
         """Say which job of a sweep begins."""
         if JOBS in os.environ and config.hydra.mode == RunMode.MULTIRUN:
-            words = config.hydra.job.override_dirname.replace("__", " ")
-            print(f"Job {config.hydra.job.num + 1} of {os.environ[JOBS]}: {words}", flush=True)
+            names = os.environ[SWEPT].split()
+            words = " ".join(word for word in config.hydra.overrides.task if word.partition("=")[0] in names)
+            print(f"Job {config.hydra.job.num + 1} of {os.environ[JOBS]}{words and f': {words}'}", flush=True)
 
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
         """Look for the lines that failed jobs left; then say where the results are, and which are best."""
@@ -205,6 +207,12 @@ def needs_score(hydra_config: DictConfig) -> bool:
 def number_of_jobs(hydra_config: DictConfig) -> int:
     """Return how many jobs a sweep has; a sweeper that proposes them one by one says how many in `n_trials`."""
     return int(hydra_config.sweeper.n_trials) if needs_score(hydra_config) else len(_jobs(hydra_config))
+
+
+def swept(hydra_config: DictConfig) -> list[str]:
+    """Return the names of the settings in which the jobs of a sweep differ; the last word on each counts."""
+    given = {override.get_key_element(): override for override in _given(hydra_config)}
+    return [name for name, override in given.items() if override.is_sweep_override()]
 
 
 def _jobs(hydra_config: DictConfig) -> list[list[str]]:

@@ -109,11 +109,15 @@ print(Sweep.wrong)
 """
 
 
-def test_jobs_that_all_fail_leave_no_tables(tmp_path):
-    command = [sys.executable, str(SCRIPT), *SMALL, "hydra/launcher=basic", "agent.critics=1,0", "setting=direct"]
+def test_jobs_that_all_fail_leave_no_tables_and_each_is_named_by_what_it_has_of_its_own(tmp_path):
+    words = ("hydra/launcher=basic", "agent.critics=1,0", "setting=direct", "seed=1,2")
+    command = [sys.executable, str(SCRIPT), *SMALL, *words]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
     assert done.returncode == 2 and "Warning" not in done.stderr
-    assert done.stderr.strip().splitlines()[-1].startswith("error: 2 jobs failed; error.txt says why in ")
+    assert done.stderr.strip().splitlines()[-1].startswith("error: 4 jobs failed; error.txt says why in ")
+    own = [(critics, seed) for seed in (1, 2) for critics in (1, 0)]
+    named = {line.partition(": ")[2] for line in done.stdout.splitlines() if line.startswith("Job ")}
+    assert named == {f"seed={seed} agent.critics={critics}" for critics, seed in own}
     assert "No run in runs/ablation has finished" in done.stdout
     assert not list((tmp_path / "results").iterdir())
 

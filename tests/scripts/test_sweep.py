@@ -10,9 +10,10 @@ SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 COUNT = """
 import sys
 sys.path.insert(0, sys.argv[1])
-from command import number_of_jobs
+from command import number_of_jobs, swept
 from omegaconf import OmegaConf
-print(number_of_jobs(OmegaConf.create(sys.argv[2])))
+config = OmegaConf.create(sys.argv[2])
+print(number_of_jobs(config), *swept(config))
 """
 
 END = """
@@ -45,12 +46,13 @@ for Sweep.jobs in (None, {folder / name for name in ("again", "kept", "done", "u
 @pytest.mark.parametrize(
     ("config", "jobs"),
     [
-        ("{sweeper: {params: {seed: range(5)}}, overrides: {task: ['setting=a,b', system=xi]}}", 10),
-        ("{sweeper: {params: null}, overrides: {task: ['data.path=[1,2]']}}", 1),  # a list is one value
-        ("{sweeper: {n_trials: 7}, overrides: {task: ['seed=1,2']}}", 7),
+        ("{sweeper: {params: {seed: range(5)}}, overrides: {task: ['setting=a,b', system=xi]}}", "10 seed setting"),
+        ("{sweeper: {params: {seed: range(5)}}, overrides: {task: ['+x=a,b', seed=3]}}", "2 +x"),  # the last counts
+        ("{sweeper: {params: null}, overrides: {task: ['data.path=[1,2]']}}", "1"),  # a list is one value
+        ("{sweeper: {n_trials: 7, params: {lr: 'interval(0,1)'}}, overrides: {task: ['seed=1,2']}}", "7 lr seed"),
     ],
 )
-def test_the_jobs_of_a_sweep_are_counted(config, jobs):
+def test_the_jobs_of_a_sweep_are_counted_and_what_they_differ_in_is_named(config, jobs):
     done = subprocess.run([sys.executable, "-c", COUNT, SCRIPTS, config], capture_output=True, text=True, check=False)
     assert (done.stdout, done.stderr) == (f"{jobs}\n", "")
 
