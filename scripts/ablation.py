@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
-from command import command
+from command import Sweep, command
 from hydra.experimental.callback import Callback
 from hydra.utils import instantiate
+from mistakes import MENDABLE, in_words
 from omegaconf import DictConfig
 
 
@@ -12,14 +13,19 @@ class Gathering(Callback):
     """When every job is done, make the tables and figures of all finished runs."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
-        """Gather what lies in the folder of the sweep."""
+        """Gather what lies in the folder of the sweep; what is in the way is told as an error when all is over."""
         from dynasindy.evaluation.ablation import gather
         from dynasindy.viz.ablation import draw_ablation
 
-        results, level = Path(config.results), instantiate(config.level)
-        gather(Path(config.hydra.sweep.dir), results, level)
-        draw_ablation(results, level.error)
-        print((results / "ablation.md").read_text(), f"Tables and figures: {results}", sep="\n")
+        root, results, level = Path(config.hydra.sweep.dir), Path(config.results), instantiate(config.level)
+        try:
+            if not gather(root, results, level):
+                print(f"No run in {root} has finished, so there are no tables and figures.")
+                return
+            draw_ablation(results, level.error)
+            print((results / "ablation.md").read_text(), f"Tables and figures: {results}", sep="\n")
+        except MENDABLE as error:  # Hydra would make a warning of it, and the command would end with code 0
+            Sweep.wrong.append(in_words(error, "ablation"))
 
 
 @command("ablation")

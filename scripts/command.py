@@ -18,13 +18,15 @@ from stopping import end_with_parent, leave, listen, say, stop  # isort: split
 import hydra
 from commands import asks
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from manual import manual
 from mistakes import CONF, MENDABLE, in_words
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 from places import complete, require_writable
 from reader import while_read
 
@@ -39,8 +41,8 @@ os.environ["PYTHONWARNINGS"] = ",".join(
 )
 
 
-JOBS = "DYNASINDY_JOBS"
-"""Variable that tells the workers of a sweep how many jobs there are."""
+JOBS, SWEPT = "DYNASINDY_JOBS", "DYNASINDY_SWEPT"
+"""Variables that tell the workers of a sweep how many jobs there are, and in which settings they differ."""
 SHOWN = ExitStack()
 """What shows the work of the command that was started in this process."""
 
@@ -101,7 +103,10 @@ def command(
             gc.freeze()  # else the interpreter looks for a second whether anything that torch made is garbage
             if Sweep.failed:
                 folders = ", ".join(Sweep.failed)
-                print(f"error: {len(Sweep.failed)} jobs failed; error.txt says why in {folders}", file=sys.stderr)
+                Sweep.wrong.append(f"{len(Sweep.failed)} jobs failed; error.txt says why in {folders}")
+            for line in Sweep.wrong:
+                print(f"error: {line}", file=sys.stderr)
+            if Sweep.wrong:
                 sys.exit(2)
 
         return start
@@ -125,7 +130,14 @@ class Sweep(Callback):
     """Whether the command was started in this process."""
     running: ClassVar[str | None] = None
     """Folder of the sweep that is under way."""
+    jobs: ClassVar[set[Path] | None] = None
+    """Folders of its jobs; None where its folder holds no others, or where they are not known beforehand."""
+    earlier: ClassVar[dict[Path, int | None]] = {}
+    """The `error.txt` files of earlier commands, and when they were written [ns]."""
     failed: ClassVar[list[str]] = []
+    """Folders of the jobs that failed."""
+    wrong: ClassVar[list[str]] = []
+    """What is told as an error when all is over, a line each."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:
         """Remember the folder, and show how many of the jobs are done."""
@@ -134,18 +146,26 @@ class Sweep(Callback):
             logging.getLogger(name).setLevel(logging.WARNING)
         show()
         os.environ[JOBS] = str(number_of_jobs(config.hydra))
-        threading.Thread(target=_watch, args=(Path(Sweep.running),), daemon=True).start()
+        os.environ[SWEPT] = " ".join(swept(config.hydra))
+        folder = Path(Sweep.running)
+        Sweep.earlier = {file: _written(file) for file in folder.rglob("error.txt")}
+        # All ablations share a folder. To compose a job takes a fifth of a second, so it is not done for nothing.
+        if Sweep.earlier or any(folder.rglob("metrics.json")):
+            with suppress(*MENDABLE):  # Hydra composes the jobs, too, and then says what is wrong
+                Sweep.jobs = _folders(config, folder)
+        threading.Thread(target=_watch, args=(folder,), daemon=True).start()
 
     def on_job_start(self, config: DictConfig, **kwargs: object) -> None:
         """Say which job of a sweep begins."""
         if JOBS in os.environ and config.hydra.mode == RunMode.MULTIRUN:
-            words = config.hydra.job.override_dirname.replace("__", " ")
-            print(f"Job {config.hydra.job.num + 1} of {os.environ[JOBS]}: {words}", flush=True)
+            names = os.environ[SWEPT].split()
+            words = " ".join(word for word in config.hydra.overrides.task if word.partition("=")[0] in names)
+            print(f"Job {config.hydra.job.num + 1} of {os.environ[JOBS]}{words and f': {words}'}", flush=True)
 
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
         """Look for the lines that failed jobs left; then say where the results are, and which are best."""
         folder, Sweep.running = Path(config.hydra.sweep.dir), None
-        Sweep.failed.extend(str(file.parent) for file in sorted(folder.rglob("error.txt")))  # whatever fails below
+        Sweep.failed.extend(map(str, Sweep.came(folder)[1]))  # whatever fails below
         print(f"Sweep: {folder}")
         if (found := folder / "optimization_results.yaml").is_file():
             best = OmegaConf.load(found)
@@ -153,6 +173,25 @@ class Sweep(Callback):
                 values = " ".join(f"{name}={_short(value)}" for name, value in best.best_params.items())
                 score = _short(best.best_value)
                 print(f"Best trial: {values}, score {score}; plan with these words, and judge on another log")
+
+    @classmethod
+    def came(cls, folder: Path) -> tuple[list[Path], list[Path]]:
+        """Return the folders of the jobs of this command that are done, and of those that failed."""
+
+        def left(name: str) -> list[Path]:
+            files = folder.rglob(name) if cls.jobs is None else (job / name for job in cls.jobs)
+            return sorted(file.parent for file in files if _written(file) not in (None, cls.earlier.get(file)))
+
+        failed = left("error.txt")
+        return [job for job in left("metrics.json") if job not in failed], failed
+
+
+def _written(file: Path) -> int | None:
+    """Return when a file was written [ns], None if it is not there: a job may just have removed it."""
+    try:
+        return file.stat().st_mtime_ns
+    except OSError:
+        return None
 
 
 def _short(value: object) -> str:
@@ -167,18 +206,45 @@ def needs_score(hydra_config: DictConfig) -> bool:
 
 def number_of_jobs(hydra_config: DictConfig) -> int:
     """Return how many jobs a sweep has; a sweeper that proposes them one by one says how many in `n_trials`."""
-    if needs_score(hydra_config):
-        return int(hydra_config.sweeper.n_trials)
+    return int(hydra_config.sweeper.n_trials) if needs_score(hydra_config) else len(_jobs(hydra_config))
+
+
+def swept(hydra_config: DictConfig) -> list[str]:
+    """Return the names of the settings in which the jobs of a sweep differ; the last word on each counts."""
+    given = {override.get_key_element(): override for override in _given(hydra_config)}
+    return [name for name, override in given.items() if override.is_sweep_override()]
+
+
+def _jobs(hydra_config: DictConfig) -> list[list[str]]:
+    """Return the settings of each job of a sweep that does not need their scores."""
+    (jobs,) = BasicSweeper.split_arguments(_given(hydra_config), None)
+    return jobs
+
+
+def _given(hydra_config: DictConfig) -> list[Override]:
+    """Return the settings that a sweep was given, the sweeper's own first."""
     words = [*(f"{name}={value}" for name, value in (hydra_config.sweeper.params or {}).items())]
-    words += hydra_config.overrides.task
-    overrides = OverridesParser.create().parse_overrides(words)
-    return sum(len(batch) for batch in BasicSweeper.split_arguments(overrides, None))
+    return OverridesParser.create().parse_overrides([*words, *hydra_config.overrides.task])
+
+
+def _folders(config: DictConfig, folder: Path) -> set[Path] | None:
+    """Return the folder of each job of a sweep, None where they are not known beforehand."""
+    if needs_score(config.hydra):
+        return None
+    load = GlobalHydra.instance().config_loader().load_sweep_config
+    folders = set()
+    for number, words in enumerate(_jobs(config.hydra)):
+        job = load(config, words)
+        with open_dict(job):
+            job.hydra.job.num = number
+        folders.add(folder / job.hydra.sweep.subdir)
+    return folders
 
 
 def _watch(folder: Path) -> None:
     """Tell how many jobs of a sweep have left their results, wherever they run."""
     while Sweep.running:
-        done, failed = (sum(1 for _ in folder.rglob(name)) for name in ("metrics.json", "error.txt"))
+        done, failed = map(len, Sweep.came(folder))
         words = f"{failed} failed" if failed else ""
         tell("sweep", done, int(os.environ[JOBS]), "jobs", words, around=True)
         time.sleep(1.0)

@@ -58,3 +58,6 @@ def _check(config: DictConfig) -> None:
         results.mkdir(parents=True, exist_ok=True)
         with TemporaryFile(dir=results):  # permissions alone do not tell
             pass
+        from dynasindy.evaluation.ablation import read_tables
+
+        read_tables(results)  # one that is damaged is told now, and not after hours of runs

@@ -13,19 +13,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dynasindy.evaluation.files import whole, write_text
-from dynasindy.evaluation.given import read_cells, read_record, understood
+from dynasindy.evaluation.given import DamagedFileError, read_cells, read_record, understood
 from dynasindy.evaluation.table import markdown, over_seeds, overrides
 
 Row = dict[str, str | float | None]
 KEY = ("system", "experiment", "setting")
 TEXT = (*KEY, "commit")
 ERROR = "steady_state_error"
+TABLE, CURVES = "ablation.csv", "ablation_curves.csv"
 SUMMARY = {
     "episodes_to_level": "real episodes to the level",
-    "real_steps_to_level": "real steps",
-    "plant_seconds_to_level": "plant time [s]",
-    "updates_to_level": "gradient updates",
-    "imagined_to_level": "imagined transitions",
+    "real_steps_to_level": "real steps to the level",
+    "plant_seconds_to_level": "plant time to the level [s]",
+    "updates_to_level": "gradient updates to the level",
+    "imagined_to_level": "imagined transitions to the level",
     "area_under_curve": "area under the curve",
     "final_return": "final return",
     ERROR: "steady-state error [rad]",
@@ -66,7 +67,7 @@ class Level:
 
 
 def gather(root: Path, results: Path, level: Level) -> list[Row]:
-    """Write `ablation.csv`, `ablation_curves.csv` and `ablation.md` from all finished runs.
+    """Write `ablation.csv`, `ablation_curves.csv` and `ablation.md` from all finished runs; nothing if there is none.
 
     Rows of settings that have no run in `root` stay as they are in the tables.
 
@@ -76,15 +77,31 @@ def gather(root: Path, results: Path, level: Level) -> list[Row]:
         level: The required level.
 
     Returns:
-        The rows of `ablation.csv`.
+        The rows of `ablation.csv`; none where no run in `root` has finished.
+
+    Raises:
+        DamagedFileError: A table that is there, or what a run wrote, cannot be read; all files stay as they are.
     """
     runs = [_read_run(file.parent, root, level) for file in sorted(root.rglob("metrics.json"))]
-    curves = [line for _, lines in runs for line in lines]
-    write_rows(results / "ablation_curves.csv", _merged(read_rows(results / "ablation_curves.csv"), curves))
-    rows = _merged(read_rows(results / "ablation.csv"), [row for row, _ in runs])
-    write_rows(results / "ablation.csv", rows)
-    write_text(results / "ablation.md", to_markdown(rows, level))
+    if not runs:
+        return []
+    before, curves_before = read_tables(results)
+    rows = _merged(before, [row for row, _ in runs])
+    with understood(results / TABLE):
+        text = to_markdown(rows, level)
+    write_rows(results / CURVES, _merged(curves_before, [line for _, lines in runs for line in lines]))
+    write_rows(results / TABLE, rows)
+    write_text(results / "ablation.md", text)
     return rows
+
+
+def read_tables(results: Path) -> tuple[list[Row], list[Row]]:
+    """Return the rows of `ablation.csv` and of `ablation_curves.csv`, none where there is no such file.
+
+    Raises:
+        DamagedFileError: One of them cannot be read; the message says how it can be made anew.
+    """
+    return _read_table(results / TABLE), _read_table(results / CURVES)
 
 
 def summarise_run(curve: Sequence[Mapping[str, float | None]], level: Level) -> Row:
@@ -119,7 +136,7 @@ def to_markdown(rows: Iterable[Row], level: Level) -> str:
     """Return a table of the figures over seeds, a row per setting."""
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
-        groups.setdefault(tuple(str(row[key]) for key in KEY), []).append(row)
+        groups.setdefault(_key(row), []).append(row)
     lines = [
         f"Level: mean abs steady-state error of every axis at or under {level.error:g} rad in {level.consecutive} "
         "evaluations in a row.",
@@ -158,6 +175,20 @@ def write_rows(path: Path, rows: Sequence[Row]) -> None:
             writer.writerow({k: f"{v:.7g}" if isinstance(v, float) else v for k, v in row.items()})
 
 
+def _read_table(path: Path) -> list[Row]:
+    try:
+        with understood(path):
+            rows = read_rows(path)
+            for row in rows:
+                _key(row)  # what it lacks is told here
+    except DamagedFileError as error:
+        raise DamagedFileError(
+            f"{error}. To make it again, move it to another place and give the same command: finished runs are not "
+            "repeated, and their rows are written anew"
+        ) from error
+    return rows
+
+
 def _read_run(folder: Path, root: Path, level: Level) -> tuple[Row, list[Row]]:
     """Return the row of a run and those of its evaluated episodes.
 
@@ -190,9 +221,13 @@ def _curve(folder: Path) -> list[dict[str, float | None]]:
 
 
 def _merged(old: Sequence[Row], new: Sequence[Row]) -> list[Row]:
-    found = {tuple(row[key] for key in KEY) for row in new}
-    kept = [row for row in old if tuple(row[key] for key in KEY) not in found]
-    return sorted([*kept, *new], key=lambda row: [str(row[key]) for key in KEY])
+    found = {_key(row) for row in new}
+    kept = [row for row in old if _key(row) not in found]
+    return sorted([*kept, *new], key=_key)
+
+
+def _key(row: Row) -> tuple[str, ...]:
+    return tuple(str(row[key]) for key in KEY)
 
 
 def _worst(line: Mapping[str, float | None]) -> float:

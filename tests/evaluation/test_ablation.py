@@ -6,6 +6,7 @@ import math
 import pytest
 
 from dynasindy.evaluation.ablation import SUMMARY, Level, gather, read_rows, summarise_run, to_markdown
+from dynasindy.evaluation.given import DamagedFileError
 
 LEVEL = Level(0.05, 3)
 HEADER = (
@@ -63,6 +64,36 @@ def test_a_run_that_has_not_ended_is_no_row(tmp_path):
     assert [row["seed"] for row in gather(tmp_path / "runs", tmp_path, LEVEL)] == [0]
 
 
+def test_where_no_run_has_ended_nothing_is_written(tmp_path):
+    (run_folder(tmp_path / "runs", "s", 0, [0.04]) / "metrics.json").unlink()
+    assert gather(tmp_path / "runs", tmp_path / "results", LEVEL) == []
+    assert not (tmp_path / "results").exists()
+
+
+@pytest.mark.parametrize("name", ["ablation.csv", "ablation_curves.csv"])
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("\n", "its first line is no line of different headings"),
+        ("system,setting\nxi,s\n", "it lacks 'experiment'"),
+        ("system,experiment,setting,seed\nxi,dyna,s,one\n", "could not convert"),
+    ],
+)
+def test_a_table_that_cannot_be_read_is_told_and_no_file_changes(tmp_path, name, text, why):
+    run_folder(tmp_path / "one", "a", 0, [0.04])
+    gather(tmp_path / "one", tmp_path, LEVEL)
+    (tmp_path / name).write_text(text)
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir() if file.is_file()}
+    run_folder(tmp_path / "two", "b", 0, [0.04])
+    with pytest.raises(DamagedFileError) as told:
+        gather(tmp_path / "two", tmp_path, LEVEL)
+    assert str(tmp_path / name) in str(told.value) and why in str(told.value)
+    assert "move it to another place and give the same command" in str(told.value)
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir() if file.is_file()} == before
+    (tmp_path / name).rename(tmp_path / "moved")
+    assert {row["setting"] for row in gather(tmp_path / "two", tmp_path, LEVEL)} >= {"b"}
+
+
 def test_rows_of_other_settings_stay_and_those_of_the_same_are_replaced(tmp_path):
     run_folder(tmp_path / "one", "a", 0, [0.04])
     run_folder(tmp_path / "one", "b", 0, [0.04])
@@ -115,6 +146,16 @@ def test_each_cell_of_the_table_is_that_of_its_column():
     }  # fmt: skip
     for n, words in enumerate(SUMMARY.values(), start=1):
         assert found[words] == ("1, never" if n == 1 else f"{n}, {n}")
+
+
+def test_each_figure_at_the_level_says_so_in_its_heading(tmp_path):
+    run_folder(tmp_path / "runs", "s", 0, [0.2, 0.04, 0.04, 0.04, 0.04, 0.04])  # it goes on behind the level
+    head, _, cells = to_markdown(gather(tmp_path / "runs", tmp_path, LEVEL), LEVEL).splitlines()[-3:]
+    found = dict(zip(head.strip("| ").split(" | "), cells.strip("| ").split(" | "), strict=True))
+    assert {words.removesuffix(" to the level"): cell for words, cell in found.items() if "to the level" in words} == {
+        "real episodes": "4", "real steps": "1800", "plant time to the level [s]": "90", "gradient updates": "200",
+        "imagined transitions": "400",
+    }  # fmt: skip
 
 
 def test_figures_at_the_end_are_those_of_the_last_evaluation(tmp_path):

@@ -96,6 +96,70 @@ def test_a_job_in_lockstep_that_diverges_under_way_leaves_its_word_and_the_other
     assert len(jobs(tmp_path)) == 2
 
 
+GATHER = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from ablation import Gathering
+from command import Sweep
+from omegaconf import OmegaConf
+config = {"hydra": {"sweep": {"dir": "runs"}}, "results": "results"}
+config["level"] = {"_target_": "dynasindy.evaluation.ablation.Level"}
+Gathering().on_multirun_end(OmegaConf.create(config))
+print(Sweep.wrong)
+"""
+
+
+def test_jobs_that_all_fail_leave_no_tables_and_each_is_named_by_what_it_has_of_its_own(tmp_path):
+    words = ("hydra/launcher=basic", "agent.critics=1,0", "setting=direct", "seed=1,2")
+    command = [sys.executable, str(SCRIPT), *SMALL, *words]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 2 and "Warning" not in done.stderr
+    assert done.stderr.strip().splitlines()[-1].startswith("error: 4 jobs failed; error.txt says why in ")
+    own = [(critics, seed) for seed in (1, 2) for critics in (1, 0)]
+    named = {line.partition(": ")[2] for line in done.stdout.splitlines() if line.startswith("Job ")}
+    assert named == {f"seed={seed} agent.critics={critics}" for critics, seed in own}
+    assert "No run in runs/ablation has finished" in done.stdout
+    assert not list((tmp_path / "results").iterdir())
+
+
+def test_only_jobs_of_the_present_command_are_counted(tmp_path):
+    earlier = tmp_path / "runs" / "ablation" / "xi" / "smoke" / "direct"
+    for name in ("other", "agent.critics-0"):
+        (earlier / name / "seed_1").mkdir(parents=True)
+        (earlier / name / "seed_1" / "error.txt").write_text("error: earlier\n")
+    words = ("experiment=smoke", "system=xi", "setting=direct", "seed=1", "results=results", "agent.critics=1,0")
+    command = [sys.executable, str(SCRIPT), *words, "hydra/launcher=basic"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    last = done.stderr.strip().splitlines()[-1]
+    assert done.returncode == 2 and last == (
+        "error: 2 jobs failed; error.txt says why in runs/ablation/xi/smoke/direct/agent.critics-0/seed_1, "
+        "runs/ablation/xi/smoke/direct/agent.critics-1/seed_1"
+    )
+    assert (earlier / "other" / "seed_1" / "error.txt").read_text() == "error: earlier\n"
+
+
+def test_a_table_that_cannot_be_read_is_one_line_before_the_first_job(tmp_path):
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "ablation.csv").write_text("\n")
+    command = [sys.executable, str(SCRIPT), *SMALL, "hydra/launcher=basic"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 2 and "Job 1" not in done.stdout
+    (line,) = [line for line in done.stderr.splitlines() if not line.startswith("sweep: ")]
+    assert line.startswith("error: results/ablation.csv is damaged") and "To make it again" in line
+    assert (tmp_path / "results" / "ablation.csv").read_text() == "\n"
+    assert not jobs(tmp_path)
+
+
+def test_a_run_that_cannot_be_read_at_the_end_is_a_line_and_no_warning(tmp_path):
+    folder = tmp_path / "runs" / "xi" / "dyna" / "s" / "seed_0"
+    folder.mkdir(parents=True)
+    (folder / "metrics.json").write_text("{")
+    done = subprocess.run([sys.executable, "-c", GATHER, SCRIPT.parent], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+    assert done.stdout.startswith("['runs/xi/dyna/s/seed_0/metrics.json is damaged") and done.stdout.count("\n") == 1
+    assert not (tmp_path / "results").exists()
+
+
 def test_a_device_that_is_not_there_costs_one_line(tmp_path):
     command = [sys.executable, str(SCRIPT), *SMALL, "hydra/launcher=together", "device=tpu"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)

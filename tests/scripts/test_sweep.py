@@ -10,9 +10,10 @@ SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 COUNT = """
 import sys
 sys.path.insert(0, sys.argv[1])
-from command import number_of_jobs
+from command import number_of_jobs, swept
 from omegaconf import OmegaConf
-print(number_of_jobs(OmegaConf.create(sys.argv[2])))
+config = OmegaConf.create(sys.argv[2])
+print(number_of_jobs(config), *swept(config))
 """
 
 END = """
@@ -28,15 +29,30 @@ print(Sweep.failed)
 """
 
 
+CAME = """
+import os, sys
+sys.path.insert(0, sys.argv[1])
+from pathlib import Path
+from command import Sweep
+folder = Path(sys.argv[2])
+Sweep.earlier = {file: file.stat().st_mtime_ns for file in folder.rglob("error.txt")}
+again = folder / "again" / "error.txt"
+os.utime(again, ns=(0, Sweep.earlier[again] + 1))
+for Sweep.jobs in (None, {folder / name for name in ("again", "kept", "done", "unbegun")}):
+    print(*("/".join(job.name for job in jobs) for jobs in Sweep.came(folder)))
+"""
+
+
 @pytest.mark.parametrize(
     ("config", "jobs"),
     [
-        ("{sweeper: {params: {seed: range(5)}}, overrides: {task: ['setting=a,b', system=xi]}}", 10),
-        ("{sweeper: {params: null}, overrides: {task: ['data.path=[1,2]']}}", 1),  # a list is one value
-        ("{sweeper: {n_trials: 7}, overrides: {task: ['seed=1,2']}}", 7),
+        ("{sweeper: {params: {seed: range(5)}}, overrides: {task: ['setting=a,b', system=xi]}}", "10 seed setting"),
+        ("{sweeper: {params: {seed: range(5)}}, overrides: {task: ['+x=a,b', seed=3]}}", "2 +x"),  # the last counts
+        ("{sweeper: {params: null}, overrides: {task: ['data.path=[1,2]']}}", "1"),  # a list is one value
+        ("{sweeper: {n_trials: 7, params: {lr: 'interval(0,1)'}}, overrides: {task: ['seed=1,2']}}", "7 lr seed"),
     ],
 )
-def test_the_jobs_of_a_sweep_are_counted(config, jobs):
+def test_the_jobs_of_a_sweep_are_counted_and_what_they_differ_in_is_named(config, jobs):
     done = subprocess.run([sys.executable, "-c", COUNT, SCRIPTS, config], capture_output=True, text=True, check=False)
     assert (done.stdout, done.stderr) == (f"{jobs}\n", "")
 
@@ -60,3 +76,12 @@ def test_the_end_of_a_sweep_tells_the_best_trial_and_knows_the_failed_jobs(tmp_p
     (tmp_path / "1" / "error.txt").write_text("error: a job\n")
     done = subprocess.run([sys.executable, "-c", END, SCRIPTS, tmp_path], capture_output=True, text=True, check=False)
     assert (done.stdout, done.stderr) == (f"Sweep: {tmp_path}\n{said}['{tmp_path / '1'}']\n", "")
+
+
+def test_a_job_counts_as_failed_only_by_a_line_of_this_command_and_as_done_only_if_it_is_one_of_it(tmp_path):
+    files = ("again/error.txt", "again/metrics.json", "kept/error.txt", "done/metrics.json", "other/metrics.json")
+    for file in files:
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        (tmp_path / file).write_text("error: a job\n")
+    done = subprocess.run([sys.executable, "-c", CAME, SCRIPTS, tmp_path], capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("done/other again\ndone again\n", "")
