@@ -92,7 +92,7 @@ def infer(
         raise ValueError(_lacking(path, look, clock.heading, list(left), list(found), out))
     if notes is not None:
         notes += out
-    return with_units(left, given, states=True), with_units(found, given, states=False)
+    return with_units(left, given, states=True, rotors=False), with_units(found, given, states=False)
 
 
 def _names(named: Collection[str]) -> set[str]:
