@@ -49,7 +49,8 @@ def infer(
     """Read the columns of states and inputs off the headings of a file, `name` or `name [unit]`.
 
     Inputs, unless they are named, are called u, u1, u_..., or input...; references, predictions, columns without any
-    number and those that never change are left out; all other columns but time are states, unless they are named.
+    number, those that never change and those that count the rows are left
+    out; all other columns but time are states, unless they are named.
 
     Args:
         path: the file.
@@ -79,15 +80,17 @@ def infer(
         )
     named = {*_names(inputs or ()), *_names(states or ())}
     still = {name: look.still[c.name] for name, c in others.items() if c.name in look.still and name not in named}
+    counts = [name for name, c in others.items() if c.name in look.counting and name not in named]
     if inputs is None:
-        found = {n: c for n, c in others.items() if INPUT.fullmatch(n) and n not in still}
+        found = {n: c for n, c in others.items() if INPUT.fullmatch(n) and n not in {*still, *counts}}
     else:
         found = chosen(others, inputs, path, "data.inputs")
-    left = {n: c for n, c in others.items() if n not in found and n not in still}
+    left = {n: c for n, c in others.items() if n not in found and n not in {*still, *counts}}
     if states is not None:
         left = chosen(left, states, path, "data.states")
         still = {name: value for name, value in still.items() if INPUT.fullmatch(name)}
-    out = _left_out(still, words)
+        counts = [name for name in counts if INPUT.fullmatch(name)]
+    out = _left_out(still, counts, words)
     if not left or not found or clock.heading not in look.headings:
         raise ValueError(_lacking(path, look, clock.heading, list(left), list(found), out))
     if notes is not None:
@@ -99,12 +102,18 @@ def _names(named: Collection[str]) -> set[str]:
     return {split_unit(name)[0] for name in named}
 
 
-def _left_out(still: Mapping[str, float], words: Mapping[str, str]) -> list[str]:
+def _left_out(still: Mapping[str, float], counts: Sequence[str], words: Mapping[str, str]) -> list[str]:
     """Say which columns were left out, and why."""
     notes = []
     if still:
         told = ", ".join(f"{name} ({value:g} in all rows)" for name, value in still.items())
         notes.append(f"left out, as what never changes tells nothing of the plant: {told}")
+    if counts:
+        told, grow = ", ".join(counts), "it grows" if len(counts) == 1 else "they grow"
+        notes.append(
+            f"left out, as {grow} by exactly one in each row, as a counter of rows does: {told}; data.states or "
+            "data.inputs may name it all the same"
+        )
     if words:
         told = ", ".join(f"{name} ({text!r})" for name, text in words.items())
         notes.append(
@@ -120,7 +129,7 @@ def _lacking(
     timed = clock in look.headings
     begin = f"{path} has the columns {', '.join(look.headings)}, with numbers in {', '.join(look.numeric) or 'none'}"
     left_out = "".join(f" {note[:1].upper()}{note[1:]}." for note in out)
-    moving = [name for name in look.numeric if name not in look.still and name != clock]
+    moving = [name for name in look.numeric if name not in {*look.still, *look.counting, clock}]
     if timed and len(moving) < 2:
         beside = f"besides {clock}, the time, {f'only {moving[0]}' if moving else 'nothing'} changes"
         return (

@@ -22,7 +22,8 @@ def guessed(path: Path, look: Survey, time: str | None, inputs: Sequence[str]) -
 
     Time is a column of dates, or the first column that grows all along, one that counts rows only where there is no
     other. The input is the column that is held longest, as only levels of an actuator are, or else the last one. Both
-    are guesses, and what was found by its heading is none. A column that never changes is neither input nor state.
+    are guesses, and what was found by its heading is none. A column that never changes or counts the rows is neither
+    input nor state.
 
     Args:
         path: The file.
@@ -39,7 +40,7 @@ def guessed(path: Path, look: Survey, time: str | None, inputs: Sequence[str]) -
     growing = [heading for heading, column in columns.items() if _grows(column)]
     if time is None:
         time = next(iter([*look.dated, *sorted(growing, key=lambda heading: is_counter(columns[heading]))]), None)
-    names = [split_unit(heading)[0] for heading in columns if heading != time]
+    names = [split_unit(heading)[0] for heading in columns if heading not in (time, *look.counting)]
     hints = []
     if time in growing and not parts_of(time)[1] and is_counter(columns[time]):
         hints.append(f"{time} holds whole numbers, as a counter does: if it counts rows, give data.dt, too, in seconds")
