@@ -73,6 +73,8 @@ def infer(
         if heading != clock.heading and name != clock.heading and not name.startswith(("reference_", "predicted_"))
     }
     words = {split_unit(h)[0]: t for h, t in look.worded.items() if clock.heading not in (h, split_unit(h)[0])}
+    dates = [split_unit(h)[0] for h in look.dated if split_unit(h)[0] in words]
+    timed = clock.heading in look.headings
     if worded := [name for name in words if (INPUT.fullmatch(name) if inputs is None else name in _names(inputs))]:
         raise ValueError(
             f"{path}: the input {worded[0]} holds words, such as {words[worded[0]]!r}; allowed are numbers: write them "
@@ -90,8 +92,10 @@ def infer(
         left = chosen(left, states, path, "data.states")
         still = {name: value for name, value in still.items() if INPUT.fullmatch(name)}
         counts = [name for name in counts if INPUT.fullmatch(name)]
-    out = _left_out(still, counts, words)
-    if not left or not found or clock.heading not in look.headings:
+    out = _left_out(still, counts, {name: text for name, text in words.items() if name not in dates})
+    if dates := dates if timed else dates[1:]:  # the first is the time where nothing else is
+        out.append(f"left out, as dates are read only where they are the time: {', '.join(dates)}")
+    if not left or not found or not timed:
         raise ValueError(_lacking(path, look, clock.heading, list(left), list(found), out))
     if notes is not None:
         notes += out
