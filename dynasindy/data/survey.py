@@ -9,6 +9,9 @@ from pathlib import Path
 from dynasindy.data.dates import seconds_of_date
 from dynasindy.data.table import number, rows_of, split_unit
 
+COUNTED = 5
+"""Rows from which on a column that grows by one in each is a counter; fewer may do so by chance."""
+
 
 @dataclass(frozen=True)
 class Survey:
@@ -48,14 +51,15 @@ def survey(path: Path) -> Survey:
     began: dict[int, int] = {}
     texts: dict[int, str] = {}
     still, counting = set(range(len(headings))), set(range(len(headings)))
+    passed = dict.fromkeys(counting, 0)
     for place, (_, row) in enumerate(rows):
         for k in [k for k in still | counting if k < len(row)]:
             value = number(row[k])
             if not math.isnan(value):
-                passed = place - began.setdefault(k, place)
+                passed[k] = place - began.setdefault(k, place)
                 if value != first.setdefault(k, value):
                     still.discard(k)
-                if value != first[k] + passed:
+                if value != first[k] + passed[k]:
                     counting.discard(k)
             elif row[k].strip().lower() not in ("", "nan"):
                 texts.setdefault(k, row[k].strip()[:40])
@@ -70,5 +74,5 @@ def survey(path: Path) -> Survey:
         {headings[k]: first[k] for k in sorted(still & first.keys()) if headings[k]},
         worded,
         tuple(heading for heading, text in worded.items() if not math.isnan(seconds_of_date(text))),
-        tuple(headings[k] for k in sorted((counting - still) & first.keys()) if headings[k]),
+        tuple(headings[k] for k in sorted(counting & first.keys()) if headings[k] and passed[k] + 1 >= COUNTED),
     )
