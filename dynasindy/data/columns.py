@@ -49,7 +49,8 @@ def infer(
     """Read the columns of states and inputs off the headings of a file, `name` or `name [unit]`.
 
     Inputs, unless they are named, are called u, u1, u_..., or input...; references, predictions, columns without any
-    number and those that never change are left out; all other columns but time are states, unless they are named.
+    number, those that never change and those that count the rows are left
+    out; all other columns but time are states, unless they are named.
 
     Args:
         path: the file.
@@ -72,6 +73,8 @@ def infer(
         if heading != clock.heading and name != clock.heading and not name.startswith(("reference_", "predicted_"))
     }
     words = {split_unit(h)[0]: t for h, t in look.worded.items() if clock.heading not in (h, split_unit(h)[0])}
+    dates = [split_unit(h)[0] for h in look.dated if split_unit(h)[0] in words]
+    timed = clock.heading in look.headings
     if worded := [name for name in words if (INPUT.fullmatch(name) if inputs is None else name in _names(inputs))]:
         raise ValueError(
             f"{path}: the input {worded[0]} holds words, such as {words[worded[0]]!r}; allowed are numbers: write them "
@@ -79,32 +82,42 @@ def infer(
         )
     named = {*_names(inputs or ()), *_names(states or ())}
     still = {name: look.still[c.name] for name, c in others.items() if c.name in look.still and name not in named}
+    counts = [name for name, c in others.items() if c.name in look.counting and name not in named]
     if inputs is None:
-        found = {n: c for n, c in others.items() if INPUT.fullmatch(n) and n not in still}
+        found = {n: c for n, c in others.items() if INPUT.fullmatch(n) and n not in {*still, *counts}}
     else:
         found = chosen(others, inputs, path, "data.inputs")
-    left = {n: c for n, c in others.items() if n not in found and n not in still}
+    left = {n: c for n, c in others.items() if n not in found and n not in {*still, *counts}}
     if states is not None:
         left = chosen(left, states, path, "data.states")
         still = {name: value for name, value in still.items() if INPUT.fullmatch(name)}
-    out = _left_out(still, words)
-    if not left or not found or clock.heading not in look.headings:
+        counts = [name for name in counts if INPUT.fullmatch(name)]
+    out = _left_out(still, counts, {name: text for name, text in words.items() if name not in dates})
+    if dates := dates if timed else dates[1:]:  # the first is the time where nothing else is
+        out.append(f"left out, as dates are read only where they are the time: {', '.join(dates)}")
+    if not left or not found or not timed:
         raise ValueError(_lacking(path, look, clock.heading, list(left), list(found), out))
     if notes is not None:
         notes += out
-    return with_units(left, given, states=True), with_units(found, given, states=False)
+    return with_units(left, given, states=True, rotors=False), with_units(found, given, states=False)
 
 
 def _names(named: Collection[str]) -> set[str]:
     return {split_unit(name)[0] for name in named}
 
 
-def _left_out(still: Mapping[str, float], words: Mapping[str, str]) -> list[str]:
+def _left_out(still: Mapping[str, float], counts: Sequence[str], words: Mapping[str, str]) -> list[str]:
     """Say which columns were left out, and why."""
     notes = []
     if still:
         told = ", ".join(f"{name} ({value:g} in all rows)" for name, value in still.items())
         notes.append(f"left out, as what never changes tells nothing of the plant: {told}")
+    if counts:
+        told, grow = ", ".join(counts), "it grows" if len(counts) == 1 else "they grow"
+        notes.append(
+            f"left out, as {grow} by exactly one in each row, as a counter of rows does: {told}; data.states or "
+            "data.inputs may name it all the same"
+        )
     if words:
         told = ", ".join(f"{name} ({text!r})" for name, text in words.items())
         notes.append(
@@ -120,7 +133,7 @@ def _lacking(
     timed = clock in look.headings
     begin = f"{path} has the columns {', '.join(look.headings)}, with numbers in {', '.join(look.numeric) or 'none'}"
     left_out = "".join(f" {note[:1].upper()}{note[1:]}." for note in out)
-    moving = [name for name in look.numeric if name not in look.still and name != clock]
+    moving = [name for name in look.numeric if name not in {*look.still, *look.counting, clock}]
     if timed and len(moving) < 2:
         beside = f"besides {clock}, the time, {f'only {moving[0]}' if moving else 'nothing'} changes"
         return (

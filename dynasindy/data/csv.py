@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from dynasindy.data.clock import CLOCK, clock_of, in_seconds
 from dynasindy.data.columns import Column, columns_of, require_names
 from dynasindy.data.ends import reaches, scaled
+from dynasindy.data.rates import turning
 from dynasindy.data.resampled import evened, stretches
 from dynasindy.data.table import MAP, Table, all_headings, read_table
-from dynasindy.data.units import conversions, with_units
+from dynasindy.data.units import conversions, undecided, with_units
 from dynasindy.durations import in_words
 from dynasindy.systems.base import Signature
 from dynasindy.systems.reach import acting
@@ -111,8 +112,8 @@ class CsvLog:
         table = read_table(Path(self.path), names)
         notes += table.words
         table = self._complete(table, notes)
-        states, inputs = with_units(states, table.headings, True), with_units(inputs, table.headings, False)
-        notes += conversions(states, table.headings)
+        states = with_units(states, table.headings, True, rotors=False)
+        inputs, converted = with_units(inputs, table.headings, False), len(notes) + 1
         t, said = in_seconds(self.path, table, clock, self.dt)
         self._check_time(t, table)
         notes.insert(0, said)
@@ -123,6 +124,8 @@ class CsvLog:
         u = scaled(u, found)
         dt = float(np.median(np.diff(t))) if self.dt is None else self.dt
         t, x, u, segment = evened(t, x, u, dt, notes)
+        states = _decided(states, table.headings, x, segment, dt)
+        notes[converted:converted] = conversions(states, table.headings)
         free = ~_stuck(x, notes)
         full = _with_rates(x, states, segment, dt, notes)
         seen = [bool(c.name or c.derivative_of) for c in states.values()]
@@ -167,6 +170,23 @@ class CsvLog:
                 f"{self.path}, line {table.lines[k + 1]}, column {table.headings[0]}: time does not increase, "
                 f"{t[k + 1]:g} s follows {t[k]:g} s; allowed is increasing time: sort the rows or split the recordings"
             )
+
+
+def _decided(
+    states: dict[str, Column], headings: Sequence[str], x: dict[str, Array], segment: NDArray[np.int64], dt: float
+) -> dict[str, Column]:
+    """Return the states, turns per minute in rad/s where they are the slope of an angle, and scale these samples."""
+    if not (speeds := undecided(states, headings)):
+        return states
+    names = [name for name in x if states[name].unit == "rad" or name in speeds]
+    samples = np.stack([x[name] for name in names], -1)
+    data = _transitions(samples, samples[:, :0], segment, np.ones(len(segment), dtype=bool), dt)
+    places = [[k for k, name in enumerate(names) if (name in speeds) == fast] for fast in (False, True)]
+    known = {names[angle]: names[speed] for angle, speed in turning(data, *places).items()}
+    found = with_units(states, headings, True, known)
+    for name in speeds:
+        x[name] = x[name] * found[name].scale
+    return found
 
 
 def _stuck(x: dict[str, Array], notes: list[str]) -> NDArray[np.bool_]:

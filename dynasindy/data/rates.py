@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -34,6 +34,10 @@ NAMED = ("{}_rate", "{}_dot", "{}dot", "d{}", "d_{}", "{}_vel", "{}_velocity", "
 """How the rate of a state is called."""
 PLAIN = ("rate", "velocity", "speed")
 """What a rate is called that may be that of any state."""
+RPM = 2 * math.pi / 60
+"""A turn per minute [rad/s]."""
+NEAR = 0.05
+"""Part by which a factor that the log tells may differ from one whose cause is known."""
 KINDS = (("rad", "mrad", "deg", "degree", "degrees", "°", "rev", "turn", "turns"), ("m", "cm", "mm", "km"))
 """Units of one kind."""
 PER_TIME = re.compile(r"(.+)/(s|sec|ms|min|h)")
@@ -43,7 +47,7 @@ NO_TIE = (0.0, 0.0)
 CAUSES = {
     180 / math.pi: "degrees beside rad/s",
     math.pi / 180: "rad beside degrees per second",
-    2 * math.pi / 60: "rad beside rpm",
+    RPM: "rad beside rpm",
     6.0: "degrees beside rpm",
     1 / 60: "a rate per minute",
     2 * math.pi: "rad beside revolutions per second",
@@ -88,11 +92,18 @@ class Mismatch:
             f"be the cause, too; if so, give {self.rate} a unit of its own, such as 'motor rad/s', and this is not said"
         )
 
+    @property
+    def likely(self) -> float:
+        """The factor that the rate lacks: that of the likely cause, or else the one of the log to three digits."""
+        size = abs(self.factor)
+        near = min(CAUSES, key=lambda known: abs(math.log(size / known)))
+        return math.copysign(near if abs(math.log(size / near)) < NEAR else float(f"{size:.3g}"), self.factor)
+
     def _cause(self) -> str:
         """Say what the factor comes from, its sign too."""
         size, turned = abs(self.factor), self.factor < 0
         near = min(CAUSES, key=lambda known: abs(math.log(size / known)))
-        if abs(math.log(size / near)) >= 0.05:
+        if abs(math.log(size / near)) >= NEAR:
             return "in which units are they" + ", and which one is counted the other way" * turned
         return CAUSES[near] + ", and one of them counted the other way" * (turned and near != 1.0)
 
@@ -163,6 +174,38 @@ def mismatched(data: Transitions, signature: Signature, known: Mapping[str, str]
         state, tie = max(ties.items(), key=lambda item: abs(item[1][1]), default=("", NO_TIE))
         if abs(tie[1]) > (TIED if sure else ALIKE) and not 1 / CLEAR < tie[0] < CLEAR:
             found.append(Mismatch(state, rate, tie[0], guessed=not sure))
+    return found
+
+
+def misfit(data: Transitions, signature: Signature, known: Mapping[str, str]) -> list[Mismatch]:
+    """Return the rates that are known to be those of a state and are clearly in other units, or of the other sign.
+
+    Where the log contradicts that the two belong together, nothing is told of their units.
+
+    Args:
+        data: The recording.
+        signature: Names and units of the states.
+        known: The rate of each state; other equations tell nothing.
+    """
+    pairs = {s: rate for s, rate in known.items() if {s, rate} <= set(signature.state_names)}
+    wrong = contradicted(data, signature, pairs)
+    return [m for m in mismatched(data, signature, pairs) if pairs.get(m.state) == m.rate and m.state not in wrong]
+
+
+def turning(data: Transitions, angles: Sequence[int], speeds: Sequence[int]) -> dict[int, int]:
+    """Return the angles whose slope over time is a column in turns per minute, each with this column.
+
+    Args:
+        data: The recording.
+        angles: Places of states in rad.
+        speeds: Places of states in turns per minute.
+    """
+    found = {}
+    for speed in speeds:
+        for angle in angles:
+            factor, correlation = _factor(data, angle, speed)
+            if abs(correlation) > ALIKE and abs(math.log(abs(factor) / RPM)) < NEAR:
+                found[angle] = speed
     return found
 
 

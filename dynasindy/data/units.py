@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -44,7 +44,11 @@ def turn_of(unit: str) -> float:
 
 
 def with_units(
-    columns: Mapping[str, Column], headings: Iterable[str], states: bool, known: Mapping[str, str] | None = None
+    columns: Mapping[str, Column],
+    headings: Iterable[str],
+    states: bool,
+    known: Mapping[str, str] | None = None,
+    rotors: bool = True,
 ) -> dict[str, Column]:
     """Return columns with the units of their headings; degrees of states become rad.
 
@@ -55,18 +59,56 @@ def with_units(
         headings: Headings of the file.
         states: Whether they are states; inputs stay in the units of their actuators.
         known: The rate of each state, as far as it is known.
+        rotors: Whether turns per minute of which nobody says that they are the rate of an angle are those of a rotor;
+            otherwise such a column has no unit yet, for the log has still to tell.
     """
     units, found = _units(headings), dict(columns)
     inside = {name: units.get(column.name, "") for name, column in columns.items()}
     angles = [name for name in columns if "rad" in (columns[name].unit, in_radians(inside[name])[0])]
     for name, column in columns.items():
-        turns = any(is_rate_of(angle, name) or (known or {}).get(angle) == name for angle in angles)
+        turns = column.unit == "rad/s" or any(
+            is_rate_of(angle, name) or (known or {}).get(angle) == name for angle in angles
+        )
+        if states and inside[name] in PER_MINUTE and not turns and not rotors:
+            continue
         unit, factor = in_radians(inside[name], turns) if states else (inside[name], 1.0)
         if unit and column.scale == 1 and column.unit in ("-", unit):
             found[name] = replace(column, unit=unit, scale=factor)
         elif not column.name and in_radians(inside.get(column.derivative_of, ""), False)[1] != 1:
             found[name] = replace(column, unit=in_radians(column.unit)[0])  # the slope of what is in rad
     return found
+
+
+def undecided(columns: Mapping[str, Column], headings: Iterable[str]) -> list[str]:
+    """Return the columns in turns per minute that may be of an angle or of a rotor, as `with_units` left them.
+
+    Args:
+        columns: States by name.
+        headings: Headings of the file.
+    """
+    units = _units(headings)
+    return [
+        name
+        for name, column in columns.items()
+        if units.get(column.name) in PER_MINUTE and (column.unit, column.scale) == ("-", 1)
+    ]
+
+
+def as_words(columns: Mapping[str, Column], explicit: Collection[str]) -> str:
+    """Return the word of the command line that says these states.
+
+    Args:
+        columns: States by name.
+        explicit: Those whose unit and scale are written, as their headings do not tell them.
+    """
+    told = []
+    for name, column in columns.items():
+        keys = [f"name: {split_unit(column.name)[0]}"] if column.name else []
+        keys += [f"derivative_of: {column.derivative_of}"] if column.derivative_of else []
+        keys += [f"unit: {column.unit}"] * (name in explicit or not column.name)
+        keys += [f"scale: {column.scale:.7g}"] * (column.scale != 1 and (name in explicit or not column.name))
+        told.append(f"{name}: {{{', '.join(keys)}}}" if keys[1:] else f"{name}: {split_unit(column.name)[0]}")
+    return f"'data.states={{{', '.join(told)}}}'"
 
 
 def conversions(columns: Mapping[str, Column], headings: Iterable[str]) -> list[str]:
@@ -82,16 +124,14 @@ def conversions(columns: Mapping[str, Column], headings: Iterable[str]) -> list[
     if not changed:
         return []
     told = ", ".join(f"{name} from {unit} to {columns[name].unit}" for name, unit in changed.items())
-    kept = ", ".join(
-        f"{name}: {{name: {split_unit(column.name)[0]}, unit: {changed[name]}}}"
-        if name in changed
-        else f"{name}: {split_unit(column.name)[0]}"
+    kept = {
+        name: replace(column, unit=changed.get(name, column.unit), scale=1.0 if name in changed else column.scale)
         for name, column in columns.items()
         if column.name
-    )
+    }
     return [
         f"converted: {told}. Targets and limits are to be given in these units, and a controller reads them so; "
-        f"'data.states={{{kept}}}' would keep the units of the file"
+        f"{as_words(kept, changed)} would keep the units of the file"
     ]
 
 

@@ -22,7 +22,8 @@ def guessed(path: Path, look: Survey, time: str | None, inputs: Sequence[str]) -
 
     Time is a column of dates, or the first column that grows all along, one that counts rows only where there is no
     other. The input is the column that is held longest, as only levels of an actuator are, or else the last one. Both
-    are guesses, and what was found by its heading is none. A column that never changes is neither input nor state.
+    are guesses, and what was found by its heading is none. A column that never changes or counts the rows is neither
+    input nor state.
 
     Args:
         path: The file.
@@ -37,12 +38,15 @@ def guessed(path: Path, look: Survey, time: str | None, inputs: Sequence[str]) -
     values = read_table(path, headings).values
     columns = dict(zip(headings, values[np.isfinite(values).all(1)].T, strict=True))
     growing = [heading for heading, column in columns.items() if _grows(column)]
+    named = time is not None
     if time is None:
         time = next(iter([*look.dated, *sorted(growing, key=lambda heading: is_counter(columns[heading]))]), None)
-    names = [split_unit(heading)[0] for heading in columns if heading != time]
-    hints = []
+    names = [split_unit(heading)[0] for heading in columns if heading not in (time, *look.counting)]
+    hints: list[str] = []
+    seconds = ""
     if time in growing and not parts_of(time)[1] and is_counter(columns[time]):
         hints.append(f"{time} holds whole numbers, as a counter does: if it counts rows, give data.dt, too, in seconds")
+        seconds = "" if named else " data.dt=SECONDS"  # what is called time may be one in whole seconds
     if not inputs and names:
         still = {split_unit(heading)[0]: float((np.diff(column) == 0).mean()) for heading, column in columns.items()}
         held = max(names, key=lambda name: still[name])
@@ -57,7 +61,7 @@ def guessed(path: Path, look: Survey, time: str | None, inputs: Sequence[str]) -
     words = [] if clock == CLOCK else [f"data.time={_quoted(clock)}"]
     words += [f"data.{key}=[{','.join(map(_quoted, each))}]" for key, each in (("inputs", inputs), ("states", states))]
     told = "".join(f" {hint}." for hint in hints)
-    return f"{told} This is a first guess, to be corrected: {' '.join(map(shlex.quote, words))}"
+    return f"{told} This is a first guess, to be corrected: {' '.join(map(shlex.quote, words))}{seconds}"
 
 
 def _grows(column: Array) -> bool:

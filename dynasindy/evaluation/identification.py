@@ -15,9 +15,10 @@ from torch import Tensor
 from dynasindy.data.columns import Column, columns_of, infer
 from dynasindy.data.csv import CsvLog, Recording
 from dynasindy.data.ends import acting_as, with_ends
+from dynasindy.data.rates import misfit, unit_of_rate
 from dynasindy.data.simulated import before_leaving, disturb, record
 from dynasindy.data.table import all_headings, split_unit
-from dynasindy.data.units import with_units
+from dynasindy.data.units import as_words, with_units
 from dynasindy.evaluation import verdict
 from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.horizons import Forecasts, begun, forecast
@@ -174,6 +175,7 @@ class Logged:
         own = plant is None  # a plant that is named has inputs in [-1, 1], or says their ends
         log = CsvLog(str(self.path), states, inputs, self.time, self.dt, self.missing, into_range=own)  # type: ignore[arg-type]
         recording = log.read()
+        self._require_fit(recording, states)
         recording = replace(recording, notes=(*recording.notes, *notes))
         if plant is None:
             return recording
@@ -210,7 +212,23 @@ class Logged:
 
     def _in_units(self, states: Mapping[str, Any]) -> dict[str, Any]:
         """Return columns in the units of their headings; known rates of angles in rad are in rad/s."""
-        return dict(with_units(columns_of(states), all_headings(Path(str(self.path))), states=True, known=self.known))
+        headings = all_headings(Path(str(self.path)))
+        return dict(with_units(columns_of(states), headings, states=True, known=self.known, rotors=False))
+
+    def _require_fit(self, recording: Recording, states: Mapping[str, Any]) -> None:
+        """Refuse rates that are known and in other units than their states, for their equations are exact."""
+        for wrong in misfit(recording.transitions, recording.signature, self.known or {}):
+            headings, given = all_headings(Path(str(self.path))), columns_of(states)
+            explicit = [n for n, c in given.items() if c != with_units({n: Column(c.name)}, headings, states=True)[n]]
+            columns = with_units(given, headings, states=True)
+            unit = unit_of_rate(recording.signature.state_units[recording.signature.state_index(wrong.state)])
+            rate = columns[wrong.rate]
+            columns[wrong.rate] = replace(rate, unit=unit, scale=wrong.likely * rate.scale)
+            raise ValueError(
+                f"{self.path}: {wrong.rate} was given as the rate of {wrong.state}, whose slope over time is "
+                f"{wrong.factor:.3g} times {wrong.rate}; allowed is a rate in {unit}, for its equation is taken as "
+                f"exact: give {as_words(columns, {*explicit, wrong.rate})}, or correct the column"
+            )
 
 
 @dataclass(frozen=True)

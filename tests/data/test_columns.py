@@ -49,3 +49,18 @@ def test_headings_without_an_input_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"has the columns time, angle, rate, volt, .*data\.inputs") as error:
         infer(path)
     assert "\n" not in str(error.value)
+
+
+def test_a_counter_of_rows_beside_the_time_is_no_state_unless_it_is_named(tmp_path):
+    table = np.concatenate([log(), 3.0 + np.arange(80)[:, None]], -1)
+    path = write(tmp_path / "log.csv", table, ("time", "angle", "rate", "u", "row"))
+    notes = []
+    states, _ = infer(path, notes=notes)
+    assert list(states) == ["angle", "rate"]
+    (note,) = notes
+    assert note.startswith("left out, as it grows by exactly one in each row, as a counter of rows does: row;")
+    assert list(infer(path, states=["angle", "row"])[0]) == ["angle", "row"]
+    path = write(tmp_path / "log.csv", table, ("time", "angle", "rate", "volt", "row"))
+    with pytest.raises(ValueError, match=r"each row, as a counter of rows does: row;") as error:
+        infer(path)
+    assert str(error.value).endswith("'data.inputs=[volt]' 'data.states=[angle,rate]'")

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from dynasindy.data.rates import contradicted, mismatched, with_rates
+from dynasindy.data.rates import contradicted, misfit, mismatched, turning, with_rates
 from dynasindy.data.simulated import disturb, record
 from dynasindy.excitation import Chirp, Multisine
 from dynasindy.systems import Pendulum, Signature, Tras, Xi
@@ -228,3 +228,15 @@ def test_rates_that_are_known_and_no_states_yet_are_added_in_their_unit():
     assert wide.state_names == ("angle", "h", "Omega", "rate", "dh")
     assert wide.state_units == ("rad", "-", "rad/s", "rad/s", "1/s")
     assert with_rates(signature, {"angle": "Omega"}) == signature
+
+
+def test_a_rate_that_was_exchanged_with_its_state_has_no_factor_and_one_per_minute_has():
+    """A pure sine is its own second derivative but for the factor of -4, which is no matter of units."""
+    t = 0.01 * torch.arange(2001, dtype=torch.float64)
+    x = torch.stack([torch.sin(2 * t), 2 * torch.cos(2 * t)], -1)
+    data = Transitions.from_trajectory(x, torch.zeros(2000, 1), 0.01)
+    assert misfit(data, SIGNATURE, {"rate": "angle"}) == []
+    (found,) = misfit(swing(1.0, 30 / math.pi, 0.1), SIGNATURE, {"angle": "rate"})
+    assert found.likely == 2 * math.pi / 60 and turning(swing(1.0, 30 / math.pi), [0], [1]) == {0: 1}
+    assert misfit(swing(-17.0), SIGNATURE, {"angle": "rate"})[0].likely == -17.0
+    assert turning(swing(1.0, 1.0), [0], [1]) == {}

@@ -39,3 +39,14 @@ def test_a_column_of_one_number_never_changes_and_a_column_of_words_is_told_by_i
 def test_a_column_of_dates_is_told_from_one_of_words(tmp_path):
     text = "a,when,since,word\n1,31.05.2024 12:00:00,2024-05-31,31.13.2024 12:00\n"
     assert survey(write(tmp_path, text)).dated == ("when", "since")
+
+
+def test_a_column_that_grows_by_one_in_each_row_counts(tmp_path):
+    """A cell that is missing does not stop a counter; a jump of two, half a step and one row alone are none."""
+    rows = [
+        ",".join(map(str, (0.5 * k, 7 + k, "" if k == 4 else float(k), k + (k > 6), 2 * k, "" if k else 3, 9 - k, 4)))
+        for k in range(9)
+    ]
+    look = survey(write(tmp_path, "\n".join(["half,row,gap [-],jump,even,once,down,still", *rows])))
+    assert look.counting == ("row", "gap [-]") and set(look.still) == {"once", "still"}
+    assert survey(write(tmp_path, "a,b\n1,5\n2,6\n3,7\n")).counting == ()  # three rows may do so by chance

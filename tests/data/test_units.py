@@ -108,3 +108,69 @@ def test_a_plant_that_is_named_reads_degrees_too(tmp_path):
 
 def test_nothing_is_said_where_nothing_was_converted():
     assert conversions({"a": Column("a", "rad"), "b": Column("b [deg]", "deg")}, ["a [rad]", "b [deg]"]) == []
+
+
+def swinging(path, headings, speed=30 / math.pi, noise=0.0):
+    """Write a swing of two frequencies in degrees, its rate in a unit of its own, a rotor that lags behind, a command.
+
+    The pendulum hangs from a spring and is linear, so that all is closed form: a rad/s is 30 / pi turns a minute.
+    """
+    t = 0.01 * np.arange(2001)
+    angle, rate = np.sin(2 * t) + 0.3 * np.sin(7 * t), 2 * np.cos(2 * t) + 2.1 * np.cos(7 * t)
+    rough = rate + noise * rate.std() * np.random.default_rng(0).standard_normal(len(t))
+    columns = [t, np.degrees(angle), speed * rough, 900 + 400 * np.sin(3 * t), np.arange(2001) // 9 % 3 - 1.0]
+    rows = np.stack(columns, -1)
+    path.write_text("\n".join([headings, *(",".join(map(repr, map(float, row))) for row in rows)]))
+    return str(path), np.stack([angle, rate], -1)[:-1]
+
+
+@pytest.mark.parametrize("known", [None, {"angle": "speed"}])
+@pytest.mark.parametrize("turned", [1, -1])
+def test_turns_per_minute_that_are_the_slope_of_an_angle_are_read_in_radians(tmp_path, known, turned):
+    """The rotor, in turns per minute as well, is the slope of nothing; a speed of the other sign is a speed."""
+    headings = "time [s],angle [deg],speed [rpm],rotor [rpm],u"
+    path, swing = swinging(tmp_path / "log.csv", headings, turned * 30 / math.pi)
+    if known and turned < 0:
+        with pytest.raises(ValueError, match=r"slope over time is -1 times speed; allowed is a rate in rad/s"):
+            Logged(path, known=known).recording(None)
+        return
+    found = Logged(path, known=known).recording(None)
+    assert found.signature.state_units == ("rad", "rad/s", "rpm")
+    x = found.transitions.x.numpy()
+    assert x[:, :2] == pytest.approx(swing * [1, turned]) and 1299 < x[:, 2].max() < 1301
+    assert found.signature.x_scale[1] == pytest.approx(4.1, abs=0.01)  # both rates are largest at the start
+    (note,) = [note for note in found.notes if note.startswith("converted: ")]
+    assert note.startswith("converted: angle from deg to rad, speed from rpm to rad/s. Targets")
+    (word,) = [word for word in shlex.split(note) if word.startswith("data.states=")]
+    kept = Logged(path, yaml.safe_load(word.removeprefix("data.states="))).recording(None)
+    assert kept.signature.state_units == ("deg", "rpm", "rpm")
+
+
+def test_a_rough_speed_is_that_of_its_angle_and_a_rotor_with_a_gear_is_not(tmp_path):
+    headings = "time [s],angle [deg],speed [rpm],rotor [rpm],u"
+    path, _ = swinging(tmp_path / "log.csv", headings, noise=0.3)
+    assert Logged(path).recording(None).signature.state_units == ("rad", "rad/s", "rpm")
+    path, _ = swinging(tmp_path / "log.csv", headings, speed=50 * 30 / math.pi)
+    assert Logged(path).recording(None).signature.state_units == ("rad", "rpm", "rpm")
+
+
+@pytest.mark.parametrize(
+    ("headings", "speed", "scale"),
+    [
+        ("time [s],angle,speed [rpm],rotor [rpm],u", 30 / math.pi, 6.0),  # 360 degrees in 60 s
+        ("time [s],angle [deg],speed [rad/s],rotor [rpm],u", 180 / math.pi, math.radians(1)),
+        ("time [s],angle [deg],speed [rpm],rotor [rpm],u", 17 * 30 / math.pi, 2 * math.pi / 60 / 17),
+    ],
+)
+def test_a_known_rate_in_other_units_stops_with_the_setting_that_mends_it(tmp_path, headings, speed, scale):
+    path, swing = swinging(tmp_path / "log.csv", headings, speed)
+    with pytest.raises(ValueError, match="speed was given as the rate of angle, whose slope") as error:
+        Logged(path, known={"angle": "speed"}).recording(None)
+    assert "\n" not in str(error.value)
+    (word,) = [word for word in shlex.split(str(error.value)) if word.startswith("data.states=")]
+    states = yaml.safe_load(word.removeprefix("data.states=").removesuffix(","))
+    assert states["speed"]["scale"] == pytest.approx(scale, rel=0.01)
+    found = Logged(path, states, known={"angle": "speed"}).recording(None)
+    whole = 1.0 if found.signature.state_units[0] == "rad" else 180 / math.pi
+    assert found.transitions.x[:, :2].numpy() == pytest.approx(whole * swing, rel=0.01)
+    assert found.signature.state_units[2] == "rpm"

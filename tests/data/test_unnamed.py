@@ -123,3 +123,19 @@ def test_a_command_of_words_is_told_how_to_write_it(tmp_path):
             infer(str(path), inputs=named)
     with pytest.raises(ValueError, match=r"only angle changes.*no numbers: heater \('ON'\); write ON and OFF as 1"):
         infer(str(path))
+
+
+def test_dates_that_are_the_time_are_no_words_and_a_counter_asks_for_the_seconds(tmp_path):
+    path = tmp_path / "log.csv"
+    rows = [f"31.05.2024 12:00:{k // 10:02d}.{k % 10},{math.sin(k)},{k // 4 % 2},{k}" for k in range(80)]
+    path.write_text("\n".join(["Uhr,Winkel,Motor,row", *rows]))
+    with pytest.raises(ValueError, match="none of them is called time") as error:
+        infer(str(path))
+    assert "ON and OFF" not in str(error.value) and settings(str(error.value))["data.time"] == "Uhr"
+    notes = []
+    path.write_text("\n".join(["when,angle,u,time", *(f"{row}.5" for row in rows)]))
+    infer(str(path), notes=notes)
+    assert notes == ["left out, as dates are read only where they are the time: when"]
+    path.write_text("\n".join(["row,angle,motor", *(f"{k},{math.sin(k)},{k // 4 % 2}" for k in range(80))]))
+    given = settings(guessed(path, survey(path), None, []))
+    assert given == {"data.time": "row", "data.inputs": ["motor"], "data.states": ["angle"], "data.dt": "SECONDS"}
