@@ -98,8 +98,8 @@ def _resumed(cfg: DictConfig) -> DictConfig:
             f"{folder} holds results and no checkpoint, it cannot go on and would begin anew; give the folder of a "
             "stopped run, or restore its files"
         )
-    here = {name: cfg[name] for name in ("resume", "finish", "threads", "device")}
-    return DictConfig({**kept, **here, "folder": str(Path(cfg.resume).absolute())})
+    given = {name: cfg[name] for name in ("resume", "finish", "threads", "device")}
+    return DictConfig({**kept, **given, "folder": str(Path(cfg.resume).absolute())})
 
 
 def settings_of(cfg: DictConfig) -> str:

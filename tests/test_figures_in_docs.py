@@ -120,19 +120,21 @@ def test_every_row_names_a_commit_without_changes(name):
 
 
 def test_rows_of_the_ablation_are_those_of_the_saved_runs():
-    compared = 0
+    compared, longer = 0, set()
     for row in table("ablation.csv"):
         folder = RESULTS / "runs" / "_".join(row[key] for key in ("system", "experiment", "setting"))
         if row["seed"] == "0" and folder.is_dir():
             metrics = json.loads((folder / "metrics.json").read_text())
             if float(row["real_steps"]) > metrics["cost"]["real_steps"]:
-                continue  # a longer run, ended by the loan of its GPU before it could write its policy
+                longer.add(folder.name)  # ended by the loan of its GPU before it could write its policy
+                continue
             ends = metrics["evaluation"]
             assert row["commit"] == json.loads((folder / "origin.json").read_text())["commit"]
             assert float(row["final_return"]) == pytest.approx(ends["return"], rel=1e-6)
             errors = [ends[f"steady_state_error/{axis}"] for axis in ("alpha_a", "alpha_p")]
             assert float(row["steady_state_error"]) == pytest.approx(max(errors), rel=1e-6)
             compared += 1
+    assert longer == {f"xi_paper_rollouts_{count}" for count in (0, 400, 800)}
     assert compared >= 9
 
 

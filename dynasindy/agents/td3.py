@@ -118,7 +118,6 @@ class TD3:
         settings: the hyperparameters.
         updates: number of updates so far.
         widths: numbers of an observation and of an action.
-        loads: how often a saved state was restored, after which the weights are others.
 
     Args:
         n_obs: width of `observation`.
@@ -170,7 +169,7 @@ class TD3:
         self.actor_optimizer = self._optimizer(self.loss.actor_network_params, s.actor_lr)
         self.critic_optimizer = self._optimizer(self.loss.qvalue_network_params, s.critic_lr)
         self.widths, self._device = (n_obs, n_u), device
-        self.updates = self.loads = 0
+        self.updates = 0
         self.actor_loss = torch.zeros((), device=device)
         self._made: Steps | None = None
 
@@ -245,7 +244,6 @@ class TD3:
         self.loss.generator.set_state(state["generator"])
         self.updates, self.actor_loss = state["updates"], state["actor_loss"]
         self._made = None  # the optimisers have other tensors now
-        self.loads += 1
 
     _parts = ("loss", "noise", "target_updater", "actor_optimizer", "critic_optimizer")
 

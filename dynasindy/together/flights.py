@@ -17,7 +17,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
-from typing import TypedDict
+from functools import cached_property
+from typing import TypedDict, TypeGuard
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -128,14 +129,11 @@ class Flight(Work):
     steps: int
     what: str
 
-    @property
+    @cached_property
     def kind(self) -> Hashable:
         """Name, sizes, plant, task and pace; of a model whose coefficients may differ, its functions."""
-        system = self.env.system
-        env, network = self.env, self.network
-        moved = alike(system)
-        if isinstance(system, SindyModel) and _stacks(system):
-            moved = tuple(f.key for f in system.library.features)
+        env, network, system = self.env, self.network, self.env.system
+        moved = tuple(f.key for f in system.library.features) if _stacks(system) else alike(system)
         sizes = None if network is None else tuple(tuple(layer.weight.shape) for layer in network.layers())
         pace = env.dt, env.substeps, env.stops, env.left_beyond, env.float_type
         shapes = self.steps, tuple(self.start.batch_size), sizes, self.noise is None
@@ -295,9 +293,8 @@ class Coefficients(System):
     """
 
     # Functions that no equation has count, too: where one of them is infinite, the sum is no number.
-    def __init__(self, like: System, runs: int, dtype: torch.dtype, device: torch.device) -> None:
+    def __init__(self, like: SindyModel, runs: int, dtype: torch.dtype, device: torch.device) -> None:
         super().__init__(like.signature, like.stops)
-        assert isinstance(like, SindyModel)
         self.library = like.library
         self.stacked = torch.zeros(runs, *like.coefficients.shape, dtype=dtype, device=device)
 
@@ -316,7 +313,7 @@ def _flies(env: ControlEnv) -> bool:
     return type(env) is ControlEnv and not env.task.learns
 
 
-def _stacks(system: System) -> bool:
+def _stacks(system: System) -> TypeGuard[SindyModel]:
     """Return whether models of several runs differ by their coefficients alone."""
     return isinstance(system, SindyModel) and type(system) is SindyModel and not system.library.shapes
 

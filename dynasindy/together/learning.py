@@ -23,6 +23,7 @@ from typing import Any
 import torch
 from torch import Tensor
 from torch.optim import Adam
+from torchrl.data import TensorDictReplayBuffer
 
 from dynasindy.agents import TD3
 from dynasindy.agents.networks import MLP, Layer
@@ -111,7 +112,7 @@ class Learner:
         self.batches = {name: torch.zeros(CHUNK, runs, rows, width, device=device) for name, width in widths.items()}
         self.place = torch.zeros(1, dtype=torch.int64, device=device)
         self.losses = torch.zeros(2, CHUNK, runs, device=device)
-        self.given: list[tuple[TD3, int, int]] = []
+        self.given: list[tuple[TD3, int, tuple[int, ...]]] = []
         self.steps: dict[tuple[bool, bool], Callable[[], None]] = {}
 
     def learn(self, all_of_it: Sequence[Learning]) -> list[Exception | None]:
@@ -125,7 +126,7 @@ class Learner:
                 self.steps[kind] = captured(lambda kind=kind: self._update(*kind), self.device, self.place.zero_)  # type: ignore[misc]
         now = _state_of(agents)
         if self.given != now:
-            self._exchange(agents, give=False)
+            self._read(agents)
         losses: list[Tensor] = []
         remaining = iter(kinds)
         while chunk := list(islice(remaining, CHUNK)):
@@ -135,7 +136,7 @@ class Learner:
             for kind in chunk:
                 self.steps[kind]()
             losses.append(self.losses[:, : len(chunk)].clone().movedim(1, 0))
-        self._exchange(agents, give=True)
+        self._give(agents)
         ends = self._ends(agents, torch.cat(losses).cpu(), kinds)
         self.given = _state_of(agents)
         return ends
@@ -207,12 +208,13 @@ class Learner:
         """Put the batches of so many updates on the device."""
         for r, work in enumerate(all_of_it):
             replay, generator = work.replay, work.agent.loss.generator
-            counts = dict(zip((replay.real, replay.model), replay.counts(), strict=True))
-            rows = {buffer: self._fresh((updates, k), torch.int64) for buffer, k in counts.items() if k}
             noise = self._fresh((updates, *self.batches["noise"].shape[2:]), torch.float32)
+            rows: dict[TensorDictReplayBuffer, Tensor] = {}
             for u in range(updates):
-                for buffer, index in rows.items():
-                    torch.randint(len(buffer), index[u].shape, generator=replay.generator, out=index[u])
+                for buffer, drawn in replay.draw():
+                    if buffer not in rows:
+                        rows[buffer] = self._fresh((updates, len(drawn)), torch.int64)
+                    rows[buffer][u] = drawn
                 noise[u].normal_(0.0, 1.0, generator=generator)
             self.batches["noise"][:updates, r].copy_(noise, non_blocking=True)
             begin = 0
@@ -222,8 +224,8 @@ class Learner:
                 observation, action, following, reward, _, terminated, _ = replay.columns(buffer)
                 columns = (observation, action, following, reward, terminated)
                 for name, column in zip(("observation", "action", "next", "reward", "ended"), columns, strict=True):
-                    drawn = column.index_select(0, places).view(updates, index.shape[-1], -1)
-                    self.batches[name][:updates, r, begin:end].copy_(drawn)
+                    found = column.index_select(0, places).view(updates, index.shape[-1], -1)
+                    self.batches[name][:updates, r, begin:end].copy_(found)
                 begin = end
 
     def _fresh(self, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
@@ -256,26 +258,33 @@ class Learner:
         return optimizer
 
     @torch.no_grad()
-    def _exchange(self, agents: Sequence[TD3], give: bool) -> None:
-        """Read weights, targets and moments of all agents, or give them back."""
+    def _read(self, agents: Sequence[TD3]) -> None:
+        """Read weights, targets and moments of all agents; steps and rates are the same in all."""
         for r, agent in enumerate(agents):
-            pairs = list(self._pairs(agent, r))
-            mine, others = [a for a, _ in pairs], [b for _, b in pairs]
-            torch._foreach_copy_(*((others, mine) if give else (mine, others)))
-        for which, name in enumerate(("critic_optimizer", "actor_optimizer")):
-            group = self.optimizers[which].param_groups[0]
-            states = list(self.optimizers[which].state.values())
-            for agent in agents:
-                theirs = getattr(agent, name)
-                if give:
-                    theirs.param_groups[0]["lr"] = float(group["lr"])
-                for state in theirs.state.values():
-                    (state["step"] if give else states[0]["step"]).copy_(states[0]["step"] if give else state["step"])
-            if not give:
-                for state in states[1:]:
-                    state["step"].copy_(states[0]["step"])
-                rate = getattr(agents[0], name).param_groups[0]["lr"]
-                group["lr"].fill_(rate) if isinstance(group["lr"], Tensor) else group.update(lr=rate)
+            mine, theirs = map(list, zip(*self._pairs(agent, r), strict=True))
+            torch._foreach_copy_(mine, theirs)
+        for optimizer, other in self._optimizers(agents[0]):
+            (step, *_) = (state["step"] for state in other.state.values())
+            for state in optimizer.state.values():
+                state["step"].copy_(step)
+            group, rate = optimizer.param_groups[0], other.param_groups[0]["lr"]
+            group["lr"].fill_(rate) if isinstance(group["lr"], Tensor) else group.update(lr=rate)
+
+    @torch.no_grad()
+    def _give(self, agents: Sequence[TD3]) -> None:
+        """Give weights, targets and moments back to all agents."""
+        for r, agent in enumerate(agents):
+            mine, theirs = map(list, zip(*self._pairs(agent, r), strict=True))
+            torch._foreach_copy_(theirs, mine)
+            for optimizer, other in self._optimizers(agent):
+                (step, *_) = (state["step"] for state in optimizer.state.values())
+                for state in other.state.values():
+                    state["step"].copy_(step)
+                other.param_groups[0]["lr"] = float(optimizer.param_groups[0]["lr"])
+
+    def _optimizers(self, agent: TD3) -> Iterator[tuple[Adam, Adam]]:
+        """Return the optimisers of critics and actor, here and there."""
+        return zip(self.optimizers, (agent.critic_optimizer, agent.actor_optimizer), strict=True)
 
     def _pairs(self, agent: TD3, r: int) -> Iterator[tuple[Tensor, Tensor]]:
         """Yield where a tensor of a run lies here, and there."""
@@ -330,6 +339,10 @@ def _flat(layers: Sequence[Layer]) -> list[Any]:
     return [part for layer in layers for part in layer if part is not None]
 
 
-def _state_of(agents: Sequence[TD3]) -> list[tuple[TD3, int, int]]:
-    """Return what tells whether agents are as they were left."""
-    return [(agent, agent.updates, agent.loads) for agent in agents]
+def _state_of(agents: Sequence[TD3]) -> list[tuple[TD3, int, tuple[int, ...]]]:
+    """Return what tells whether agents are as they were left; what learns by machine code counts its updates."""
+    found = []
+    for agent in agents:
+        layers = (*agent.loss.actor_layers, *agent.loss.critic_layers)
+        found.append((agent, agent.updates, tuple(weight._version for weight in _flat(layers))))
+    return found

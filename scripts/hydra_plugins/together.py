@@ -25,10 +25,10 @@ class Together(Launcher):
 
         setup_globals()
         Path(str(self.config.hydra.sweep.dir)).mkdir(parents=True, exist_ok=True)
-        before = HydraConfig.instance().cfg
+        # Hydra keeps the settings of the present job in one place; here each job finds its own again.
+        hydra = HydraConfig.instance()
+        before = hydra.cfg
         try:
-            # Hydra keeps the settings of the present job in one place; here each job finds its own again.
-            hydra = HydraConfig.instance()
             carried = Carried(lambda: hydra.cfg, lambda kept: setattr(hydra, "cfg", kept))
             company = Company(self.config.get("device", "cpu"), carried)
         except ValueError as error:
@@ -38,7 +38,7 @@ class Together(Launcher):
         try:
             return [self._came(found) for found in company.run(jobs)]
         finally:
-            HydraConfig.instance().cfg = before
+            hydra.cfg = before
 
     def _job(self, overrides: list[str], number: int) -> Any:
         config = self.context.config_loader.load_sweep_config(self.config, overrides)

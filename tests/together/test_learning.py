@@ -74,6 +74,20 @@ def test_each_agent_learns_what_it_learns_alone(settings, device):
         assert rates[1] == pytest.approx(rates[0], rel=1e-5)
 
 
+def test_weights_that_a_plan_has_set_between_two_calls_are_learnt_from():
+    def _learn(agent, replay):
+        learn(agent, replay, 4)
+        with torch.no_grad():
+            agent.loss.actor_layers[0].weight.mul_(0.5)
+        learn(agent, replay, 4)
+
+    (one, its), (other, others) = (agent_and_replay(1) for _ in range(2))
+    _learn(one, its)
+    with Company().alone():
+        _learn(other, others)
+    torch.testing.assert_close(weights(other), weights(one), rtol=0, atol=1e-6)
+
+
 def test_an_agent_that_was_changed_between_two_calls_learns_from_what_it_is_now():
     def _learn(agent, replay, begun):
         learn(agent, replay, 4)
