@@ -12,6 +12,8 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 
+from dynasindy.systems.parsed import parsed
+
 Slopes = dict[int, str]
 """Text of each derivative that is not zero, by the number of the variable."""
 
@@ -53,7 +55,7 @@ class Tangents:
             raise ValueError(
                 f"{name[:60]!r} is no name of a value; allowed are a small letter, letters, digits and '_'"
             )
-        value, slopes = self._of(ast.parse(formula, mode="eval").body)
+        value, slopes = self._of(parsed(formula))
         self.lines.append((name, value))
         self._slopes[name] = {number: self._kept(f"{name}_{number}", text) for number, text in slopes.items()}
 
@@ -63,7 +65,7 @@ class Tangents:
         Raises:
             ValueError: It holds something else than operators, numbers, what was added, constants and functions.
         """
-        return self._of(ast.parse(formula, mode="eval").body)
+        return self._of(parsed(formula))
 
     def _kept(self, name: str, text: str) -> str:
         """Give a text a name, unless it is one or a number."""

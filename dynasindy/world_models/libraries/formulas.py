@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable
 import torch
 from torch import Tensor
 
+from dynasindy.systems.parsed import parsed
 from dynasindy.world_models.libraries.functions import (
     FORMULA_FUNCTIONS,
     Function,
@@ -91,7 +92,7 @@ def _read(name: str, formula: object) -> ast.expr:
     if not isinstance(formula, str) or len(formula) > LONGEST:
         raise ValueError(f"function {name!r} has the formula {told!r}; {allowed}: mend it")
     try:
-        tree = ast.parse(formula.replace("{0}", f" {_ARGUMENT} ").strip(), mode="eval").body
+        tree = parsed(formula.replace("{0}", f" {_ARGUMENT} ").strip())
         wrong = _wrong(tree)
     except (SyntaxError, ValueError, OverflowError, RecursionError, MemoryError) as error:
         raise ValueError(f"function {name!r}: {told!r} cannot be read; {allowed}: mend it") from error
