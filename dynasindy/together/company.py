@@ -17,6 +17,8 @@ from typing import Any, TypeVar
 import torch
 
 T = TypeVar("T")
+ROOMS = 16
+"""Rooms that a company keeps. One of flights may take a tenth of a gigabyte of a GPU's memory."""
 
 
 class Work(ABC):
@@ -60,7 +62,7 @@ class Company:
 
     Attributes:
         device: Where the work is done.
-        kept: What workers keep from one time to the next, by a name of their own.
+        kept: What workers keep from one time to the next, by a name of their own; what was used last stands last.
 
     Args:
         device: Where the work is done: "cpu", or "cuda" where there is a GPU.
@@ -72,7 +74,7 @@ class Company:
 
     def __init__(self, device: torch.device | str = "cpu", carried: Carried | None = None) -> None:
         self.device, self.carried = found(device), carried or Carried()
-        self.kept: dict[Hashable, Any] = {}
+        self.kept: dict[Hashable, Any] = {}  # in the order of their use
         self._members: list[_Member] = []
 
     @contextmanager
@@ -118,6 +120,19 @@ class Company:
             if member.thread is threading.current_thread():
                 return member.ask(work)
         return _result(work.done([work], self)[0])
+
+    def room(self, name: Hashable, make: Callable[[], T]) -> T:
+        """Return what is kept under a name, or is made and kept from now on, in place of what was not used longest.
+
+        Args:
+            name: What it is for.
+            make: Makes it where there is none.
+        """
+        found: T = self.kept.pop(name) if name in self.kept else make()
+        self.kept[name] = found
+        for oldest in list(self.kept)[:-ROOMS]:
+            del self.kept[oldest]
+        return found
 
     def _serve(self, waiting: Sequence[_Member]) -> None:
         groups: dict[Hashable, list[_Member]] = {}

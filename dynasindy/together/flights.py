@@ -147,10 +147,7 @@ class Flight(Work):
     def done(self, all_of_it: Sequence[Flight], company: Company) -> list[TensorDict]:
         """Fly, all runs at once; return the rollout of each, `(n, T)`."""
         place = ("flights", len(all_of_it), self.kind)
-        pilot = company.kept.get(place)
-        if pilot is None:
-            pilot = company.kept[place] = Pilot(self, len(all_of_it), company.device)
-        return pilot.fly(all_of_it)
+        return company.room(place, lambda: Pilot(self, len(all_of_it), company.device)).fly(all_of_it)
 
 
 class _Kinds(TypedDict):

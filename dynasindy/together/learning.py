@@ -15,6 +15,7 @@ alone. While a GPU is busy with some updates, the CPU draws those that follow.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -80,10 +81,8 @@ class Learning(Work):
     def done(self, all_of_it: Sequence[Learning], company: Company) -> list[Exception | None]:
         """Learn, all runs at once; return for each what its learning ended in, None for nothing."""
         place = ("learner", len(all_of_it), self.kind[:-2])  # type: ignore[index]
-        learner = company.kept.get(place)
-        if learner is None:
-            learner = company.kept[place] = Learner(self.agent, len(all_of_it), self.replay.batch_size, company.device)
-        return learner.learn(all_of_it)
+        sizes = len(all_of_it), self.replay.batch_size
+        return company.room(place, lambda: Learner(self.agent, *sizes, company.device)).learn(all_of_it)
 
 
 class Learner:
@@ -329,8 +328,12 @@ class Learner:
             if bool(sound.all()):
                 ends.append(None)
                 continue
-            agent.updates = before + int((~sound).int().argmax()) + 1
-            ends.append(agent.diverged("a loss is not finite"))
+            first = int((~sound).int().argmax())
+            agent.updates = before + first + 1
+            of_critics, of_actor = (float(loss) for loss in losses[first, :, r])
+            critics_fail = not math.isfinite(of_critics)
+            told = f"the critics' loss is {of_critics}" if critics_fail else f"the actor's loss is {of_actor}"
+            ends.append(agent.diverged(told))
         return ends
 
 

@@ -146,3 +146,13 @@ def test_a_device_that_is_none_is_refused_with_those_there_are(device):
 def test_without_a_gpu_cuda_is_refused():
     with pytest.raises(ValueError, match="torch finds no GPU"):
         Company("cuda")
+
+
+def test_the_room_that_was_not_used_longest_goes_first(monkeypatch):
+    monkeypatch.setattr("dynasindy.together.company.ROOMS", 2)
+    company = Company()
+    first, second = company.room("a", object), company.room("b", object)
+    assert company.room("a", object) is first
+    third = company.room("c", object)
+    assert company.kept == {"a": first, "c": third}
+    assert company.room("b", object) is not second

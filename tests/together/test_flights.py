@@ -135,6 +135,17 @@ def test_a_plant_that_runs_away_stays_at_the_end_of_its_ranges():
     assert (found["next", "state"].abs() >= 0.01).any()
 
 
+def test_a_stop_that_is_touched_and_left_within_a_period_is_told():
+    # Up against the stop, from which gravity pulls the beam back before the period ends.
+    x = torch.tensor([[0.0, 0.0999, 0.0, 0.05, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
+    place, other = env(0, pitch_stop=0.1), env(0, pitch_stop=0.1)
+    with Company().alone():
+        found = fly(place, agent(0).deployed, lambda: place.start_from(x), 1, "evaluation")
+    assert found["next", "at_stop"].flatten().tolist() == [True, False]
+    assert found["next", "state"][0, 0, 1] < 0.0999
+    assert_same(found, other.rollout(1, agent(0).deployed, auto_reset=False, tensordict=other.start_from(x)))
+
+
 def test_nothing_flies_together_outside_of_a_company_or_with_a_policy_of_another_kind():
     place = env(0)
     assert fly(place, agent(0).deployed, place.reset, 2, "evaluation") is None

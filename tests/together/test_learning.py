@@ -1,5 +1,7 @@
 """Agents that learn side by side come to what each comes to alone."""
 
+from functools import partial
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -127,3 +129,13 @@ def test_an_agent_that_diverges_is_told_so_and_the_others_go_on():
     assert isinstance(lost, Diverged)
     assert "at update 1 " in str(lost)
     assert runs[0][0].updates == 5
+
+
+def test_learning_that_diverges_later_ends_at_the_update_at_which_it_does_alone():
+    # The first steps of Adam are as long as the learning rate, so that the values overflow soon after the first one.
+    one, its = agent_and_replay(0, critic_lr=1e9)
+    with pytest.raises(Diverged) as alone:
+        learn(one, its, 40)
+    assert "at update 1 " not in str(alone.value)
+    (lost,) = Company().run([partial(learn, *agent_and_replay(0, critic_lr=1e9), 40)])
+    assert str(lost) == str(alone.value)
