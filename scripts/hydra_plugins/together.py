@@ -29,21 +29,23 @@ class Together(Launcher):
         hydra = HydraConfig.instance()
         before = hydra.cfg
         try:
-            carried = Carried(lambda: hydra.cfg, lambda kept: setattr(hydra, "cfg", kept))
-            company = Company(self.config.get("device", "cpu"), carried)
+            configs = [self._composed(list(words), initial_job_idx + k) for k, words in enumerate(job_overrides)]
+            company = Company(_device(configs), Carried(lambda: hydra.cfg, lambda kept: setattr(hydra, "cfg", kept)))
         except ValueError as error:
             print(f"error: {error}", file=sys.stderr)
             sys.exit(2)
-        jobs = [self._job(list(words), initial_job_idx + k) for k, words in enumerate(job_overrides)]
         try:
-            return [self._came(found) for found in company.run(jobs)]
+            return [self._came(found) for found in company.run([self._job(config) for config in configs])]
         finally:
             hydra.cfg = before
 
-    def _job(self, overrides: list[str], number: int) -> Any:
+    def _composed(self, overrides: list[str], number: int) -> DictConfig:
         config = self.context.config_loader.load_sweep_config(self.config, overrides)
         with open_dict(config):
             config.hydra.job.id = config.hydra.job.num = number
+        return config
+
+    def _job(self, config: DictConfig) -> Any:
         return lambda: run_job(
             hydra_context=self.context,
             task_function=self.task,
@@ -60,3 +62,17 @@ class Together(Launcher):
         came = JobReturn(status=JobStatus.FAILED)
         came._return_value = found
         return came
+
+
+def _device(configs: Sequence[DictConfig]) -> str:
+    """Return the device of all jobs.
+
+    Raises:
+        ValueError: They name several.
+    """
+    found = sorted({str(config.get("device", "cpu")) for config in configs})
+    if len(found) > 1:
+        raise ValueError(
+            f"device={','.join(found)}: jobs in lockstep share one device; name one, or choose another hydra/launcher"
+        )
+    return found[0]

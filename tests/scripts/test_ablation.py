@@ -168,3 +168,12 @@ def test_a_device_that_is_not_there_costs_one_line(tmp_path):
         done.stderr.strip().splitlines()[-1].startswith("error: device=tpu is not to be had; on this machine there is")
     )
     assert not jobs(tmp_path)
+
+
+def test_jobs_in_lockstep_that_name_several_devices_are_refused_in_one_line(tmp_path):
+    command = [sys.executable, str(SCRIPT), *SMALL, "hydra/launcher=together", "device=cpu,cuda"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 2
+    told = "error: device=cpu,cuda: jobs in lockstep share one device; name one, or choose another hydra/launcher"
+    assert done.stderr.splitlines()[-1] == told and "Traceback" not in done.stderr
+    assert not jobs(tmp_path)
