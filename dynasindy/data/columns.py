@@ -148,7 +148,7 @@ def _lacking(
             f"{begin}; {beside}. Allowed are one state or more and one input or more: log the command that moves the "
             f"plant, too, for without one nothing can be identified.{left_out}"
         )
-    lacking = _LACKING["time" if not timed else "inputs" if not inputs else "states"]
+    lacking = _LACKING["time" if not timed else "inputs" if not inputs else "states"].format(clock=clock)
     guess = guessed(Path(path), look, clock if timed else None, inputs, dt) if look.numeric else ""
     return (
         f"{begin}; {lacking}. Allowed are a column of time, one state or more, and one input or more: say which is "
@@ -159,7 +159,7 @@ def _lacking(
 INPUT = re.compile(r"(u|U|input)([_\d].*)?")
 """How inputs are called."""
 _LACKING = {
-    "time": "none of them is called time",
+    "time": "none of them is called {clock}",
     "inputs": "none that moves is called u, u_... or input_..., as inputs are",
     "states": "besides time and inputs none is left, which would be a state",
 }

@@ -85,7 +85,7 @@ def guessed(path: Path, look: Survey, time: str | None, inputs: Sequence[str], d
             )
     states = [name for name in names if name not in inputs]
     clock = split_unit(time)[0] if time else "HEADING"
-    words = [] if clock == CLOCK else [f"data.time={_quoted(clock)}"]
+    words = [] if named and clock == CLOCK else [f"data.time={_quoted(clock)}"]
     words += [f"data.{key}=[{','.join(map(_quoted, each))}]" for key, each in (("inputs", inputs), ("states", states))]
     told = "".join(f" {hint}." for hint in hints)
     return f"{told} This is a first guess, to be corrected: {' '.join(map(shlex.quote, words))}{seconds}"
