@@ -15,7 +15,7 @@ from torch import Tensor
 from dynasindy.data.columns import Column, columns_of, infer
 from dynasindy.data.csv import CsvLog, Recording
 from dynasindy.data.ends import acting_as, with_ends
-from dynasindy.data.rates import misfit, unit_of_rate
+from dynasindy.data.rates import Mismatch, require_known, unit_of_rate
 from dynasindy.data.simulated import before_leaving, disturb, record
 from dynasindy.data.table import all_headings, split_unit
 from dynasindy.data.units import as_words, with_units
@@ -227,19 +227,21 @@ class Logged:
         return dict(with_units(columns_of(states), headings, states=True, known=self.known, rotors=False))
 
     def _require_fit(self, recording: Recording, states: Mapping[str, Any]) -> None:
-        """Refuse rates that are known and in other units than their states, for their equations are exact."""
-        for wrong in misfit(recording.transitions, recording.signature, self.known or {}):
+        """Refuse rates that are known and cannot be those of their states, with the setting that mends them."""
+
+        def mend(wrong: Mismatch) -> str:
             headings, given = all_headings(Path(str(self.path))), columns_of(states)
             explicit = [n for n, c in given.items() if c != with_units({n: Column(c.name)}, headings, states=True)[n]]
             columns = with_units(given, headings, states=True)
             unit = unit_of_rate(recording.signature.state_units[recording.signature.state_index(wrong.state)])
             rate = columns[wrong.rate]
             columns[wrong.rate] = replace(rate, unit=unit, scale=wrong.likely * rate.scale)
-            raise ValueError(
-                f"{self.path}: {wrong.rate} was given as the rate of {wrong.state}, whose slope over time is "
-                f"{wrong.factor:.3g} times {wrong.rate}; allowed is a rate in {unit}, for its equation is taken as "
-                f"exact: give {as_words(columns, {*explicit, wrong.rate})}, or correct the column"
-            )
+            return f"give {as_words(columns, {*explicit, wrong.rate})}"
+
+        try:
+            require_known(recording.transitions, recording.signature, self.known or {}, mend)
+        except ValueError as error:
+            raise ValueError(f"{self.path}: {error}") from None
 
 
 @dataclass(frozen=True)
