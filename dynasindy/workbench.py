@@ -25,6 +25,7 @@ import torch
 from dynasindy.agents import Actor
 from dynasindy.control import Controller
 from dynasindy.control.controller import Pace
+from dynasindy.data.rates import Mismatch, require_known, unit_of_rate
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.arguments import as_arguments, as_warning
 from dynasindy.evaluation.before_fit import missing_rates, rates_lacking, with_missing_rates, wrong_units
@@ -45,7 +46,7 @@ from dynasindy.planning.integral import IntegralAction
 from dynasindy.planning.pace import rests_of, unheld
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.sensing.offset import acting
-from dynasindy.systems import Diverged
+from dynasindy.systems import Diverged, Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 from dynasindy.world_models import Refinement, Regression, SindyModel
@@ -137,13 +138,15 @@ def identify(
         The model; `equations()` shows it, `save` keeps it.
 
     Raises:
-        ValueError: The data or the library do not allow a fit.
+        ValueError: The data or the library do not allow a fit, or a rate that is known is in other units than its
+            state, counts the other way, or was exchanged with it.
         Diverged: A coefficient is not finite.
     """
     refinement = Refinement(method, longest_delay=longest_delay)
     build = partial(SindyModel, library=library, regression=Regression("bic", tolerance=1e-4), refinement=refinement)
     source, rates, added = with_missing_rates(build, log, known)
     source = source.with_rates(rates)
+    require_known(source.training, source.signature, rates, partial(_read_scaled, log.signature))
     model = build(signature=source.signature, known=rates)
     for line in (*added, *wrong_units(model, source), *missing_rates(model, rates_lacking(model, source))):
         if tell is None:
@@ -292,6 +295,14 @@ def tracking(model: SindyModel, targets: Mapping[str, tuple[float, float]]) -> T
     low, high = ([float(ends[k]) for ends in targets.values()] for k in (0, 1))
     rates, reward = damped(list(targets), rates_of(model)), TrackingReward(error_weights=(4.0,))
     return Tracking(model.signature, RandomStep(low, high), list(targets), rates, reward, low=low, high=high)
+
+
+def _read_scaled(signature: Signature, wrong: Mismatch) -> str:
+    """Return the words that read a rate in the unit of its state."""
+    unit = unit_of_rate(signature.state_units[signature.state_index(wrong.state)])
+    columns: dict[str, object] = {name: name for name in signature.state_names}
+    columns[wrong.rate] = {"name": wrong.rate, "unit": unit, "scale": float(f"{wrong.likely:.7g}")}
+    return f"give read(states={columns})"
 
 
 def damped(outputs: Sequence[str], known: Mapping[str, str]) -> list[str]:

@@ -2,6 +2,7 @@
 
 import math
 import pkgutil
+import re
 import types
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -64,7 +65,7 @@ def fit(value: Any, hint: Any, key: str) -> Any:
     else:
         fits = not isinstance(kind, type)  # a class or a callable wants a group with `_target_`
     if not fits:
-        raise ValueError(f"{key} is {shown(value)}; allowed is {words(hint)}: correct it")
+        raise _misfit(value, hint, key)
     return inner
 
 
@@ -76,7 +77,14 @@ def _one_of(value: Any, hint: Any, key: str) -> Any:
     others = [option for option in get_args(hint) if option is not types.NoneType]
     if len(others) == 1 and isinstance(value, (list, dict)):
         fit(value, others[0], key)  # names the place in the list that is wrong
-    raise ValueError(f"{key} is {shown(value)}; allowed is {words(hint)}: correct it")
+    raise _misfit(value, hint, key)
+
+
+def _misfit(value: Any, hint: Any, key: str) -> ValueError:
+    """Return the error of a value that an annotation does not allow; one in capitals was copied from an example."""
+    copied = isinstance(value, str) and re.fullmatch(r"[A-Z]{2,}", value)
+    mend = f"{value} stands for a value of yours, so write that in its place" if copied else "correct it"
+    return ValueError(f"{key} is {shown(value)}; allowed is {words(hint)}: {mend}")
 
 
 def _builds(node: Mapping[str, Any], hint: Any, key: str) -> bool:

@@ -17,6 +17,7 @@ def main(cfg: DictConfig) -> None:
 
     from dynasindy.checking import Loop, Plant, Settings, check, verdict
     from dynasindy.checking.check import record
+    from dynasindy.checking.verdict import in_short
     from dynasindy.evaluation.files import write_json
     from dynasindy.export.write import Exported
     from dynasindy.viz.check import draw
@@ -40,7 +41,13 @@ def main(cfg: DictConfig) -> None:
     write_json(folder / "check.json", {"verdict": words, **record(found)})
     for name, figure in draw(found).items():
         save(figure, folder / name)
-    print("What the model predicts; the plant itself was not asked.", *findings, f"Files: {folder}", sep="\n")
+    print(
+        "What the model predicts; the plant itself was not asked.",
+        *findings,
+        in_short(found, findings),
+        f"Files: {folder}",
+        sep="\n",
+    )
     if not bool(found.stable.all()):
         sys.exit(1)
 

@@ -56,8 +56,10 @@ def in_words(error: BaseException, config_name: str) -> str:
     if isinstance(error, BrokenPipeError):
         raise error
     if isinstance(error, OSError) and error.errno is not None:
-        path = error.filename if error.filename is not None else "a file"
-        return f"{path}: {CAUSES.get(error.errno, error.strerror or 'it cannot be read or written')}"
+        cause = CAUSES.get(error.errno, error.strerror or "it cannot be read or written")
+        if error.filename is None and error.errno not in CAUSES and error.strerror:
+            return cause  # of a connection, which is no file
+        return f"{'a file' if error.filename is None else error.filename}: {cause}"
     if isinstance(error, OverrideParseException):
         return (
             f"'{error.override}' cannot be read; write key=value, close all brackets and quotes, and put a word with "

@@ -348,12 +348,20 @@ def test_a_warning_says_which_state_misses_its_rate_where_none_may_be_added(exac
             assert dynasindy.identify(alone, **words).signature.state_names == ("theta",)
 
 
-def test_a_warning_says_which_rate_is_in_other_units(exact):
-    """The pendulum's angle in degrees, beside its rate in rad/s; neither is warned of in one unit."""
+def test_a_rate_in_other_units_is_refused_where_it_is_known_and_else_told(exact):
+    """The pendulum's angle in degrees, beside its rate in rad/s; neither is told of in one unit."""
     t, degrees = exact.training, torch.tensor([180 / math.pi, 1.0])
     wrong = Source.of(Recording(replace(t, x=t.x * degrees, x_next=t.x_next * degrees), exact.signature))
-    with pytest.warns(UserWarning, match=r"^Omega does not fit theta, .* is 57\.3 times Omega; degrees beside rad/s\?"):
+    told = r"^Omega does not fit theta, .* is 57\.3 times Omega; degrees beside rad/s\?"
+    with pytest.warns(UserWarning, match=told):
+        dynasindy.identify(wrong, WORDS, {}, "one_step")
+    with pytest.raises(ValueError, match=r"^Omega was given as the rate of theta.* \(degrees beside rad/s") as error:
         dynasindy.identify(wrong, WORDS, {"theta": "Omega"}, "one_step")
+    given = re.search(r"read\(states=(\{.*\})\)", str(error.value))
+    assert ast.literal_eval(given[1])["Omega"]["scale"] == pytest.approx(180 / math.pi)
+    turned = Source.of(Recording(t, replace(exact.signature, state_names=("Omega", "theta"))))
+    with pytest.raises(ValueError, match=r"theta is the rate of Omega; give identify\(known=\{'Omega': 'theta'\}\)"):
+        dynasindy.identify(turned, WORDS, {"theta": "Omega"}, "one_step")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         dynasindy.identify(exact, WORDS, {"theta": "Omega"}, "one_step")

@@ -11,7 +11,7 @@ import torch
 
 from dynasindy.checking.check import Check
 from dynasindy.checking.flights import TOLERANCE
-from dynasindy.checking.flown import GAINS, LATEST
+from dynasindy.checking.flown import GAINS, LATEST, Flown
 from dynasindy.checking.margins import Margins
 from dynasindy.checking.uncertainty import SHARE
 from dynasindy.durations import in_words
@@ -26,7 +26,7 @@ class Thresholds:
         phase: Least phase margin [deg].
         delay: Least delay margin [control periods].
         disk: Least disk margin.
-        error: Largest steady error [typical ranges of the outputs].
+        error: Largest steady error [typical sizes of the outputs].
         recovered: Least share of initial errors from which the plant comes back.
         noise: Largest standard deviation of an input under the noise of the sensors.
         slew: Largest change of an input in a control period.
@@ -59,8 +59,47 @@ class Finding:
     words: str
 
     def __str__(self) -> str:
-        """Return it as a line."""
-        return f"{'ok  ' if self.good else 'WEAK'} {self.name}: {self.words}"
+        """Return it as a line, where it is weak with what may mend it."""
+        if self.good:
+            return f"ok   {self.name}: {self.words}"
+        mend = REMEDIES.get(self.name, "")
+        return f"WEAK {self.name}: {self.words}{'. ' * bool(mend)}{mend}"
+
+
+BORNE = "To mend it, train with planning.margin=0.3, so that inputs may be weaker or stronger by that share"
+GENTLE = "To mend it, train with task.reward.rate_weight=1, which makes quick movements cost ten times as much"
+REMEDIES = {
+    "stability": "To mend it, narrow the targets, or excite the plant near these targets and train anew",
+    **dict.fromkeys(("gain margin", "gain reduction", "phase margin", "disk margin"), BORNE),
+    "delay margin": "To mend it, train with planning.variation.late=true, as if inputs came a control period later",
+    "large movements": "To mend it, train with planning.margin=0.3 for stronger inputs, or with "
+    "planning.variation.late=true for later ones",
+    "noise": f"{GENTLE}, or mend the sensor",
+    "steady error": "See steps.png. If outputs still move at its end, give a longer flight by seconds=; if they rest "
+    "beside their targets, narrow the targets",
+    "slew": GENTLE,
+    "saturation": "To mend it, narrow the targets, for these steps ask for more than the actuator has",
+    "one coefficient": "To mend it, excite the plant for longer, so that the model is surer",
+    "all coefficients": "To mend it, excite the plant for longer, so that the model is surer",
+    "recovery": "Switch the controller on near the middle of the targets, or give plant.start the range from which it "
+    "is to come back, and train anew",
+}
+"""What may mend a finding that is weak, by its name."""
+
+
+def in_short(found: Check, findings: Sequence[Finding]) -> str:
+    """Return one line that sums up the findings.
+
+    Args:
+        found: What was looked at.
+        findings: What `verdict` said of it.
+    """
+    count, good = len(found.targets), int(found.stable.sum())
+    weak = [each.name for each in findings if not each.good]
+    if good < count:
+        return f"In short: NOT stable at {count - good} of {count} targets. Do not fly it as it is."
+    rest = f"weak in {len(weak)} of {len(findings)} findings: {', '.join(weak)}" if weak else "no finding is weak"
+    return f"In short: stable at all {count} targets, and {rest}."
 
 
 def verdict(found: Check, thresholds: Thresholds | None = None) -> list[Finding]:
@@ -98,10 +137,12 @@ def _margins(found: Check, limits: Thresholds) -> list[Finding]:
     dt, names = found.loop.dt, found.loop.signature.input_names
     rows = [(k, i, m) for k, target in enumerate(found.margins) for i, m in enumerate(target)]
 
+    slow = "" if found.flown is None else ", in movements so small that dry friction damps them"
+
     def _least(values: Sequence[float]) -> tuple[float, str]:
         place = int(np.argmin(values))
         k, i, _ = rows[place]
-        return values[place], f"of {names[i]} at {_place(found, k)}"
+        return values[place], f"of {names[i]} at {_place(found, k)}{slow}"
 
     def _all(read: object) -> list[float]:
         assert callable(read)
@@ -156,9 +197,27 @@ def _flown(found: Check, limits: Thresholds) -> list[Finding]:
     )
     words = (
         f"flown from target to target, the inputs may act {stronger} times as strongly, or {later} control periods, "
-        f"{1000 * margins.delay * dt:.0f} ms, later; thresholds: {limits.gain:g} and {limits.delay:g}"
+        f"{1000 * margins.delay * dt:.0f} ms, later{_counting(found, margins)}; thresholds: {limits.gain:g} and "
+        f"{limits.delay:g}"
     )
     return [Finding(name, margins.gain >= limits.gain and margins.delay >= limits.delay, words)]
+
+
+def _counting(found: Check, flown: Flown) -> str:
+    """Say which margins count where those of flights disagree with those of small movements."""
+    small = [margin for target in found.margins for margin in target]
+    gain, delay = (  # as far as was tried is no end
+        value if value < most else math.inf for value, most in ((flown.gain, float(GAINS[-1])), (flown.delay, LATEST))
+    )
+    pairs = {
+        "gain": (gain, min(margin.gain for margin in small)),
+        "delay": (delay, min(margin.delay for margin in small) / found.loop.dt),
+    }
+    less = [name for name, (large, little) in pairs.items() if large < little]
+    if not less:
+        return ". The margins above are less than these, and count"
+    both = " and the ".join(f"{name} margin" for name in less)
+    return f". This is less than the {both} above, so this line counts for {'both' if less[1:] else 'that'}"
 
 
 def _noise(found: Check, limits: Thresholds) -> Finding:
@@ -229,13 +288,13 @@ def _recovery(found: Check, limits: Thresholds) -> Finding:
     return Finding(
         "recovery",
         least >= limits.recovered,
-        f"comes back from errors of up to {found.settings.reach:g} typical range{'s' * (found.settings.reach != 1)} of "
-        f"each state: {words}; threshold: {100 * limits.recovered:.0f} %",
+        f"comes back from errors of up to {found.settings.reach:g} times the typical size of each state: "
+        f"{words}; threshold: {100 * limits.recovered:.0f} %",
     )
 
 
 def _error(found: Check, error: torch.Tensor) -> tuple[float, str, int]:
-    """Return the largest steady error of `(rows, n_r)` in typical ranges, in words, and the number of its output."""
+    """Return the largest steady error of `(rows, n_r)` in typical sizes, in words, and the number of its output."""
     signature, outputs = found.loop.signature, found.loop.task.outputs
     scale = torch.tensor([signature.x_scale[i] for i in outputs], dtype=torch.float64)
     ranged = (error / scale).amax(0)
@@ -250,10 +309,13 @@ def _name(found: Check, output: int) -> str:
 
 
 def _allowed(found: Check, limits: Thresholds, output: int) -> str:
-    """Return the steady error that an output may have, in its unit and as a share of its typical range."""
+    """Return the steady error that an output may have, in its unit and as a share of its typical size."""
     signature, state = found.loop.signature, found.loop.task.outputs[output]
     most = limits.error * signature.x_scale[state]
-    return f"{most:.3g} {signature.state_units[state]}, {100 * limits.error:g} % of its range"
+    unit, size = signature.state_units[state], signature.x_scale[state]
+    return (
+        f"{most:.3g} {unit}, {100 * limits.error:g} % of {size:.3g} {unit}, the typical size of {_name(found, output)}"
+    )
 
 
 def _place(found: Check, k: int) -> str:

@@ -45,6 +45,7 @@ def infer(
     inputs: Collection[str] | None = None,
     states: Collection[str] | None = None,
     notes: list[str] | None = None,
+    dt: float | None = None,
 ) -> tuple[dict[str, Column], dict[str, Column]]:
     """Read the columns of states and inputs off the headings of a file, `name` or `name [unit]`.
 
@@ -58,6 +59,7 @@ def infer(
         inputs: names or headings of the inputs, without their units or with them.
         states: those of the states.
         notes: sentences on what was read; those on what was left out are added.
+        dt: sampling time that was given [s]; the error then does not ask for it.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -96,7 +98,7 @@ def infer(
     if dates := dates if timed else dates[1:]:  # the first is the time where nothing else is
         out.append(f"left out, as dates are read only where they are the time: {', '.join(dates)}")
     if not left or not found or not timed:
-        raise ValueError(_lacking(path, look, clock.heading, list(left), list(found), out))
+        raise ValueError(_lacking(path, look, clock.heading, list(left), list(found), out, dt))
     if notes is not None:
         notes += out
     return with_units(left, given, states=True, rotors=False), with_units(found, given, states=False)
@@ -127,7 +129,13 @@ def _left_out(still: Mapping[str, float], counts: Sequence[str], words: Mapping[
 
 
 def _lacking(
-    path: str, look: Survey, clock: str, states: Sequence[str], inputs: Sequence[str], out: Sequence[str]
+    path: str,
+    look: Survey,
+    clock: str,
+    states: Sequence[str],
+    inputs: Sequence[str],
+    out: Sequence[str],
+    dt: float | None,
 ) -> str:
     """Say what a file lacks, what was left out of it, and the settings that may mend it."""
     timed = clock in look.headings
@@ -140,8 +148,8 @@ def _lacking(
             f"{begin}; {beside}. Allowed are one state or more and one input or more: log the command that moves the "
             f"plant, too, for without one nothing can be identified.{left_out}"
         )
-    lacking = _LACKING["time" if not timed else "inputs" if not inputs else "states"]
-    guess = guessed(Path(path), look, clock if timed else None, inputs) if look.numeric else ""
+    lacking = _LACKING["time" if not timed else "inputs" if not inputs else "states"].format(clock=clock)
+    guess = guessed(Path(path), look, clock if timed else None, inputs, dt) if look.numeric else ""
     return (
         f"{begin}; {lacking}. Allowed are a column of time, one state or more, and one input or more: say which is "
         f"which, by data.time, data.inputs and data.states.{left_out}{guess}"
@@ -151,7 +159,7 @@ def _lacking(
 INPUT = re.compile(r"(u|U|input)([_\d].*)?")
 """How inputs are called."""
 _LACKING = {
-    "time": "none of them is called time",
+    "time": "none of them is called {clock}",
     "inputs": "none that moves is called u, u_... or input_..., as inputs are",
     "states": "besides time and inputs none is left, which would be a state",
 }

@@ -46,6 +46,7 @@ def reaches(path: str, u: Array, inputs: Mapping[str, Column], into_range: bool,
                 f"{path}: input {name} is constant at {column[0]:g}; allowed is an input that moves: excite it, or "
                 "leave it out of `inputs`"
             )
+        notes += _two_levels(name, column)
         found[name] = _range_of(column) if into_range else PLAIN
         if given.low is not None and given.high is not None:
             found[name] = Reach.of(given.low, given.high, given.rest)
@@ -184,6 +185,18 @@ def _too_wide(name: str, values: Array, reach: Reach) -> list[str]:
         f"input {name} was given low {reach.low:g} and high {reach.high:g}, and its column goes from {least:.6g} to "
         f"{most:.6g} only, {100 * (most - least) / (reach.high - reach.low):.1g} % of that; check that both are in one "
         "unit. What a model says so far beyond a log is a guess: log more of the range, or give narrower ends"
+    ]
+
+
+def _two_levels(name: str, values: Array) -> list[str]:
+    """Say that an input of two levels, as a relay or a random binary signal has, tells nothing of those between."""
+    low, high = float(values.min()), float(values.max())
+    if ((values != low) & (values != high)).any():
+        return []
+    return [
+        f"the log shows only two levels of input {name}, {low:g} and {high:g}, so nothing is known of the values "
+        "between them, which a controller uses. Log some of these, too; where the actuator can only switch, pulse it "
+        "and log the share of the time that it is on"
     ]
 
 

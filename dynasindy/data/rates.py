@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -15,6 +15,8 @@ from dynasindy.systems.transitions import Transitions
 
 CLEAR = 3.0
 """Factor between slope and rate, either way, from which on a unit is wrong: no filter or noise makes as much."""
+EXACT = 1.25
+"""The same of a rate that is known to be that of a state: its equation is not fitted, so smaller factors are told."""
 TIED = 0.95
 """Correlation from which on a state is told to move by the integral of another one; the factor is sure within 5 %."""
 LOOSE = 0.3
@@ -83,7 +85,7 @@ class Mismatch:
         factor = f"{self.factor:.3g}"
         told = (
             f"{self.rate} does not fit {self.state}, whose slope over time is {factor} times {self.rate}; "
-            f"{self._cause()}? Correct the column, or give it a scale in data.states"
+            f"{self.cause()}? Correct the column, or give it a scale in data.states"
         )
         if not self.guessed:
             return told
@@ -99,7 +101,7 @@ class Mismatch:
         near = min(CAUSES, key=lambda known: abs(math.log(size / known)))
         return math.copysign(near if abs(math.log(size / near)) < NEAR else float(f"{size:.3g}"), self.factor)
 
-    def _cause(self) -> str:
+    def cause(self) -> str:
         """Say what the factor comes from, its sign too."""
         size, turned = abs(self.factor), self.factor < 0
         near = min(CAUSES, key=lambda known: abs(math.log(size / known)))
@@ -134,21 +136,34 @@ def contradicted(data: Transitions, signature: Signature, known: Mapping[str, st
         signature: names and units of the states.
         known: the rate of each state, as it was said.
     """
-    told, names = {}, signature.state_names
+    told, names = exchanged(data, signature, known), signature.state_names
     for state, rate in known.items():
-        places = names.index(state), names.index(rate)
-        tie, turned = _factor(data, *places), _factor(data, *reversed(places))
-        swapped = turned[1] > TIED and 1 / CLEAR < turned[0] < CLEAR and not tie[1] > TIED
-        if swapped:
-            told[state] = (
-                f"{rate} was given as the rate of {state}, and in the log it is the other way round: {state} is the "
-                f"rate of {rate}; give 'plant.known={{{rate}: {state}}}'"
-            )
-        elif tie != NO_TIE and -TIED < tie[1] < LOOSE:
+        tie = _factor(data, names.index(state), names.index(rate))
+        if state not in told and tie != NO_TIE and -TIED < tie[1] < LOOSE:
             told[state] = (
                 f"{rate} was given as the rate of {state}, and the log contradicts it: {state} does not move by the "
                 f"integral of {rate} (correlation {tie[1]:.2f}); correct plant.known or the columns, for this equation "
                 "is taken as exact"
+            )
+    return told
+
+
+def exchanged(data: Transitions, signature: Signature, known: Mapping[str, str]) -> dict[str, str]:
+    """Return sentences on the states that are clearly the rates of what is said to be their rate, by state.
+
+    Args:
+        data: the recording.
+        signature: names and units of the states.
+        known: the rate of each state, as it was said.
+    """
+    told, names = {}, signature.state_names
+    for state, rate in known.items():
+        places = names.index(state), names.index(rate)
+        tie, turned = _factor(data, *places), _factor(data, *reversed(places))
+        if turned[1] > TIED and 1 / CLEAR < turned[0] < CLEAR and not tie[1] > TIED:
+            told[state] = (
+                f"{rate} was given as the rate of {state}, and in the log it is the other way round: {state} is the "
+                f"rate of {rate}; give 'plant.known={{{rate}: {state}}}', or correct the columns"
             )
     return told
 
@@ -172,7 +187,8 @@ def mismatched(data: Transitions, signature: Signature, known: Mapping[str, str]
         others = [s for s in seen if s not in pairs and s != rate and _may_be(s, rate, signature)]
         ties = {state: _factor(data, names.index(state), names.index(rate)) for state in sure or others}
         state, tie = max(ties.items(), key=lambda item: abs(item[1][1]), default=("", NO_TIE))
-        if abs(tie[1]) > (TIED if sure else ALIKE) and not 1 / CLEAR < tie[0] < CLEAR:
+        clear = EXACT if pairs.get(state) == rate and abs(tie[1]) > ALIKE else CLEAR
+        if abs(tie[1]) > (TIED if sure else ALIKE) and not 1 / clear < tie[0] < clear:
             found.append(Mismatch(state, rate, tie[0], guessed=not sure))
     return found
 
@@ -189,7 +205,35 @@ def misfit(data: Transitions, signature: Signature, known: Mapping[str, str]) ->
     """
     pairs = {s: rate for s, rate in known.items() if {s, rate} <= set(signature.state_names)}
     wrong = contradicted(data, signature, pairs)
-    return [m for m in mismatched(data, signature, pairs) if pairs.get(m.state) == m.rate and m.state not in wrong]
+    found = [m for m in mismatched(data, signature, pairs) if not 1 / CLEAR < m.factor < CLEAR]
+    return [m for m in found if pairs.get(m.state) == m.rate and m.state not in wrong]
+
+
+def require_known(
+    data: Transitions, signature: Signature, known: Mapping[str, str], mend: Callable[[Mismatch], str]
+) -> None:
+    """Refuse rates that are known and cannot be those of their states, for their equations are taken as exact.
+
+    Args:
+        data: The recording.
+        signature: Names and units of the states.
+        known: The rate of each state; other equations are not looked at.
+        mend: Returns the words that mend a rate in other units, or of the other sign.
+
+    Raises:
+        ValueError: A rate was exchanged with its state, is in other units, or counts the other way.
+    """
+    pairs = {s: rate for s, rate in known.items() if {s, rate} <= set(signature.state_names)}
+    for told in exchanged(data, signature, pairs).values():
+        raise ValueError(told)
+    for wrong in misfit(data, signature, pairs):
+        unit = signature.state_units[signature.state_index(wrong.state)]
+        allowed = f"the unit of {wrong.state} per second" if unit == "-" else unit_of_rate(unit)
+        raise ValueError(
+            f"{wrong.rate} was given as the rate of {wrong.state}, whose slope over time is {wrong.factor:.3g} times "
+            f"{wrong.rate} ({wrong.cause()}?); allowed is a rate in {allowed}, for its equation is taken as exact: "
+            f"{mend(wrong)}, or correct the column"
+        )
 
 
 def turning(data: Transitions, angles: Sequence[int], speeds: Sequence[int]) -> dict[int, int]:

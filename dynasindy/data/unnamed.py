@@ -4,20 +4,46 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dynasindy.data.clock import CLOCK, is_counter, parts_of
-from dynasindy.data.survey import Survey
+from dynasindy.data.clock import CLOCK, clock_of, is_counter, parts_of
+from dynasindy.data.survey import Survey, survey
 from dynasindy.data.table import read_table, split_unit
 
 Array = NDArray[np.float64]
 
 
-def guessed(path: Path, look: Survey, time: str | None, inputs: Sequence[str]) -> str:
+def counted(path: Path, time: str, named: Collection[str]) -> str:
+    """Return the heading of the time of a log whose sampling time is given: its counter of rows, where it has no time.
+
+    That is the only column that grows all along, in whole numbers and mostly by the same step, as no sensor does.
+    Where there is no such column, or a heading that can be meant by time, what was given is returned.
+
+    Args:
+        path: The file.
+        time: Heading of the time as it was given, or `time`.
+        named: Names of the columns that were named as states or inputs.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: The file is no table of text.
+    """
+    look = survey(path)
+    if time != CLOCK or look.dated or clock_of(look.headings, time).heading in look.headings:
+        return time
+    columns = _finite(path, look)
+    growing = [heading for heading, column in columns.items() if _grows(column)]
+    if len(growing) != 1 or split_unit(growing[0])[0] in named or not is_counter(columns[growing[0]]):
+        return time
+    steps = np.diff(columns[growing[0]])
+    return growing[0] if (steps == np.median(steps)).mean() > 0.5 else time
+
+
+def guessed(path: Path, look: Survey, time: str | None, inputs: Sequence[str], dt: float | None = None) -> str:
     """Return a first guess at what is time, what an input and what a state: sentences, then words of the command line.
 
     Time is a column of dates, or the first column that grows all along, one that counts rows only where there is no
@@ -30,13 +56,12 @@ def guessed(path: Path, look: Survey, time: str | None, inputs: Sequence[str]) -
         look: Its columns.
         time: Heading of the time, None where it is not known.
         inputs: Names of inputs that were found.
+        dt: Sampling time that was given [s].
 
     Raises:
         ValueError: The file is no table of text.
     """
-    headings = [heading for heading in look.numeric if heading not in look.still]
-    values = read_table(path, headings).values
-    columns = dict(zip(headings, values[np.isfinite(values).all(1)].T, strict=True))
+    columns = _finite(path, look)
     growing = [heading for heading, column in columns.items() if _grows(column)]
     named = time is not None
     if time is None:
@@ -44,7 +69,9 @@ def guessed(path: Path, look: Survey, time: str | None, inputs: Sequence[str]) -
     names = [split_unit(heading)[0] for heading in columns if heading not in (time, *look.counting)]
     hints: list[str] = []
     seconds = ""
-    if time in growing and not parts_of(time)[1] and is_counter(columns[time]):
+    if not time:
+        hints.append("No column grows from row to row, as time does: write the time of each row into the file")
+    if dt is None and time in growing and not parts_of(time)[1] and is_counter(columns[time]):
         hints.append(f"{time} holds whole numbers, as a counter does: if it counts rows, give data.dt, too, in seconds")
         seconds = "" if named else " data.dt=SECONDS"  # what is called time may be one in whole seconds
     if not inputs and names:
@@ -58,10 +85,17 @@ def guessed(path: Path, look: Survey, time: str | None, inputs: Sequence[str]) -
             )
     states = [name for name in names if name not in inputs]
     clock = split_unit(time)[0] if time else "HEADING"
-    words = [] if clock == CLOCK else [f"data.time={_quoted(clock)}"]
+    words = [] if named and clock == CLOCK else [f"data.time={_quoted(clock)}"]
     words += [f"data.{key}=[{','.join(map(_quoted, each))}]" for key, each in (("inputs", inputs), ("states", states))]
     told = "".join(f" {hint}." for hint in hints)
     return f"{told} This is a first guess, to be corrected: {' '.join(map(shlex.quote, words))}{seconds}"
+
+
+def _finite(path: Path, look: Survey) -> dict[str, Array]:
+    """Return the columns that move, by heading, without the rows that lack a value."""
+    headings = [heading for heading in look.numeric if heading not in look.still]
+    values = read_table(path, headings).values if headings else np.empty((0, 0))
+    return dict(zip(headings, values[np.isfinite(values).all(1)].T, strict=True))
 
 
 def _grows(column: Array) -> bool:

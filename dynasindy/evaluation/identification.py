@@ -15,10 +15,11 @@ from torch import Tensor
 from dynasindy.data.columns import Column, columns_of, infer
 from dynasindy.data.csv import CsvLog, Recording
 from dynasindy.data.ends import acting_as, with_ends
-from dynasindy.data.rates import misfit, unit_of_rate
+from dynasindy.data.rates import Mismatch, require_known, unit_of_rate
 from dynasindy.data.simulated import before_leaving, disturb, record
 from dynasindy.data.table import all_headings, split_unit
 from dynasindy.data.units import as_words, with_units
+from dynasindy.data.unnamed import counted
 from dynasindy.evaluation import verdict
 from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.horizons import Forecasts, begun, forecast
@@ -170,6 +171,8 @@ class Logged:
             plant: Names, units and ends of the plant that it is of; the file itself has to tell them where there is
                 none. Of states without a column the ranges are used, too.
         """
+        if (timed := self._timed()) != self.time:
+            return replace(self, time=timed).recording(plant)
         notes: list[str] = []
         states, inputs = self._columns(plant, notes)
         own = plant is None  # a plant that is named has inputs in [-1, 1], or says their ends
@@ -185,6 +188,14 @@ class Logged:
             ranges = zip(unseen, plant.x_scale, signature.x_scale, strict=True)
             signature = replace(signature, x_scale=tuple(theirs if blind else own for blind, theirs, own in ranges))
         return replace(recording, signature=signature)
+
+    def _timed(self) -> str:
+        """Return the heading of the time: where the sampling time is given, a counter of rows will do."""
+        if self.dt is None:
+            return self.time
+        given = [each for each in (self.states, self.inputs) if each]
+        named = [_heading(n, each[n] if isinstance(each, Mapping) else n) for each in given for n in each]
+        return counted(Path(str(self.path)), self.time, [split_unit(heading)[0] for heading in named])
 
     def _columns(self, plant: Signature | None, notes: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
         if plant is None:
@@ -207,7 +218,7 @@ class Logged:
             return self._in_units(maps["states"]), maps["inputs"]
         inputs = [_heading(name, given) for name, given in maps["inputs"].items()] if "inputs" in maps else self.inputs
         listed = None if "states" in maps else self.states
-        states, found = infer(str(self.path), self.time, inputs or None, listed or None, notes)
+        states, found = infer(str(self.path), self.time, inputs or None, listed or None, notes, self.dt)
         return self._in_units(maps.get("states", states)), maps.get("inputs", dict(found))
 
     def _in_units(self, states: Mapping[str, Any]) -> dict[str, Any]:
@@ -216,19 +227,21 @@ class Logged:
         return dict(with_units(columns_of(states), headings, states=True, known=self.known, rotors=False))
 
     def _require_fit(self, recording: Recording, states: Mapping[str, Any]) -> None:
-        """Refuse rates that are known and in other units than their states, for their equations are exact."""
-        for wrong in misfit(recording.transitions, recording.signature, self.known or {}):
+        """Refuse rates that are known and cannot be those of their states, with the setting that mends them."""
+
+        def mend(wrong: Mismatch) -> str:
             headings, given = all_headings(Path(str(self.path))), columns_of(states)
             explicit = [n for n, c in given.items() if c != with_units({n: Column(c.name)}, headings, states=True)[n]]
             columns = with_units(given, headings, states=True)
             unit = unit_of_rate(recording.signature.state_units[recording.signature.state_index(wrong.state)])
             rate = columns[wrong.rate]
             columns[wrong.rate] = replace(rate, unit=unit, scale=wrong.likely * rate.scale)
-            raise ValueError(
-                f"{self.path}: {wrong.rate} was given as the rate of {wrong.state}, whose slope over time is "
-                f"{wrong.factor:.3g} times {wrong.rate}; allowed is a rate in {unit}, for its equation is taken as "
-                f"exact: give {as_words(columns, {*explicit, wrong.rate})}, or correct the column"
-            )
+            return f"give {as_words(columns, {*explicit, wrong.rate})}"
+
+        try:
+            require_known(recording.transitions, recording.signature, self.known or {}, mend)
+        except ValueError as error:
+            raise ValueError(f"{self.path}: {error}") from None
 
 
 @dataclass(frozen=True)

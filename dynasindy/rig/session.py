@@ -10,21 +10,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from dynasindy import workbench
 from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
 from dynasindy.data.rates import with_rates
 from dynasindy.evaluation.identification import Logged
+from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source, alike_ends
 from dynasindy.excitation import Excitation
 from dynasindy.rig.base import Array, Clock, Rig, Wiring
 from dynasindy.rig.flight import ROUNDING, Flown, Guard, fly
 from dynasindy.rig.log import heading
-from dynasindy.rig.shown import Shown
+from dynasindy.rig.shown import LAST, Shown
 from dynasindy.systems import Signature
 from dynasindy.systems.base import WHOLE
 from dynasindy.systems.transitions import Transitions
+from dynasindy.tasks import Step
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.libraries import LibraryBuilder
 
@@ -98,6 +101,7 @@ class Session:
         clock: Tells the time and waits.
         flights: What came of each flight.
         shown: What the flights of controllers show, by the name of their logs.
+        model: What was identified last; None before.
     """
 
     rig: Rig
@@ -108,6 +112,7 @@ class Session:
     clock: Clock = time
     flights: list[Flown] = field(default_factory=list)
     shown: dict[str, Shown] = field(default_factory=dict)
+    model: SindyModel | None = None
 
     @property
     def failed(self) -> bool:
@@ -139,7 +144,11 @@ class Session:
             level: Array = levels[round(t / self.wiring.dt)]
             return level
 
-        return self._fly(f"excitation_{len(before)}" if before else "excitation", _act, len(levels))
+        flown = self._fly(f"excitation_{len(before)}" if before else "excitation", _act, len(levels))
+        if flown.fault is not None and flown.fault.kind == "range":
+            half = ",".join(f"{value:.3g}" for value in (0.5 * signal.amplitude.abs()).tolist())
+            self.tell(f"  it moved too far: excite it half as much by plant.amplitude=[{half}], or allow a wider range")
+        return flown
 
     def logs(self, kind: str) -> dict[Path, int]:
         """Return the logs in the folder, in the order in which they were flown, each with its number of rows.
@@ -177,11 +186,14 @@ class Session:
             log, knowledge.library, knowledge.known, longest_delay=delay, tell=lambda line: self.tell(f"  {line}")
         )
         model.save(self.folder / "model.json")
+        self.model = model
         for line in model.equations():
             self.tell(f"  {line}")
         if model.delay:
             periods = model.delay / self.wiring.dt
             self.tell(f"  inputs act {1e3 * model.delay:.3g} ms late, {periods:.2g} control periods")
+        else:
+            self.tell(f"  {_no_delay(delay)}")
         self.tell("planning while the rig rests")
         controller = workbench.plan(
             model, knowledge.targets, log, dt=self.wiring.dt, seed=seed, **dict(knowledge.planning)
@@ -196,6 +208,8 @@ class Session:
             ValueError: The controller is one for another plant, period or sensors; nothing has moved.
         """
         self._require(controller)
+        if self.model is not None:  # of a controller that was given nobody knows the model
+            self.tell(f"  {_foretold(controller, self.model, targets, seconds)}")
         self._tell_inputs(controller.signature)
         names, theirs = self.wiring.signature.state_names, set(controller.signature.state_names)
 
@@ -321,6 +335,27 @@ def _require_reached(signal: Excitation, levels: Array, signature: Signature) ->
         f"{levels[:, place].max():.3g}, and its actuator reaches {low[place]:.3g} to {high[place]:.3g}; nothing has "
         f"moved: give plant.amplitude={words[0]} plant.offset={words[1]}, or others within these limits"
     )
+
+
+def _no_delay(longest: float | None) -> str:
+    """Say that no delay of the inputs is in a model, and how far it was looked for."""
+    if longest == 0:
+        return "no delay of the inputs was looked for, as longest_delay=0 says"
+    return "no delay of the inputs was found" + (f" up to {1e3 * longest:.3g} ms" if longest else "")
+
+
+def _foretold(controller: Controller, model: SindyModel, targets: Sequence[Sequence[float]], seconds: float) -> str:
+    """Fly a model to each target, from where episodes begin, and say how near it comes, as of a flight."""
+    scenario = Scenario("flight", Step(targets), len(targets), seconds)
+    flight = workbench.foretell(controller, model, None, scenario).shown
+    if flight is None:
+        return "prediction: on the model this flight runs away"
+    signature, wanted = model.signature, torch.tensor(np.array(targets, dtype=float)).unsqueeze(1)
+    apart = (flight.outputs.double() - wanted).abs()
+    errors = apart[:, round((1 - LAST) * apart.shape[1]) :].mean((0, 1)).tolist()
+    units = (signature.state_units[signature.state_index(name)] for name in controller.outputs)
+    told = [f"{n} to {error:.3g} {unit}" for n, error, unit in zip(controller.outputs, errors, units, strict=True)]
+    return f"prediction of the model, mean error over the last half of each target: {', '.join(told)}"
 
 
 def _ends(signature: Signature) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dynasindy.evaluation.symptoms import step_of
 from dynasindy.rig.base import Array
 from dynasindy.systems import Signature
 
@@ -86,11 +87,16 @@ class Shown:
         return np.where(known, apart, 0.0).sum(0) / np.where(known.any(0), known.sum(0), np.nan)
 
     def words(self) -> str:
-        """Return the errors in one line."""
-        told = [
-            f"{name} to {error:.3g} {unit}" if np.isfinite(error) else f"{name} was not measured"
-            for name, unit, error in zip(self.names, self.units, self.errors().tolist(), strict=True)
-        ]
+        """Return the errors in one line; one below the step of its sensor is no number of the plant."""
+        told = []
+        for k, (name, unit, error) in enumerate(zip(self.names, self.units, self.errors().tolist(), strict=True)):
+            step = step_of(self.outputs[:, k])
+            if not np.isfinite(error):
+                told.append(f"{name} was not measured")
+            elif error < step:
+                told.append(f"{name} within the sensor's step of {step:.3g} {unit}")
+            else:
+                told.append(f"{name} to {error:.3g} {unit}")
         return f"mean error over the last half of each target: {', '.join(told)}"
 
 

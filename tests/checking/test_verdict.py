@@ -1,15 +1,20 @@
 """A finding keeps its threshold or not, and says which figure it is."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
 
 from dynasindy.checking.check import Settings, check
 from dynasindy.checking.flights import Flights
+from dynasindy.checking.flown import Flown
 from dynasindy.checking.margins import Margins
-from dynasindy.checking.verdict import Finding, Thresholds, verdict
+from dynasindy.checking.verdict import Finding, Thresholds, in_short, verdict
 
 SMALL = Settings((-0.4,), (0.4,), points=2, seconds=8.0, grid=3, draws=2)
 
@@ -17,6 +22,11 @@ SMALL = Settings((-0.4,), (0.4,), points=2, seconds=8.0, grid=3, draws=2)
 @pytest.fixture(scope="module")
 def good(loops):
     return check(loops(observer={}), SMALL)
+
+
+def composed():
+    with initialize_config_dir(str(Path(__file__).parents[2] / "conf"), version_base="1.3"):
+        return compose("train", ["system=xi"])
 
 
 def by_name(found, thresholds=None):
@@ -29,7 +39,7 @@ def test_a_cart_with_a_sound_law_is_sound(good):
     assert [name for name, each in found.items() if not each.good] == ["noise"] or all(f.good for f in found.values())
     assert "stable at all 2 targets; largest spectral radius" in found["stability"].words
     assert found["recovery"].words.startswith(
-        "comes back from errors of up to 1 typical range of each state: 100 % in p and v;"
+        "comes back from errors of up to 1 times the typical size of each state: 100 % in p and v;"
     )
 
 
@@ -101,8 +111,10 @@ def test_the_threshold_of_the_steady_error_has_the_unit_of_its_value(good):
     # p counts by 2 m: a tenth of that is 0.2 m.
     words = by_name(good, Thresholds(error=0.1))["steady error"].words
     assert words.startswith("in steps from the origin at most ") and " m of p; " in words
-    assert words.endswith("threshold: 0.2 m, 10 % of its range")
-    assert by_name(good, Thresholds(error=0.1))["all coefficients"].words.endswith("stable, 0.2 m, 10 % of its range")
+    assert words.endswith("threshold: 0.2 m, 10 % of 2 m, the typical size of p")
+    assert by_name(good, Thresholds(error=0.1))["all coefficients"].words.endswith(
+        "stable, 0.2 m, 10 % of 2 m, the typical size of p"
+    )
 
 
 def test_an_unstable_loop_says_so_first_and_where(loops, law):
@@ -127,3 +139,43 @@ def test_a_coefficient_that_makes_it_unstable_is_named(loops, carts, law):
 
 def test_a_finding_is_a_line():
     assert str(Finding("a", True, "b")) == "ok   a: b" and str(Finding("a", False, "b")) == "WEAK a: b"
+
+
+def test_every_finding_that_may_be_weak_has_a_remedy_whose_settings_exist(good):
+    cfg = OmegaConf.to_container(composed())
+    for name in (*by_name(good), "large movements"):
+        line = str(Finding(name, False, "b"))
+        assert line.startswith(f"WEAK {name}: b. ") and str(Finding(name, True, "b")) == f"ok   {name}: b"
+        for key in re.findall(r"((?:\w+\.)+\w+)=", line):
+            node = cfg
+            for step in key.split("."):
+                node = node[step]
+
+
+def test_one_line_sums_up(good, loops, law):
+    findings = verdict(good, Thresholds(slew=0.0, error=1.0))
+    weak = [each.name for each in findings if not each.good]
+    assert in_short(good, findings) == (
+        f"In short: stable at all 2 targets, and weak in {len(weak)} of 13 findings: {', '.join(weak)}."
+    )
+    sound = [replace(each, good=True) for each in findings]
+    assert in_short(good, sound) == "In short: stable at all 2 targets, and no finding is weak."
+    lost = check(loops(law(-1.0, 0.0)), SMALL)
+    assert in_short(lost, verdict(lost)).startswith("In short: NOT stable at 2 of 2 targets. Do not fly")
+
+
+@pytest.mark.parametrize(
+    ("gain", "delay", "said"),
+    [
+        (2.0, 1.0, "This is less than the gain margin and the delay margin above, so this line counts for both;"),
+        (2.0, 7.0, "This is less than the gain margin above, so this line counts for that;"),
+        (4.0, 8.0, "The margins above are less than these, and count;"),
+    ],
+)
+def test_of_margins_that_disagree_the_lesser_count(good, gain, delay, said):
+    """At rest they are 5 and 0.5 s, which are five periods; four times and eight periods are as far as is tried."""
+    margin = Margins(5.0, 0.2, 60.0, 0.5, 1.0)
+    found = by_name(replace(good, margins=[[margin], [margin]], flown=Flown(gain, delay)))
+    assert said in found["large movements"].words
+    assert "in movements so small that dry friction damps them;" in found["gain margin"].words
+    assert "movements" not in by_name(good)["gain margin"].words

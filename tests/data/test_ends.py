@@ -247,3 +247,12 @@ def test_ends_that_are_those_of_the_plant_may_be_said_again(tmp_path):
     path = written(tmp_path / "log.csv", levels(6.0, 12.0), "valve [mA]")
     again = {"valve": {"name": "valve", "low": 4, "high": 20}}
     assert Logged(path, inputs=again).recording(PLANT).signature == Logged(path).recording(PLANT).signature
+
+
+@pytest.mark.parametrize(("low", "high"), [(0, 1), (-12, 12), (0, 100)])
+def test_two_levels_of_an_input_are_told_and_three_are_not(tmp_path, low, high):
+    """A relay is on or off; a single sample between, as of a valve that was turned, is a third level."""
+    values = np.tile(np.repeat([float(low), float(high)], 10), 5)
+    for between, said in ((values, True), (np.r_[values, (low + high) / 2], False)):
+        notes = " ".join(Logged(written(tmp_path / "log.csv", between), inputs=["valve"]).recording(None).notes)
+        assert (f"only two levels of input valve, {low} and {high}, so nothing is known" in notes) == said

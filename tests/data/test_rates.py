@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from dynasindy.data.rates import contradicted, misfit, mismatched, turning, with_rates
+from dynasindy.data.rates import contradicted, exchanged, misfit, mismatched, require_known, turning, with_rates
 from dynasindy.data.simulated import disturb, record
 from dynasindy.excitation import Chirp, Multisine
 from dynasindy.systems import Pendulum, Signature, Tras, Xi
@@ -240,3 +240,28 @@ def test_a_rate_that_was_exchanged_with_its_state_has_no_factor_and_one_per_minu
     assert found.likely == 2 * math.pi / 60 and turning(swing(1.0, 30 / math.pi), [0], [1]) == {0: 1}
     assert misfit(swing(-17.0), SIGNATURE, {"angle": "rate"})[0].likely == -17.0
     assert turning(swing(1.0, 1.0), [0], [1]) == {}
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_a_known_rate_that_is_wrong_by_two_is_told_and_one_that_is_right_is_not(factor, noise):
+    """It is exact in the model, so twice the slope is twice the gain; filters and noise make less of a difference."""
+    (found,) = mismatched(swing(1.0, factor, noise), SIGNATURE, {"angle": "rate"})
+    assert found.factor == pytest.approx(1 / factor, rel=0.05)
+    assert misfit(swing(1.0, factor, noise), SIGNATURE, {"angle": "rate"}) == []
+    assert mismatched(swing(1.0, factor, noise), SIGNATURE) == []
+    for level in (noise, 0.2, 1.0):
+        assert mismatched(swing(noise=level), SIGNATURE, {"angle": "rate"}) == []
+
+
+def test_what_cannot_be_a_known_rate_is_refused_with_what_mends_it():
+    def mend(wrong):
+        return f"times {wrong.likely:.4g}"
+
+    require_known(swing(), SIGNATURE, {"angle": "rate", "rate": "-angle"}, mend)
+    with pytest.raises(ValueError, match=r"57\.3 times rate \(degrees beside rad/s\?\); .*exact: times 57\.3, or"):
+        require_known(swing(180 / math.pi), SIGNATURE, {"angle": "rate"}, mend)
+    assert list(exchanged(swing(), SIGNATURE, {"rate": "angle"})) == ["rate"]
+    assert exchanged(swing(), SIGNATURE, {"angle": "rate"}) == {}
+    with pytest.raises(ValueError, match=r"the other way round: rate is the rate of angle"):
+        require_known(swing(), SIGNATURE, {"rate": "angle"}, mend)

@@ -139,3 +139,50 @@ def test_dates_that_are_the_time_are_no_words_and_a_counter_asks_for_the_seconds
     path.write_text("\n".join(["row,angle,motor", *(f"{k},{math.sin(k)},{k // 4 % 2}" for k in range(80))]))
     given = settings(guessed(path, survey(path), None, []))
     assert given == {"data.time": "row", "data.inputs": ["motor"], "data.states": ["angle"], "data.dt": "SECONDS"}
+
+
+def rows_of_a_swing(path, headings, columns):
+    """Write rows of numbers; `columns` makes them of the number of the row."""
+    path.write_text("\n".join([headings, *(",".join(map(str, columns(k))) for k in range(80))]))
+    return str(path)
+
+
+@pytest.mark.parametrize("step", [1, 5])
+def test_with_a_sampling_time_a_counter_is_the_time_and_nothing_more_is_asked_for(tmp_path, step):
+    path = rows_of_a_swing(tmp_path / "log.csv", "row,angle,u", lambda k: (step * k, math.sin(k), k // 4 % 2))
+    with pytest.raises(ValueError, match=r"none of them is called time"):
+        Logged(path).recording(None)
+    found = Logged(path, dt=0.02).recording(None)
+    assert found.transitions.dt == 0.02 and len(found.transitions) == 79
+    assert found.signature.state_names == ("angle",) and found.signature.input_names == ("u",)
+    assert (
+        found.notes[0] == "time is the column row, taken as a counter of rows: 0.02 s between rows, as given by data.dt"
+    )
+
+
+def test_a_counter_with_rows_lost_leaves_a_gap_in_time(tmp_path):
+    path = rows_of_a_swing(tmp_path / "log.csv", "n,angle,u", lambda k: (k + 7 * (k > 39), math.sin(k), k // 4 % 2))
+    found = Logged(path, dt=0.1).recording(None)
+    assert sorted(found.transitions.segment.unique().tolist()) == [0, 1] and len(found.transitions) == 78
+
+
+def test_a_counter_is_not_the_time_where_something_else_may_be(tmp_path):
+    """A time in another language, an encoder that only grows, and a column that was named as a state."""
+    two = rows_of_a_swing(tmp_path / "a.csv", "row,Zeit,angle,u", lambda k: (k, 0.1 * k, math.sin(k), k // 4 % 2))
+    with pytest.raises(ValueError, match="none of them is called time") as error:
+        Logged(two, dt=0.1).recording(None)
+    assert settings(str(error.value))["data.time"] == "Zeit"
+    encoder = rows_of_a_swing(tmp_path / "b.csv", "counts,angle,u", lambda k: (k * k, math.sin(k), k // 4 % 2))
+    with pytest.raises(ValueError, match="none of them is called time") as error:
+        Logged(encoder, dt=0.1).recording(None)
+    assert "data.dt" not in str(error.value)  # it was given
+    named = rows_of_a_swing(tmp_path / "c.csv", "row,angle,u", lambda k: (k, math.sin(k), k // 4 % 2))
+    for states in (["row", "angle"], {"way": "row", "angle": {"name": "angle"}}):
+        with pytest.raises(ValueError, match="row"):
+            Logged(named, states, {"u": "u"}, dt=0.1).recording(None)
+
+
+def test_a_log_without_any_time_is_told_to_have_one_written(tmp_path):
+    path = rows_of_a_swing(tmp_path / "log.csv", "angle,u", lambda k: (math.sin(k), k // 4 % 2))
+    with pytest.raises(ValueError, match=r"No column grows from row to row, as time does: write the time of each row"):
+        Logged(path, dt=0.1).recording(None)

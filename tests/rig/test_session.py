@@ -48,14 +48,19 @@ def session(tmp_path):
 
 @pytest.mark.slow
 def test_from_nothing_to_a_controller_that_holds_the_rig(session):
+    told = []
+    session.tell = told.append
     session.excite(Multisine(1, duration=8, dt=0.05, amplitude=[0.8], seed=0))
     controller = session.learn(KNOWLEDGE)
+    assert "  no delay of the inputs was looked for, as longest_delay=0 says" in told
     model = SindyModel.load(session.folder / "model.json")
     torch.testing.assert_close(
         model.coefficients[model.library.index("sin(theta)"), 1], torch.tensor(-9.81).double(), rtol=0.05, atol=0
     )
     session.fly(controller, [[0.4], [-0.2]], 6.0)
     assert not session.failed
+    (said,) = [line for line in told if line.startswith("  prediction of the model")]
+    assert float(re.search(r"theta to (\S+) rad$", said)[1]) < 0.03  # as the plant below
     states = np.array(session.server.record.states)[-240:, 0]
     assert np.abs(states[80:118] - 0.4).max() < 0.03
     assert np.abs(states[200:] + 0.2).max() < 0.03
@@ -112,7 +117,7 @@ def test_a_fault_is_kept_and_told(session):
     session.tell, session.guard = told.append, Guard(low={"theta": -1.0}, high={"theta": 0.05}, late=100.0)
     session.excite(Multisine(1, duration=8, dt=0.05, amplitude=[0.8], seed=0))
     assert session.failed
-    assert "ended by range: theta is" in told[-1]
+    assert "ended by range: theta is" in told[-2] and "plant.amplitude=[0.4], or allow" in told[-1]
     with (session.folder / "excitation.csv").open() as file:
         rows = list(csv.reader(file))[1:]
     assert max(float(row[1]) for row in rows) <= 0.05

@@ -44,6 +44,7 @@ def test_the_exit_code_is_1_where_the_loop_is_not_stable(tmp_path, spring, code)
     done = called(tmp_path, *SMALL)
     assert done.returncode == code, done.stderr
     assert done.stdout.startswith("What the model predicts; the plant itself was not asked.")
+    assert f"In short: {'NOT ' if code else ''}stable at " in done.stdout
     found = json.loads((tmp_path / "run" / "check" / "check.json").read_text())
     assert found["targets"][0]["stable"] == (code == 0) and found["settings"]["low"] == [-0.1]
     assert [line["words"] in done.stdout for line in found["verdict"]].count(False) == 0

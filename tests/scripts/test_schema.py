@@ -1,6 +1,10 @@
 """A value that a key does not take costs one line that names the key, what was given and what is allowed."""
 
+import errno
 import math
+import shlex
+import socket
+import subprocess
 import sys
 from pathlib import Path
 
@@ -56,6 +60,8 @@ def test_what_conf_holds_is_allowed_and_stays_as_it_is(command):
         ("excitation.band", [0.0, "x"], f"excitation.band[1] is 'x'; {NUMBER}"),
         ("env.dt", None, f"env.dt is null; {NUMBER}"),
         ("env.dt", True, f"env.dt is True; {NUMBER}"),
+        ("env.dt", "SECONDS", f"env.dt is 'SECONDS'; {NUMBER} up to 1e+19: SECONDS stands for a value of yours"),
+        ("train.recent_steps", "NUMBER", "a whole number or null: NUMBER stands for a value of yours, so write that"),
         ("agent.hidden", 400, "agent.hidden is 400; allowed is a list, each a whole number"),
         ("agent.actor_lr", "x", f"agent.actor_lr is 'x'; {NUMBER}"),
         ("agent.layer_norm", 1, "agent.layer_norm is 1; allowed is true or false"),
@@ -150,6 +156,44 @@ def test_what_the_system_refuses_costs_one_line(tmp_path, make, words):
         make(tmp_path)
     line = in_words(error.value, "train")
     assert words in line and "\n" not in line
+
+
+@pytest.mark.parametrize("code", [errno.ECONNREFUSED, socket.EAI_NONAME])
+def test_an_error_of_a_connection_speaks_of_no_file(code):
+    assert in_words(OSError(code, "nobody listens at port 1"), "rig") == "nobody listens at port 1"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("evaluate run=PATH", "PATH is not a run folder"),
+        ("check run=FOLDER", "FOLDER does not exist; give a controller that was saved, or the folder of a run"),
+        ("export run=PATH", "PATH does not exist; give a controller"),
+        ("train resume=PATH", "resume=PATH is no run folder"),
+        ("train model=PATH system=logged plant.outputs=[a] plant.low=[0] plant.high=[1]", "PATH: it does not exist"),
+        ("identify data=csv data.path=FILE", "FILE does not exist"),
+        ("identify data=csv data.path=log.csv data.dt=SECONDS", "SECONDS stands for a value of yours"),
+        ("identify data=csv data.path=log.csv data.time=HEADING", "none of them is called HEADING."),
+        ("identify data=csv data.path=log.csv 'data.inputs={u: {name: u, scale: NUMBER}}'", "scale (a number, not 0)"),
+        ("identify data=csv data.path=log.csv 'data.states={angle: HEADING}'", "has no column 'HEADING'"),
+        ("train system=NAME", "'NAME' does not exist in 'system'"),
+        ("train sensors=NAME", "'NAME' does not exist in 'sensors'"),
+        ("rig system=tras rig=udp rig.host=ADDRESS", "(ADDRESS, port 9870); give the rig's rig.host"),
+    ],
+)
+def test_a_word_in_capitals_that_is_copied_as_it_stands_costs_one_line(tmp_path, words, said):
+    (tmp_path / "log.csv").write_text("\n".join(["time,angle,u", *(f"{k / 9},{k % 7},{k % 2}" for k in range(80))]))
+    command, *given = shlex.split(words)
+    done = subprocess.run(
+        [sys.executable, str(SCRIPTS / f"{command}.py"), *given],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    assert done.returncode == 2 and said in done.stderr
+    assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
 
 
 def test_a_broken_pipe_is_nobodys_mistake():
