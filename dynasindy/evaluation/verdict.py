@@ -220,9 +220,12 @@ def _used(features: Sequence[Feature], coefficients: Tensor) -> list[Feature]:
 
 
 def _bent(feature: Feature, read: set[str]) -> bool:
-    """Tell whether a function is not linear in an input."""
+    """Tell whether a function bends in an input in a way that a log alone tells.
+
+    Sine and cosine of an angle do not: they are geometry, and the same beyond the log.
+    """
     mine = [factor for factor in feature.factors if read & set(factor.variables)]
-    straight = all(factor.function in ("id", "ahead") and factor.power == 1 for factor in mine)
+    straight = all(factor.function in ("id", "ahead", "sin", "cos") and factor.power == 1 for factor in mine)
     return not straight or len(mine) > 1
 
 

@@ -163,7 +163,7 @@ def test_an_input_is_known_as_far_as_its_lag_if_the_equations_bend_in_that():
 def test_an_input_is_known_as_far_as_a_measured_actuator_if_the_equations_bend_in_that():
     """A blade's angle settles at 2 u; one that u turns on and on does not, and one that q moves is no actuator."""
     signature = Signature(("q", "blade"), ("rad/s", "rad"), ("u",), (1.0, 1.0))
-    model = SindyModel(signature, ["q", "blade", "u", "blade^2", "u q"])
+    model = SindyModel(signature, ["q", "blade", "u", "blade^2", "u q", "sin(blade)", "u sin(blade)"])
 
     def known(bend, **terms):
         coefficients = torch.zeros_like(model.coefficients)
@@ -175,6 +175,8 @@ def test_an_input_is_known_as_far_as_a_measured_actuator_if_the_equations_bend_i
 
     assert known("blade^2", blade=-5.0, u=10.0) == {"u": (pytest.approx(0.06), pytest.approx(0.94))}
     assert known("blade", blade=-5.0, u=10.0) == known("blade^2", u=10.0) == {}
+    assert known("sin(blade)", blade=-5.0, u=10.0) == {}  # geometry, which no log has to tell
+    assert known("u sin(blade)", blade=-5.0, u=10.0).keys() == {"u"}
     assert known("blade^2", blade=-5.0, u=10.0, q=1.0) == {}
     assert known("blade^2", blade=-5.0, u_q=10.0) == {}
 
