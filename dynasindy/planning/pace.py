@@ -132,6 +132,7 @@ def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettin
         loop = f"under a linear regulator its slowest motion has a time constant of {slowest:.3g} control periods"
     why = "; ".join(filter(None, (_fate(slopes, grown, seconds), loop, never)))
     if not grown > GROWN:
+        assert isinstance(env.task, Tracking)
         updates, narrow = _updates(env.task)
         return PlanSettings(
             window=window, updates=updates, substeps=substeps, why="; ".join(filter(None, (why, narrow)))

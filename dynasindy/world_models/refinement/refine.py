@@ -59,7 +59,8 @@ STEPWISE = (
     "the fit predicts each sample from the one before, as errors of such predictions do not look like noise of the "
     "sensors"
 )
-"""Why a method was chosen."""
+PIECES = " (error=prediction)"
+"""Why a method was chosen, and how a note ends on a fit that simulates the log in pieces."""
 Model = tuple[Library, Tensor]
 """A library with the numbers inside its fitted factors, and coefficients, `(n_features, n_x)`."""
 
@@ -328,7 +329,7 @@ class Refinement:
                     "pushes the plant, or functions are missing"
                 )
         note = f"the fit simulates the log in pieces that begin anew every {descent.window} samples: {why}"
-        note += " (error=prediction)"
+        note += PIECES
         found, delay, notes = self._in_turn(first, rough, constraints, recording, kinds["prediction"])
         return found, delay, (note, *notes)
 
