@@ -215,3 +215,17 @@ def test_only_the_method_auto_chooses_the_error_unasked():
         assert ("error=" in fitted(data, **settings)[1]) == chosen
     model = SindyModel(OSCILLATOR, WORDS, Regression("bic"), Refinement("auto"), known={"y": "w"})
     assert "error=prediction" in " ".join(model.fit(data).notes)
+
+
+def test_a_long_delay_is_told_where_single_steps_are_mostly_noise():
+    """A store of 40 s is read every second, 14 s late; its noise is three times what it moves in a second."""
+    generator, phi, late, y = np.random.default_rng(0), math.exp(-1 / 40), 14, [0.0]
+    u = np.repeat(generator.uniform(-1, 1, 60), 30)
+    for k in range(len(u)):
+        y.append(phi * y[-1] + (1 - phi) * u[max(k - late, 0)])
+    moved = np.diff(y)
+    x = np.array(y) + 3 * moved.std() * generator.normal(size=len(y))
+    data = Transitions.from_trajectory(torch.from_numpy(x)[:, None], torch.from_numpy(u)[:, None], 1.0)
+    found = Refinement("auto", longest_delay=None).run(LIBRARY, first(data), FREE, data)
+    assert found.delay == pytest.approx(late, abs=1.0)
+    assert found.coefficients[:2, 0].numpy() == pytest.approx([-1 / 40, 1 / 40], rel=0.1)
