@@ -23,6 +23,7 @@ from dynasindy.benchmarks.instruments import logged, unfamiliar
 from dynasindy.benchmarks.instruments.commit import commit
 from dynasindy.benchmarks.instruments.logged import SUBSTEPS, Case, Input
 from dynasindy.benchmarks.instruments.training import over_seeds, trained
+from dynasindy.data.units import in_radians
 from dynasindy.evaluation.files import write_csv
 from dynasindy.evaluation.rows import Row
 from dynasindy.sensing import Sensors
@@ -125,7 +126,7 @@ def flown(case: Case, controller: Controller, seed: int) -> NDArray[np.float64]:
     low, high = torch.tensor(list(case.targets.values()), dtype=torch.float64).unbind(-1)
     outputs = [list(case.states).index(name) for name in case.targets]
     ranges = torch.tensor([controller.signature.x_scale[controller.signature.state_index(n)] for n in case.targets])
-    ranges = torch.where(high > low, high - low, ranges.double())
+    ranges, sizes = torch.where(high > low, high - low, ranges.double()), sizes_of(case, controller)
     targets = low + (high - low) * torch.rand(TARGETS, len(low), generator=rng, dtype=torch.float64)
     # Side by side, as a plant in torch moves eight states at the cost of one.
     pilots = [copy.deepcopy(controller) for _ in range(TARGETS)]
@@ -138,7 +139,7 @@ def flown(case: Case, controller: Controller, seed: int) -> NDArray[np.float64]:
     last = math.ceil((1 - LAST) * periods)
     for k in range(periods):
         y = sensors.read(x, plant.signature, rng)
-        seen = [{name: float(row[list(case.states).index(name)]) for name in case.sensors} for row in y]
+        seen = [{name: size * float(row[list(case.states).index(name)]) for name, size in sizes.items()} for row in y]
         acts = np.zeros((TARGETS, len(case.inputs)))
         for i, (pilot, *given) in enumerate(zip(pilots, seen, targets.tolist(), strict=True)):
             if not away[i]:
@@ -150,6 +151,18 @@ def flown(case: Case, controller: Controller, seed: int) -> NDArray[np.float64]:
         if k >= last:
             errors += (x[:, outputs] - targets).abs() / (periods - last)
     return torch.where(away, math.inf, errors / ranges).numpy()
+
+
+def sizes_of(case: Case, controller: Controller) -> dict[str, float]:
+    """Return what 1 of each sensor's unit is in the unit that a controller reads: a log in degrees is read in radians.
+
+    Args:
+        case: The plant.
+        controller: Flies it.
+    """
+    own = dict(zip(controller.signature.state_names, controller.signature.state_units, strict=True))
+    units = {name: case.states[name] for name in case.sensors}
+    return {name: 1.0 if own.get(name, unit) == unit else in_radians(unit)[1] for name, unit in units.items()}
 
 
 def _act(pilot: Controller, seen: dict[str, float], target: list[float]) -> tuple[NDArray[np.float64] | float, bool]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -18,9 +19,12 @@ from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.models.follower import Trial, trials
 from dynasindy.world_models.refinement.delay import arrived
 from dynasindy.world_models.refinement.order import moving_on
+from dynasindy.world_models.refinement.refine import PIECES
 
 BETTER = 0.7
 """Part of a model's errors, their geometric mean over states and horizons, that are left where a state is believed."""
+PLAIN = "id", "ahead"
+"""What the factors of polynomials are, and what a state has that follows a signal."""
 MOST = 3
 """States that are tried, those first that regressions prefer."""
 FAILURES = ArithmeticError, ValueError, RuntimeError
@@ -68,15 +72,55 @@ def _fitted(model: SindyModel, source: Source) -> Fitted:
     tell("fit")
     plain = Fitted(model, source, model.fit(source.training))
     before = forecast(model, source.training, source.validation) if source.logged else None
-    if before is None or not bool(unresolved(before, model.signature).any()):
+    if before is None:
         return plain
-    if moving_on(model.library, arrived(source.training, model.delay)):
-        return plain
-    for found in _wider(model, source):
-        after = forecast(found.model, found.source.training, found.source.validation) if found.follower else None
-        if after is not None and _better(before, after, model.signature):
-            return found
-    return plain
+    lacking = bool(unresolved(before, model.signature).any())
+    if lacking and not moving_on(model.library, arrived(source.training, model.delay)):
+        for found in _wider(model, source):
+            after = _forecast(found) if found.follower else None
+            if after is not None and _better(before, after, model.signature):
+                return _straighter(found, after)
+    return _straighter(plain, before)
+
+
+def _straighter(found: Fitted, before: Forecasts) -> Fitted:
+    """Return the fit without functions that bend, where it predicts as well what no fit has seen.
+
+    Where a model that lacks something is fitted, its errors last, and all the samples of one error are witnesses of the
+    same. Products and squares then come in that make up for a shape of the motion, and turn up as bent characteristics
+    beyond the log. They are judged by what they are worth on other samples: nothing, where nothing bends.
+    """
+    in_pieces = any(note.endswith(PIECES) for note in found.report.notes)
+    model = _straight(found.model) if in_pieces else None
+    if model is None:
+        return found
+    with suppress(*FAILURES), telling("fit without functions that bend"):
+        report = model.fit(found.source.training)
+        followed = model.followed.get(model.signature.state_names[-1], "") if found.follower else ""
+        words = Trial(model, followed, 0.0).words() if followed else ""
+        straight = Fitted(model, found.source, report, words)
+        after = _forecast(straight) if bool(words) == bool(found.follower) else None
+        if after is not None and _errors(before, after, model.signature) <= 1:
+            return straight
+    return found
+
+
+def _straight(model: SindyModel) -> SindyModel | None:
+    """Return a model that may have no products and squares, not fitted yet; None if it has other functions, or none."""
+    factors = [feature.factors for feature in model.library.features]
+    plain = torch.tensor([all(f.function in PLAIN for f in own) for own in factors])
+    straight = torch.tensor([len(own) <= 1 and all(f.power == 1 for f in own) for own in factors])
+    used = (model.coefficients != 0).any(-1)
+    if bool((used & ~plain).any()) or not bool((used & ~straight).any()):
+        return None
+    bare, keep = copy.deepcopy(model), (plain & straight).unsqueeze(-1)
+    bare.constraints = replace(model.constraints, free=model.constraints.free & keep)
+    bare.initial, bare.initial_delay = torch.where(keep, model.coefficients, 0.0), model.delay
+    return bare
+
+
+def _forecast(found: Fitted) -> Forecasts | None:
+    return forecast(found.model, found.source.training, found.source.validation)
 
 
 def _wider(model: SindyModel, source: Source) -> Iterator[Fitted]:
@@ -97,12 +141,17 @@ def _with(trial: Trial, source: Source) -> Fitted | None:
 
 
 def _better(before: Forecasts, after: Forecasts, signature: Signature) -> bool:
-    """Tell whether errors are lower by far, in the geometric mean over the states that were measured and horizons.
+    """Tell whether errors are lower by far."""
+    return _errors(before, after, signature) < BETTER
+
+
+def _errors(before: Forecasts, after: Forecasts, signature: Signature) -> float:
+    """Return how large errors are by what they were, the geometric mean over the measured states and horizons.
 
     An error counts as what the sensor resolves at least, and as what has run away at most.
     """
-    most = LOST * torch.tensor(signature.x_scale, dtype=before.model.dtype)
+    most = LOST * torch.tensor(signature.x_scale, dtype=before.model.dtype)[: before.model.shape[1]]
     least = torch.minimum(before.resolution.nan_to_num(nan=0.0).to(most), most).clamp_min(1e-300)
     ours, theirs = (f.model[:, : len(most)].clamp(least, most) for f in (after, before))
     seen = ~before.model.isnan()
-    return bool((ours / theirs).log()[seen].mean().exp() < BETTER)
+    return float((ours / theirs).log()[seen].mean().exp())

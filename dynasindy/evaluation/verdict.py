@@ -113,7 +113,7 @@ def known_ranges(model: SindyModel, logged: Tensor) -> dict[str, tuple[float, fl
     """Return the ends of what a log has tried, and a little room, of each input that equations are not linear in.
 
     Beyond these a model only guesses: where inputs were never negative, a thrust that turns round with its propeller
-    and one that does not look the same.
+    and one that does not look the same. What stands for an input counts as that: a state that follows it, seen or not.
 
     Args:
         model: The equations.
@@ -123,8 +123,29 @@ def known_ranges(model: SindyModel, logged: Tensor) -> dict[str, tuple[float, fl
     low, high = logged.amin(0), logged.amax(0)
     room = ROOM * (high - low)
     both = [*zip(model.signature.input_names, zip((low - room).tolist(), (high + room).tolist()), strict=True)]
-    reads = {name: {name, *(a for a, signal in model.followed.items() if signal == name)} for name, _ in both}
+    followed = model.followed | _moved_alone(model)
+    reads = {name: {name, *(a for a, signal in followed.items() if signal == name)} for name, _ in both}
     return {name: known for name, known in both if any(_bent(feature, reads[name]) for feature in used)}
+
+
+def _moved_alone(model: SindyModel) -> dict[str, str]:
+    """Return the states whose equations read themselves and one input alone, linearly, and settle: measured actuators.
+
+    As far as its input goes beyond the log, so does such a state, as the angle of a blade its command.
+    """
+    found, inputs = {}, {*model.signature.input_names}
+    for name, column in zip(model.signature.state_names, model.coefficients.unbind(-1), strict=True):
+        features = _used(model.library.features, column)
+        read = {v for feature in features for v in feature.variables}
+        settles = any(float(size) < 0 for word, size in zip(model.library.names, column, strict=True) if word == name)
+        if (
+            settles
+            and len(read & inputs) == 1
+            and read <= {name, *inputs}
+            and not any(_bent(f, read) for f in features)
+        ):
+            found[name] = (read & inputs).pop()
+    return found
 
 
 def unlogged(model: SindyModel, logged: Tensor, targets: Mapping[str, tuple[float, float]]) -> list[str]:
@@ -199,9 +220,12 @@ def _used(features: Sequence[Feature], coefficients: Tensor) -> list[Feature]:
 
 
 def _bent(feature: Feature, read: set[str]) -> bool:
-    """Tell whether a function is not linear in an input."""
+    """Tell whether a function bends in an input in a way that a log alone tells.
+
+    Sine and cosine of an angle do not: they are geometry, and the same beyond the log.
+    """
     mine = [factor for factor in feature.factors if read & set(factor.variables)]
-    straight = all(factor.function in ("id", "ahead") and factor.power == 1 for factor in mine)
+    straight = all(factor.function in ("id", "ahead", "sin", "cos") and factor.power == 1 for factor in mine)
     return not straight or len(mine) > 1
 
 

@@ -3,8 +3,9 @@
 | setting        | follows                                                                                    |
 | -------------- | ------------------------------------------------------------------------------------------ |
 | window         | the slowest mode of the closed loop that a linear-quadratic regulator makes                |
-| lr, updates    | whether deviations grow without control: then smaller and more steps, from a held plant   |
-| patience       | likewise                                                                                   |
+| lr             | whether deviations grow without control: then smaller steps, from a held plant             |
+| updates        | of a plant that needs not be held, how little of its inputs' ranges the task lets them use |
+| patience       | whether deviations grow without control                                                    |
 | substeps       | the fastest mode of the model                                                              |
 | margin         | whether it has to be held                                                                  |
 
@@ -49,6 +50,8 @@ STEP = 1.0
 MARGIN = 0.1
 """Share by which inputs are weaker or stronger in imagined episodes of a plant that has to be held. Fits to encoders
 miss the strength of inputs by some hundredths."""
+NARROW, MORE = 0.25, 3
+"""Part of an input's range below which the task lets it use little, and the factor on the updates then."""
 SUBSTEPS = 10
 """Most Runge-Kutta steps; a mode that would take more is of a model that is wrong, or over within the period."""
 
@@ -129,10 +132,28 @@ def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettin
         loop = f"under a linear regulator its slowest motion has a time constant of {slowest:.3g} control periods"
     why = "; ".join(filter(None, (_fate(slopes, grown, seconds), loop, never)))
     if not grown > GROWN:
-        return PlanSettings(window=window, substeps=substeps, why=why)
+        assert isinstance(env.task, Tracking)
+        updates, narrow = _updates(env.task)
+        return PlanSettings(
+            window=window, updates=updates, substeps=substeps, why="; ".join(filter(None, (why, narrow)))
+        )
     if regulator is None:
         return PlanSettings(window, 3e-3, 200, 3, substeps, why=why)
     return PlanSettings(window, 3e-3, 200, 3, substeps, True, why, margin=MARGIN)
+
+
+def _updates(task: Tracking) -> tuple[int, str]:
+    """Return the updates of a first phase, and why they are more than usual; empty if they are not.
+
+    A policy answers in [-1, 1]. The less of it inputs may use, the finer it has to be told from one target to another,
+    and what it answers beyond is cut off and teaches nothing.
+    """
+    ends = torch.tensor(task.signature.input_limits or ((-1.0, 1.0),) * task.signature.n_u)
+    share = float(((task.input_limits[1] - task.input_limits[0]) / (ends[:, 1] - ends[:, 0])).min())
+    usual = PlanSettings.updates
+    if share >= NARROW:
+        return usual, ""
+    return MORE * usual, f"an input may use {100 * share:.2g} % of its range, which takes a finer policy"
 
 
 def unheld(env: ControlEnv, rests: Rests) -> str:

@@ -2,6 +2,7 @@
 
 import csv
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ import torch
 import dynasindy
 from dynasindy import Controller
 from dynasindy.agents.networks import actor
+from dynasindy.benchmarks.instruments import unfamiliar
 from dynasindy.benchmarks.instruments.logged import CASES
-from dynasindy.benchmarks.logs import COLUMNS, TARGETS, flown, rows_of, terms_of, words, write_log
+from dynasindy.benchmarks.logs import COLUMNS, TARGETS, flown, rows_of, sizes_of, terms_of, words, write_log
 from dynasindy.control.controller import Pace
 from dynasindy.systems import Signature
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
@@ -70,6 +72,14 @@ def test_errors_are_those_at_the_end_in_ranges_of_the_targets():
     assert exact.shape == (TARGETS, 1)
     np.testing.assert_allclose(exact, 0.0, atol=1e-4)
     np.testing.assert_allclose(beside, 0.1, atol=1e-3)
+
+
+def test_a_controller_reads_degrees_of_a_plant_in_its_own_radians():
+    signature = Signature(("speed", "pitch"), ("rpm", "rad"), ("command",), (13.0, 0.5))
+    read = SimpleNamespace(signature=signature)
+    assert sizes_of(unfamiliar.CASES["turbine"], read) == {"speed": 1.0, "pitch": pytest.approx(math.pi / 180)}
+    read.signature = Signature(("speed", "pitch"), ("rpm", "deg"), ("command",), (13.0, 30.0))
+    assert sizes_of(unfamiliar.CASES["turbine"], read) == {"speed": 1.0, "pitch": 1.0}
 
 
 def test_a_flight_that_runs_away_is_infinitely_wrong(monkeypatch):

@@ -1,6 +1,7 @@
 """A state more is looked for where equations lack something, and believed where with it they predict."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -8,13 +9,15 @@ import torch
 
 from dynasindy.data.simulated import record
 from dynasindy.evaluation import fitted as module
-from dynasindy.evaluation.fitted import fitted
+from dynasindy.evaluation.fitted import Fitted, fitted
 from dynasindy.evaluation.horizons import Forecasts
 from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
-from dynasindy.systems import Diverged, Pendulum, Signature
-from dynasindy.world_models import Regression, SindyModel
+from dynasindy.systems import Diverged, Pendulum, Signature, System
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.models.follower import Trial
+from dynasindy.world_models.refinement.refine import PIECES
 
 
 @pytest.fixture
@@ -123,3 +126,40 @@ def test_what_runs_away_or_is_exact_counts_and_does_not_decide():
     assert not module._better(forecasts([80.0, 20.0], [80.0, 20.0]), forecasts([20.0, 5.0], [20.0, 5.0]), uneven)
     unseen = forecasts([0.1, math.nan], [0.1, math.nan])
     assert module._better(unseen, forecasts([0.01, math.nan], [0.01, math.nan]), signature)
+
+
+def tank(bend):
+    """Noisy log of y' = 2 u - y / 2 - bend y^2, and what a fit of squares and products finds, said to be in pieces."""
+    signature = Signature(("y",), ("m",), ("u",), (3.0,))
+
+    class Tank(System):
+        def forward(self, x, u):
+            return 2 * u - 0.5 * x - bend * x.square()
+
+    u = Multisine(1, duration=40, dt=0.1, amplitude=[0.5], offset=[0.5], seed=0).samples(0.1)
+    data = record(Tank(signature), u, 0.1)
+    x = torch.cat([data.x[:1], data.x_next])
+    x = x + 0.02 * torch.randn(x.shape, generator=torch.Generator().manual_seed(1), dtype=x.dtype)
+    data = Transitions.from_trajectory(x, data.u, 0.1)
+    place = torch.arange(len(data))
+    log = Source(signature, data.select(place < 300), data.select(place >= 300), logged=True)
+    model = SindyModel(signature, "polynomial", Regression("bic"), Refinement("trajectory"))
+    report = replace(model.fit(log.training), notes=(f"it is so{PIECES}",))
+    if not bend:  # what errors that last would let in
+        model.set_coefficients(model.coefficients.index_fill(0, torch.tensor(model.library.index("y^2")), -0.03))
+    return Fitted(model, log, report)
+
+
+@pytest.mark.parametrize(("bend", "straight"), [(0.0, True), (0.3, False)])
+def test_what_bends_for_nothing_is_left_out_of_a_fit_in_pieces(bend, straight):
+    """The plant itself is straight, or its outflow grows with the square of its level."""
+    found = tank(bend)
+    names, before = found.model.library.names, module._forecast(found)
+    kept = module._straighter(found, before).model.coefficients[:, 0]
+    bent = {name for name, size in zip(names, kept.tolist(), strict=True) if size} & {"y^2", "y u", "u^2"}
+    assert (bent == set()) == straight
+    if straight:
+        assert kept[names.index("u")] == pytest.approx(2.0, rel=0.05)
+        assert kept[names.index("y")] == pytest.approx(-0.5, rel=0.05)
+        explained = replace(found, report=replace(found.report, notes=("noise explains it",)))
+        assert module._straighter(explained, before) is explained

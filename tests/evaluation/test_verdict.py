@@ -160,6 +160,27 @@ def test_an_input_is_known_as_far_as_its_lag_if_the_equations_bend_in_that():
     assert known_ranges(model, torch.tensor([[0.1], [0.9]])) == {}
 
 
+def test_an_input_is_known_as_far_as_a_measured_actuator_if_the_equations_bend_in_that():
+    """A blade's angle settles at 2 u; one that u turns on and on does not, and one that q moves is no actuator."""
+    signature = Signature(("q", "blade"), ("rad/s", "rad"), ("u",), (1.0, 1.0))
+    model = SindyModel(signature, ["q", "blade", "u", "blade^2", "u q", "sin(blade)", "u sin(blade)"])
+
+    def known(bend, **terms):
+        coefficients = torch.zeros_like(model.coefficients)
+        coefficients[model.library.index(bend), 0] = 3.0
+        for word, size in terms.items():
+            coefficients[model.library.index(word.replace("_", " ")), 1] = size
+        model.set_coefficients(coefficients)
+        return known_ranges(model, torch.tensor([[0.1], [0.9]]))
+
+    assert known("blade^2", blade=-5.0, u=10.0) == {"u": (pytest.approx(0.06), pytest.approx(0.94))}
+    assert known("blade", blade=-5.0, u=10.0) == known("blade^2", u=10.0) == {}
+    assert known("sin(blade)", blade=-5.0, u=10.0) == {}  # geometry, which no log has to tell
+    assert known("u sin(blade)", blade=-5.0, u=10.0).keys() == {"u"}
+    assert known("blade^2", blade=-5.0, u=10.0, q=1.0) == {}
+    assert known("blade^2", blade=-5.0, u_q=10.0) == {}
+
+
 def test_flights_beyond_the_inputs_of_a_log_are_told_if_the_equations_bend_in_them():
     """A log of u from 0.1 to 0.9, with a twentieth of that to either side, knows of 0.06 to 0.94; of v any is known."""
     signature = Signature(("q",), ("rad",), ("v", "u"), (1.0,))

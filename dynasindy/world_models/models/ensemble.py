@@ -108,7 +108,7 @@ def refits(model: SindyModel, data: Transitions, stretches: int, name: str) -> l
         used = model.constraints.free & (model.coefficients != 0)
         given = torch.where(model.constraints.free, 0.0, model.constraints.offset)
         member.constraints = replace(model.constraints, free=used, offset=given)
-        member.initial = model.coefficients.clone()
+        member.initial, member.initial_delay = model.coefficients.clone(), 0.0
         if member.refinement is not None:
             member.refinement = replace(member.refinement, longest_delay=0.0)
         with telling(f"fit to {name}" if stretches == 1 else f"fit to part {k + 1} of {stretches} of {name}"):

@@ -88,7 +88,7 @@ def trials(model: SindyModel, data: Transitions) -> list[Trial]:
     found = []
     for signal in _signals(model, data):
         plain = _Search(model, late[model.delay], signal)
-        tried = [_Search(model, other, signal).best(plain) for other in late.values()]
+        tried = [_Search(model, other, signal, delay).best(plain) for delay, other in late.items()]
         found += sorted((trial for trial in tried if trial), key=lambda trial: -trial.gain)[:1]
     return sorted(found, key=lambda trial: -trial.gain)
 
@@ -114,8 +114,8 @@ def _moved(model: SindyModel, i: int) -> tuple[int, bool]:
 class _Search:
     """Regressions of the rates of change on functions of a signal that was led through lags of many times."""
 
-    def __init__(self, model: SindyModel, data: Transitions, signal: str) -> None:
-        self.model, self.data, self.signal = model, data, signal
+    def __init__(self, model: SindyModel, data: Transitions, signal: str, delay: float = 0.0) -> None:
+        self.model, self.data, self.signal, self.delay = model, data, signal, delay
         self.rates, self.noisy = rates_known(model.library, model.constraints), not bool(has_gaps(data))
         self.guess = reconstruct(data, self.rates, self.noisy)
         self.input = signal in model.signature.input_names
@@ -142,7 +142,7 @@ class _Search:
         rows = self._rows(wide, time, keep)
         if not gain > math.log(len(rows[0])):  # of two numbers more, each worth half of that
             return None
-        wide.initial = self._solved(wide, rows, time)
+        wide.initial, wide.initial_delay = self._solved(wide, rows, time), self.delay
         return Trial(wide, self.signal, gain / len(rows[0]))
 
     def left(self, keep: Tensor) -> float:

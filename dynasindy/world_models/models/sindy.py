@@ -31,7 +31,7 @@ from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.models.base import WorldModel
 from dynasindy.world_models.models.report import FitReport
-from dynasindy.world_models.refinement.delay import known_inputs
+from dynasindy.world_models.refinement.delay import delayed, known_inputs
 from dynasindy.world_models.refinement.measured import at_rest, begun, followed, imagined, rates_known, reconstruct
 from dynasindy.world_models.refinement.quotient import one_quotient
 from dynasindy.world_models.refinement.refine import Recording, Refinement
@@ -86,6 +86,7 @@ class SindyModel(WorldModel):
         self.refinement = refinement
         self.constraints = Constraints.build(self.library, known or {}, allowed or {}, fixed or {})
         self.initial = None if initial is None else Constraints.build(self.library, {}, {}, initial).offset
+        self.initial_delay = 0.0  # of the inputs in that guess [s]
         self.sums = RunningSums(len(self.library), signature.n_x)
         self.register_buffer("coefficients", self.constraints.offset.clone())
         self._field: Field | None = None
@@ -220,8 +221,9 @@ class SindyModel(WorldModel):
         guess = at_rest(reconstruct(data, rates), self.followers)
         if self.initial is not None:
             first = torch.where(self.constraints.free, self.initial, self.constraints.offset)
-            guess = imagined(self.library, first, data, guess, rates)
-            guess = begun(self.library, first, guess, self.followers)
+            late = delayed(guess, self.initial_delay)
+            late = imagined(self.library, first, data, late, rates)
+            guess = replace(begun(self.library, first, late, self.followers), u=data.u)
         recording = Recording.of(data, guess, rates, delay)
         self.sums.add(self._rows(recording, delay))
         free = one_quotient(self.library, self.constraints.free, lambda trial: self._rows(recording, delay, trial))
@@ -231,7 +233,7 @@ class SindyModel(WorldModel):
         else:
             self.set_coefficients(first)
         self.delay = delay
-        notes = self._refine(data, guess, constraints)
+        notes = self._refine(data, guess, constraints, 0.0 if first is None else self.initial_delay)
         if self.refinement is not None:
             notes += stayed(self.library, self.coefficients)
         seconds = time.perf_counter() - start
@@ -327,12 +329,12 @@ class SindyModel(WorldModel):
                 "function: collect more data or choose a smaller library"
             )
 
-    def _refine(self, data: Transitions, guess: Transitions, constraints: Constraints) -> list[str]:
+    def _refine(self, data: Transitions, guess: Transitions, constraints: Constraints, late: float) -> list[str]:
         """Refine the coefficients and return what is to be said of it."""
         if self.refinement is None:
             return []
         try:
-            found = self.refinement.run(self.library, self.coefficients, constraints, data, guess)
+            found = self.refinement.run(self.library, self.coefficients, constraints, data, guess, late)
         except RunsAway as error:
             raise Diverged(f"model learning: {error}") from error
         refined = self._finite(found.coefficients, "refinement")

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal, NamedTuple
 
-import torch
 from torch import Tensor
 
 from dynasindy.limits import Count
-from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell
 from dynasindy.world_models.libraries.constraints import Constraints
@@ -26,7 +25,8 @@ from dynasindy.world_models.refinement.delay import (
     unexplained,
 )
 from dynasindy.world_models.refinement.descent import Descent
-from dynasindy.world_models.refinement.measured import Seen, rates_known, reconstruct
+from dynasindy.world_models.refinement.measured import Seen, has_gaps, rates_known, reconstruct
+from dynasindy.world_models.refinement.noisy import looks_noisy
 from dynasindy.world_models.refinement.one_step import refine_one_step
 from dynasindy.world_models.refinement.order import moving_on
 from dynasindy.world_models.refinement.shapes import fit_shapes
@@ -46,6 +46,8 @@ is excited under feedback, and in such data a longer delay, with other equations
 one."""
 SOON = 0.05
 """The same [s], of samples that are so close that two control periods are less."""
+FARTHER = 2
+"""Delays of a first estimate within which a delay is looked for."""
 ALIKE = 0.01
 """Samples by which a delay may differ from a whole number and be taken for it."""
 BRIEF = 2 * ENOUGH
@@ -57,7 +59,8 @@ STEPWISE = (
     "the fit predicts each sample from the one before, as errors of such predictions do not look like noise of the "
     "sensors"
 )
-"""Why a method was chosen."""
+PIECES = " (error=prediction)"
+"""Why a method was chosen, and how a note ends on a fit that simulates the log in pieces."""
 Model = tuple[Library, Tensor]
 """A library with the numbers inside its fitted factors, and coefficients, `(n_features, n_x)`."""
 
@@ -191,6 +194,7 @@ class Refinement:
         constraints: Constraints,
         data: Transitions,
         guess: Transitions | None = None,
+        late: float = 0.0,
     ) -> Refined:
         """Return refined coefficients, the library with its fitted factors, and the delay of the inputs.
 
@@ -200,16 +204,18 @@ class Refinement:
             constraints: what is known of the equations.
             data: transitions to refine on, NaN where a state was not measured.
             guess: the same, the states that were not measured guessed; needed where there are such states.
+            late: delay of the inputs of the first estimate [s], if it has one; it is where the search begins.
         """
         guess = data if guess is None else guess
-        first, longest, rough = (library, coefficients), self.longest_delay, 0.0
+        first, longest, rough = (library, coefficients), self.longest_delay, late
         if longest is None:
             longest, rough = self._reach(first, constraints, data, guess)
+            longest, rough = max(longest, FARTHER * late), rough or late
         settings = replace(self, longest_delay=longest)
         # A delay that a regression tells may explain how states go on, where nobody says how long it may be.
         lacking = moving_on(library, arrived(data, rough)) if longest else []
         if not lacking:
-            return settings._run(first, constraints, data, guess)
+            return settings._run(first, constraints, data, guess, rough)
         # A delay would stand for the rate that is missing.
         note = (
             f"no delay of the inputs was looked for, as it would stand for the rate of {' and '.join(lacking)}, "
@@ -218,11 +224,14 @@ class Refinement:
         alone = replace(self, longest_delay=0.0)._run(first, constraints, data, guess)
         return alone._replace(notes=(*alone.notes, note))
 
-    def _run(self, first: Model, constraints: Constraints, data: Transitions, guess: Transitions) -> Refined:
+    def _run(
+        self, first: Model, constraints: Constraints, data: Transitions, guess: Transitions, late: float = 0.0
+    ) -> Refined:
+        """Return what was found; the search for a delay begins at `late` [s], by a regression where that is 0."""
         library, coefficients = first
         recording = Recording.of(data, guess, rates_known(library, constraints), self._longest)
         brief = recording.brief(self._longest)
-        delay = self._rough(library, coefficients, constraints, brief)
+        delay = late or self._rough(library, coefficients, constraints, brief)
         if delay and self.method in ("integral", "one_step"):
             library, coefficients = self._regressed(library, coefficients, constraints, brief.seen(delay))
             delay = self._regressed_delay(delay, (library, coefficients), constraints, brief)
@@ -269,12 +278,16 @@ class Refinement:
         if not noisy and self.method == "auto":
             noisy = looks_noisy(*found, guess)
 
-        def _rows(late: int, farthest: int) -> Rows:
-            recording = Recording.of(data, guess, rates, farthest * data.dt).brief(farthest * data.dt)
+        def _rows(late: int, farthest: int, read: Recording) -> Rows:
+            recording = replace(read, known=known_inputs(data, farthest * data.dt)).brief(farthest * data.dt)
             return recording.seen(late * data.dt).rows(found[0], field)
 
         least = max(PERIODS * data.substeps, math.floor(SOON / data.dt + 1e-9)) if noisy else 0
-        farthest, best = reach(constraints.free, _rows, least)
+        recording = Recording.of(data, guess, rates, 0.0)
+        farthest, best = reach(constraints.free, partial(_rows, read=recording), least)
+        if noisy and not best and not bool(has_gaps(data)):
+            # Of single steps most may be noise, which no delay explains: their averages tell it.
+            farthest, best = reach(constraints.free, partial(_rows, read=recording.smoothed()), least)
         return farthest * data.dt, best * data.dt
 
     def _by_trajectories(
@@ -316,7 +329,7 @@ class Refinement:
                     "pushes the plant, or functions are missing"
                 )
         note = f"the fit simulates the log in pieces that begin anew every {descent.window} samples: {why}"
-        note += " (error=prediction)"
+        note += PIECES
         found, delay, notes = self._in_turn(first, rough, constraints, recording, kinds["prediction"])
         return found, delay, (note, *notes)
 
@@ -384,17 +397,3 @@ def _shortened(window: int, wanted: int) -> tuple[str, ...]:
     return (
         f"the model runs away in simulations of {wanted} samples, so the fit simulates the log in pieces of {window}",
     )
-
-
-def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bool:
-    """Tell measurement noise from errors of the model by the one-step errors.
-
-    White noise n of the states makes errors n_k+1 - n_k, whose neighbours correlate by -0.5; errors of a model
-    last over many samples, and their neighbours correlate positively.
-    """
-    data = data.to(torch.float64)
-    error = data.x_next - rk4(generate(library, coefficients), data.x, data.u, data.dt)
-    follows = data.segment[1:] == data.segment[:-1]
-    before, after = error[:-1][follows], error[1:][follows]
-    correlation = (before * after).sum(0) / (before.norm(dim=0) * after.norm(dim=0)).clamp_min(1e-300)
-    return bool((correlation < -0.3).sum() * 2 > len(correlation))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 from scipy.linalg import expm
-from scipy.optimize import brentq
 
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -18,7 +17,7 @@ from dynasindy.world_models.refinement import refine
 from dynasindy.world_models.refinement.descent import Descent
 from dynasindy.world_models.refinement.measured import reconstruct
 from dynasindy.world_models.refinement.one_step import refine_one_step
-from dynasindy.world_models.refinement.refine import METHODS, Refinement, looks_noisy
+from dynasindy.world_models.refinement.refine import METHODS, Refinement
 from dynasindy.world_models.refinement.shooting import RunsAway
 from dynasindy.world_models.refinement.trajectory import refine_trajectory
 from dynasindy.world_models.regression.regression import Regression, RunningSums, integral_form, simpson_form
@@ -77,12 +76,6 @@ def test_what_is_given_stays_in_every_method():
         assert found[1, 0] == 2.9 and found[2:].flatten().tolist() == [0, 0] and found[0, 0].item() != A
 
 
-def test_white_noise_is_told_from_a_wrong_model():
-    assert looks_noisy(LIBRARY, column(A, B, 0, 0), recording(0.02, 0.03))
-    assert not looks_noisy(LIBRARY, column(A, B, 0.5, 0), recording(0.02))  # a constant error correlates by +1
-    assert not looks_noisy(LIBRARY, column(0.5 * A, B, 0, 0), recording(0.02))
-
-
 def test_auto_takes_trajectories_for_noise_and_single_steps_without():
     auto = Refinement("auto", rounds=0, window=10)
     noisy, clean, start = recording(0.02, 0.03), recording(0.02), column(-1.9, 2.8, 0, 0)
@@ -120,53 +113,6 @@ def test_settings_that_are_not_allowed_are_refused(wrong):
     with pytest.raises(ValueError, match="allowed") as refused:
         Refinement(**wrong)
     assert "\n" not in str(refused.value)
-
-
-def errors_as_data(errors: np.ndarray, segments: list[int]) -> tuple[Library, torch.Tensor, Transitions]:
-    """Transitions whose one-step errors, of a model that says that nothing moves, are the given ones."""
-    n_x = errors.shape[1]
-    names = tuple(f"y{k}" for k in range(n_x))
-    library = Library(Signature(names, ("-",) * n_x, ("u",), (1.0,) * n_x), [variable(names[0])])
-    x = torch.zeros(len(errors), n_x, dtype=torch.float64)
-    data = Transitions(x, torch.zeros(len(errors), 1), torch.from_numpy(errors), 0.1, torch.tensor(segments))
-    return library, torch.zeros(1, n_x, dtype=torch.float64), data
-
-
-def with_correlation(rho: float) -> np.ndarray:
-    """Twelve errors whose neighbours correlate by rho exactly."""
-    a, b = np.ones(12), (-1.0) ** np.arange(12)
-
-    def correlation(share: float) -> float:
-        e = a + share * b
-        return float(e[:-1] @ e[1:] / (np.linalg.norm(e[:-1]) * np.linalg.norm(e[1:])))
-
-    share = brentq(lambda s: correlation(s) - rho, 0.01, 100.0)
-    return a + share * b
-
-
-@pytest.mark.parametrize(
-    ("correlations", "noisy"),
-    [
-        ([-0.31], True),
-        ([-0.29], False),
-        ([0.31], False),
-        ([-0.5, 0.5], False),  # one of two is not the majority
-        ([-0.5, 0.5, -0.5], True),
-        ([-0.5, 0.5, 0.5], False),
-    ],
-)
-def test_noise_is_where_most_states_have_neighbours_that_correlate_below_minus_three_tenths(correlations, noisy):
-    errors = np.stack([with_correlation(rho) for rho in correlations], -1)
-    assert looks_noisy(*errors_as_data(errors, [0] * 12)) == noisy
-
-
-def test_neighbours_across_two_segments_are_none():
-    # Within each segment errors are equal; only across the gaps they change their sign.
-    errors = np.array([1.0, 1.0, -1.0, -1.0] * 3 + [-3.0] + [3.0] * 3)[:, None]
-    assert not looks_noisy(*errors_as_data(errors, [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 7, 7, 7]))
-    alternating = np.array([1.0, -1.0] * 8)[:, None]
-    assert looks_noisy(*errors_as_data(alternating, [0] * 16))
-    assert not looks_noisy(*errors_as_data(alternating, [*range(16)]))
 
 
 def test_each_round_is_a_simpson_regression_with_the_model_of_the_round_before():
@@ -269,3 +215,17 @@ def test_only_the_method_auto_chooses_the_error_unasked():
         assert ("error=" in fitted(data, **settings)[1]) == chosen
     model = SindyModel(OSCILLATOR, WORDS, Regression("bic"), Refinement("auto"), known={"y": "w"})
     assert "error=prediction" in " ".join(model.fit(data).notes)
+
+
+def test_a_long_delay_is_told_where_single_steps_are_mostly_noise():
+    """A store of 40 s is read every second, 14 s late; its noise is three times what it moves in a second."""
+    generator, phi, late, y = np.random.default_rng(0), math.exp(-1 / 40), 14, [0.0]
+    u = np.repeat(generator.uniform(-1, 1, 60), 30)
+    for k in range(len(u)):
+        y.append(phi * y[-1] + (1 - phi) * u[max(k - late, 0)])
+    moved = np.diff(y)
+    x = np.array(y) + 3 * moved.std() * generator.normal(size=len(y))
+    data = Transitions.from_trajectory(torch.from_numpy(x)[:, None], torch.from_numpy(u)[:, None], 1.0)
+    found = Refinement("auto", longest_delay=None).run(LIBRARY, first(data), FREE, data)
+    assert found.delay == pytest.approx(late, abs=1.0)
+    assert found.coefficients[:2, 0].numpy() == pytest.approx([-1 / 40, 1 / 40], rel=0.1)

@@ -1,0 +1,63 @@
+"""Noise of sensors, told from what a model lacks and from random pushes by what single steps miss."""
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.libraries.features import variable
+from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.refinement.noisy import looks_noisy
+
+N = 20_000
+
+
+def noisy(*errors: np.ndarray, segments: np.ndarray | None = None) -> bool:
+    """What is said of a model that says that nothing moves, where states move by these errors at each step."""
+    n, n_x = len(errors[0]), len(errors)
+    names = tuple(f"y{k}" for k in range(n_x))
+    library = Library(Signature(names, ("-",) * n_x, ("u",), (1.0,) * n_x), [variable(names[0])])
+    x = torch.zeros(n, n_x, dtype=torch.float64)
+    labels = torch.zeros(n, dtype=torch.int64) if segments is None else torch.from_numpy(segments)
+    moved = torch.from_numpy(np.stack(errors, -1))
+    data = Transitions(x, torch.zeros(n, 1, dtype=torch.float64), moved, 0.1, labels)
+    return looks_noisy(library, torch.zeros(1, n_x, dtype=torch.float64), data)
+
+
+def white(seed: int, n: int = N) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=n)
+
+
+def sensor(seed: int, n: int = N) -> np.ndarray:
+    """Errors of single steps that white noise of a sensor makes, of variance 1."""
+    return np.diff(white(seed, n + 1))
+
+
+def test_noise_of_a_sensor_is_told_beneath_far_larger_errors_that_last():
+    """A model that lacks a slow state misses every step in the same way for long: neighbours correlate by almost 1."""
+    lasting = 20 * np.sin(np.arange(N) / 50)
+    both = lasting + sensor(0)
+    assert np.corrcoef(both[:-1], both[1:])[0, 1] > 0.9
+    assert noisy(both) and noisy(sensor(0))
+    assert not noisy(lasting) and not noisy(np.full(N, 0.5))
+
+
+@pytest.mark.parametrize(("ratio", "told"), [(0.0, False), (0.45, False), (0.55, True)])
+def test_random_pushes_are_told_from_noise_up_to_twice_its_variance(ratio, told):
+    """Changes of w_k + n_k+1 - n_k correlate by -(1 + 4 r)/(2 + 6 r), r the variance of n over that of w."""
+    assert (-(1 + 4 * ratio) / (2 + 6 * ratio) < -0.6) == told
+    errors = white(1, 200_000) + np.sqrt(ratio) * sensor(2, 200_000)
+    assert noisy(errors) == told
+
+
+def test_one_noisy_state_is_enough():
+    """Its noise stands in the functions of all equations."""
+    assert noisy(white(3), sensor(4)) and not noisy(white(3), white(5))
+
+
+def test_changes_across_two_segments_are_none():
+    errors = np.tile([1.0, 1.0, 1.0, -2.0, -2.0, -2.0], 10)  # within each segment nothing changes
+    assert not noisy(errors, segments=np.arange(60) // 3)
+    alternating = np.tile([1.0, -1.0], 30)
+    assert noisy(alternating) and not noisy(alternating, segments=np.arange(60))
