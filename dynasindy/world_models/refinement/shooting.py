@@ -12,15 +12,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
+from dynasindy.systems.integrators import rk4
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement.coloured import news, remaining
 from dynasindy.world_models.refinement.pushes import Noise, estimated, whiten
 from dynasindy.world_models.refinement.windows import Windows
-from dynasindy.world_models.regression.sensitivity import Parameters, Propagator
+from dynasindy.world_models.regression.sensitivity import Parameters, Propagator, chained
+from dynasindy.world_models.writers.fast_field import generate
 
 EXACT = 1e-100
 """Error taken for that of a state that is met exactly, as one that never moves; its inverse has a finite square."""
@@ -48,32 +51,52 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Flow:
-    """Hold the trajectories of all windows and their sensitivities.
+    """Hold the trajectories of all windows; their sensitivities are computed when they are first asked for.
 
     Attributes:
+        estimate: coefficients and nodes.
+        parameters: coefficients to differentiate by, P of them.
+        windows: the recording.
         predicted: states at the ends of the intervals, `(W, L, n_x)`.
-        s: their derivatives by the window's start, the shapes and the coefficients, `(W, L, n_x, n_x + S + P)`.
     """
 
+    estimate: Estimate
+    parameters: Parameters
+    windows: Windows
     predicted: Tensor
-    s: Tensor
 
     @classmethod
     def of(cls, estimate: Estimate, parameters: Parameters, windows: Windows) -> Flow:
         """Integrate all windows."""
-        propagator = Propagator(estimate.library, estimate.xi, parameters, estimate.library.shapes)
-        x, s = estimate.nodes, propagator.start(len(estimate.nodes))
-        states, slopes = [], []
-        for u in windows.inputs.unbind(1):
-            x, s = propagator.advance(x, s, u, windows.dt, windows.substeps)
-            states.append(x)
-            slopes.append(s)
-        return cls(torch.stack(states, 1), torch.stack(slopes, 1))
+        return cls(estimate, parameters, windows, _states(estimate, windows))
+
+    @cached_property
+    def steps(self) -> Tensor:
+        """Derivatives of the end of each interval by its beginning, shapes and Xi, `(W, L, n_x, n_x + S + P)`.
+
+        Intervals that follow each other cost as many small operations as there are of them. Here the states are known,
+        and all intervals are computed side by side.
+        """
+        estimate, windows = self.estimate, self.windows
+        propagator = Propagator(estimate.library, estimate.xi, self.parameters, estimate.library.shapes)
+        begins = torch.cat([estimate.nodes.unsqueeze(1), self.predicted[:, :-1]], 1).flatten(0, 1)
+        steps = propagator.transfer(begins, windows.inputs.flatten(0, 1), windows.dt, windows.substeps)[1]
+        return steps.unflatten(0, self.predicted.shape[:2])
+
+    @cached_property
+    def s(self) -> Tensor:
+        """Derivatives of the states by the window's start, shapes and Xi, `(W, L, n_x, n_x + S + P)`."""
+        slopes = [self.steps[:, 0]]
+        for step in self.steps.unbind(1)[1:]:
+            slopes.append(chained(step, slopes[-1]))
+        return torch.stack(slopes, 1)
 
     def lost(self) -> Tensor:
         """Return which windows the model runs away in, bool `(W,)`."""
-        finite = self.predicted.square().isfinite().all(-1) & self.s.square().isfinite().all(-1).all(-1)
-        return ~finite.all(-1)
+        finite = self.predicted.square().isfinite().all(-1).all(-1)
+        if bool(finite.all()):
+            finite = self.s.square().isfinite().flatten(1).all(-1)
+        return ~finite
 
     def sigma(self, windows: Windows) -> Tensor:
         """Return the error of each state, `(n_x,)`; `EXACT` where none was measured. Of lasting ones what is new."""
@@ -103,6 +126,19 @@ class Linearised:
     moves: Tensor
     sigma: Tensor
     errors: Tensor
+
+
+def _states(estimate: Estimate, windows: Windows) -> Tensor:
+    """Return the states at the ends of the intervals of all windows, `(W, L, n_x)`."""
+    if not bool(estimate.xi.isfinite().all()):
+        return torch.full((*windows.mask.shape[:2], estimate.xi.shape[1]), math.nan, dtype=estimate.nodes.dtype)
+    field, h = generate(estimate.library, estimate.xi), windows.dt / windows.substeps
+    x, states = estimate.nodes, []
+    for u in windows.inputs.unbind(1):
+        for _ in range(windows.substeps):
+            x = rk4(field, x, u, h)
+        states.append(x)
+    return torch.stack(states, 1)
 
 
 def linearise(
@@ -139,11 +175,9 @@ def _joined(
     estimate: Estimate, flow: Flow, windows: Windows, n_p: int, sigma: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, float]:
     """Return weighted rows `(M, F + P + 1)`, moves of the nodes, weighted errors, and the cost, of one trajectory."""
-    error = (windows.measured - flow.predicted) * windows.mask
-    begun = ~windows.joined
-    start_weight = 1 / sigma if windows.lasting is None else (1 - windows.lasting.square()).sqrt() / sigma
-    start_error = (windows.first - estimate.nodes)[begun]
-    moves, gaps = _condense(estimate.nodes, flow, windows, n_p)
+    error, begun = (windows.measured - flow.predicted) * windows.mask, ~windows.joined
+    start_error, start_weight = (windows.first - estimate.nodes)[begun], _start_weight(windows, sigma)
+    moves = _condense(estimate.nodes, flow, windows, n_p)
     n_x = estimate.xi.shape[1]
     # error - d predicted: the node's move, then shapes and coefficients.
     columns = flow.s[..., :n_x] @ moves.unsqueeze(1)
@@ -156,15 +190,37 @@ def _joined(
     starts = torch.where(start_error.isnan().unsqueeze(-1), 0.0, starts * start_weight.unsqueeze(-1))
     rows = torch.cat([columns.reshape(-1, columns.shape[-1]), starts.reshape(-1, columns.shape[-1])])
     rows = torch.cat([rows, _held(estimate, begun, rows)])
+    weighed = _white(error.unsqueeze(-1), windows).squeeze(-1) / sigma
+    return rows, moves, weighed, _cost_of_joined(estimate, weighed, flow, windows, sigma)
+
+
+def _start_weight(windows: Windows, sigma: Tensor) -> Tensor:
+    return 1 / sigma if windows.lasting is None else (1 - windows.lasting.square()).sqrt() / sigma
+
+
+def _cost_of_joined(estimate: Estimate, weighed: Tensor, flow: Flow, windows: Windows, sigma: Tensor) -> float:
+    """Return the cost of one trajectory with the weighted errors `(W, L, n_x)`."""
+    starts = (windows.first - estimate.nodes)[~windows.joined].nan_to_num() * _start_weight(windows, sigma)
+    gaps = _gaps(estimate.nodes, flow, windows) / _gap_sigma(sigma, estimate)
     # A gap shifts all samples that follow, so closing it is worth more than the errors it hid.
     gap_weight = 10.0 * windows.mask.shape[1]
-    weighed = _white(error.unsqueeze(-1), windows).squeeze(-1) / sigma
-    weighted = (
-        (1.0, weighed),
-        (1.0, start_error.nan_to_num() * start_weight),
-        (gap_weight, gaps / _gap_sigma(sigma, estimate)),
-    )
-    return rows, moves, weighed, float(sum((w * e.square().sum() for w, e in weighted), torch.zeros(())))
+    return float(weighed.square().sum() + starts.square().sum() + gap_weight * gaps.square().sum())
+
+
+def cost_of(flow: Flow, sigma: Tensor) -> float:
+    """Return the cost of a trial, as `linearise` has it, without the slopes that nothing needs if it is none the less.
+
+    Args:
+        flow: trajectories of the trial.
+        sigma: error of each state, the weights.
+    """
+    estimate, windows = flow.estimate, flow.windows
+    if not bool((~windows.joined).all()):
+        error = (windows.measured - flow.predicted) * windows.mask
+        weighed = _white(error.unsqueeze(-1), windows).squeeze(-1) / sigma
+        return _cost_of_joined(estimate, weighed, flow, windows, sigma)
+    error, seen = _errors(estimate, flow, windows)
+    return _weighed((error * seen).unsqueeze(-1), seen, flow, windows, sigma)[1]
 
 
 def _alone(estimate: Estimate, flow: Flow, windows: Windows, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
@@ -173,25 +229,32 @@ def _alone(estimate: Estimate, flow: Flow, windows: Windows, sigma: Tensor) -> t
     Each node moves as fits its window best, which leaves no unknown of its own (variable projection).
     """
     n_x, (every, seen) = estimate.xi.shape[1], _every(estimate, flow, windows)
-    spread = 1.0
-    if windows.noise is None:
-        every = _white(every, replace(windows, mask=seen)) / sigma.unsqueeze(-1)
-    else:
-        every, half = whiten(every, seen, _steps(estimate, flow, windows), windows.noise, windows.dt)
-        # Where a model runs away, its filter expects errors of any size, by which small ones would be divided.
-        spread = math.exp(min(2 * float(half / windows.mask.sum().clamp_min(1)), LARGEST))
+    every, cost = _weighed(every, seen, flow, windows, sigma)
     rows = every.flatten(1, 2)
     # A trial step may run away: its cost is infinite whatever these are, but the solver takes finite numbers alone.
     finite = rows.nan_to_num(0.0, 0.0, 0.0)
     best = torch.linalg.lstsq(finite[..., :n_x], finite[..., n_x:], driver="gelsd").solution
     moves = torch.cat([-best[..., :-1], best[..., -1:]], -1)
-    errors = every[..., -1]
-    return (
-        (rows[..., n_x:] - rows[..., :n_x] @ best).flatten(0, 1),
-        moves,
-        errors[:, 1:],
-        spread * float(errors.square().sum()),
-    )
+    return (rows[..., n_x:] - rows[..., :n_x] @ best).flatten(0, 1), moves, every[:, 1:, :, -1], cost
+
+
+def _weighed(every: Tensor, seen: Tensor, flow: Flow, windows: Windows, sigma: Tensor) -> tuple[Tensor, float]:
+    """Return weighted slopes and errors of windows on their own, the errors last, `(W, L + 1, n_x, C)`, and the cost."""
+    spread = 1.0
+    if windows.noise is None:
+        every = _white(every, replace(windows, mask=seen)) / sigma.unsqueeze(-1)
+    else:
+        every, half = whiten(every, seen, flow.steps[..., : every.shape[2]], windows.noise, windows.dt)
+        # Where a model runs away, its filter expects errors of any size, by which small ones would be divided.
+        spread = math.exp(min(2 * float(half / windows.mask.sum().clamp_min(1)), LARGEST))
+    return every, spread * float(every[..., -1].square().sum())
+
+
+def _errors(estimate: Estimate, flow: Flow, windows: Windows) -> tuple[Tensor, Tensor]:
+    """Return errors of each window's start and samples, and 1 where one was measured, else 0, `(W, L + 1, n_x)`."""
+    start_error = windows.first - estimate.nodes
+    error = torch.cat([start_error.nan_to_num().unsqueeze(1), windows.measured - flow.predicted], 1)
+    return error, torch.cat([(~start_error.isnan()).to(error.dtype).unsqueeze(1), windows.mask], 1)
 
 
 def _every(estimate: Estimate, flow: Flow, windows: Windows) -> tuple[Tensor, Tensor]:
@@ -199,12 +262,10 @@ def _every(estimate: Estimate, flow: Flow, windows: Windows) -> tuple[Tensor, Te
 
     They are zero where nothing was measured; which were is 1 there and else 0, `(W, L + 1, n_x)`.
     """
-    n_x, start_error = estimate.xi.shape[1], windows.first - estimate.nodes
+    n_x, (error, seen) = estimate.xi.shape[1], _errors(estimate, flow, windows)
     first = torch.zeros_like(flow.s[:, 0])
     first[..., :n_x] = torch.eye(n_x, dtype=first.dtype)
     slopes = torch.cat([first.unsqueeze(1), flow.s], 1)
-    error = torch.cat([start_error.nan_to_num().unsqueeze(1), windows.measured - flow.predicted], 1)
-    seen = torch.cat([(~start_error.isnan()).to(error.dtype).unsqueeze(1), windows.mask], 1)
     return torch.cat([slopes, error.unsqueeze(-1)], -1) * seen.unsqueeze(-1), seen
 
 
@@ -226,16 +287,6 @@ def _white(rows: Tensor, windows: Windows) -> Tensor:
     return rows if windows.lasting is None else news(rows, windows.mask, windows.joined, windows.lasting)
 
 
-def _steps(estimate: Estimate, flow: Flow, windows: Windows) -> Tensor:
-    """Return the slopes of the end of each interval by its beginning, `(W, L, n_x, n_x)`."""
-    none = Parameters.where(torch.zeros_like(estimate.xi, dtype=torch.bool))
-    propagator = Propagator(estimate.library, estimate.xi, none)
-    begins = torch.cat([estimate.nodes.unsqueeze(1), flow.predicted[:, :-1]], 1).flatten(0, 1)
-    inputs = windows.inputs.flatten(0, 1)
-    steps = propagator.advance(begins, propagator.start(len(begins)), inputs, windows.dt, windows.substeps)[1]
-    return steps.unflatten(0, windows.mask.shape[:2])
-
-
 def noise_of(estimate: Estimate, windows: Windows, pushed: Tensor) -> Noise:
     """Return how noisy the sensors are and how hard the plant is pushed, by what windows on their own leave over.
 
@@ -250,7 +301,7 @@ def noise_of(estimate: Estimate, windows: Windows, pushed: Tensor) -> Noise:
     n_x = estimate.xi.shape[1]
     rows = torch.cat([rows[..., :n_x], rows[..., -1:]], -1)
     spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12)
-    return estimated(rows, seen, _steps(estimate, flow, windows), pushed, spread, windows.dt)
+    return estimated(rows, seen, flow.steps[..., :n_x], pushed, spread, windows.dt)
 
 
 def lasting_of(estimate: Estimate, windows: Windows) -> Tensor:
@@ -282,7 +333,7 @@ def _require_bounded(flow: Flow, windows: Windows) -> None:
         )
 
 
-def _condense(nodes: Tensor, flow: Flow, windows: Windows, n_p: int) -> tuple[Tensor, Tensor]:
+def _condense(nodes: Tensor, flow: Flow, windows: Windows, n_p: int) -> Tensor:
     """Express the move of every node by the moves of the first nodes, of the shapes and of the coefficients.
 
     A window that continues another one starts where that one ends:
@@ -291,18 +342,22 @@ def _condense(nodes: Tensor, flow: Flow, windows: Windows, n_p: int) -> tuple[Te
     n_x, s = nodes.shape[1], flow.s
     n_own, n_start = s.shape[-1] - n_x, n_x * int((~windows.joined).sum())
     moves = torch.zeros(len(nodes), n_x, n_start + n_own + 1, dtype=nodes.dtype)
-    gaps = torch.zeros_like(nodes)
-    seen = 0
+    gaps, seen = _gaps(nodes, flow, windows), 0
     for j, joined in enumerate(windows.joined.tolist()):
         if joined:
             moves[j] = s[j - 1, -1, :, :n_x] @ moves[j - 1]
             moves[j, :, n_start : n_start + n_own] += s[j - 1, -1, :, n_x:]
-            gaps[j] = flow.predicted[j - 1, -1] - nodes[j]
             moves[j, :, -1] += gaps[j]
         else:
             moves[j, :, seen : seen + n_x] = torch.eye(n_x, dtype=nodes.dtype)
             seen += n_x
-    return moves, gaps
+    return moves
+
+
+def _gaps(nodes: Tensor, flow: Flow, windows: Windows) -> Tensor:
+    """Return by how much windows end beside those that continue them, `(W, n_x)`; zero at those that begin anew."""
+    ends = torch.cat([nodes[:1], flow.predicted[:-1, -1]])
+    return torch.where(windows.joined.unsqueeze(-1), ends - nodes, 0.0)
 
 
 def move(
