@@ -10,11 +10,10 @@ import torch
 from torch import Tensor
 
 from dynasindy.told import tell
+from dynasindy.world_models.refinement.flow import Estimate, Flow
 from dynasindy.world_models.refinement.plainer import plainer
 from dynasindy.world_models.refinement.repeated import repetition
 from dynasindy.world_models.refinement.shooting import (
-    Estimate,
-    Flow,
     Linearised,
     RunsAway,
     cost_of,

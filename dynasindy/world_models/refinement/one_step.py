@@ -10,7 +10,7 @@ from torch import Tensor
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.shooting import MOST_STEPS, substeps_for
+from dynasindy.world_models.refinement.flow import MOST_STEPS, substeps_for
 from dynasindy.world_models.refinement.windows import ENOUGH, spread
 from dynasindy.world_models.regression.regression import least_squares
 from dynasindy.world_models.regression.selection import reconsider, walk_down

@@ -22,19 +22,8 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement.choosing import Limits, converge, descend, price, search
 from dynasindy.world_models.refinement.descent import Descent
-from dynasindy.world_models.refinement.shooting import (
-    COARSE,
-    EXACT,
-    FINE,
-    Estimate,
-    Flow,
-    growth,
-    lasting_of,
-    left_over,
-    linearise,
-    noise_of,
-    substeps_for,
-)
+from dynasindy.world_models.refinement.flow import COARSE, EXACT, FINE, Estimate, Flow, growth, substeps_for
+from dynasindy.world_models.refinement.shooting import lasting_of, left_over, linearise, noise_of
 from dynasindy.world_models.refinement.windows import ENOUGH, Windows, spread
 from dynasindy.world_models.regression.sensitivity import Parameters
 
