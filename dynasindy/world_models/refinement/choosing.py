@@ -141,14 +141,14 @@ def _descended(flow: Flow, limits: Limits) -> tuple[Flow, Linearised | None]:
     left, allowed, enough, windows = math.inf, 0.0, ROUGH, flow.windows
     while len(flow.parameters):
         try:
-            flow, model = _settled(flow, limits.max_rounds, enough, model)
+            flow, model = settled(flow, limits.max_rounds, enough, model)
         except RunsAway:
             if before is None:
                 raise
             return before
         cost = left_over(model, windows)
         if before is not None and 2 * (cost - left) > allowed:
-            return _settled(before[0], limits.max_rounds, SETTLED, before[1])
+            return settled(before[0], limits.max_rounds, SETTLED, before[1])
         limit, n_fixed = limits.at(model.errors, windows), len(model.scale) - len(flow.parameters)
         kept, _ = walk_down(model.triangle, torch.arange(len(model.scale)) >= n_fixed, limit, NOISY)
         if len(kept) == len(model.scale):
@@ -183,11 +183,13 @@ def converge(
     estimate: Estimate, parameters: Parameters, windows: Windows, max_rounds: int, enough: float = SETTLED
 ) -> Estimate:
     """Make Levenberg-Marquardt steps until one gains less than a part of the cost, `enough`."""
-    return _settled(Flow.of(estimate, parameters, windows), max_rounds, enough)[0].estimate
+    return settled(Flow.of(estimate, parameters, windows), max_rounds, enough)[0].estimate
 
 
-def _settled(flow: Flow, max_rounds: int, enough: float, model: Linearised | None = None) -> tuple[Flow, Linearised]:
-    """Return the trajectories after such steps, and the linear model there.
+def settled(
+    flow: Flow, max_rounds: int, enough: float = SETTLED, model: Linearised | None = None
+) -> tuple[Flow, Linearised]:
+    """Return the trajectories after the steps of `converge`, and the linear model there.
 
     Args:
         flow: trajectories to begin with.
