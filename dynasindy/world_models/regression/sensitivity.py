@@ -133,8 +133,6 @@ class Propagator:
         stages = 4 * substeps * (len(self.xi) + len(self.jacobian) + self.n_x)
         length = max(1, MOST // stages)
         parts = [self._transfer(*part, dt, substeps) for part in zip(x.split(length), u.split(length), strict=True)]
-        if not parts:
-            return x, self.start(0)
         return torch.cat([end for end, _ in parts]), torch.cat([slopes for _, slopes in parts])
 
     def _transfer(self, x: Tensor, u: Tensor, dt: float, substeps: int) -> tuple[Tensor, Tensor]:
