@@ -7,7 +7,8 @@ from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.shooting import Estimate, linearise
+from dynasindy.world_models.refinement.flow import Estimate
+from dynasindy.world_models.refinement.shooting import linearise
 from dynasindy.world_models.refinement.windows import Windows
 from dynasindy.world_models.regression.sensitivity import Parameters
 

@@ -23,10 +23,11 @@ from dynasindy.world_models.models.sindy import SindyModel
 from dynasindy.world_models.refinement.actuator import Actuator, Kind
 from dynasindy.world_models.refinement.delay import delayed, unexplained
 from dynasindy.world_models.refinement.descent import Descent
+from dynasindy.world_models.refinement.flow import Estimate
 from dynasindy.world_models.refinement.measured import Seen, has_gaps, imagined, rates_known, reconstruct
 from dynasindy.world_models.refinement.noisy import looks_noisy
 from dynasindy.world_models.refinement.refine import STEPS
-from dynasindy.world_models.refinement.shooting import Estimate, RunsAway
+from dynasindy.world_models.refinement.shooting import RunsAway
 from dynasindy.world_models.refinement.trajectory import few_steps
 from dynasindy.world_models.refinement.windows import spread
 from dynasindy.world_models.writers.fast_field import generate

@@ -34,7 +34,8 @@ from dynasindy.world_models.models.report import FitReport
 from dynasindy.world_models.refinement.delay import delayed, known_inputs
 from dynasindy.world_models.refinement.measured import at_rest, begun, followed, imagined, rates_known, reconstruct
 from dynasindy.world_models.refinement.quotient import one_quotient
-from dynasindy.world_models.refinement.refine import Recording, Refinement
+from dynasindy.world_models.refinement.recording import Recording
+from dynasindy.world_models.refinement.refine import Refinement
 from dynasindy.world_models.refinement.shapes import stayed
 from dynasindy.world_models.refinement.shooting import RunsAway
 from dynasindy.world_models.refinement.windows import ENOUGH, STRETCHES

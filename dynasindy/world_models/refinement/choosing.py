@@ -10,9 +10,17 @@ import torch
 from torch import Tensor
 
 from dynasindy.told import tell
+from dynasindy.world_models.refinement.flow import Estimate, Flow
 from dynasindy.world_models.refinement.plainer import plainer
 from dynasindy.world_models.refinement.repeated import repetition
-from dynasindy.world_models.refinement.shooting import Estimate, Flow, Linearised, RunsAway, left_over, linearise, move
+from dynasindy.world_models.refinement.shooting import (
+    Linearised,
+    RunsAway,
+    cost_of,
+    left_over,
+    linearise,
+    move,
+)
 from dynasindy.world_models.refinement.windows import Windows
 from dynasindy.world_models.regression.selection import reconsider, walk_down
 from dynasindy.world_models.regression.sensitivity import Parameters
@@ -63,49 +71,45 @@ def search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) -
     What is better to first order may be worse once it has converged, as on a plant that runs away. Then what was there
     before stays, and the coefficients that came in are not tried again.
     """
-    support = (estimate.xi != 0) & free
+    flow = Flow.of(estimate, Parameters.where((estimate.xi != 0) & free), windows)
     came = failed = torch.zeros_like(free)
-    best: tuple[Estimate, Tensor] | None = None
+    best: tuple[Flow, Linearised] | None = None
     least, fewest = math.inf, 0
     for _ in range(TRIES):
         try:
-            estimate, support = descend(estimate, support, windows, limits)
+            flow, model = _descended(flow, limits)
         except RunsAway:
             if best is None:
                 raise
             break
-        if not bool(support.any()):
+        if model is None:
             break
-        active = Parameters.where(support)
-        flow = Flow.of(estimate, active, windows)
-        model = linearise(estimate, active, windows, None, flow)
         limit, left = limits.at(model.errors, windows), left_over(model, windows)
-        if best is not None and 2 * (left - least) + limit * (len(active) - fewest) >= 0:
-            estimate, support = best
+        if best is not None and 2 * (left - least) + limit * (len(flow.parameters) - fewest) >= 0:
+            flow, model = best
+            support = flow.parameters.support(free.shape)
             if not bool((came & ~support & ~failed).any()):
                 break  # it only left functions out, and would do so again
             failed = failed | (came & ~support)
-            active = Parameters.where(support)
         else:
-            best, least, fewest = (estimate, support), left, len(active)
-        others = Parameters.where(free & ~support & ~failed)
+            best, least, fewest = (flow, model), left, len(flow.parameters)
+            support = flow.parameters.support(free.shape)
+        active, others = flow.parameters, Parameters.where(free & ~support & ~failed)
         if not len(others):
             break
         tell("fit", words=f"which of {len(others)} terms that were left out should come in")
-        flow = Flow.of(estimate, active + others, windows)
-        model = linearise(estimate, active + others, windows, None, flow)
-        n_fixed = len(model.scale) - len(active) - len(others)
+        wider = replace(flow, parameters=active + others)
+        model = linearise(wider.estimate, wider.parameters, windows, None, wider)
+        n_fixed = len(model.scale) - len(wider.parameters)
         better = reconsider(model.triangle, n_fixed, active, others, limits.at(model.errors, windows))
         if better is None:
             break
-        chosen = (active + others).take(better)
         kept = torch.cat([torch.arange(n_fixed), n_fixed + better])
-        changed = _changed(estimate, model, active + others, kept, windows)
+        changed = _changed(wider, model, kept)
         if changed is None:
             break
-        estimate, support = changed, chosen.support(support.shape)
-        came = support
-    found = estimate if best is None else best[0]
+        flow, came = changed, changed.parameters.support(free.shape)
+    found = flow.estimate if best is None else best[0].estimate
     for place in range(len(found.library.shapes)):
         simple = plainer(found.library, found.xi, free, place)
         if simple is not None:
@@ -126,76 +130,90 @@ def _cheaper(estimate: Estimate, simple: Estimate, free: Tensor, windows: Window
 
 def descend(estimate: Estimate, support: Tensor, windows: Windows, limits: Limits) -> tuple[Estimate, Tensor]:
     """Converge and drop until the support stands still; what turns out worth more than was foreseen comes back."""
-    before: tuple[Estimate, Tensor] | None = None
-    left, allowed, enough = math.inf, 0.0, ROUGH
-    while bool(support.any()):
-        parameters = Parameters.where(support)
+    flow = _descended(Flow.of(estimate, Parameters.where(support), windows), limits)[0]
+    return flow.estimate, flow.parameters.support(support.shape)
+
+
+def _descended(flow: Flow, limits: Limits) -> tuple[Flow, Linearised | None]:
+    """Return the trajectories after that, and the linear model there; none where no coefficient is left."""
+    before: tuple[Flow, Linearised] | None = None
+    model: Linearised | None = None
+    left, allowed, enough, windows = math.inf, 0.0, ROUGH, flow.windows
+    while len(flow.parameters):
         try:
-            estimate = converge(estimate, parameters, windows, limits.max_rounds, enough)
-            flow = Flow.of(estimate, parameters, windows)
-            model = linearise(estimate, parameters, windows, None, flow)
+            flow, model = settled(flow, limits.max_rounds, enough, model)
         except RunsAway:
             if before is None:
                 raise
             return before
         cost = left_over(model, windows)
         if before is not None and 2 * (cost - left) > allowed:
-            return converge(before[0], Parameters.where(before[1]), windows, limits.max_rounds), before[1]
-        n_fixed = len(model.scale) - len(parameters)
-        limit = limits.at(model.errors, windows)
+            return settled(before[0], limits.max_rounds, SETTLED, before[1])
+        limit, n_fixed = limits.at(model.errors, windows), len(model.scale) - len(flow.parameters)
         kept, _ = walk_down(model.triangle, torch.arange(len(model.scale)) >= n_fixed, limit, NOISY)
         if len(kept) == len(model.scale):
             if enough == SETTLED:
                 break
             enough = SETTLED  # what may go is judged once more where the steps have come to their end
             continue
-        changed = _changed(estimate, model, parameters, kept, windows)
+        changed = _changed(flow, model, kept)
         if changed is None:
             break
-        before, left, allowed = (estimate, support), cost, 2 * limit * (len(model.scale) - len(kept))
-        estimate, support = changed, parameters.take(kept[kept >= n_fixed] - n_fixed).support(support.shape)
-    return estimate, support
+        before, left, allowed = (flow, model), cost, 2 * limit * (len(model.scale) - len(kept))
+        flow, model = changed, None
+    return flow, model
 
 
-def _changed(
-    estimate: Estimate, model: Linearised, parameters: Parameters, kept: Tensor, windows: Windows
-) -> Estimate | None:
-    """Return the estimate with the kept unknowns alone; None where that runs away however it is made.
+def _changed(flow: Flow, model: Linearised, kept: Tensor) -> Flow | None:
+    """Return the trajectories with the kept unknowns alone; None where they run away however they are made.
 
     A whole step of the linear model comes first; where it is too long, what goes is only left out.
     """
+    estimate, parameters = flow.estimate, flow.parameters
     n_fixed = len(model.scale) - len(parameters)
     chosen = parameters.take(kept[kept >= n_fixed] - n_fixed)
-    if not len(chosen):
-        return move(estimate, model, parameters, kept)
-    bare = chosen.write(parameters.write(estimate.xi, 0 * parameters.read(estimate.xi)), chosen.read(estimate.xi))
-    for trial in (move(estimate, model, parameters, kept), replace(estimate, xi=bare)):
-        if not bool(Flow.of(trial, chosen, windows).lost().any()):
-            return trial
-    return None
+    whole, bare = move(estimate, model, parameters, kept), 0 * parameters.read(estimate.xi)
+    left_out = chosen.write(parameters.write(estimate.xi, bare), chosen.read(estimate.xi))
+    chosen = Parameters.where(chosen.support(estimate.xi.shape))
+    trials = (Flow.of(trial, chosen, flow.windows) for trial in (whole, replace(estimate, xi=left_out)))
+    return next((trial for trial in trials if not (len(chosen) and bool(trial.lost().any()))), None)
 
 
 def converge(
     estimate: Estimate, parameters: Parameters, windows: Windows, max_rounds: int, enough: float = SETTLED
 ) -> Estimate:
     """Make Levenberg-Marquardt steps until one gains less than a part of the cost, `enough`."""
-    damping = 0.0
-    model = linearise(estimate, parameters, windows)
+    return settled(Flow.of(estimate, parameters, windows), max_rounds, enough)[0].estimate
+
+
+def settled(
+    flow: Flow, max_rounds: int, enough: float = SETTLED, model: Linearised | None = None
+) -> tuple[Flow, Linearised]:
+    """Return the trajectories after the steps of `converge`, and the linear model there.
+
+    Args:
+        flow: trajectories to begin with.
+        max_rounds: limit on the steps.
+        enough: part of the cost that a step gains, below which steps end.
+        model: the linear model of `flow`, if it is known.
+    """
+    damping, parameters, windows = 0.0, flow.parameters, flow.windows
+    model = model or linearise(flow.estimate, parameters, windows, None, flow)
     what = f"{len(parameters)} coefficients, by simulations of {len(windows) * windows.length} samples"
     for k in range(max_rounds):
         tell("fit", words=f"step {k + 1} of at most {max_rounds} for {what}")
-        candidate = move(estimate, model, parameters, torch.arange(len(model.scale)), damping)
-        flow = Flow.of(candidate, parameters, windows)
-        lost = bool(flow.lost().any())
-        trial = model if lost else linearise(candidate, parameters, windows, model.sigma, flow)
-        if not (trial.cost < model.cost and bool(trial.triangle.isfinite().all())):
-            if damping > 1e6 or (not lost and abs(trial.cost - model.cost) < 1e-6 * model.cost):
+        candidate = move(flow.estimate, model, parameters, torch.arange(len(model.scale)), damping)
+        trial = Flow.of(candidate, parameters, windows)
+        cost = cost_of(trial, model.sigma) if bool(trial.predicted.square().isfinite().all()) else math.inf
+        lost = not cost < math.inf or (cost < model.cost and bool(trial.lost().any()))
+        after = linearise(candidate, parameters, windows, None, trial) if cost < model.cost and not lost else None
+        if after is None or not bool(after.triangle.isfinite().all()):
+            if damping > 1e6 or (not lost and abs(cost - model.cost) < 1e-6 * model.cost):
                 break
             damping = max(10 * damping, 1e-3)
             continue
-        gain = (model.cost - trial.cost) / model.cost
-        estimate, damping = candidate, damping / 10 if damping > 1e-6 else 0.0
-        model = linearise(estimate, parameters, windows, None, flow)
+        gain = (model.cost - cost) / model.cost
+        flow, model, damping = trial, after, damping / 10 if damping > 1e-6 else 0.0
         if gain < enough:
             break
-    return estimate
+    return flow, model

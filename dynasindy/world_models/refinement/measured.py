@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -16,11 +17,11 @@ from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.shooting import substeps_for
+from dynasindy.world_models.refinement.flow import substeps_for
 from dynasindy.world_models.regression.regression import Rows, Theta, simpson_form
 from dynasindy.world_models.regression.selection import DEPENDENT
 from dynasindy.world_models.regression.weak import weak_form
-from dynasindy.world_models.writers.fast_field import generate
+from dynasindy.world_models.writers.fast_field import Field, generate
 
 LENGTHS = (5, 7, 9, 13, 17, 25, 35, 51, 71, 101)
 """Samples under a local cubic that are tried."""
@@ -184,8 +185,8 @@ def imagined(
 ) -> Transitions:
     """Guess the states that no sensor sees in any form by a first model, which the measured states lead.
 
-    The rate of a measured state is seen in that state, and stays as it was reconstructed. Each stretch begins where
-    the guess does.
+    The rate of a measured state is seen in that state, and stays as it was reconstructed. What is seen moves evenly
+    from sample to sample. Each stretch begins where the guess does.
 
     Args:
         library: candidate functions.
@@ -200,16 +201,23 @@ def imagined(
         hidden[rate] &= unseen[state]
     if not bool(hidden.any()):
         return guess
-    field, x, x_next = generate(library, xi), guess.x.clone(), guess.x_next.clone()
-    substeps = substeps_for(library, xi, guess.x, guess.u, guess.dt)
+    own = torch.where(hidden, xi, 0.0)
+    field, x, x_next = generate(library, own), guess.x.clone(), guess.x_next.clone()
+    substeps = substeps_for(library, own, guess.x, guess.u, guess.dt)
+    # What was seen is known at both ends of an interval, and needs no equations that may be fast.
+    leads = torch.where(hidden, 0.0, (guess.x_next - guess.x) / guess.dt)
     for k in range(len(guess)):
         if k and bool(guess.segment[k] == guess.segment[k - 1]):
             x[k] = torch.where(hidden, x_next[k - 1], x[k])
-        after = x[k]
+        after, led = x[k], partial(_led, field, leads[k])
         for _ in range(substeps):
-            after = rk4(field, after, guess.u[k], guess.dt / substeps)
+            after = rk4(led, after, guess.u[k], guess.dt / substeps)
         x_next[k] = torch.where(hidden & after.isfinite(), after, x_next[k])
     return replace(guess, x=x, x_next=x_next)
+
+
+def _led(field: Field, lead: Tensor, x: Tensor, u: Tensor) -> Tensor:
+    return field(x, u) + lead
 
 
 def begun(library: Library, xi: Tensor, guess: Transitions, followers: Mapping[int, int]) -> Transitions:

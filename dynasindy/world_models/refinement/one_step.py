@@ -10,18 +10,29 @@ from torch import Tensor
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell
 from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.refinement.flow import MOST_STEPS, substeps_for
 from dynasindy.world_models.refinement.windows import ENOUGH, spread
 from dynasindy.world_models.regression.regression import least_squares
 from dynasindy.world_models.regression.selection import reconsider, walk_down
 from dynasindy.world_models.regression.sensitivity import Parameters, Propagator
 
 LONGEST_STEP = 0.005
-"""Longest Runge-Kutta step [s] of a refinement: at rates of 10/s its relative error is below 1e-7."""
+"""Longest Runge-Kutta step [s] of a refinement: at rates of 10/s its relative error is below 1e-7. Of long intervals,
+as a slow plant is sampled, the fastest rate of the model says how many steps more than `MOST_STEPS` are made."""
 
 
-def substeps_for(dt: float) -> int:
-    """Return into how many Runge-Kutta steps an interval of dt [s] is divided."""
-    return max(1, math.ceil(dt / LONGEST_STEP - 1e-9))
+def steps_in(data: Transitions, library: Library, xi: Tensor) -> int:
+    """Return into how many Runge-Kutta steps an interval of a recording is divided.
+
+    Args:
+        data: transitions.
+        library: candidate functions.
+        xi: coefficients of the model that moves the states, `(n_features, n_x)`.
+    """
+    wanted = max(1, math.ceil(data.dt / LONGEST_STEP - 1e-9))
+    if wanted <= MOST_STEPS:
+        return wanted
+    return min(wanted, max(MOST_STEPS, substeps_for(library, xi, data.x, data.u, data.dt)))
 
 
 def refine_one_step(
@@ -113,7 +124,7 @@ def linear_model(
     """
     propagator = Propagator(library, xi, parameters, library.shapes)
     start = propagator.start(len(data))
-    predicted, s = propagator.advance(data.x, start, data.u, data.dt, substeps_for(data.dt))
+    predicted, s = propagator.advance(data.x, start, data.u, data.dt, steps_in(data, library, xi))
     error, jacobian = data.x_next - predicted, s[:, :, xi.shape[1] :]
     weight = 1 / torch.maximum(error.square().mean(0).sqrt(), floor).clamp_min(1e-300)
     rows = (jacobian * weight.unsqueeze(-1)).reshape(-1, jacobian.shape[-1])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, NamedTuple
@@ -17,7 +16,6 @@ from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement.delay import (
     arrived,
-    delayed,
     fine_delay,
     known_inputs,
     reach,
@@ -25,19 +23,21 @@ from dynasindy.world_models.refinement.delay import (
     unexplained,
 )
 from dynasindy.world_models.refinement.descent import Descent
-from dynasindy.world_models.refinement.measured import Seen, has_gaps, rates_known, reconstruct
+from dynasindy.world_models.refinement.measured import Seen, has_gaps, rates_known
 from dynasindy.world_models.refinement.noisy import looks_noisy
 from dynasindy.world_models.refinement.one_step import refine_one_step
 from dynasindy.world_models.refinement.order import moving_on
+from dynasindy.world_models.refinement.recording import Recording
 from dynasindy.world_models.refinement.shapes import fit_shapes
 from dynasindy.world_models.refinement.shooting import RunsAway
 from dynasindy.world_models.refinement.trajectory import WORSE, Fitted, few_steps, refine_trajectory, strain
-from dynasindy.world_models.refinement.windows import ENOUGH, spread
 from dynasindy.world_models.regression.regression import Regression, Rows, RunningSums
 from dynasindy.world_models.writers.fast_field import generate
 
 AGAIN = 3
 """Rounds at most in which delay and equations are fitted in turn."""
+HOPELESS = 4.0
+"""Factor on the errors of windows on their own, beyond which no other delay lets one trajectory fit."""
 STEPS = 6
 """Gauss-Newton steps after which two delays are compared."""
 PERIODS = 2
@@ -50,8 +50,6 @@ FARTHER = 2
 """Delays of a first estimate within which a delay is looked for."""
 ALIKE = 0.01
 """Samples by which a delay may differ from a whole number and be taken for it."""
-BRIEF = 2 * ENOUGH
-"""Rows of a recording by which regressions choose functions, delays and numbers inside functions."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
 ERRORS = ("auto", "simulation", "coloured", "prediction", "innovation")
 COMPARED = "the fit compares whole simulations with the log and not single steps, as {}"
@@ -79,58 +77,6 @@ class Refined(NamedTuple):
     coefficients: Tensor
     delay: float = 0.0
     notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Recording:
-    """Hold a recording, to be read under inputs that act later than they were given.
-
-    Attributes:
-        data: transitions, NaN where a state was not measured.
-        guess: the same, the states that were not measured guessed.
-        rates: which state is the rate of which other one, `{rate: state}`.
-        known: rows whose inputs are known however late they act, bool `(N,)`.
-        noisy: whether states that were all measured are noisy: `guess` holds them smoothed then.
-    """
-
-    data: Transitions
-    guess: Transitions
-    rates: Mapping[int, int]
-    known: Tensor
-    noisy: bool = False
-
-    @classmethod
-    def of(cls, data: Transitions, guess: Transitions, rates: Mapping[int, int], longest: float) -> Recording:
-        """Leave out the rows whose inputs of up to `longest` seconds before are not known."""
-        return cls(data, guess, rates, known_inputs(data, longest))
-
-    def brief(self, longest: float) -> Recording:
-        """Return stretches of a long recording, enough for a regression; all of a short one.
-
-        Args:
-            longest: time before a row at which its inputs are to be known [s].
-        """
-        rows = spread(len(self.data), BRIEF)
-        if bool(rows.all()):
-            return self
-        part = Recording.of(self.data.select(rows), self.guess.select(rows), self.rates, longest)
-        return replace(part, noisy=self.noisy)
-
-    def smoothed(self) -> Recording:
-        """Return the recording as one whose samples are noisy, wherever it is read from now on."""
-        return replace(self, guess=reconstruct(self.data, self.rates, True), noisy=True)
-
-    def measured(self, delay: float) -> Transitions:
-        """Return what was measured, under inputs that act `delay` seconds later."""
-        return delayed(self.data, delay).select(self.known)
-
-    def guessed(self, delay: float) -> Transitions:
-        """Return the same with a guess of every state."""
-        return delayed(self.guess, delay).select(self.known)
-
-    def seen(self, delay: float) -> Seen:
-        """Return what regressions read, under inputs that act `delay` seconds later."""
-        return Seen.of(self.guessed(delay), self.measured(delay), self.rates, self.noisy)
 
 
 @dataclass(frozen=True)
@@ -305,9 +251,8 @@ class Refinement:
         if error != "auto":
             return self._in_turn(first, rough, constraints, recording, kinds[error])
         try:
-            found, delay, notes = self._in_turn(first, rough, constraints, recording, descent)
-            start = recording.guessed(delay).x
-            ratio = strain(*found, constraints.free, recording.measured(delay), descent, start)
+            found, delay, notes = self._in_turn(first, rough, constraints, recording, descent, HOPELESS)
+            ratio = _strain(found, delay, constraints.free, recording, descent)
         except RunsAway:
             why = "one simulation through all samples runs away"
         else:
@@ -334,9 +279,18 @@ class Refinement:
         return found, delay, (note, *notes)
 
     def _in_turn(
-        self, found: Model, delay: float, constraints: Constraints, recording: Recording, descent: Descent
+        self,
+        found: Model,
+        delay: float,
+        constraints: Constraints,
+        recording: Recording,
+        descent: Descent,
+        hopeless: float = math.inf,
     ) -> tuple[Model, float, tuple[str, ...]]:
-        """Return the model that trajectories tell, the delay, fitted in turn with it, and what is to be said."""
+        """Return the model that trajectories tell, the delay, fitted in turn with it, and what is to be said.
+
+        Turns end where one trajectory strays more than `hopeless` times: no other delay mends that.
+        """
         free = constraints.free
 
         def _fitted(found: Model, delay: float) -> Fitted:
@@ -350,6 +304,9 @@ class Refinement:
         for _ in range(AGAIN if self._longest else 0):
             last, delay = delay, self._fine(delay, fitted[:2], free, recording, descent)
             if abs(delay - last) < 0.02 * recording.data.dt:
+                break
+            if hopeless < math.inf and bool((_strain(fitted[:2], last, free, recording, descent) > hopeless).any()):
+                delay = last
                 break
             fitted = _fitted(fitted[:2], delay)
         return fitted[:2], delay, _shortened(fitted.window, descent.window)
@@ -388,6 +345,10 @@ class Refinement:
             coefficients = regression.solve(sums, constraints.free, constraints.offset)
             library, coefficients = fit_shapes(library, coefficients, constraints.free, seen.rows, self.tolerance)
         return library, coefficients
+
+
+def _strain(found: Model, delay: float, free: Tensor, recording: Recording, descent: Descent) -> Tensor:
+    return strain(*found, free, recording.measured(delay), descent, recording.guessed(delay).x)
 
 
 def _shortened(window: int, wanted: int) -> tuple[str, ...]:

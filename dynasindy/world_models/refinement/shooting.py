@@ -1,4 +1,4 @@
-"""Trajectories of all windows side by side, and the linear model of their errors with most nodes eliminated.
+"""The linear model of the errors of trajectories in windows side by side, with most nodes eliminated.
 
 | name     | meaning                                             | shape      |
 | -------- | --------------------------------------------------- | ---------- |
@@ -16,70 +16,20 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.coloured import news, remaining
+from dynasindy.world_models.refinement.coloured import remaining
+from dynasindy.world_models.refinement.flow import EXACT, Estimate, Flow, white
 from dynasindy.world_models.refinement.pushes import Noise, estimated, whiten
 from dynasindy.world_models.refinement.windows import Windows
-from dynasindy.world_models.regression.sensitivity import Parameters, Propagator
+from dynasindy.world_models.regression.sensitivity import Parameters
 
-EXACT = 1e-100
-"""Error taken for that of a state that is met exactly, as one that never moves; its inverse has a finite square."""
 LARGEST = 500.0
 """Logarithm of the largest factor on a cost."""
 FAINT = 0.01
 """Weighted error below which a start that moves by a whole spread of its state is taken to change nothing."""
-FINE, COARSE, STABLE, MOST_STEPS = 0.1, 0.3, 1.5, 10
-"""Runge-Kutta step times the fastest rate of the model: for an error of 1e-7, for one of 2e-5, by which functions and
-delays are compared, and the most that is stable; and how many steps of an interval the first two may ask for."""
 
 
 class RunsAway(ValueError):
     """A model leaves all bounds within the shortest of windows."""
-
-
-@dataclass
-class Estimate:
-    """Hold the unknowns of a fit to trajectories: the library with its shapes, Xi, and the nodes."""
-
-    library: Library
-    xi: Tensor
-    nodes: Tensor
-
-
-@dataclass(frozen=True)
-class Flow:
-    """Hold the trajectories of all windows and their sensitivities.
-
-    Attributes:
-        predicted: states at the ends of the intervals, `(W, L, n_x)`.
-        s: their derivatives by the window's start, the shapes and the coefficients, `(W, L, n_x, n_x + S + P)`.
-    """
-
-    predicted: Tensor
-    s: Tensor
-
-    @classmethod
-    def of(cls, estimate: Estimate, parameters: Parameters, windows: Windows) -> Flow:
-        """Integrate all windows."""
-        propagator = Propagator(estimate.library, estimate.xi, parameters, estimate.library.shapes)
-        x, s = estimate.nodes, propagator.start(len(estimate.nodes))
-        states, slopes = [], []
-        for u in windows.inputs.unbind(1):
-            x, s = propagator.advance(x, s, u, windows.dt, windows.substeps)
-            states.append(x)
-            slopes.append(s)
-        return cls(torch.stack(states, 1), torch.stack(slopes, 1))
-
-    def lost(self) -> Tensor:
-        """Return which windows the model runs away in, bool `(W,)`."""
-        finite = self.predicted.square().isfinite().all(-1) & self.s.square().isfinite().all(-1).all(-1)
-        return ~finite.all(-1)
-
-    def sigma(self, windows: Windows) -> Tensor:
-        """Return the error of each state, `(n_x,)`; `EXACT` where none was measured. Of lasting ones what is new."""
-        error = _white((windows.measured - self.predicted).unsqueeze(-1) * windows.mask.unsqueeze(-1), windows)
-        error = error.squeeze(-1)
-        return (error.square().sum((0, 1)) / windows.mask.sum((0, 1)).clamp_min(1)).sqrt().clamp_min(EXACT)
 
 
 @dataclass(frozen=True)
@@ -139,32 +89,52 @@ def _joined(
     estimate: Estimate, flow: Flow, windows: Windows, n_p: int, sigma: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, float]:
     """Return weighted rows `(M, F + P + 1)`, moves of the nodes, weighted errors, and the cost, of one trajectory."""
-    error = (windows.measured - flow.predicted) * windows.mask
-    begun = ~windows.joined
-    start_weight = 1 / sigma if windows.lasting is None else (1 - windows.lasting.square()).sqrt() / sigma
-    start_error = (windows.first - estimate.nodes)[begun]
-    moves, gaps = _condense(estimate.nodes, flow, windows, n_p)
+    error, begun = (windows.measured - flow.predicted) * windows.mask, ~windows.joined
+    start_error, start_weight = (windows.first - estimate.nodes)[begun], _start_weight(windows, sigma)
+    moves = _condense(estimate.nodes, flow, windows, n_p)
     n_x = estimate.xi.shape[1]
     # error - d predicted: the node's move, then shapes and coefficients.
     columns = flow.s[..., :n_x] @ moves.unsqueeze(1)
     n_own = flow.s.shape[-1] - n_x
     columns[..., -1 - n_own : -1] += flow.s[..., n_x:]
     columns[..., -1] = error - columns[..., -1]
-    columns = _white(columns * windows.mask.unsqueeze(-1), windows) / sigma.unsqueeze(-1)
+    columns = white(columns * windows.mask.unsqueeze(-1), windows) / sigma.unsqueeze(-1)
     starts = moves[begun].clone()
     starts[..., -1] = start_error - starts[..., -1]
     starts = torch.where(start_error.isnan().unsqueeze(-1), 0.0, starts * start_weight.unsqueeze(-1))
     rows = torch.cat([columns.reshape(-1, columns.shape[-1]), starts.reshape(-1, columns.shape[-1])])
     rows = torch.cat([rows, _held(estimate, begun, rows)])
+    weighed = white(error.unsqueeze(-1), windows).squeeze(-1) / sigma
+    return rows, moves, weighed, _cost_of_joined(estimate, weighed, flow, windows, sigma)
+
+
+def _start_weight(windows: Windows, sigma: Tensor) -> Tensor:
+    return 1 / sigma if windows.lasting is None else (1 - windows.lasting.square()).sqrt() / sigma
+
+
+def _cost_of_joined(estimate: Estimate, weighed: Tensor, flow: Flow, windows: Windows, sigma: Tensor) -> float:
+    """Return the cost of one trajectory with the weighted errors `(W, L, n_x)`."""
+    starts = (windows.first - estimate.nodes)[~windows.joined].nan_to_num() * _start_weight(windows, sigma)
+    gaps = _gaps(estimate.nodes, flow, windows) / _gap_sigma(sigma, estimate)
     # A gap shifts all samples that follow, so closing it is worth more than the errors it hid.
     gap_weight = 10.0 * windows.mask.shape[1]
-    weighed = _white(error.unsqueeze(-1), windows).squeeze(-1) / sigma
-    weighted = (
-        (1.0, weighed),
-        (1.0, start_error.nan_to_num() * start_weight),
-        (gap_weight, gaps / _gap_sigma(sigma, estimate)),
-    )
-    return rows, moves, weighed, float(sum((w * e.square().sum() for w, e in weighted), torch.zeros(())))
+    return float(weighed.square().sum() + starts.square().sum() + gap_weight * gaps.square().sum())
+
+
+def cost_of(flow: Flow, sigma: Tensor) -> float:
+    """Return the cost of a trial, as `linearise` has it, without the slopes that nothing needs if it is none the less.
+
+    Args:
+        flow: trajectories of the trial.
+        sigma: error of each state, the weights.
+    """
+    estimate, windows = flow.estimate, flow.windows
+    if not bool((~windows.joined).all()):
+        error = (windows.measured - flow.predicted) * windows.mask
+        weighed = white(error.unsqueeze(-1), windows).squeeze(-1) / sigma
+        return _cost_of_joined(estimate, weighed, flow, windows, sigma)
+    error, seen = _errors(estimate, flow, windows)
+    return _weighed((error * seen).unsqueeze(-1), seen, flow, windows, sigma)[1]
 
 
 def _alone(estimate: Estimate, flow: Flow, windows: Windows, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
@@ -173,25 +143,32 @@ def _alone(estimate: Estimate, flow: Flow, windows: Windows, sigma: Tensor) -> t
     Each node moves as fits its window best, which leaves no unknown of its own (variable projection).
     """
     n_x, (every, seen) = estimate.xi.shape[1], _every(estimate, flow, windows)
-    spread = 1.0
-    if windows.noise is None:
-        every = _white(every, replace(windows, mask=seen)) / sigma.unsqueeze(-1)
-    else:
-        every, half = whiten(every, seen, _steps(estimate, flow, windows), windows.noise, windows.dt)
-        # Where a model runs away, its filter expects errors of any size, by which small ones would be divided.
-        spread = math.exp(min(2 * float(half / windows.mask.sum().clamp_min(1)), LARGEST))
+    every, cost = _weighed(every, seen, flow, windows, sigma)
     rows = every.flatten(1, 2)
     # A trial step may run away: its cost is infinite whatever these are, but the solver takes finite numbers alone.
     finite = rows.nan_to_num(0.0, 0.0, 0.0)
     best = torch.linalg.lstsq(finite[..., :n_x], finite[..., n_x:], driver="gelsd").solution
     moves = torch.cat([-best[..., :-1], best[..., -1:]], -1)
-    errors = every[..., -1]
-    return (
-        (rows[..., n_x:] - rows[..., :n_x] @ best).flatten(0, 1),
-        moves,
-        errors[:, 1:],
-        spread * float(errors.square().sum()),
-    )
+    return (rows[..., n_x:] - rows[..., :n_x] @ best).flatten(0, 1), moves, every[:, 1:, :, -1], cost
+
+
+def _weighed(every: Tensor, seen: Tensor, flow: Flow, windows: Windows, sigma: Tensor) -> tuple[Tensor, float]:
+    """Return weighted slopes and errors of windows on their own, `(W, L + 1, n_x, C)`, errors last, and the cost."""
+    spread = 1.0
+    if windows.noise is None:
+        every = white(every, replace(windows, mask=seen)) / sigma.unsqueeze(-1)
+    else:
+        every, half = whiten(every, seen, flow.steps[..., : every.shape[2]], windows.noise, windows.dt)
+        # Where a model runs away, its filter expects errors of any size, by which small ones would be divided.
+        spread = math.exp(min(2 * float(half / windows.mask.sum().clamp_min(1)), LARGEST))
+    return every, spread * float(every[..., -1].square().sum())
+
+
+def _errors(estimate: Estimate, flow: Flow, windows: Windows) -> tuple[Tensor, Tensor]:
+    """Return errors of each window's start and samples, and 1 where one was measured, else 0, `(W, L + 1, n_x)`."""
+    start_error = windows.first - estimate.nodes
+    error = torch.cat([start_error.nan_to_num().unsqueeze(1), windows.measured - flow.predicted], 1)
+    return error, torch.cat([(~start_error.isnan()).to(error.dtype).unsqueeze(1), windows.mask], 1)
 
 
 def _every(estimate: Estimate, flow: Flow, windows: Windows) -> tuple[Tensor, Tensor]:
@@ -199,12 +176,10 @@ def _every(estimate: Estimate, flow: Flow, windows: Windows) -> tuple[Tensor, Te
 
     They are zero where nothing was measured; which were is 1 there and else 0, `(W, L + 1, n_x)`.
     """
-    n_x, start_error = estimate.xi.shape[1], windows.first - estimate.nodes
+    n_x, (error, seen) = estimate.xi.shape[1], _errors(estimate, flow, windows)
     first = torch.zeros_like(flow.s[:, 0])
     first[..., :n_x] = torch.eye(n_x, dtype=first.dtype)
     slopes = torch.cat([first.unsqueeze(1), flow.s], 1)
-    error = torch.cat([start_error.nan_to_num().unsqueeze(1), windows.measured - flow.predicted], 1)
-    seen = torch.cat([(~start_error.isnan()).to(error.dtype).unsqueeze(1), windows.mask], 1)
     return torch.cat([slopes, error.unsqueeze(-1)], -1) * seen.unsqueeze(-1), seen
 
 
@@ -221,21 +196,6 @@ def _held(estimate: Estimate, begun: Tensor, rows: Tensor) -> Tensor:
     return held
 
 
-def _white(rows: Tensor, windows: Windows) -> Tensor:
-    """Return errors and slopes, zero where not measured, `(W, L, n_x, C)`; of errors that last what is new."""
-    return rows if windows.lasting is None else news(rows, windows.mask, windows.joined, windows.lasting)
-
-
-def _steps(estimate: Estimate, flow: Flow, windows: Windows) -> Tensor:
-    """Return the slopes of the end of each interval by its beginning, `(W, L, n_x, n_x)`."""
-    none = Parameters.where(torch.zeros_like(estimate.xi, dtype=torch.bool))
-    propagator = Propagator(estimate.library, estimate.xi, none)
-    begins = torch.cat([estimate.nodes.unsqueeze(1), flow.predicted[:, :-1]], 1).flatten(0, 1)
-    inputs = windows.inputs.flatten(0, 1)
-    steps = propagator.advance(begins, propagator.start(len(begins)), inputs, windows.dt, windows.substeps)[1]
-    return steps.unflatten(0, windows.mask.shape[:2])
-
-
 def noise_of(estimate: Estimate, windows: Windows, pushed: Tensor) -> Noise:
     """Return how noisy the sensors are and how hard the plant is pushed, by what windows on their own leave over.
 
@@ -250,7 +210,7 @@ def noise_of(estimate: Estimate, windows: Windows, pushed: Tensor) -> Noise:
     n_x = estimate.xi.shape[1]
     rows = torch.cat([rows[..., :n_x], rows[..., -1:]], -1)
     spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12)
-    return estimated(rows, seen, _steps(estimate, flow, windows), pushed, spread, windows.dt)
+    return estimated(rows, seen, flow.steps[..., :n_x], pushed, spread, windows.dt)
 
 
 def lasting_of(estimate: Estimate, windows: Windows) -> Tensor:
@@ -282,7 +242,7 @@ def _require_bounded(flow: Flow, windows: Windows) -> None:
         )
 
 
-def _condense(nodes: Tensor, flow: Flow, windows: Windows, n_p: int) -> tuple[Tensor, Tensor]:
+def _condense(nodes: Tensor, flow: Flow, windows: Windows, n_p: int) -> Tensor:
     """Express the move of every node by the moves of the first nodes, of the shapes and of the coefficients.
 
     A window that continues another one starts where that one ends:
@@ -291,18 +251,22 @@ def _condense(nodes: Tensor, flow: Flow, windows: Windows, n_p: int) -> tuple[Te
     n_x, s = nodes.shape[1], flow.s
     n_own, n_start = s.shape[-1] - n_x, n_x * int((~windows.joined).sum())
     moves = torch.zeros(len(nodes), n_x, n_start + n_own + 1, dtype=nodes.dtype)
-    gaps = torch.zeros_like(nodes)
-    seen = 0
+    gaps, seen = _gaps(nodes, flow, windows), 0
     for j, joined in enumerate(windows.joined.tolist()):
         if joined:
             moves[j] = s[j - 1, -1, :, :n_x] @ moves[j - 1]
             moves[j, :, n_start : n_start + n_own] += s[j - 1, -1, :, n_x:]
-            gaps[j] = flow.predicted[j - 1, -1] - nodes[j]
             moves[j, :, -1] += gaps[j]
         else:
             moves[j, :, seen : seen + n_x] = torch.eye(n_x, dtype=nodes.dtype)
             seen += n_x
-    return moves, gaps
+    return moves
+
+
+def _gaps(nodes: Tensor, flow: Flow, windows: Windows) -> Tensor:
+    """Return by how much windows end beside those that continue them, `(W, n_x)`; zero at those that begin anew."""
+    ends = torch.cat([nodes[:1], flow.predicted[:-1, -1]])
+    return torch.where(windows.joined.unsqueeze(-1), ends - nodes, 0.0)
 
 
 def move(
@@ -335,48 +299,6 @@ def move(
         numbers = step[n_fixed - len(shapes) : n_fixed].tolist()
         library = library.with_shapes([shape.frequency + by for shape, by in zip(shapes, numbers, strict=True)])
     return Estimate(library, parameters.write(estimate.xi, values[n_fixed:]), nodes)
-
-
-def growth(flow: Flow, windows: Windows, nodes: Tensor, farthest: float = math.inf) -> tuple[float, Tensor]:
-    """Follow an error of a start state along the windows that join, relative to the spreads of the states.
-
-    Args:
-        flow: what was integrated.
-        windows: the recording.
-        nodes: start states of the windows, `(W, n_x)`.
-        farthest: growth beyond which a window begins at a state of its own.
-
-    Returns:
-        The largest growth without such a beginning, and which windows continue the one before with it, bool `(W,)`.
-    """
-    spread = nodes.std(0, correction=0).clamp_min(1e-12)
-    whole, part, largest, joined = torch.eye(len(spread), dtype=nodes.dtype), None, 0.0, windows.joined.clone()
-    for j, step in enumerate((flow.s[:, -1, :, : len(spread)] * spread / spread.unsqueeze(-1)).unbind()):
-        whole = step @ whole if windows.joined[j] else step
-        largest = max(largest, float(whole.norm().nan_to_num(math.inf)))
-        longer = step @ part if part is not None and windows.joined[j] else step
-        joined[j] = bool(windows.joined[j]) and bool(longer.norm() <= farthest)
-        part = longer if joined[j] else step
-    return largest, joined
-
-
-def substeps_for(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float, turned: float = FINE) -> int:
-    """Return into how many Runge-Kutta steps an interval is divided, by the fastest rate of a model.
-
-    Args:
-        library: candidate functions.
-        xi: coefficients, `(n_features, n_x)`.
-        x: states that occur, `(N, n_x)`.
-        u: inputs there, `(N, n_u)`.
-        dt: length of an interval [s].
-        turned: step times the fastest rate that is wanted.
-    """
-    slopes = Propagator(library, xi, Parameters.where(xi != 0)).slopes_by_state(x, u)
-    rates = torch.linalg.eigvals(slopes[slopes.isfinite().all(-1).all(-1)]).abs().amax(-1)
-    if not len(rates):
-        return 1
-    turn = dt * float(torch.quantile(rates[-100_000:], 0.999))
-    return max(1, min(math.ceil(turn / turned - 1e-6), MOST_STEPS), min(math.ceil(turn / STABLE), 10 * MOST_STEPS))
 
 
 def left_over(model: Linearised, windows: Windows) -> float:

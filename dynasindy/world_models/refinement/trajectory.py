@@ -20,21 +20,10 @@ from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.choosing import Limits, converge, descend, price, search
+from dynasindy.world_models.refinement.choosing import Limits, converge, descend, price, search, settled
 from dynasindy.world_models.refinement.descent import Descent
-from dynasindy.world_models.refinement.shooting import (
-    COARSE,
-    EXACT,
-    FINE,
-    Estimate,
-    Flow,
-    growth,
-    lasting_of,
-    left_over,
-    linearise,
-    noise_of,
-    substeps_for,
-)
+from dynasindy.world_models.refinement.flow import COARSE, EXACT, FINE, Estimate, Flow, growth, substeps_for
+from dynasindy.world_models.refinement.shooting import lasting_of, left_over, noise_of
 from dynasindy.world_models.refinement.windows import ENOUGH, Windows, spread
 from dynasindy.world_models.regression.sensitivity import Parameters
 
@@ -191,10 +180,9 @@ def few_steps(
     some = spread(len(data), ENOUGH)
     support, data = (xi != 0) & free, data.to(torch.float64).select(some)
     estimate, windows = _grown(Estimate(library, xi, start[some]), support, data, descent, COARSE)
-    estimate = converge(estimate, Parameters.where(support), windows, descent.max_rounds)
-    model = linearise(estimate, Parameters.where(support), windows)
+    flow, model = settled(Flow.of(estimate, Parameters.where(support), windows), descent.max_rounds)
     errors = (model.errors * model.sigma).square().sum(1) if windows.length == descent.window else None
-    return left_over(model, windows), estimate, errors
+    return left_over(model, windows), flow.estimate, errors
 
 
 def strain(library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor) -> Tensor:
@@ -220,7 +208,8 @@ def strain(library: Library, xi: Tensor, free: Tensor, data: Transitions, descen
     if not bool(data.x_next.isnan().any()):
         windows = replace(windows, joined=_grows(first, windows)[1])
     alone, parameters = replace(windows, joined=torch.zeros_like(windows.joined)), Parameters.where(support)
-    error, own = (_sigma(converge(first, parameters, part, descent.max_rounds), part) for part in (windows, alone))
+    ends = (settled(Flow.of(first, parameters, part), descent.max_rounds)[0] for part in (windows, alone))
+    error, own = (end.sigma(end.windows) for end in ends)
     told = float(windows.mask.sum() + (~windows.first.isnan()).sum())
     allowed = math.sqrt(max(1 - first.nodes.numel() / max(told, 1.0), NEGLIGIBLE))
     floor = NEGLIGIBLE * first.nodes.std(0, correction=0) + EXACT

@@ -20,6 +20,9 @@ from dynasindy.world_models.libraries.features import Factor
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.writers.fast_slopes import Slopes
 
+MOST = 2_000_000
+"""Numbers of functions and slopes, about, that are kept at a time, so that they stay in fast memory."""
+
 
 @dataclass(frozen=True)
 class Parameters:
@@ -110,39 +113,79 @@ class Propagator:
         s[:, :, : self.n_x] = torch.eye(self.n_x, dtype=torch.float64)
         return s
 
-    def _rate(self, x: Tensor, s: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        theta, slopes, by_shape = self.slopes(x, u)
-        ds = (slopes @ self.jacobian).unflatten(-1, (self.n_x, self.n_x)) @ s
-        if self.shapes:
-            ds[:, :, self.n_x : self.n_x + len(self.shapes)] += (by_shape @ self.of_shapes).unflatten(
-                -1, (self.n_x, len(self.shapes))
-            )
-        columns = torch.arange(ds.shape[-1] - len(self.features), ds.shape[-1])
-        ds[:, self.states, columns] += theta[:, self.features]
-        return theta @ self.xi, ds
+    def transfer(self, x: Tensor, u: Tensor, dt: float, substeps: int) -> tuple[Tensor, Tensor]:
+        """Return the states one sampling interval later, and their derivatives by what the interval begins with.
 
-    def step(self, x: Tensor, s: Tensor, u: Tensor, h: float) -> tuple[Tensor, Tensor]:
-        """Advance by one Runge-Kutta step of length h [s].
+        A step k1 .. k4 of h moves an error of its end by a4 = h/6, a3 = h/3 + h a4 J4, a2 = h/3 + h/2 a3 J3 and
+        a1 = h/6 + h/2 a2 J2 times the errors of its four rates, where J are the slopes of the rates by the states. So
+        the functions themselves need no sensitivities of their own: each is weighed, once.
 
         Args:
             x: states, `(B, n_x)`.
-            s: sensitivities, `(B, n_x, n_x + S + P)`.
             u: inputs, `(B, n_u)`.
-            h: length of the step [s].
+            dt: length of the interval [s].
+            substeps: Runge-Kutta steps in it.
+
+        Returns:
+            States, `(B, n_x)`, and derivatives by the states before, the shapes and the coefficients,
+            `(B, n_x, n_x + S + P)`.
         """
-        dx1, ds1 = self._rate(x, s, u)
-        dx2, ds2 = self._rate(x + h / 2 * dx1, torch.add(s, ds1, alpha=h / 2), u)
-        dx3, ds3 = self._rate(x + h / 2 * dx2, torch.add(s, ds2, alpha=h / 2), u)
-        dx4, ds4 = self._rate(x + h * dx3, torch.add(s, ds3, alpha=h), u)
-        x = x + h / 6 * (dx1 + 2 * dx2 + 2 * dx3 + dx4)
-        ds = ds1.add_(ds2, alpha=2.0).add_(ds3, alpha=2.0).add_(ds4)
-        return x, torch.add(s, ds, alpha=h / 6)
+        stages = 4 * substeps * (len(self.xi) + len(self.jacobian) + self.n_x)
+        length = max(1, MOST // stages)
+        parts = [self._transfer(*part, dt, substeps) for part in zip(x.split(length), u.split(length), strict=True)]
+        return torch.cat([end for end, _ in parts]), torch.cat([slopes for _, slopes in parts])
+
+    def _transfer(self, x: Tensor, u: Tensor, dt: float, substeps: int) -> tuple[Tensor, Tensor]:
+        h, stages = dt / substeps, []
+        for _ in range(substeps):
+            dx, total = torch.zeros_like(x), torch.zeros_like(x)
+            for ahead, weight in zip((0.0, h / 2, h / 2, h), (h / 6, h / 3, h / 3, h / 6)):
+                values = self.slopes(x + ahead * dx, u)
+                dx = values[0] @ self.xi
+                total = total + weight * dx
+                stages.append(values)
+            x = x + total
+        unit = torch.eye(self.n_x, dtype=x.dtype)
+        after, weights = unit.expand(len(x), -1, -1), []
+        for k in range(substeps - 1, -1, -1):
+            four = (slopes @ self.jacobian for _, slopes, _ in stages[4 * k : 4 * k + 4])
+            jacobians = [slopes.unflatten(-1, (self.n_x, self.n_x)) for slopes in four]
+            a4 = h / 6 * after
+            a3 = 2 * a4 + h * (p4 := a4 @ jacobians[3])
+            a2 = 2 * a4 + h / 2 * (p3 := a3 @ jacobians[2])
+            a1 = a4 + h / 2 * (p2 := a2 @ jacobians[1])
+            after = after + a1 @ jacobians[0] + p2 + p3 + p4
+            weights += [a4, a3, a2, a1]
+        moved = torch.stack(weights[::-1], -1)  # (B, n_x, n_x, stages): of the end, by the rate of each state
+        theta = torch.stack([values[0] for values in stages], 1)
+        columns = [after]
+        if self.shapes:
+            by_shape = torch.stack([by_shape @ self.of_shapes for _, _, by_shape in stages], 1)
+            by_shape = by_shape.unflatten(-1, (self.n_x, len(self.shapes)))
+            columns.append(torch.einsum("bxyq,bqys->bxs", moved, by_shape))
+        own = x.new_empty(len(x), self.n_x, len(self.features))
+        for state in self.states.unique().tolist():
+            mine = self.states == state
+            own[:, :, mine] = moved[:, :, state] @ theta[:, :, self.features[mine]]
+        return x, torch.cat([*columns, own], -1)
 
     def advance(self, x: Tensor, s: Tensor, u: Tensor, dt: float, substeps: int) -> tuple[Tensor, Tensor]:
-        """Advance by one sampling interval of length dt [s] in `substeps` steps."""
-        for _ in range(substeps):
-            x, s = self.step(x, s, u, dt / substeps)
-        return x, s
+        """Advance states and sensitivities `(B, n_x, n_x + S + P)` by one sampling interval of length dt [s]."""
+        end, moved = self.transfer(x, u, dt, substeps)
+        return end, chained(moved, s)
+
+
+def chained(moved: Tensor, s: Tensor) -> Tensor:
+    """Return the sensitivities after an interval of those before it, both `(B, n_x, n_x + S + P)`.
+
+    Args:
+        moved: derivatives of the end by the states at the beginning, the shapes and the coefficients.
+        s: derivatives of the states at the beginning by what began earlier.
+    """
+    n_x = moved.shape[1]
+    after = moved[..., :n_x] @ s
+    after[..., n_x:] += moved[..., n_x:]
+    return after
 
 
 def _summed(xi: Tensor, places: Sequence[tuple[int, int]], width: int) -> Tensor:

@@ -13,7 +13,7 @@ from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement import choosing
 from dynasindy.world_models.refinement.choosing import Limits, converge, price, search
 from dynasindy.world_models.refinement.descent import Descent
-from dynasindy.world_models.refinement.shooting import Estimate
+from dynasindy.world_models.refinement.flow import Estimate
 from dynasindy.world_models.refinement.trajectory import refine_trajectory
 from dynasindy.world_models.refinement.windows import Windows
 from dynasindy.world_models.regression.sensitivity import Parameters

@@ -1,6 +1,7 @@
 """The one-step fit of a linear plant is the least-squares fit of its exact discrete form, noise and all."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.features import CONSTANT, variable
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.one_step import linear_model, refine_one_step, substeps_for
+from dynasindy.world_models.refinement.one_step import linear_model, refine_one_step, steps_in
 from dynasindy.world_models.regression.sensitivity import Parameters
 
 SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
@@ -41,8 +42,14 @@ def column(*values: float) -> torch.Tensor:
 FREE = torch.ones(4, 1, dtype=torch.bool)
 
 
-def test_intervals_are_divided_into_steps_of_five_milliseconds_at_most():
-    assert [substeps_for(dt) for dt in (0.001, 0.005, 0.0051, 0.01, 0.05)] == [1, 1, 2, 2, 10]
+def test_intervals_are_divided_into_steps_of_five_milliseconds_at_most_but_long_ones_by_the_fastest_rate():
+    def steps(dt: float, rate: float) -> int:
+        return steps_in(replace(recording(), dt=dt), LIBRARY, column(-rate, 1.0, 0.0, 0.0))
+
+    assert [steps(dt, 1.0) for dt in (0.001, 0.005, 0.0051, 0.01, 0.05)] == [1, 1, 2, 2, 10]
+    assert steps(60.0, 0.001) == 10, "a column that is sampled every minute and takes a quarter of an hour"
+    assert steps(60.0, 1.0) == 40, "60 radians in steps of 1.5, the longest that are stable"
+    assert steps(0.1, 1000.0) == 20, "no shorter than five milliseconds"
 
 
 def test_from_a_poor_first_model_the_plant_is_found_to_nine_digits():

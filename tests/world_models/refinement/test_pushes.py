@@ -12,9 +12,10 @@ from scipy.optimize import minimize
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.models.sindy import SindyModel
+from dynasindy.world_models.refinement.flow import Estimate
 from dynasindy.world_models.refinement.pushes import Noise, estimated, whiten
 from dynasindy.world_models.refinement.refine import Refinement
-from dynasindy.world_models.refinement.shooting import Estimate, linearise
+from dynasindy.world_models.refinement.shooting import linearise
 from dynasindy.world_models.refinement.windows import Windows
 from dynasindy.world_models.regression.regression import Regression
 from dynasindy.world_models.regression.sensitivity import Parameters

@@ -1,6 +1,7 @@
 """Trajectories of windows and their condensed linear model: closed forms, and one step to least squares."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,9 @@ from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.features import CONSTANT, of, variable
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.shooting import EXACT, Estimate, Flow, RunsAway, linearise, move, substeps_for
+from dynasindy.world_models.refinement.flow import Estimate, Flow
+from dynasindy.world_models.refinement.pushes import Noise
+from dynasindy.world_models.refinement.shooting import RunsAway, cost_of, linearise, move
 from dynasindy.world_models.refinement.windows import Windows
 from dynasindy.world_models.regression.sensitivity import Parameters
 
@@ -94,25 +97,6 @@ def test_a_step_solves_the_linear_problem_of_starts_and_coefficients():
     assert still.nodes[0, 0].item() == pytest.approx(estimate.nodes[0, 0].item(), abs=1e-6)
 
 
-def test_a_flow_is_the_closed_form_and_its_errors_are_those_of_what_was_measured():
-    y = motion(A, B, Y0, INPUTS)
-    data = Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.from_numpy(INPUTS)[:, None], DT)
-    windows = Windows.of(data, 20)
-    nodes = torch.from_numpy(y[:40:20])[:, None]
-    flow = Flow.of(Estimate(LIBRARY, column(A, B, 0.0, 0.0), nodes + 0.5), Parameters.where(TWO), windows)
-    decay = np.exp(A * DT * np.arange(1, 21))
-    expected = y[1:].reshape(2, 20) + 0.5 * decay
-    assert np.allclose(flow.predicted[..., 0], expected, atol=1e-9)
-    assert np.allclose(flow.s[..., 0, 0], decay, atol=1e-9)
-    assert flow.sigma(windows).item() == pytest.approx(0.5 * np.sqrt(np.mean(decay**2)), rel=1e-6)
-    # Half of the samples lost: the root mean square of the others.
-    data.x_next[::2] = torch.nan
-    seen = Windows.of(data, 20)
-    assert flow.sigma(seen).item() == pytest.approx(0.5 * np.sqrt(np.mean(decay[1::2] ** 2)), rel=1e-6)
-    data.x_next[:] = torch.nan
-    assert flow.sigma(Windows.of(data, 20)).item() == EXACT
-
-
 def test_windows_that_run_away_are_counted_and_the_first_is_named():
     # y' = y^2 from 1 is 1 / (1 - t): it passes all bounds after a second, from -1 and from 0.1 it does not.
     data = Transitions.from_trajectory(torch.ones(61, 1).double(), torch.zeros(60, 1).double(), 0.1)
@@ -190,27 +174,6 @@ def test_a_number_inside_a_function_moves_as_in_least_squares():
     assert found.xi.item() == 2.0 and estimate.library.shapes[0].frequency == 0.4
 
 
-# y' = a y + 5: the fastest rate is |a|. An error of 1e-7 wants steps of 0.1 / |a|, at most 10; stability 1.5 / |a|.
-@pytest.mark.parametrize(
-    ("a", "dt", "steps"),
-    [(-2, 0.01, 1), (10, 0.01, 1), (-11, 0.01, 2), (-30, 0.01, 3), (-50, 0.1, 10), (-300, 0.1, 20), (-1e5, 0.1, 100)],
-)
-def test_steps_follow_the_fastest_rate(a, dt, steps):
-    x, u = torch.linspace(-1, 1, 9, dtype=torch.float64)[:, None], torch.zeros(9, 1).double()
-    assert substeps_for(LIBRARY, column(float(a), 0.0, 5.0, 0.0), x, u, dt) == steps
-
-
-def test_steps_follow_the_rates_where_the_states_are():
-    # y' = -y^2 has the rate 2 |y|; an oscillator of 40 rad/s has imaginary ones.
-    u = torch.zeros(1, 1).double()
-    assert [substeps_for(LIBRARY, column(0, 0, 0, -1.0), column(y), u, 0.1) for y in (0.1, 2.0)] == [1, 4]
-    two = Signature(("y", "v"), ("-", "-"), ("u",), (1.0, 1.0))
-    library = Library(two, [variable("y"), variable("v")])
-    xi = torch.tensor([[0.0, -1600.0], [1.0, 0.0]]).double()
-    assert substeps_for(library, xi, torch.ones(1, 2).double(), u, 0.01) == 4
-    assert substeps_for(LIBRARY, column(0, 0, 0, -1.0), column(math.nan), u, 0.1) == 1
-
-
 def test_the_start_of_a_state_that_forgets_it_within_a_sample_stays_near():
     # h follows u and y follows h, both within a sample: of where h began, e^-40 is left in what was measured.
     signature = Signature(("y", "h"), ("-", "-"), ("u",), (1.0, 1.0))
@@ -226,3 +189,22 @@ def test_the_start_of_a_state_that_forgets_it_within_a_sample_stays_near():
     moved = move(estimate, model, parameters, torch.arange(len(model.scale)))
     assert float((moved.nodes - estimate.nodes).abs().max()) < 10
     assert float(moved.xi[2, 1]) == pytest.approx(100.0, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("joined", "made_white"),
+    [
+        *((joined, made) for joined in (True, False) for made in ({}, {"lasting": column(0.6)[0]})),
+        (False, {"noise": Noise(column(0.1)[0], column(2.0)[0])}),
+    ],
+)
+def test_the_cost_of_a_trial_is_that_of_its_linear_model(joined, made_white):
+    # Steps are judged by it before there is a linear model.
+    y = motion(A, B, Y0, INPUTS) + 0.1 * np.random.default_rng(9).normal(size=41)
+    data = Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.from_numpy(INPUTS)[:, None], DT)
+    data.x_next[::3] = torch.nan
+    windows = replace(Windows.of(data, 10, joined), **made_white)
+    estimate = Estimate(LIBRARY, column(A, 1.0, 0.0, 0.1), windows.first.nan_to_num(0.2))
+    flow, sigma = Flow.of(estimate, Parameters.where(TWO), windows), torch.tensor([0.3]).double()
+    model = linearise(estimate, flow.parameters, windows, sigma)
+    assert cost_of(flow, sigma) == pytest.approx(model.cost, rel=1e-12) and model.cost > 0.1

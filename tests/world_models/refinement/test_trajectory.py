@@ -16,9 +16,9 @@ from dynasindy.world_models.libraries.features import CONSTANT, variable
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement import choosing, trajectory
 from dynasindy.world_models.refinement.descent import Descent
+from dynasindy.world_models.refinement.flow import Estimate, Flow, growth
 from dynasindy.world_models.refinement.one_step import refine_one_step
 from dynasindy.world_models.refinement.refine import Refinement
-from dynasindy.world_models.refinement.shooting import Estimate, Flow, growth
 from dynasindy.world_models.refinement.trajectory import refine_trajectory
 from dynasindy.world_models.refinement.windows import Windows, spread
 from dynasindy.world_models.regression.sensitivity import Parameters

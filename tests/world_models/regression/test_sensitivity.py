@@ -11,6 +11,7 @@ from dynasindy.systems.base import Signature
 from dynasindy.world_models.libraries import paper_table
 from dynasindy.world_models.libraries.features import CONSTANT, variable
 from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.regression import sensitivity
 from dynasindy.world_models.regression.sensitivity import Parameters, Propagator
 
 ONE = Signature(("y",), ("-",), ("u",), (1.0,))
@@ -88,3 +89,13 @@ def test_parameters_name_coefficients_state_by_state():
     assert written.tolist() == [[10.0, 1.0], [2.0, 12.0], [11.0, 13.0]] and xi[0, 0] == 0.0
     both = parameters + Parameters.where(~support)
     assert both.read(xi).tolist() == [0.0, 4.0, 3.0, 5.0, 2.0, 1.0]
+
+
+def test_many_states_are_moved_in_parts_as_they_are_at_once(monkeypatch):
+    xi, parameters = model()
+    propagator, x, u = Propagator(LIBRARY, xi, parameters), draw(7, 6, seed=3), draw(7, 2, seed=4)
+    at_once = propagator.transfer(x, u, 0.1, 2)
+    monkeypatch.setattr(sensitivity, "MOST", 3 * 8 * (len(propagator.xi) + len(propagator.jacobian) + 6))
+    for whole, parts in zip(at_once, propagator.transfer(x, u, 0.1, 2), strict=True):
+        assert torch.allclose(whole, parts, rtol=1e-12, atol=1e-14)
+    assert propagator.transfer(x[:0], u[:0], 0.1, 2)[1].shape == (0, 6, 6 + len(parameters))
