@@ -223,7 +223,7 @@ def test_a_loaded_model_keeps_what_was_known_and_is_fitted_as_it_is_told(tmp_pat
 
 
 class Nothing(Refinement):
-    def run(self, library, coefficients, constraints, data, guess):
+    def run(self, library, coefficients, constraints, data, guess, late):
         return Refined(library, constraints.offset)
 
 
