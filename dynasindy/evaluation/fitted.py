@@ -27,6 +27,13 @@ FAILURES = ArithmeticError, ValueError, RuntimeError
 """What a search or a fit raises where numbers run away, or where there are too few samples."""
 
 
+IN_VAIN = (
+    "the equations miss the log by more than its sensors explain, so a state that no sensor sees was looked for, one "
+    "that follows an input or a measured state; none was found that predicts the kept part of the log far better"
+)
+"""What is said of a search that has found nothing."""
+
+
 @dataclass(frozen=True)
 class Fitted:
     """Hold a fitted model, and the data with all of its states.
@@ -36,12 +43,19 @@ class Fitted:
         source: the data; that state is seen by no sensor.
         report: of the fit.
         follower: what was found of such a state, in words; empty where nothing was.
+        sought: that such a state was looked for in vain, in words; empty where none was looked for, or one was found.
     """
 
     model: SindyModel
     source: Source
     report: FitReport
     follower: str = ""
+    sought: str = ""
+
+    @property
+    def hidden(self) -> list[str]:
+        """What came of the search for a state that no sensor sees, a line at most."""
+        return [f"found: {self.follower}"] if self.follower else [f"note: {self.sought}"] if self.sought else []
 
 
 def fitted(model: SindyModel, source: Source) -> Fitted:
@@ -76,7 +90,7 @@ def _fitted(model: SindyModel, source: Source) -> Fitted:
         after = forecast(found.model, found.source.training, found.source.validation) if found.follower else None
         if after is not None and _better(before, after, model.signature):
             return found
-    return plain
+    return replace(plain, sought=IN_VAIN)
 
 
 def _wider(model: SindyModel, source: Source) -> Iterator[Fitted]:
