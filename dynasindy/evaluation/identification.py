@@ -229,7 +229,7 @@ class Logged:
     def _require_fit(self, recording: Recording, states: Mapping[str, Any]) -> None:
         """Refuse rates that are known and cannot be those of their states, with the setting that mends them."""
 
-        def mend(wrong: Mismatch) -> str:
+        def _mend(wrong: Mismatch) -> str:
             headings, given = all_headings(Path(str(self.path))), columns_of(states)
             explicit = [n for n, c in given.items() if c != with_units({n: Column(c.name)}, headings, states=True)[n]]
             columns = with_units(given, headings, states=True)
@@ -239,7 +239,7 @@ class Logged:
             return f"give {as_words(columns, {*explicit, wrong.rate})}"
 
         try:
-            require_known(recording.transitions, recording.signature, self.known or {}, mend)
+            require_known(recording.transitions, recording.signature, self.known or {}, _mend)
         except ValueError as error:
             raise ValueError(f"{self.path}: {error}") from None
 
