@@ -130,6 +130,8 @@ class Sweep(Callback):
     """Whether the command was started in this process."""
     running: ClassVar[str | None] = None
     """Folder of the sweep that is under way."""
+    claim: ClassVar[ExitStack] = ExitStack()
+    """Keeps the folder to this command, where its jobs could not be told from those of another one."""
     jobs: ClassVar[set[Path] | None] = None
     """Folders of its jobs; None where its folder holds no others, or where they are not known beforehand."""
     earlier: ClassVar[dict[Path, int | None]] = {}
@@ -141,6 +143,8 @@ class Sweep(Callback):
 
     def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:
         """Remember the folder, and show how many of the jobs are done."""
+        from dynasindy.dyna.folder import claimed
+
         Sweep.running = str(config.hydra.sweep.dir)
         for name in ("hydra", "hydra_plugins"):  # which would list the jobs, too
             logging.getLogger(name).setLevel(logging.WARNING)
@@ -153,6 +157,15 @@ class Sweep(Callback):
         if Sweep.earlier or any(folder.rglob("metrics.json")):
             with suppress(*MENDABLE):  # Hydra composes the jobs, too, and then says what is wrong
                 Sweep.jobs = _folders(config, folder)
+        try:
+            Sweep.claim.enter_context(claimed(folder))
+        except ValueError as error:
+            Sweep.running = None
+            SHOWN.close()
+            print(f"error: {error}", file=sys.stderr)
+            sys.exit(2)  # Hydra makes warnings of other exceptions
+        if Sweep.jobs is not None:  # they are told from those of other commands, which may go on beside this one
+            Sweep.claim.close()
         threading.Thread(target=_watch, args=(folder,), daemon=True).start()
 
     def on_job_start(self, config: DictConfig, **kwargs: object) -> None:
@@ -165,6 +178,7 @@ class Sweep(Callback):
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
         """Look for the lines that failed jobs left; then say where the results are, and which are best."""
         folder, Sweep.running = Path(config.hydra.sweep.dir), None
+        Sweep.claim.close()
         Sweep.failed.extend(map(str, Sweep.came(folder)[1]))  # whatever fails below
         print(f"Sweep: {folder}")
         if (found := folder / "optimization_results.yaml").is_file():

@@ -89,7 +89,7 @@ def draw(found: "Identified", source: "Source", folder: Path, formats: list[str]
     from dynasindy import viz
 
     training, validation = source.training, source.validation
-    shown, against = ("log", "the log") if source.logged else ("real", "the real plant")
+    shown, against = ("log", "the log") if source.logged else ("plant", "the plant")
     figures = {
         "training_data": viz.training_data(
             torch.arange(len(training)) * training.dt,

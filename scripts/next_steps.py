@@ -14,6 +14,8 @@ NEXT = {
     "export": "writes the controller as C, for a microcontroller",
 }
 """What a command shows or makes of a run."""
+SMOKE = "experiment=smoke"
+"""What tries every part of a training once."""
 OWN = ("actuators", "folder", "formats", "horizons", "hydra")
 """Words of `identify` that other commands do not have."""
 
@@ -53,11 +55,16 @@ def mending(folder: object, words: Sequence[str], episodes: int | None = None, c
         episodes: Real episodes of the run; None of a plan from a log.
         checked: Whether there is a controller to look at.
     """
+    if SMOKE in words:
+        whole = _command("train", _without(words, (SMOKE.partition("=")[0], "train.episodes", "folder", "finish")))
+        return listed(
+            f"{whole}  # trains in earnest; {SMOKE} only tries whether every part runs, and learns too little"
+        )
     lines = [f"{_of_run('check', folder)}  # tells at which targets the loop is weak, and how"] if checked else []
     if episodes is not None and not any(word.startswith("resume=") for word in words):
         kept = _without(words, ("train.episodes", "folder", "finish"))
         more = f"{_command('train', [*kept, f'train.episodes={max(3, 2 * episodes)}'])}"
-        lines.append(f"{more}  # flies more real episodes, whose data mend the model")
+        lines.append(f"{more}  # flies more episodes, whose data mend the model")
     if episodes is None and any(word.startswith("data.path=") for word in words):
         kept = [word for word in words if re.split(r"[=./]", word.lstrip("+~"))[0] in IDENTIFYING]
         lines.append(f"{_command('identify', kept)}  # tells what the log lacks: what to record, or which functions")

@@ -66,14 +66,15 @@ class Finding:
         return f"WEAK {self.name}: {self.words}{'. ' * bool(mend)}{mend}"
 
 
-BORNE = "To mend it, train with planning.margin=0.3, so that inputs may be weaker or stronger by that share"
-GENTLE = "To mend it, train with task.reward.rate_weight=1, which makes quick movements cost ten times as much"
+BORNE = "Try planning.margin=0.3, which trains with inputs that are weaker or stronger by up to that share"
+LATE = "Try planning.variation.late=true, which trains as if inputs came a control period later"
+GENTLE = "Try task.reward.rate_weight=10, which makes quick movements cost a hundred times as much"
 REMEDIES = {
     "stability": "To mend it, narrow the targets, or excite the plant near these targets and train anew",
-    **dict.fromkeys(("gain margin", "gain reduction", "phase margin", "disk margin"), BORNE),
-    "delay margin": "To mend it, train with planning.variation.late=true, as if inputs came a control period later",
-    "large movements": "To mend it, train with planning.margin=0.3 for stronger inputs, or with "
-    "planning.variation.late=true for later ones",
+    **dict.fromkeys(("gain margin", "gain reduction"), BORNE),
+    **dict.fromkeys(("phase margin", "delay margin", "disk margin"), LATE),
+    "large movements": "Try planning.margin=0.3, which trains with stronger inputs, too, or "
+    "planning.variation.late=true, which trains with later ones",
     "noise": f"{GENTLE}, or mend the sensor",
     "steady error": "See steps.png. If outputs still move at its end, give a longer flight by seconds=; if they rest "
     "beside their targets, narrow the targets",

@@ -96,7 +96,7 @@ def infer(
         counts = [name for name in counts if INPUT.fullmatch(name)]
     out = _left_out(still, counts, {name: text for name, text in words.items() if name not in dates})
     if dates := dates if timed else dates[1:]:  # the first is the time where nothing else is
-        out.append(f"left out, as dates are read only where they are the time: {', '.join(dates)}")
+        out.append(f"left out, as they hold dates, and the time is another column: {', '.join(dates)}")
     if not left or not found or not timed:
         raise ValueError(_lacking(path, look, clock.heading, list(left), list(found), out, dt))
     if notes is not None:

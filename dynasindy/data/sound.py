@@ -32,7 +32,7 @@ def unsound(key: NestedKey, rows: TensorDictBase) -> Tensor:
     return values.isinf() if measured else ~values.isfinite()
 
 
-def require_finite(rows: TensorDictBase, where: str = "real plant") -> None:
+def require_finite(rows: TensorDictBase, where: str = "plant") -> None:
     """Refuse a rollout on the plant that holds a number that is not finite.
 
     Args:

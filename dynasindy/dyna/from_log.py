@@ -72,8 +72,7 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
     if told := before_fit(built, source).lines:
         say(*told)
     found = fitted(built, source)
-    more = [f"found: {found.follower}"] if found.follower else []
-    say(found.report.to_text(), *more)
+    say(found.report.to_text(), *found.hidden)
     return found.model
 
 

@@ -221,7 +221,7 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
     if (folder / "identification.txt").is_file():
         lines[-1:] = [f"What the excitation alone could tell, the first fit: {folder / 'identification.txt'}", ""]
     untrained = metrics["untrained"]["return"]
-    title = f"Policy on the real plant, scenario '{metrics['scenario']}' (untrained return {untrained:.1f})"
+    title = f"Policy on the plant, scenario '{metrics['scenario']}' (untrained return {untrained:.1f})"
     steady = metrics.get("steady_seconds", 5.0)
     lines.append(to_text(metrics["evaluation"], title, metrics.get("units"), steady, width()))
     lines += [

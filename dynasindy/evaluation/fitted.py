@@ -31,6 +31,13 @@ FAILURES = ArithmeticError, ValueError, RuntimeError
 """What a search or a fit raises where numbers run away, or where there are too few samples."""
 
 
+IN_VAIN = (
+    "the equations miss the log by more than its sensors explain, so a state that no sensor sees was looked for, one "
+    "that follows an input or a measured state; none was found that predicts the kept part of the log far better"
+)
+"""What is said of a search that has found nothing."""
+
+
 @dataclass(frozen=True)
 class Fitted:
     """Hold a fitted model, and the data with all of its states.
@@ -40,12 +47,19 @@ class Fitted:
         source: the data; that state is seen by no sensor.
         report: of the fit.
         follower: what was found of such a state, in words; empty where nothing was.
+        sought: that such a state was looked for in vain, in words; empty where none was looked for, or one was found.
     """
 
     model: SindyModel
     source: Source
     report: FitReport
     follower: str = ""
+    sought: str = ""
+
+    @property
+    def hidden(self) -> list[str]:
+        """What came of the search for a state that no sensor sees, a line at most."""
+        return [f"found: {self.follower}"] if self.follower else [f"note: {self.sought}"] if self.sought else []
 
 
 def fitted(model: SindyModel, source: Source) -> Fitted:
@@ -80,6 +94,7 @@ def _fitted(model: SindyModel, source: Source) -> Fitted:
             after = _forecast(found) if found.follower else None
             if after is not None and _better(before, after, model.signature):
                 return _straighter(found, after)
+        plain = replace(plain, sought=IN_VAIN)
     return _straighter(plain, before)
 
 
@@ -98,7 +113,7 @@ def _straighter(found: Fitted, before: Forecasts) -> Fitted:
         report = model.fit(found.source.training)
         followed = model.followed.get(model.signature.state_names[-1], "") if found.follower else ""
         words = Trial(model, followed, 0.0).words() if followed else ""
-        straight = Fitted(model, found.source, report, words)
+        straight = replace(found, model=model, report=report, follower=words)
         after = _forecast(straight) if bool(words) == bool(found.follower) else None
         if after is not None and _errors(before, after, model.signature) <= 1:
             return straight

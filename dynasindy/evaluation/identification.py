@@ -229,7 +229,7 @@ class Logged:
     def _require_fit(self, recording: Recording, states: Mapping[str, Any]) -> None:
         """Refuse rates that are known and cannot be those of their states, with the setting that mends them."""
 
-        def mend(wrong: Mismatch) -> str:
+        def _mend(wrong: Mismatch) -> str:
             headings, given = all_headings(Path(str(self.path))), columns_of(states)
             explicit = [n for n, c in given.items() if c != with_units({n: Column(c.name)}, headings, states=True)[n]]
             columns = with_units(given, headings, states=True)
@@ -239,7 +239,7 @@ class Logged:
             return f"give {as_words(columns, {*explicit, wrong.rate})}"
 
         try:
-            require_known(recording.transitions, recording.signature, self.known or {}, mend)
+            require_known(recording.transitions, recording.signature, self.known or {}, _mend)
         except ValueError as error:
             raise ValueError(f"{self.path}: {error}") from None
 
@@ -256,7 +256,7 @@ class Identified:
         source: the data as the model has them, with one state more where one follows a signal.
         forecasts: errors from many start times; None where the validation data are too short for them.
         found: what the training data tell of a rate limit or play of an input; None where it was not looked for.
-        follower: what was found of a state that follows an input or a measured state; empty where nothing was.
+        hidden: what came of the search for a state that no sensor sees, a line at most.
     """
 
     model: SindyModel
@@ -266,7 +266,7 @@ class Identified:
     source: Source
     forecasts: Forecasts | None = None
     found: Found | None = None
-    follower: str = ""
+    hidden: Sequence[str] = ()
 
     @property
     def predicts(self) -> bool:
@@ -309,7 +309,7 @@ def identify(
     forecasts = forecast(model, source.training, validation, horizons)
     if forecasts is not None:
         metrics |= verdict.errors(forecasts, source.signature)
-    return Identified(model, fit.report, predicted, metrics, source, forecasts, found, fit.follower)
+    return Identified(model, fit.report, predicted, metrics, source, forecasts, found, fit.hidden)
 
 
 def _actuators(model: SindyModel, data: Transitions) -> Found:
@@ -325,11 +325,16 @@ def to_words(found: Identified, source: Source) -> str:
     """Write equations, fit, identifiability, what the data show, errors, notes and a verdict for a reader."""
     signature, shown = source.signature, found.forecasts
     seen = [*verdict.found_in_model(found.model), *(verdict.found_in_data(source.training, signature))]
-    if found.follower:
-        seen.append(found.follower)
     if found.found is not None and found.found.actuator:
         seen.append(f"{found.found.words}; {BEHIND} has it")
-    lines = [*found.model.equations(), "", found.report.to_text(), *(f"found: {line}" for line in seen), ""]
+    lines = [
+        *found.model.equations(),
+        "",
+        found.report.to_text(),
+        *(f"found: {line}" for line in seen),
+        *found.hidden,
+        "",
+    ]
     if shown is not None:
         lines += verdict.table(shown, signature)
     free = found.metrics["open_loop_nrmse"]

@@ -117,11 +117,11 @@ def prediction(
     real: ArrayLike,
     predicted: ArrayLike,
     signature: Signature = SIGNATURE,
-    title: str = "Model prediction against the real plant",
+    title: str = "Model prediction against the plant",
     segment: ArrayLike | None = None,
     truth: str = "real",
 ) -> Figure:
-    """Draw free-running prediction against the real plant, each panel with its error.
+    """Draw free-running prediction against the plant, each panel with its error.
 
     The error is told in percent of the range, the largest minus the smallest value, of the plant's own curve in that
     panel, and how wide that is.
@@ -133,7 +133,7 @@ def prediction(
         signature: Names and units of the states.
         title: of the figure.
         segment: `(T,)` number of the unbroken stretch of each sample; lines break between them.
-        truth: What the model is compared with: "real" states, or a "log".
+        truth: What the model is compared with: "real" states, the "plant", or a "log".
     """
     seconds, truths, model = array(time), array(real), array(predicted)
     names, whose = signature.state_names, "the real range" if truth == "real" else f"the {truth}'s range"

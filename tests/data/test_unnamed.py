@@ -135,7 +135,7 @@ def test_dates_that_are_the_time_are_no_words_and_a_counter_asks_for_the_seconds
     notes = []
     path.write_text("\n".join(["when,angle,u,time", *(f"{row}.5" for row in rows)]))
     infer(str(path), notes=notes)
-    assert notes == ["left out, as dates are read only where they are the time: when"]
+    assert notes == ["left out, as they hold dates, and the time is another column: when"]
     path.write_text("\n".join(["row,angle,motor", *(f"{k},{math.sin(k)},{k // 4 % 2}" for k in range(80))]))
     given = settings(guessed(path, survey(path), None, []))
     assert given == {"data.time": "row", "data.inputs": ["motor"], "data.states": ["angle"], "data.dt": "SECONDS"}

@@ -52,10 +52,11 @@ def test_a_state_is_looked_for_only_where_something_lacks_and_believed_only_wher
         return [lag(source)]
 
     monkeypatch.setattr(module, "trials", _trials)
-    assert fitted(model, source).model is model and not asked
+    assert fitted(model, source).hidden == [] and not asked
     monkeypatch.setattr(module, "unresolved", lambda *given: torch.ones(1))
     plain = fitted(model, source)  # with a lag that is not there nothing is better
     assert plain.model is model and plain.source is source and plain.follower == "" and len(asked) == 1
+    assert "looked for" in plain.sought and plain.hidden == [f"note: {plain.sought}"]
     simulated = Source(source.signature, source.training, source.validation)
     assert fitted(model, simulated).model is model and len(asked) == 1  # of a plant that is known none is looked for
     monkeypatch.setattr(module, "_better", lambda *given: True)
@@ -63,7 +64,7 @@ def test_a_state_is_looked_for_only_where_something_lacks_and_believed_only_wher
     assert found.model.signature.state_names == (*model.signature.state_names, "u_lagging")
     assert found.source.signature == found.model.signature and found.report is not plain.report
     assert found.source.training.x.shape[-1] == found.source.validation.x.shape[-1] == 3
-    assert "u acts through a lag of" in found.follower
+    assert found.hidden[0].startswith("found: u acts through a lag of") and found.sought == ""
 
 
 def test_no_lag_is_looked_for_while_a_rate_is_missing(source, model, monkeypatch):

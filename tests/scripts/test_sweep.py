@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from dynasindy.dyna.folder import claimed
+
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 COUNT = """
 import sys
@@ -40,6 +42,17 @@ again = folder / "again" / "error.txt"
 os.utime(again, ns=(0, Sweep.earlier[again] + 1))
 for Sweep.jobs in (None, {folder / name for name in ("again", "kept", "done", "unbegun")}):
     print(*("/".join(job.name for job in jobs) for jobs in Sweep.came(folder)))
+"""
+
+
+BEGIN = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from command import Sweep
+from omegaconf import OmegaConf
+hydra = {"sweep": {"dir": sys.argv[2]}, "sweeper": {"params": None}, "overrides": {"task": ["seed=1,2"]}}
+Sweep().on_multirun_start(OmegaConf.create({"hydra": hydra}))
+print("begun")
 """
 
 
@@ -85,3 +98,15 @@ def test_a_job_counts_as_failed_only_by_a_line_of_this_command_and_as_done_only_
         (tmp_path / file).write_text("error: a job\n")
     done = subprocess.run([sys.executable, "-c", CAME, SCRIPTS, tmp_path], capture_output=True, text=True, check=False)
     assert (done.stdout, done.stderr) == ("done/other again\ndone again\n", "")
+
+
+def test_a_second_sweep_in_a_folder_where_one_has_just_begun_is_refused_in_one_line(tmp_path):
+    """As long as there is no result, neither could tell its jobs from those of the other one."""
+    folder = tmp_path / "sweep"
+    command = [sys.executable, "-c", BEGIN, SCRIPTS, folder]
+    with claimed(folder):
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "begun" not in done.stdout
+    assert done.stderr.splitlines()[-1].startswith(f"error: another process works in {folder}; wait for its end")
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and done.stdout == "begun\n"
