@@ -4,7 +4,7 @@
 | -------------- | ------------------------------------------------------------------------------------------ |
 | window         | the slowest mode of the closed loop that a linear-quadratic regulator makes                |
 | lr             | whether deviations grow without control: then smaller steps, from a held plant             |
-| updates        | of a plant that needs not be held, how little of its inputs' ranges the task lets them use |
+| held           | likewise, and whether the task lets an input use little of its range                       |
 | patience       | whether deviations grow without control                                                    |
 | substeps       | the fastest mode of the model                                                              |
 | margin         | whether it has to be held                                                                  |
@@ -50,8 +50,8 @@ STEP = 1.0
 MARGIN = 0.1
 """Share by which inputs are weaker or stronger in imagined episodes of a plant that has to be held. Fits to encoders
 miss the strength of inputs by some hundredths."""
-NARROW, MORE = 0.25, 3
-"""Part of an input's range below which the task lets it use little, and the factor on the updates then."""
+NARROW = 0.25
+"""Part of an input's range below which the task lets it use little."""
 SUBSTEPS = 10
 """Most Runge-Kutta steps; a mode that would take more is of a model that is wrong, or over within the period."""
 
@@ -133,27 +133,23 @@ def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettin
     why = "; ".join(filter(None, (_fate(slopes, grown, seconds), loop, never)))
     if not grown > GROWN:
         assert isinstance(env.task, Tracking)
-        updates, narrow = _updates(env.task)
-        return PlanSettings(
-            window=window, updates=updates, substeps=substeps, why="; ".join(filter(None, (why, narrow)))
-        )
+        narrow = _narrow(env.task) if regulator is not None else ""
+        why = "; ".join(filter(None, (why, narrow)))
+        return PlanSettings(window=window, substeps=substeps, held=bool(narrow), why=why)
     if regulator is None:
         return PlanSettings(window, 3e-3, 200, 3, substeps, why=why)
     return PlanSettings(window, 3e-3, 200, 3, substeps, True, why, margin=MARGIN)
 
 
-def _updates(task: Tracking) -> tuple[int, str]:
-    """Return the updates of a first phase, and why they are more than usual; empty if they are not.
+def _narrow(task: Tracking) -> str:
+    """Say of how little of its range an input may use, if that is little; empty if not.
 
-    A policy answers in [-1, 1]. The less of it inputs may use, the finer it has to be told from one target to another,
-    and what it answers beyond is cut off and teaches nothing.
+    A policy answers in [-1, 1]. What it answers beyond such limits is cut off and teaches nothing, so it begins as a
+    regulator, whose answers lie within them.
     """
     ends = torch.tensor(task.signature.input_limits or ((-1.0, 1.0),) * task.signature.n_u)
     share = float(((task.input_limits[1] - task.input_limits[0]) / (ends[:, 1] - ends[:, 0])).min())
-    usual = PlanSettings.updates
-    if share >= NARROW:
-        return usual, ""
-    return MORE * usual, f"an input may use {100 * share:.2g} % of its range, which takes a finer policy"
+    return f"an input may use {100 * share:.2g} % of its range only" if share < NARROW else ""
 
 
 def unheld(env: ControlEnv, rests: Rests) -> str:
