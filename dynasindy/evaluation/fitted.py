@@ -19,7 +19,6 @@ from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.models.follower import Trial, trials
 from dynasindy.world_models.refinement.delay import arrived
 from dynasindy.world_models.refinement.order import moving_on
-from dynasindy.world_models.refinement.refine import PIECES
 
 BETTER = 0.7
 """Part of a model's errors, their geometric mean over states and horizons, that are left where a state is believed."""
@@ -105,8 +104,7 @@ def _straighter(found: Fitted, before: Forecasts) -> Fitted:
     same. Products and squares then come in that make up for a shape of the motion, and turn up as bent characteristics
     beyond the log. They are judged by what they are worth on other samples: nothing, where nothing bends.
     """
-    in_pieces = any(note.endswith(PIECES) for note in found.report.notes)
-    model = _straight(found.model) if in_pieces else None
+    model = _straight(found.model) if found.report.in_pieces else None
     if model is None:
         return found
     with suppress(*FAILURES), telling("fit without functions that bend"):

@@ -17,7 +17,6 @@ from dynasindy.systems import Diverged, Pendulum, Signature, System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.models.follower import Trial
-from dynasindy.world_models.refinement.refine import PIECES
 
 
 @pytest.fixture
@@ -145,7 +144,7 @@ def tank(bend):
     place = torch.arange(len(data))
     log = Source(signature, data.select(place < 300), data.select(place >= 300), logged=True)
     model = SindyModel(signature, "polynomial", Regression("bic"), Refinement("trajectory"))
-    report = replace(model.fit(log.training), notes=(f"it is so{PIECES}",))
+    report = replace(model.fit(log.training), in_pieces=True)
     if not bend:  # what errors that last would let in
         model.set_coefficients(model.coefficients.index_fill(0, torch.tensor(model.library.index("y^2")), -0.03))
     return Fitted(model, log, report)
@@ -162,5 +161,5 @@ def test_what_bends_for_nothing_is_left_out_of_a_fit_in_pieces(bend, straight):
     if straight:
         assert kept[names.index("u")] == pytest.approx(2.0, rel=0.05)
         assert kept[names.index("y")] == pytest.approx(-0.5, rel=0.05)
-        explained = replace(found, report=replace(found.report, notes=("noise explains it",)))
+        explained = replace(found, report=replace(found.report, in_pieces=False))
         assert module._straighter(explained, before) is explained

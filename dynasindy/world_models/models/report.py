@@ -24,6 +24,7 @@ class FitReport:
         residual: unexplained part of each state's rate of change, 2-norm relative to the rate's.
         notes: sentences on what a reader would not expect.
         dt: time that a transition takes [s].
+        in_pieces: whether simulations meet the log in pieces only, which begin anew: something is lacking.
     """
 
     samples: int
@@ -33,6 +34,7 @@ class FitReport:
     _source: tuple[Library, Tensor, RunningSums] = field(repr=False)
     notes: tuple[str, ...] = ()
     dt: float | None = None
+    in_pieces: bool = False
 
     @classmethod
     def of(

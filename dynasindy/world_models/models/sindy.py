@@ -234,14 +234,14 @@ class SindyModel(WorldModel):
         else:
             self.set_coefficients(first)
         self.delay = delay
-        notes = self._refine(data, guess, constraints, 0.0 if first is None else self.initial_delay)
+        notes, in_pieces = self._refine(data, guess, constraints, 0.0 if first is None else self.initial_delay)
         if self.refinement is not None:
             notes += stayed(self.library, self.coefficients)
         seconds = time.perf_counter() - start
         report = FitReport.of(self.library, self.coefficients, self.sums, seconds, notes, data.dt)
         # The sums may be of fewer rows than that, each of them the average of many transitions.
         samples = int(known_inputs(data, self.delay).sum()) + (earlier if self.sums is sums else 0)
-        return replace(report, samples=samples)
+        return replace(report, samples=samples, in_pieces=in_pieces)
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
         """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`."""
@@ -330,17 +330,20 @@ class SindyModel(WorldModel):
                 "function: collect more data or choose a smaller library"
             )
 
-    def _refine(self, data: Transitions, guess: Transitions, constraints: Constraints, late: float) -> list[str]:
-        """Refine the coefficients and return what is to be said of it."""
+    def _refine(
+        self, data: Transitions, guess: Transitions, constraints: Constraints, late: float
+    ) -> tuple[list[str], bool]:
+        """Refine the coefficients; return what is to be said of it, and whether the log is met in pieces only."""
         if self.refinement is None:
-            return []
+            return [], False
         try:
             found = self.refinement.run(self.library, self.coefficients, constraints, data, guess, late)
         except RunsAway as error:
             raise Diverged(f"model learning: {error}") from error
         refined = self._finite(found.coefficients, "refinement")
         if self.coefficients[constraints.free].any() and not refined[constraints.free].any():
-            return ["the refinement dropped every function, so the fit before it stays; collect more or cleaner data"]
+            note = "the refinement dropped every function, so the fit before it stays; collect more or cleaner data"
+            return [note], False
         self.set_coefficients(refined)
         if found.library is not self.library or found.delay != self.delay:
             # The functions are others now, and so are the sums of their products.
@@ -349,12 +352,12 @@ class SindyModel(WorldModel):
             recording = Recording.of(data, guess, rates_known(self.library, self.constraints), self.delay)
             self.sums.add(self._rows(recording, self.delay))
         if self.refinement.method == "integral" or len(data) <= ENOUGH:
-            return list(found.notes)
-        return [
-            *found.notes,
+            return list(found.notes), found.in_pieces
+        note = (
             f"functions were chosen on {ENOUGH} of {len(data)} rows, in {STRETCHES} stretches spread evenly over them; "
-            "the coefficients were fitted on all rows",
-        ]
+            "the coefficients were fitted on all rows"
+        )
+        return [*found.notes, note], found.in_pieces
 
     def _rows(self, recording: Recording, delay: float, library: Library | None = None) -> Rows:
         """Return averaged functions and rates of change, under inputs that act `delay` seconds later."""

@@ -57,8 +57,7 @@ STEPWISE = (
     "the fit predicts each sample from the one before, as errors of such predictions do not look like noise of the "
     "sensors"
 )
-PIECES = " (error=prediction)"
-"""Why a method was chosen, and how a note ends on a fit that simulates the log in pieces."""
+"""Why a method was chosen."""
 Model = tuple[Library, Tensor]
 """A library with the numbers inside its fitted factors, and coefficients, `(n_features, n_x)`."""
 
@@ -71,12 +70,14 @@ class Refined(NamedTuple):
         coefficients: Xi, `(n_features, n_x)`.
         delay: time between an input and its effect [s].
         notes: sentences on what was chosen, and by what.
+        in_pieces: whether `auto` found that the log is met in pieces only, which begin anew: something is lacking.
     """
 
     library: Library
     coefficients: Tensor
     delay: float = 0.0
     notes: tuple[str, ...] = ()
+    in_pieces: bool = False
 
 
 @dataclass(frozen=True)
@@ -185,18 +186,19 @@ class Refinement:
         method, noisy, notes = self._chosen(*found, data, recording.guessed(delay))
         if method == "one_step":
             found = refine_one_step(*found, constraints.free, recording.guessed(delay), self.tolerance)
+        refined = Refined(*found, delay)
         if method == "trajectory":
             if noisy:
                 recording = recording.smoothed()
                 found = self._regressed(*found, constraints, recording.brief(self._longest).seen(delay))
-            found, delay, why = self._by_trajectories(found, delay, constraints, recording)
-            notes += why
-        if delay and delay > self._longest - 0.5 * data.dt:
+            refined = self._by_trajectories(found, delay, constraints, recording)
+        notes += refined.notes
+        if refined.delay and refined.delay > self._longest - 0.5 * data.dt:
             notes += (
                 f"the best delay of the inputs is the longest that was tried, {self._longest:g} s; it may be "
                 f"longer: give longest_delay={2 * self._longest:g}",
             )
-        return Refined(*found, delay, notes)
+        return refined._replace(notes=notes)
 
     def _rough(self, library: Library, coefficients: Tensor, constraints: Constraints, recording: Recording) -> float:
         """Return the delay of whole samples that a regression finds [s]; 0 where none is looked for."""
@@ -236,9 +238,7 @@ class Refinement:
             farthest, best = reach(constraints.free, partial(_rows, read=recording.smoothed()), least)
         return farthest * data.dt, best * data.dt
 
-    def _by_trajectories(
-        self, first: Model, rough: float, constraints: Constraints, recording: Recording
-    ) -> tuple[Model, float, tuple[str, ...]]:
+    def _by_trajectories(self, first: Model, rough: float, constraints: Constraints, recording: Recording) -> Refined:
         """Return the model that trajectories tell, the delay, and which error was minimised if that was chosen."""
         descent = Descent(min(self.window, int(recording.known.sum())), correlated=self.correlated)
         kinds = {
@@ -249,7 +249,8 @@ class Refinement:
         }
         error = self.error or ("auto" if self.method == "auto" else "simulation")
         if error != "auto":
-            return self._in_turn(first, rough, constraints, recording, kinds[error])
+            found, delay, notes = self._in_turn(first, rough, constraints, recording, kinds[error])
+            return Refined(*found, delay, notes)
         try:
             found, delay, notes = self._in_turn(first, rough, constraints, recording, descent, HOPELESS)
             ratio = _strain(found, delay, constraints.free, recording, descent)
@@ -267,16 +268,18 @@ class Refinement:
                     f"{name} is {times} that of simulations that begin anew every {descent.window} samples, which "
                     "noise of the sensors explains (error=simulation)"
                 )
-                return found, delay, (note, *notes)
+                return Refined(*found, delay, (note, *notes))
             else:
                 why = (
                     f"in one simulation through all samples the error of {name} is {times} as large, so something "
                     "pushes the plant, or functions are missing"
                 )
-        note = f"the fit simulates the log in pieces that begin anew every {descent.window} samples: {why}"
-        note += PIECES
+        note = (
+            f"the fit simulates the log in pieces that begin anew every {descent.window} samples: {why} "
+            "(error=prediction)"
+        )
         found, delay, notes = self._in_turn(first, rough, constraints, recording, kinds["prediction"])
-        return found, delay, (note, *notes)
+        return Refined(*found, delay, (note, *notes), in_pieces=True)
 
     def _in_turn(
         self,

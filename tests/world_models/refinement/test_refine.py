@@ -214,7 +214,10 @@ def test_only_the_method_auto_chooses_the_error_unasked():
     for settings, chosen in (({}, False), ({"error": "simulation"}, False), ({"error": "auto"}, True)):
         assert ("error=" in fitted(data, **settings)[1]) == chosen
     model = SindyModel(OSCILLATOR, WORDS, Regression("bic"), Refinement("auto"), known={"y": "w"})
-    assert "error=prediction" in " ".join(model.fit(data).notes)
+    report = model.fit(data)
+    assert "error=prediction" in " ".join(report.notes) and report.in_pieces
+    report = model.fit(oscillator(0.0, 0.01, True, 2))  # nothing pushes it
+    assert "error=simulation" in " ".join(report.notes) and not report.in_pieces
 
 
 def test_a_long_delay_is_told_where_single_steps_are_mostly_noise():
