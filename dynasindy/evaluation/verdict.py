@@ -15,7 +15,7 @@ from dynasindy.evaluation.symptoms import closed_loop, samples_of, saturated, st
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
-from dynasindy.world_models.libraries.features import Feature
+from dynasindy.world_models.libraries.features import Factor, Feature
 from dynasindy.world_models.libraries.functions import QUOTIENTS
 from dynasindy.world_models.refinement.measured import rates_known
 
@@ -125,7 +125,9 @@ def known_ranges(model: SindyModel, logged: Tensor) -> dict[str, tuple[float, fl
     both = [*zip(model.signature.input_names, zip((low - room).tolist(), (high + room).tolist()), strict=True)]
     followed = model.followed | _moved_alone(model)
     reads = {name: {name, *(a for a, signal in followed.items() if signal == name)} for name, _ in both}
-    return {name: known for name, known in both if any(_bent(feature, reads[name]) for feature in used)}
+    return {
+        name: known for name, known in both if any(_bent(feature, reads[name], model.signature) for feature in used)
+    }
 
 
 def _moved_alone(model: SindyModel) -> dict[str, str]:
@@ -142,7 +144,7 @@ def _moved_alone(model: SindyModel) -> dict[str, str]:
             settles
             and len(read & inputs) == 1
             and read <= {name, *inputs}
-            and not any(_bent(f, read) for f in features)
+            and not any(_bent(f, read, model.signature) for f in features)
         ):
             found[name] = (read & inputs).pop()
     return found
@@ -219,14 +221,20 @@ def _used(features: Sequence[Feature], coefficients: Tensor) -> list[Feature]:
     return [features[k] for k in coefficients.nonzero().flatten().tolist()]
 
 
-def _bent(feature: Feature, read: set[str]) -> bool:
+def _bent(feature: Feature, read: set[str], signature: Signature) -> bool:
     """Tell whether a function bends in an input in a way that a log alone tells.
 
-    Sine and cosine of an angle do not: they are geometry, and the same beyond the log.
+    Sine and cosine of an angle do not: they are geometry, and the same beyond the log. Those of anything else do.
     """
+    units = dict(zip(signature.state_names, signature.state_units, strict=True))
     mine = [factor for factor in feature.factors if read & set(factor.variables)]
-    straight = all(factor.function in ("id", "ahead", "sin", "cos") and factor.power == 1 for factor in mine)
-    return not straight or len(mine) > 1
+
+    def _straight(factor: Factor) -> bool:
+        turned = not factor.fitted and all(units.get(name) == "rad" for name in factor.variables)
+        plain = factor.function in ("id", "ahead") or (factor.function in ("sin", "cos") and turned)
+        return plain and factor.power == 1
+
+    return len(mine) > 1 or not all(map(_straight, mine))
 
 
 def shortcoming(forecasts: Forecasts, signature: Signature) -> str:

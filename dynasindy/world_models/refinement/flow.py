@@ -129,6 +129,23 @@ def growth(flow: Flow, windows: Windows, nodes: Tensor, farthest: float = math.i
     return largest, joined
 
 
+def turn_of(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float) -> float:
+    """Return the length of an interval by the time of the fastest motion of a model: its rate times `dt`.
+
+    Args:
+        library: candidate functions.
+        xi: coefficients, `(n_features, n_x)`.
+        x: states that occur, `(N, n_x)`.
+        u: inputs there, `(N, n_u)`.
+        dt: length of an interval [s].
+    """
+    if not bool(xi.any()):
+        return 0.0
+    slopes = Propagator(library, xi, Parameters.where(xi != 0)).slopes_by_state(x, u)
+    rates = torch.linalg.eigvals(slopes[slopes.isfinite().all(-1).all(-1)]).abs().amax(-1)
+    return dt * float(torch.quantile(rates[-100_000:], 0.999)) if len(rates) else 0.0
+
+
 def substeps_for(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float, turned: float = FINE) -> int:
     """Return into how many Runge-Kutta steps an interval is divided, by the fastest rate of a model.
 
@@ -140,9 +157,5 @@ def substeps_for(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float, 
         dt: length of an interval [s].
         turned: step times the fastest rate that is wanted.
     """
-    slopes = Propagator(library, xi, Parameters.where(xi != 0)).slopes_by_state(x, u)
-    rates = torch.linalg.eigvals(slopes[slopes.isfinite().all(-1).all(-1)]).abs().amax(-1)
-    if not len(rates):
-        return 1
-    turn = dt * float(torch.quantile(rates[-100_000:], 0.999))
+    turn = turn_of(library, xi, x, u, dt)
     return max(1, min(math.ceil(turn / turned - 1e-6), MOST_STEPS), min(math.ceil(turn / STABLE), 10 * MOST_STEPS))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -10,23 +12,46 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.writers.fast_field import generate
 
-NOISE = -0.6
-"""Correlation of neighbouring changes of the errors of single steps below which samples are noisy: -2/3 of noise of the
-sensors alone, -1/2 of random pushes alone; here noise has half the variance of the pushes of a step."""
+PLAIN = -0.3
+"""Correlation of neighbouring errors of single steps below which a state is noisy: -1/2 of noise of the sensors alone,
+0 of random pushes alone."""
+BENEATH = -0.6
+"""Correlation of neighbouring changes of these errors below which a state is noisy: -2/3 of noise of the sensors alone,
+-1/2 of random pushes alone; here noise has half the variance of the pushes of a step."""
+PUSHED, SPREAD = -0.5, 3 / math.sqrt(2)
+"""That correlation of random pushes, and three standard errors of it, times the root of the number of samples
+(Bartlett's formula): in fewer samples less than `BENEATH` is asked for."""
+KEPT = 0.5
+"""Part of the errors that the functions of the model have to leave over, as they do not explain noise."""
 
 
 def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bool:
     """Tell measurement noise from errors of the model by the one-step errors.
 
-    White noise n of the states makes errors n_k+1 - n_k, whose changes from one to the next correlate by -2/3 with the
-    changes before. Errors of a model last over many samples, so they hardly change; pushes at random make errors that
-    are white, and changes that correlate by -1/2. The errors themselves would hide the noise beneath those of a model
-    that lacks something: noise has to be seen first, as a delay and a state that no sensor sees are looked for by it.
+    White noise n of the states makes errors n_k+1 - n_k, whose neighbours correlate by -1/2, and whose changes from one
+    to the next correlate by -2/3 with the changes before. Errors of a model last over many samples, so they hardly
+    change; pushes at random make errors that are white, and changes that correlate by -1/2. The errors themselves hide
+    the noise beneath those of a model that lacks something: noise has to be seen first, as a delay and a state that no
+    sensor sees are looked for by it. So most states have to be noisy by their errors, or one by their changes. Where
+    the time between samples is long, errors of a model change from sample to sample, too. Those are functions of the
+    present states and inputs, as noise is not.
     """
     data = data.to(torch.float64)
     error = data.x_next - rk4(generate(library, coefficients), data.x, data.u, data.dt)
+    # A constant, too, as a library need not have one.
+    functions = torch.nn.functional.pad(library(data.x, data.u), (0, 1), value=1.0)
+    functions = functions / functions.norm(dim=0).clamp_min(1e-300)
+    left = error - functions @ torch.linalg.lstsq(functions, error, driver="gelsd").solution
+    kept = left.norm(dim=0) > KEPT * error.norm(dim=0)
     follows = data.segment[1:] == data.segment[:-1]
-    change, both = error.diff(dim=0), follows[1:] & follows[:-1]
-    before, after = change[:-1][both], change[1:][both]
-    correlation = (before * after).sum(0) / (before.norm(dim=0) * after.norm(dim=0)).clamp_min(1e-300)
-    return bool((correlation < NOISE).any())
+    plain = _correlation(error, follows) < PLAIN
+    both = follows[1:] & follows[:-1]
+    least = min(BENEATH, PUSHED - SPREAD / math.sqrt(max(int(both.sum()), 1)))
+    beneath = (_correlation(error.diff(dim=0), both) < least) & (_correlation(left.diff(dim=0), both) < least)
+    return bool(2 * (plain & kept).sum() > len(plain)) or bool((beneath & kept).any())
+
+
+def _correlation(values: Tensor, follows: Tensor) -> Tensor:
+    """Return how neighbours correlate, `(n_x,)`, of values `(N, n_x)`; `follows`, `(N - 1,)`, tells the pairs."""
+    before, after = values[:-1][follows], values[1:][follows]
+    return (before * after).sum(0) / (before.norm(dim=0) * after.norm(dim=0)).clamp_min(1e-300)

@@ -10,15 +10,16 @@ from torch import Tensor
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.flow import MOST_STEPS, substeps_for
+from dynasindy.world_models.refinement.flow import MOST_STEPS, turn_of
 from dynasindy.world_models.refinement.windows import ENOUGH, spread
 from dynasindy.world_models.regression.regression import least_squares
 from dynasindy.world_models.regression.selection import reconsider, walk_down
 from dynasindy.world_models.regression.sensitivity import Parameters, Propagator
 
-LONGEST_STEP = 0.005
-"""Longest Runge-Kutta step [s] of a refinement: at rates of 10/s its relative error is below 1e-7. Of long intervals,
-as a slow plant is sampled, the fastest rate of the model says how many steps more than `MOST_STEPS` are made."""
+LONGEST_STEP, MOST_TURNED, MOST = 0.005, 0.05, 200
+"""Longest Runge-Kutta step [s] of a refinement: at rates of 10/s its relative error is below 1e-7. Intervals of more
+than `MOST_STEPS` such steps, as a slow plant is sampled, need not have more of them than the fastest rate of the model
+asks for: a step times that rate is as small, and there are `MOST` of them at most."""
 
 
 def steps_in(data: Transitions, library: Library, xi: Tensor) -> int:
@@ -32,7 +33,8 @@ def steps_in(data: Transitions, library: Library, xi: Tensor) -> int:
     wanted = max(1, math.ceil(data.dt / LONGEST_STEP - 1e-9))
     if wanted <= MOST_STEPS:
         return wanted
-    return min(wanted, max(MOST_STEPS, substeps_for(library, xi, data.x, data.u, data.dt)))
+    turn = turn_of(library, xi, data.x, data.u, data.dt)
+    return min(wanted, MOST, max(MOST_STEPS, math.ceil(turn / MOST_TURNED)))
 
 
 def refine_one_step(

@@ -3,12 +3,16 @@
 import numpy as np
 import pytest
 import torch
+from scipy.linalg import expm
 
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.features import variable
 from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.models.sindy import SindyModel
 from dynasindy.world_models.refinement.noisy import looks_noisy
+from dynasindy.world_models.refinement.refine import Refinement
+from dynasindy.world_models.regression.regression import Regression
 
 N = 20_000
 
@@ -61,3 +65,27 @@ def test_changes_across_two_segments_are_none():
     assert not noisy(errors, segments=np.arange(60) // 3)
     alternating = np.tile([1.0, -1.0], 30)
     assert noisy(alternating) and not noisy(alternating, segments=np.arange(60))
+
+
+@pytest.mark.parametrize("n", [50, 100, 200])
+def test_few_random_pushes_are_not_taken_for_noise_but_noise_is(n):
+    """By chance the changes of fifty pushes correlate by less than -0.6 in every seventh recording."""
+    states = range(4)
+    pushed = [noisy(*(white(10 * seed + k, n) for k in states)) for seed in range(100)]
+    sensed = [noisy(*(sensor(10 * seed + k, n) for k in states)) for seed in range(100)]
+    assert sum(pushed) <= 3 and sum(sensed) >= 97
+
+
+@pytest.mark.parametrize(("w", "damping", "dt"), [(8.0, 0.4, 0.25), (8.0, 0.7, 0.1875), (8.0, 0.4, 0.05)])
+def test_a_clean_log_with_long_steps_and_an_input_that_jumps_at_each_is_not_noisy(w, damping, dt):
+    """The motion is that of a'' = w^2 (u - a) - 2 damping w a', by its matrix exponential."""
+    step = expm(dt * np.array([[0, 1, 0], [-(w**2), -2 * damping * w, w**2], [0, 0, 0]]))
+    rng, x = np.random.default_rng(0), [np.zeros(2)]
+    u = rng.uniform(-1, 1, 600)
+    for held in u:
+        x.append((step @ [*x[-1], held])[:2])
+    signature = Signature(("a", "b"), ("m", "m/s"), ("u",), (1.0, w))
+    model = SindyModel(signature, ["a", "b", "u"], Regression("bic"), Refinement("auto"), known={"a": "b"})
+    found = model.fit(Transitions.from_trajectory(torch.from_numpy(np.array(x)), torch.from_numpy(u)[:, None], dt))
+    assert model.delay == 0 and any("do not look like noise" in note for note in found.notes)
+    assert model.coefficients[:, 1].tolist() == pytest.approx([-(w**2), -2 * damping * w, w**2], rel=1e-5)

@@ -48,7 +48,8 @@ def test_intervals_are_divided_into_steps_of_five_milliseconds_at_most_but_long_
 
     assert [steps(dt, 1.0) for dt in (0.001, 0.005, 0.0051, 0.01, 0.05)] == [1, 1, 2, 2, 10]
     assert steps(60.0, 0.001) == 10, "a column that is sampled every minute and takes a quarter of an hour"
-    assert steps(60.0, 1.0) == 40, "60 radians in steps of 1.5, the longest that are stable"
+    assert steps(1.0, 1.5) == 30, "1.5 radians in steps of a twentieth"
+    assert steps(60.0, 1.0) == 200, "60 radians, and no more steps than that"
     assert steps(0.1, 1000.0) == 20, "no shorter than five milliseconds"
 
 
