@@ -15,12 +15,15 @@ from dynasindy.data.survey import Survey, survey
 from dynasindy.data.table import read_table, split_unit
 
 Array = NDArray[np.float64]
+REGULAR = 0.9
+"""Share of the rows of a counter that follow the one before without a gap."""
 
 
 def counted(path: Path, time: str, named: Collection[str]) -> str:
     """Return the heading of the time of a log whose sampling time is given: its counter of rows, where it has no time.
 
-    That is the only column that grows all along, in whole numbers and mostly by the same step, as no sensor does.
+    That is the only column that grows all along, in whole numbers and, but where rows are missing, by the same step. An
+    encoder of a motor that turns one way grows, too, by other steps.
     Where there is no such column, or a heading that can be meant by time, what was given is returned.
 
     Args:
@@ -40,7 +43,9 @@ def counted(path: Path, time: str, named: Collection[str]) -> str:
     if len(growing) != 1 or split_unit(growing[0])[0] in named or not is_counter(columns[growing[0]]):
         return time
     steps = np.diff(columns[growing[0]])
-    return growing[0] if (steps == np.median(steps)).mean() > 0.5 else time
+    step = np.median(steps)
+    regular = (steps == step).mean() > REGULAR and bool((steps % step == 0).all())
+    return growing[0] if regular else time
 
 
 def guessed(path: Path, look: Survey, time: str | None, inputs: Sequence[str], dt: float | None = None) -> str:

@@ -102,6 +102,7 @@ class Session:
         flights: What came of each flight.
         shown: What the flights of controllers show, by the name of their logs.
         model: What was identified last; None before.
+        learnt: The controller that was planned on it; None before.
     """
 
     rig: Rig
@@ -113,6 +114,7 @@ class Session:
     flights: list[Flown] = field(default_factory=list)
     shown: dict[str, Shown] = field(default_factory=dict)
     model: SindyModel | None = None
+    learnt: Controller | None = None
 
     @property
     def failed(self) -> bool:
@@ -199,6 +201,7 @@ class Session:
             model, knowledge.targets, log, dt=self.wiring.dt, seed=seed, **dict(knowledge.planning)
         )
         save(controller, self.folder / NAME)
+        self.learnt = controller
         return controller
 
     def fly(self, controller: Controller, targets: Sequence[Sequence[float]], seconds: float) -> Flown:
@@ -208,7 +211,7 @@ class Session:
             ValueError: The controller is one for another plant, period or sensors; nothing has moved.
         """
         self._require(controller)
-        if self.model is not None:  # of a controller that was given nobody knows the model
+        if self.model is not None and controller is self.learnt:  # nobody knows the model of one that was given
             self.tell(f"  {_foretold(controller, self.model, targets, seconds)}")
         self._tell_inputs(controller.signature)
         names, theirs = self.wiring.signature.state_names, set(controller.signature.state_names)

@@ -9,7 +9,7 @@ import yaml
 
 from dynasindy.data.columns import infer
 from dynasindy.data.survey import survey
-from dynasindy.data.unnamed import guessed
+from dynasindy.data.unnamed import counted, guessed
 from dynasindy.evaluation.identification import Logged
 
 
@@ -186,3 +186,13 @@ def test_a_log_without_any_time_is_told_to_have_one_written(tmp_path):
     path = rows_of_a_swing(tmp_path / "log.csv", "angle,u", lambda k: (math.sin(k), k // 4 % 2))
     with pytest.raises(ValueError, match=r"No column grows from row to row, as time does: write the time of each row"):
         Logged(path, dt=0.1).recording(None)
+
+
+def test_an_encoder_of_a_motor_that_turns_one_way_is_no_counter_of_rows(tmp_path):
+    """It grows by three or four in each row, by chance; a counter grows by one, or by more where rows were lost."""
+    rng = np.random.default_rng(0)
+    u, path = rng.uniform(-1, 1, 300), tmp_path / "log.csv"
+    for name, steps in (("row", 1 + 2 * (rng.random(300) < 0.02)), ("encoder", 3 + (rng.random(300) < 0.3))):
+        table = np.stack([u, np.cumsum(steps), np.sin(np.arange(300))], -1)
+        path.write_text("\n".join([f"u,{name},speed", *(",".join(map(repr, row)) for row in table.tolist())]))
+        assert counted(path, "time", []) == ("row" if name == "row" else "time")

@@ -160,6 +160,20 @@ def test_an_input_is_known_as_far_as_its_lag_if_the_equations_bend_in_that():
     assert known_ranges(model, torch.tensor([[0.1], [0.9]])) == {}
 
 
+@pytest.mark.parametrize(
+    ("word", "unit", "free"),
+    [("sin(q)", "rad", True), ("sin(q)", "m", False), ("sin(~3 q)", "rad", False), ("sin(u)", "rad", False)],
+)
+def test_only_the_sine_of_an_angle_is_known_beyond_the_log(word, unit, free):
+    """q' = -5 q + 10 u: q is as an actuator, whose sine is geometry only where q is an angle; an input is none."""
+    signature = Signature(("v", "q"), ("-", unit), ("u",), (1.0, 1.0))
+    model = SindyModel(signature, ["q", "u", word])
+    coefficients = torch.zeros_like(model.coefficients)
+    coefficients[0, 1], coefficients[1, 1], coefficients[2, 0] = -5.0, 10.0, 3.0
+    model.set_coefficients(coefficients)
+    assert (known_ranges(model, torch.tensor([[0.1], [0.9]])) == {}) == free
+
+
 def test_an_input_is_known_as_far_as_a_measured_actuator_if_the_equations_bend_in_that():
     """A blade's angle settles at 2 u; one that u turns on and on does not, and one that q moves is no actuator."""
     signature = Signature(("q", "blade"), ("rad/s", "rad"), ("u",), (1.0, 1.0))

@@ -284,3 +284,17 @@ def test_a_controller_in_other_units_is_refused_before_anything_moves(session, m
     with pytest.raises(ValueError, match=message):
         session.fly(Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)), [[0.1]], 1.0)
     assert session.flights == []
+
+
+def test_only_the_controller_that_was_planned_on_the_model_is_foretold(session, monkeypatch):
+    told = []
+    session.tell, session.wiring = told.append, replace(session.wiring, seen=(True, True))
+    signature = session.wiring.signature
+    task = Tracking(signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), TrackingReward((1.0,)))
+    mine, given = (Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)) for _ in range(2))
+    monkeypatch.setattr("dynasindy.rig.session._foretold", lambda controller, *_: "foretold" * (controller is mine))
+    session.model, session.learnt = SindyModel(signature, "polynomial"), mine
+    session.fly(given, [[0.1]], 0.1)
+    assert not any("foretold" in line for line in told)
+    session.fly(mine, [[0.1]], 0.1)
+    assert "  foretold" in told

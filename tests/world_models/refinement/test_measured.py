@@ -229,6 +229,9 @@ def test_without_a_hidden_state_there_is_nothing_to_imagine_and_a_model_that_run
     data.x_next[3, 1] = 1.0
     guess = reconstruct(data, {})
     assert imagined(LIBRARY, torch.zeros(5, 3).double(), data, guess, {}) is guess
+    unseen = recording(t, t, lost(10))
+    said_nothing = imagined(LIBRARY, torch.zeros(5, 3).double(), unseen, reconstruct(unseen, {}), {})
+    assert not bool(said_nothing.x_next[:, 2].any()), "a first model that says nothing of a hidden state leaves it"
     hidden = recording(1e120 + t, t, lost(10))
     mad = Library(SIGNATURE, [variable("a", 3)])
     xi = torch.tensor([[0.0, 0.0, 1.0]]).double()
