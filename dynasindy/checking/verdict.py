@@ -68,7 +68,7 @@ class Finding:
 
 BORNE = "Try planning.margin=0.3, which trains with inputs that are weaker or stronger by up to that share"
 LATE = "Try planning.variation.late=true, which trains as if inputs came a control period later"
-GENTLE = "Try task.reward.rate_weight=10, which makes quick movements cost a hundred times as much"
+GENTLE = "Where plant.rates names rates, try task.reward.rate_weight=10, by which quick movements cost more than by 0.1"
 REMEDIES = {
     "stability": "To mend it, narrow the targets, or excite the plant near these targets and train anew",
     **dict.fromkeys(("gain margin", "gain reduction"), BORNE),

@@ -24,7 +24,7 @@ def counted(path: Path, time: str, named: Collection[str]) -> str:
 
     That is the only column that grows all along, in whole numbers and, but where rows are missing, by the same step. An
     encoder of a motor that turns one way grows, too, by other steps.
-    Where there is no such column, or a heading that can be meant by time, what was given is returned.
+    Where there is no such column, or where a heading reads like a time, what was given is returned.
 
     Args:
         path: The file.

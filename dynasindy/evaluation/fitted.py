@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import copy
+import math
 import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import torch
+from torch import Tensor
 
 from dynasindy.evaluation.horizons import Forecasts, forecast
 from dynasindy.evaluation.source import Source
@@ -30,6 +32,13 @@ FAILURES = ArithmeticError, ValueError, RuntimeError
 """What a search or a fit raises where numbers run away, or where there are too few samples."""
 
 
+ROUGHLY = 1.1
+"""Ratio of errors of a state up to which they count as the same."""
+STRAIGHT = (
+    "products and squares of states and inputs were left out: without them the model predicts the part of the log that "
+    "no fit has seen no worse"
+)
+"""What is said of a fit without functions that bend."""
 IN_VAIN = (
     "the equations miss the log by more than its sensors explain, so a state that no sensor sees was looked for, one "
     "that follows an input or a measured state; none was found that predicts the kept part of the log far better"
@@ -113,8 +122,8 @@ def _straighter(found: Fitted, before: Forecasts) -> Fitted:
         words = Trial(model, followed, 0.0).words() if followed else ""
         straight = replace(found, model=model, report=report, follower=words)
         after = _forecast(straight) if bool(words) == bool(found.follower) else None
-        if after is not None and _errors(before, after, model.signature) <= 1:
-            return straight
+        if after is not None and _as_good(before, after, model.signature):
+            return replace(straight, report=replace(report, notes=(*report.notes, STRAIGHT)))
     return found
 
 
@@ -155,16 +164,21 @@ def _with(trial: Trial, source: Source) -> Fitted | None:
 
 def _better(before: Forecasts, after: Forecasts, signature: Signature) -> bool:
     """Tell whether errors are lower by far."""
-    return _errors(before, after, signature) < BETTER
+    return float(_ratios(before, after, signature).nanmean().exp()) < BETTER
 
 
-def _errors(before: Forecasts, after: Forecasts, signature: Signature) -> float:
-    """Return how large errors are by what they were, the geometric mean over the measured states and horizons.
+def _as_good(before: Forecasts, after: Forecasts, signature: Signature) -> bool:
+    """Tell whether errors are no larger, and those of no state are larger by much."""
+    ratios = _ratios(before, after, signature)
+    return float(ratios.nanmean()) <= 0 and float(ratios.nanmean(0).nan_to_num().max()) <= math.log(ROUGHLY)
+
+
+def _ratios(before: Forecasts, after: Forecasts, signature: Signature) -> Tensor:
+    """Return the logarithm of how large errors are by what they were, `(horizons, n_x)`, NaN where nothing was seen.
 
     An error counts as what the sensor resolves at least, and as what has run away at most.
     """
     most = LOST * torch.tensor(signature.x_scale, dtype=before.model.dtype)[: before.model.shape[1]]
     least = torch.minimum(before.resolution.nan_to_num(nan=0.0).to(most), most).clamp_min(1e-300)
     ours, theirs = (f.model[:, : len(most)].clamp(least, most) for f in (after, before))
-    seen = ~before.model.isnan()
-    return float((ours / theirs).log()[seen].mean().exp())
+    return torch.where(before.model.isnan(), math.nan, (ours / theirs).log())

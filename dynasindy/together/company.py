@@ -122,7 +122,7 @@ class Company:
         return _result(work.done([work], self)[0])
 
     def room(self, name: Hashable, make: Callable[[], T]) -> T:
-        """Return what is kept under a name, or is made and kept from now on, in place of what was not used longest.
+        """Return what is kept under a name. What is made anew is kept, and the least recently used one goes for it.
 
         Args:
             name: What it is for.

@@ -122,7 +122,7 @@ def _cost_of_joined(estimate: Estimate, weighed: Tensor, flow: Flow, windows: Wi
 
 
 def cost_of(flow: Flow, sigma: Tensor) -> float:
-    """Return the cost of a trial, as `linearise` has it, without the slopes that nothing needs if it is none the less.
+    """Return the cost of a trial, as `linearise` has it. No slopes are computed: only a better trial needs them.
 
     Args:
         flow: trajectories of the trial.
