@@ -175,7 +175,7 @@ def _pace(signature: Signature, record: Mapping[str, Any]) -> Pace:
 
 
 def _task(signature: Signature, given: Mapping[str, Any]) -> Tracking:
-    outputs = list(given["outputs"])
+    outputs, (low, high) = list(given["outputs"]), _targets(given)
     task = Tracking(
         signature,
         Step([[0.0] * len(outputs)]),
@@ -184,19 +184,20 @@ def _task(signature: Signature, given: Mapping[str, Any]) -> Tracking:
         TrackingReward(error_weights=(1.0,)),
         observe_rate=bool(given["observe_rate"]),
         error_scale=_positive(given["error_scale"]),
-        **_targets(given),
+        low=low,
+        high=high,
     )
     # Files that were written before inputs had limits have none.
     task = task.with_input_limits(given.get("input_limits", task.input_limits.tolist()))
     return task.with_box([_positive(extent) for extent in given["box"]])
 
 
-def _targets(given: Mapping[str, Any]) -> dict[str, list[float]]:
+def _targets(given: Mapping[str, Any]) -> tuple[list[float], list[float]] | tuple[None, None]:
     """Return the ends of the targets; files that were written before these were kept have none."""
     if given.get("targets") is None:
-        return {}
-    ends = [[_number(value) for value in row] for row in given["targets"]]
-    return dict(zip(("low", "high"), ends, strict=True))
+        return None, None
+    low, high = ([_number(value) for value in row] for row in given["targets"])
+    return low, high
 
 
 def _number(value: object) -> float:

@@ -136,6 +136,7 @@ def test_the_file_tells_names_units_and_period_to_a_reader(tmp_path):
         "observe_rate": True,
         "error_scale": 0.7,
         "box": [pytest.approx(1.8)],
+        "targets": [[-0.5], [1.3]],
         "input_limits": [[-1.0], [1.0]],
     }
     assert record["observer"]["model"]["delay"] == 0.07
