@@ -22,7 +22,7 @@ class Gathering(Callback):
             if not gather(root, results, level):
                 print(f"No run in {root} has finished, so there are no tables and figures.")
                 return
-            draw_ablation(results, level.error)
+            draw_ablation(results, level.error, share=level.share)
             print((results / "ablation.md").read_text(), f"Tables and figures: {results}", sep="\n")
         except MENDABLE as error:  # Hydra would make a warning of it, and the command would end with code 0
             Sweep.wrong.append(in_words(error, "ablation"))
@@ -33,14 +33,15 @@ def main(cfg: DictConfig) -> None:
     """Run one job, unless it is finished."""
     from job import run_job
 
+    from dynasindy.evaluation.ablation import errors_in_words
+
     folder = Path(cfg.folder)
     done = run_job(cfg, progress=False)
     if done.before:
         print(f"finished before: {folder}")
         return
-    errors = [f"{v:.3g}" for k, v in done.metrics["evaluation"].items() if k.startswith("steady_state_error/")]
     seconds = done.metrics["cost"]["wall_seconds"]
-    print(f"finished: {folder}, steady-state error {' / '.join(errors)} rad, {seconds:.0f} s")
+    print(f"finished: {folder}, steady-state error {errors_in_words(done.metrics)}, {seconds:.0f} s")
 
 
 if __name__ == "__main__":

@@ -54,8 +54,9 @@ def command(
 
     What the function returns is the score of a job, by which a sweeper such as Optuna chooses the next ones.
 
-    A run folder without files is removed; one with files keeps them, and the line, as `error.txt`. A job of a sweep
-    that fails does not end the others. Set DYNASINDY_TRACEBACK=1 to see where an error comes from.
+    A run folder without files is removed; one with files keeps them, and the line, as `error.txt`. A finished run stays
+    as it is: a sweep leaves the line beside its folder. A job of a sweep that fails does not end the others. Set
+    DYNASINDY_TRACEBACK=1 to see where an error comes from.
 
     Args:
         config_name: File `conf/NAME.yaml`.
@@ -76,6 +77,8 @@ def command(
                     from schema import check  # it imports torch, which a command that only prints its help does without
 
                     check(cfg)
+                    if swept:  # an earlier refusal no longer holds
+                        _beside(Path(HydraConfig.get().runtime.output_dir)).unlink(missing_ok=True)
                     for folder in filter(None, (cfg.get("folder"), cfg.get("output"))):
                         require_writable(Path(folder))
                     return task(cfg)
@@ -101,9 +104,12 @@ def command(
                     main()
             listen(leave)
             gc.freeze()  # else the interpreter looks for a second whether anything that torch made is garbage
-            if Sweep.failed:
-                folders = ", ".join(Sweep.failed)
-                Sweep.wrong.append(f"{len(Sweep.failed)} jobs failed; error.txt says why in {folders}")
+            refused = [str(file) for file in map(_beside, map(Path, Sweep.failed)) if file.is_file()]
+            if failed := [folder for folder in Sweep.failed if str(_beside(Path(folder))) not in refused]:
+                Sweep.wrong.append(f"{len(failed)} jobs failed; error.txt says why in {', '.join(failed)}")
+            if refused:
+                words = "jobs were refused, and the finished runs in their folders are as they were; the reasons are in"
+                Sweep.wrong.append(f"{len(refused)} {words} {', '.join(refused)}")
             for line in Sweep.wrong:
                 print(f"error: {line}", file=sys.stderr)
             if Sweep.wrong:
@@ -135,7 +141,7 @@ class Sweep(Callback):
     jobs: ClassVar[set[Path] | None] = None
     """Folders of its jobs; None where its folder holds no others, or where they are not known beforehand."""
     earlier: ClassVar[dict[Path, int | None]] = {}
-    """The `error.txt` files of earlier commands, and when they were written [ns]."""
+    """The `error.txt` files of earlier commands, in and beside run folders, and when they were written [ns]."""
     failed: ClassVar[list[str]] = []
     """Folders of the jobs that failed."""
     wrong: ClassVar[list[str]] = []
@@ -152,7 +158,7 @@ class Sweep(Callback):
         os.environ[JOBS] = str(number_of_jobs(config.hydra))
         os.environ[SWEPT] = " ".join(swept(config.hydra))
         folder = Path(Sweep.running)
-        Sweep.earlier = {file: _written(file) for file in folder.rglob("error.txt")}
+        Sweep.earlier = {file: _written(file) for file in folder.rglob("*error.txt")}
         # All ablations share a folder. To compose a job takes a fifth of a second, so it is not done for nothing.
         if Sweep.earlier or any(folder.rglob("metrics.json")):
             with suppress(*MENDABLE):  # Hydra composes the jobs, too, and then says what is wrong
@@ -194,10 +200,19 @@ class Sweep(Callback):
 
         def left(name: str) -> list[Path]:
             files = folder.rglob(name) if cls.jobs is None else (job / name for job in cls.jobs)
-            return sorted(file.parent for file in files if _written(file) not in (None, cls.earlier.get(file)))
+            return sorted(file.parent for file in files if fresh(file))
 
-        failed = left("error.txt")
+        def fresh(file: Path) -> bool:
+            return _written(file) not in (None, cls.earlier.get(file))
+
+        jobs = {file.parent for file in folder.rglob("metrics.json")} if cls.jobs is None else cls.jobs
+        failed = sorted([*left("error.txt"), *(job for job in jobs if fresh(_beside(job)))])
         return [job for job in left("metrics.json") if job not in failed], failed
+
+
+def _beside(folder: Path) -> Path:
+    """Return where the line of a job lies that was refused because its folder holds a finished run."""
+    return folder.with_name(f"{folder.name}.error.txt")
 
 
 def _written(file: Path) -> int | None:
@@ -303,15 +318,22 @@ def _stopped_in_words() -> Iterator[None]:
 
 
 def _leave_word(line: str) -> None:
-    """Remove the run folder if it is empty; else write the line into it. A job of a sweep always leaves its line."""
+    """Remove the run folder if it is empty; else write the line into it. A job of a sweep always leaves its line.
+
+    A finished run stays as it is: what is wrong is the command, not the run.
+    """
     if not HydraConfig.initialized():
         return
     folder = Path(HydraConfig.get().runtime.output_dir)
     if not folder.is_dir() or folder.resolve() == Path.cwd():
         return
-    if any(folder.iterdir()) or HydraConfig.get().mode == RunMode.MULTIRUN:
-        (folder / "error.txt").unlink(missing_ok=True)  # it may be a link in a run folder of others
-        (folder / "error.txt").write_text(line + "\n")
+    swept, finished = HydraConfig.get().mode == RunMode.MULTIRUN, (folder / "metrics.json").is_file()
+    if finished and not swept:
+        return  # who gave the command has read the line
+    if any(folder.iterdir()) or swept:
+        file = _beside(folder) if finished else folder / "error.txt"
+        file.unlink(missing_ok=True)  # it may be a link in a run folder of others
+        file.write_text(line + "\n")
     else:
         _remove_empty(folder)
 

@@ -49,7 +49,7 @@ def test_the_page_shows_one_file_of_each_kind_with_its_test():
 
 def test_tests_of_the_page_pass(extended):
     printed = run(extended, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests")
-    assert re.search(r"^5 passed", printed, re.M)
+    assert re.search(r"^7 passed", printed, re.M)
 
 
 @pytest.mark.parametrize(("source", "functions"), [("simulated", 15), ("logged", 6)])
@@ -73,6 +73,25 @@ def test_a_log_gets_the_library_of_the_page_for_logs(extended, source, functions
         *chosen,
     )
     assert printed.split() == [str(functions), str(source == "logged")]
+
+
+def test_the_reward_and_the_agent_of_the_page_are_made_by_the_words_of_a_command(extended):
+    (words,) = re.findall(r"^    python scripts/train\.py (system=servo task\.reward.*)$", PAGE.read_text(), re.M)
+    printed = run(
+        extended,
+        "-c",
+        "import sys, hydra, hydra.utils\n"
+        "sys.path.insert(0, 'scripts')\n"
+        "from schema import check\n"
+        f"with hydra.initialize_config_dir({str(extended / 'conf')!r}, version_base='1.3'):\n"
+        "    cfg = hydra.compose('train', [*sys.argv[1:], 'agent=keen', 'folder=run'])\n"
+        "check(cfg)\n"
+        "reward = hydra.utils.instantiate(cfg.task.reward, _convert_='all')\n"
+        "agent = hydra.utils.instantiate(cfg.agent, _convert_='all')(3, 1)\n"
+        "print(type(reward).__name__, reward.power, type(agent).__name__, agent.times, agent.settings.gamma)",
+        *words.split(),
+    )
+    assert printed.split() == ["Power", "1.5", "Keen", "2", "0.97"]
 
 
 @pytest.mark.slow

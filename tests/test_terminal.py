@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from dynasindy import terminal
-from dynasindy.terminal import LOADING, Lines, Shown, fitted, say
+from dynasindy.terminal import LOADING, Lines, Shown, fitted, line, say
 from dynasindy.told import Told, tell
 
 ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
@@ -331,3 +331,11 @@ def test_a_text_is_whole_in_a_file_and_within_the_width_of_a_terminal(capsys, mo
     seen = ESCAPE.sub("", screen.getvalue())
     assert max(map(len, seen.splitlines())) <= 40 and seen.split() == text.split()
     assert "\x1b[1;31mNOT CONTROLLED\x1b[0m" in screen.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(599, "599 s"), (768, "12.8 min"), (889, "14.8 min"), (1009, "16.8 min"), (7130, "119 min"), (7500, "2.08 h")],
+)
+def test_the_unit_of_the_time_so_far_only_grows(seconds, words):
+    assert line(Told("fit", 1, 2, "steps"), seconds).endswith(f", {words}")

@@ -247,7 +247,10 @@ def record(found: Check) -> dict[str, Any]:
         }
         for k, label in enumerate(others.labels)
     ]
-    planes = [{"states": plane.names, "share": plane.share} for plane in found.planes]
+    planes = [
+        {"states": plane.names, "share": plane.share, "steady_error": _named(outputs, plane.steady_error)}
+        for plane in found.planes
+    ]
     settings = {name: list(v) if isinstance(v, tuple) else v for name, v in vars(found.settings).items()}
     flights = None if found.flown is None else vars(found.flown)
     return {"settings": settings, "targets": targets, "flown": flights, "changes": changes, "recovery": planes}

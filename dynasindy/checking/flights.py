@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -14,7 +14,7 @@ from dynasindy.told import counted
 FULL = 0.99
 """Part of its way from the middle to a limit at which an input counts as saturated."""
 TOLERANCE = 0.05
-"""Error that a plant which has come back may have [ranges of the output]."""
+"""Distance of a plant which has come back from where the loop rests [ranges of the output]."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,11 @@ class Flights:
         last = max(1, round(LAST / self.dt))
         error = (self.x[:, -last:, self.outputs] - self.r.unsqueeze(1)).abs().mean(1)
         return error.nan_to_num(torch.inf, torch.inf)
+
+    @property
+    def end(self) -> Tensor:
+        """Mean of each output over the last seconds, `(rows, n_r)`."""
+        return self.x[:, -max(1, round(LAST / self.dt)) :, self.outputs].mean(1)
 
     @property
     def slew(self) -> Tensor:
@@ -87,7 +92,8 @@ class Plane:
         names: The two states.
         units: Their units.
         first, second: Errors of each, `(n,)` [their units].
-        back: Whether it comes back, bool `(n, n)`, rows by the first state.
+        back: Whether it comes back to where the loop rests, bool `(n, n)`, rows by the first state.
+        steady_error: Error of each output where the loop rests, `(n_r,)`; infinite if it runs away from its rest.
     """
 
     names: tuple[str, str]
@@ -95,6 +101,7 @@ class Plane:
     first: Tensor
     second: Tensor
     back: Tensor
+    steady_error: Tensor
 
     @property
     def share(self) -> float:
@@ -104,6 +111,9 @@ class Plane:
 
 def recovery(loop: Loop, x: Tensor, r: Tensor, reach: float, points: int, seconds: float) -> list[Plane]:
     """Start around a state of rest in planes of outputs and rates, and see from where the plant comes back.
+
+    It has come back where it ends as a flight without an initial error does: a loop that rests beside its target comes
+    back to there, and its steady error is told apart.
 
     Args:
         loop: The loop.
@@ -134,10 +144,13 @@ def recovery(loop: Loop, x: Tensor, r: Tensor, reach: float, points: int, second
     flat = starts.flatten(0, -2)
     if loop.plant.stops is not None:
         flat = loop.plant.stops.apply(flat)[0]
+    flat = torch.cat([flat, x.to(flat).unsqueeze(0)])
     flights = fly(loop, flat, r.expand(len(flat), -1), seconds, "recovery from initial errors")
-    back = (flights.steady_error <= TOLERANCE * scale[task.outputs]).all(-1).unflatten(0, (len(pairs), points, points))
+    home = replace(flights, r=flights.end[-1:]).steady_error  # from there, not from the target
+    back = (home <= TOLERANCE * scale[task.outputs]).all(-1)[:-1].unflatten(0, (len(pairs), points, points))
+    left = flights.steady_error[-1]
     names, units = signature.state_names, signature.state_units
     return [
-        Plane((names[a], names[b]), (units[a], units[b]), scale[a] * axis, scale[b] * axis, found)
+        Plane((names[a], names[b]), (units[a], units[b]), scale[a] * axis, scale[b] * axis, found, left)
         for (a, b), found in zip(pairs, back, strict=True)
     ]

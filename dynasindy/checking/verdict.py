@@ -286,11 +286,13 @@ def _recovery(found: Check, limits: Thresholds) -> Finding:
     shares = [plane.share for plane in found.planes]
     words = ", ".join(f"{100 * plane.share:.0f} % in {plane.names[0]} and {plane.names[1]}" for plane in found.planes)
     least = min(shares)
+    _, left, output = _error(found, found.planes[0].steady_error.unsqueeze(0))
     return Finding(
         "recovery",
         least >= limits.recovered,
         f"comes back from errors of up to {found.settings.reach:g} times the typical size of each state: "
-        f"{words}; threshold: {100 * limits.recovered:.0f} %",
+        f"{words}; the error that stays where it rests is {left} of {_name(found, output)}; threshold: "
+        f"{100 * limits.recovered:.0f} %",
     )
 
 

@@ -7,6 +7,7 @@ outside. `dynasindy.control.files` keeps it in one file, which has all that it i
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -69,6 +70,7 @@ class Controller:
         if observer is not None and not observer.learnt:
             raise ValueError("a controller got an observer that has not learnt from data; call its `learn` first")
         self.policy, self.pace, self.observer, self.integral = policy, pace, observer, integral
+        self._warned = False
         self.reset()
 
     @property
@@ -121,6 +123,13 @@ class Controller:
         mean: NDArray[np.float64] = self._belief.mean[: self.signature.n_x].numpy().copy()
         return mean
 
+    def targets_in_words(self) -> list[str]:
+        """Return the range of targets that each output was planned for, `h3 from 8 to 25 cm`; none if not known."""
+        signature, ends = self.signature, self.pace.task.ends
+        units = [signature.state_units[i] for i in self.pace.task.outputs]
+        rows = zip(self.outputs, *(ends or ((), ())), units, strict=False)
+        return [f"{name} from {low:g} to {high:g} {unit}" for name, low, high, unit in rows]
+
     @torch.no_grad()
     def act(self, measurement: Values, reference: Values, rate: Values | None = None) -> NDArray[np.float64]:
         """Return the inputs of the control period that begins now, `(n_u,)`, in [-1, 1].
@@ -130,6 +139,8 @@ class Controller:
                 left out, is not measured, which only a controller with an observer takes.
             reference: Where the outputs are to be, in the order of `outputs`, or by name [units of the outputs].
             rate: How fast the reference moves [per second]; 0 if omitted.
+
+        A reference that lies farther beyond the targets of the plan than these span is warned of, once.
 
         Raises:
             ValueError: A number is missing, infinite, of a name that does not exist, or so large that no action
@@ -141,12 +152,29 @@ class Controller:
         slope = self._numbers("rate", {} if rate is None else rate, self.outputs, 0.0)
         for name, values in (("reference", r), ("rate", slope)):
             self._require(name, values, self.outputs, gaps=False)
+        self._warn_far(r)
         action = self._answer(y, r, slope)
         self._periods = 1
         if self.observer is not None:
             self._inputs = torch.cat([self._inputs[1:], action.unsqueeze(0)])
         found: NDArray[np.float64] = action.double().numpy().copy()
         return found
+
+    def _warn_far(self, r: Tensor) -> None:
+        """Warn once of a reference that lies more than a target range beyond the targets of the plan."""
+        task = self.pace.task
+        if self._warned or task.ends is None:
+            return
+        low, high = torch.tensor(task.ends, dtype=torch.float64)
+        far = torch.maximum(r - high, low - r) > task.boxes()
+        if bool(far.any()):
+            self._warned, k = True, int(far.nonzero()[0])
+            warnings.warn(
+                f"the reference of {self.outputs[k]} is {r[k].item():g}; the controller was planned for "
+                f"{self.targets_in_words()[k]}, and nothing is known of what it does so far from that: give a "
+                "reference in this range, or plan for a wider one",
+                stacklevel=4,
+            )
 
     def _answer(self, y: Tensor, r: Tensor, slope: Tensor) -> Tensor:
         """Return the action, `(n_u,)`; estimate and integral stay as they were where it is no number.

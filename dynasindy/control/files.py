@@ -4,7 +4,8 @@
 | ----------- | ----------------------------------------------------------------------------------------------------- |
 | `signature` | names, units and ranges of the states, names of the inputs                                            |
 | `task`      | control period [s], Runge-Kutta steps in it, mechanical stops, tracked states, how the observation is |
-|             | made, limits of the inputs; an end of a stop that is null is not there                                |
+|             | made, limits of the inputs, ends of the targets, null where they are not known; an end of a stop that |
+|             | is null is not there                                                                                  |
 | `policy`    | weights of each layer, float32 in base 64, `(n_out, n_in)` row by row, and biases                     |
 | `integral`  | numbers of the integral action, or null                                                               |
 | `observer`  | sensors, process noise, and the model, as in model.json; or null                                      |
@@ -71,6 +72,7 @@ def save(controller: Controller, path: str | Path) -> None:
             "observe_rate": task.observe_rate,
             "error_scale": task.error_scale,
             "box": task.boxes().tolist(),
+            "targets": task.ends,
             "input_limits": task.input_limits.tolist(),
         },
         "policy": _layers(network(controller)),
@@ -173,7 +175,7 @@ def _pace(signature: Signature, record: Mapping[str, Any]) -> Pace:
 
 
 def _task(signature: Signature, given: Mapping[str, Any]) -> Tracking:
-    outputs = list(given["outputs"])
+    outputs, (low, high) = list(given["outputs"]), _targets(given)
     task = Tracking(
         signature,
         Step([[0.0] * len(outputs)]),
@@ -182,10 +184,26 @@ def _task(signature: Signature, given: Mapping[str, Any]) -> Tracking:
         TrackingReward(error_weights=(1.0,)),
         observe_rate=bool(given["observe_rate"]),
         error_scale=_positive(given["error_scale"]),
+        low=low,
+        high=high,
     )
     # Files that were written before inputs had limits have none.
     task = task.with_input_limits(given.get("input_limits", task.input_limits.tolist()))
     return task.with_box([_positive(extent) for extent in given["box"]])
+
+
+def _targets(given: Mapping[str, Any]) -> tuple[list[float], list[float]] | tuple[None, None]:
+    """Return the ends of the targets; files that were written before these were kept have none."""
+    if given.get("targets") is None:
+        return None, None
+    low, high = ([_number(value) for value in row] for row in given["targets"])
+    return low, high
+
+
+def _number(value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"{str(value)[:40]!r} stands where the end of a target range belongs, a finite number")
+    return float(value)
 
 
 def _positive(value: object) -> float:

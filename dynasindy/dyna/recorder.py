@@ -172,6 +172,7 @@ class Recorder(Callback):
             "evaluation": summarise(final),
             "held": asdict(self._held(final)),
             "units": final.units,
+            "ranges": dict(zip(final.units, final.boxes, strict=False)),
             "steady_seconds": final.steady_seconds,
             "excitation": self.restarts,
             "planning": self.parts.planner.words(),

@@ -2,6 +2,9 @@
 
 A run lies in `root/system/experiment/setting/.../seed_N`. Two tables are made of all finished ones: a row per
 run (`ablation.csv`) and a row per episode (`ablation_curves.csv`), from which the figures are drawn.
+
+Where all outputs are angles [rad], the worse axis is judged in rad. Outputs in other units cannot be compared so: there
+it is the axis with the largest error as a share of its target range, in the column `steady_state_share`.
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from dynasindy.evaluation.files import whole, write_text
 from dynasindy.evaluation.given import DamagedFileError, read_cells, read_record, understood
@@ -19,7 +23,7 @@ from dynasindy.evaluation.table import markdown, over_seeds, overrides
 Row = dict[str, str | float | None]
 KEY = ("system", "experiment", "setting")
 TEXT = (*KEY, "commit")
-ERROR = "steady_state_error"
+ERROR, SHARE = "steady_state_error", "steady_state_share"
 TABLE, CURVES = "ablation.csv", "ablation_curves.csv"
 SUMMARY = {
     "episodes_to_level": "real episodes to the level",
@@ -30,6 +34,7 @@ SUMMARY = {
     "area_under_curve": "area under the curve",
     "final_return": "final return",
     ERROR: "steady-state error [rad]",
+    SHARE: "steady-state error [% of the target range]",
     "wall_seconds": "wall time [s]",
 }
 """Columns of the readable table, and their words."""
@@ -42,25 +47,33 @@ class Level:
     Attributes:
         error: Mean absolute steady-state error over the references of the scenario, on every axis [rad].
         consecutive: Evaluations in a row that hold it; the last of them is when it counts as reached.
+        share: The same error of a plant whose outputs are not all in rad, as a share of the target range.
 
     Raises:
-        ValueError: `error` or `consecutive` is not positive.
+        ValueError: `error`, `consecutive` or `share` is not positive.
     """
 
     error: float = 0.05
     consecutive: int = 3
+    share: float = 0.05
 
     def __post_init__(self) -> None:
-        if not self.error > 0 or self.consecutive < 1:
+        if not self.error > 0 or self.consecutive < 1 or not self.share > 0:
             raise ValueError(
-                f"level has error={self.error}, consecutive={self.consecutive}; give an error > 0 rad and a count >= 1"
+                f"level has error={self.error}, consecutive={self.consecutive}, share={self.share}; give an error > 0 "
+                "rad and a count >= 1, and a share of the target range > 0"
             )
 
-    def reached(self, errors: Sequence[float]) -> int | None:
-        """Return the place in `errors` at which the level is reached, or None."""
-        held = 0
+    def reached(self, errors: Sequence[float], shares: bool = False) -> int | None:
+        """Return the place in `errors` at which the level is reached, or None.
+
+        Args:
+            errors: Error of the worse axis after each evaluation [rad].
+            shares: Whether they are shares of the target range instead.
+        """
+        held, most = 0, self.share if shares else self.error
         for place, error in enumerate(errors):
-            held = held + 1 if error <= self.error else 0
+            held = held + 1 if error <= most else 0
             if held == self.consecutive:
                 return place
         return None
@@ -108,11 +121,14 @@ def summarise_run(curve: Sequence[Mapping[str, float | None]], level: Level) -> 
     """Return what one run came to.
 
     Args:
-        curve: Its evaluated episodes in order, as `progress.csv` has them.
+        curve: Its evaluated episodes in order, as `progress.csv` has them; with `steady_state_share` where outputs are
+            not all in rad.
         level: The required level.
     """
     last = curve[-1]
-    place = level.reached([_worst(line) for line in curve])
+    shares = SHARE in last
+    worst = [_number(line[SHARE]) or 0.0 if shares else _worst(line) for line in curve]
+    place = level.reached(worst, shares)
     at = {} if place is None else curve[place]
     returns = [line["evaluated_return"] or 0.0 for line in curve]
     row: Row = {
@@ -125,7 +141,7 @@ def summarise_run(curve: Sequence[Mapping[str, float | None]], level: Level) -> 
         "return_at_level": at.get("evaluated_return"),
         "area_under_curve": sum(returns) / len(returns),
         "final_return": last["evaluated_return"],
-        ERROR: _worst(last),
+        (SHARE if shares else ERROR): worst[-1],
     }
     prefix = f"evaluated_{ERROR}/"
     row |= {key.removeprefix("evaluated_"): value for key, value in last.items() if key.startswith(prefix)}
@@ -137,8 +153,12 @@ def to_markdown(rows: Iterable[Row], level: Level) -> str:
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
         groups.setdefault(_key(row), []).append(row)
+    measures = [name for name in (ERROR, SHARE) if any(_given(row, name) for group in groups.values() for row in group)]
+    columns = {name: head for name, head in SUMMARY.items() if name in measures or name not in (ERROR, SHARE)}
+    most = {ERROR: f"{level.error:g} rad", SHARE: f"{100 * level.share:g} % of its target range"}
+    least = ", where the outputs are not all in rad ".join(most[name] for name in measures)
     lines = [
-        f"Level: mean abs steady-state error of every axis at or under {level.error:g} rad in {level.consecutive} "
+        f"Level: mean abs steady-state error of every axis at or under {least} in {level.consecutive} "
         "evaluations in a row.",
         "Interquartile mean over seeds [95 % bootstrap interval]; where there are fewer than three seeds, the value of "
         "each.",
@@ -149,11 +169,25 @@ def to_markdown(rows: Iterable[Row], level: Level) -> str:
     cells = []
     for key, group in groups.items():
         reached = sum(row["episodes_to_level"] is not None for row in group)
-        figures = [_cell([row[column] for row in group]) for column in SUMMARY]
+        figures = [_cell(column, group) for column in columns]
         commits = " or ".join(sorted({str(row.get("commit") or "unknown") for row in group}))
         cells.append([*key, str(len(group)), _lengths(group), f"{reached}/{len(group)}", *figures, commits])
-    head = (*KEY, "seeds", "episodes", "reached", *SUMMARY.values(), "commit")
+    head = (*KEY, "seeds", "episodes", "reached", *columns.values(), "commit")
     return "\n".join([*lines, markdown(head, cells)]) + "\n"
+
+
+def errors_in_words(metrics: Mapping[str, Any]) -> str:
+    """Return the steady-state error of each output of a run in its unit, `0.01 / 0.02 rad` or `0.2 rad / 1.5 m/s`.
+
+    Args:
+        metrics: What its `metrics.json` holds.
+    """
+    found, units = metrics["evaluation"], metrics["units"]
+    errors = {name: found.get(f"{ERROR}/{name}") for name in units}
+    words = {name: "not finite" if error is None else f"{error:.3g}" for name, error in errors.items()}
+    if len(set(units.values())) == 1:
+        return f"{' / '.join(words.values())} {next(iter(units.values()))}"
+    return " / ".join(f"{word} {units[name]}" for name, word in words.items()) or "of no output"
 
 
 def read_rows(path: Path) -> list[Row]:
@@ -197,6 +231,8 @@ def _read_run(folder: Path, root: Path, level: Level) -> tuple[Row, list[Row]]:
     """
     with understood(folder):
         place, curve = _place(folder, root), _curve(folder)
+        if ranges := _ranges(folder):
+            curve = [{**line, SHARE: _worst(line, ranges)} for line in curve]
         row = {**place, **summarise_run(curve, level), "commit": _commit(folder)}
         return row, [{**place, **line} for line in curve]
 
@@ -230,9 +266,24 @@ def _key(row: Row) -> tuple[str, ...]:
     return tuple(str(row[key]) for key in KEY)
 
 
-def _worst(line: Mapping[str, float | None]) -> float:
-    errors = [value for key, value in line.items() if key.startswith(f"evaluated_{ERROR}/") and value is not None]
-    return max(errors, default=math.inf)
+def _ranges(folder: Path) -> dict[str, float]:
+    """Return the target range of each output, in its unit; none where all outputs are in rad."""
+    metrics = read_record(folder / "metrics.json")
+    if set(metrics.get("units", {}).values()) <= {"rad"}:
+        return {}
+    if "ranges" in metrics:
+        return {name: float(extent) for name, extent in metrics["ranges"].items()}
+    # Older runs have the error at the end in its own unit and as a share of the range.
+    shares, errors = metrics["held"]["share"], metrics["evaluation"]
+    return {name: float(errors[f"{ERROR}/{name}"]) / share for name, share in shares.items() if share}
+
+
+def _worst(line: Mapping[str, float | None], ranges: Mapping[str, float] | None = None) -> float:
+    """Return the error of the worse axis [rad], or with ranges the largest share of a range."""
+    prefix = f"evaluated_{ERROR}/"
+    errors = {key.removeprefix(prefix): v for key, v in line.items() if key.startswith(prefix) and v is not None}
+    shares = [error / (ranges.get(name, 0.0) or math.nan) if ranges else error for name, error in errors.items()]
+    return max((math.inf if math.isnan(share) else share for share in shares), default=math.inf)
 
 
 def _lengths(group: Iterable[Row]) -> str:
@@ -241,9 +292,16 @@ def _lengths(group: Iterable[Row]) -> str:
     return " or ".join(map(str, lengths))
 
 
-def _cell(values: Sequence[str | float | None]) -> str:
+def _cell(column: str, group: Sequence[Row]) -> str:
     """Return the figure over seeds; a run that never reached the level counts as infinite."""
-    return over_seeds([math.inf if (n := _number(v)) is None else n for v in values], 4, "never")
+    if column in (ERROR, SHARE) and not any(_given(row, column) for row in group):
+        return ""  # it is measured by the other one
+    found = [math.inf if (n := _number(row.get(column))) is None else n for row in group]
+    return over_seeds([100 * n if column == SHARE else n for n in found], 4, "never")
+
+
+def _given(row: Row, column: str) -> bool:
+    return row.get(column) is not None
 
 
 def _number(value: str | float | None) -> float | None:

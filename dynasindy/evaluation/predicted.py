@@ -41,6 +41,10 @@ class Prediction:
     doubts: tuple[str, ...] = ()
     unheld: str = ""
 
+    def __repr__(self) -> str:
+        kept = f"promised={self.promised}, controlled={self.controlled}, score={self.score:.3g}"
+        return f"Prediction({kept}, {len(self.flights)} models; words() tells what they show)"
+
     @property
     def controlled(self) -> bool:
         """Whether the controller holds every model as near as is asked for, and nothing speaks against the models."""

@@ -193,9 +193,10 @@ def _told(controller: Controller, whole: Cost) -> list[str]:
     """Return what the header tells a reader."""
     signature, seconds = controller.signature, number(controller.dt)
     units = dict(zip(signature.state_names, signature.state_units, strict=True))
+    targets = controller.targets_in_words()
     return [
         *signature_words(signature),
-        "r: references",
+        "r: references" + (f", planned for {', '.join(targets)}" if targets else ""),
         *(f"    {i}  {n} [{units[n]}]" for i, n in enumerate(controller.outputs)),
         "",
         f"Period: {seconds} s. {whole.flops} floating-point operations per call, one of <math.h> counted as one.",

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from dynasindy.evaluation.ablation import Row, read_rows
+from dynasindy.evaluation.ablation import SHARE, Level, Row, read_rows
 from dynasindy.evaluation.given import plain_name
 from dynasindy.viz.controllers import named
 from dynasindy.viz.learning import average_rewards, draw_bands
@@ -28,6 +28,8 @@ MODEL_FREE = "without a model"
 WITHOUT_MODEL = ("rollouts_0_tuned", "direct", "sb3_")
 """How the names of settings begin that have no model; `rollouts_0` stands beside the numbers of rollouts."""
 CHANGED = "changed on the command line"
+OF_RANGE = "% of the target range"
+"""Unit of errors where outputs in several units are compared."""
 
 
 @styled
@@ -36,44 +38,53 @@ def steady_state_errors(
     level: float,
     episode: ArrayLike | None = None,
     title: str = "Steady-state error",
+    unit: str = "rad",
 ) -> Figure:
     """Draw the error of the worse axis over episodes: interquartile mean and 95 % band over seeds; see `draw_bands`.
 
     Args:
-        curves: `(n_seeds, n_episodes)` error after each episode, per setting [rad].
-        level: The required level [rad].
+        curves: `(n_seeds, n_episodes)` error after each episode, per setting [`unit`].
+        level: The required level [`unit`].
         episode: `(n_episodes,)` numbers of the evaluated episodes, by default 1, 2, ...
         title: of the figure.
+        unit: of errors and level.
     """
     figure, (axis,) = panels(1, 1, (8.5, 3.8), title)
-    _draw_errors(axis, curves, level, episode)
+    _draw_errors(axis, curves, level, episode, unit)
     return figure
 
 
 @styled
 def controls(
-    families: Mapping[str, Mapping[str, ArrayLike]], level: float, episode: ArrayLike | None = None, title: str = ""
+    families: Mapping[str, Mapping[str, ArrayLike]],
+    level: float,
+    episode: ArrayLike | None = None,
+    title: str = "",
+    unit: str = "rad",
 ) -> Figure:
     """Draw the error of the worse axis over episodes, a panel per family of settings, with the same vertical axis.
 
     Args:
         families: Curves as for `steady_state_errors`, per family.
-        level: The required level [rad].
+        level: The required level [`unit`].
         episode: `(n_episodes,)` numbers of the evaluated episodes, by default 1, 2, ...
         title: of the figure.
+        unit: of errors and level.
     """
     figure, axes = panels(len(families), 1, (10.0, 0.6 + 2.6 * len(families)), title)
     for axis in axes[1:]:
         axis.sharey(axes[0])
     for axis, (family, curves) in zip(axes, families.items()):
-        _draw_errors(axis, curves, level, episode)
+        _draw_errors(axis, curves, level, episode, unit)
         axis.set_title(family)
-        axis.set_ylabel("steady-state error,\nworse axis [rad]")
+        axis.set_ylabel(f"steady-state error,\nworse axis [{_short(unit)}]")
         axis.label_outer(remove_inner_ticks=False)
     return figure
 
 
-def draw_ablation(results: Path, level: float, formats: tuple[str, ...] = ("png",)) -> list[Path]:
+def draw_ablation(
+    results: Path, level: float, formats: tuple[str, ...] = ("png",), share: float = Level.share
+) -> list[Path]:
     """Draw returns and errors for every plant and experiment in `ablation_curves.csv`.
 
     The numbers of rollouts, as in the paper, stand in two figures of their own; the errors of all other settings, the
@@ -83,6 +94,7 @@ def draw_ablation(results: Path, level: float, formats: tuple[str, ...] = ("png"
         results: Folder of the tables; the figures go there too.
         level: The required level [rad].
         formats: File formats, e.g. ("png", "svg").
+        share: The required level of plants whose outputs are not all in rad, as a share of the target range.
 
     Returns:
         The files.
@@ -94,7 +106,9 @@ def draw_ablation(results: Path, level: float, formats: tuple[str, ...] = ("png"
         title = f"plant {system}, experiment {experiment}"
         average = f"Imagined rollouts: average rewards, {title}"
         returns = _curves(lines, lambda row: float(row["evaluated_return"] or 0.0))
-        errors = _curves(lines, _worst)
+        shares = all(row.get(SHARE) is not None for row in lines)
+        errors = _curves(lines, _share if shares else _worst)
+        judged = (100 * share, OF_RANGE) if shares else (level, "rad")
         episodes = sorted({float(row["episode"] or 0.0) for row in lines})
         chosen = [name for name in errors if _family(name) == MAIN] or list(errors)
         figure = average_rewards(
@@ -103,23 +117,26 @@ def draw_ablation(results: Path, level: float, formats: tuple[str, ...] = ("png"
         files += save(figure, results / f"average_rewards_{case}", formats)
         main = {name: errors.pop(name) for name in chosen}
         shown = {named(name): values for name, values in main.items()}
-        figure = steady_state_errors(shown, level, episodes, f"Steady-state error, {title}")
+        figure = steady_state_errors(shown, judged[0], episodes, f"Steady-state error, {title}", judged[1])
         files += save(figure, results / f"steady_state_error_{case}", formats)
         if errors:
             told = {
                 family: {named(name): values for name, values in members.items()}
                 for family, members in families(errors, main.get(REFERENCE)).items()
             }
-            figure = controls(told, level, episodes, f"Controls: steady-state error, {title}")
+            figure = controls(told, judged[0], episodes, f"Controls: steady-state error, {title}", judged[1])
             files += save(figure, results / f"controls_{case}", formats)
     return files
 
 
-def _draw_errors(axis: Axes, curves: Mapping[str, ArrayLike], level: float, episode: ArrayLike | None) -> None:
+def _draw_errors(
+    axis: Axes, curves: Mapping[str, ArrayLike], level: float, episode: ArrayLike | None, unit: str
+) -> None:
     draw_bands(axis, curves, episode)
-    axis.axhline(level, color=BLACK, linestyle="--", linewidth=0.9, label=f"required: at most {level:g} rad")
+    axis.axhline(level, color=BLACK, linestyle="--", linewidth=0.9, label=f"required: at most {level:g} {unit}")
     axis.set_yscale("log")
-    axis.set_ylabel("mean abs error of the last 5 s, worse axis [rad]")
+    when = "of the last 5 s" if unit == "rad" else "at the end"  # a slow plant's end is longer
+    axis.set_ylabel(f"mean abs error {when}, worse axis [{_short(unit)}]")
     legend_beside(axis)
 
 
@@ -165,3 +182,11 @@ def _curves(rows: list[Row], value: ValueOf) -> dict[str, Array]:
 
 def _worst(row: Row) -> float:
     return max(float(v) for k, v in row.items() if k.startswith("evaluated_steady_state_error/") and v is not None)
+
+
+def _share(row: Row) -> float:
+    return 100 * float(row[SHARE] or 0.0)
+
+
+def _short(unit: str) -> str:
+    return "% of range" if unit == OF_RANGE else unit

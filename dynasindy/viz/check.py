@@ -56,7 +56,7 @@ def draw(found: Check, thresholds: Thresholds | None = None) -> dict[str, Figure
     figures: dict[str, Figure] = {}
     if planes := [(p.names, p.units, p.first, p.second, p.back) for p in found.planes]:
         words = (
-            f"Errors from which the model comes back to {_target(found, found.middle)}: within "
+            f"Errors from which the model comes back to its rest at {_target(found, found.middle)}: within "
             f"{in_words(found.seconds)} to {100 * TOLERANCE:g} % of each output's range "
             f"(asked for: {100 * limits.recovered:.0f} % of them)"
         )

@@ -8,7 +8,7 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, SymmetricalLogLocator
 from numpy.typing import ArrayLike
 
 from dynasindy.evaluation.statistics import bootstrap_interval, interquartile_mean
@@ -18,6 +18,8 @@ from dynasindy.viz.style import BLUE, GREY, RED, Array, array, legend_beside, na
 
 LINEAR = 10.0
 """Returns within this of zero are drawn on a linear part of a logarithmic axis."""
+FEWEST_TICKS = 3
+"""Ticks that an axis needs to be read."""
 WIDE = 30.0
 """Returns that differ by more than this factor are drawn on a logarithmic axis, if one is asked for."""
 
@@ -88,6 +90,7 @@ def average_rewards(
         axis.set_yscale("symlog", linthresh=LINEAR)
         words += f", logarithmic beyond {LINEAR:g}"
     draw_bands(axis, smooth, episode, seed)
+    _enough_ticks(axis)
     legend_beside(axis)
     axis.set_ylabel(f"{words} [-]")
     return figure
@@ -137,6 +140,15 @@ def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike |
     axis.set_xlim(x[0] - room, x[-1] + room)
     axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axis.set_xlabel("real episode")
+
+
+def _enough_ticks(axis: Axes) -> None:
+    """Add ticks at 2 and 5 times powers of ten to a logarithmic axis that shows few of these alone."""
+    low, high = sorted(axis.get_ylim())
+    shown = [tick for tick in axis.get_yticks() if low <= tick <= high]
+    if axis.get_yscale() == "symlog" and len(shown) < FEWEST_TICKS:
+        axis.yaxis.set_major_locator(SymmetricalLogLocator(base=10.0, linthresh=LINEAR, subs=[1.0, 2.0, 5.0]))
+        axis.yaxis.set_major_formatter("{x:g}")
 
 
 def _wide(curves: Mapping[str, Array]) -> bool:

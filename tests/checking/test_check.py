@@ -63,7 +63,8 @@ def test_a_record_is_json_of_what_was_found(loops, carts):
     # 2 (r - p) = p: two thirds of the way.
     assert held["targets"][2]["steady_error"]["p"] == pytest.approx(0.4 / 3, abs=3e-3)
     assert held["targets"][1]["margins"]["force"]["gain"] == pytest.approx(found.margins[1][0].gain)
-    assert len(held["changes"]) == 2 + 2 * 2 and held["recovery"] == [{"states": ["p", "v"], "share": 1.0}]
+    assert len(held["changes"]) == 2 + 2 * 2
+    assert held["recovery"] == [{"states": ["p", "v"], "share": 1.0, "steady_error": {"p": pytest.approx(0.0)}}]
     assert found.sensors.tolist() == pytest.approx([0.01, 0.0])
     assert held["settings"]["low"] == [-0.4]
 

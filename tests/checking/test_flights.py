@@ -54,3 +54,10 @@ def test_a_start_beyond_a_stop_is_put_to_it(loops):
     loop = loops(stops=Stops((0,), (1,), (-0.5,), (0.5,)))
     (plane,) = recovery(loop, torch.zeros(2), torch.zeros(1), 1.0, 3, 10.0)
     assert plane.share == 1.0
+
+
+def test_a_loop_that_rests_beside_its_target_comes_back_to_there_and_its_error_is_told_apart(loops, law):
+    # v' = 2 (0 - p) - 2.5 v + 1 rests at p = 0.5, a quarter of the range of 2 m from the target.
+    (plane,) = recovery(loops(law(2.0, 2.5, bias=1.0)), torch.tensor([0.5, 0.0]), torch.zeros(1), 0.5, 5, 20.0)
+    assert plane.share == 1.0
+    assert plane.steady_error.tolist() == pytest.approx([0.5], abs=1e-6)

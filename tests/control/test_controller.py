@@ -1,6 +1,7 @@
 """A controller flies a plant exactly as the evaluation of its policy does, and refuses what is no measurement."""
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -260,3 +261,19 @@ def test_it_says_what_it_holds_reads_and_sets():
     gains = {"rate": 0.1}
     watched = Controller(policy, Pace(env.task, 0.02), watching(env), gains)
     assert repr(watched).endswith("with observer and integral action)")
+
+
+def test_a_reference_far_beyond_the_targets_of_the_plan_is_warned_of_once():
+    env, policy = setting()  # planned for -0.2 to 0.6 rad, which span 0.8 rad
+    controller = Controller(policy, env)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        controller.act([0.0, 0.0], [1.39])
+        controller.act([0.0, 0.0], [-0.99])
+    words = r"reference of theta is 1.41; the controller was planned for theta from -0.2 to 0.6 rad"
+    with pytest.warns(UserWarning, match=words) as told:
+        controller.act([0.0, 0.0], [1.41])
+    assert told[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        controller.act([0.0, 0.0], [900.0])

@@ -136,6 +136,7 @@ def test_the_file_tells_names_units_and_period_to_a_reader(tmp_path):
         "observe_rate": True,
         "error_scale": 0.7,
         "box": [pytest.approx(1.8)],
+        "targets": [[-0.5], [1.3]],
         "input_limits": [[-1.0], [1.0]],
     }
     assert record["observer"]["model"]["delay"] == 0.07
@@ -271,3 +272,19 @@ def test_no_network_is_built_before_its_weights_are_there(tmp_path, monkeypatch)
     total = (4 + 1) * 4096 + 4097 * 4096 + 4097
     with pytest.raises(DamagedFileError, match=f"has {total} weights; at most 5000000 are read"):
         load(larger)
+
+
+def test_the_targets_of_the_plan_are_kept_and_a_file_that_has_none_is_read(tmp_path):
+    controller, path = built(), tmp_path / "controller.json"
+    save(controller, path)
+    assert load(path).pace.task.ends == ((-0.5,), (1.3,))
+    record = json.loads(path.read_text())
+    del record["task"]["targets"]
+    path.write_text(json.dumps(record))
+    old = load(path)
+    assert old.pace.task.ends is None and old.targets_in_words() == []
+    np.testing.assert_array_equal(acts(old), acts(controller))
+    record["task"]["targets"] = [[None], [1.3]]
+    path.write_text(json.dumps(record))
+    with pytest.raises(DamagedFileError, match="'None' stands where the end of a target range belongs"):
+        load(path)

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from dynasindy.evaluation.ablation import SUMMARY, Level, gather, read_rows, summarise_run, to_markdown
+from dynasindy.evaluation.ablation import SUMMARY, Level, errors_in_words, gather, read_rows, summarise_run, to_markdown
 from dynasindy.evaluation.given import DamagedFileError
 
 LEVEL = Level(0.05, 3)
@@ -129,7 +129,7 @@ def test_a_run_without_any_axis_never_reaches_the_level():
     assert summarise_run([line] * 3, LEVEL)["episodes_to_level"] is None
 
 
-@pytest.mark.parametrize("settings", [{"error": 0.0}, {"consecutive": 0}])
+@pytest.mark.parametrize("settings", [{"error": 0.0}, {"consecutive": 0}, {"share": 0.0}])
 def test_impossible_levels_are_refused(settings):
     with pytest.raises(ValueError, match="error > 0 rad and a count >= 1"):
         Level(**settings)
@@ -144,8 +144,9 @@ def test_each_cell_of_the_table_is_that_of_its_column():
     assert {k: found[k] for k in ("seeds", "episodes", "reached", "commit")} == {
         "seeds": "2", "episodes": "4 or 12", "reached": "1/2", "commit": "abc or def",
     }  # fmt: skip
-    for n, words in enumerate(SUMMARY.values(), start=1):
-        assert found[words] == ("1, never" if n == 1 else f"{n}, {n}")
+    for n, (name, words) in enumerate(SUMMARY.items(), start=1):
+        shown = f"{n}00" if name == "steady_state_share" else f"{n}"  # per cent
+        assert found[words] == ("1, never" if n == 1 else f"{shown}, {shown}")
 
 
 def test_each_figure_at_the_level_says_so_in_its_heading(tmp_path):
@@ -165,3 +166,51 @@ def test_figures_at_the_end_are_those_of_the_last_evaluation(tmp_path):
     assert (row["real_steps"], row["updates"], row["imagined_transitions"], row["wall_seconds"]) == (1400, 150, 300, 21)
     assert row["area_under_curve"] == pytest.approx(-30.0) and row["final_return"] == pytest.approx(-10.0)
     assert Level() == Level(0.05, 3) and Level(0.05, 1).reached([0.06, 0.05]) == 1
+
+
+def mixed_run(root, setting, errors, known=True, units=("m/s", "rad")):
+    """Make a run of `run_folder` one of a vessel: y within a range of 2 m/s, z of 0.5 rad."""
+    folder = run_folder(root, setting, 0, errors, "vessel")
+    metrics = {"seed": 0, "units": dict(zip(("y", "z"), units))}
+    last = errors[-1]
+    if known:
+        metrics["ranges"] = {"y": 2.0, "z": 0.5}
+    else:  # as older runs have it
+        metrics["held"] = {"share": {"y": last / 2 / 2.0, "z": last / 0.5}}
+        metrics["evaluation"] = {"steady_state_error/y": last / 2, "steady_state_error/z": last}
+    (folder / "metrics.json").write_text(json.dumps(metrics))
+    return folder
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_outputs_in_different_units_are_judged_by_their_share_of_the_target_range(tmp_path, known):
+    # Of z 0.04 is 8 % of 0.5, of y 0.02 is 1 % of 2: the level of 5 % is held at 0.025 and below.
+    mixed_run(tmp_path / "runs", "s", [0.04, 0.04, 0.04, 0.02, 0.025, 0.02, 0.01], known)
+    (row,) = gather(tmp_path / "runs", tmp_path, LEVEL)
+    assert row["episodes_to_level"] == 6 and row["steady_state_share"] == pytest.approx(0.02)
+    assert "steady_state_error" not in row and row["steady_state_error/z"] == 0.01
+    text = (tmp_path / "ablation.md").read_text()
+    assert "at or under 5 % of its target range in 3 evaluations" in text and " rad" not in text and "[rad]" not in text
+    head, _, cells = text.splitlines()[-3:]
+    found = dict(zip(head.strip("| ").split(" | "), cells.strip("| ").split(" | "), strict=True))
+    assert found["steady-state error [% of the target range]"] == "2"
+    lines = read_rows(tmp_path / "ablation_curves.csv")
+    assert [line["steady_state_share"] for line in lines[:4]] == pytest.approx([0.08, 0.08, 0.08, 0.04])
+
+
+def test_a_table_of_both_kinds_of_plants_has_a_column_for_each(tmp_path):
+    run_folder(tmp_path / "runs", "s", 0, [0.04, 0.03])
+    mixed_run(tmp_path / "runs", "s", [0.04, 0.02])
+    gather(tmp_path / "runs", tmp_path, LEVEL)
+    text = to_markdown(read_rows(tmp_path / "ablation.csv"), LEVEL)  # as a later sweep reads it
+    assert "at or under 0.05 rad, where the outputs are not all in rad 5 % of its target range" in text
+    head, _, vessel, angles = text.splitlines()[-4:]
+    place = head.split(" | ").index("steady-state error [rad]")
+    assert [cell.strip() for cell in vessel.split(" | ")][place : place + 2] == ["", "4"]
+    assert [cell.strip() for cell in angles.split(" | ")][place : place + 2] == ["0.03", ""]
+
+
+def test_each_error_is_told_in_its_own_unit():
+    evaluation = {"steady_state_error/psi": 0.01234, "steady_state_error/v": 1.5, "rmse/v": 3.0}
+    assert errors_in_words({"evaluation": evaluation, "units": {"psi": "rad", "v": "m/s"}}) == "0.0123 rad / 1.5 m/s"
+    assert errors_in_words({"evaluation": evaluation, "units": {"psi": "rad", "v": "rad"}}) == "0.0123 / 1.5 rad"

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 import torch
 from scipy.integrate import solve_ivp
+from tensordict.nn import TensorDictModule
 
 from dynasindy.dyna.verdict import judge
 from dynasindy.envs import ControlEnv, LateEnv
 from dynasindy.evaluation import predicted as module
 from dynasindy.evaluation.held import Held
 from dynasindy.evaluation.predicted import Prediction, predict
-from dynasindy.evaluation.scenarios import Scenario
+from dynasindy.evaluation.scenarios import Scenario, evaluate
 from dynasindy.systems import Pendulum, System
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
 
@@ -46,6 +47,17 @@ def test_one_model_that_is_not_held_breaks_it(flights, words):
         raise ValueError(found.words())
     assert found.record()["promised"] is False
     assert len(found.record()["flights"]) == len(flights)
+
+
+def test_it_is_shown_in_a_line_without_its_flights():
+    task = Tracking(Pendulum().signature, Step([[0.2]]), ("theta",), ("Omega",), TrackingReward((1.0,)), max_steps=20)
+    env = ControlEnv(Pendulum(), task)
+    idle = TensorDictModule(lambda seen: 0 * seen[..., :1], ["observation"], ["action"])
+    shown = evaluate(env, idle, Scenario("step", episodes=2))
+    found = Prediction((seen(0.001), None), shown, errors=(0.0123, float("inf")))
+    assert repr(found) == (
+        "Prediction(promised=False, controlled=False, score=inf, 2 models; words() tells what they show)"
+    )
 
 
 def test_a_model_promises_nothing_of_itself():

@@ -19,7 +19,7 @@ from dynasindy.export.compiler import Native
 from dynasindy.export.templates import fill
 from dynasindy.systems import Pendulum, Signature, Stops, Tras, integrate
 from dynasindy.systems.compiler import SUFFIX, build, compiler
-from dynasindy.tasks import Step, Tracking
+from dynasindy.tasks import Step, Tracking, TrackingReward
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 
@@ -274,3 +274,14 @@ def test_names_of_a_file_become_no_code(pendulum, hostile):
         assert "int f()" not in bare and "°" not in text and "*/" not in bare
     assert "controller_x_int = 0" in sources.header and "controller_x_x_y_z__ = 1" in sources.header
     Native(sources)
+
+
+def test_the_header_tells_the_targets_of_the_plan_where_they_are_known():
+    signature = Signature(("h", "v"), ("cm", "cm/s"), ("pump",), (30.0, 5.0))
+    for ends, line in (
+        ({"low": [8.0], "high": [25.0]}, "r: references, planned for h from 8 to 25 cm"),
+        ({}, "r: references"),
+    ):
+        task = Tracking(signature, Step([[9.0]]), ("h",), ("v",), TrackingReward((1.0,)), **ends)
+        controller = Controller(actor(task.n_o, 1, (4,)).requires_grad_(False), Pace(task, 0.1))
+        assert f" * {line}\n" in controller_sources(controller).header

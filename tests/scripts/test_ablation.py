@@ -138,6 +138,23 @@ def test_only_jobs_of_the_present_command_are_counted(tmp_path):
     assert (earlier / "other" / "seed_1" / "error.txt").read_text() == "error: earlier\n"
 
 
+def test_a_finished_run_of_other_settings_stays_untouched_and_the_refusal_lies_beside_it(tmp_path):
+    folder = tmp_path / "runs" / "ablation" / "xi" / "smoke" / "direct" / "seed_1"
+    folder.mkdir(parents=True)
+    (folder / "config.yaml").write_text("system:\n  mass: 25.0\n")
+    (folder / "metrics.json").write_text('{"seed": 1}')
+    words = ("experiment=smoke", "system=xi", "setting=direct", "seed=1", "results=results", "hydra/launcher=basic")
+    before = {file.name: (file.read_bytes(), file.stat().st_mtime_ns) for file in folder.iterdir()}
+    for _ in range(2):  # the line of an earlier command does not hide that of the next
+        command = [sys.executable, str(SCRIPT), *words]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+        assert {file.name: (file.read_bytes(), file.stat().st_mtime_ns) for file in folder.iterdir()} == before
+        assert done.returncode == 2
+        (line,) = [line for line in done.stderr.splitlines() if "refused" in line]
+        assert line.startswith("error: 1 jobs were refused") and line.endswith("direct/seed_1.error.txt")
+    assert "holds a run of other settings" in folder.with_name("seed_1.error.txt").read_text()
+
+
 def test_a_table_that_cannot_be_read_is_one_line_before_the_first_job(tmp_path):
     (tmp_path / "results").mkdir()
     (tmp_path / "results" / "ablation.csv").write_text("\n")

@@ -92,3 +92,16 @@ def test_cells_of_a_table_do_not_choose_where_figures_go(tmp_path, changed):
 def test_a_setting_with_signs_of_mathematics_is_drawn_as_it_stands(tmp_path):
     write_rows(tmp_path / "ablation_curves.csv", hostile_rows(setting="$\\frac{$,x=<b>"))
     assert draw_ablation(tmp_path, 0.05)
+
+
+def test_errors_of_outputs_in_several_units_are_drawn_as_per_cent_of_the_target_range(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr("dynasindy.viz.ablation.save", lambda figure, *_: drawn.append(figure) or [])
+    rows = [row for n in (1, 2) for row in hostile_rows(episode=n, steady_state_share=0.4 / n)]
+    write_rows(tmp_path / "ablation_curves.csv", [*rows, *({**row, "setting": "rollouts_800"} for row in rows)])
+    draw_ablation(tmp_path, 0.05, share=0.1)
+    for axis, label in ((drawn[1].axes[0], "800 rollouts"), (drawn[2].axes[0], "a (1 seed)")):
+        lines = {line.get_label(): list(line.get_ydata()) for line in axis.lines}
+        assert lines["required: at most 10 % of the target range"] == [10.0, 10.0]
+        assert next(ends for name, ends in lines.items() if name.startswith(label)) == pytest.approx([40.0, 20.0])
+        assert "worse axis [% of range]" in axis.get_ylabel() and "rad" not in axis.get_ylabel()

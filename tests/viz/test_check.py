@@ -33,7 +33,10 @@ def test_the_figures_of_a_check_name_their_targets():
     assert sorted(loops) == ["$p$ = -0.4 m", "$p$ = 0 m", "$p$ = 0.4 m"]
     assert figures["steps"].get_suptitle() == "Step from the origin to $p$ = -0.4 m, the farthest target"
     told = " ".join(figures["recovery"].get_suptitle().split())
-    assert "comes back to $p$ = 0 m: within 5 s to 5 % of each output's range (asked for: 90 % of them)" in told
+    assert (
+        "comes back to its rest at $p$ = 0 m: within 5 s to 5 % of each output's range (asked for: 90 % of them)"
+        in told
+    )
     assert figures["coefficients"].get_suptitle().endswith("at the worst of 3 targets")
 
 

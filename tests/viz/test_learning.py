@@ -1,6 +1,7 @@
 """Learning figures: the statistics they draw against hand-computed ones."""
 
 import numpy as np
+import pytest
 
 from dynasindy.viz import average_rewards, learning_curve
 from dynasindy.viz.learning import moving_mean
@@ -45,6 +46,20 @@ def test_a_logarithmic_axis_is_for_returns_that_differ_much_and_says_so() -> Non
     assert axis(-100.0).get_yscale() == "linear"
     assert axis(-20.0).get_yscale() == axis(5.0).get_yscale() == "symlog"
     assert axis(-20.0).get_ylabel() == "return, logarithmic beyond 10 [-]"
+
+
+@pytest.mark.parametrize("ends", [(-12.0, -600.0), (-15.0, -900.0), (-20.0, -700.0), (-1.0, -600.0), (20.0, 900.0)])
+def test_a_logarithmic_axis_has_three_ticks_with_labels_that_say_where_they_are(ends):
+    figure = average_rewards({"a": [list(ends)]}, window=1, log=True)
+    (axis,) = figure.axes
+    figure.canvas.draw()
+    low, high = axis.get_ylim()
+    shown = {
+        tick: text.get_text() for tick, text in zip(axis.get_yticks(), axis.get_yticklabels()) if low <= tick <= high
+    }
+    assert axis.get_yscale() == "symlog" and len(shown) >= 3
+    if not any("mathdefault" in text for text in shown.values()):  # which matplotlib writes for powers of ten
+        assert [float(text.replace("\u2212", "-")) for text in shown.values()] == list(shown)
 
 
 def test_the_legend_says_which_lines_are_single_seeds_where_both_stand_together() -> None:

@@ -1,0 +1,37 @@
+"""The lines of docs/check.md that check a controller from Python run, and print what the command prints."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from dynasindy.checking import Settings, check, verdict
+
+REPOSITORY = Path(__file__).parents[1]
+PAGE = (REPOSITORY / "docs" / "check.md").read_text()
+(BLOCK,) = re.findall(r"```python\n(.*?)```", PAGE, re.S)
+
+
+def test_the_lines_of_the_page_run(monkeypatch, capsys):
+    monkeypatch.chdir(REPOSITORY)
+    names = {}
+    exec(compile(BLOCK, "docs/check.md", "exec"), names)
+    printed = capsys.readouterr().out.splitlines()
+    told = re.findall(r"^\* \*\*(.+?)\.\*\*", PAGE, re.M)
+    said = [line.split(":")[0].split(maxsplit=1)[1].lower() for line in printed]
+    assert set(said) <= {name.lower() for name in told}
+    assert 1.0 < names["gain"] < float("inf")  # a stable loop bears a little more gain
+
+
+def test_half_the_step_gives_the_same_margin(monkeypatch):
+    monkeypatch.chdir(REPOSITORY)
+    names = {}
+    exec(compile(BLOCK.split("settings = ")[0], "docs/check.md", "exec"), names)
+    loop, plant, controller = names["Loop"], names["Plant"], names["controller"]
+    settings = Settings((0.1, 0.1), (0.1, 0.1), points=1, grid=2, draws=0, seconds=1.0)
+    gains = []
+    for step in (names["step"], names["step"] / 2):
+        found = check(loop(controller, plant(names["model"], controller.dt, step)), settings)
+        assert verdict(found)
+        gains.append([each.gain for each in found.margins[0]])
+    assert gains[0] == pytest.approx(gains[1], rel=1e-3)
