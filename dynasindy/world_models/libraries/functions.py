@@ -206,9 +206,8 @@ def of_two(name: str, sign: str) -> str:
     if function(name).n_variables not in (1, None) or (name in _BUILT_IN and name not in _EVERYWHERE):
         raise ValueError(
             f"function {name!r} takes no sum and no difference of two variables; those that do are sin, cos, "
-            f"{', '.join(_EVERYWHERE)}, and each function of your own of one argument: for a root, write such as "
-            'flow: "{0} / sqrt(larger(fabs({0}), 0.001))" into plant.functions, or call register_function in Python, '
-            f"and flow(a {sign} b) into the library"
+            f"{', '.join(_EVERYWHERE)}, and each function of your own of one argument. For a root of either sign, "
+            f"{_ways('flow', '{0} / sqrt(larger(fabs({0}), 0.001))')}; then flow(a {sign} b) is one of the library"
         )
     return f"{name}__{ending}"
 
@@ -263,8 +262,15 @@ def function(name: str) -> Function:
     if (plain := of_one(name)) in _REGISTRY and (plain not in _BUILT_IN or plain in _EVERYWHERE):
         return _turned(_REGISTRY[plain], name, _SIGNS[name[-5:]])
     raise FunctionError(
-        f"function {plain!r} is not known; allowed are {', '.join(sorted(_REGISTRY))}: write one of your own into "
-        f'plant.functions, such as {{{plain}: "{{0}} / (1 + fabs({{0}}))"}}; in Python, call '
-        f"register_function({plain!r}, ...), or import the module that does, before building or loading. With its "
-        "formula=, a model that is saved then takes the function with it"
+        f"function {plain!r} is not known; allowed are {', '.join(sorted(_REGISTRY))}. If it is one of your own, "
+        f"{_ways(plain, '{0} / (1 + fabs({0}))')}, or import the module that does, before building or loading. A model "
+        "that is saved takes functions with a formula with it"
+    )
+
+
+def _ways(name: str, formula: str) -> str:
+    """Say how a user registers a function, in the settings of a command and in Python."""
+    return (
+        f'write it into plant.functions, such as {{{name}: "{formula}"}}; in Python, call register_function({name!r}, '
+        f"..., formula={formula!r})"
     )
