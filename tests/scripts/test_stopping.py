@@ -249,6 +249,31 @@ def test_a_full_disk_costs_one_line_and_no_good_checkpoint(tmp_path, size, whole
     assert kept(tmp_path / "run") == expected
 
 
+FICKLE = """
+import os, signal
+from pathlib import Path
+from dynasindy.systems import Xi
+class Fickle(Xi):
+    def forward(self, x, u):
+        if any(Path("run").glob("checkpoints/*.pt")) and not Path("stopped").exists():
+            Path("stopped").touch()
+            os.kill(os.getpid(), signal.SIGINT)
+        return super().forward(x, u)
+"""
+
+
+def test_a_run_with_a_class_of_the_user_s_own_goes_on_by_the_command_that_is_printed(tmp_path, monkeypatch):
+    (tmp_path / "fickle.py").write_text(FICKLE)
+    monkeypatch.syspath_prepend(tmp_path)
+    words = [*EXPERIMENTS["default"], *SMALL, "system._target_=fickle.Fickle", "hydra.run.dir=run"]
+    assert wait(fork(words, tmp_path)) == 130, (tmp_path / "output").read_text()
+    (command,) = re.findall(r"go on with (.*) \(with finish=true", (tmp_path / "output").read_text())
+    python, script, *again = shlex.split(command)
+    assert (python, script) == ("python", "scripts/train.py") and "plugins=[fickle]" in again
+    assert wait(fork(again, tmp_path)) == 0, (tmp_path / "output").read_text()
+    assert wait(fork([word for word in again if "plugins" not in word], tmp_path)) == 2
+
+
 def test_a_signal_during_the_imports_costs_one_line(tmp_path):
     command = [sys.executable, str(ROOT / "scripts" / "train.py"), "experiment=smoke"]
     child = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
