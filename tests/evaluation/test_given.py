@@ -86,7 +86,7 @@ def test_the_file_that_is_damaged_is_named_once():
 
 
 def test_a_file_that_needs_a_function_is_not_called_damaged():
-    with pytest.raises(FunctionError, match="^function 'nowhere' is not known"), understood("file"):
+    with pytest.raises(FunctionError, match=r"^function 'nowhere' is not known"), understood("file"):
         function("nowhere")
 
 

@@ -188,6 +188,22 @@ def test_what_all_jobs_of_an_ablation_share_is_checked_before_the_first(tmp_path
     assert not list(tmp_path.rglob("config.yaml"))
 
 
+def test_a_task_that_no_job_of_a_sweep_could_build_is_told_before_the_first(tmp_path):
+    box = ("plant.outputs=[alpha_a,omega_a]", "plant.low=[-1,-1]", "plant.high=[1,1]")
+    assert wait(fork(["-m", "seed=1,2", *SMALL[1:], "system=tras", *box, "plant.rates=[Omega_a]"], tmp_path)) == 2
+    lines = (tmp_path / "output").read_text().strip().splitlines()
+    assert len(lines) == 1 and "null stands for the rate of an output that has none" in lines[0], lines
+    assert not list(tmp_path.rglob("config.yaml")) and not list(tmp_path.rglob("error.txt"))
+
+
+def test_a_sweep_in_which_tasks_differ_leaves_each_to_its_job(tmp_path):
+    rates = "plant.rates=[Omega_a],[Omega_a,null]"
+    box = ("plant.outputs=[alpha_a,omega_a]", "plant.low=[-1,-1]", "plant.high=[1,1]", "train.episodes=1")
+    assert wait(fork(["-m", *EXPERIMENTS["default"], *SMALL[1:], "system=tras", *box, rates], tmp_path)) == 2
+    assert "error: 1 jobs failed" in (tmp_path / "output").read_text()
+    assert len(list(tmp_path.rglob("metrics.json"))) == 1
+
+
 def workers(folder):
     """Return the processes that work below a folder."""
     found = []
