@@ -50,7 +50,16 @@ class Function:
 
 
 class FunctionError(ValueError):
-    """A function is needed that is not known here, or is another one here; what needs it is not damaged for that."""
+    """A function is needed that is not known here, or is another one here; what needs it is not damaged for that.
+
+    Args:
+        told: The message.
+        missing: Name of the function, if it is not known.
+    """
+
+    def __init__(self, told: str, missing: str = "") -> None:
+        super().__init__(told)
+        self.missing = missing
 
 
 FORMULA_FUNCTIONS = ("sin", "cos", "exp", "tanh", "sqrt", "fabs", "sign", "square", "larger")
@@ -263,8 +272,8 @@ def function(name: str) -> Function:
         return _turned(_REGISTRY[plain], name, _SIGNS[name[-5:]])
     raise FunctionError(
         f"function {plain!r} is not known; allowed are {', '.join(sorted(_REGISTRY))}. If it is one of your own, "
-        f"{_ways(plain, '{0} / (1 + fabs({0}))')}, or import the module that does, before building or loading. A model "
-        "that is saved takes functions with a formula with it"
+        f"{_ways(plain, '{0} / (1 + fabs({0}))')}, or import the module that does, before the library is built",
+        missing=plain,
     )
 
 

@@ -114,7 +114,14 @@ def understand(data: object, path: str | Path) -> tuple[Library, Tensor, Constra
     try:
         return _model(data)
     except FunctionError as error:
-        raise FunctionError(f"{path} cannot be used here: {error}") from error
+        why = f"{path} cannot be used here: {error}"
+        if name := error.missing:
+            why = (
+                f"{path} uses the function {name!r}, which was saved without a formula and is not known here; in "
+                f"Python, call register_function({name!r}, ...), or import the module that does, before loading. So "
+                f"that commands can read it, too, save it again after register_function({name!r}, ..., formula=...)"
+            )
+        raise FunctionError(why, error.missing) from error
     except (ArithmeticError, AttributeError, IndexError, KeyError, RuntimeError, TypeError) as error:
         raise ValueError(
             f"{path} is damaged ({type(error).__name__}: {error}); allowed is a file that "

@@ -188,7 +188,9 @@ def test_a_function_without_a_formula_is_missed_and_nothing_is_called_damaged(mo
     register_function("secret", torch.erf)
     of_tanks("secret(h1 - h2)").save(tmp_path / "model.json")
     another_process(monkeypatch)
-    with pytest.raises(FunctionError, match=r"model.json.*'secret' is not known.*register_function\('secret'") as error:
+    with pytest.raises(
+        FunctionError, match=r"model.json uses the function 'secret', .*register_function\('secret'"
+    ) as error:
         SindyModel.load(tmp_path / "model.json")
     assert "damaged" not in str(error.value)
 
