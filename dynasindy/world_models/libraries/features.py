@@ -198,7 +198,7 @@ def variable(name: str, power: int = 1) -> Feature:
 def of(function_name: str, *variables: str, power: int = 1, frequency: float = 1.0, fitted: bool = False) -> Feature:
     """Return a function of states or inputs as a feature, e.g. `of("sin", "alpha_p")`."""
     guess = frequency if fitted else 0.0
-    return Feature((Factor(variables, function(function_name).name, power, frequency, guess),))
+    return Feature((_checked(Factor(variables, function(function_name).name, power, frequency, guess)),))
 
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"

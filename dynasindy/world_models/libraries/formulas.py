@@ -77,15 +77,8 @@ def register_formula(name: str, formula: str) -> Function:
         told = known.given or "which is not of a formula"
         raise FunctionError(f"function {name!r} is another function here, {told}; give yours another name")
     tree = _read(name, formula)
-    n = len(_places(_written(tree)))
-
-    def compute(*arguments: Tensor) -> Tensor:
-        if len(arguments) != n:
-            raise TypeError(f"function {name!r} takes {n} arguments and got {len(arguments)}; correct the library")
-        return _value(tree, arguments)
-
     # What was given is not kept for other languages: its tree is written anew, from numbers and known names alone.
-    return keep(replace(register_function(name, compute, formula=_written(tree)), given=formula))
+    return keep(replace(register_function(name, lambda *z: _value(tree, z), formula=_written(tree)), given=formula))
 
 
 def texts(names: Iterable[str]) -> dict[str, str]:
