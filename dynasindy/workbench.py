@@ -105,7 +105,8 @@ def read(
     columns: list[dict[str, Any] | list[str] | None] = []
     for given in (states, inputs):
         columns.append(None if given is None else dict(given) if isinstance(given, Mapping) else list(given))
-    return Source.of(Logged(str(path), columns[0], columns[1], time, dt).recording(None), validation_share)
+    source = Source.of(Logged(str(path), columns[0], columns[1], time, dt).recording(None), validation_share)
+    return replace(source, notes=tuple(map(as_arguments, source.notes)))
 
 
 @_arguments_named()

@@ -4,6 +4,7 @@ A run folder may be anybody's. What a user composes himself, from conf/ or --con
 """
 
 import inspect
+import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,8 +22,10 @@ ROOMS = ("systems", "tasks", "envs", "excitation", "world_models", "planning", "
 BESIDES = ("evaluation.scenarios", "evaluation.disturbances", "evaluation.ablation", "dyna.parts")
 BUILDERS = ("dynasindy.world_models.libraries.named", "dynasindy.evaluation.scenarios.step_references")
 """Where the parts of an experiment are classes, and where they are functions."""
+FOREIGN = ("Foreign", "GymnasiumEnv")
+"""Parts that look an environment up by its id."""
 PLUGINS = "DYNASINDY_PLUGINS"
-"""Environment variable that names packages of plug-ins, with spaces between them."""
+"""Environment variable that names packages of plug-ins, with commas or spaces between them."""
 
 
 def read_config(file: Path) -> DictConfig:
@@ -53,6 +56,32 @@ def read_config(file: Path) -> DictConfig:
     return config
 
 
+def trusted(plugins: str | Sequence[str] = ()) -> list[str]:
+    """Return the packages of plug-ins that the user names, in `plugins` and in the environment.
+
+    Args:
+        plugins: What the command was given.
+    """
+    named = [plugins] if isinstance(plugins, str) else list(plugins)
+    return [name for name in re.split(r"[,\s]+", ",".join([*named, os.environ.get(PLUGINS, "")])) if name]
+
+
+def packages(node: Any) -> list[str]:
+    """Return the packages beside dynasindy of which settings name parts, which have to be trusted to read them again.
+
+    Args:
+        node: Settings as plain containers.
+    """
+    found: set[str] = set()
+    if isinstance(node, Mapping) and not _is_dtype(node):
+        found.add(str(node.get("_target_", "dynasindy")).partition(".")[0])
+        if str(node.get("_target_")).rpartition(".")[2] in FOREIGN and ":" in str(node.get("id")):
+            found.add(str(node["id"]).partition(":")[0].partition(".")[0])
+    for value in node.values() if isinstance(node, Mapping) else node if isinstance(node, list) else ():
+        found.update(packages(value))
+    return sorted(found - {"dynasindy"})
+
+
 def check(node: Any, plugins: Sequence[str] = (), where: str = "config.yaml") -> None:
     """Refuse settings that would build anything but a part of the package or of a plug-in.
 
@@ -73,7 +102,7 @@ def check(node: Any, plugins: Sequence[str] = (), where: str = "config.yaml") ->
             raise ValueError(f"{where} has _partial_: {node['_partial_']!r}; allowed are true and false: correct it")
         if "_target_" in node and not _is_dtype(node):
             _check_target(node["_target_"], plugins, where)
-        if str(node.get("_target_")).rpartition(".")[2] in ("Foreign", "GymnasiumEnv"):
+        if str(node.get("_target_")).rpartition(".")[2] in FOREIGN:
             _check_foreign(node, plugins, where)
     for value in node.values() if isinstance(node, Mapping) else node if isinstance(node, list) else ():
         check(value, plugins, where)
@@ -88,7 +117,7 @@ def _check_foreign(node: Mapping[Any, Any], plugins: Sequence[str], where: str) 
     if colon and module.partition(".")[0] not in plugins:
         raise ValueError(
             f"{where} has env.id: {str(node['id'])[:60]!r}, which imports {module[:40]!r}; name it if you trust it, "
-            f"as by {PLUGINS}={module[:40]}"
+            f"as by plugins=[{module[:40]}] or {PLUGINS}={module[:40]}"
         )
     options = node.get("options") or {}
     values = options.values() if isinstance(options, Mapping) else [options]
@@ -111,7 +140,10 @@ def _check_target(target: Any, plugins: Sequence[str], where: str) -> None:
 
     Nothing outside the admitted packages is imported to find out.
     """
-    advice = f"allowed are parts of dynasindy, and of plug-ins that you trust and name, as by {PLUGINS}=PACKAGE"
+    advice = (
+        "allowed are parts of dynasindy, and of plug-ins that you trust and name, as by plugins=[PACKAGE,OTHER] or "
+        f"{PLUGINS}=PACKAGE,OTHER" + (f"; named are {', '.join(plugins)[:100]}" if plugins else "")
+    )
     shown = repr(target)[:100]
     if not isinstance(target, str) or not re.fullmatch(r"[^\W\d_]\w*(\.[^\W\d_]\w*)+", target):
         raise ValueError(f"{where} has _target_: {shown}, which is no name of a part; {advice}")

@@ -1,5 +1,6 @@
 """What the scripts that train share: one run of Algorithm 1 from a composed config."""
 
+import shlex
 import subprocess
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, fields
@@ -7,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from admitted import packages
 from command import CONF
 from commands import IN_CLONE, called
 from hydra.core.hydra_config import HydraConfig
@@ -31,12 +33,14 @@ class Done:
         metrics: What its `metrics.json` holds.
         before: Whether it had ended before.
         enough: Whether the policy is better than the untrained one and controls the plant, if it is to; or need not.
+        trusting: Word of the command line that names the packages of the user's own parts; none where there are none.
     """
 
     recipe: Recipe
     metrics: dict[str, Any]
     before: bool
     enough: bool
+    trusting: tuple[str, ...] = ()
 
 
 def run_job(cfg: DictConfig, progress: bool = True) -> Done:
@@ -60,12 +64,14 @@ def run_job(cfg: DictConfig, progress: bool = True) -> Done:
     if progress:
         print(f"Run folder: {cfg.folder}", flush=True)
     known = result(Path(cfg.folder), recipe.train.episodes) is not None
-    saving = Saving(**cfg.checkpoint, again=called("train"))
+    own = packages(OmegaConf.to_container(cfg, resolve=True))
+    trusting = (f"plugins=[{','.join(own)}]",) if own else ()
+    saving = Saving(**cfg.checkpoint, again=" ".join([called("train"), *map(shlex.quote, trusting)]))
     with device:
         metrics = run(recipe, evaluating, Path(cfg.folder), provenance, saving, progress, cfg.finish)
     usable = metrics["verdict"]["usable"] or not cfg.evaluation.must_improve
     controlled = metrics["verdict"].get("controlled") is not False or not cfg.evaluation.get("must_control", False)
-    return Done(recipe, metrics, known, usable and controlled)
+    return Done(recipe, metrics, known, usable and controlled, trusting)
 
 
 def _device(name: str) -> AbstractContextManager[None]:

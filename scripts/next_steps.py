@@ -29,9 +29,16 @@ def listed(*lines: str) -> str:
     return "\n".join(["next:", *(f"  {line}" for line in lines)])
 
 
-def following(folder: object, *names: str) -> str:
-    """Return what to do next with a run: a command a line, which can be copied, and what comes of it."""
-    return listed(*(f"{_of_run(name, folder)}  # {NEXT[name]}" for name in names))
+def following(folder: object, *names: str, trusting: Sequence[str] = ()) -> str:
+    """Return what to do next with a run: a command a line, which can be copied, and what comes of it.
+
+    Args:
+        folder: Run folder.
+        names: Commands.
+        trusting: Word that names the packages of the user's own parts, for the command that builds them.
+    """
+    words = {"evaluate": "".join(f" {shlex.quote(word)}" for word in trusting)}
+    return listed(*(f"{_of_run(name, folder)}{words.get(name, '')}  # {NEXT[name]}" for name in names))
 
 
 def after_flights(folder: object, words: Sequence[str]) -> str:

@@ -1,14 +1,13 @@
 """Finished runs, loaded again: the environment they were made for and the policy they found."""
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import hydra
 import torch
-from admitted import PLUGINS, check, read_config
+from admitted import check, read_config, trusted
 from commands import called
 from hydra.core.global_hydra import GlobalHydra
 from hydra.utils import instantiate
@@ -49,9 +48,7 @@ def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
             f"{folder} is that of a session on a rig, so there is no simulated plant to fly; {called('check')} "
             f"run={folder} tells what its controller does on the model, {called('rig')} folder={folder} flies again"
         )
-    named = [plugins] if isinstance(plugins, str) else list(plugins)
-    named += os.environ.get(PLUGINS, "").split()
-    check(OmegaConf.to_container(config, resolve=False), named, str(file))
+    check(OmegaConf.to_container(config, resolve=False), trusted(plugins), str(file))
     if absent := [part for part in ("system", "task", "env", "agent", "plant") if not config.get(part)]:
         raise ValueError(f"{file} is not of a run, it has no {absent[0]}; give a folder that train.py printed")
     register_functions(config)

@@ -29,7 +29,7 @@ class Plant(TypedDict):
 
     Attributes:
         outputs: States that are to be held at targets.
-        rates: The rate of each output, whose changes cost.
+        rates: The rate of each output, whose changes cost; null for an output without one.
         start: Where episodes begin: state to value, or to the two ends of a range.
         bounds: Limits that end an excitation or a real episode, by state.
         low: Lower ends of the targets, one per output [unit of the output].
@@ -43,7 +43,7 @@ class Plant(TypedDict):
     """
 
     outputs: list[str]
-    rates: list[str]
+    rates: list[str | None]
     start: dict[str, float | list[float]] | None
     bounds: dict[str, float | list[float]]
     low: list[float]

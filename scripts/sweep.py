@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryFile
 
+from command import swept
 from hydra.core.hydra_config import HydraConfig
 from hydra.experimental.callback import Callback
 from hydra.utils import instantiate
@@ -22,6 +23,10 @@ class Checking(Callback):
         except MENDABLE as error:
             print(f"error: {in_words(error, 'ablation')}", file=sys.stderr)
             sys.exit(2)  # Hydra makes warnings of other exceptions
+
+
+PARTS = ("system", "task", "plant", "experiment", "setting")
+"""Groups that a task is made of; where jobs differ in them, each has a task of its own."""
 
 
 def require_targets(cfg: DictConfig) -> None:
@@ -48,10 +53,15 @@ def _check(config: DictConfig) -> None:
             "hydra/launcher=submitit_slurm found no srun; it needs a machine that submits to SLURM: choose "
             "hydra/launcher=joblib, or submitit_local"
         )
+    different = {word.lstrip("+~").partition(".")[0].partition("@")[0] for word in swept(config.hydra)}
     with open_dict(config):
         config.folder = ""  # each job has its own
         del config.hydra
     check(config)
+    # The task of a log is completed from the log, by the job.
+    logged = config.get("data") is not None or config.get("model") is not None or config.get("resume") is not None
+    if config.get("system") is not None and config.get("task") is not None and not (logged or different & {*PARTS}):
+        instantiate(config.task, _convert_="all")(signature=instantiate(config.system, _convert_="all").signature)
     if "level" in config:
         instantiate(config.level)
         results = Path(config.results)

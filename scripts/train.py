@@ -46,7 +46,7 @@ def main(cfg: DictConfig) -> float:
         if done.metrics["verdict"].get("controlled") is False:
             print(mending(folder, HydraConfig.get().overrides.task, done.recipe.train.episodes, written))
         else:
-            print(following(folder, "evaluate", *(("check", "export") if written else ())))
+            print(following(folder, "evaluate", *(("check", "export") if written else ()), trusting=done.trusting))
     if not (done.enough or swept):
         sys.exit(1)
     return max(shares, default=math.inf)

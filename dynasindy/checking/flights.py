@@ -129,7 +129,7 @@ def recovery(loop: Loop, x: Tensor, r: Tensor, reach: float, points: int, second
     """
     task, signature = loop.task, loop.signature
     # A plant of the first order has no rates.
-    pairs = list(zip(task.outputs, task.rates, strict=True)) if task.rates else []
+    pairs = [(task.outputs[k], rate) for k, rate in zip(task.rated, task.rates, strict=True)]
     pairs += [(a, b) for k, a in enumerate(task.outputs) for b in task.outputs[k + 1 :]]
     if not pairs:
         pairs = [(a, b) for a in task.outputs for b in range(signature.n_x) if a != b][:1]

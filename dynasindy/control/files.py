@@ -68,7 +68,7 @@ def save(controller: Controller, path: str | Path) -> None:
             "substeps": moved.substeps,
             "stops": _ends(moved.stops),
             "outputs": list(task.output_names),
-            "rates": [controller.signature.state_names[i] for i in task.rates],
+            "rates": task.rate_names,
             "observe_rate": task.observe_rate,
             "error_scale": task.error_scale,
             "box": task.boxes().tolist(),

@@ -13,13 +13,15 @@ MAPS = re.compile(r"'(data\.states|data\.inputs|plant\.known)=(\{[^']*\})'")
 """Settings that are maps, in the quotation marks of a shell."""
 TAKEN_BY = {"data.states": "read(states=", "data.inputs": "read(inputs=", "plant.known": "identify(known="}
 NUMBER = re.compile(r"[-+]?[\d.]+(?:e[-+]?\d+)?")
+OTHERWISE = re.compile(r"write it into plant\.functions, [^;]*; in Python, ")
+"""A way that only commands have, before the one of Python."""
 KIND = re.compile(r"^(?:hint|note|warning): ")
 """What a line of a command begins with, where Python has a word of its own."""
 
 
 def as_arguments(told: str) -> str:
     """Return a message in which settings of the commands are arguments in Python, maps being dictionaries."""
-    return SETTINGS.sub("", MAPS.sub(_call, told))
+    return SETTINGS.sub("", MAPS.sub(_call, OTHERWISE.sub("", told)))
 
 
 def as_warning(told: str) -> str:

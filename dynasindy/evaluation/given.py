@@ -15,6 +15,8 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
+from dynasindy.world_models.libraries.functions import FunctionError
+
 LARGEST = 100_000_000
 """Size beyond which no file is read [bytes]; the longest log of the paper's experiment has a hundredth of it."""
 LONGEST = 200
@@ -30,11 +32,12 @@ def understood(source: Path | str) -> Iterator[None]:
     """Say in one line that a file is damaged, where what it holds is not what the code within expects.
 
     Raises:
-        DamagedFileError: It is; a file that is missing keeps its own error.
+        DamagedFileError: It is; a file that is missing keeps its own error, and so does one of a function that is not
+            known here.
     """
     try:
         yield
-    except (DamagedFileError, FileNotFoundError):
+    except (DamagedFileError, FileNotFoundError, FunctionError):
         raise
     except KeyError as missing:
         raise _damaged(source, f"it lacks {missing}") from missing

@@ -107,6 +107,7 @@ def _flags(controller: Controller) -> set[str]:
         *(["integral"] if controller.integral is not None else []),
         *(["observe_rate"] if task.observe_rate else []),
         *(["rates"] if task.rates else []),
+        *(["all_rates" if len(task.rates) == task.n_r else "some_rates"] if task.rates else []),
     }
 
 
@@ -160,9 +161,10 @@ def _tables(controller: Controller) -> str:
     names = zip(("least", "most"), task.input_limits.tolist(), strict=True)
     tables += [f"/* Of the inputs. */\nstatic const double {name}[NU] = {{{joined(v)}}};" for name, v in names]
     if controller.integral is not None and task.rates:
-        tables.append(
-            f"static const int output_rate[NR] = {{{', '.join(map(str, task.rates))}}}; /* and their rates */"
-        )
+        of_output = dict(zip(task.rated, task.rates, strict=True))
+        places = ", ".join(str(of_output.get(k, -1)) for k in range(task.n_r))
+        told = "and their rates" if len(of_output) == task.n_r else "and their rates, -1 where there is none"
+        tables.append(f"static const int output_rate[NR] = {{{places}}}; /* {told} */")
     return "\n".join(tables) + "\n"
 
 

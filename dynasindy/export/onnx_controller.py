@@ -115,7 +115,11 @@ def _acted(
         seen[1] = seen[1] + graph.put("Cast", kept["sum"] / task.error_scale, to=1)
         moving = graph.constant(np.zeros(len(box)))
         if task.rates:
-            moving = (rate - _picked(graph, x, task.rates)) / (box * action.rate)
+            of_output = dict(zip(task.rated, task.rates, strict=True))
+            places = [of_output.get(k, place) for k, place in enumerate(task.outputs)]
+            moving = (rate - _picked(graph, x, places)) / (box * action.rate)
+            if len(of_output) < task.n_r:  # an output without a rate tells nothing of its motion
+                moving = moving * np.array([float(k in of_output) for k in range(task.n_r)])
         inside = graph.put("Cast", graph.put("Less", graph.put("Abs", error), action.band), to=11)
         total = kept["sum"] + inside * error * (action.gain * action.dt) / (moving * moving + 1.0)
         later["sum"] = graph.put("Max", graph.put("Min", total, action.limit), -action.limit)

@@ -66,9 +66,10 @@ class IntegralAction:
         shift = (self.integral / task.error_scale).to(observation)
         observation[..., task.error_columns] += shift
         seen["observation"] = observation
-        moving = torch.zeros_like(error)  # a plant without rates tells nothing of its motion
+        moving = torch.zeros_like(error)  # an output without a rate tells nothing of its motion
         if task.rates:
-            moving = (references.rate(params, t) - x[..., task.rates]) / box / self.rate
+            slowness = references.rate(params, t)[..., task.rated] - x[..., task.rates]
+            moving[..., task.rated] = slowness / box[..., task.rated] / self.rate
         steady = (error.abs() < self.band) / (1 + moving.square())
         self.integral = (self.integral + self.gain * self.dt * steady * error).clamp(-self.limit, self.limit)
         return tensordict.set("action", self.policy(seen)["action"])

@@ -62,7 +62,7 @@ class TrackingReward:
 
         Args:
             error: Tracking errors at its end [rad], `(*batch, n_r)`.
-            rate_change: Change of the rates over it [rad/s], `(*batch, n_r)`.
+            rate_change: Change of the rates over it [rad/s], `(*batch, n)`; an output may have none.
             at_stop: Whether a stop was touched in it, bool `(*batch,)`.
 
         Returns:

@@ -34,7 +34,8 @@ class Tracking(Task):
         signature: Names and ranges of the system's states and inputs.
         reference: Distribution of references.
         outputs: Names of the tracked states.
-        rates: Names of their rates, whose changes the reward damps; none for a first-order plant.
+        rates: Names of their rates, whose changes the reward damps; None for an output without one, and nothing for a
+            first-order plant.
         reward: Reward of a control period.
         max_steps: Control periods per episode (paper: 400).
         observe_rate: Append the rates of the reference to the observation, for moving references.
@@ -60,7 +61,7 @@ class Tracking(Task):
         signature: Signature,
         reference: Reference,
         outputs: Sequence[str] = ("alpha_a", "alpha_p"),
-        rates: Sequence[str] = ("Omega_a", "Omega_p"),
+        rates: Sequence[str | None] = ("Omega_a", "Omega_p"),
         reward: TrackingReward | None = None,
         max_steps: int = 400,
         observe_rate: bool = False,
@@ -83,12 +84,14 @@ class Tracking(Task):
             raise ValueError(
                 f"outputs {list(outputs)}, rates {list(rates)}, {reference.n_r} references and "
                 f"{len(reward.error_weights)} reward.error_weights must be equally many, but for rates, of which there "
-                "may be none, and weights, one of which serves all; complete the task"
+                "may be none at all, and weights, one of which serves all; complete plant.outputs and plant.rates, in "
+                "which null stands for the rate of an output that has none, as in rates: [r, null]"
             )
         if not error_scale > 0:
             raise ValueError(f"error_scale must be positive, got {error_scale}; give it in ranges of the targets")
         for key, names in (("outputs", outputs), ("rates", rates)):
-            if absent := [name for name in names if name not in signature.state_names]:
+            allowed = (*signature.state_names, *([None] if key == "rates" else []))
+            if absent := [name for name in names if name not in allowed]:
                 raise ValueError(
                     f"state '{absent[0]}' does not exist; the states are {', '.join(signature.state_names)}: correct "
                     f"task.{key}, or plant.{key} from which it is copied"
@@ -96,7 +99,8 @@ class Tracking(Task):
         self.begins = bool(start)
         self.output_names = tuple(outputs)
         self.outputs = [signature.state_index(name) for name in outputs]
-        self.rates = [signature.state_index(name) for name in rates]
+        self.rated = [k for k, name in enumerate(rates) if name is not None]
+        self.rates = [signature.state_index(name) for name in rates if name is not None]
         self.references = reference
         self.reward_function = reward
         self.observe_rate = observe_rate
@@ -110,6 +114,12 @@ class Tracking(Task):
         self.fence = 0.0
         self.followers: Mapping[int, int] = {}
         self._given = set(start or {})
+
+    @property
+    def rate_names(self) -> list[str | None]:
+        """Names of the rates of the outputs, None for an output without one; empty where none has one."""
+        names = {k: self.signature.state_names[place] for k, place in zip(self.rated, self.rates, strict=True)}
+        return [names.get(k) for k in range(self.n_r)] if names else []
 
     @property
     def params_shape(self) -> torch.Size:
@@ -279,7 +289,8 @@ class Tracking(Task):
         places = _columns(self.rates)
         change = x_next[..., places] - x[..., places] if self.rates else torch.zeros_like(x[..., :1])
         unit = self._unit(x, 1.0)
-        reward = self.reward_function(self.error(x_next, params, t_next) / unit, change / unit, at_stop)
+        of_rates = unit[..., self.rated] if 0 < len(self.rates) < self.n_r else unit
+        reward = self.reward_function(self.error(x_next, params, t_next) / unit, change / of_rates, at_stop)
         if not self.fence:
             return reward
         outside = _beyond(x_next, self.bounds) / constants(self.signature.x_scale, x.dtype, x.device)

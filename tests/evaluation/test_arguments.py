@@ -7,6 +7,7 @@ import pytest
 import yaml
 
 from dynasindy.evaluation.arguments import as_arguments, as_warning
+from dynasindy.world_models.libraries.functions import FunctionError, function
 
 
 @pytest.mark.parametrize(
@@ -32,3 +33,11 @@ def test_settings_lose_their_group_and_other_words_stay():
 def test_a_warning_says_no_kind_of_its_own():
     assert as_warning("hint: give 'plant.known={a: b}'") == "give identify(known={'a': 'b'})"
     assert as_warning("a hint: none") == "a hint: none"
+
+
+def test_a_function_that_is_missed_is_registered_as_python_does():
+    with pytest.raises(FunctionError, match=r"write it into plant.functions") as error:
+        function("flow")
+    told = as_arguments(str(error.value))
+    assert "plant.functions" not in told
+    assert "If it is one of your own, call register_function('flow', ..., formula='{0} / (1 + fabs({0}))')" in told

@@ -16,6 +16,7 @@ from dynasindy.evaluation.given import (
     read_text,
     understood,
 )
+from dynasindy.world_models.libraries.functions import FunctionError, function
 
 
 def test_text_records_and_tables_are_read_as_they_stand(tmp_path):
@@ -82,6 +83,11 @@ def test_the_file_that_is_damaged_is_named_once():
         raise ValueError("why")
     with pytest.raises(FileNotFoundError), understood("outer"):
         raise FileNotFoundError
+
+
+def test_a_file_that_needs_a_function_is_not_called_damaged():
+    with pytest.raises(FunctionError, match=r"^function 'nowhere' is not known"), understood("file"):
+        function("nowhere")
 
 
 @pytest.mark.parametrize("name", ["step", "xi_dyna_rollouts_800", "lr=1e-3,b=2", "a.b", "Größe", "_x", "two words"])

@@ -77,10 +77,10 @@ def oven_controller(pushed=True):
     return Controller(policy_of(task), pace, watching, {"gain": 0.5})
 
 
-def rotor_controller(integral=None, delay=0.03):
+def rotor_controller(integral=None, delay=0.03, damped=("Omega_a", "Omega_p")):
     """Return a controller of two rotors on a beam, of which angles and rotor speeds are measured."""
     signature = Tras().signature
-    task = Tracking(signature, Step([[0.0, 0.0]]), reward=TrackingReward((1.0, 1.0)))
+    task = Tracking(signature, Step([[0.0, 0.0]]), rates=damped, reward=TrackingReward((1.0, 1.0)))
     pace = Pace(task, 0.05, 2, Tras().stops)
     model = SindyModel(signature, rotor(signature))
     with torch.random.fork_rng():

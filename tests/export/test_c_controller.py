@@ -98,6 +98,18 @@ def test_it_flies_two_rotors_as_python_does(rotors, integral):
     assert difference(rotors(integral), Tras(), 2) < 1e-6
 
 
+@needs_compiler
+def test_an_output_without_a_rate_beside_one_with_a_rate_is_flown_as_in_python(rotors, tmp_path):
+    """The integral of an output without a rate grows as if it stood still, so it is another one than with the rate."""
+    integral = {"band": 0.5, "gain": 2.0, "rate": 0.02}
+    mixed, whole = rotors(integral, damped=["Omega_a", None]), rotors(integral)
+    save(mixed, tmp_path / "controller.json")
+    read = load(tmp_path / "controller.json")
+    assert read.pace.task.rate_names == ["Omega_a", None]
+    assert difference(read, Tras(), 2) < 1e-6
+    assert apart(whole, Native(controller_sources(mixed)).act, Tras(), 2) > 1e-4
+
+
 def from_hot(act, controller, periods=60):
     """Inputs and measurements of a flight of the model itself, whose both stores are at 80 degC in the beginning."""
     rng, x, found = np.random.default_rng(6), torch.tensor([80.0, 80.0], dtype=torch.float64), []

@@ -51,9 +51,10 @@ def test_it_flies_a_pendulum_as_python_does(pendulum, settings, tmp_path):
     assert flights_in_c.apart(controller, written(controller, tmp_path).act, Pendulum(), 1) < 1e-6
 
 
+@pytest.mark.parametrize("damped", [["Omega_a", "Omega_p"], ["Omega_a", None]])
 @pytest.mark.parametrize("integral", [None, {"band": 0.5, "gain": 2.0}])
-def test_it_flies_two_rotors_as_python_does(rotors, integral, tmp_path):
-    controller = rotors(integral)
+def test_it_flies_two_rotors_as_python_does(rotors, integral, damped, tmp_path):
+    controller = rotors(integral, damped=damped)
     assert flights_in_c.apart(controller, written(controller, tmp_path).act, Tras(), 2) < 1e-6
 
 

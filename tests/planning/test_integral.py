@@ -53,6 +53,19 @@ def test_half_of_an_error_that_changes_at_the_given_rate_is_integrated():
         torch.testing.assert_close(action.integral, torch.tensor([integrated]))
 
 
+def test_an_output_without_a_rate_is_integrated_as_if_it_stood_still():
+    plant = Pendulum()
+    outputs, reward = ("Omega", "theta"), TrackingReward((4.0,))
+    task = Tracking(plant.signature, Step([[0.6, 0.2]]), outputs, (None, "Omega"), reward)
+    env = ControlEnv(plant, task)
+    action = IntegralAction(setting()[1], env, gain=2.0, band=10.0, rate=0.4, limit=10.0)
+    action.policy = lambda tensordict: tensordict.set("action", torch.zeros(1))
+    action(env.start_from(torch.tensor([0.0, 0.4])))
+    error, box = torch.tensor([0.2, 0.2]), task.boxes().float()
+    share = torch.tensor([1.0, 1 / (1 + (1 / float(box[1])) ** 2)])  # of theta, whose rate is Omega = 0.4 rad/s
+    torch.testing.assert_close(action.integral, 2.0 * env.dt * share * error / box)
+
+
 def test_the_first_step_forgets_the_last_episode():
     env, proportional = setting()
     action = IntegralAction(proportional, env, band=1.0)

@@ -188,8 +188,12 @@ def test_a_plug_in_is_imported_only_where_the_user_names_it(saved_run, run, cana
     assert not canary.exists() and "my_part" not in sys.modules
     env, _ = saved_run.load_policy(saved_run.load_config(run, ["my_part"]), run)
     assert type(env.system).__name__ == "Part" and canary.exists()
-    monkeypatch.setenv("DYNASINDY_PLUGINS", "other my_part")
-    assert type(saved_run.load_policy(saved_run.load_config(run), run)[0].system).__name__ == "Part"
+    for several in ("other my_part", "other,my_part", "my_part, other"):
+        monkeypatch.setenv("DYNASINDY_PLUGINS", several)
+        assert type(saved_run.load_policy(saved_run.load_config(run), run)[0].system).__name__ == "Part"
+    monkeypatch.setenv("DYNASINDY_PLUGINS", "other:my_part")
+    refused(saved_run, run, "DYNASINDY_PLUGINS=PACKAGE,OTHER; named are other:my_part")
+    monkeypatch.setenv("DYNASINDY_PLUGINS", "my_part")
     change(run, "system", {"_target_": "my_part.system", "command": f"touch {tmp_path / 'second'}"})
     refused(saved_run, run, "no part of an experiment", plugins=["my_part"])
     assert not (tmp_path / "second").exists()

@@ -116,3 +116,9 @@ def test_a_log_that_lacks_rates_is_identified_again_with_them(steps, monkeypatch
     line = steps.with_rates(words, "plant.known={q: w, p: p_rate}")
     expected = ["data=csv", "data.path=a.csv", "+plant.start={q: 1}", "plant.known={q: w, p: p_rate}"]
     assert shlex.split(line) == ["python", "scripts/identify.py", *expected]
+
+
+def test_the_command_that_builds_parts_of_the_user_s_own_names_their_packages(steps):
+    evaluate, check = steps.following("a run", "evaluate", "check", trusting=("plugins=[wheel,mine]",)).splitlines()[1:]
+    assert shlex.split(evaluate, comments=True)[-2:] == ["run=a run", "plugins=[wheel,mine]"]
+    assert shlex.split(check, comments=True)[-1] == "run=a run"

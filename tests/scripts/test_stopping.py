@@ -188,6 +188,25 @@ def test_what_all_jobs_of_an_ablation_share_is_checked_before_the_first(tmp_path
     assert not list(tmp_path.rglob("config.yaml"))
 
 
+def test_a_task_that_no_job_of_a_sweep_could_build_is_told_before_the_first(tmp_path):
+    box = ("plant.outputs=[alpha_a,omega_a]", "plant.low=[-1,-1]", "plant.high=[1,1]")
+    assert wait(fork(["-m", "seed=1,2", *SMALL[1:], "system=tras", *box, "plant.rates=[Omega_a]"], tmp_path)) == 2
+    lines = (tmp_path / "output").read_text().strip().splitlines()
+    assert len(lines) == 1 and "null stands for the rate of an output that has none" in lines[0], lines
+    assert not list(tmp_path.rglob("config.yaml")) and not list(tmp_path.rglob("error.txt"))
+
+
+def test_a_sweep_in_which_tasks_differ_leaves_each_to_its_job(tmp_path):
+    given = (
+        "plant.outputs=[alpha_a,omega_a]",
+        "plant.low=[-1,-1]",
+        "plant.high=[1,1]",
+        "plant.rates=[Omega_a],[Omega_p]",
+    )
+    assert wait(fork(["-m", "system=tras", *given], tmp_path)) == 2
+    assert "error: 2 jobs failed" in (tmp_path / "output").read_text()
+
+
 def workers(folder):
     """Return the processes that work below a folder."""
     found = []
@@ -247,6 +266,31 @@ def test_a_full_disk_costs_one_line_and_no_good_checkpoint(tmp_path, size, whole
     assert re.search(r"error: .*checkpoints/.*File too large.*\n$", output), output
     assert wait(fork(["resume=run"], tmp_path)) == 0
     assert kept(tmp_path / "run") == expected
+
+
+FICKLE = """
+import os, signal
+from pathlib import Path
+from dynasindy.systems import Xi
+class Fickle(Xi):
+    def forward(self, x, u):
+        if any(Path("run").glob("checkpoints/*.pt")) and not Path("stopped").exists():
+            Path("stopped").touch()
+            os.kill(os.getpid(), signal.SIGINT)
+        return super().forward(x, u)
+"""
+
+
+def test_a_run_with_a_class_of_the_user_s_own_goes_on_by_the_command_that_is_printed(tmp_path, monkeypatch):
+    (tmp_path / "fickle.py").write_text(FICKLE)
+    monkeypatch.syspath_prepend(tmp_path)
+    words = [*EXPERIMENTS["default"], *SMALL, "system._target_=fickle.Fickle", "hydra.run.dir=run"]
+    assert wait(fork(words, tmp_path)) == 130, (tmp_path / "output").read_text()
+    (command,) = re.findall(r"go on with (.*) \(with finish=true", (tmp_path / "output").read_text())
+    python, script, *again = shlex.split(command)
+    assert (python, script) == ("python", "scripts/train.py") and "plugins=[fickle]" in again
+    assert wait(fork(again, tmp_path)) == 0, (tmp_path / "output").read_text()
+    assert wait(fork([word for word in again if "plugins" not in word], tmp_path)) == 2
 
 
 def test_a_signal_during_the_imports_costs_one_line(tmp_path):

@@ -97,6 +97,19 @@ def test_other_outputs_and_rates_are_read_where_they_stand():
     assert other.rates == [3] and other.reward_function is reward and other.output_names == ("alpha_p",)
 
 
+def test_an_output_without_a_rate_is_not_damped_and_the_others_are():
+    box = {"low": [-1.0, -2.0, -0.5], "high": [1.0, 2.0, 0.5]}
+    reward, names = TrackingReward((0.0,), 10.0, 0.0), ["alpha_a", "omega_a", "alpha_p"]
+    task = Tracking(SIGNATURE, Step([[0.0] * 3]), names, ["Omega_a", None, "Omega_p"], reward, **box)
+    assert (task.rates, task.rated, task.rate_names) == ([2, 3], [0, 2], ["Omega_a", None, "Omega_p"])
+    changes = torch.tensor([[0.0, 0.0, 0.4, 0.3, 0.0, 0.0]])
+    params = task.sample(torch.Size((1,)), torch.Generator())
+    paid = task.reward(torch.zeros(1, 6), changes, params, torch.zeros(1, 1), torch.tensor([False]))
+    extents = task.boxes().tolist()
+    assert paid.item() == pytest.approx(-10 * ((0.4 / extents[0]) ** 2 + (0.3 / extents[2]) ** 2))
+    assert Tracking(SIGNATURE, Step([[0.0] * 2]), rates=[None, None]).rate_names == []
+
+
 def test_the_defaults_are_the_papers_task():
     task = Tracking(SIGNATURE, RandomStep([-0.4, -0.25], [0.4, 0.25]))
     assert (task.max_steps, task.observe_rate, task.error_scale) == (400, False, 0.5)
@@ -117,7 +130,7 @@ def test_a_scale_that_is_not_positive_is_refused(settings):
     [{"outputs": ("alpha_a",)}, {"rates": ("Omega_a",)}, {"reward": TrackingReward((1.0,) * 3)}],
 )
 def test_every_count_is_compared(settings):
-    with pytest.raises(ValueError, match="equally many"):
+    with pytest.raises(ValueError, match=r"equally many.* null stands for the rate of an output"):
         Tracking(SIGNATURE, WAVE, **settings)
 
 

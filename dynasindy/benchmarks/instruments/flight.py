@@ -24,12 +24,11 @@ class Flight(Tracking):
     """
 
     def __init__(self, task: Tracking, course: Course | None = None, spread: float = 0.0) -> None:
-        names = task.signature.state_names
         super().__init__(
             task.signature,
             task.references,
             task.output_names,
-            [names[i] for i in task.rates],
+            task.rate_names,
             task.reward_function,
             task.max_steps,
             task.observe_rate,

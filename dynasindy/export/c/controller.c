@@ -8,7 +8,10 @@ static void integrate(@name@_state *s, const double x[NX], const double r[NR], c
     int i;
     for (i = 0; i < NR; i++) {
         const double error = (r[i] - x[output[i]]) / box[i];
-@if rates
+@if some_rates
+        const double moving = output_rate[i] < 0 ? 0.0 : (rate[i] - x[output_rate[i]]) / box[i] / @integral_rate@;
+@end
+@if all_rates
         const double moving = (rate[i] - x[output_rate[i]]) / box[i] / @integral_rate@;
 @end
 @if !rates

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from dynasindy.world_models.libraries.functions import function
+from dynasindy.world_models.libraries.functions import function, of_two
 
 FARTHEST = 30.0
 """Factor between the first guess of a number inside a function and what is fitted, either way."""
@@ -181,6 +181,12 @@ def _checked(factor: Factor) -> Factor:
         raise ValueError(f"a function has the frequency {factor.frequency}; allowed are finite ones: correct it")
     if factor.function == "id" and len(factor.variables) != 1:
         raise ValueError(f"a product has a factor of {len(factor.variables)} variables; allowed is one: correct it")
+    takes = function(factor.function).n_variables
+    if takes is not None and len(factor.variables) != takes:
+        raise ValueError(
+            f"function {factor.text()} has {len(factor.variables)} arguments; its formula, "
+            f"{function(factor.function).given!r}, takes {takes}: correct one of them"
+        )
     return factor
 
 
@@ -192,16 +198,15 @@ def variable(name: str, power: int = 1) -> Feature:
 def of(function_name: str, *variables: str, power: int = 1, frequency: float = 1.0, fitted: bool = False) -> Feature:
     """Return a function of states or inputs as a feature, e.g. `of("sin", "alpha_p")`."""
     guess = frequency if fitted else 0.0
-    return Feature((Factor(variables, function(function_name).name, power, frequency, guess),))
+    return Feature((_checked(Factor(variables, function(function_name).name, power, frequency, guess)),))
 
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_TWO = r"[A-Za-z_]\w* [+-] [A-Za-z_]\w*"
+_TWO = r"\s*[A-Za-z_]\w*\s*[+-]\s*[A-Za-z_]\w*\s*"
 _TOKEN = re.compile(
     rf"\s*(?:\|(?P<abs>[^|]+)\||/\(1 \+ (?P<per>{_NUMBER}) cos\((?P<angle>[^()]+)\)\^2\)|"
     rf"max\(0, (?P<over>[^()]+) - (?P<edge>{_NUMBER})\)|sqrt\((?P<under>[^()]+) - (?P<start>{_NUMBER})\)|"
     r"exp\(-\((?P<bell>[^()]+)\)\^2\)|"
-    rf"(?P<turned>sin|cos)\((?P<two>{_TWO})\)|"
     r"\((?P<ahead>[A-Za-z_]\w*) - (?P<behind>[A-Za-z_]\w*)\)|"
     r"(?P<function>[A-Za-z_]\w*)\((?P<args>[^()]*)\)|(?P<name>[A-Za-z_]\w*)|(?P<one>1))"
     r"(?:\^(?P<power>\d+))?\s*\*?"
@@ -226,15 +231,13 @@ def parse(text: str) -> Feature:
         place = token.end()
         power = int((token["power"] or "1")[:9])  # more digits than that are refused below, whatever they are
         if token["per"]:
-            factors.append(_of_angles("per_cos2", token["angle"].strip(), power, float(token["per"])))
+            factors.append(_of_sum("per_cos2", token["angle"], power, float(token["per"])))
         elif token["edge"]:
             factors.append(Factor((token["over"].strip(),), "hinge", power, float(token["edge"])))
         elif token["start"]:
             factors.append(Factor((token["under"].strip(),), "root", power, float(token["start"])))
         elif token["bell"]:
             factors.append(_written("bell", token["bell"], power))
-        elif token["turned"]:
-            factors.append(_of_angles(token["turned"], token["two"], power))
         elif token["ahead"]:
             factors.append(Factor((token["ahead"], token["behind"]), "ahead", power))
         elif token["abs"]:
@@ -246,12 +249,12 @@ def parse(text: str) -> Feature:
     return Feature.of(map(_checked, factors))
 
 
-def _of_angles(name: str, angles: str, power: int, number: float = 1.0) -> Factor:
-    """Read a function of an angle, or of the sum or the difference of two."""
-    if re.fullmatch(_TWO, angles):
-        one, sign, two = angles.split()
-        return Factor((one, two), f"{name}_{'sum' if sign == '+' else 'gap'}", power, number)
-    return Factor((angles,), name, power, number)
+def _of_sum(name: str, variables: str, power: int, number: float = 1.0) -> Factor:
+    """Read a function of a variable, or of the sum or the difference of two."""
+    if re.fullmatch(_TWO, variables):
+        one, sign, two = re.split(r"([+-])", variables)
+        return Factor((one.strip(), two.strip()), of_two(name, sign), power, number)
+    return Factor((variables.strip(),), name, power, number)
 
 
 def _written(name: str, arguments: str, power: int) -> Factor:
@@ -259,6 +262,8 @@ def _written(name: str, arguments: str, power: int) -> Factor:
 
     A number that multiplies no argument comes last: `a, b; 2` or `a, b; ~2`.
     """
+    if re.fullmatch(_TWO, arguments):
+        return _of_sum(name, arguments, power)
     arguments, semicolon, last = arguments.partition(";")
     if semicolon:
         arguments = ",".join(f"{last.strip()} {argument}" for argument in arguments.split(","))
@@ -267,8 +272,9 @@ def _written(name: str, arguments: str, power: int) -> Factor:
     numbers = {(bool(match["fitted"]), float(match["number"] or 1)) for match in found}
     if len(found) < len(read) or len(numbers) > 1 or (True, 0.0) in numbers:
         raise ValueError(
-            f"function {name}({arguments}) of plant.library cannot be read; allowed are 'name', '2 name', or '~2 name' "
-            "for a first guess that is not 0, the same number before each name of a state or an input: correct it"
+            f"function {name}({arguments}) of plant.library cannot be read; allowed are 'name', 'name - other', "
+            "'name, other' for a function of two arguments, '2 name', or '~2 name' for a first guess that is not 0, "
+            "the same number before each name of a state or an input: correct it"
         )
     fitted, number = numbers.pop()
     return Factor(tuple(m["name"] for m in found), function(name).name, power, number, number if fitted else 0.0)

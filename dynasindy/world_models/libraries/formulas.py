@@ -1,7 +1,7 @@
 """Functions of a user's own from a line of text, as `1 / (1 + exp(-{0}))`: data, not code.
 
 A formula is read by Python's parser and evaluated on tensors by a walk over its tree, in which nothing but numbers, the
-argument, operators and `FORMULA_FUNCTIONS` may stand. The same line is what C and other languages are written from.
+arguments, operators and `FORMULA_FUNCTIONS` may stand. The same line is what C and other languages are written from.
 """
 
 from __future__ import annotations
@@ -9,7 +9,9 @@ from __future__ import annotations
 import ast
 import math
 import operator
+import re
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -18,7 +20,11 @@ from dynasindy.systems.parsed import parsed
 from dynasindy.world_models.libraries.functions import (
     FORMULA_FUNCTIONS,
     Function,
+    FunctionError,
+    function,
     is_registered,
+    keep,
+    of_one,
     register_function,
     unregister_function,
 )
@@ -46,60 +52,82 @@ _CALLS: dict[str, Callable[..., Tensor]] = {
 }
 
 
-_ARGUMENT = "argument_0"
-"""What stands for `{0}` while a formula is read."""
-_TEXTS: dict[str, str] = {}
-"""What each function was registered with, by name."""
+_ARGUMENT = "argument_"
+"""What stands for `{` and a digit while a formula is read."""
 
 
 def register_formula(name: str, formula: str) -> Function:
-    """Make a function of one argument available to libraries, saved models and exports, from its formula.
+    """Make a function of one argument or several available to libraries, saved models and exports, from its formula.
+
+    Where a function of the same formula is registered, in Python or by this, it stays.
 
     Args:
         name: a Python identifier, not that of another function.
-        formula: a line of numbers, `{0}` for the argument, `+ - * /`, brackets and `FORMULA_FUNCTIONS`; where it is not
-            finite, as `sqrt({0})` below zero, no model is: write `sqrt(larger({0}, 0.001))`.
+        formula: a line of numbers, `{0}` for the argument, `{1}` for a second one, `+ - * /`, brackets and
+            `FORMULA_FUNCTIONS`; where it is not finite, as `sqrt({0})` below zero, no model is: write
+            `sqrt(larger({0}, 0.001))`.
 
     Raises:
-        ValueError: the name is taken or no identifier, or the formula holds anything else.
+        FunctionError: the name is that of another function.
+        ValueError: the name is no identifier, or the formula holds anything else.
     """
-    if is_registered(name) and _TEXTS.get(name) != formula:
-        known = _TEXTS.get(name, "which is not of a formula")
-        raise ValueError(f"function {name!r} is another function here, {known}; give yours another name")
+    if is_registered(name):
+        if (known := function(name)).given == formula != "":
+            return known
+        told = known.given or "which is not of a formula"
+        raise FunctionError(f"function {name!r} is another function here, {told}; give yours another name")
     tree = _read(name, formula)
     # What was given is not kept for other languages: its tree is written anew, from numbers and known names alone.
-    function = register_function(name, lambda z: _value(tree, z), formula=_written(tree))
-    _TEXTS[name] = formula
-    return function
+    return keep(replace(register_function(name, lambda *z: _value(tree, z), formula=_written(tree)), given=formula))
 
 
 def texts(names: Iterable[str]) -> dict[str, str]:
-    """Return the formulas that functions were registered with, by name; other functions are left out."""
-    return {name: _TEXTS[name] for name in sorted(set(names)) if name in _TEXTS}
+    """Return the formulas that functions were registered with, by name.
+
+    Other functions are left out, and so are those whose formula cannot be read again.
+    """
+    found = {name: function(name).given for name in sorted(set(map(of_one, names)))}
+    return {name: formula for name, formula in found.items() if formula and _is_readable(name, formula)}
 
 
 def forget(names: Iterable[str]) -> None:
     """Take back the registration of functions, of a file that turned out to be damaged."""
     for name in names:
-        _TEXTS.pop(name, None)
         unregister_function(name)
+
+
+def _is_readable(name: str, formula: str) -> bool:
+    try:
+        _read(name, formula)
+    except ValueError:
+        return False
+    return True
+
+
+def _places(formula: str) -> set[int]:
+    """Return which arguments a formula has."""
+    return set(map(int, re.findall(r"\{(\d)\}", formula)))
 
 
 def _read(name: str, formula: object) -> ast.expr:
     """Return the tree of a formula, of which every node is allowed."""
-    allowed = f"allowed are {{0}}, numbers, + - * /, brackets and {', '.join(FORMULA_FUNCTIONS)}"
+    allowed = f"allowed are {{0}}, {{1}}, numbers, + - * /, brackets and {', '.join(FORMULA_FUNCTIONS)}"
     told = str(formula)[:60]
     if not isinstance(formula, str) or len(formula) > LONGEST:
         raise ValueError(f"function {name!r} has the formula {told!r}; {allowed}: mend it")
     try:
-        tree = parsed(formula.replace("{0}", f" {_ARGUMENT} ").strip())
+        tree = parsed(re.sub(r"\{(\d)\}", rf" {_ARGUMENT}\1 ", formula).strip())
         wrong = _wrong(tree)
     except (SyntaxError, ValueError, OverflowError, RecursionError, MemoryError) as error:
         raise ValueError(f"function {name!r}: {told!r} cannot be read; {allowed}: mend it") from error
     if wrong is not None:
         raise ValueError(f"function {name!r}: {told!r} holds {ast.unparse(wrong)[:40]!r}; {allowed}: mend it")
-    if "{0}" not in _written(tree):
-        raise ValueError(f"function {name!r}: {told!r} has no {{0}}, which stands for its argument; write it in")
+    places = _places(_written(tree))
+    if lacking := sorted({*range(max(places, default=0) + 1)} - places):
+        raise ValueError(
+            f"function {name!r}: {told!r} has no {{{lacking[0]}}}, which stands for argument {lacking[0] + 1}; write "
+            "it in"
+        )
     return tree
 
 
@@ -114,7 +142,7 @@ def _wrong(node: ast.expr) -> ast.expr | None:
             return next(filter(None, map(_wrong, args)), None) if len(args) == 1 + (name == "larger") else node
         case ast.Constant(value=value) if isinstance(value, int | float) and not isinstance(value, bool):
             return None if math.isfinite(float(value)) else node
-        case ast.Name(id=name) if name == _ARGUMENT:
+        case ast.Name(id=name) if re.fullmatch(rf"{_ARGUMENT}\d", name):
             return None
         case _:
             return node
@@ -131,12 +159,14 @@ def _written(node: ast.expr) -> str:
             return f"{name}({', '.join(_written(arg) for arg in args)})"
         case ast.Constant(value=value):
             return repr(float(value))  # type: ignore[arg-type]
+        case ast.Name(id=name):
+            return f"{{{name.removeprefix(_ARGUMENT)}}}"
         case _:
-            return "{0}"
+            raise AssertionError  # `_wrong` has refused it
 
 
-def _value(node: ast.expr, z: Tensor) -> Tensor:
-    """Return the value of a node at the argument, of its shape."""
+def _value(node: ast.expr, z: tuple[Tensor, ...]) -> Tensor:
+    """Return the value of a node at the arguments, of their shape."""
     match node:
         case ast.BinOp(left=left, op=op, right=right):
             return _OPERATORS[type(op)](_value(left, z), _value(right, z))
@@ -145,6 +175,8 @@ def _value(node: ast.expr, z: Tensor) -> Tensor:
         case ast.Call(func=ast.Name(id=name), args=args):
             return _CALLS[name](*(_value(arg, z) for arg in args))
         case ast.Constant(value=value):
-            return torch.full_like(z, float(value))  # type: ignore[arg-type]
+            return torch.full_like(z[0], float(value))  # type: ignore[arg-type]
+        case ast.Name(id=name):
+            return z[int(name.removeprefix(_ARGUMENT))]
         case _:
-            return z
+            raise AssertionError  # `_wrong` has refused it

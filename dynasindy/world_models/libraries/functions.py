@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -27,6 +28,7 @@ class Function:
         formula: format string of its value in operators, numbers and `FORMULA_FUNCTIONS`, which other languages than
             torch are written from; empty where there is none.
         slopes: derivatives by each variable of a function of several, where they are known.
+        given: formula of a function of a user's own as it was given, which files hold; empty where there is none.
     """
 
     name: str
@@ -39,6 +41,25 @@ class Function:
     by_number: Callable[..., Tensor] | None = None
     formula: str = ""
     slopes: tuple[Callable[..., Tensor], ...] = ()
+    given: str = ""
+
+    @property
+    def n_variables(self) -> int | None:
+        """Return how many variables a function of a user's formula takes; None where no formula tells."""
+        return len(set(re.findall(r"\{\d\}", self.given))) or None
+
+
+class FunctionError(ValueError):
+    """A function is needed that is not known here, or is another one here; what needs it is not damaged for that.
+
+    Args:
+        told: The message.
+        missing: Name of the function, if it is not known.
+    """
+
+    def __init__(self, told: str, missing: str = "") -> None:
+        super().__init__(told)
+        self.missing = missing
 
 
 FORMULA_FUNCTIONS = ("sin", "cos", "exp", "tanh", "sqrt", "fabs", "sign", "square", "larger")
@@ -125,31 +146,36 @@ _REGISTRY: dict[str, Function] = {
 }
 
 
+@lru_cache
 def _turned(plain: Function, name: str, sign: int) -> Function:
-    """Return a function of the sum or the difference of two angles, written as one of their sum or difference."""
+    """Return a function of the sum or the difference of two variables, written as one of their sum or difference."""
     word = "+" if sign > 0 else "-"
     slope, by_number, compute = plain.slope, plain.by_number, plain.compute
-    assert slope is not None  # of the functions below
+    slopes: tuple[Callable[..., Tensor], ...] = ()
+    if slope is not None:
+        slopes = lambda a, b, *p: slope(a + sign * b, *p), lambda a, b, *p: sign * slope(a + sign * b, *p)
     return Function(
-        f"{plain.name}_{name}",
+        name,
         lambda a, b, *p: compute(a + sign * b, *p),
         plain.text.replace("{0}", f"{{2}} {word} {{3}}"),
-        plain.latex.replace("{0}", f"({{2}} {word} {{3}})"),
+        _in_brackets(plain.latex, f"{{2}} {word} {{3}}"),
         plain.atomic,
         parametric=plain.parametric,
         by_number=by_number and (lambda a, b, p: by_number(a + sign * b, p)),
         # The number of a parametric function comes after its variables.
-        formula=plain.formula.replace("{1}", "{2}").replace("{0}", f"{{0}} {word} {{1}}"),
-        slopes=(
-            lambda a, b, *p: slope(a + sign * b, *p),
-            lambda a, b, *p: sign * slope(a + sign * b, *p),
-        ),
+        formula=_in_brackets(plain.formula.replace("{1}", "{2}"), f"{{0}} {word} {{1}}"),
+        slopes=slopes,
     )
+
+
+def _in_brackets(form: str, two: str) -> str:
+    """Return a format string with two variables in the place of the first, in one pair of brackets."""
+    return form.replace("({0})", "{0}").replace("{0}", f"({two})")
 
 
 for _plain in ("sin", "cos", "per_cos2"):
     for _name, _sign in (("sum", 1), ("gap", -1)):
-        _made = _turned(_REGISTRY[_plain], _name, _sign)
+        _made = _turned(_REGISTRY[_plain], f"{_plain}_{_name}", _sign)
         _REGISTRY[_made.name] = _made
 
 QUOTIENTS = ("per_cos2", "per_cos2_sum", "per_cos2_gap")
@@ -157,9 +183,42 @@ QUOTIENTS = ("per_cos2", "per_cos2_sum", "per_cos2_gap")
 _BUILT_IN = frozenset(_REGISTRY)
 
 
+_SIGNS = {"__sum": 1, "__gap": -1}
+"""Endings of functions of a sum or a difference that are made when they are asked for, and its sign."""
+_EVERYWHERE = ("abs", "sign", "exp", "tanh", "bell")
+"""Functions of the package of which a difference may be the argument, as they have a value at each number."""
+
+
 def is_registered(name: str) -> bool:
     """Return whether there is a function of that name."""
     return name in _REGISTRY
+
+
+def of_one(name: str) -> str:
+    """Return the name of the function of one variable that one of a sum or a difference is made of, or the name."""
+    return name[:-5] if name not in _REGISTRY and name[-5:] in _SIGNS else name
+
+
+def of_two(name: str, sign: str) -> str:
+    """Return the name of the function that has the sum or the difference of two variables for its argument.
+
+    Args:
+        name: function of one variable.
+        sign: `+` or `-`.
+
+    Raises:
+        ValueError: the function is not known, or takes no sum and no difference.
+    """
+    ending = "sum" if sign == "+" else "gap"
+    if f"{name}_{ending}" in _BUILT_IN:
+        return f"{name}_{ending}"
+    if function(name).n_variables not in (1, None) or (name in _BUILT_IN and name not in _EVERYWHERE):
+        raise ValueError(
+            f"function {name!r} takes no sum and no difference of two variables; those that do are sin, cos, "
+            f"{', '.join(_EVERYWHERE)}, and each function of your own of one argument. For a root of either sign, "
+            f"{_ways('flow', '{0} / sqrt(larger(fabs({0}), 0.001))')}; then flow(a {sign} b) is one of the library"
+        )
+    return f"{name}__{ending}"
 
 
 def unregister_function(name: str) -> None:
@@ -177,8 +236,9 @@ def register_function(
         name: a Python identifier; registering a name again replaces it.
         compute: torch function, elementwise in each argument, differentiable by autograd.
         latex: format string, `{0}` standing for the first argument; by default the name in roman type.
-        formula: format string in operators and `FORMULA_FUNCTIONS`, e.g. `1 / (1 + square({0}))`, with which the
-            model can be exported to C and other languages.
+        formula: format string in operators and `FORMULA_FUNCTIONS`, e.g. `1 / (1 + square({0}))`, with `{1}` for a
+            second argument. It is saved with a model, which then can be read where the function is not registered,
+            and be exported to C and other languages. It has to say what `compute` does.
 
     Raises:
         ValueError: the name is not an identifier, or the formula calls another function.
@@ -188,23 +248,38 @@ def register_function(
     default = r"\operatorname{{" + name.replace("_", r"\_") + r"}}({0})"
     if other := sorted(set(re.findall(r"[A-Za-z_]\w*", re.sub(r"\d[\w.]*", "", formula))) - {*FORMULA_FUNCTIONS}):
         raise ValueError(
-            f"register_function got a formula with {other[0]!r}; allowed are {{0}}, operators, numbers and "
+            f"register_function got a formula with {other[0]!r}; allowed are {{0}}, {{1}}, operators, numbers and "
             f"{', '.join(FORMULA_FUNCTIONS)}: write it with these, or leave it out"
         )
-    _REGISTRY[name] = Function(name, compute, name + "({0})", latex or default, formula=formula)
-    return _REGISTRY[name]
+    return keep(Function(name, compute, name + "({0})", latex or default, formula=formula, given=formula))
+
+
+def keep(made: Function) -> Function:
+    """Register a function, in the place of another one of its name, and return it."""
+    _REGISTRY[made.name] = made
+    return made
 
 
 def function(name: str) -> Function:
     """Look up an elementary function.
 
     Raises:
-        ValueError: no function has that name.
+        FunctionError: no function has that name.
     """
-    if name not in _REGISTRY:
-        raise ValueError(
-            f"function {name!r} is not known; allowed are {', '.join(sorted(_REGISTRY))}: write one of your own into "
-            f'plant.functions, such as {{{name}: "{{0}} / (1 + fabs({{0}}))"}}, or call register_function in Python '
-            "before building or loading"
-        )
-    return _REGISTRY[name]
+    if name in _REGISTRY:
+        return _REGISTRY[name]
+    if (plain := of_one(name)) in _REGISTRY and (plain not in _BUILT_IN or plain in _EVERYWHERE):
+        return _turned(_REGISTRY[plain], name, _SIGNS[name[-5:]])
+    raise FunctionError(
+        f"function {plain!r} is not known; allowed are {', '.join(sorted(_REGISTRY))}. If it is one of your own, "
+        f"{_ways(plain, '{0} / (1 + fabs({0}))')}, or import the module that does, before the library is built",
+        missing=plain,
+    )
+
+
+def _ways(name: str, formula: str) -> str:
+    """Say how a user registers a function, in the settings of a command and in Python."""
+    return (
+        f'write it into plant.functions, such as {{{name}: "{formula}"}}; in Python, call register_function({name!r}, '
+        f"..., formula={formula!r})"
+    )

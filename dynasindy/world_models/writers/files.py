@@ -15,7 +15,7 @@ from dynasindy.systems.base import Signature
 from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.features import Feature
 from dynasindy.world_models.libraries.formulas import forget, register_formula, texts
-from dynasindy.world_models.libraries.functions import is_registered
+from dynasindy.world_models.libraries.functions import FunctionError, is_registered
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.writers.tables import equations
 
@@ -83,7 +83,8 @@ def load(path: str | Path) -> tuple[Library, Tensor, Constraints, float]:
     Raises:
         FileNotFoundError: the file does not exist.
         ValueError: the file cannot be read, is too large, not JSON, not of this format, or damaged.
-        ValueError: the library uses a function that is not registered.
+        FunctionError: the library uses a function that is not registered and of which the file has no formula, or one
+            that is another function here.
     """
     try:
         if Path(path).stat().st_size > LARGEST or Path(path).is_fifo():
@@ -105,12 +106,22 @@ def understand(data: object, path: str | Path) -> tuple[Library, Tensor, Constra
 
     Raises:
         ValueError: it is not of this format, or damaged.
-        ValueError: the library uses a function that is not registered.
+        FunctionError: the library uses a function that is not registered and of which the data has no formula, or one
+            that is another function here.
     """
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise ValueError(f"{path} is not of the format {FORMAT!r}; allowed is a file that SindyModel.save wrote")
     try:
         return _model(data)
+    except FunctionError as error:
+        why = f"{path} cannot be used here: {error}"
+        if name := error.missing:
+            why = (
+                f"{path} uses the function {name!r}, which was saved without a formula and is not known here; in "
+                f"Python, call register_function({name!r}, ...), or import the module that does, before loading. So "
+                f"that commands can read it, too, save it again after register_function({name!r}, ..., formula=...)"
+            )
+        raise FunctionError(why, error.missing) from error
     except (ArithmeticError, AttributeError, IndexError, KeyError, RuntimeError, TypeError) as error:
         raise ValueError(
             f"{path} is damaged ({type(error).__name__}: {error}); allowed is a file that "

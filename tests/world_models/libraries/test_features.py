@@ -111,14 +111,25 @@ def test_a_first_guess_is_a_number_that_is_fitted(name):
         "tanh(~0 w)",
         "exp(-(x a)^2)",
         "atan2(2 a, 3 b)",
-        "sqrt(a - x)",
         "slack(a, b; x)",
     ],
 )
 def test_arguments_that_say_nothing_are_refused_in_a_line(text):
-    with pytest.raises(ValueError, match=r"cannot be read; allowed are 'name', '2 name'") as error:
+    with pytest.raises(ValueError, match=r"cannot be read; allowed are 'name', 'name - other', .*'2 name'") as error:
         parse(text)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("text", ["sqrt(a - x)", "hinge(a + b)", "ahead(a - b)", "sin_gap(a - b)"])
+def test_functions_that_take_no_difference_say_which_do(text):
+    with pytest.raises(ValueError, match=r"takes no sum and no difference.* are sin, cos, abs, .*plant.functions"):
+        parse(text)
+
+
+def test_a_difference_may_be_written_without_spaces_and_is_read_as_it_is_named():
+    for text in ("sin(a - b)", "tanh(a + b)^2", "|a - b|", "exp(-(a - b)^2)"):
+        assert parse(text).name() == text
+        assert parse(text.replace(" ", "")) == parse(text)
 
 
 def test_slack_is_what_is_left_beyond_a_play():
