@@ -269,8 +269,16 @@ UNTIED = [
     Untied(IDENTIFICATION, "every second one sweeps to 0.7 of the last frequency", "a constant of the code"),
     Untied(IDENTIFICATION, "The threshold of the paper, lambda = 0.9,", "of the paper"),
     Untied(IDENTIFICATION, "On raw columns 0.9 would delete", "of the paper"),
-    Untied(IDENTIFICATION, "have to correlate by less than -0.3, or the changes of one state by less than -0.6", "noisy.py"),
-    Untied(IDENTIFICATION, "correlate by -1/2, and changes from one error to the next by -2/3 with", "of differences of noise"),
+    Untied(
+        IDENTIFICATION,
+        "have to correlate by less than -0.3, or the changes of one state by less than -0.6",
+        "of noisy.py",
+    ),
+    Untied(
+        IDENTIFICATION,
+        "correlate by -1/2, and changes from one error to the next by -2/3 with",
+        "of differences of noise",
+    ),
     Untied(IDENTIFICATION, "**`xi`, 100 s, noise 1e-3.**", "the case that is measured"),
     Untied(IDENTIFICATION, "random steps held for 0.5 s, and Lorenz' system in `x'`, held for 0.2 s", "the cases"),
     Untied(IDENTIFICATION, "on top of 1e6 samples | <= 10 ms", "the case that is measured"),
