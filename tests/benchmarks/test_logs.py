@@ -2,6 +2,7 @@
 
 import csv
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,9 +13,10 @@ import dynasindy
 from dynasindy import Controller
 from dynasindy.agents.networks import actor
 from dynasindy.benchmarks.instruments import unfamiliar
-from dynasindy.benchmarks.instruments.logged import CASES
+from dynasindy.benchmarks.instruments.logged import CASES, Case
 from dynasindy.benchmarks.logs import COLUMNS, TARGETS, flown, rows_of, sizes_of, terms_of, words, write_log
 from dynasindy.control.controller import Pace
+from dynasindy.sensing import Channel
 from dynasindy.systems import Signature
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 from dynasindy.world_models import SindyModel
@@ -45,8 +47,8 @@ def test_the_words_are_those_of_a_user(tmp_path):
 class Given:
     """A controller whose input is what a function of measurement and target says."""
 
-    def __init__(self, rule, names):
-        signature = Signature(names, ("rad/s",) * len(names), ("u",), (100.0,) * len(names))
+    def __init__(self, rule, names, units="rad/s"):
+        signature = Signature(names, (units,) * len(names), ("u",), (100.0,) * len(names))
         task = Tracking(signature, RandomStep([0.0], [1.0]), [names[0]], [], TrackingReward((1.0,)))
         self.inner = Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05))
         self.signature, self.dt, self.rule = self.inner.signature, 0.05, rule
@@ -80,6 +82,25 @@ def test_a_controller_reads_degrees_of_a_plant_in_its_own_radians():
     assert sizes_of(unfamiliar.CASES["turbine"], read) == {"speed": 1.0, "pitch": pytest.approx(math.pi / 180)}
     read.signature = Signature(("speed", "pitch"), ("rpm", "deg"), ("command",), (13.0, 30.0))
     assert sizes_of(unfamiliar.CASES["turbine"], read) == {"speed": 1.0, "pitch": 1.0}
+
+
+def test_what_a_controller_reads_in_flight_is_in_its_own_radians():
+    """A table turns by 30 deg/s for each 1 of the input; from 60 deg on an input of 0.5 takes it 0.75 deg a period."""
+    table = Case(
+        {"tilt": "deg"}, lambda x, u: (30 * u,), {"tilt": Channel()}, {"tilt": (60, 90)}, {}, 0.05, 1, 0.1, (1, 1)
+    )
+    table, read = replace(table, flight=0.2, start={"tilt": 60.0}), []
+
+    def rule(y, r):
+        read.append(y["tilt"])
+        return 0.5
+
+    flown(table, Given(rule, ("tilt",), "rad"), 0)
+    turned = np.array([60.0, 60.75, 61.5, 62.25]) * math.pi / 180
+    np.testing.assert_allclose(np.array(read).reshape(4, TARGETS), np.tile(turned[:, None], TARGETS), rtol=1e-12)
+    read.clear()
+    flown(table, Given(rule, ("tilt",), "deg"), 0)
+    np.testing.assert_allclose(read[::TARGETS], [60.0, 60.75, 61.5, 62.25], rtol=1e-12)
 
 
 def test_a_flight_that_runs_away_is_infinitely_wrong(monkeypatch):

@@ -163,3 +163,48 @@ def test_what_bends_for_nothing_is_left_out_of_a_fit_in_pieces(bend, straight):
         assert kept[names.index("y")] == pytest.approx(-0.5, rel=0.05)
         explained = replace(found, report=replace(found.report, in_pieces=False))
         assert module._straighter(explained, before) is explained
+
+
+def bowl(words=("1", "y", "u", "y^2")):
+    """Log of y' = 2 u - y / 2, fitted at once, and said to be met in pieces and by a square that is not there."""
+    signature = Signature(("y",), ("m",), ("u",), (3.0,))
+
+    class Bowl(System):
+        def forward(self, x, u):
+            return 2 * u - 0.5 * x
+
+    u = Multisine(1, duration=20, dt=0.1, amplitude=[0.5], offset=[0.5], seed=0).samples(0.1)
+    data = record(Bowl(signature), u, 0.1)
+    place = torch.arange(len(data))
+    log = Source(signature, data.select(place < 150), data.select(place >= 150), logged=True)
+    model = SindyModel(signature, list(words), Regression("bic"))
+    report = replace(model.fit(log.training), in_pieces=True)
+    model.set_coefficients(model.coefficients.index_fill(0, torch.tensor(model.library.index("y^2")), -0.03))
+    return Fitted(model, log, report)
+
+
+def of_one(error):
+    """Forecasts of one state that miss by so much over both horizons [m]."""
+    model = torch.full((2, 1), error, dtype=torch.float64)
+    return Forecasts((0.1, 0.2), 1.0, 10, model, model, model, torch.tensor([1e-6], dtype=torch.float64), 4)
+
+
+@pytest.mark.parametrize(("part", "straight"), [(0.99, True), (1.01, False), (1.4, False)])
+def test_what_bends_is_left_out_only_where_no_error_is_larger_without(part, straight, monkeypatch):
+    found = bowl()
+    monkeypatch.setattr(module, "_forecast", lambda given: of_one(0.1 * part))
+    kept = module._straighter(found, of_one(0.1))
+    assert (kept is not found) == straight
+    if straight:
+        assert float(kept.model.coefficients[kept.model.library.index("y^2"), 0]) == 0.0
+
+
+@pytest.mark.parametrize(("friction", "straight"), [(0.0, True), (-0.4, False)])
+def test_a_model_with_functions_that_are_no_polynomials_keeps_its_squares(friction, straight, monkeypatch):
+    """Dry friction is a function of its own, which a fit of straight functions alone would leave out."""
+    found = bowl(("1", "y", "u", "y^2", "tanh(50 y)"))
+    xi = found.model.coefficients.clone()
+    xi[found.model.library.index("tanh(50 y)"), 0] = friction
+    found.model.set_coefficients(xi)
+    monkeypatch.setattr(module, "_forecast", lambda given: of_one(0.05))
+    assert (module._straighter(found, of_one(0.1)) is not found) == straight

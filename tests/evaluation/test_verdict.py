@@ -195,6 +195,33 @@ def test_an_input_is_known_as_far_as_a_measured_actuator_if_the_equations_bend_i
     assert known("blade^2", blade=-5.0, u_q=10.0) == {}
 
 
+@pytest.mark.parametrize(
+    ("terms", "ranges"),
+    [
+        ({"blade": -5.0, "u": 10.0}, {"u": (0.06, 0.94)}),
+        ({"blade": -5.0, "v": 10.0}, {"v": (-0.44, 0.44)}),
+        ({"blade": -5.0, "blade^2": -2.0, "u": 10.0}, {}),
+        ({"blade": -5.0, "u": 10.0, "u blade": 3.0}, {}),
+        ({"blade": -5.0, "u^2": 10.0}, {"u": (0.06, 0.94)}),
+        ({"blade": -5.0, "u": 10.0, "v": 10.0}, {}),
+    ],
+)
+def test_only_what_follows_one_input_linearly_goes_beyond_the_log_as_far_as_that_input(terms, ranges):
+    """At rest a blade is at 2 u; one with a square or a product in its equation, or of two inputs, is at no multiple.
+
+    Of u the log tells 0.1 to 0.9, of v -0.4 to 0.4, with a twentieth more to either side. A square of u itself bends.
+    """
+    signature = Signature(("q", "blade"), ("rad/s", "rad"), ("u", "v"), (1.0, 1.0))
+    model = SindyModel(signature, ["blade", "u", "v", "blade^2", "u blade", "u^2"])
+    coefficients = torch.zeros_like(model.coefficients)
+    coefficients[model.library.index("blade^2"), 0] = 3.0
+    for word, size in terms.items():
+        coefficients[model.library.index(word), 1] = size
+    model.set_coefficients(coefficients)
+    found = known_ranges(model, torch.tensor([[0.1, -0.4], [0.9, 0.4]]))
+    assert found == {name: pytest.approx(ends) for name, ends in ranges.items()}
+
+
 def test_flights_beyond_the_inputs_of_a_log_are_told_if_the_equations_bend_in_them():
     """A log of u from 0.1 to 0.9, with a twentieth of that to either side, knows of 0.06 to 0.94; of v any is known."""
     signature = Signature(("q",), ("rad",), ("v", "u"), (1.0,))

@@ -88,6 +88,35 @@ def test_the_policy_of_a_plant_whose_input_may_do_little_begins_as_a_regulator(l
     assert found.held == little == ("an input may use 20 % of its range" in found.why) and found.margin == 0
 
 
+class Pair(System):
+    """Two such plants side by side, each with an input of its own."""
+
+    def __init__(self):
+        super().__init__(Signature(("x", "v", "y", "w"), ("m", "m/s") * 2, ("u", "f"), (1.0,) * 4))
+        self.plant = Linear(-1.0, 1.0, 4.0)
+
+    def forward(self, x, u):
+        return torch.cat([self.plant(x[..., :2], u[..., :1]), self.plant(x[..., 2:], u[..., 1:])], -1)
+
+
+@pytest.mark.parametrize(
+    ("limits", "little"),
+    [
+        ([[0.2, -0.8], [0.6, 0.8]], True),
+        ([[-0.8, 0.2], [0.8, 0.6]], True),
+        ([[-0.5, -0.8], [0.5, 0.8]], False),
+    ],
+)
+def test_one_input_that_may_do_little_is_enough_to_begin_as_a_regulator(limits, little):
+    """One of two inputs has a fifth of its range, or neither has: the other has four fifths, which is much."""
+    plant, given = Pair(), {"low": (0.9, 0.9), "high": (2.0, 2.0)}
+    reward = TrackingReward((4.0, 4.0))
+    task = Tracking(plant.signature, RandomStep(*given.values()), ("x", "y"), ("v", "w"), reward, **given)
+    env = ControlEnv(plant, task.with_input_limits(limits), 0.05, 1)
+    found = pace_of(env, rests_of(env))
+    assert found.held == little == ("an input may use 20 % of its range" in found.why)
+
+
 def test_a_plant_without_a_rest_keeps_the_defaults():
     found = pace(Linear(-100.0, 1.0, 1.0), low=(0.5,))
     assert found == PlanSettings(why=found.why)

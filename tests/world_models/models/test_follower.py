@@ -20,6 +20,7 @@ from dynasindy.world_models.models.follower import (
     trials,
     widened,
 )
+from dynasindy.world_models.refinement.refine import Refined
 
 SIGNATURE = Signature(("q", "w"), ("rad", "rad/s"), ("u",), (1.0, 3.0))
 DT, STEP = 0.02, 2 * math.pi / 4096
@@ -265,3 +266,52 @@ def test_states_that_follow_begin_where_the_log_had_them():
     found = begins(model, data)
     assert found[1] == (0.0, 0.75)
     assert found[2] == (pytest.approx(-10, rel=0.03), pytest.approx(0.0, abs=0.3))
+
+
+def behind(motor, samples):
+    """A wheel, w' = 8 a - 0.5 w, whose motor a lags its commands, which come some samples late; its log, and a."""
+    shown = levels(24, 20, seed=3)
+    acting = torch.cat([shown[:1].expand(samples, 1), shown])[: len(shown)]
+    left, driven = math.exp(-DT / motor), [0.0]
+    for held in acting[:, 0].tolist():
+        driven.append(held + (driven[-1] - held) * left)
+
+    def field(x, u):
+        return torch.stack([8 * x[1] - 0.5 * x[0], (u[0] - x[1]) / motor])
+
+    return Transitions.from_trajectory(moved(field, [0.0, 0.0], acting, DT)[:, :1], shown, DT), torch.tensor(driven)
+
+
+def of_wheel(data):
+    """The model with a motor that lags, of a wheel whose motor was first taken for a delay of ten samples."""
+    model = made(Signature(("w",), ("rad/s",), ("u",), (3.0,)), ["1", "w", "u", "w^2"], {}, "auto")
+    model.refinement = replace(model.refinement, longest_delay=None)
+    model.delay = 10 * DT
+    return trials(model, data)[0]
+
+
+def test_a_trial_tells_a_delay_from_a_lag_where_both_were_taken_for_one_delay():
+    data, _ = behind(0.15, 5)
+    best = of_wheel(data)
+    assert best.signal == "u" and best.model.initial_delay == pytest.approx(5 * DT)
+    best.model.fit(widened(data))
+    assert best.model.delay == pytest.approx(5 * DT, abs=0.02 * DT)
+    assert terms(best.model, "u_lagging") == {"(u - u_lagging)": pytest.approx(1 / 0.15, rel=0.01)}
+    assert terms(best.model, "w") == {"u_lagging": pytest.approx(8, rel=0.01), "w": pytest.approx(-0.5, rel=0.02)}
+
+
+def test_the_fit_of_a_trial_begins_from_inputs_as_late_as_the_trial_says():
+    """The guess of the motor is its response to each held command, five samples after that was given."""
+    data, driven = behind(0.16, 5)
+    wide, handed = of_wheel(data).model, []
+
+    class Kept(Refinement):
+        def run(self, library, coefficients, constraints, data, guess=None, late=0.0):
+            handed.append((guess.x[:, 1], late))
+            return Refined(library, coefficients, late)
+
+    wide.refinement = Kept("auto", longest_delay=None)
+    wide.fit(widened(data))
+    ((guessed, late),) = handed
+    assert late == pytest.approx(5 * DT) and wide.delay == late
+    torch.testing.assert_close(guessed[40:], driven[40:-1].double(), rtol=0, atol=0.01)

@@ -232,3 +232,35 @@ def test_a_long_delay_is_told_where_single_steps_are_mostly_noise():
     found = Refinement("auto", longest_delay=None).run(LIBRARY, first(data), FREE, data)
     assert found.delay == pytest.approx(late, abs=1.0)
     assert found.coefficients[:2, 0].numpy() == pytest.approx([-1 / 40, 1 / 40], rel=0.1)
+
+
+@pytest.mark.parametrize(("push", "noise", "turns"), [(0.05, 0.01, [2, 4]), (0.0, 0.05, [4])])
+def test_one_trajectory_is_not_fitted_again_and_again_through_what_is_pushed(push, noise, turns, monkeypatch):
+    """The delay that is told changes each time, so that delay and equations are fitted in turn as often as may be.
+
+    That is once before the first fit and three times after it; of one trajectory that strays, once after it.
+    """
+    told = {"trajectory": 0, "windows": 0}
+
+    def restless(self, delay, found, free, recording, descent):
+        told["trajectory" if descent.joined is None else "windows"] += 1
+        return 0.0 if delay else 0.05
+
+    monkeypatch.setattr(Refinement, "_fine", restless)
+    note = fitted(oscillator(push, noise, False, 2), error="auto", longest_delay=0.1)[1]
+    assert [count for count in told.values() if count] == turns and ("error=prediction" in note) == (push > 0)
+
+
+def test_a_delay_of_the_first_estimate_is_looked_for_though_no_regression_tells_it():
+    """A store of 0.5 s, 8 samples late, that moves within -1.5 and 1.5; the noise of its sensor is 0.8."""
+    generator, dt, late, y = np.random.default_rng(0), 0.05, 8, [0.0]
+    u, phi = np.repeat(generator.uniform(-1, 1, 30), 20), math.exp(A * dt)
+    for k in range(len(u)):
+        y.append(phi * y[-1] + B * (phi - 1) / A * u[max(k - late, 0)])
+    x = np.array(y) + 0.8 * generator.normal(size=len(y))
+    data = Transitions.from_trajectory(torch.from_numpy(x)[:, None], torch.from_numpy(u)[:, None], dt)
+    refinement = Refinement("trajectory", longest_delay=None)
+    assert refinement.run(LIBRARY, first(data), FREE, data).delay < 3 * dt  # two control periods are looked through
+    found = refinement.run(LIBRARY, column(A, B, 0, 0), FREE, data, late=late * dt)
+    assert found.delay == pytest.approx(late * dt, abs=dt)
+    assert found.coefficients[:2, 0].tolist() == pytest.approx([A, B], rel=0.15)
