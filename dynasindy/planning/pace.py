@@ -24,8 +24,8 @@ from torch.quasirandom import SobolEngine
 
 from dynasindy.durations import in_words
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.regulator import Regulator, Weights
-from dynasindy.planning.rests import Rests, find_rests, growth
+from dynasindy.planning.regulator import Regulator, Weights, regulated, squares_of
+from dynasindy.planning.rests import Rests, find_rests, growth, slopes
 from dynasindy.tasks import Tracking
 
 GROWN = 30.0
@@ -42,6 +42,8 @@ WINDOW = 20
 """Windows are multiples of so many control periods."""
 LONGEST = 80
 """Longest window that follows from a model."""
+SEEN = 3.0
+"""Time constants of the slowest regulated motion that the longest window has to hold: 95 % of it is over then."""
 UNTOLD = 100
 """Window where nothing tells how long what is done now matters; Pendulum-v1 is swung up by its own reward with it, and
 not with 60."""
@@ -139,6 +141,32 @@ def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettin
     if regulator is None:
         return PlanSettings(window, 3e-3, 200, 3, substeps, why=why)
     return PlanSettings(window, 3e-3, 200, 3, substeps, True, why, margin=MARGIN)
+
+
+def slowest_motion(env: ControlEnv, x: Tensor, u: Tensor) -> float:
+    """Return the time constant of the slowest motion of a model under a linear regulator [s]; 0 where none matters.
+
+    It is that at the middle of the rests, or the median of some other places where that is less: dry friction holds a
+    plant at rest as if it moved slowly. None matters where a policy begins as a regulator, as it sees the end of a
+    motion whatever the window, and where there is no rest or no regulator.
+
+    Args:
+        env: Imagined environment.
+        x: States of the places, such as those of a log, `(n, n_x)`.
+        u: Inputs there, `(n, n_u)`.
+    """
+    rests, weights = rests_of(env), Weights()
+    regulator = None if rests is None else Regulator.of(env, rests, weights)
+    if rests is None or regulator is None or pace_of(env, rests).held:
+        return 0.0
+    assert isinstance(env.task, Tracking)
+    moved, q = rests.moved, squares_of(env.task, weights)[rests.moved]
+    a, b = slopes(env.system, x.double(), u.double())
+    a, b = a[:, moved][:, :, moved], b[:, moved]
+    good = a.isfinite().all(-1).all(-1) & b.isfinite().all(-1).all(-1)
+    laws = [regulated(*place, env.dt, q, weights.inputs) for place in zip(a[good], b[good], strict=True)]
+    found = torch.tensor([law.slowest for law in laws if law is not None])
+    return env.dt * min(regulator.slowest, float(found.median()) if len(found) else math.inf)
 
 
 def _narrow(task: Tracking) -> str:

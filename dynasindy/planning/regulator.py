@@ -86,10 +86,8 @@ class Regulator:
             return None
         task, k, moved = env.task, rests.middle(), rests.moved
         assert isinstance(task, Tracking)
-        q = weights.states / torch.tensor(task.signature.x_scale, dtype=torch.float64).square()
-        q[task.outputs] = weights.outputs / task.boxes().double().square()
-        a, b = zero_order_hold(rests.a[k][moved][:, moved], rests.b[k][moved], env.dt)
-        found = riccati(a, b, q[moved], weights.inputs)
+        q = squares_of(task, weights)
+        found = regulated(rests.a[k][moved][:, moved], rests.b[k][moved], env.dt, q[moved], weights.inputs)
         return None if found is None else cls(task, rests, weights, q, found)
 
     def __call__(self, observation: Tensor) -> Tensor:
@@ -136,6 +134,26 @@ class Solved:
     gain: Tensor
     cost: Tensor
     slowest: float
+
+
+def squares_of(task: Tracking, weights: Weights) -> Tensor:
+    """Return the weight of each squared state of a task, `(n_x,)`."""
+    q = weights.states / torch.tensor(task.signature.x_scale, dtype=torch.float64).square()
+    q[task.outputs] = weights.outputs / task.boxes().double().square()
+    return q
+
+
+def regulated(a: Tensor, b: Tensor, dt: float, q: Tensor, r: float) -> Solved | None:
+    """Return the law of the least quadratic cost for inputs that are held for a control period, or None without one.
+
+    Args:
+        a: df/dx, `(n_x, n_x)` [1/s].
+        b: df/du, `(n_x, n_u)` [1/s].
+        dt: Control period [s].
+        q: Weight of each squared state, `(n_x,)`.
+        r: Weight of each squared input.
+    """
+    return riccati(*zero_order_hold(a, b, dt), q, r)
 
 
 def riccati(a: Tensor, b: Tensor, q: Tensor, r: float) -> Solved | None:
