@@ -33,7 +33,7 @@ from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.horizons import forecast
 from dynasindy.evaluation.identification import Logged
-from dynasindy.evaluation.period import as_planned, suited_period
+from dynasindy.evaluation.period import as_planned, other_period, suited_period
 from dynasindy.evaluation.predicted import Prediction, predict
 from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
@@ -254,7 +254,8 @@ def foretell(
     rests = rests_of(env)
     never = "" if rests is None else unheld(env, rests)
     if log is None or not len(log.validation):
-        return replace(predict([model], env, policy, scenario, sensing, within), own=True, unheld=never)
+        own = replace(predict([model], env, policy, scenario, sensing, within), own=True, unheld=never)
+        return _advised(own, controller, model, None)
     log = log.with_states_of(model)
     unseen = "what the plan has not seen"
     models = [fit for parts in (1, HALVES) for fit in refits(model, log.validation, parts, unseen)]
@@ -266,7 +267,14 @@ def foretell(
     if pace.task.ends is not None:
         targets = dict(zip(controller.outputs, zip(*pace.task.ends, strict=True), strict=True))
         told += unlogged(model, log.training.x, targets)
-    return replace(found, doubts=tuple(told), unheld=never)
+    return _advised(replace(found, doubts=tuple(told), unheld=never), controller, model, log)
+
+
+def _advised(found: Prediction, controller: Controller, model: SindyModel, log: Source | None) -> Prediction:
+    """Return a prediction that says which control period to try where the one of the plan may be why it fails."""
+    if found.controlled or found.unheld:
+        return found
+    return replace(found, period=other_period(model, controller.pace.task, log, controller.dt))
 
 
 def _steps(task: Tracking) -> Scenario:

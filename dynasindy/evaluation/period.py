@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from dynasindy.durations import in_words
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import known_ranges
 from dynasindy.planning.oscillation import fastest_oscillation
-from dynasindy.planning.pace import LONGEST, SEEN, slowest_motion
+from dynasindy.planning.pace import LONGEST, SEEN, TIME_CONSTANTS, slowest_motion
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import Tracking
 from dynasindy.world_models import SindyModel
@@ -77,6 +78,35 @@ def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> Peri
     return Period(usual, "" if math.isclose(usual, PERIOD, rel_tol=1e-6) else sampled_in_words(usual, PERIOD, step))
 
 
+def other_period(model: SindyModel, task: Tracking, log: Source | None, dt: float) -> str:
+    """Say which control period to try where a plan with another one fails, and why; empty if that is not the cause.
+
+    Args:
+        model: The fitted model.
+        task: What is to be tracked.
+        log: The log.
+        dt: The control period of the plan [s].
+    """
+    task, (x, u) = as_planned(task, model, log), _places(model, task, log)
+    step, oscillation = log.training.dt if log else 0.0, _oscillation(model, x, u, task.outputs)
+    longest = oscillation / PART
+    if longest < dt * (1 - 1e-6):
+        step = step or _two_digits(longest)
+        swings = f"the model swings every {oscillation:.3g} s, which is {oscillation / dt:.2g} control periods only"
+        if step < dt * (1 - 1e-6):
+            return f"{swings}: {_try(step * max(1, math.floor(longest / step + 1e-6)))}"
+        return f"{swings}: log with a sampling time of {longest:.2g} s at most"
+    slowest = slowest_motion(ControlEnv(model, task, dt), x, u)
+    if (slow := _lengthened(dt, TIME_CONSTANTS * slowest / LONGEST, longest, step)) > dt * (1 + 1e-6):
+        takes, sees = (in_words(seconds, digits=2) for seconds in (TIME_CONSTANTS * slowest, LONGEST * dt))
+        return f"the slowest motion under control takes {takes}, and a plan looks {sees} ahead: {_try(slow)}"
+    return ""
+
+
+def _try(seconds: float) -> str:
+    return f"try a control period of {seconds:g} s, env.dt={seconds:g} or in Python dt={seconds:g}"
+
+
 def as_planned(task: Tracking, model: SindyModel, log: Source | None) -> Tracking:
     """Return a task as a model is planned for: from where the log mostly was, with inputs that it has tried.
 
@@ -105,13 +135,13 @@ def _places(model: SindyModel, task: Tracking, log: Source | None) -> tuple[Tens
     middle, usual = typical(data, model).mean(0), data.u.double().median(0).values
     seen = reconstruct(data, rates_known(model.library, model.constraints)).x
     rows = torch.linspace(0, len(data) - 1, PLACES + 2).round().long()[1:-1].unique()
-    hidden = (data.x.isnan().all(0)) & (seen == 0).all(0)
+    hidden = data.x.isnan().all(0) & (seen == 0).all(0)  # and no rate of what is seen
     x = torch.where(hidden, middle, seen[rows])
     return torch.cat([middle.unsqueeze(0), x]), torch.cat([usual.unsqueeze(0), data.u[rows].double()])
 
 
 def _oscillation(model: SindyModel, x: Tensor, u: Tensor, outputs: list[int]) -> float:
-    """Return the fastest oscillation at the first place, or the one that enough of the others have if that is faster."""
+    """Return the fastest oscillation at the first place [s], or that of enough of the others, if it is faster."""
     first, *others = (fastest_oscillation(model, *place, outputs) for place in zip(x, u, strict=True))
     return min(first, sorted(others)[math.ceil(SHARED * len(others)) - 1]) if others else first
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.pace import SUBSTEPS, PlanSettings, pace_of, rests_of
+from dynasindy.planning.pace import SUBSTEPS, PlanSettings, pace_of, rests_of, slowest_motion
 from dynasindy.systems import Signature, System, Tras, Xi
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -122,3 +122,26 @@ def test_without_references_a_model_takes_the_steps_of_the_plant(settle):
     found = pace_of(env, None, 5)
     assert found == PlanSettings(100, 3e-3, 400, 8, 5, why="the task has no references")
     assert not found.held
+
+
+class Rubbing(Linear):
+    """The same with dry friction."""
+
+    def forward(self, x, u):
+        return super().forward(x, u) - torch.stack((torch.zeros_like(x[..., 0]), 2 * torch.tanh(100 * x[..., 1])), -1)
+
+
+def motion(plant, v):
+    task = Tracking(plant.signature, RandomStep((-0.5,), (0.5,)), ("x",), ("v",), TrackingReward((4.0,)))
+    return slowest_motion(ControlEnv(plant, task, 0.05, 1), torch.tensor([[0.0, v]] * 3), torch.zeros(3, 1))
+
+
+def test_dry_friction_does_not_make_a_plant_slow_that_moves():
+    """In motion it is the plant without friction; at rest it is one with a damping of 200."""
+    smooth, stuck = motion(Linear(0.0, 2.0, 10.0), 0.0), motion(Linear(0.0, 202.0, 10.0), 0.0)
+    assert motion(Rubbing(0.0, 2.0, 10.0), 0.5) == pytest.approx(smooth, rel=1e-3) and stuck > 3 * smooth
+    assert motion(Rubbing(0.0, 2.0, 10.0), 0.0) == pytest.approx(stuck, rel=1e-3)
+
+
+def test_no_motion_of_a_plant_that_is_held_or_that_no_input_holds_matters():
+    assert motion(Linear(4.0, 0.0, 4.0), 0.0) == 0 and motion(Linear(-100.0, 1.0, 1e-3), 0.0) == 0
