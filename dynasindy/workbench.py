@@ -178,7 +178,7 @@ def plan(
         sensors: What will be measured in flight; if omitted, what the log shows. Without a log all states.
         dt: Control period [s]. If omitted it is the least of 0.05 s, ten samples of the log, and a fifth of the model's
             fastest oscillation that is lightly damped, as a multiple of the log's sampling time; or longer, where the
-            slowest motion under control would not end within what a plan looks ahead.
+            outputs would not settle within the control periods that a plan looks ahead.
         seed: Seed of networks, references and starts.
         **settings: Settings of `GradientPlanning`, such as `updates`.
 

@@ -13,7 +13,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import known_ranges
 from dynasindy.planning.oscillation import fastest_oscillation
-from dynasindy.planning.pace import LONGEST, SEEN, TIME_CONSTANTS, slowest_motion
+from dynasindy.planning.pace import LONGEST, TIME_CONSTANTS, settles
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import Tracking
 from dynasindy.world_models import SindyModel
@@ -50,9 +50,9 @@ def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> Peri
     """Return the control period that suits a model and its log, where nobody asks for one.
 
     It is what suits the log, but a fifth of the model's fastest oscillation at most, where the log mostly was or in a
-    quarter of its places; without a log where episodes begin. It is longer where the plan would otherwise end before
-    the slowest motion of the regulated plant does. With a log it is a multiple of its sampling time, and one sample at
-    least.
+    quarter of its places; without a log where episodes begin. It is longer where a plan would otherwise not look as
+    far ahead as the regulated plant takes to settle. With a log it is a multiple of its sampling time, and one sample
+    at least.
 
     Args:
         model: The fitted model.
@@ -69,10 +69,11 @@ def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> Peri
         if samples:
             return _chosen(samples * step, f"a fifth of the model's fastest oscillation of {oscillation:.3g} s")
         return _chosen(step, f"one sample of the log, as the model's fastest oscillation takes {oscillation:.3g} s")
-    slowest = slowest_motion(ControlEnv(model, task, usual), x, u)
-    if (slow := _lengthened(usual, SEEN * slowest / LONGEST, longest, step)) > usual:
-        motion = f"has a time constant of {slowest:.3g} s, of which a plan has to see {SEEN:g} in {LONGEST} periods"
-        return _chosen(slow, f"as the model's slowest motion under control {motion}")
+    seconds = settles(ControlEnv(model, task, usual), x, u)
+    if (slow := _lengthened(usual, seconds / LONGEST, longest, step)) > usual:
+        return _chosen(
+            slow, f"as the model settles in {in_words(seconds, digits=2)}, and a plan looks {LONGEST} periods ahead"
+        )
     if usual < PERIOD - step:
         return _chosen(usual, "ten samples of the log")
     return Period(usual, "" if math.isclose(usual, PERIOD, rel_tol=1e-6) else sampled_in_words(usual, PERIOD, step))
@@ -96,10 +97,10 @@ def other_period(model: SindyModel, task: Tracking, log: Source | None, dt: floa
         if step < dt * (1 - 1e-6):
             return f"{swings}: {_try(step * max(1, math.floor(longest / step + 1e-6)))}"
         return f"{swings}: log with a sampling time of {longest:.2g} s at most"
-    slowest = slowest_motion(ControlEnv(model, task, dt), x, u)
-    if (slow := _lengthened(dt, TIME_CONSTANTS * slowest / LONGEST, longest, step)) > dt * (1 + 1e-6):
-        takes, sees = (in_words(seconds, digits=2) for seconds in (TIME_CONSTANTS * slowest, LONGEST * dt))
-        return f"the slowest motion under control takes {takes}, and a plan looks {sees} ahead: {_try(slow)}"
+    seconds = settles(ControlEnv(model, task, dt), x, u, math.exp(-TIME_CONSTANTS))
+    if (slow := _lengthened(dt, seconds / LONGEST, longest, step)) > dt * (1 + 1e-6):
+        takes, sees = (in_words(length, digits=2) for length in (seconds, LONGEST * dt))
+        return f"the model takes {takes} to settle fully, and a plan looks {sees} ahead: {_try(slow)}"
     return ""
 
 
