@@ -7,9 +7,11 @@ import pytest
 import torch
 
 import dynasindy
+from dynasindy.control import save
 from dynasindy.data.csv import Recording
 from dynasindy.data.simulated import record
-from dynasindy.evaluation.period import nearest_period, other_period, suited_period, typical
+from dynasindy.evaluation.period import as_planned, nearest_period, other_period, suited_period, typical
+from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
 from dynasindy.systems import Signature, System
@@ -244,3 +246,22 @@ def test_a_plan_that_fails_is_told_which_period_to_try():
     # All but exp(-7) is over after seven time constants of 398 s, 46 min; in 80 periods that is 34.8 s each.
     assert told.startswith("the model takes 4") and " min to settle fully, and a plan looks 80 s ahead: try" in told
     assert 34.8 <= float(told.rpartition("dt=")[2]) <= 36
+
+
+def test_a_task_that_is_planned_for_twice_is_planned_for_once():
+    """The commands ask with the task as it is given, and `plan` with the one that the log has made of it."""
+    model = tank(4000)
+    task, log = tracking(model, {"h": (-0.5, 0.5)}), tank_log(1.0, model)
+    once = as_planned(task, model, log)
+    assert suited_period(model, task, log) == suited_period(model, once, log)
+    assert torch.equal(once.start, as_planned(once, model, log).start)
+
+
+def test_a_controller_out_of_a_file_that_fails_is_told_which_period_to_try(tmp_path):
+    model, targets = known(9.4, 0.1), {"p": (-0.5, 0.5)}
+    log = logged(0.005, model.signature)
+    controller = dynasindy.plan(model, targets, log, dt=0.05, updates=1, rollouts=4, window=5)
+    save(controller, tmp_path / "controller.json")
+    steps = Scenario("step", step_references([-0.5], [0.5], 4), 4, 2.0)
+    told = dynasindy.foretell(dynasindy.load(tmp_path), model, log, steps).words()
+    assert "at the end of flights of 2 s" in told and "try a control period of 0.02 s, env.dt=0.02" in told
