@@ -33,14 +33,14 @@ from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.horizons import forecast
 from dynasindy.evaluation.identification import Logged
-from dynasindy.evaluation.period import suited_period, typical
+from dynasindy.evaluation.period import as_planned, other_period, suited_period
 from dynasindy.evaluation.predicted import Prediction, predict
 from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.evaluation.symptoms import resolution as resolution_of
 from dynasindy.evaluation.symptoms import samples_of, step_of
 from dynasindy.evaluation.targets import require_radians
-from dynasindy.evaluation.verdict import beyond, doubts, known_ranges, unlogged, unmoved
+from dynasindy.evaluation.verdict import beyond, doubts, unlogged, unmoved
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.planning.pace import rests_of, unheld
@@ -178,7 +178,8 @@ def plan(
         log: Log of the plant, from which the controller's observer learns its noise levels; needed with sensors.
         sensors: What will be measured in flight; if omitted, what the log shows. Without a log all states.
         dt: Control period [s]. If omitted it is the least of 0.05 s, ten samples of the log, and a fifth of the model's
-            fastest oscillation that is lightly damped, as a multiple of the log's sampling time.
+            fastest oscillation that is lightly damped, as a multiple of the log's sampling time; or longer, where the
+            outputs would not settle within the control periods that a plan looks ahead.
         seed: Seed of networks, references and starts.
         **settings: Settings of `GradientPlanning`, such as `updates`.
 
@@ -195,14 +196,11 @@ def plan(
         )
     if still := unmoved(model, task.output_names):
         raise ValueError(still)
-    if model.followers:
-        task = task.following(model.followers)
     if log is not None:
         log = log.with_states_of(model)
         if task.ends is not None:
             require_radians(log, dict(zip(task.output_names, zip(*task.ends, strict=True), strict=True)))
-        data = log.training
-        task = task.as_logged(typical(data, model), known_ranges(model, data.u))
+    task = as_planned(task, model, log)
     pace = Pace(task, dt or suited_period(model, task, log).seconds, stops=model.stops)
     if log is not None and sensors is None:
         sensors = sensors_of(log, model)
@@ -257,7 +255,8 @@ def foretell(
     rests = rests_of(env)
     never = "" if rests is None else unheld(env, rests)
     if log is None or not len(log.validation):
-        return replace(predict([model], env, policy, scenario, sensing, within), own=True, unheld=never)
+        own = replace(predict([model], env, policy, scenario, sensing, within), own=True, unheld=never)
+        return _advised(own, controller, model, None)
     log = log.with_states_of(model)
     unseen = "what the plan has not seen"
     models = [fit for parts in (1, HALVES) for fit in refits(model, log.validation, parts, unseen)]
@@ -269,7 +268,14 @@ def foretell(
     if pace.task.ends is not None:
         targets = dict(zip(controller.outputs, zip(*pace.task.ends, strict=True), strict=True))
         told += unlogged(model, log.training.x, targets)
-    return replace(found, doubts=tuple(told), unheld=never)
+    return _advised(replace(found, doubts=tuple(told), unheld=never), controller, model, log)
+
+
+def _advised(found: Prediction, controller: Controller, model: SindyModel, log: Source | None) -> Prediction:
+    """Return a prediction that says which control period to try where the one of the plan may be why it fails."""
+    if found.controlled or found.unheld:
+        return found
+    return replace(found, period=other_period(model, controller.pace.task, log, controller.dt))
 
 
 def _steps(task: Tracking) -> Scenario:

@@ -8,12 +8,17 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from dynasindy.durations import in_words
+from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.source import Source
+from dynasindy.evaluation.verdict import known_ranges
 from dynasindy.planning.oscillation import fastest_oscillation
+from dynasindy.planning.pace import LONGEST, TIME_CONSTANTS, settles
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import Tracking
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.models.follower import begins
+from dynasindy.world_models.refinement.measured import rates_known, reconstruct
 
 PERIOD = 0.05
 """Control period unless another is given [s]; with a log the multiple of its sampling time that is nearest."""
@@ -21,6 +26,11 @@ SAMPLES = 10
 """Samples of a log in a control period at most, if nobody asks for another one."""
 PART = 5
 """Control periods in the fastest oscillation of the model at least, if nobody asks for another one."""
+PLACES = 64
+"""Places of a log at which its model is looked at."""
+SHARED = 0.25
+"""Part of those places in which the model has to swing as fast, for the period to follow it: single ones lie where the
+equations bend, or where they only guess."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +49,10 @@ class Period:
 def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> Period:
     """Return the control period that suits a model and its log, where nobody asks for one.
 
-    It is what suits the log, but a fifth of the model's fastest oscillation at most, where the log mostly was; without
-    a log where episodes begin. With a log it is a multiple of its sampling time, and one sample at least.
+    It is what suits the log, but a fifth of the model's fastest oscillation at most, where the log mostly was or in a
+    quarter of its places; without a log where episodes begin. It is longer where a plan would otherwise not look as
+    far ahead as the regulated plant takes to settle. With a log it is a multiple of its sampling time, and one sample
+    at least.
 
     Args:
         model: The fitted model.
@@ -48,22 +60,112 @@ def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> Peri
         log: The log.
     """
     usual, step = nearest_period(log), log.training.dt if log else 0.0
-    if log is None:
-        x, u = task.start.double().mean(0), torch.zeros(model.signature.n_u)
-    else:
-        data = log.with_states_of(model).training
-        x, u = typical(data, model).mean(0), data.u.double().median(0).values
-    oscillation = fastest_oscillation(model, x, u, task.outputs)
+    task, (x, u) = as_planned(task, model, log), _places(model, task, log)
+    oscillation = _oscillation(model, x, u, task.outputs)
     longest = oscillation / PART
     if step < usual and longest < usual * (1 - 1e-6):
-        step = step or 10.0 ** (math.floor(math.log10(longest)) - 1)  # two digits
+        step = step or _two_digits(longest)
         samples = math.floor(longest / step + 1e-6)
         if samples:
             return _chosen(samples * step, f"a fifth of the model's fastest oscillation of {oscillation:.3g} s")
         return _chosen(step, f"one sample of the log, as the model's fastest oscillation takes {oscillation:.3g} s")
+    seconds = settles(ControlEnv(model, task, usual), x, u)
+    if (slow := _lengthened(usual, seconds / LONGEST, longest, step)) > usual:
+        return _chosen(
+            slow, f"as the model settles in {in_words(seconds, digits=2)}, and a plan looks {LONGEST} periods ahead"
+        )
     if usual < PERIOD - step:
         return _chosen(usual, "ten samples of the log")
     return Period(usual, "" if math.isclose(usual, PERIOD, rel_tol=1e-6) else sampled_in_words(usual, PERIOD, step))
+
+
+def other_period(model: SindyModel, task: Tracking, log: Source | None, dt: float) -> str:
+    """Say which control period to try where a plan with another one fails, and why; empty if that is not the cause.
+
+    Args:
+        model: The fitted model.
+        task: What is to be tracked.
+        log: The log.
+        dt: The control period of the plan [s].
+    """
+    task, (x, u) = as_planned(task, model, log), _places(model, task, log)
+    step, oscillation = log.training.dt if log else 0.0, _oscillation(model, x, u, task.outputs)
+    longest = oscillation / PART
+    if longest < dt * (1 - 1e-6):
+        step = step or _two_digits(longest)
+        swings = f"the model swings every {oscillation:.3g} s, which is {oscillation / dt:.2g} control periods only"
+        if step < dt * (1 - 1e-6):
+            return f"{swings}: {_try(step * max(1, math.floor(longest / step + 1e-6)))}"
+        return f"{swings}: log with a sampling time of {longest:.2g} s at most"
+    seconds = settles(ControlEnv(model, task, dt), x, u, math.exp(-TIME_CONSTANTS))
+    if (slow := _lengthened(dt, seconds / LONGEST, longest, step)) > dt * (1 + 1e-6):
+        takes, sees = (in_words(length, digits=2) for length in (seconds, LONGEST * dt))
+        return f"the model takes {takes} to settle fully, and a plan looks {sees} ahead: {_try(slow)}"
+    return ""
+
+
+def _try(seconds: float) -> str:
+    return f"try a control period of {seconds:g} s, env.dt={seconds:g} or in Python dt={seconds:g}"
+
+
+def as_planned(task: Tracking, model: SindyModel, log: Source | None) -> Tracking:
+    """Return a task as a model is planned for: from where the log mostly was, with inputs that it has tried.
+
+    Args:
+        task: The task.
+        model: The fitted model.
+        log: Its log.
+    """
+    if model.followers:
+        task = task.following(model.followers)
+    if log is None:
+        return task
+    data = log.with_states_of(model).training
+    return task.as_logged(typical(data, model), known_ranges(model, data.u))
+
+
+def _places(model: SindyModel, task: Tracking, log: Source | None) -> tuple[Tensor, Tensor]:
+    """Return states `(n, n_x)` and inputs `(n, n_u)` at which a model is looked at.
+
+    The first place is where the log mostly was: often at rest, where dry friction hides what swings. The others are
+    places of the log in even steps of time. Without a log there is one, where episodes begin.
+    """
+    if log is None:
+        return task.start.double().mean(0, keepdim=True), torch.zeros(1, model.signature.n_u, dtype=torch.float64)
+    data = log.with_states_of(model).training
+    middle, usual = typical(data, model).mean(0), data.u.double().median(0).values
+    seen = reconstruct(data, rates_known(model.library, model.constraints)).x
+    rows = torch.linspace(0, len(data) - 1, PLACES + 2).round().long()[1:-1].unique()
+    hidden = data.x.isnan().all(0) & (seen == 0).all(0)  # and no rate of what is seen
+    x = torch.where(hidden, middle, seen[rows])
+    return torch.cat([middle.unsqueeze(0), x]), torch.cat([usual.unsqueeze(0), data.u[rows].double()])
+
+
+def _oscillation(model: SindyModel, x: Tensor, u: Tensor, outputs: list[int]) -> float:
+    """Return the fastest oscillation at the first place [s], or that of enough of the others, if it is faster."""
+    first, *others = (fastest_oscillation(model, *place, outputs) for place in zip(x, u, strict=True))
+    return min(first, sorted(others)[math.ceil(SHARED * len(others)) - 1]) if others else first
+
+
+def _lengthened(usual: float, wanted: float, longest: float, step: float) -> float:
+    """Return the least period of at least some length, but no longer than the longest.
+
+    Args:
+        usual: The period that would be taken [s].
+        wanted: The least length [s].
+        longest: The longest [s].
+        step: What it is a multiple of [s]; 0 for two digits.
+    """
+    if not wanted > usual * (1 + 1e-6):
+        return usual
+    step = step or _two_digits(wanted)
+    samples = math.ceil(wanted / step - 1e-6)
+    return step * (samples if samples * step <= longest else math.floor(longest / step + 1e-6))
+
+
+def _two_digits(seconds: float) -> float:
+    """Return the place of the second digit of a time [s]."""
+    return 10.0 ** (math.floor(math.log10(seconds)) - 1)
 
 
 def _chosen(seconds: float, cause: str) -> Period:

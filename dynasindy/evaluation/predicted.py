@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import torch
 
+from dynasindy.durations import in_words
 from dynasindy.envs import ControlEnv, LateEnv
 from dynasindy.evaluation.held import LOST, WITHIN, Held, held, of_what
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate
 from dynasindy.planning.rests import states_that_matter
 from dynasindy.sensing import Sensing
 from dynasindy.systems import Diverged, System
+
+OVERSHOT = 20.0
+"""Overshoot that a prediction tells of [% of the step]."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,9 @@ class Prediction:
             one that ran away.
         doubts: Why the models, though they agree, are not to be relied on, a sentence each.
         unheld: Which targets no input holds in the model of the plan; empty if all are held.
+        seconds: Length of the flights [s]; None where it is not known.
+        overshoot: Of each output, the median of a model's flights, of the worst model [% of the step].
+        period: What speaks for another control period, and which to try; empty if nothing does.
     """
 
     flights: tuple[Held | None, ...]
@@ -40,6 +47,9 @@ class Prediction:
     errors: tuple[float, ...] = ()
     doubts: tuple[str, ...] = ()
     unheld: str = ""
+    seconds: float | None = None
+    overshoot: Mapping[str, float] = field(default_factory=dict)
+    period: str = ""
 
     def __repr__(self) -> str:
         kept = f"promised={self.promised}, controlled={self.controlled}, score={self.score:.3g}"
@@ -86,24 +96,30 @@ class Prediction:
             start = f"PREDICTED {self.place}, which promises nothing of the plant"
         lacking = "NOT CONTROLLED" if self.own else "NOT promised"
         if not flown:
-            return f"{start}: {lacking}, {'it runs' if n == 1 else 'all of them run'} away"
+            gone = f"{start}: {lacking}, {'it runs' if n == 1 else 'all of them run'} away"
+            return "; ".join(filter(None, (gone, self.period)))
         told = []
         for name in flown[0].share:
             shares = [100 * _number(flight.share[name]) for flight in flown]
             worst = max(100 * _number(flight.worst[name]) for flight in flown)
             ends = f"{min(shares):.2g} to {max(shares):.2g} %"
-            told.append(f"{name} {ends} {of_what(name, flown[0].turned)} on average, {worst:.2g} % at worst")
+            over = self.overshoot.get(name, 0.0)
+            beyond = f", after it overshot by {over:.2g} % of the step" if over > OVERSHOT else ""
+            told.append(f"{name} {ends} {of_what(name, flown[0].turned)} on average, {worst:.2g} % at worst{beyond}")
         lost = [f"{n - len(flown)} of {n} models run away"] if len(flown) < n else []
         fates = {(name, name not in flight.swings) for flight in flown for name in flight.away}
         lost += sorted(f"{name}, which is not tracked, {_fate(away)}" for name, away in fates)
         lost += sorted({f"{name} runs on, which nothing depends on" for flight in flown for name in flight.idle})
         diverged = len(flown) < n or any(away for _, away in fates)
-        if not (self.controlled or diverged or self.doubts):
+        if self.period and (diverged or self._missed):
+            lost.append(self.period)
+        elif not (self.controlled or diverged or self.doubts):
             lost.append(self._advice(flown))
         lost += self.doubts
         asked = f", {100 * self.within:g} % is asked for, and {100 * LOST * self.within:g} % at worst"
         verdict = "CONTROLLED" if self.controlled else f"{lacking}{asked if self._missed else ''}"
-        return f"{start}: {verdict}: errors at the end: {'; '.join([*told, *lost])}"
+        end = "the end" if self.seconds is None else f"the end of flights of {in_words(self.seconds)}"
+        return f"{start}: {verdict}: errors at {end}: {'; '.join([*told, *lost])}"
 
     def _advice(self, flown: Sequence[Held]) -> str:
         """Say what may help where nothing runs away."""
@@ -154,6 +170,7 @@ def predict(
     """
     flights: list[Held | None] = []
     errors: list[float] = []
+    overshoot: dict[str, float] = {}
     shown: Evaluation | None = None
     for k, model in enumerate(models):
         env = LateEnv.around(plan.with_system(model, torch.float64), float(getattr(model, "delay", 0.0)))
@@ -169,7 +186,12 @@ def predict(
         start = result.trajectory["state"][0, 0]
         flights.append(held(result, states_that_matter(model, result.columns, start)))
         errors.append(_whole(result))
-    return Prediction(tuple(flights), shown, within=within, errors=tuple(errors))
+        over = result.metrics["overshoot"].nanmedian(0).values.nan_to_num(0.0).tolist() if result.columns else []
+        overshoot = {
+            name: max(overshoot.get(name, 0.0), share) for name, share in zip(result.output_names, over, strict=True)
+        }
+    seconds = scenario.seconds or plan.task.max_steps * plan.dt
+    return Prediction(tuple(flights), shown, within=within, errors=tuple(errors), seconds=seconds, overshoot=overshoot)
 
 
 def _whole(result: Evaluation) -> float:

@@ -24,8 +24,8 @@ from torch.quasirandom import SobolEngine
 
 from dynasindy.durations import in_words
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.regulator import Regulator, Weights
-from dynasindy.planning.rests import Rests, find_rests, growth
+from dynasindy.planning.regulator import Regulator, Weights, regulated, squares_of
+from dynasindy.planning.rests import Rests, find_rests, growth, slopes
 from dynasindy.tasks import Tracking
 
 GROWN = 30.0
@@ -42,6 +42,8 @@ WINDOW = 20
 """Windows are multiples of so many control periods."""
 LONGEST = 80
 """Longest window that follows from a model."""
+SETTLED = 0.05
+"""Share of a step within which outputs have settled, as the longest window has to see."""
 UNTOLD = 100
 """Window where nothing tells how long what is done now matters; Pendulum-v1 is swung up by its own reward with it, and
 not with 60."""
@@ -139,6 +141,37 @@ def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettin
     if regulator is None:
         return PlanSettings(window, 3e-3, 200, 3, substeps, why=why)
     return PlanSettings(window, 3e-3, 200, 3, substeps, True, why, margin=MARGIN)
+
+
+def settles(env: ControlEnv, x: Tensor, u: Tensor, share: float = SETTLED) -> float:
+    """Return how long the outputs of a model take to settle under a linear regulator [s]; 0 where it does not matter.
+
+    It is that of steps between the rests, with the model linear as at the middle one, or the median of some other
+    places where that is less: dry friction holds a plant at rest as if it moved slowly. It does not matter where a
+    policy begins as a regulator, as that sees the end of a motion whatever the window, and where there is no rest or no
+    regulator.
+
+    Args:
+        env: Imagined environment.
+        x: States of the places, such as those of a log, `(n, n_x)`.
+        u: Inputs there, `(n, n_u)`.
+        share: Share of a step within which outputs have settled.
+    """
+    rests, weights = rests_of(env), Weights()
+    if rests is None or not len(rests) or pace_of(env, rests).held:
+        return 0.0
+    assert isinstance(env.task, Tracking)
+    moved, k, extents = rests.moved, rests.middle(), torch.full((len(rests.moved),), math.inf, dtype=torch.float64)
+    extents[env.task.outputs] = env.task.boxes()
+    away, q = (rests.x - rests.x[k])[:, moved], squares_of(env.task, weights)[moved]
+    places = torch.cat([rests.x[k : k + 1], x.double()]), torch.cat([rests.u[k : k + 1], u.double()])
+    found = []
+    for a, b in zip(*slopes(env.system, *places), strict=True):
+        fine = bool(a.isfinite().all() & b.isfinite().all())
+        law = regulated(a[moved][:, moved], b[moved], env.dt, q, weights.inputs) if fine else None
+        found.append(math.nan if law is None else law.settling(away, extents[moved], share))
+    seconds = env.dt * torch.tensor(found, dtype=torch.float64)
+    return float(seconds[0].fmin(seconds[1:].nanmedian()).nan_to_num(nan=0.0))
 
 
 def _narrow(task: Tracking) -> str:

@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
@@ -27,6 +28,10 @@ DEGREE = 3
 """Degree of the polynomials through the rests."""
 DISCOUNT = 0.9995
 """Factor on the model where there is no law without: a state that no input moves and that stays, as cos^2 + sin^2."""
+FINE = 64
+"""Steps in which settling is told before they become twice as long: so they are some hundredths of the time so far."""
+BEYOND = 2.0
+"""How much longer settling is watched than a mode takes: several of one rate, as of tanks in a row, take longer."""
 AROUND = 0.3
 """Distance from a rest at which every second imagined episode begins [ranges of the states]."""
 
@@ -86,10 +91,8 @@ class Regulator:
             return None
         task, k, moved = env.task, rests.middle(), rests.moved
         assert isinstance(task, Tracking)
-        q = weights.states / torch.tensor(task.signature.x_scale, dtype=torch.float64).square()
-        q[task.outputs] = weights.outputs / task.boxes().double().square()
-        a, b = zero_order_hold(rests.a[k][moved][:, moved], rests.b[k][moved], env.dt)
-        found = riccati(a, b, q[moved], weights.inputs)
+        q = squares_of(task, weights)
+        found = regulated(rests.a[k][moved][:, moved], rests.b[k][moved], env.dt, q[moved], weights.inputs)
         return None if found is None else cls(task, rests, weights, q, found)
 
     def __call__(self, observation: Tensor) -> Tensor:
@@ -131,11 +134,54 @@ class Solved:
         gain: K, `(n_u, n_x)`.
         cost: P, `(n_x, n_x)`.
         slowest: Time constant of the slowest mode of the closed loop [periods].
+        closed: a - b K of the closed loop x[k+1] = (a - b K) x[k], `(n_x, n_x)`.
     """
 
     gain: Tensor
     cost: Tensor
     slowest: float
+    closed: Tensor
+
+    def settling(self, away: Tensor, extents: Tensor, share: float) -> float:
+        """Return when the outputs stay within a share of their distance from a rest [periods].
+
+        Slow modes that outputs do not show, as a wall behind air whose temperature is held, do not count.
+
+        Args:
+            away: States that begin away from the rest, `(n, n_x)`.
+            extents: What an output counts as one, `(n_x,)`; inf of states that are no outputs.
+            share: Share of the largest distance of an output at the beginning.
+        """
+        end, sizes, times, step, k = -math.log(share) * BEYOND * self.slowest, [], [], 1, 0
+        x, power = away, self.closed.mT
+        while k <= end:
+            for _ in range(FINE):
+                sizes.append((x / extents).abs().amax())
+                times.append(k := k + step)
+                x = x @ power
+            power, step = power @ power, 2 * step
+        outside = (torch.stack(sizes) > share * sizes[0]).nonzero()
+        return float(times[int(outside.amax())]) if len(outside) else 0.0
+
+
+def squares_of(task: Tracking, weights: Weights) -> Tensor:
+    """Return the weight of each squared state of a task, `(n_x,)`."""
+    q = weights.states / torch.tensor(task.signature.x_scale, dtype=torch.float64).square()
+    q[task.outputs] = weights.outputs / task.boxes().double().square()
+    return q
+
+
+def regulated(a: Tensor, b: Tensor, dt: float, q: Tensor, r: float) -> Solved | None:
+    """Return the law of the least quadratic cost for inputs that are held for a control period, or None without one.
+
+    Args:
+        a: df/dx, `(n_x, n_x)` [1/s].
+        b: df/du, `(n_x, n_u)` [1/s].
+        dt: Control period [s].
+        q: Weight of each squared state, `(n_x,)`.
+        r: Weight of each squared input.
+    """
+    return riccati(*zero_order_hold(a, b, dt), q, r)
 
 
 def riccati(a: Tensor, b: Tensor, q: Tensor, r: float) -> Solved | None:
@@ -154,10 +200,11 @@ def riccati(a: Tensor, b: Tensor, q: Tensor, r: float) -> Solved | None:
         except (np.linalg.LinAlgError, ValueError):
             continue
         gain = np.linalg.solve(cost + g.T @ p @ g, g.T @ p @ f)
-        radius = float(np.abs(np.linalg.eigvals(f - g @ gain)).max())
+        closed = f - g @ gain
+        radius = float(np.abs(np.linalg.eigvals(closed)).max())
         if radius < 1 - 1e-6:
             slowest = -1.0 / float(np.log(max(radius, 1e-3)))
-            return Solved(torch.as_tensor(gain), torch.as_tensor(p), slowest)
+            return Solved(torch.as_tensor(gain), torch.as_tensor(p), slowest, torch.as_tensor(closed))
     return None
 
 

@@ -7,9 +7,11 @@ import pytest
 import torch
 
 import dynasindy
+from dynasindy.control import save
 from dynasindy.data.csv import Recording
 from dynasindy.data.simulated import record
-from dynasindy.evaluation.period import nearest_period, suited_period, typical
+from dynasindy.evaluation.period import as_planned, nearest_period, other_period, suited_period, typical
+from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
 from dynasindy.systems import Signature, System
@@ -124,3 +126,142 @@ def test_a_control_period_that_is_asked_for_is_kept_whatever_the_log():
     assert nearest_period(fast, 0.05) == 0.05 and nearest_period(None) == 0.05 and nearest_period(None, 0.02) == 0.02
     with pytest.raises(ValueError, match=r"env\.dt must be a time > 0"):
         nearest_period(fast, 0.0)
+
+
+def rubbing(hertz, damping, friction):
+    """Return a spring that dry friction holds, v' = w^2 (u - p) - 2 z w v - friction tanh(200 v)."""
+    smooth = known(hertz, damping)
+    model = SindyModel(smooth.signature, library=[*NAMES, "tanh(200 v)"], known={"p": "v"})
+    last = torch.tensor([[0.0, -friction]], dtype=torch.float64)
+    model.coefficients = torch.cat([smooth.coefficients, last])
+    return model
+
+
+def blind(log):
+    """Return a log without its rate, as an encoder gives it."""
+    unseen = torch.full_like(log.training.x[:, 1], torch.nan)
+
+    def _without(data):
+        x, x_next = (torch.stack([given[:, 0], unseen[: len(data)]], -1) for given in (data.x, data.x_next))
+        return replace(data, x=x, x_next=x_next)
+
+    return replace(log, training=_without(log.training), validation=_without(log.validation))
+
+
+@pytest.mark.parametrize("seen", [True, False])
+def test_a_swing_that_friction_hides_at_rest_counts_where_the_log_moves(seen):
+    """At rest 200 * 40 of damping leave two real poles; in motion T = 1 / (f sqrt(1 - z^2)) = 0.10692 s is left."""
+    model = rubbing(9.4, 0.1, 40.0)
+    log = logged(0.005, model.signature)
+    found = suited_period(model, tracking(model, {"p": (-0.5, 0.5)}), log if seen else blind(log))
+    assert found.seconds == pytest.approx(0.02) and "oscillation of 0.107 s" in found.why
+
+
+def test_a_swing_that_few_places_of_a_log_show_does_not_count():
+    """A log that stands still but for its last tenth."""
+    model = rubbing(9.4, 0.1, 40.0)
+    log = logged(0.005, model.signature)
+    still = torch.arange(len(log.training)) < 0.9 * len(log.training)
+    x = log.training.x.clone()
+    x[still] = 0.0
+    log = replace(log, training=replace(log.training, x=x))
+    assert suited_period(model, tracking(model, {"p": (-0.5, 0.5)}), log).seconds == pytest.approx(0.05)
+
+
+NAMES_OF_TANK = ["h", "p", "v", "u"]
+
+
+def tank(slow, hertz=None):
+    """Return h' = (u - h) / slow, beside a spring that the input moves if there is a frequency."""
+    signature = Signature(("h", "p", "v"), ("m", "m", "m/s"), ("u",), (1.0, 1.0, 1.0))
+    model, w = SindyModel(signature, library=NAMES_OF_TANK), 2 * math.pi * (hertz or 0.0)
+    z = 0.1 if hertz else 0.0
+    rows = [[-1 / slow, 0, 0], [0, 0, -w * w], [0, 1.0 if hertz else 0.0, -2 * z * w], [1 / slow, 0, w * w]]
+    model.coefficients = torch.tensor(rows, dtype=torch.float64)
+    return model
+
+
+def tank_log(dt, model):
+    plain = logged(dt, known(1.0, 0.1).signature)
+
+    def _wide(data):
+        x, x_next = (torch.cat([0.1 * given[:, :1], given], -1) for given in (data.x, data.x_next))
+        return replace(data, x=x, x_next=x_next)
+
+    parts = {"training": _wide(plain.training), "validation": _wide(plain.validation)}
+    return replace(plain, signature=model.signature, **parts)
+
+
+def tank_period(slow, dt, hertz=None):
+    model = tank(slow, hertz)
+    log = None if dt is None else tank_log(dt, model)
+    return suited_period(model, tracking(model, {"h": (-0.5, 0.5)}), log)
+
+
+REGULATED = math.sqrt(1 + 100)
+"""By how much the least cost of 100 e^2 + u^2 makes x' = (u - x) / T faster: its pole is -sqrt(1 + 100) / T."""
+SETTLED = math.log(20) / REGULATED
+"""Part of T after which 5 % of a step are left."""
+
+
+@pytest.mark.parametrize(("slow", "dt"), [(4000, 1.0), (2000, 1.0), (4000, 5.0), (40, 0.02)])
+def test_a_slow_plant_settles_in_the_80_periods_that_a_plan_looks_ahead(slow, dt):
+    found, wanted = tank_period(slow, dt), SETTLED * slow / 80
+    assert wanted * 0.99 <= found.seconds < 1.03 * wanted + dt and found.seconds > max(dt, 0.05)
+    assert found.seconds / dt == pytest.approx(round(found.seconds / dt))
+    assert "as the model settles in" in found.why and "and a plan looks 80 periods ahead; env.dt chooses" in found.why
+
+
+def test_a_plant_that_fits_keeps_its_period_and_a_slow_one_without_a_log_gets_two_digits():
+    assert tank_period(4.0, 0.02).seconds == pytest.approx(0.04)
+    assert tank_period(250, 1.0).seconds == 1.0
+    assert tank_period(400, None).seconds == pytest.approx(SETTLED * 400 / 80, rel=0.1)
+    assert tank_period(4.0, None).seconds == 0.05
+
+
+def test_a_longer_period_leaves_a_fifth_of_a_swing():
+    """1.49 s would show all of it; the spring swings in 4.02 s."""
+    assert tank_period(400, 0.1, 0.25).seconds == pytest.approx(0.8)
+
+
+def test_a_plant_that_has_to_be_held_keeps_its_period():
+    """v' = (p + u) / 900 doubles every 21 s, in an episode of 400 s."""
+    model = known(1.0, 0.1)
+    rows = [[0.0, 1 / 900], [1.0, 0.0], [0.0, 1 / 900]]
+    model.coefficients = torch.tensor(rows, dtype=torch.float64)
+    assert suited_period(model, tracking(model, {"p": (-0.5, 0.5)}), logged(1.0, model.signature)).seconds == 1.0
+
+
+def test_a_plan_that_fails_is_told_which_period_to_try():
+    spring, targets = known(9.4, 0.1), {"p": (-0.5, 0.5)}
+    task, log = tracking(spring, targets), logged(0.005, spring.signature)
+    told = other_period(spring, task, log, 0.05)
+    assert told.startswith("the model swings every 0.107 s, which is 2.1 control periods only: try a control period of")
+    assert told.endswith("of 0.02 s, env.dt=0.02 or in Python dt=0.02")
+    assert other_period(spring, task, log, 0.02) == ""
+    coarse = other_period(spring, task, logged(0.05, spring.signature), 0.05)
+    assert coarse.endswith("2.1 control periods only: log with a sampling time of 0.021 s at most")
+    slow = tank(4000)
+    told = other_period(slow, tracking(slow, {"h": (-0.5, 0.5)}), tank_log(1.0, slow), 1.0)
+    # All but exp(-7) is over after seven time constants of 398 s, 46 min; in 80 periods that is 34.8 s each.
+    assert told.startswith("the model takes 4") and " min to settle fully, and a plan looks 80 s ahead: try" in told
+    assert 34.8 <= float(told.rpartition("dt=")[2]) <= 36
+
+
+def test_a_task_that_is_planned_for_twice_is_planned_for_once():
+    """The commands ask with the task as it is given, and `plan` with the one that the log has made of it."""
+    model = tank(4000)
+    task, log = tracking(model, {"h": (-0.5, 0.5)}), tank_log(1.0, model)
+    once = as_planned(task, model, log)
+    assert suited_period(model, task, log) == suited_period(model, once, log)
+    assert torch.equal(once.start, as_planned(once, model, log).start)
+
+
+def test_a_controller_out_of_a_file_that_fails_is_told_which_period_to_try(tmp_path):
+    model, targets = known(9.4, 0.1), {"p": (-0.5, 0.5)}
+    log = logged(0.005, model.signature)
+    controller = dynasindy.plan(model, targets, log, dt=0.05, updates=1, rollouts=4, window=5)
+    save(controller, tmp_path / "controller.json")
+    steps = Scenario("step", step_references([-0.5], [0.5], 4), 4, 2.0)
+    told = dynasindy.foretell(dynasindy.load(tmp_path), model, log, steps).words()
+    assert "at the end of flights of 2 s" in told and "try a control period of 0.02 s, env.dt=0.02" in told

@@ -217,6 +217,32 @@ def test_models_of_which_some_are_held_ask_for_a_better_log_and_not_for_a_longer
     assert "log longer" not in Prediction((seen(0.02), seen(0.03))).words()
 
 
+def test_a_prediction_says_when_the_end_is_and_how_far_a_flight_went_beyond_its_target():
+    told = Prediction((seen(0.001),), seconds=400.0, overshoot={"theta": 62.0}).words()
+    assert "CONTROLLED: errors at the end of flights of 400 s: theta 0.1 to 0.1 % of the target range" in told
+    assert told.endswith("0.3 % at worst, after it overshot by 62 % of the step")
+    assert "overshot" not in Prediction((seen(0.001),), seconds=400.0, overshoot={"theta": 19.0}).words()
+
+
+def test_the_overshoot_is_that_of_flights():
+    """A car that is pushed with 0.5 goes to 0.5 as 0.5 (1 - exp(-t)), beyond targets of 0.2, 0.25 and 0.4."""
+    car = Car()
+    steps = Step([[0.2], [0.25], [0.4]])
+    task = Tracking(car.signature, steps, ("Omega",), ("Omega",), TrackingReward((1.0,)), low=[0.0], high=[0.5])
+
+    def constant(tensordict):
+        return tensordict.set("action", torch.full((*tensordict.batch_size, 1), 0.5))
+
+    found = predict([car], ControlEnv(car, task, dtype=torch.float64), constant, Scenario("step", steps, 3, 12.0))
+    assert found.seconds == 12.0 and found.overshoot == {"Omega": pytest.approx(100.0, abs=0.1)}
+
+
+@pytest.mark.parametrize(("flights", "told"), [((None,), True), ((seen(0.02),), True), ((seen(0.001),), False)])
+def test_a_period_to_try_is_told_in_place_of_a_longer_plan_where_a_plan_fails(flights, told):
+    words = Prediction(flights, period="try a control period of 2 s").words()
+    assert words.endswith("try a control period of 2 s") == told and "longer plan" not in words
+
+
 def test_another_task_is_drawn_from_the_same_seed_as_without_a_delay():
     plant = Pendulum()
     task = Tracking(plant.signature, RandomStep([-0.5], [0.5]), ("theta",), ("Omega",), TrackingReward((1.0,)))

@@ -1,10 +1,12 @@
 """Which settings follow from which plant."""
 
+import math
+
 import pytest
 import torch
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.pace import SUBSTEPS, PlanSettings, pace_of, rests_of
+from dynasindy.planning.pace import SUBSTEPS, PlanSettings, pace_of, rests_of, settles
 from dynasindy.systems import Signature, System, Tras, Xi
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -151,3 +153,44 @@ def test_without_references_a_model_takes_the_steps_of_the_plant(settle):
     found = pace_of(env, None, 5)
     assert found == PlanSettings(100, 3e-3, 400, 8, 5, why="the task has no references")
     assert not found.held
+
+
+class Rubbing(Linear):
+    """The same with dry friction."""
+
+    def forward(self, x, u):
+        return super().forward(x, u) - torch.stack((torch.zeros_like(x[..., 0]), 2 * torch.tanh(100 * x[..., 1])), -1)
+
+
+def settling(plant, v, share=0.05):
+    task = Tracking(plant.signature, RandomStep((-0.5,), (0.5,)), ("x",), ("v",), TrackingReward((4.0,)))
+    return settles(ControlEnv(plant, task, 0.05, 1), torch.tensor([[0.0, v]] * 3), torch.zeros(3, 1), share)
+
+
+def test_dry_friction_does_not_make_a_plant_slow_that_moves():
+    """In motion it is the plant without friction; at rest it is one with a damping of 200."""
+    smooth, stuck = settling(Linear(0.0, 2.0, 10.0), 0.0), settling(Linear(0.0, 202.0, 10.0), 0.0)
+    assert settling(Rubbing(0.0, 2.0, 10.0), 0.5) == pytest.approx(smooth, rel=1e-3) and stuck > 3 * smooth
+    assert settling(Rubbing(0.0, 2.0, 10.0), 0.0) == pytest.approx(stuck, rel=1e-3)
+
+
+class Room(System):
+    """A heater warms the air x, and the air slowly a wall v: x' = u - 2 x + v, v' = 0.001 (x - 2 v)."""
+
+    def __init__(self):
+        super().__init__(Signature(("x", "v"), ("K", "K"), ("u",), (1.0, 1.0)))
+
+    def forward(self, x, u):
+        air, wall = x.unbind(-1)
+        return torch.stack((u[..., 0] - 2 * air + wall, 0.001 * (air - 2 * wall)), -1)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.05])
+def test_a_slow_wall_does_not_count_where_the_air_is_held(share):
+    """As if the wall stood still: x' = u - 2 x at the least cost of 100 x^2 + u^2 has its pole at -sqrt(4 + 100)."""
+    assert settling(Room(), 0.0, share) == pytest.approx(-math.log(share) / math.sqrt(104), abs=0.06)
+    assert settling(Room(), 0.0, 1e-4) > 100  # the wall takes 500 s, and the air shows a little of it
+
+
+def test_it_does_not_matter_how_long_a_plant_takes_that_is_held_or_that_no_input_holds():
+    assert settling(Linear(4.0, 0.0, 4.0), 0.0) == 0 and settling(Linear(-100.0, 1.0, 1e-3), 0.0) == 0
