@@ -310,7 +310,8 @@ def test_the_error_that_is_foretold_of_a_flight_is_that_of_the_last_half_of_its_
     session = Session(rig, Wiring(signature, (True,), dt), Guard(), tmp_path, told.append, rig.clock, model=model)
     task = Tracking(signature, RandomStep([0.0], [1.0]), ("y",), (), TrackingReward((1.0,)))
     policy = TensorDictModule(lambda params: params[..., 0, :1].float(), ["task_params"], ["action"])
-    session.fly(Controller(policy, Pace(task, dt)), [[target] for target in targets], 2.0)
+    session.learnt = Controller(policy, Pace(task, dt))
+    session.fly(session.learnt, [[target] for target in targets], 2.0)
     (said,) = [line for line in told if line.startswith("  prediction of the model")]
     left = np.mean(targets) * np.exp(-2 * dt * np.arange(40))
     assert float(re.search(r"y to (\S+) m$", said)[1]) == pytest.approx(left[20:].mean(), rel=0.005)
