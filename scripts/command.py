@@ -212,7 +212,8 @@ class Sweep(Callback):
 
 def _beside(folder: Path) -> Path:
     """Return where the line of a job lies that was refused because its folder holds a finished run."""
-    return folder.with_name(f"{folder.name}.error.txt")
+    ending = ".error.txt"  # names have 255 bytes at most, and those of jobs begin with their number
+    return folder.with_name(os.fsdecode(os.fsencode(folder.name)[: 255 - len(ending)]) + ending)
 
 
 def _written(file: Path) -> int | None:
@@ -252,7 +253,7 @@ def _jobs(hydra_config: DictConfig) -> list[list[str]]:
 
 def _given(hydra_config: DictConfig) -> list[Override]:
     """Return the settings that a sweep was given, the sweeper's own first."""
-    words = [*(f"{name}={value}" for name, value in (hydra_config.sweeper.params or {}).items())]
+    words = [*(f"{name}={value}" for name, value in (hydra_config.sweeper.get("params") or {}).items())]
     return OverridesParser.create().parse_overrides([*words, *hydra_config.overrides.task])
 
 

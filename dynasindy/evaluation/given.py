@@ -15,8 +15,6 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from dynasindy.world_models.libraries.functions import FunctionError
-
 LARGEST = 100_000_000
 """Size beyond which no file is read [bytes]; the longest log of the paper's experiment has a hundredth of it."""
 LONGEST = 200
@@ -37,7 +35,7 @@ def understood(source: Path | str) -> Iterator[None]:
     """
     try:
         yield
-    except (DamagedFileError, FileNotFoundError, FunctionError):
+    except (DamagedFileError, FileNotFoundError):
         raise
     except KeyError as missing:
         raise _damaged(source, f"it lacks {missing}") from missing
@@ -48,6 +46,11 @@ def understood(source: Path | str) -> Iterator[None]:
     except OSError as error:
         raise DamagedFileError(f"{source} cannot be read: {error.strerror}; check what it is") from error
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, csv.Error) as error:
+        # It imports torch, which commands that only print their help do without.
+        from dynasindy.world_models.libraries.functions import FunctionError
+
+        if isinstance(error, FunctionError):
+            raise
         raise _damaged(source, " ".join(str(error).split())) from error
 
 
