@@ -7,7 +7,7 @@ from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.flow import Estimate
+from dynasindy.world_models.refinement.flow import Estimate, Flow
 from dynasindy.world_models.refinement.shooting import linearise
 from dynasindy.world_models.refinement.windows import Windows
 from dynasindy.world_models.regression.sensitivity import Parameters
@@ -23,7 +23,7 @@ def cramer_rao(library: Library, truth: Tensor, clean: Transitions, sigma: Tenso
         sigma: standard deviation of the white noise of each state, `(n_x,)`.
     """
     windows, parameters = Windows.of(clean, 50), Parameters.where(truth != 0)
-    model = linearise(Estimate(library, truth, windows.first.clone()), parameters, windows, sigma)
+    model = linearise(Flow.of(Estimate(library, truth, windows.first.clone()), parameters, windows), sigma)
     n = len(model.scale)
     inverse = torch.linalg.inv(model.triangle[:n, :n])
     return (inverse.square().sum(-1).sqrt() / model.scale)[n - len(parameters) :]

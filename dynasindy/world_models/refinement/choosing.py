@@ -99,7 +99,7 @@ def search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) -
             break
         tell("fit", words=f"which of {len(others)} terms that were left out should come in")
         wider = replace(flow, parameters=active + others)
-        model = linearise(wider.estimate, wider.parameters, windows, None, wider)
+        model = linearise(wider)
         n_fixed = len(model.scale) - len(wider.parameters)
         better = reconsider(model.triangle, n_fixed, active, others, limits.at(model.errors, windows))
         if better is None:
@@ -121,8 +121,8 @@ def _cheaper(estimate: Estimate, simple: Estimate, free: Tensor, windows: Window
     """Return the simpler one of two estimates where what it loses is not worth a coefficient."""
     with suppress(RunsAway):
         simple, support = descend(simple, (simple.xi != 0) & free, windows, limits)
-        models = (linearise(e, Parameters.where((e.xi != 0) & free), windows) for e in (estimate, simple))
-        (before, full), (after, _) = ((left_over(model, windows), model) for model in models)
+        flows = (Flow.of(e, Parameters.where((e.xi != 0) & free), windows) for e in (estimate, simple))
+        (before, full), (after, _) = ((left_over(model, windows), model) for model in map(linearise, flows))
         if bool(support.any()) and 2 * (after - before) <= limits.at(full.errors, windows):
             return simple
     return estimate
@@ -172,7 +172,7 @@ def _changed(flow: Flow, model: Linearised, kept: Tensor) -> Flow | None:
     estimate, parameters = flow.estimate, flow.parameters
     n_fixed = len(model.scale) - len(parameters)
     chosen = parameters.take(kept[kept >= n_fixed] - n_fixed)
-    whole, bare = move(estimate, model, parameters, kept), 0 * parameters.read(estimate.xi)
+    whole, bare = move(flow, model, kept), 0 * parameters.read(estimate.xi)
     left_out = chosen.write(parameters.write(estimate.xi, bare), chosen.read(estimate.xi))
     chosen = Parameters.where(chosen.support(estimate.xi.shape))
     trials = (Flow.of(trial, chosen, flow.windows) for trial in (whole, replace(estimate, xi=left_out)))
@@ -198,15 +198,15 @@ def settled(
         model: the linear model of `flow`, if it is known.
     """
     damping, parameters, windows = 0.0, flow.parameters, flow.windows
-    model = model or linearise(flow.estimate, parameters, windows, None, flow)
+    model = model or linearise(flow)
     what = f"{len(parameters)} coefficients, by simulations of {len(windows) * windows.length} samples"
     for k in range(max_rounds):
         tell("fit", words=f"step {k + 1} of at most {max_rounds} for {what}")
-        candidate = move(flow.estimate, model, parameters, torch.arange(len(model.scale)), damping)
+        candidate = move(flow, model, torch.arange(len(model.scale)), damping)
         trial = Flow.of(candidate, parameters, windows)
         cost = cost_of(trial, model.sigma) if bool(trial.predicted.square().isfinite().all()) else math.inf
         lost = not cost < math.inf or (cost < model.cost and bool(trial.lost().any()))
-        after = linearise(candidate, parameters, windows, None, trial) if cost < model.cost and not lost else None
+        after = linearise(trial) if cost < model.cost and not lost else None
         if after is None or not bool(after.triangle.isfinite().all()):
             if damping > 1e6 or (not lost and abs(cost - model.cost) < 1e-6 * model.cost):
                 break

@@ -81,8 +81,9 @@ class Flow:
             finite = self.s.square().isfinite().flatten(1).all(-1)
         return ~finite
 
-    def sigma(self, windows: Windows) -> Tensor:
+    def sigma(self) -> Tensor:
         """Return the error of each state, `(n_x,)`; `EXACT` where none was measured. Of lasting ones what is new."""
+        windows = self.windows
         error = white((windows.measured - self.predicted).unsqueeze(-1) * windows.mask.unsqueeze(-1), windows)
         error = error.squeeze(-1)
         return (error.square().sum((0, 1)) / windows.mask.sum((0, 1)).clamp_min(1)).sqrt().clamp_min(EXACT)
@@ -106,18 +107,17 @@ def white(rows: Tensor, windows: Windows) -> Tensor:
     return rows if windows.lasting is None else news(rows, windows.mask, windows.joined, windows.lasting)
 
 
-def growth(flow: Flow, windows: Windows, nodes: Tensor, farthest: float = math.inf) -> tuple[float, Tensor]:
+def growth(flow: Flow, farthest: float = math.inf) -> tuple[float, Tensor]:
     """Follow an error of a start state along the windows that join, relative to the spreads of the states.
 
     Args:
         flow: what was integrated.
-        windows: the recording.
-        nodes: start states of the windows, `(W, n_x)`.
         farthest: growth beyond which a window begins at a state of its own.
 
     Returns:
         The largest growth without such a beginning, and which windows continue the one before with it, bool `(W,)`.
     """
+    nodes, windows = flow.estimate.nodes, flow.windows
     spread = nodes.std(0, correction=0).clamp_min(1e-12)
     whole, part, largest, joined = torch.eye(len(spread), dtype=nodes.dtype), None, 0.0, windows.joined.clone()
     for j, step in enumerate((flow.s[:, -1, :, : len(spread)] * spread / spread.unsqueeze(-1)).unbind()):
@@ -146,16 +146,11 @@ def turn_of(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float) -> fl
     return dt * float(torch.quantile(rates[-100_000:], 0.999)) if len(rates) else 0.0
 
 
-def substeps_for(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float, turned: float = FINE) -> int:
-    """Return into how many Runge-Kutta steps an interval is divided, by the fastest rate of a model.
+def substeps_for(turn: float, turned: float = FINE) -> int:
+    """Return into how many Runge-Kutta steps an interval is divided.
 
     Args:
-        library: candidate functions.
-        xi: coefficients, `(n_features, n_x)`.
-        x: states that occur, `(N, n_x)`.
-        u: inputs there, `(N, n_u)`.
-        dt: length of an interval [s].
-        turned: step times the fastest rate that is wanted.
+        turn: what `turn_of` returned.
+        turned: the same of a step that is wanted.
     """
-    turn = turn_of(library, xi, x, u, dt)
     return max(1, min(math.ceil(turn / turned - 1e-6), MOST_STEPS), min(math.ceil(turn / STABLE), 10 * MOST_STEPS))

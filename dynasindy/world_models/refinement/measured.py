@@ -17,7 +17,7 @@ from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.flow import substeps_for
+from dynasindy.world_models.refinement.flow import substeps_for, turn_of
 from dynasindy.world_models.regression.regression import Rows, Theta, simpson_form
 from dynasindy.world_models.regression.selection import DEPENDENT
 from dynasindy.world_models.regression.weak import weak_form
@@ -203,7 +203,7 @@ def imagined(
         return guess
     own = torch.where(hidden, xi, 0.0)
     field, x, x_next = generate(library, own), guess.x.clone(), guess.x_next.clone()
-    substeps = substeps_for(library, own, guess.x, guess.u, guess.dt)
+    substeps = substeps_for(turn_of(library, own, guess.x, guess.u, guess.dt))
     # What was seen is known at both ends of an interval, and needs no equations that may be fast.
     leads = torch.where(hidden, 0.0, (guess.x_next - guess.x) / guess.dt)
     for k in range(len(guess)):

@@ -55,43 +55,34 @@ class Linearised:
     errors: Tensor
 
 
-def linearise(
-    estimate: Estimate, parameters: Parameters, windows: Windows, sigma: Tensor | None = None, flow: Flow | None = None
-) -> Linearised:
-    """Integrate all windows with sensitivities and eliminate the nodes that continue a window.
+def linearise(flow: Flow, sigma: Tensor | None = None) -> Linearised:
+    """Take all windows with their sensitivities and eliminate the nodes that continue a window.
 
     Args:
-        estimate: coefficients and nodes.
-        parameters: coefficients to differentiate by, P of them.
-        windows: the recording.
-        sigma: error of each state, the weights; from the errors themselves if omitted.
-        flow: what was integrated already.
+        flow: the trajectories.
+        sigma: error of each state, `(n_x,)`, the weights; from the errors themselves if omitted.
 
     Raises:
         RunsAway: without `sigma`, so at an estimate that is no trial, the model runs away within a window.
     """
-    flow = flow or Flow.of(estimate, parameters, windows)
     if sigma is None:
-        _require_bounded(flow, windows)
-        sigma = flow.sigma(windows)
-    if bool((~windows.joined).all()):
-        rows, moves, errors, cost = _alone(estimate, flow, windows, sigma)
-    else:
-        rows, moves, errors, cost = _joined(estimate, flow, windows, len(parameters), sigma)
+        _require_bounded(flow)
+        sigma = flow.sigma()
+    rows, moves, errors, cost = (_joined if bool(flow.windows.joined.any()) else _alone)(flow, sigma)
+    parameters = flow.parameters
     n_fixed = moves.shape[-1] - len(parameters) - 1
     scale = rows[:, :-1].norm(dim=0).clamp_min(1e-300)
-    target = rows[:, -1:] + rows[:, n_fixed:-1] @ parameters.read(estimate.xi).unsqueeze(-1)
+    target = rows[:, -1:] + rows[:, n_fixed:-1] @ parameters.read(flow.estimate.xi).unsqueeze(-1)
     triangle = torch.linalg.qr(torch.cat([rows[:, :-1] / scale, target], -1), mode="r")[1]
     return Linearised(triangle, scale, cost, moves, sigma, errors)
 
 
-def _joined(
-    estimate: Estimate, flow: Flow, windows: Windows, n_p: int, sigma: Tensor
-) -> tuple[Tensor, Tensor, Tensor, float]:
+def _joined(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
     """Return weighted rows `(M, F + P + 1)`, moves of the nodes, weighted errors, and the cost, of one trajectory."""
+    estimate, windows = flow.estimate, flow.windows
     error, begun = (windows.measured - flow.predicted) * windows.mask, ~windows.joined
     start_error, start_weight = (windows.first - estimate.nodes)[begun], _start_weight(windows, sigma)
-    moves = _condense(estimate.nodes, flow, windows, n_p)
+    moves = _condense(flow)
     n_x = estimate.xi.shape[1]
     # error - d predicted: the node's move, then shapes and coefficients.
     columns = flow.s[..., :n_x] @ moves.unsqueeze(1)
@@ -104,21 +95,23 @@ def _joined(
     starts = torch.where(start_error.isnan().unsqueeze(-1), 0.0, starts * start_weight.unsqueeze(-1))
     rows = torch.cat([columns.reshape(-1, columns.shape[-1]), starts.reshape(-1, columns.shape[-1])])
     rows = torch.cat([rows, _held(estimate, begun, rows)])
-    weighed = white(error.unsqueeze(-1), windows).squeeze(-1) / sigma
-    return rows, moves, weighed, _cost_of_joined(estimate, weighed, flow, windows, sigma)
+    return rows, moves, *_errors_of_joined(flow, sigma)
 
 
 def _start_weight(windows: Windows, sigma: Tensor) -> Tensor:
     return 1 / sigma if windows.lasting is None else (1 - windows.lasting.square()).sqrt() / sigma
 
 
-def _cost_of_joined(estimate: Estimate, weighed: Tensor, flow: Flow, windows: Windows, sigma: Tensor) -> float:
-    """Return the cost of one trajectory with the weighted errors `(W, L, n_x)`."""
+def _errors_of_joined(flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
+    """Return the weighted errors of one trajectory, `(W, L, n_x)`, and its cost."""
+    estimate, windows = flow.estimate, flow.windows
+    error = (windows.measured - flow.predicted) * windows.mask
+    weighed = white(error.unsqueeze(-1), windows).squeeze(-1) / sigma
     starts = (windows.first - estimate.nodes)[~windows.joined].nan_to_num() * _start_weight(windows, sigma)
-    gaps = _gaps(estimate.nodes, flow, windows) / _gap_sigma(sigma, estimate)
+    gaps = _gaps(flow) / _gap_sigma(sigma, estimate)
     # A gap shifts all samples that follow, so closing it is worth more than the errors it hid.
     gap_weight = 10.0 * windows.mask.shape[1]
-    return float(weighed.square().sum() + starts.square().sum() + gap_weight * gaps.square().sum())
+    return weighed, float(weighed.square().sum() + starts.square().sum() + gap_weight * gaps.square().sum())
 
 
 def cost_of(flow: Flow, sigma: Tensor) -> float:
@@ -128,22 +121,19 @@ def cost_of(flow: Flow, sigma: Tensor) -> float:
         flow: trajectories of the trial.
         sigma: error of each state, the weights.
     """
-    estimate, windows = flow.estimate, flow.windows
-    if not bool((~windows.joined).all()):
-        error = (windows.measured - flow.predicted) * windows.mask
-        weighed = white(error.unsqueeze(-1), windows).squeeze(-1) / sigma
-        return _cost_of_joined(estimate, weighed, flow, windows, sigma)
-    error, seen = _errors(estimate, flow, windows)
-    return _weighed((error * seen).unsqueeze(-1), seen, flow, windows, sigma)[1]
+    if bool(flow.windows.joined.any()):
+        return _errors_of_joined(flow, sigma)[1]
+    error, seen = _errors(flow)
+    return _weighed((error * seen).unsqueeze(-1), seen, flow, sigma)[1]
 
 
-def _alone(estimate: Estimate, flow: Flow, windows: Windows, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
+def _alone(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
     """Return the same of windows on their own.
 
     Each node moves as fits its window best, which leaves no unknown of its own (variable projection).
     """
-    n_x, (every, seen) = estimate.xi.shape[1], _every(estimate, flow, windows)
-    every, cost = _weighed(every, seen, flow, windows, sigma)
+    n_x, (every, seen) = flow.predicted.shape[-1], _every(flow)
+    every, cost = _weighed(every, seen, flow, sigma)
     rows = every.flatten(1, 2)
     # A trial step may run away: its cost is infinite whatever these are, but the solver takes finite numbers alone.
     finite = rows.nan_to_num(0.0, 0.0, 0.0)
@@ -152,9 +142,9 @@ def _alone(estimate: Estimate, flow: Flow, windows: Windows, sigma: Tensor) -> t
     return (rows[..., n_x:] - rows[..., :n_x] @ best).flatten(0, 1), moves, every[:, 1:, :, -1], cost
 
 
-def _weighed(every: Tensor, seen: Tensor, flow: Flow, windows: Windows, sigma: Tensor) -> tuple[Tensor, float]:
+def _weighed(every: Tensor, seen: Tensor, flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
     """Return weighted slopes and errors of windows on their own, `(W, L + 1, n_x, C)`, errors last, and the cost."""
-    spread = 1.0
+    spread, windows = 1.0, flow.windows
     if windows.noise is None:
         every = white(every, replace(windows, mask=seen)) / sigma.unsqueeze(-1)
     else:
@@ -164,19 +154,20 @@ def _weighed(every: Tensor, seen: Tensor, flow: Flow, windows: Windows, sigma: T
     return every, spread * float(every[..., -1].square().sum())
 
 
-def _errors(estimate: Estimate, flow: Flow, windows: Windows) -> tuple[Tensor, Tensor]:
+def _errors(flow: Flow) -> tuple[Tensor, Tensor]:
     """Return errors of each window's start and samples, and 1 where one was measured, else 0, `(W, L + 1, n_x)`."""
-    start_error = windows.first - estimate.nodes
+    windows = flow.windows
+    start_error = windows.first - flow.estimate.nodes
     error = torch.cat([start_error.nan_to_num().unsqueeze(1), windows.measured - flow.predicted], 1)
     return error, torch.cat([(~start_error.isnan()).to(error.dtype).unsqueeze(1), windows.mask], 1)
 
 
-def _every(estimate: Estimate, flow: Flow, windows: Windows) -> tuple[Tensor, Tensor]:
+def _every(flow: Flow) -> tuple[Tensor, Tensor]:
     """Return slopes and errors of each window's start and samples, `(W, L + 1, n_x, n_x + S + P + 1)`, and which count.
 
     They are zero where nothing was measured; which were is 1 there and else 0, `(W, L + 1, n_x)`.
     """
-    n_x, (error, seen) = estimate.xi.shape[1], _errors(estimate, flow, windows)
+    n_x, (error, seen) = flow.predicted.shape[-1], _errors(flow)
     first = torch.zeros_like(flow.s[:, 0])
     first[..., :n_x] = torch.eye(n_x, dtype=first.dtype)
     slopes = torch.cat([first.unsqueeze(1), flow.s], 1)
@@ -205,8 +196,8 @@ def noise_of(estimate: Estimate, windows: Windows, pushed: Tensor) -> Noise:
         pushed: states whose rates may be pushed, bool `(n_x,)`.
     """
     flow = Flow.of(estimate, Parameters.where(torch.zeros_like(estimate.xi, dtype=torch.bool)), windows)
-    _require_bounded(flow, windows)
-    rows, seen = _every(estimate, flow, windows)
+    _require_bounded(flow)
+    rows, seen = _every(flow)
     n_x = estimate.xi.shape[1]
     rows = torch.cat([rows[..., :n_x], rows[..., -1:]], -1)
     spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12)
@@ -221,7 +212,7 @@ def lasting_of(estimate: Estimate, windows: Windows) -> Tensor:
         windows: the recording.
     """
     flow = Flow.of(estimate, Parameters.where(torch.zeros_like(estimate.xi, dtype=torch.bool)), windows)
-    _require_bounded(flow, windows)
+    _require_bounded(flow)
     return remaining(windows.measured - flow.predicted, windows.mask, windows.joined)
 
 
@@ -233,25 +224,26 @@ def _gap_sigma(sigma: Tensor, estimate: Estimate) -> Tensor:
     return torch.where(seen, sigma, relative * spread).clamp_min(EXACT)
 
 
-def _require_bounded(flow: Flow, windows: Windows) -> None:
+def _require_bounded(flow: Flow) -> None:
     if bool((lost := flow.lost()).any()):
         raise RunsAway(
             f"refinement.method=trajectory: the model runs away in {int(lost.sum())} of {len(lost)} windows of "
-            f"{windows.mask.shape[1]} samples, the first of them number {int(lost.nonzero()[0])}; look for outliers "
+            f"{flow.windows.length} samples, the first of them number {int(lost.nonzero()[0])}; look for outliers "
             "there, lower refinement.window, or choose another refinement.method"
         )
 
 
-def _condense(nodes: Tensor, flow: Flow, windows: Windows, n_p: int) -> Tensor:
+def _condense(flow: Flow) -> Tensor:
     """Express the move of every node by the moves of the first nodes, of the shapes and of the coefficients.
 
     A window that continues another one starts where that one ends:
     d node_j = gap_j + A d node_(j-1) + B d (shapes, xi), A and B the sensitivities at the end of window j - 1.
     """
-    n_x, s = nodes.shape[1], flow.s
+    nodes, windows, s = flow.estimate.nodes, flow.windows, flow.s
+    n_x = nodes.shape[1]
     n_own, n_start = s.shape[-1] - n_x, n_x * int((~windows.joined).sum())
     moves = torch.zeros(len(nodes), n_x, n_start + n_own + 1, dtype=nodes.dtype)
-    gaps, seen = _gaps(nodes, flow, windows), 0
+    gaps, seen = _gaps(flow), 0
     for j, joined in enumerate(windows.joined.tolist()):
         if joined:
             moves[j] = s[j - 1, -1, :, :n_x] @ moves[j - 1]
@@ -263,21 +255,26 @@ def _condense(nodes: Tensor, flow: Flow, windows: Windows, n_p: int) -> Tensor:
     return moves
 
 
-def _gaps(nodes: Tensor, flow: Flow, windows: Windows) -> Tensor:
+def _gaps(flow: Flow) -> Tensor:
     """Return by how much windows end beside those that continue them, `(W, n_x)`; zero at those that begin anew."""
+    nodes, windows = flow.estimate.nodes, flow.windows
     ends = torch.cat([nodes[:1], flow.predicted[:-1, -1]])
     return torch.where(windows.joined.unsqueeze(-1), ends - nodes, 0.0)
 
 
-def move(
-    estimate: Estimate, model: Linearised, parameters: Parameters, kept: Tensor | Sequence[int], damping: float = 0.0
-) -> Estimate:
+def move(flow: Flow, model: Linearised, kept: Tensor | Sequence[int], damping: float = 0.0) -> Estimate:
     """Solve the linear model over the kept unknowns and move coefficients, shapes and nodes accordingly.
+
+    Args:
+        flow: the trajectories.
+        model: their linear model.
+        kept: places of the unknowns that move; the others become zero.
+        damping: of Levenberg and Marquardt.
 
     Raises:
         RunsAway: the linear model is not finite.
     """
-    kept = torch.as_tensor(kept)
+    kept, estimate, parameters = torch.as_tensor(kept), flow.estimate, flow.parameters
     square, n_fixed = model.triangle[:, kept], len(model.scale) - len(parameters)
     old = torch.cat([torch.zeros(n_fixed), parameters.read(estimate.xi)]) * model.scale
     target = model.triangle[:, -1]

@@ -22,7 +22,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement.choosing import Limits, converge, descend, price, search, settled
 from dynasindy.world_models.refinement.descent import Descent
-from dynasindy.world_models.refinement.flow import COARSE, EXACT, FINE, Estimate, Flow, growth, substeps_for
+from dynasindy.world_models.refinement.flow import COARSE, EXACT, FINE, Estimate, Flow, growth, substeps_for, turn_of
 from dynasindy.world_models.refinement.shooting import lasting_of, left_over, noise_of
 from dynasindy.world_models.refinement.windows import ENOUGH, Windows, spread
 from dynasindy.world_models.regression.sensitivity import Parameters
@@ -114,7 +114,7 @@ def _finely(found: Estimate, free: Tensor, windows: Windows, limits: Limits) -> 
     support = (found.xi != 0) & free
     if not bool(support.any()):
         return found
-    wanted = substeps_for(found.library, found.xi, found.nodes, windows.inputs[:, 0], windows.dt)
+    wanted = substeps_for(turn_of(found.library, found.xi, found.nodes, windows.inputs[:, 0], windows.dt))
     if wanted <= windows.substeps:
         return found
     return descend(found, support, replace(windows, substeps=wanted), limits)[0]
@@ -151,15 +151,14 @@ def _weighed(found: Estimate, free: Tensor, windows: Windows, descent: Descent) 
 
 def _grows(estimate: Estimate, windows: Windows) -> tuple[float, Tensor]:
     """Return how much small errors grow, and which windows join if they may not grow beyond all measure."""
-    flow = Flow.of(estimate, Parameters.where(estimate.xi != 0), windows)
-    return growth(flow, windows, estimate.nodes, FARTHEST)
+    return growth(Flow.of(estimate, Parameters.where(estimate.xi != 0), windows), FARTHEST)
 
 
 def _sigma(estimate: Estimate, windows: Windows) -> Tensor:
     """Return the error of each state; infinite where no coefficient is left."""
     if not bool(estimate.xi.any()):
         return torch.full((estimate.xi.shape[1],), math.inf)
-    return Flow.of(estimate, Parameters.where(estimate.xi != 0), windows).sigma(windows)
+    return Flow.of(estimate, Parameters.where(estimate.xi != 0), windows).sigma()
 
 
 def few_steps(
@@ -209,7 +208,7 @@ def strain(library: Library, xi: Tensor, free: Tensor, data: Transitions, descen
         windows = replace(windows, joined=_grows(first, windows)[1])
     alone, parameters = replace(windows, joined=torch.zeros_like(windows.joined)), Parameters.where(support)
     ends = (settled(Flow.of(first, parameters, part), descent.max_rounds)[0] for part in (windows, alone))
-    error, own = (end.sigma(end.windows) for end in ends)
+    error, own = (end.sigma() for end in ends)
     told = float(windows.mask.sum() + (~windows.first.isnan()).sum())
     allowed = math.sqrt(max(1 - first.nodes.numel() / max(told, 1.0), NEGLIGIBLE))
     floor = NEGLIGIBLE * first.nodes.std(0, correction=0) + EXACT
@@ -228,8 +227,9 @@ def _grown(
         descent: wanted length, whether the windows join, and the limit on the steps of each length.
         turned: Runge-Kutta step times the fastest rate of the model.
     """
-    substeps = substeps_for(estimate.library, estimate.xi, estimate.nodes, data.u, data.dt, turned)
-    parameters, guess, length = Parameters.where(support), estimate.nodes, descent.window
+    turn = turn_of(estimate.library, estimate.xi, estimate.nodes, data.u, data.dt)
+    substeps, parameters = substeps_for(turn, turned), Parameters.where(support)
+    guess, length = estimate.nodes, descent.window
 
     def _cut(found: Estimate, length: int) -> tuple[Estimate, Windows, bool]:
         windows = Windows.of(data, length, descent.joins, substeps)

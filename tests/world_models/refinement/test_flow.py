@@ -1,36 +1,22 @@
 """Trajectories of windows and their sensitivities: closed forms, and how many steps an interval is divided into."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from first_order import DT, LIBRARY, TWO, Y0, A, B, column, inputs, motion
 
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models.libraries.features import CONSTANT, variable
+from dynasindy.world_models.libraries.features import variable
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.flow import EXACT, Estimate, Flow, substeps_for
+from dynasindy.world_models.refinement.flow import EXACT, Estimate, Flow, substeps_for, turn_of
 from dynasindy.world_models.refinement.windows import Windows
 from dynasindy.world_models.regression.sensitivity import Parameters
 
-SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
-LIBRARY = Library(SIGNATURE, [variable("y"), variable("u"), CONSTANT, variable("y", 2)])
-A, B, Y0, DT = -2.0, 3.0, 0.3, 0.01
-TWO = torch.tensor([[True], [True], [False], [False]])
-INPUTS = np.random.default_rng(7).uniform(-1, 1, 4).repeat(10)
-
-
-def column(*values: float) -> torch.Tensor:
-    return torch.tensor(values, dtype=torch.float64).unsqueeze(-1)
-
-
-def motion(a: float, b: float, y0: float, u: np.ndarray) -> np.ndarray:
-    """Exact states of y' = a y + b u under held inputs."""
-    phi, y = math.exp(a * DT), [y0]
-    for held in u:
-        y.append(phi * y[-1] + b * (phi - 1) / a * held)
-    return np.array(y)
+INPUTS = inputs(4)
 
 
 def test_a_flow_is_the_closed_form_and_its_errors_are_those_of_what_was_measured():
@@ -43,13 +29,13 @@ def test_a_flow_is_the_closed_form_and_its_errors_are_those_of_what_was_measured
     expected = y[1:].reshape(2, 20) + 0.5 * decay
     assert np.allclose(flow.predicted[..., 0], expected, atol=1e-9)
     assert np.allclose(flow.s[..., 0, 0], decay, atol=1e-9)
-    assert flow.sigma(windows).item() == pytest.approx(0.5 * np.sqrt(np.mean(decay**2)), rel=1e-6)
+    assert flow.sigma().item() == pytest.approx(0.5 * np.sqrt(np.mean(decay**2)), rel=1e-6)
     # Half of the samples lost: the root mean square of the others.
     data.x_next[::2] = torch.nan
-    seen = Windows.of(data, 20)
-    assert flow.sigma(seen).item() == pytest.approx(0.5 * np.sqrt(np.mean(decay[1::2] ** 2)), rel=1e-6)
+    flow = replace(flow, windows=Windows.of(data, 20))
+    assert flow.sigma().item() == pytest.approx(0.5 * np.sqrt(np.mean(decay[1::2] ** 2)), rel=1e-6)
     data.x_next[:] = torch.nan
-    assert flow.sigma(Windows.of(data, 20)).item() == EXACT
+    assert replace(flow, windows=Windows.of(data, 20)).sigma().item() == EXACT
 
 
 def test_sensitivities_of_a_window_are_chained_from_those_of_its_intervals():
@@ -78,15 +64,16 @@ def test_coefficients_that_are_no_numbers_are_lost_in_all_windows():
 )
 def test_steps_follow_the_fastest_rate(a, dt, steps):
     x, u = torch.linspace(-1, 1, 9, dtype=torch.float64)[:, None], torch.zeros(9, 1).double()
-    assert substeps_for(LIBRARY, column(float(a), 0.0, 5.0, 0.0), x, u, dt) == steps
+    assert substeps_for(turn_of(LIBRARY, column(float(a), 0.0, 5.0, 0.0), x, u, dt)) == steps
 
 
 def test_steps_follow_the_rates_where_the_states_are():
     # y' = -y^2 has the rate 2 |y|; an oscillator of 40 rad/s has imaginary ones.
     u = torch.zeros(1, 1).double()
-    assert [substeps_for(LIBRARY, column(0, 0, 0, -1.0), column(y), u, 0.1) for y in (0.1, 2.0)] == [1, 4]
+    falls = column(0, 0, 0, -1.0)
+    assert [substeps_for(turn_of(LIBRARY, falls, column(y), u, 0.1)) for y in (0.1, 2.0)] == [1, 4]
     two = Signature(("y", "v"), ("-", "-"), ("u",), (1.0, 1.0))
     library = Library(two, [variable("y"), variable("v")])
     xi = torch.tensor([[0.0, -1600.0], [1.0, 0.0]]).double()
-    assert substeps_for(library, xi, torch.ones(1, 2).double(), u, 0.01) == 4
-    assert substeps_for(LIBRARY, column(0, 0, 0, -1.0), column(math.nan), u, 0.1) == 1
+    assert substeps_for(turn_of(library, xi, torch.ones(1, 2).double(), u, 0.01)) == 4
+    assert substeps_for(turn_of(LIBRARY, falls, column(math.nan), u, 0.1)) == 1

@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.models.sindy import SindyModel
-from dynasindy.world_models.refinement.flow import Estimate
+from dynasindy.world_models.refinement.flow import Estimate, Flow
 from dynasindy.world_models.refinement.pushes import Noise, estimated, whiten
 from dynasindy.world_models.refinement.refine import Refinement
 from dynasindy.world_models.refinement.shooting import linearise
@@ -99,7 +99,7 @@ def test_what_innovations_cost_is_their_likelihood_of_a_plant_that_runs_away_too
     noise = Noise(torch.tensor([sensor]).double(), torch.tensor([push]).double())
     windows = replace(Windows.of(data, n, joined=False), noise=noise)
     xi = torch.tensor([[rate], [0.0]]).double()
-    found = linearise(Estimate(library, xi, windows.first), Parameters.where(xi != 0), windows)
+    found = linearise(Flow.of(Estimate(library, xi, windows.first), Parameters.where(xi != 0), windows))
     grown = sum((rate * DT) ** k / math.factorial(k) for k in range(5))
     # Each half of a push, before and after its interval, and what becomes of it.
     moves = np.zeros((n + 1, 2 * n))

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from first_order import DT, LIBRARY, SIGNATURE, TWO, Y0, A, B, column, inputs, motion
 
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -17,23 +18,7 @@ from dynasindy.world_models.refinement.shooting import RunsAway, cost_of, linear
 from dynasindy.world_models.refinement.windows import Windows
 from dynasindy.world_models.regression.sensitivity import Parameters
 
-SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
-LIBRARY = Library(SIGNATURE, [variable("y"), variable("u"), CONSTANT, variable("y", 2)])
-A, B, Y0, DT = -2.0, 3.0, 0.3, 0.01
-TWO = torch.tensor([[True], [True], [False], [False]])
-INPUTS = np.random.default_rng(7).uniform(-1, 1, 4).repeat(10)
-
-
-def column(*values: float) -> torch.Tensor:
-    return torch.tensor(values, dtype=torch.float64).unsqueeze(-1)
-
-
-def motion(a: float, b: float, y0: float, u: np.ndarray) -> np.ndarray:
-    """Exact states of y' = a y + b u under held inputs."""
-    phi, y = math.exp(a * DT), [y0]
-    for held in u:
-        y.append(phi * y[-1] + b * (phi - 1) / a * held)
-    return np.array(y)
+INPUTS = inputs(4)
 
 
 def test_condensing_leaves_the_slopes_of_one_long_trajectory():
@@ -42,7 +27,7 @@ def test_condensing_leaves_the_slopes_of_one_long_trajectory():
     data = Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.from_numpy(INPUTS)[:, None], DT)
     windows = Windows.of(data, 10)
     estimate = Estimate(LIBRARY, column(A, B, 0.0, 0.0), torch.from_numpy(y[:40:10])[:, None])
-    model = linearise(estimate, Parameters.where(TWO), windows, torch.ones(1).double())
+    model = linearise(Flow.of(estimate, Parameters.where(TWO), windows), torch.ones(1).double())
     place, slopes = np.array([Y0, A, B]), []
     for step in 1e-5 * np.eye(3):
         up, down = (motion(p[1], p[2], p[0], INPUTS) for p in (place + step, place - step))
@@ -64,12 +49,13 @@ def test_the_cost_counts_samples_starts_and_gaps_each_by_its_weight():
     nodes = torch.tensor([1.5, 5.0, 17.0]).double().unsqueeze(-1)
     none = torch.zeros(4, 1).double()
     parameters = Parameters.where(torch.tensor([[False], [False], [True], [False]]))
-    model = linearise(Estimate(LIBRARY, none, nodes), parameters, windows, torch.tensor([2.0]).double())
+    flow = Flow.of(Estimate(LIBRARY, none, nodes), parameters, windows)
+    model = linearise(flow, torch.tensor([2.0]).double())
     samples = (2 - 1.5) ** 2 + (4 - 1.5) ** 2 + (8 - 5) ** 2 + (16 - 5) ** 2 + (32 - 17) ** 2
     start = (1 - 1.5) ** 2
     gaps = (1.5 - 5) ** 2 + (5 - 17) ** 2
     assert model.cost == pytest.approx((samples + start + 10 * 2 * gaps) / 2.0**2)
-    free = linearise(Estimate(LIBRARY, none, nodes), parameters, windows, None)
+    free = linearise(flow)
     assert free.sigma.item() == pytest.approx((samples / 5) ** 0.5)
     # The first node moves by itself; each other one closes its gap and follows: by the start, 0.2 s of the constant.
     expected = [[1.0, 0.0, 0.0], [1.0, 0.2, -3.5], [1.0, 0.4, -15.5]]
@@ -84,15 +70,16 @@ def test_a_step_solves_the_linear_problem_of_starts_and_coefficients():
     windows = Windows.of(data, 3)
     parameters = Parameters.where(torch.tensor([[False], [False], [True], [False]]))
     estimate = Estimate(LIBRARY, column(0.0, 0.0, 3.0, 0.0), torch.from_numpy(generator.normal(size=(3, 1))))
-    model = linearise(estimate, parameters, windows, torch.ones(1).double())
-    found = move(estimate, model, parameters, torch.arange(2))
+    flow = Flow.of(estimate, parameters, windows)
+    model = linearise(flow, torch.ones(1).double())
+    found = move(flow, model, torch.arange(2))
     slope, start = np.polyfit(0.5 * np.arange(8), y, 1)
     assert found.xi.flatten().tolist() == pytest.approx([0, 0, slope, 0], abs=1e-9)
     assert found.nodes.flatten().tolist() == pytest.approx([start + 1.5 * k * slope for k in range(3)], abs=1e-9)
     # Without the constant the best start is the mean, and an infinite damping leaves the start where it is.
-    mean = move(estimate, model, parameters, torch.tensor([0]))
+    mean = move(flow, model, torch.tensor([0]))
     assert mean.xi[2, 0] == 0 and mean.nodes[0, 0].item() == pytest.approx(y.mean())
-    still = move(estimate, model, parameters, torch.arange(2), damping=1e12)
+    still = move(flow, model, torch.arange(2), damping=1e12)
     assert still.xi[2, 0].item() == pytest.approx(3.0, rel=1e-6)
     assert still.nodes[0, 0].item() == pytest.approx(estimate.nodes[0, 0].item(), abs=1e-6)
 
@@ -107,7 +94,7 @@ def test_windows_that_run_away_are_counted_and_the_first_is_named():
     assert flow.lost().tolist() == [False, True, False]
     assert flow.predicted[2, -1].item() == pytest.approx(-1 / (1 + 2.0), rel=1e-4)
     with pytest.raises(RunsAway, match="1 of 3 windows of 20 samples, the first of them number 1;"):
-        linearise(estimate, parameters, windows)
+        linearise(flow)
 
 
 def test_a_trial_that_runs_away_in_windows_on_their_own_costs_more_than_anything():
@@ -116,7 +103,7 @@ def test_a_trial_that_runs_away_in_windows_on_their_own_costs_more_than_anything
     windows = Windows.of(data, 20, joined=False)
     estimate = Estimate(LIBRARY, column(0.0, 0.0, 0.0, 1.0), column(0.1, 1.0, -1.0))
     parameters = Parameters.where(torch.tensor([[False], [False], [False], [True]]))
-    trial = linearise(estimate, parameters, windows, torch.ones(1).double())
+    trial = linearise(Flow.of(estimate, parameters, windows), torch.ones(1).double())
     assert not trial.cost < 1e300
 
 
@@ -128,7 +115,7 @@ def test_a_gap_of_a_hidden_state_is_weighed_by_the_errors_of_the_others():
     windows = Windows.of(Transitions.from_trajectory(x, torch.zeros(4, 1).double(), 0.1), 2)
     nodes = torch.tensor([[0.5, 2.0], [1.5, 6.0]]).double()
     parameters = Parameters.where(torch.ones(1, 2, dtype=torch.bool))
-    model = linearise(Estimate(library, torch.zeros(1, 2).double(), nodes), parameters, windows)
+    model = linearise(Flow.of(Estimate(library, torch.zeros(1, 2).double(), nodes), parameters, windows))
     errors = [0.5, -0.5, 1.5, -1.5]
     sigma = math.sqrt(np.square(errors).mean())
     spread = nodes.std(0, correction=0)
@@ -146,8 +133,9 @@ def test_windows_that_are_not_joined_have_a_start_each():
     windows = Windows.of(data, 3, joined=False)
     parameters = Parameters.where(torch.tensor([[False], [False], [True], [False]]))
     estimate = Estimate(LIBRARY, column(0.0, 0.0, 3.0, 0.0), torch.zeros(3, 1).double())
-    model = linearise(estimate, parameters, windows, torch.ones(1).double())
-    found = move(estimate, model, parameters, torch.arange(1))  # the starts are eliminated
+    flow = Flow.of(estimate, parameters, windows)
+    model = linearise(flow, torch.ones(1).double())
+    found = move(flow, model, torch.arange(1))  # the starts are eliminated
     # Least squares of three lines of one slope, each through the samples of its window, its first one included.
     places = [(0, 0), (0, 1), (0, 2), (0, 3), (1, 3), (1, 4), (1, 5), (1, 6), (2, 6), (2, 7)]
     rows = np.array([[float(w == j) for j in range(3)] + [0.5 * (k - 3 * w)] for w, k in places])
@@ -164,8 +152,9 @@ def test_a_number_inside_a_function_moves_as_in_least_squares():
     library = Library(SIGNATURE, [of("hinge", "u", frequency=0.4, fitted=True)])
     windows, parameters = Windows.of(data, 5), Parameters.where(torch.zeros(1, 1, dtype=torch.bool))
     estimate = Estimate(library, column(2.0), torch.from_numpy(rng.normal(size=(3, 1))))
-    model = linearise(estimate, parameters, windows, torch.ones(1).double())
-    found = move(estimate, model, parameters, torch.arange(2))
+    flow = Flow.of(estimate, parameters, windows)
+    model = linearise(flow, torch.ones(1).double())
+    found = move(flow, model, torch.arange(2))
     time, driven = np.arange(13), np.concatenate([[0], np.cumsum(u)])
     start, number = np.linalg.lstsq(np.stack([np.ones(13), -1.0 * time], -1), y - driven, rcond=None)[0]
     assert 0.4 / 30 < number < 0.4 * 30
@@ -185,8 +174,9 @@ def test_the_start_of_a_state_that_forgets_it_within_a_sample_stays_near():
     windows = Windows.of(data, 10, substeps=40)
     estimate = Estimate(library, xi, torch.from_numpy(0.1 * INPUTS[:40:10, None].repeat(2, 1)))
     parameters = Parameters.where(torch.tensor([[False, False], [False, False], [False, True]]))
-    model = linearise(estimate, parameters, windows)
-    moved = move(estimate, model, parameters, torch.arange(len(model.scale)))
+    flow = Flow.of(estimate, parameters, windows)
+    model = linearise(flow)
+    moved = move(flow, model, torch.arange(len(model.scale)))
     assert float((moved.nodes - estimate.nodes).abs().max()) < 10
     assert float(moved.xi[2, 1]) == pytest.approx(100.0, rel=0.02)
 
@@ -206,5 +196,5 @@ def test_the_cost_of_a_trial_is_that_of_its_linear_model(joined, made_white):
     windows = replace(Windows.of(data, 10, joined), **made_white)
     estimate = Estimate(LIBRARY, column(A, 1.0, 0.0, 0.1), windows.first.nan_to_num(0.2))
     flow, sigma = Flow.of(estimate, Parameters.where(TWO), windows), torch.tensor([0.3]).double()
-    model = linearise(estimate, flow.parameters, windows, sigma)
+    model = linearise(flow, sigma)
     assert cost_of(flow, sigma) == pytest.approx(model.cost, rel=1e-12) and model.cost > 0.1

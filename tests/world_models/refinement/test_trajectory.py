@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from first_order import DT, LIBRARY, SIGNATURE, TWO, Y0, A, B, column, inputs, motion
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
@@ -23,11 +24,8 @@ from dynasindy.world_models.refinement.trajectory import refine_trajectory
 from dynasindy.world_models.refinement.windows import Windows, spread
 from dynasindy.world_models.regression.sensitivity import Parameters
 
-SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
-LIBRARY = Library(SIGNATURE, [variable("y"), variable("u"), CONSTANT, variable("y", 2)])
-A, B, Y0, DT, NOISE = -2.0, 3.0, 0.3, 0.01, 0.03
-TWO = torch.tensor([[True], [True], [False], [False]])
-INPUTS = np.random.default_rng(7).uniform(-1, 1, 20).repeat(10)
+NOISE = 0.03
+INPUTS = inputs(20)
 
 
 def coefficients_of(refine, *args):
@@ -37,21 +35,9 @@ def coefficients_of(refine, *args):
     return refine(*args)[1]
 
 
-def motion(a: float, b: float, y0: float, u: np.ndarray = INPUTS) -> np.ndarray:
-    """Exact states of y' = a y + b u under held inputs."""
-    phi, y = math.exp(a * DT), [y0]
-    for held in u:
-        y.append(phi * y[-1] + b * (phi - 1) / a * held)
-    return np.array(y)
-
-
 def recording(seed: int, noise: float = NOISE) -> Transitions:
-    y = motion(A, B, Y0) + noise * np.random.default_rng(seed).normal(size=201)
+    y = motion(A, B, Y0, INPUTS) + noise * np.random.default_rng(seed).normal(size=201)
     return Transitions.from_trajectory(torch.from_numpy(y).unsqueeze(-1), torch.from_numpy(INPUTS).unsqueeze(-1), DT)
-
-
-def column(*values: float) -> torch.Tensor:
-    return torch.tensor(values, dtype=torch.float64).unsqueeze(-1)
 
 
 def refine(window: int) -> Refinement:
@@ -63,7 +49,7 @@ def bound() -> np.ndarray:
     place, slopes = np.array([A, B, Y0]), []
     for k in range(3):
         step = 1e-5 * np.eye(3)[k]
-        slopes.append((motion(*(place + step)) - motion(*(place - step))) / 2e-5)
+        slopes.append((motion(*(place + step), INPUTS) - motion(*(place - step), INPUTS)) / 2e-5)
     information = np.array(slopes) @ np.array(slopes).T / NOISE**2
     return np.sqrt(np.diag(np.linalg.inv(information)))[:2]
 
@@ -73,7 +59,7 @@ def bound() -> np.ndarray:
 def test_the_estimate_is_scipy_s_minimum_whatever_the_windows_and_the_start(window, start):
     data = recording(0)
     measured = np.append(data.x[:1, 0].numpy(), data.x_next[:, 0].numpy())
-    theirs = least_squares(lambda p: motion(*p) - measured, [A, B, Y0], xtol=1e-12, ftol=1e-12).x
+    theirs = least_squares(lambda p: motion(*p, INPUTS) - measured, [A, B, Y0], xtol=1e-12, ftol=1e-12).x
     found = coefficients_of(refine_trajectory, LIBRARY, column(start, 2.5, 0.0, 0.0), TWO, data, window)
     error = np.abs(found[:2, 0].numpy() - theirs[:2])
     assert np.all(error < 0.02 * bound()), error / bound()
@@ -113,9 +99,9 @@ def test_functions_that_resemble_an_error_that_lasts_are_left_out_where_errors_a
     for seed in range(3):
         steps = np.random.default_rng(seed).normal(size=1201)
         lasting = lfilter([1], [1, -0.95], steps)  # 1.95 / 0.05, some 40 samples, say the same
-        inputs = np.random.default_rng(seed + 50).uniform(-1, 1, 120).repeat(10)
-        y = motion(A, B, Y0, inputs) + NOISE * math.sqrt(1 - 0.95**2) * lasting
-        data = Transitions.from_trajectory(torch.from_numpy(y).unsqueeze(-1), torch.from_numpy(inputs)[:, None], DT)
+        driven = np.random.default_rng(seed + 50).uniform(-1, 1, 120).repeat(10)
+        y = motion(A, B, Y0, driven) + NOISE * math.sqrt(1 - 0.95**2) * lasting
+        data = Transitions.from_trajectory(torch.from_numpy(y).unsqueeze(-1), torch.from_numpy(driven)[:, None], DT)
         for correlated in kept:
             descent = Descent(20, correlated=correlated)
             xi = refine_trajectory(LIBRARY, column(-1.5, 2.0, 0.1, 0.1), free, data, descent)[1]
@@ -199,7 +185,7 @@ def test_errors_of_a_start_grow_as_the_exact_motion_says(rate, joined, factor):
     data, xi = recording(0), column(rate, B, 0.0, 0.0)
     windows = Windows.of(data, 100, joined)
     estimate = Estimate(LIBRARY, xi, windows.first)
-    grown = growth(Flow.of(estimate, Parameters.where(xi != 0), windows), windows, windows.first)[0]
+    grown = growth(Flow.of(estimate, Parameters.where(xi != 0), windows))[0]
     wanted = math.exp(rate * factor / 2) if rate > 0 else math.exp(rate)
     assert grown == pytest.approx(wanted, rel=1e-6)
 
@@ -284,7 +270,7 @@ def test_how_much_a_trajectory_strays_is_the_ratio_of_two_least_squares(push):
 
 
 def test_a_state_that_nobody_measured_does_not_stray_nor_does_one_that_is_met_exactly():
-    exact = Transitions.from_trajectory(torch.from_numpy(motion(A, B, Y0))[:, None], column(*INPUTS), DT)
+    exact = Transitions.from_trajectory(torch.from_numpy(motion(A, B, Y0, INPUTS))[:, None], column(*INPUTS), DT)
     args = (LIBRARY, column(A, B, 0, 0), TWO)
     assert trajectory.strain(*args, exact, Descent(20), exact.x).tolist() == pytest.approx([1.0], abs=0.2)
     lost = Transitions(exact.x * math.nan, exact.u, exact.x_next * math.nan, DT, exact.segment)
@@ -299,8 +285,8 @@ def test_a_step_that_runs_away_in_windows_on_their_own_is_made_shorter(monkeypat
     data, moved, args = recording(0), choosing.move, (LIBRARY, bent, free)
     wanted = refine_trajectory(*args, data, Descent(20, False))[1]
 
-    def too_far(estimate, model, parameters, kept, damping=0.0):
-        found = moved(estimate, model, parameters, kept, damping)
+    def too_far(flow, model, kept, damping=0.0):
+        found = moved(flow, model, kept, damping)
         return replace(found, nodes=1e200 * found.nodes) if damping == 0 else found
 
     monkeypatch.setattr(choosing, "move", too_far)
