@@ -23,8 +23,8 @@ def counted(path: Path, time: str, named: Collection[str]) -> str:
     """Return the heading of the time of a log whose sampling time is given: its counter of rows, where it has no time.
 
     That is the only column that grows all along, in whole numbers and, but where rows are missing, by the same step. An
-    encoder of a motor that turns one way grows, too, by other steps.
-    Where there is no such column, or where a heading reads like a time, what was given is returned.
+    encoder of a motor that turns one way grows, too, by other steps. Where there is no such column, or where a heading
+    reads like a time, what was given is returned.
 
     Args:
         path: The file.
