@@ -2,7 +2,8 @@
 
 At the sizes that control needs, a good half of an update is what torch does around its products. `c/td3.c` does the
 same arithmetic on the same tensors without it: weights, targets, the moments of Adam and the smoothing noise are
-torch's and stay where they are. A step equals that of `Steps` up to rounding.
+torch's and stay where they are. A step equals that of `Steps` up to rounding. At lower precision than "highest" the
+products are taken by the tiles of the processor, where it has them (Intel AMX).
 """
 
 from __future__ import annotations
@@ -24,11 +25,15 @@ from dynasindy.systems.compiler import load
 
 LINE = 64
 """Bytes at whose multiples the room for a batch begins, as the widest numbers of a processor do."""
-FUNCTIONS = ("learn_values", "learn_policy", "descend", "room")
+PARTS = {"highest": 0, "high": 2, "medium": 1}
+"""How many numbers of bfloat16 stand for one of float32 in a product; 0 leaves it as it is."""
+FUNCTIONS = ("learn_values", "learn_policy", "descend", "room", "tiles")
 Pointers = ctypes.POINTER(ctypes.c_void_p)
 
 
-def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, bound: float, machine_code: bool = True) -> Steps:
+def best_steps(
+    loss: TD3Loss, critics: Adam, actor: Adam, bound: float, machine_code: bool = True, precision: str = "highest"
+) -> Steps:
     """Return machine code for these networks where there can be, and otherwise automatic differentiation.
 
     Args:
@@ -37,15 +42,16 @@ def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, bound: float, machine_
         actor: the optimiser of the actor.
         bound: bound of each gradient's norm; 0 leaves gradients as they are.
         machine_code: whether machine code is wanted.
+        precision: of the products, a key of `PARTS`.
     """
     if machine_code and readable(loss) and all(map(usual, (critics, actor))):
         try:
-            return MachineSteps(loss, critics, actor, bound)
+            return MachineSteps(loss, critics, actor, bound, precision)
         except FileNotFoundError:
             pass  # there is no compiler
         except (ValueError, OSError) as error:
             warnings.warn(f"TD3 learns by torch code, which is slower: {error}", stacklevel=3)
-    return Steps(loss, critics, actor, bound)
+    return Steps(loss, critics, actor, bound, precision)
 
 
 def readable(loss: TD3Loss) -> bool:
@@ -74,6 +80,7 @@ class MachineSteps(Steps):
         critics: the optimiser of the critics.
         actor: the optimiser of the actor.
         bound: bound of each gradient's norm; 0 leaves gradients as they are.
+        precision: of the products, a key of `PARTS`; where the processor has no tiles, all are "highest".
 
     Raises:
         FileNotFoundError: there is no compiler.
@@ -81,9 +88,10 @@ class MachineSteps(Steps):
         OSError: what the compiler wrote cannot be loaded.
     """
 
-    def __init__(self, loss: TD3Loss, critics: Adam, actor: Adam, bound: float) -> None:
-        super().__init__(loss, critics, actor, bound)
-        source = resources.files("dynasindy.agents").joinpath("c", "td3.c").read_text(encoding="utf-8")
+    def __init__(self, loss: TD3Loss, critics: Adam, actor: Adam, bound: float, precision: str = "highest") -> None:
+        super().__init__(loss, critics, actor, bound, precision)
+        folder = resources.files("dynasindy.agents").joinpath("c")
+        source = "".join(folder.joinpath(name).read_text(encoding="utf-8") for name in ("products.h", "td3.c"))
         self._code = load(source, FUNCTIONS, fast=True)
         self._code.room.restype = ctypes.c_long
         gradients = [[_zeros(layer) for layer in layers] for layers in (loss.actor_layers, loss.critic_layers)]
@@ -91,7 +99,8 @@ class MachineSteps(Steps):
         networks = [loss.actor_layers, loss.critic_layers, *targets, *gradients]
         first, last = loss.actor_layers[0].weight, loss.critic_layers[-1].bias
         self.n_obs, self.n_u = first.shape[-1], loss.actor_layers[-1].bias.shape[-1]
-        sizes = self.n_obs, self.n_u, last.shape[0]
+        parts = PARTS[precision] if self._code.tiles() else 0
+        sizes = self.n_obs, self.n_u, last.shape[0], parts
         self._agent = _Agent(*sizes, loss.discount, loss.policy_noise, loss.noise_clip, *map(_network, networks))
         self._actor_weights = _weights(actor, loss.actor_layers, gradients[0])
         self._critic_weights = _weights(critics, loss.critic_layers, gradients[1])
@@ -181,7 +190,7 @@ class _Network(ctypes.Structure):
 
 class _Agent(ctypes.Structure):
     _fields_ = (
-        *((name, ctypes.c_int) for name in ("n_obs", "n_u", "critics")),
+        *((name, ctypes.c_int) for name in ("n_obs", "n_u", "critics", "parts")),
         *((name, ctypes.c_float) for name in ("gamma", "sigma", "clip")),
         *((name, _Network) for name in ("actor", "critic", "target_actor", "target_critic")),
         *((name, _Network) for name in ("actor_gradient", "critic_gradient")),

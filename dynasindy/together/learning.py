@@ -28,7 +28,7 @@ from torchrl.data import TensorDictReplayBuffer
 
 from dynasindy.agents import TD3
 from dynasindy.agents.networks import MLP, Layer
-from dynasindy.agents.steps import kept_by
+from dynasindy.agents.steps import kept_by, products_in
 from dynasindy.data import DynaReplay
 from dynasindy.together.captured import captured
 from dynasindy.together.company import Company, Work, here
@@ -82,7 +82,8 @@ class Learning(Work):
         """Learn, all runs at once; return for each what its learning ended in, None for nothing."""
         place = ("learner", len(all_of_it), self.kind[:-2])  # type: ignore[index]
         sizes = len(all_of_it), self.replay.batch_size
-        return company.room(place, lambda: Learner(self.agent, *sizes, company.device)).learn(all_of_it)
+        with products_in(self.agent.settings.matmul_precision):
+            return company.room(place, lambda: Learner(self.agent, *sizes, company.device)).learn(all_of_it)
 
 
 class Learner:

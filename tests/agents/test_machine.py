@@ -8,7 +8,8 @@ import torch
 from tensordict import TensorDict
 
 from dynasindy.agents import machine as module
-from dynasindy.agents.machine import MachineSteps, readable
+from dynasindy.agents import networks
+from dynasindy.agents.machine import PARTS, MachineSteps, readable
 from dynasindy.agents.steps import Steps
 from dynasindy.agents.td3 import TD3
 from dynasindy.systems import Diverged
@@ -224,3 +225,98 @@ def test_a_compiler_that_fails_costs_one_warning(monkeypatch, error):
     with pytest.warns(UserWarning, match="TD3 learns by torch code, which is slower: "):
         agent.update(transitions(10))
     agent.update(transitions(10))  # and none at the next update
+
+
+def has_tiles():
+    return compiler() is not None and pair(matmul_precision="medium")[0]._steps._agent.parts > 0
+
+
+needs_tiles = pytest.mark.skipif(not has_tiles(), reason="the processor has no tiles for products in bfloat16")
+
+
+class Rounded(torch.autograd.Function):
+    """A layer whose three products have factors in bfloat16, one or two for each number, where these are large enough."""
+
+    parts = 1
+
+    @classmethod
+    def product(cls, a, b):
+        parts = cls.parts if min(a.shape[-2:] + b.shape[-1:]) >= 8 else 0
+        (a_high, a_low), (b_high, b_low) = cls.split(a, parts), cls.split(b, parts)
+        return (a_high @ b_high + (a_high @ b_low + a_low @ b_high)).float()
+
+    @staticmethod
+    def split(a, parts):
+        high = a.bfloat16().double() if parts else a.double()
+        return high, (a - high).bfloat16().double() * (parts == 2)
+
+    @staticmethod
+    def forward(ctx, x, weight, bias):
+        ctx.save_for_backward(x, weight)
+        # A batch is filled up to 32 rows, so that its number does not count among the sizes.
+        # In one piece, as torch's: noise is drawn in the order of what it is added to.
+        return (Rounded.product(weight, filled(x).mT).mT[..., : x.shape[-2], :] + bias.unsqueeze(-2)).contiguous()
+
+    @staticmethod
+    def backward(ctx, slope):
+        x, weight = ctx.saved_tensors
+        back = Rounded.product(weight.mT, filled(slope).mT).mT[..., : x.shape[-2], :]
+        return back, Rounded.product(filled(slope).mT, filled(x)), slope.sum(-2)
+
+
+def filled(x):
+    return torch.nn.functional.pad(x, (0, 0, 0, -x.shape[-2] % 32))
+
+
+@needs_tiles
+@pytest.mark.parametrize("precision", ["high", "medium"])
+@pytest.mark.parametrize("rows", [1, 33, 100])
+@pytest.mark.parametrize(
+    ("n_obs", "n_u", "hidden", "critics"),
+    [(20, 9, (17, 40, 33), 3), (31, 8, (16, 32), 2), (40, 11, (64,), 2), (30, 16, (70, 9), 2), (3, 2, (6, 5), 2)],
+)
+def test_products_by_tiles_are_those_of_rounded_factors(monkeypatch, precision, rows, n_obs, n_u, hidden, critics):
+    """The other agent's products are torch's, in float64, of factors that were rounded to bfloat16 before."""
+    ours, torchs = pair(n_obs, n_u, hidden=hidden, critics=critics, matmul_precision=precision)
+    exact = pair(n_obs, n_u, hidden=hidden, critics=critics)[0]
+    monkeypatch.setattr(Rounded, "parts", PARTS[precision])
+    monkeypatch.setattr(networks, "_linear", lambda x, layer: Rounded.apply(x, layer.weight, layer.bias))
+    batch = transitions(rows, n_obs, n_u)
+    for agent in (ours, torchs, exact):
+        agent.update(batch), agent.update(batch)
+    differs = False
+    for kind in ("critic_optimizer", "actor_optimizer"):
+        states = (getattr(agent, kind).state_dict()["state"].values() for agent in (ours, torchs, exact))
+        for found, wanted, plain in (tuple(state["exp_avg"] for state in each) for each in zip(*states, strict=True)):
+            torch.testing.assert_close(found, wanted, rtol=2e-3, atol=2e-4 * wanted.abs().max().item())
+            differs |= not torch.equal(found, plain)
+    assert differs == (min(hidden) >= 8)  # what is smaller is left to float32
+
+
+@needs_tiles
+@pytest.mark.parametrize("precision", ["high", "medium"])
+@pytest.mark.parametrize("rows", [1, 70])
+def test_the_room_holds_the_factors_in_bfloat16(precision, rows):
+    agent = TD3(9, 8, hidden=(33, 65, 9), policy_delay=1, matmul_precision=precision)
+    agent._steps._place(rows)
+    size = len(agent._steps._room)
+    guarded = torch.full((size + 2048,), 7.0)
+    agent._steps._room = guarded
+    agent.update(transitions(rows, 9, 8))
+    assert (guarded[size:] == 7.0).all()
+
+
+@needs_compiler
+def test_without_tiles_every_precision_is_float32(monkeypatch):
+    run = compiling._run
+    words = ["-mno-amx-tile", "-mno-avx512bf16"]
+    monkeypatch.setattr(
+        compiling, "_run", lambda given, *files: run([*given, *(words if "-c" in given else [])], *files)
+    )
+    forget()
+    agents = [TD3(20, 9, hidden=(40, 33), seed=3, matmul_precision=precision) for precision in PARTS]
+    for agent in agents:
+        agent.update(transitions(40, 20, 9))
+    assert isinstance(agents[0]._steps, MachineSteps) and agents[2]._steps._agent.parts == 0
+    for name, value in weights(agents[0]).items():
+        assert all(torch.equal(weights(agent)[name], value) for agent in agents[1:])
