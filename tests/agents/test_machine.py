@@ -227,15 +227,14 @@ def test_a_compiler_that_fails_costs_one_warning(monkeypatch, error):
     agent.update(transitions(10))  # and none at the next update
 
 
-def has_tiles():
-    return compiler() is not None and pair(matmul_precision="medium")[0]._steps._agent.parts > 0
-
-
-needs_tiles = pytest.mark.skipif(not has_tiles(), reason="the processor has no tiles for products in bfloat16")
+@pytest.fixture
+def tiles():
+    if compiler() is None or not pair(matmul_precision="medium")[0]._steps._agent.parts:
+        pytest.skip("the processor has no tiles for products in bfloat16")
 
 
 class Rounded(torch.autograd.Function):
-    """A layer whose three products have factors in bfloat16, one or two for each number, where these are large enough."""
+    """A layer whose products have factors in bfloat16, one or two for each number, where they are large enough."""
 
     parts = 1
 
@@ -268,7 +267,7 @@ def filled(x):
     return torch.nn.functional.pad(x, (0, 0, 0, -x.shape[-2] % 32))
 
 
-@needs_tiles
+@pytest.mark.usefixtures("tiles")
 @pytest.mark.parametrize("precision", ["high", "medium"])
 @pytest.mark.parametrize("rows", [1, 33, 100])
 @pytest.mark.parametrize(
@@ -293,7 +292,7 @@ def test_products_by_tiles_are_those_of_rounded_factors(monkeypatch, precision, 
     assert differs == (min(hidden) >= 8)  # what is smaller is left to float32
 
 
-@needs_tiles
+@pytest.mark.usefixtures("tiles")
 @pytest.mark.parametrize("precision", ["high", "medium"])
 @pytest.mark.parametrize("rows", [1, 70])
 def test_the_room_holds_the_factors_in_bfloat16(precision, rows):
