@@ -20,7 +20,11 @@ LARGEST, DEEPEST = 250_000, 20
 """Size [bytes] and depth that a config.yaml may have; those of runs have 3000 and 6."""
 ROOMS = ("systems", "tasks", "envs", "excitation", "world_models", "planning", "agents", "sensing", "data.replay")
 BESIDES = ("evaluation.scenarios", "evaluation.disturbances", "evaluation.ablation", "dyna.parts")
-BUILDERS = ("dynasindy.world_models.libraries.named", "dynasindy.evaluation.scenarios.step_references")
+BUILDERS = (
+    "dynasindy.world_models.libraries.named",
+    "dynasindy.evaluation.scenarios.step_references",
+    "dynasindy.tasks.signals",
+)
 """Where the parts of an experiment are classes, and where they are functions."""
 FOREIGN = ("Foreign", "GymnasiumEnv")
 """Parts that look an environment up by its id."""

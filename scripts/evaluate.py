@@ -33,7 +33,7 @@ def main(cfg: DictConfig) -> None:
     if cfg.integral:
         policy = IntegralAction(policy, env)
     out = own_folder(folder, "evaluation_integral" if cfg.integral else "evaluation")
-    scenarios = [load_scenario(name, config) for name in cfg.scenarios]
+    scenarios = [load_scenario(name, config, env) for name in cfg.scenarios]
     for scenario in scenarios:
         result = evaluate(env, policy, scenario, sensing)
         save_evaluation(result, out)

@@ -52,7 +52,7 @@ def measure(folder: Path, scenarios: list[str], plugins: list[str]) -> None:
         env, policy = load_policy(config, folder)
         sensing = load_sensing(config, folder, env)
     for name in due:
-        save_evaluation(evaluate(env, policy, load_scenario(name, config), sensing), out)
+        save_evaluation(evaluate(env, policy, load_scenario(name, config, env), sensing), out)
 
 
 if __name__ == "__main__":

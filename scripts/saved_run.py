@@ -1,6 +1,5 @@
 """Finished runs, loaded again: the environment they were made for and the policy they found."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,10 +8,16 @@ import hydra
 import torch
 from admitted import check, read_config, trusted
 from commands import called
+from hydra._internal.config_search_path_impl import ConfigSearchPathImpl
+from hydra._internal.hydra import Hydra
+from hydra._internal.utils import create_config_search_path
+from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from mistakes import CONF, MENDABLE
 from omegaconf import DictConfig, OmegaConf
+from schema import check as check_values
 from schema import register_functions
 
 from dynasindy.dyna.weights import read_weights
@@ -21,6 +26,9 @@ from dynasindy.evaluation.given import read_record, understood
 from dynasindy.evaluation.scenarios import Policy, Scenario
 from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.world_models import Oracle, SindyModel
+
+TWIN_ROTOR = ["alpha_a", "alpha_p"]
+"""Outputs of the plants of the paper."""
 
 
 def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
@@ -103,21 +111,48 @@ def load_sensing(config: DictConfig, folder: Path, env: ControlEnv) -> Sensing |
     return Sensing(env, observer, torch.Generator())
 
 
-def load_scenario(name: str, config: DictConfig) -> Scenario:
-    """Return a scenario by its name in conf/scenario, for the plant of a run.
+def load_scenario(name: str, config: DictConfig, env: ControlEnv) -> Scenario:
+    """Return a scenario for the plant of a run, by its name in `scenario` of conf/ or of a folder of the user's own.
+
+    Args:
+        name: Name of its file.
+        config: Configuration of the run.
+        env: Environment of the run, whose episodes and control period the scenario may copy.
 
     Raises:
-        ValueError: There is no scenario of that name.
+        ValueError: There is no scenario of that name, or its file holds what a scenario does not have.
     """
-    names = sorted(path.stem for path in (CONF / "scenario").glob("*.yaml"))
-    if name not in names:
-        raise ValueError(f"scenario '{name}' is unknown; use some of {', '.join(names)}")
     GlobalHydra.instance().clear()
-    with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
-        merged = OmegaConf.merge({"plant": config.plant}, hydra.compose(overrides=[f"+scenario={name}"]))
+    Hydra.create_main_hydra2("scenario", _search_path())
+    try:
+        options = GlobalHydra.instance().config_loader().get_group_options("scenario")
+        names = sorted(option for option in options if not option.startswith("_"))
+        if name not in names:
+            raise ValueError(
+                f"scenario '{name}' is unknown; use some of {', '.join(names)}, or give --config-dir FOLDER, in which "
+                f"scenario/NAME.yaml is one of your own"
+            )
+        # Runs of earlier versions do not hold what the paper wants of a twin rotor.
+        twin = ["+system=_twin_rotor"] if list(config.plant.outputs) == TWIN_ROTOR else []
+        found = hydra.compose(overrides=[f"+scenario={name}", *twin])
+    finally:
+        GlobalHydra.instance().clear()
+    place = {"task": {"max_steps": env.task.max_steps}, "env": {"dt": env.dt}}
+    merged = OmegaConf.merge(OmegaConf.to_container(found), {"plant": config.plant}, place)
+    check_values(merged)
     scenario: Scenario = instantiate(merged.scenario, _convert_="all")
     own = OmegaConf.select(config, "scenario.seconds")
     # A run that was judged in short flights is flown in short ones, unless a scenario has its disturbance later.
-    if own and own < (scenario.seconds or math.inf) and not scenario.windows:
+    if own and own < scenario.length(env) and not scenario.windows:
         scenario = replace(scenario, seconds=own)
     return scenario
+
+
+def _search_path() -> ConfigSearchPath:
+    """Return where the command that runs looks for configs, as in the folder of `--config-dir`; else conf/ alone."""
+    if not HydraConfig.initialized():
+        return create_config_search_path(str(CONF))
+    path = ConfigSearchPathImpl()
+    for source in HydraConfig.get().runtime.config_sources:
+        path.append(source.provider, f"{source.schema}://{source.path}")
+    return path

@@ -16,12 +16,21 @@ from dynasindy.evaluation.identification import Logged, Simulated
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.rig import Guard
 from dynasindy.systems import System
+from dynasindy.tasks.signals import Signal
 from dynasindy.world_models.libraries.formulas import register_formula
 
 HYDRA = {"_target_", "_partial_", "_args_", "_convert_", "_recursive_"}
 GIVEN = {"signature", "dt", "system", "task", "n_u", "n_obs", "env", "agent", "replay", "policy"}
 GIVEN |= {"x", "u", "x_next"}
 """Arguments that an experiment hands to what a config builds with `_partial_`."""
+
+
+class Signals(TypedDict, total=False):
+    """Keys of `plant.signals`: targets of a step, one per output in each row, and what is said of the waves."""
+
+    step: list[list[float]]
+    sine: Signal
+    square: Signal
 
 
 class Plant(TypedDict):
@@ -40,6 +49,8 @@ class Plant(TypedDict):
         amplitude: Half range of each input under the excitation [-].
         offset: Mean of each input under the excitation [-].
         sensors: Sensors of the plant's bench, for sensors=bench: `resolution` and `noise` of each measured state.
+        signals: What of tasks and scenarios step, sine and square does not follow from the plant.
+        noise: Standard deviation of the noise of scenario noise, by state [unit of the state].
     """
 
     outputs: list[str]
@@ -53,6 +64,8 @@ class Plant(TypedDict):
     amplitude: float | list[float]
     offset: float | list[float]
     sensors: dict[str, dict[str, float]]
+    signals: Signals | None
+    noise: dict[str, float] | None
 
 
 class Every(TypedDict):

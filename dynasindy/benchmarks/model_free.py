@@ -175,7 +175,7 @@ def learn(job: Job, folder: Path) -> dict[str, Any]:
         }
         rows.append(progress(episode, agent, cost, latest))
         write_csv(folder / "progress.csv", list(rows[0]), [list(row.values()) for row in rows])
-    steps = env.task.max_steps if scenario.seconds is None else round(scenario.seconds / env.dt)
+    steps = round(scenario.length(env) / env.dt)
     spent = cost | {"evaluation_steps": (job.episodes + 1) * scenario.episodes * steps}
     head = {"seed": job.seed, "system": job.plant, "episodes": job.episodes, "cost": spent, "scenario": scenario.name}
     return {**head, "evaluation": latest, "untrained": untrained}

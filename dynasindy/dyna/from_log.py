@@ -83,7 +83,7 @@ def controller_of(model: SindyModel, source: Source | None, wanted: Wanted) -> C
 
 def judged(controller: Controller, model: SindyModel, source: Source | None, wanted: Wanted) -> Prediction:
     """Predict what a controller will do on models that its plan never saw; without a log, on its own."""
-    scenario = replace(wanted.scenario, seconds=None)  # as long as the task's episodes
+    scenario = replace(wanted.scenario, seconds=None, lengths=1.0)  # as long as the task's episodes
     return foretell(controller, model, source, scenario, wanted.seed, wanted.within)
 
 

@@ -5,6 +5,7 @@ are policies made from a policy, for `Scenario.wrappers`. Where a run has sensor
 how much noisier the sensors are.
 """
 
+import math
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Protocol, runtime_checkable
@@ -15,8 +16,12 @@ from torch import Tensor
 
 from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count
+from dynasindy.sensing import Channel, Sensors
 from dynasindy.sensing.offset import Policy
 from dynasindy.systems import Signature, System
+
+SHARE = 1e-3
+"""Noise of a state of whose sensor nothing is known [ranges of the state]."""
 
 
 @runtime_checkable
@@ -42,6 +47,7 @@ class Pushed(System):
 
     def __init__(self, system: System, push: Mapping[str, float]) -> None:
         super().__init__(system.signature, system.stops)
+        _require_names(system.signature, push, "push")
         self.system = system
         self.register_buffer("push", _by_name(system.signature, push, 0.0))
 
@@ -76,6 +82,7 @@ class Detuned(System):
 
     def __init__(self, system: System, gain: Mapping[str, float], input_gain: Sequence[float] | None = None) -> None:
         super().__init__(system.signature, system.stops)
+        _require_names(system.signature, gain, "gain")
         n_u = system.signature.n_u
         input_gain = [1.0] * n_u if input_gain is None else list(input_gain)
         if len(input_gain) != n_u:
@@ -106,17 +113,32 @@ class SensorNoise:
     Args:
         policy: The policy.
         env: Environment whose task makes the observation.
-        std: Standard deviation of white noise on each state [unit of the state].
+        std: Standard deviation of white noise on each state, or by name of a state, 0 where not named [unit of the
+            state]; None takes those of `sensors`.
         seed: Of the noise.
+        sensors: Resolution and noise of the plant's sensors, by name of a state, each a `Channel` or its keys. The
+            noise of a state of which they do not tell is `SHARE` of its range.
 
     Raises:
-        ValueError: There is not one standard deviation >= 0 per state.
+        ValueError: There is not one standard deviation >= 0 per state, or a named state does not exist.
     """
 
-    def __init__(self, policy: Policy, env: ControlEnv, std: Sequence[float], seed: int = 0) -> None:
-        n_x = env.system.signature.n_x
-        if len(std) != n_x or not all(value >= 0 for value in std):
-            raise ValueError(f"std must hold one number >= 0 for each of the {n_x} states, got {list(std)}")
+    def __init__(
+        self,
+        policy: Policy,
+        env: ControlEnv,
+        std: Sequence[float] | Mapping[str, float] | None = None,
+        seed: int = 0,
+        sensors: Mapping[str, Channel | Mapping[str, float]] | None = None,
+    ) -> None:
+        signature = env.system.signature
+        if isinstance(std, Mapping):
+            _require_names(signature, std, "std")
+            std = [std.get(name, 0.0) for name in signature.state_names]
+        elif std is None:
+            std = _of_sensors(signature, sensors or {})
+        if len(std) != signature.n_x or not all(value >= 0 for value in std):
+            raise ValueError(f"std must hold one number >= 0 for each of the {signature.n_x} states, got {list(std)}")
         self.policy, self.env = policy, env
         self.std = torch.tensor(list(std))
         self.generator = torch.Generator().manual_seed(seed)
@@ -171,6 +193,22 @@ class DelayedActuator:
 
 def _listed(parts: Iterable[str]) -> str:
     return ", ".join(parts) or "nothing"
+
+
+def _of_sensors(signature: Signature, sensors: Mapping[str, Channel | Mapping[str, float]]) -> list[float]:
+    variances = Sensors(sensors).variance(signature).tolist() if sensors else [0.0] * signature.n_x
+    told = [math.sqrt(variance) if 0 < variance < math.inf else 0.0 for variance in variances]
+    return [std or SHARE * scale for std, scale in zip(told, signature.x_scale, strict=True)]
+
+
+def _require_names(signature: Signature, values: Iterable[str], key: str) -> None:
+    """Refuse a disturbance of another plant, with what to do about it."""
+    if absent := [name for name in values if name not in signature.state_names]:
+        raise ValueError(
+            f"the scenario's {key} is of {', '.join(absent)}, and the states of this plant are "
+            f"{', '.join(signature.state_names)}; copy its file from conf/scenario to FOLDER/scenario/NAME.yaml, write "
+            "states of this plant into it, and give --config-dir FOLDER 'scenarios=[NAME]'"
+        )
 
 
 def _by_name(signature: Signature, values: Mapping[str, float], default: float) -> Tensor:

@@ -190,7 +190,7 @@ def predict(
         overshoot = {
             name: max(overshoot.get(name, 0.0), share) for name, share in zip(result.output_names, over, strict=True)
         }
-    seconds = scenario.seconds or plan.task.max_steps * plan.dt
+    seconds = scenario.length(plan)
     return Prediction(tuple(flights), shown, within=within, errors=tuple(errors), seconds=seconds, overshoot=overshoot)
 
 

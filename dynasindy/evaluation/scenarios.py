@@ -29,7 +29,7 @@ from dynasindy.evaluation.metrics import steady_seconds, tracking_metrics
 from dynasindy.limits import Count, check_memory
 from dynasindy.sensing import Sensing, unveiled
 from dynasindy.systems import Diverged, Signature, System, steps_needed
-from dynasindy.tasks import Reference, Step, Task, Tracking
+from dynasindy.tasks import Reference, Sampled, Step, Task, Tracking
 from dynasindy.together import fly
 from dynasindy.told import tell
 
@@ -48,15 +48,16 @@ class Scenario:
         reference: What to track; None draws from the environment's own task, always the same for a seed, and is all
             that a task without references takes.
         episodes: Rows of the batch, one reference each.
-        seconds: Length of the run [s]; None is that of an episode of the task.
+        seconds: Length of the run [s]; None is `lengths` episodes of the task.
         plant: Makes the disturbed plant from the nominal one; None leaves it as it is.
         windows: Times `(start, end)` at which the disturbed plant holds [s]; None is the whole run.
         wrappers: What lies between policy and plant, in order; each gets the policy and the environment.
         seed: Of drawn references and initial states.
+        lengths: Length of the run, where `seconds` does not say it [lengths of an episode].
 
     Raises:
-        ValueError: The name is none of a file, `episodes` or `seconds` is not positive, or the windows are not in order
-            within the run.
+        ValueError: The name is none of a file, `episodes`, `lengths` or `seconds` is not positive, or the windows are
+            not in order within the run.
     """
 
     name: str
@@ -67,12 +68,14 @@ class Scenario:
     windows: Sequence[Window] | None = None
     wrappers: Sequence[PolicyWrapper] = ()
     seed: int = 0
+    lengths: float = 1.0
 
     def __post_init__(self) -> None:
         plain_name(self.name, "scenario")
-        if self.episodes < 1 or (self.seconds is not None and not self.seconds > 0):
+        if self.episodes < 1 or (self.seconds is not None and not self.seconds > 0) or not self.lengths > 0:
             raise ValueError(
-                f"scenario '{self.name}' has episodes={self.episodes}, seconds={self.seconds}; both must be positive"
+                f"scenario '{self.name}' has episodes={self.episodes}, seconds={self.seconds}, lengths={self.lengths}; "
+                "all must be positive"
             )
         end = math.inf if self.seconds is None else self.seconds
         edges = [0.0, *(edge for window in self.windows or () for edge in window), end]
@@ -81,6 +84,10 @@ class Scenario:
                 f"windows {list(self.windows or ())} of scenario '{self.name}' must be (start, end) pairs "
                 f"in order within 0 and {end} s; sort or shorten them"
             )
+
+    def length(self, place: Sampled) -> float:
+        """Return how long the run is where it is flown [s]."""
+        return self.seconds or self.lengths * place.task.max_steps * place.dt
 
 
 @dataclass(frozen=True)
@@ -233,7 +240,7 @@ def evaluate(
         Diverged: The policy gives an action that is not finite, the plant moves to no number, or the task gives a
             reward that is not finite. A plant that runs away is left at the end of `FARTHEST` ranges.
     """
-    scenario = replace(scenario, seconds=scenario.seconds or env.task.max_steps * env.dt)
+    scenario = replace(scenario, seconds=scenario.length(env))
     calm, task = _prepare(env, scenario, 0 if sensing is None else sensing.observer.width)
     wrapped = policy if sensing is None else sensing.on(calm, sensing.rng).controller(policy)
     disturbing: list[object] = [scenario.plant(calm.system)] if scenario.plant else []

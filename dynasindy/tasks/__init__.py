@@ -3,6 +3,19 @@
 from dynasindy.tasks.base import Sampled, Task
 from dynasindy.tasks.references import Mixture, RandomStep, Reference, Step, Wave
 from dynasindy.tasks.reward import TrackingReward
+from dynasindy.tasks.signals import target, wave
 from dynasindy.tasks.tracking import Tracking
 
-__all__ = ["Mixture", "RandomStep", "Reference", "Sampled", "Step", "Task", "Tracking", "TrackingReward", "Wave"]
+__all__ = [
+    "Mixture",
+    "RandomStep",
+    "Reference",
+    "Sampled",
+    "Step",
+    "Task",
+    "Tracking",
+    "TrackingReward",
+    "Wave",
+    "target",
+    "wave",
+]

@@ -6,7 +6,7 @@ from tensordict import TensorDict, TensorDictBase
 
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.disturbances import DelayedActuator, Detuned, Pushed, SensorNoise
-from dynasindy.systems import Tras, Xi
+from dynasindy.systems import Pendulum, Tras, Xi
 from dynasindy.tasks import Step, Tracking, Wave
 
 X = torch.rand(4, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
@@ -68,7 +68,7 @@ def test_a_delay_shifts_the_actions(periods: int) -> None:
 
 
 def test_mistakes_get_one_line() -> None:
-    with pytest.raises(ValueError, match="state 'Omega' does not exist; the states are alpha_a"):
+    with pytest.raises(ValueError, match="is of Omega, and the states of this plant are alpha_a"):
         Pushed(Tras(), {"Omega": 1.0})
     with pytest.raises(ValueError, match="input_gain has 1 numbers, the plant 2 inputs"):
         Detuned(Tras(), {}, [0.9])
@@ -116,3 +116,28 @@ def test_each_says_how_large_it_is() -> None:
         "inputs late by 1 control period, 0.05 s",
         "inputs late by 2 control periods, 0.1 s",
     ]
+
+
+def test_noise_comes_from_the_sensors_of_a_plant_and_else_from_its_ranges() -> None:
+    env = ControlEnv(Tras(), Tracking(Tras().signature, Step([[0.0, 0.0]])))
+    sensors = {"alpha_a": {"resolution": 0.006}, "omega_a": {"noise": 30.0}, "Omega_p": {}}
+    # A rounding to steps of q errs by q over the root of 12; ranges are 1 rad, 1 rad/s, 4000 and 2500 rpm.
+    wanted = [0.006 / 12**0.5, 0.001, 0.001, 0.001, 30.0, 2.5]
+    assert SensorNoise(lambda td: td, env, sensors=sensors).std.tolist() == pytest.approx(wanted)
+    named = SensorNoise(lambda td: td, env, {"Omega_a": 0.02, "omega_p": 20.0})
+    assert named.std.tolist() == pytest.approx([0.0, 0.0, 0.02, 0.0, 0.0, 20.0])
+
+
+@pytest.mark.parametrize(
+    "disturb",
+    [
+        lambda plant: Pushed(plant, {"Omega_a": 0.5}),
+        lambda plant: Detuned(plant, {"Omega_a": 0.9}, [0.9, 0.9]),
+    ],
+)
+def test_a_disturbance_of_another_plant_says_what_it_needs(disturb) -> None:
+    message = (
+        r"is of Omega_a, and the states of this plant are theta, Omega; copy .* write states of this plant into it"
+    )
+    with pytest.raises(ValueError, match=message):
+        disturb(Pendulum())

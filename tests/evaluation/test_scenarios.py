@@ -147,7 +147,7 @@ def test_wrappers_are_applied_in_order() -> None:
 
 
 def test_mistakes_get_one_line() -> None:
-    with pytest.raises(ValueError, match="both must be positive"):
+    with pytest.raises(ValueError, match="all must be positive"):
         Scenario("none", episodes=0)
     with pytest.raises(ValueError, match="in order"):
         Scenario("late", seconds=5.0, windows=[(4.0, 6.0)])

@@ -1,6 +1,7 @@
 """The evaluation script on a run folder that holds an untrained policy, as a user runs it."""
 
 import json
+import math
 import shutil
 import subprocess
 import sys
@@ -10,9 +11,10 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.agents import TD3
+from dynasindy.envs import ControlEnv
 
 REPOSITORY = Path(__file__).parents[2]
 SCENARIOS = sorted(path.stem for path in (REPOSITORY / "conf" / "scenario").glob("*.yaml"))
@@ -96,14 +98,52 @@ def test_mistakes_of_a_user_get_one_line_and_leave_the_working_directory(
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_every_scenario_is_built_under_its_own_name(name: str, run_folder: Path, saved_run) -> None:
-    scenario = saved_run.load_scenario(name, saved_run.load_config(run_folder))
-    assert scenario.name == name
+    config = saved_run.load_config(run_folder)
+    env, _ = saved_run.load_policy(config, run_folder)
+    assert saved_run.load_scenario(name, config, env).name == name
+
+
+def short_of(config: DictConfig) -> tuple[DictConfig, ControlEnv]:
+    """Return the configuration of a run as it is flown for as long as a scenario says, and its environment."""
+    config = OmegaConf.merge(config, {"scenario": {"seconds": None}})
+    system = instantiate(config.system)
+    task = instantiate(config.task, _convert_="all")(signature=system.signature)
+    return config, instantiate(config.env)(system=system, task=task)
+
+
+@pytest.mark.parametrize("run", ["tras_gradient", "xi_dyna_rollouts_800"])
+def test_a_run_of_an_earlier_version_is_flown_in_the_waves_and_the_noise_of_the_paper(run: str, saved_run) -> None:
+    config, env = short_of(saved_run.load_config(REPOSITORY / "docs" / "results" / "runs" / run))
+    assert "signals" not in config.plant
+    printed = {"sine": ([0.35, 0.25], 0.015, 100.0), "square": ([0.4, -0.5], 0.01, 200.0)}
+    for shape, (amplitude, frequency, seconds) in printed.items():
+        scenario = saved_run.load_scenario(shape, config, env)
+        rows = scenario.reference.sample(torch.Size(()), torch.Generator())
+        wanted = torch.tensor([[0.0, a, frequency, 0.0, float(shape == "square")] for a in amplitude])
+        assert torch.equal(rows, wanted) and scenario.length(env) == seconds
+    (noise,) = saved_run.load_scenario("noise", config, env).wrappers
+    assert noise(lambda td: td, env).std.tolist() == torch.tensor([0.002, 0.002, 0.02, 0.02, 40.0, 20.0]).tolist()
+
+
+def test_scenarios_follow_a_plant_with_one_output_and_its_sensors(saved_run) -> None:
+    with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
+        config = compose("train", ["folder=x", "system=pendulum", "env.dt=0.1", "task.max_steps=50"])
+    config, env = short_of(config)  # targets of -1 to 1 rad, episodes of 5 s
+    sine, square = (saved_run.load_scenario(name, config, env) for name in ("sine", "square"))
+    rows = sine.reference.sample(torch.Size(()), torch.Generator())
+    torch.testing.assert_close(rows, torch.tensor([[0.0, 0.5, 0.2, 0.0, 0.0]]))
+    assert (sine.length(env), square.length(env)) == (7.5, 10.0)  # one and a half periods, and two
+    (noise,) = saved_run.load_scenario("noise", config, env).wrappers
+    # An encoder of 4096 counts errs uniformly within a count; of the rate, whose range is 3 rad/s, nothing is said.
+    assert noise(lambda td: td, env).std.tolist() == pytest.approx(
+        [2 * math.pi / 4096 / math.sqrt(12), 0.003], rel=1e-5
+    )
 
 
 def test_unknown_scenarios_and_unfinished_runs_are_refused(run_folder: Path, tmp_path: Path, saved_run) -> None:
     config = saved_run.load_config(run_folder)
     with pytest.raises(ValueError, match=r"scenario 'stepp' is unknown; use some of delay, .*wind"):
-        saved_run.load_scenario("stepp", config)
+        saved_run.load_scenario("stepp", config, None)
     with pytest.raises(FileNotFoundError, match=r"has no policy\.pt, its run did not end"):
         saved_run.load_policy(config, tmp_path)
     torch.save({"weight": torch.zeros(3)}, tmp_path / "policy.pt")

@@ -377,7 +377,7 @@ def test_evaluate_leaves_what_a_link_leads_to(run, tmp_path):
 @pytest.mark.parametrize("name", ["../../x", "/etc/passwd", "step.yaml", "..", ""])
 def test_a_scenario_is_a_name_in_conf(saved_run, run, name):
     with pytest.raises(ValueError, match="is unknown; use some of"):
-        saved_run.load_scenario(name, saved_run.load_config(run))
+        saved_run.load_scenario(name, saved_run.load_config(run), None)
 
 
 GARBAGE = {
