@@ -13,7 +13,8 @@
 
 The first six are per tracked axis, the last two per input. Overshoot, rise and settling time belong to
 steps: they are NaN where the reference moves during the record or the step is smaller than `MIN_STEP` target ranges. A
-step that never rises or never settles has an infinite time, so that a failure is never averaged away.
+step that never rises or never settles has an infinite time, so that a failure is never averaged away. One that comes
+within 5 % later than the steady state begins has not settled.
 """
 
 import torch
@@ -72,13 +73,11 @@ def tracking_metrics(time: Tensor, y: Tensor, r: Tensor, u: Tensor, boxes: Tenso
     """
     _check(time, y, r, u)
     error, dt = (y - r).abs(), time[1] - time[0]
-    # Exactly the last steady_seconds / dt samples.
-    steady = time > time[-1] - steady_seconds(float(dt), len(time)) + 0.5 * dt
     smallest = MIN_STEP * (torch.ones(y.shape[-1]) if boxes is None else boxes).to(y)
     return {
         "rmse": error.square().mean(-2).sqrt(),
         "mean_abs_error": error.mean(-2),
-        "steady_state_error": error[..., steady, :].mean(-2),
+        "steady_state_error": error[..., _steady(time), :].mean(-2),
         "overshoot": overshoot(y, r, smallest),
         "rise_time": rise_time(time, y, r, smallest=smallest),
         "settling_time": settling_time(time, y, r, smallest=smallest),
@@ -108,15 +107,21 @@ def settling_time(
 ) -> Tensor:
     """Return the time after which the error stays within `band` of the step, `(*batch, n_r)` [s].
 
-    Infinite where the last sample is still outside the band.
+    Infinite where a sample of the steady state is still outside the band: what enters it at the end crosses it only.
     """
     progress, valid = _progress(y, r, smallest)
     outside = (progress - 1.0).abs() > band
     # Index of the first sample that is inside together with all that follow it.
     index = torch.where(outside, torch.arange(1, len(time) + 1, device=y.device).unsqueeze(-1), 0).amax(-2)
-    never = index == len(time)
+    never = outside[..., _steady(time), :].any(-2)
     elapsed = (time - time[0])[index.clamp_max(len(time) - 1)]
     return torch.where(valid, torch.where(never, torch.inf, elapsed), torch.nan)
+
+
+def _steady(time: Tensor) -> Tensor:
+    """Return which samples count as steady state: exactly the last steady_seconds / dt."""
+    dt = time[1] - time[0]
+    return time > time[-1] - steady_seconds(float(dt), len(time)) + 0.5 * dt
 
 
 def _progress(y: Tensor, r: Tensor, smallest: Smallest) -> tuple[Tensor, Tensor]:

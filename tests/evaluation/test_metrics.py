@@ -168,6 +168,21 @@ def test_settling_is_at_the_band_and_never_if_the_last_sample_is_outside() -> No
     assert settling_time(time, r, r).isnan()  # no step at all
 
 
+def test_what_crosses_the_band_in_the_steady_state_has_not_settled() -> None:
+    # Of 20 s at 20 Hz, the last 5 s count as steady state: from 15 s on, as sample 300 is the first of 100.
+    time = 0.05 * torch.arange(400).double()
+    target = torch.ones(400, 1).double()
+    for last, settled in ((299, 15.0), (300, math.inf), (398, math.inf), (399, math.inf)):
+        y = torch.ones(400, 1).double()
+        y[: last + 1] = 0.5
+        y[0] = 0.0
+        assert settling_time(time, y, target).item() == pytest.approx(settled)
+    swinging = 1 + torch.cos(2 * time).unsqueeze(-1) * torch.where(time > 0, 1.0, -1.0).unsqueeze(-1)
+    inside = time[((swinging[:, 0] - 1).abs() <= 0.05).nonzero()[-1]].item()
+    end = round(inside / 0.05) + 1  # the record ends at a sample within the band, which it only crosses
+    assert settling_time(time[:end], swinging[:end], target[:end]).item() == math.inf
+
+
 def test_rise_counts_from_the_first_crossings_between_samples() -> None:
     time, y, r = record([0.0, 0.4, 0.0, 0.8, 0.6, 1.0], 1.0)
     assert rise_time(time, y, r, low=0.2, high=0.7).item() == pytest.approx(0.5 * (2 + 0.7 / 0.8) - 0.25)
