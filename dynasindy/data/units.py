@@ -9,16 +9,11 @@ from typing import TYPE_CHECKING
 
 from dynasindy.data.rates import is_rate_of
 from dynasindy.data.table import split_unit
+from dynasindy.systems.angles import TURNS
 
 if TYPE_CHECKING:
     from dynasindy.data.columns import Column
 
-TURNS = {
-    **dict.fromkeys(("deg", "degree", "degrees", "°"), math.pi / 180),
-    "mrad": 1e-3,
-    **dict.fromkeys(("rev", "turn", "turns"), 2 * math.pi),
-}
-"""Units of angles that are not rad, in rad."""
 PER_MINUTE = ("rpm", "RPM", "rev/min")
 """Units of speeds that count turns in a minute; of what is no rate of an angle they stay, as of a fan."""
 
@@ -36,11 +31,6 @@ def in_radians(unit: str, turns: bool = True) -> tuple[str, float]:
     if turns and unit in PER_MINUTE:
         return "rad/s", 2 * math.pi / 60
     return unit, 1.0
-
-
-def turn_of(unit: str) -> float:
-    """Return how much one turn is in a unit of angles, such as 360 deg; infinite in any other unit."""
-    return 2 * math.pi if unit == "rad" else 2 * math.pi / TURNS[unit] if unit in TURNS else math.inf
 
 
 def with_units(

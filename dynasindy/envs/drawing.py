@@ -1,5 +1,6 @@
-"""Pictures of a controlled plant: a dial per tracked output and, of the twin rotor, the beam in space.
+"""Pictures of a controlled plant: a dial or a bar per tracked output and, of the twin rotor, the beam in space.
 
+An angle is a dial, and any other output is a bar with its unit.
 The beam's shadow on the floor shows its azimuth; orange is the reference.
 
 Drawn with Pillow at twice the size and scaled down, which smooths the edges.
@@ -14,6 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from dynasindy.durations import unit_of
 from dynasindy.systems import Signature
+from dynasindy.systems.angles import turn_of
 
 Vector = NDArray[np.float64]
 Frame = NDArray[np.uint8]
@@ -24,12 +26,13 @@ HEIGHT = 360
 _ZOOM = 2
 _INK, _GHOST = (30, 30, 30, 255), (213, 94, 0, 255)
 _BEAM, _MAIN, _TAIL, _FAINT = (70, 80, 95, 255), (0, 114, 178), (0, 158, 115), (215, 215, 215, 255)
-_FLOOR, _SHADOW = (244, 244, 244, 255), (190, 190, 190, 255)
+_FLOOR, _SHADOW, _LABEL = (244, 244, 244, 255), (190, 190, 190, 255), (120, 120, 120, 255)
 _VIEW = (
     math.radians(-90.0),
     math.radians(28.0),
 )  # the camera's azimuth and elevation: a level beam looks level
-_ZERO = {"theta": -0.5 * math.pi}  # a pendulum at rest hangs down
+_HANGING = ("theta", "Omega")
+"""States of the pendulum, which hangs down at rest."""
 
 
 def draw(
@@ -38,6 +41,7 @@ def draw(
     reference: Sequence[float],
     outputs: Sequence[int],
     time: float | None = None,
+    ends: Sequence[tuple[float, float]] | None = None,
 ) -> Frame:
     """Draw one state of a plant.
 
@@ -47,6 +51,8 @@ def draw(
         reference: `(n_r,)` reference of each tracked output; drawn in orange.
         outputs: Indices of the tracked outputs in `x`.
         time: Time to write into the corner [s].
+        ends: Lowest and highest value that the bar of each tracked output shows [unit of the output]; if omitted it
+            shows zero in the middle, and its range or the reference.
 
     Returns:
         Colours, uint8 `(height, width, 3)`.
@@ -57,10 +63,17 @@ def draw(
         _draw_twin_rotor(image, np.asarray(x, dtype=np.float64), np.asarray(reference, dtype=np.float64), (0.0, 0.0))
     for k, index in enumerate(outputs):
         corner = (HEIGHT, k * HEIGHT // 2) if beam else (k * HEIGHT // 2, HEIGHT // 4)
-        _draw_dial(image, corner, signature.state_names[index], float(x[index]), float(reference[k]))
+        name, unit, value = signature.state_names[index], signature.state_units[index], float(x[index])
+        _write(image, (corner[0] + 8, corner[1] + 4), name)
+        if turn_of(unit) < math.inf:
+            zero = -0.5 * math.pi if signature.state_names == _HANGING else 0.0
+            _draw_dial(image, corner, unit, (value, float(reference[k])), zero)
+        else:
+            reach = max(signature.x_scale[index], 1.25 * abs(float(reference[k])))
+            _draw_bar(image, corner, unit, (value, float(reference[k])), ends[k] if ends else (-reach, reach))
     if time is not None:
-        unit = unit_of(time)
-        _write(image, (10, 8), f"t = {time / unit.seconds:.2f} {unit.name}")
+        clock = unit_of(time)
+        _write(image, (10, 8), f"t = {time / clock.seconds:.2f} {clock.name}")
     return _finished(image)
 
 
@@ -99,19 +112,53 @@ def _finished(image: Image.Image) -> Frame:
     return np.asarray(image.resize(size, Image.Resampling.LANCZOS))
 
 
-def _draw_dial(image: Image.Image, corner: tuple[int, int], name: str, value: float, reference: float) -> None:
-    """Draw an angle as a needle, 0 to the right and positive upwards, and its reference behind it."""
+def _draw_dial(
+    image: Image.Image, corner: tuple[int, int], unit: str, angles: tuple[float, float], zero: float
+) -> None:
+    """Draw an angle as a needle, counter-clockwise from the right by `zero` and itself, and its reference behind it."""
     pen = ImageDraw.Draw(image, "RGBA")
     centre, radius = (corner[0] + 90, corner[1] + 86), 56
     box = [_ZOOM * (c + s * radius) for s in (-1, 1) for c in centre]
     pen.ellipse(box, outline=_FAINT, width=2 * _ZOOM)
+    value, reference = angles
     for angle, colour, thick in ((reference, _GHOST, 2), (value, _INK, 4)):
-        turned = angle + _ZERO.get(name, 0.0)
+        turned = angle * 2 * math.pi / turn_of(unit) + zero
         tip = (centre[0] + radius * math.cos(turned), centre[1] - radius * math.sin(turned))
         pen.line([_ZOOM * c for c in (*centre, *tip)], fill=colour, width=thick * _ZOOM)
-    _write(image, (corner[0] + 8, corner[1] + 4), name)
-    _write(image, (corner[0] + 8, corner[1] + 152), f"{value:+.3f} rad")
-    _write(image, (corner[0] + 94, corner[1] + 152), f"{reference:+.3f}", _GHOST)
+    _write_values(image, corner, f"{value:+.3f} {unit}", f"{reference:+.3f}")
+
+
+def _draw_bar(
+    image: Image.Image,
+    corner: tuple[int, int],
+    unit: str,
+    values: tuple[float, float],
+    ends: tuple[float, float],
+) -> None:
+    """Draw a value as a bar from zero, or from the lower end where zero is outside, and its reference as a line."""
+    pen, (low, high) = ImageDraw.Draw(image, "RGBA"), ends
+    left, right, top, bottom = corner[0] + 66, corner[0] + 114, corner[1] + 30, corner[1] + 142
+
+    def height(value: float) -> float:
+        share = (min(max(value, low), high) - low) / (high - low) if math.isfinite(value) else 0.0
+        return _ZOOM * (bottom - share * (bottom - top))
+
+    value, reference = values
+    base, tip = sorted((height(value), height(0.0)))
+    pen.rectangle([_ZOOM * left, base, _ZOOM * right, tip], fill=_BEAM)
+    pen.rectangle([_ZOOM * left, _ZOOM * top, _ZOOM * right, _ZOOM * bottom], outline=_FAINT, width=2 * _ZOOM)
+    wanted = height(reference)
+    pen.line([_ZOOM * (left - 10), wanted, _ZOOM * (right + 10), wanted], fill=_GHOST, width=3 * _ZOOM)
+    # As many digits as tell a thousandth of the bar.
+    digits, sign = max(0, 2 - math.floor(math.log10(high - low))), "+" if low < 0 else ""
+    for end, level in ((high, top), (low, bottom)):
+        _write(image, (right + 14, level - 8), f"{end:.3g}", _LABEL)
+    _write_values(image, corner, f"{value:{sign}.{digits}f} {unit}", f"{reference:{sign}.{digits}f}")
+
+
+def _write_values(image: Image.Image, corner: tuple[int, int], value: str, reference: str) -> None:
+    _write(image, (corner[0] + 8, corner[1] + 152), value)
+    _write(image, (corner[0] + 94, corner[1] + 152), reference, _GHOST)
 
 
 def _draw_twin_rotor(image: Image.Image, x: Vector, reference: Vector, turned: Sequence[float]) -> None:

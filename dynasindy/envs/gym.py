@@ -99,7 +99,11 @@ class GymControl(gymnasium.Env[Array, Array]):
         if self.render_mode is None or self._steps is None:
             return None
         reference = self._task.reference(self._params, self._t).tolist()
-        return draw(self.env.system.signature, self._x.tolist(), reference, self._task.outputs, float(self._t))
+        rows = zip(*self._task.ends, self._task.boxes().tolist()) if self._task.ends else ()
+        # A third of the range beyond each end of the targets, in which an output may overshoot.
+        bars = [(low - box / 3, high + box / 3) for low, high, box in rows]
+        signature, time = self.env.system.signature, float(self._t)
+        return draw(signature, self._x.tolist(), reference, self._task.outputs, time, bars)
 
     def _observed(self) -> tuple[Array, dict[str, Any]]:
         observation = self._task.observation(self._x, self._params, self._t).float().numpy()

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from dynasindy.data.rates import contradicted, mismatched
-from dynasindy.data.units import TURNS
 from dynasindy.evaluation.source import Source
 from dynasindy.systems import Pendulum, System, Tras, Trms33, Xi
+from dynasindy.systems.angles import TURNS
 from dynasindy.systems.base import Signature
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.libraries import auto, auto_rig

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from dynasindy.data.units import turn_of
 from dynasindy.evaluation.scenarios import Evaluation
+from dynasindy.systems.angles import turn_of
 
 FAR = 20.0
 """Ranges beyond which a state has run away, whatever the reference does."""

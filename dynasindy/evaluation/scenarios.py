@@ -20,7 +20,6 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.agents import Exploring
 from dynasindy.data.sound import require_finite
-from dynasindy.data.units import turn_of
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.control_env import FARTHEST
 from dynasindy.evaluation.disturbances import SensorNoise, Told
@@ -29,6 +28,7 @@ from dynasindy.evaluation.metrics import steady_seconds, tracking_metrics
 from dynasindy.limits import Count, check_memory
 from dynasindy.sensing import Sensing, unveiled
 from dynasindy.systems import Diverged, Signature, System, steps_needed
+from dynasindy.systems.angles import turn_of
 from dynasindy.tasks import Reference, Sampled, Step, Task, Tracking
 from dynasindy.together import fly
 from dynasindy.told import tell

@@ -9,10 +9,10 @@ from itertools import combinations
 import torch
 from torch.quasirandom import SobolEngine
 
-from dynasindy.data.units import turn_of
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import known_ranges
 from dynasindy.planning.rests import PERIOD, find_rests
+from dynasindy.systems.angles import turn_of
 from dynasindy.systems.base import Signature
 from dynasindy.world_models import SindyModel
 

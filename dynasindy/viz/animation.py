@@ -42,6 +42,7 @@ class Chart:
         self.names, self.time = evaluation.output_names, evaluation.time.numpy()
         self.units = tuple(evaluation.units.values())
         self.y, self.r = evaluation.outputs[row].numpy(), evaluation.references[row].numpy()
+        self.ends = [self._ends(k, 0.0) for k in range(len(self.names))]
         inch = HEIGHT / 100
         with matplotlib.rc_context(STYLE):
             figure = Figure(figsize=(inch, inch), dpi=100 * self.ZOOM)
@@ -74,11 +75,16 @@ class Chart:
         """Draw what does not move: the reference, and axes that hold the whole run."""
         step = bool((np.diff(self.r[:, k]) == 0).mean() > 0.5)
         axis.plot(self.time, self.r[:, k], color=CYCLE[1], linewidth=1.4, drawstyle="steps-post" if step else "default")
-        values = np.concatenate([self.y[:, k], self.r[:, k]])
-        margin = 0.08 * max(float(np.ptp(values)), 0.02)
-        axis.set_ylim(values.min() - margin, values.max() + margin)
+        axis.set_ylim(*self._ends(k, 0.08))
         axis.set_xlim(self.time[0], self.time[-1])
         axis.set_ylabel(label(self.names[k], self.units[k]))
+
+    def _ends(self, k: int, margin: float) -> tuple[float, float]:
+        """Return between which values output and reference are, and a margin as a share of their distance."""
+        values = np.concatenate([self.y[:, k], self.r[:, k]])
+        extent = float(np.ptp(values))
+        beyond = margin * max(extent, 0.02) if extent else 0.0016
+        return float(values.min()) - beyond, float(values.max()) + beyond
 
     def _pixels(self, axis: Axes, values: Array) -> list[tuple[float, float]]:
         points = axis.transData.transform(np.stack([self.time, values], -1))
@@ -104,7 +110,8 @@ def frames(evaluation: Evaluation, row: int = 0, every: int = 2) -> Iterator[Fra
             turned = [angle + w / full for angle, w, full in zip(turned, x[k][4:], FULL, strict=True)]
             scene = draw_beam(x[k], reference[k], turned, words)
         else:
-            scene = draw(evaluation.signature, x[k], reference[k], evaluation.columns, float(evaluation.time[k]))
+            moment = float(evaluation.time[k])
+            scene = draw(evaluation.signature, x[k], reference[k], evaluation.columns, moment, chart.ends)
         yield np.hstack([scene, chart.until(k)])
 
 
