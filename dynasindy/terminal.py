@@ -30,6 +30,8 @@ MOMENT = 2.0
 EVERY = 10.0
 """Time between two lines of one phase in a file [s]."""
 TOLD = re.compile(r"\bNOT (?:CONTROLLED|promised|JUDGED)\b|\bCONTROLLED\b|^(?:note|hint|found|next|warning):", re.M)
+COMMAND = re.compile(r"\s*(?:dynasindy \w+|python scripts/\w+\.py)(?: |$)")
+"""How a line begins that is meant to be copied into a shell."""
 SIGN = re.compile(r" (?=[+-] )")
 
 
@@ -307,12 +309,15 @@ def say(*texts: str) -> None:
 
 
 def fitted(text: str, columns: int) -> str:
-    """Return a text whose lines are no longer than so many columns: equations end between terms, sentences at words."""
+    """Return a text whose lines are no longer than so many columns: equations end between terms, sentences at words.
+
+    A command stays one line, which the terminal wraps: of two lines, a shell would take the second for another command.
+    """
     return "\n".join(part for whole in text.split("\n") for part in _broken(whole, columns))
 
 
 def _broken(whole: str, columns: int) -> list[str]:
-    if len(whole) <= columns:
+    if len(whole) <= columns or COMMAND.match(whole):
         return [whole]
     start = " " * (len(whole) - len(whole.lstrip()))
     equation = re.match(r"\s*\S+' = ", whole)

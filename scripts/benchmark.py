@@ -1,13 +1,9 @@
 """Run a benchmark by name: `python scripts/benchmark.py td3 [options]`."""
 
-import ast
 import importlib
 import os
-import pkgutil
 import sys
 from collections.abc import Sequence
-from itertools import pairwise
-from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported: one thread is what is compared
 os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
@@ -16,26 +12,19 @@ from commands import HELP, called, purpose
 from places import require_writable
 from reader import while_read
 
-from dynasindy import benchmarks
-
-
-def names() -> list[str]:
-    """Return the names of the benchmarks."""
-    return sorted(module.name for module in pkgutil.iter_modules(benchmarks.__path__) if not module.ispkg)
+from dynasindy.benchmarks.instruments.arguments import names, parsed, told
 
 
 def page() -> str:
     """Return what there is to be measured, in the first sentence of each benchmark; none is imported."""
     lines = [purpose("benchmark"), ""]
     for name in names():
-        source = Path(benchmarks.__path__[0]) / f"{name}.py"
-        words = " ".join((ast.get_docstring(ast.parse(source.read_text())) or "").partition("\n\n")[0].split())
-        lines.append(f"  {name:<{max(map(len, names()))}}  {words}")
+        lines.append(f"  {name:<{max(map(len, names()))}}  {told(name)}")
     return "\n".join([*lines, "", f"The options of one:  {called('benchmark')} {names()[0]} --help"])
 
 
 def run(argv: Sequence[str]) -> int:
-    """Import the benchmark that `argv` names first and hand it the rest."""
+    """Read the command line of the benchmark that `argv` names first, then import it and let it work."""
     if argv and argv[0] in HELP:
         print(page())
         return 0
@@ -43,16 +32,16 @@ def run(argv: Sequence[str]) -> int:
         given = f"unknown benchmark '{argv[0]}'" if argv else "no benchmark given"
         print(f"benchmark.py: {given}; choose one of: {', '.join(names())}", file=sys.stderr)
         return 2
-    for word, value in pairwise([*argv, ""]):
-        if word == "--out" and value:
-            try:
-                require_writable(Path(value).parent)
-            except OSError as error:
-                print(
-                    f"benchmark.py: --out {value} cannot be written: {error.strerror}; choose another", file=sys.stderr
-                )
-                return 2
-    importlib.import_module(f"dynasindy.benchmarks.{argv[0]}").main(list(argv[1:]))
+    name = argv[0]
+    arguments = parsed(name, argv[1:], called("benchmark"))
+    if arguments.out is not None:
+        try:
+            require_writable(arguments.out.parent)
+        except OSError as error:
+            why = f"--out {arguments.out} cannot be written: {error.strerror}; choose another"
+            print(f"benchmark.py: {why}", file=sys.stderr)
+            return 2
+    importlib.import_module(f"dynasindy.benchmarks.{name}").main(arguments)  # it takes seconds
     return 0
 
 

@@ -3,12 +3,14 @@
 import gc
 import logging
 import os
+import re
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, redirect_stdout, suppress
 from functools import wraps
+from io import StringIO
 from pathlib import Path
 from typing import ClassVar
 
@@ -16,7 +18,7 @@ from typing import ClassVar
 from stopping import end_with_parent, leave, listen, say, stop  # isort: split
 
 import hydra
-from commands import asks
+from commands import asks, completes
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
@@ -100,7 +102,7 @@ def command(
                     print(manual(config_name, sys.argv[1:]))
                     return
                 complete(sys.argv)
-                with SHOWN:
+                with SHOWN, _whole_names() if completes(sys.argv[1:]) else nullcontext():
                     main()
             listen(leave)
             gc.freeze()  # else the interpreter looks for a second whether anything that torch made is garbage
@@ -278,6 +280,17 @@ def _watch(folder: Path) -> None:
         words = f"{failed} failed" if failed else ""
         tell("sweep", done, int(os.environ[JOBS]), "jobs", words, around=True)
         time.sleep(1.0)
+
+
+@contextmanager
+def _whole_names() -> Iterator[None]:
+    """Offer a shell no names that begin with an underscore: they are parts of others, and make nothing alone."""
+    with redirect_stdout(StringIO()) as offered:
+        try:
+            yield
+        finally:
+            words = [word for word in offered.getvalue().split() if not re.search(r"(^|[=/.])_", word)]
+            print(*words, file=sys.__stdout__)
 
 
 @contextmanager

@@ -50,6 +50,11 @@ def asks(words: Sequence[str]) -> bool:
     return any(word in HELP for word in words)
 
 
+def completes(words: Sequence[str]) -> bool:
+    """Return whether a shell asks how a command line goes on."""
+    return any(word in COMPLETION for word in words) and any(word.startswith("query=") for word in words)
+
+
 def main() -> None:
     """Run the command that the first word names, with the words after it."""
     listen(stop)
@@ -99,11 +104,14 @@ def _answer_about_command(words: list[str]) -> list[str]:
         return words
     line = os.environ.get("COMP_LINE", "").lstrip()
     typed = line.split()
-    if not words[1:] or not words[1].startswith("query=") or not typed:
+    if not completes(words) or not typed:
         return [COMMANDS[0], *words]  # what a shell has to know of any of them
-    if len(typed) + line.endswith(" ") <= 2:
-        started = "" if line.endswith(" ") or len(typed) < 2 else typed[1]
-        print(*(name for name in COMMANDS if name.startswith(started)))
+    before = max(1, len(typed) - (not line.endswith(" ")))
+    if before == 1 or (before == 2 and typed[1] == "benchmark"):
+        from dynasindy.benchmarks.instruments.arguments import names as benchmarks
+
+        started = typed[before] if before < len(typed) else ""
+        print(*(name for name in (benchmarks() if before == 2 else COMMANDS) if name.startswith(started)))
         sys.exit(0)
     name, *rest = line.split(maxsplit=2)[1:]
     if not (SCRIPTS.parent / "conf" / f"{name}.yaml").is_file():

@@ -1,6 +1,5 @@
 """What a command takes: its settings as they are composed, in the sentences that stand above each key of conf/."""
 
-import argparse
 import re
 import shutil
 import textwrap
@@ -11,6 +10,8 @@ from typing import Any
 import hydra
 import yaml
 from commands import called, purpose
+from hydra._internal.utils import get_args_parser
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from mistakes import CONF
 from omegaconf import DictConfig, OmegaConf
@@ -29,26 +30,36 @@ def manual(name: str, words: Sequence[str]) -> str:
         words: The other words of the command line. `group` asks for its options and `group=option` for the keys of
             one; other settings are shown as they are given.
     """
-    parser = argparse.ArgumentParser(add_help=False)
-    parser.add_argument("--config-dir", "-cd", type=Path)
-    given, words = parser.parse_known_args(words)
-    words = [word for word in words if not word.startswith("-")]
+    given, _ = get_args_parser().parse_known_args(words)
+    words = [word for word in given.overrides if not word.startswith(("-", "~"))]
     overrides = [word for word in words if "=" in word]
     # A sweep has no single value to show.
     read = OverridesParser.create().parse_overrides(overrides)
     overrides = [word for word, override in zip(overrides, read) if not override.is_sweep_override()]
     if given.config_dir:
-        overrides.append(f"hydra.searchpath=['file://{given.config_dir.absolute()}']")
+        overrides.append(f"hydra.searchpath=['file://{Path(given.config_dir).absolute()}']")
+    asked = {group: option for group, _, option in (word.partition("=") for word in words) if (CONF / group).is_dir()}
     with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
         config = hydra.compose(name, overrides, return_hydra_config=True)
-    asked = {group: option for group, _, option in (word.partition("=") for word in words) if (CONF / group).is_dir()}
-    lines = [line for group, option in asked.items() for line in _group(group, option, config)]
-    return "\n".join(lines or _command(name, config)).rstrip()
+        groups = list(_chosen(config))
+        for word in words:
+            if "=" not in word and word not in asked:
+                there = f"the groups here are {', '.join(groups)}" if groups else "there are no groups here"
+                raise ValueError(f"'{word}' is no group of options, and no setting of the form key=value; {there}")
+        lines = [line for group, option in asked.items() for line in _group(group, option, config)]
+        return "\n".join(lines or _command(name, config)).rstrip()
 
 
 def options(group: str) -> list[str]:
-    """Return the options of a group; files with a leading underscore are parts of others."""
-    return sorted(file.stem for file in (CONF / group).glob("[a-z]*.yaml"))
+    """Return the options of a group; those with a leading underscore are parts of others.
+
+    Packages that are installed bring options of their own, such as launchers.
+    """
+    if not GlobalHydra.instance().is_initialized():
+        with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
+            return options(group)
+    found = GlobalHydra.instance().config_loader().get_group_options(group)
+    return sorted(option for option in found if not option.startswith("_"))
 
 
 def heading(file: Path) -> str:
@@ -125,8 +136,7 @@ def _command(name: str, config: DictConfig) -> Iterator[str]:
     here = called(name)
     yield from _wrapped(purpose(name))
     yield from ["", *_wrapped(heading(file))]
-    order = reversed(config.hydra.runtime.choices.items())
-    chosen = {group: option for group, option in order if (CONF / group).is_dir()}
+    chosen = _chosen(config)
     if chosen:
         yield from ["", f"What it is made of; `{here} GROUP --help` says what the options are:"]
         width = max(len(f"{group}={option}") for group, option in chosen.items())
@@ -135,13 +145,28 @@ def _command(name: str, config: DictConfig) -> Iterator[str]:
             text = f"{f'{group}={_written(option)}':<{width}}  or {others}"
             yield from textwrap.wrap(text, _width(), initial_indent="  ", subsequent_indent=" " * (width + 7))
     yield from ["", "Settings:", *_settings(sentences(file), config), ""]
-    example = next((f"{group}={option}" for group, option in chosen.items() if option), "")
+    example = next((f"{group}={option}" for group, option in chosen.items() if option and "/" not in group), "")
     if example:
         yield f"Settings of an option:       {here} {example} --help"
     yield f"The whole config:            {here} --cfg job"
-    if OmegaConf.select(config, "hydra.callbacks.gathered") is not None:
+    if _sweeps(config):
         yield f"A sweep:                     {here} -m seed=0,1,2"
     yield f"What Hydra itself can do:    {here} --hydra-help"
+
+
+def _chosen(config: DictConfig) -> dict[str, str]:
+    """Return the groups that a command is made of with their options; what runs a sweep only where there is one."""
+    order = reversed(config.hydra.runtime.choices.items())
+    return {
+        group: option
+        for group, option in order
+        if (CONF / group).is_dir() and (_sweeps(config) or group != "hydra/launcher")
+    }
+
+
+def _sweeps(config: DictConfig) -> bool:
+    """Return whether a command makes something of the jobs of a sweep."""
+    return OmegaConf.select(config, "hydra.callbacks.gathered") is not None
 
 
 def _group(group: str, option: str, config: DictConfig) -> Iterator[str]:

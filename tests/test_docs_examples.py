@@ -35,7 +35,7 @@ def run(root: Path, *arguments: str) -> str:
     """Run Python on the copied package and return what it printed."""
     environment = os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
     done = subprocess.run(
-        [sys.executable, *arguments], cwd=root, env=environment, capture_output=True, text=True, timeout=300
+        [sys.executable, *arguments], cwd=root, env=environment, capture_output=True, text=True, timeout=1200
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout

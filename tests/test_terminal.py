@@ -293,16 +293,33 @@ def test_a_terminal_sees_phases_and_what_is_printed_and_keeps_its_cursor(monkeyp
     monkeypatch.setattr("dynasindy.terminal.MOMENT", 0.0)
     with Shown() as shown:
         tell("run", 1, 2, "episodes", around=True)
-        tell("planning", 3, 50, "updates", "imagined score -0.5")
+        tell("planning", 3, 50, "updates", "score -0.5")
         shown.view.progress.refresh()
         print("a line")
         tell("figures")
     raw = screen.getvalue()
     seen = ESCAPE.sub("", raw)
-    assert "planning" in seen and "3 of 50 updates, imagined score -0.5" in seen and "1 of 2 episodes" in seen
+    assert "planning" in seen and "3 of 50 updates, score -0.5" in seen and "1 of 2 episodes" in seen
     assert "a line\n" in seen
-    assert "planning: 3 of 50 updates, imagined score -0.5, 0 s\n" in seen  # what is left of the phase
+    assert "planning: 3 of 50 updates, score -0.5, 0 s\n" in seen  # what is left of the phase
     assert "\x1b[?25l" not in raw
+
+
+def test_the_score_of_a_plan_is_read_in_80_columns(monkeypatch):
+    screen = in_front(monkeypatch, 80)
+    with Shown() as shown:
+        tell("planning", 1000, 1000, "updates", "score -0.0706")
+        shown.view.progress.refresh()
+        during = replayed(screen.getvalue(), 80)
+    assert during[-1].rstrip().endswith("planning: 1000 of 1000 updates, score -0.0706")
+
+
+def test_a_command_is_one_line_that_can_be_copied_however_narrow_the_terminal():
+    command = "  dynasindy train system=xi train.episodes=3  # flies more episodes, whose data mend the model"
+    script = command.replace("dynasindy train", "python scripts/train.py")
+    text = f"next:\n{command}\n{script}\na sentence that names dynasindy train is none"
+    assert fitted(text, 40).splitlines()[:3] == ["next:", command, script]
+    assert max(map(len, fitted(text, 40).splitlines()[3:])) <= 40
 
 
 def test_equations_end_between_terms_and_sentences_between_words():

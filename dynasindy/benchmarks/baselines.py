@@ -36,7 +36,6 @@ KEY = ("plant", "controller", "model", "seed")
 COLUMNS = (*KEY, "real_seconds", "scenario", "metric", "azimuth", "pitch", "ms_per_action")
 METRICS = ("rmse", "mean_abs_error", "steady_state_error", "control_variation")
 HEADINGS = ("RMSE [rad]", "mean abs error [rad]", "steady-state error [rad]", "control variation [1/s]")
-MODELS = ("identified", "true")
 LEARNED = ("Dyna-gradient", "Dyna-gradient, integral")
 RIVALS = ("LQI", "MPC")
 GOALS = (("step", "steady_state_error"), ("sine", "rmse"), ("square", "rmse"))
@@ -44,16 +43,8 @@ TUNING_REFERENCES = 16
 MARK = "## Tables"
 
 
-def main(argv: list[str]) -> None:
+def main(arguments: argparse.Namespace) -> None:
     """Measure controllers, models, plants and seeds, and append the rows of each as soon as they are there."""
-    parser = argparse.ArgumentParser(prog="benchmark.py baselines", description=__doc__.splitlines()[0])
-    parser.add_argument("--plants", nargs="+", choices=("tras", "xi"), default=["tras", "xi"])
-    parser.add_argument("--controllers", nargs="+", choices=CONTROLLERS, default=list(CONTROLLERS))
-    parser.add_argument("--models", nargs="+", choices=MODELS, default=list(MODELS))
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(5)), help="seeds of excitation and training")
-    parser.add_argument("--seconds", type=float, default=0.0, help="length of every run; 0 takes the scenario's own")
-    parser.add_argument("--out", type=Path, default=OUT, help="CSV file to append to; its table lies beside it")
-    arguments = parser.parse_args(argv)
     torch.set_num_threads(1)
     for key in cases(arguments):
         if not any(same(row, key) for row in read_rows(arguments.out)):

@@ -42,12 +42,8 @@ SUBSTEPS = 10
 """Runge-Kutta steps of the plant between two samples."""
 
 
-def main(argv: list[str]) -> None:
+def main(arguments: argparse.Namespace) -> None:
     """Make a log, a controller and a flight of each seed, and append a row."""
-    parser = argparse.ArgumentParser(prog="benchmark.py from_log", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(10)))
-    parser.add_argument("--out", type=Path, default=Path("docs/results/from_log.csv"), help="CSV file to append to")
-    arguments = parser.parse_args(argv)
     torch.set_num_threads(1)
     done = {int(row["seed"]) for row in read_rows(arguments.out)}
     for seed in [seed for seed in arguments.seeds if seed not in done]:

@@ -165,31 +165,9 @@ CASES = {
     "unseen_moving": Case(unseen=True, moving=True, updates=400),
 }
 
-REPORTED = [
-    "step",
-    "small",
-    "oracle",
-    "moving",
-    "noise",
-    "bench",
-    "bench_delay",
-    "detuned",
-    "friction",
-    "friction_alone",
-    "unseen",
-    "unseen_moving",
-]
-"""Cases measured if none is named; the others are trials that were not kept, or of a single setting."""
 
-
-def main(argv: list[str]) -> None:
+def main(arguments: argparse.Namespace) -> None:
     """Measure cases, plants and seeds, and append a row per policy and scenario."""
-    parser = argparse.ArgumentParser(prog="benchmark.py gradient", description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", nargs="+", choices=CASES, default=REPORTED)
-    parser.add_argument("--plants", nargs="+", choices=PLANTS, default=list(PLANTS))
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(10)), help="seeds to measure")
-    parser.add_argument("--out", type=Path, default=Path("docs/results/gradient.csv"), help="CSV file to append to")
-    arguments = parser.parse_args(argv)
     torch.set_num_threads(1)
     for case in arguments.cases:
         for seed in arguments.seeds:

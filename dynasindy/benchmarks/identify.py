@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.benchmarks.instruments import textbook
+from dynasindy.benchmarks.instruments.arguments import SEEDS
 from dynasindy.benchmarks.instruments.bound import cramer_rao
 from dynasindy.benchmarks.instruments.rivals import (
     Score,
@@ -41,22 +42,13 @@ from dynasindy.world_models.regression.sensitivity import Parameters
 
 KNOWN = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
 HOVER = (-0.12, 0.21)
-SEEDS, RESULTS = 10, Path("docs/results/identification.csv")
+RESULTS = Path("docs/results/identification.csv")
 
 
-def main(argv: list[str]) -> None:
+def main(arguments: argparse.Namespace) -> None:
     """Measure, print a table and write it as CSV."""
-    parser = argparse.ArgumentParser(prog="benchmark.py identify", description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=SEEDS, help="seeds of each case with seeds")
-    parser.add_argument("--only", nargs="*", default=None, help="names of cases; all by default")
-    told = f"CSV file; {RESULTS} by default, nothing if there are fewer than {SEEDS} seeds"
-    parser.add_argument("--out", type=Path, default=None, help=told)
-    arguments = parser.parse_args(argv)
     # A quick look must not replace the published figures.
     out = RESULTS if arguments.out is None and arguments.seeds >= SEEDS else arguments.out
-    unknown = sorted(set(arguments.only or []) - set(CASES))
-    if unknown:
-        parser.error(f"unknown case {', '.join(unknown)}; choose of {', '.join(CASES)}")
     torch.set_num_threads(1)
     rows: list[Row] = []
     for name in arguments.only or CASES:

@@ -10,6 +10,7 @@ import copy
 import json
 import math
 import tempfile
+from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
@@ -41,10 +42,10 @@ FAR = 1e6
 """State beyond which a flight has run away."""
 
 
-def main(argv: list[str]) -> None:
+def main(arguments: Namespace) -> None:
     """Log, plan and fly, and append a row per output."""
     torch.set_num_threads(1)
-    over_seeds(argv, "logs", __doc__, CASES, COLUMNS, measure, 3)
+    over_seeds(arguments, COLUMNS, measure)
 
 
 def measure(name: str, seed: int) -> list[Row]:

@@ -42,7 +42,6 @@ from dynasindy.excitation import Chirp
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 from dynasindy.viz.ablation import draw_ablation
 
-RUNS, RESULTS = Path("runs/model_free"), Path("docs/results")
 EXPERIMENT = "dyna"
 MODEL_COLUMNS = ("one_step_reward_error", "reward_error", "state_error", "model_trusted")
 """Columns of the ablation's curves that nothing without a model can fill."""
@@ -90,18 +89,8 @@ class Job:
         return "".join(f"{key}: {value}\n" for key, value in asdict(self).items())
 
 
-def main(argv: list[str]) -> None:
+def main(arguments: argparse.Namespace) -> None:
     """Run what is not finished, seed by seed, then make the tables and figures of the ablation anew."""
-    parser = argparse.ArgumentParser(prog="benchmark.py model_free", description=__doc__.splitlines()[0])
-    parser.add_argument("--plants", nargs="+", choices=("xi", "tras"), default=["xi", "tras"])
-    parser.add_argument("--agents", nargs="+", choices=AGENTS, default=list(AGENTS))
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(5)))
-    parser.add_argument("--episodes", type=int, default=20, help="real episodes after the excitation")
-    parser.add_argument("--out", type=Path, default=RUNS, help="folder of the runs")
-    parser.add_argument("--results", type=Path, default=RESULTS, help="folder of the ablation's tables and figures")
-    arguments = parser.parse_args(argv)
-    if arguments.episodes < 1:
-        parser.error(f"argument --episodes: {arguments.episodes} leaves nothing to evaluate; give 1 or more")
     torch.set_num_threads(1)
     named = product(arguments.seeds, arguments.plants, arguments.agents)
     jobs = [Job(plant, agent, seed, arguments.episodes) for seed, plant, agent in named]
@@ -110,7 +99,8 @@ def main(argv: list[str]) -> None:
             try:
                 check_settings(folder, job.settings)
             except ValueError as error:
-                parser.error(str(error))
+                print(f"benchmark.py model_free: {error}", file=sys.stderr)
+                sys.exit(2)
     for job in jobs:
         perform(job, arguments.out)
     level = Level()

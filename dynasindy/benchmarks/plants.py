@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
@@ -35,9 +36,9 @@ COLUMNS = (
 )
 
 
-def main(argv: list[str]) -> None:
+def main(arguments: Namespace) -> None:
     """Train, and append a row per output."""
-    over_seeds(argv, "plants", __doc__, PLANTS, COLUMNS, measure, 5)
+    over_seeds(arguments, COLUMNS, measure)
 
 
 def measure(plant: str, seed: int) -> list[Row]:

@@ -39,14 +39,8 @@ PERIODS = 40
 """Length of a flight with a fault [control periods]."""
 
 
-def main(argv: list[str]) -> None:
+def main(arguments: argparse.Namespace) -> None:
     """Fly without faults, then with them, and append a row for each flight."""
-    parser = argparse.ArgumentParser(prog="benchmark.py rig", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--hertz", type=float, nargs="+", default=[20.0, 100.0])
-    parser.add_argument("--moments", type=int, default=5, help="moments at which each fault is injected")
-    parser.add_argument("--seconds", type=float, default=20.0, help="length of the flight without faults")
-    parser.add_argument("--out", type=Path, default=Path("docs/results/rig.csv"), help="CSV file to append to")
-    arguments = parser.parse_args(argv)
     draw = random.Random(0)
     with FarEnd() as end:
         for hertz in arguments.hertz:

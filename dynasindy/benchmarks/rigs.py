@@ -67,13 +67,8 @@ class Log:
         )
 
 
-def main(argv: list[str]) -> None:
+def main(arguments: argparse.Namespace) -> None:
     """Fit and score rigs, and append a row per rig, model and metric."""
-    parser = argparse.ArgumentParser(prog="benchmark.py rigs", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--data", type=Path, required=True, help="folder of the logs")
-    parser.add_argument("--rigs", nargs="+", choices=RIGS, default=list(RIGS))
-    parser.add_argument("--out", type=Path, default=Path("docs/results/rigs.csv"), help="CSV file to append to")
-    arguments = parser.parse_args(argv)
     torch.set_num_threads(1)
     for rig in arguments.rigs:
         for row in RIGS[rig](arguments.data):

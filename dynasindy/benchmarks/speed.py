@@ -16,7 +16,6 @@ import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
-from pathlib import Path
 from unittest.mock import patch
 
 import gymnasium
@@ -33,7 +32,6 @@ from dynasindy.systems import System
 from dynasindy.systems.compiler import forget
 from dynasindy.world_models import SindyModel
 
-RESULTS = Path("docs/results/speed.csv")
 STEPS, REPEATS = 1000, 7
 """Control periods of the environment that are timed, and how often; other jobs disturb the least time least."""
 EPISODES = 5
@@ -50,13 +48,8 @@ STARTS = {
 IN_TORCH = ("world_model.machine_code=false", "agent.machine_code=false")
 
 
-def main(argv: list[str]) -> None:
+def main(arguments: argparse.Namespace) -> None:
     """Time every job and write the table."""
-    parser = argparse.ArgumentParser(prog="benchmark.py speed", description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="seeds of the controllers")
-    parser.add_argument("--out", type=Path, default=RESULTS, help="CSV file to write")
-    parser.add_argument("--jobs", nargs="+", help="jobs that are measured; the file keeps its rows of the others")
-    arguments = parser.parse_args(argv)
     torch.set_num_threads(1)
     jobs: dict[str, Callable[[bool], float]] = {
         "environment": environment,
@@ -65,8 +58,6 @@ def main(argv: list[str]) -> None:
         "start-up": start_up,
     }
     asked = arguments.jobs or list(jobs)
-    if unknown := [name for name in asked if name not in jobs]:
-        parser.error(f"job '{unknown[0]}' is unknown; choose from {', '.join(jobs)}")
     before = read_rows(arguments.out) if arguments.jobs and arguments.out.is_file() else []
     rows = [row for row in before if row["job"] not in asked] + [measure(name, jobs[name]) for name in asked]
     write_rows(arguments.out, list(rows[0]), rows)

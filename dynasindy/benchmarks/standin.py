@@ -16,12 +16,13 @@ from pathlib import Path
 
 import torch
 
+from dynasindy.benchmarks.instruments.arguments import LOGS
 from dynasindy.benchmarks.instruments.commit import commit
 from dynasindy.benchmarks.instruments.rig import closed_loop, write_log
 from dynasindy.evaluation.rows import Row, write_rows
 
 COMMAND = Path(__file__).resolve().parents[2] / "scripts" / "identify.py"
-RESULTS, SECONDS, LOGS = Path("docs/results/standin.csv"), 120.0, 3
+RESULTS, SECONDS = Path("docs/results/standin.csv"), 120.0
 CASES = {"still": 0.0, "gusts": 0.01}
 """Standard deviation of accelerations that nothing explains [rad/s^2]."""
 TARGETS = {"alpha_a": 0.017, "alpha_p": 0.011, "omega_a": 45.0, "omega_p": 25.0}
@@ -30,12 +31,8 @@ METHODS = {"ours": "rmse_2_s", "linear model on past samples": "linear_rmse_2_s"
 COLUMNS = ["case", "log", "method", *TARGETS, "delay_ms", "friction", "spring", "commit"]
 
 
-def main(argv: list[str]) -> None:
+def main(arguments: argparse.Namespace) -> None:
     """Fly, identify, print a table and write it as CSV."""
-    parser = argparse.ArgumentParser(prog="benchmark.py standin", description=__doc__.splitlines()[0])
-    parser.add_argument("--logs", type=int, default=LOGS, help="logs of each case")
-    parser.add_argument("--out", type=Path, default=None, help=f"CSV file; {RESULTS} by default, none for fewer logs")
-    arguments = parser.parse_args(argv)
     out = RESULTS if arguments.out is None and arguments.logs >= LOGS else arguments.out
     torch.set_num_threads(1)
     rows: list[Row] = []

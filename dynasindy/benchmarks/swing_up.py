@@ -35,15 +35,8 @@ COLUMNS = (
 )
 
 
-def main(argv: list[str]) -> None:
+def main(arguments: argparse.Namespace) -> None:
     """Train the agents that are not finished, and append a row per output and evaluation."""
-    parser = argparse.ArgumentParser(prog="benchmark.py swing_up", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--plants", nargs="+", choices=SWINGS, default=["pendulum_v1", "swing_up"])
-    parser.add_argument("--agents", nargs="+", choices=AGENTS, default=list(AGENTS))
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(3)))
-    parser.add_argument("--steps", type=int, help="real steps after which a run ends; a plant's own if omitted")
-    parser.add_argument("--out", type=Path, default=Path("docs/results/swing_up.csv"), help="CSV file to append to")
-    arguments = parser.parse_args(argv)
     torch.set_num_threads(1)
     for agent, plant, seed in product(arguments.agents, arguments.plants, arguments.seeds):
         if agent == "sac_bullet" and agent not in SWINGS[plant].settings:

@@ -29,12 +29,13 @@ from torchrl.objectives import SoftUpdate, TD3Loss, ValueEstimators
 
 from dynasindy.agents import TD3
 from dynasindy.agents.steps import products_in
+from dynasindy.benchmarks.instruments.arguments import REPEATS
 from dynasindy.data import DynaReplay
 from dynasindy.evaluation.rows import write_rows
 
 N_OBS, N_U = 8, 2
 REPLAY_ROWS = (80_000, 320_000)  # real and imagined, of the paper's two million
-REPEATS, RESULTS = 15, Path("docs/results/td3.csv")
+RESULTS = Path("docs/results/td3.csv")
 OURS, IN_TORCH = "dynasindy TD3.update", "dynasindy TD3.update, without machine code"
 COMPILED = "torch.compile"
 ROUNDED = "products in bfloat16"
@@ -62,13 +63,8 @@ class Size:
 SIZES = (Size("paper", (400, 300), 512, 10), Size("quick", (128, 128), 256, 60))
 
 
-def main(argv: list[str]) -> None:
+def main(arguments: argparse.Namespace) -> None:
     """Measure, print a table and write it as CSV."""
-    parser = argparse.ArgumentParser(prog="benchmark.py td3", description=__doc__.splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=REPEATS, help="repeats of which the median is taken")
-    told = f"CSV file to write; {RESULTS} by default, nothing if there are fewer than {REPEATS} repeats"
-    parser.add_argument("--out", type=Path, default=None, help=told)
-    arguments = parser.parse_args(argv)
     # A quick look must not replace the published figures.
     out = RESULTS if arguments.out is None and arguments.repeats >= REPEATS else arguments.out
     torch.set_num_threads(1)

@@ -244,7 +244,8 @@ def _many_functions(model: SindyModel, source: Source) -> list[str]:
     told = f"note: the fit chooses from {count} candidate functions by {rows} rows"
     if known:
         which = f"system={known[0]} takes" if len(known) == 1 else f"system=NAME, NAME one of {', '.join(known)}, takes"
-        return [f"{told}; the columns are those of a plant that is known here: {which} its own, shorter list"]
+        ours = f"{told}; the columns are named as the states of a plant in this package"
+        return [f"{ours}. If your log is of such a plant, {which} a shorter list made for it"]
     return [
         f"{told}, which takes long and lets functions in that do not belong; if you know what moves your plant, name "
         'it, as in \'plant.library=["1",angle,rate,u,"sin(angle)"]\''

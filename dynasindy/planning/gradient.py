@@ -180,7 +180,7 @@ class GradientPlanning(Planner):
         optimizer = _optimizer(self.network, lr)
         best_weights, failures, done, made = self._weights(), 0, 0, 0
         for done in range(1, updates + 1):
-            tell("planning", done, updates, "updates", f"imagined score {best:.3g}" if math.isfinite(best) else "")
+            tell("planning", done, updates, "updates", f"score {best:.3g}" if math.isfinite(best) else "")
             optimizer.param_groups[0]["lr"] = lr * _schedule(done - 1, updates)
             made += self._update(episodes, optimizer)
             if done % self.check_every == 0 or done == updates:

@@ -9,6 +9,7 @@ import torch
 from omegaconf import OmegaConf
 
 from dynasindy.benchmarks import gradient
+from dynasindy.benchmarks.instruments.arguments import parsed
 from dynasindy.evaluation.rows import read_rows
 from dynasindy.systems import Xi
 
@@ -85,8 +86,8 @@ def test_rows_already_in_the_file_are_not_measured_again(tmp_path, monkeypatch, 
 
     monkeypatch.setattr(gradient, "measure", measured)
     options = ["--cases", "step", "--plants", "xi", "--out", str(tmp_path / "gradient.csv")]
-    gradient.main([*options, "--seeds", "0"])
-    gradient.main([*options, "--seeds", "0", "1"])
+    gradient.main(parsed("gradient", [*options, "--seeds", "0"]))
+    gradient.main(parsed("gradient", [*options, "--seeds", "0", "1"]))
     assert calls == [0, 1]
     assert len(read_rows(tmp_path / "gradient.csv")) == 2
     assert "step" in capsys.readouterr().out.splitlines()[-1]

@@ -10,6 +10,7 @@ from hydra.utils import instantiate
 
 from dynasindy.benchmarks import model_free
 from dynasindy.benchmarks.gradient import PLANTS
+from dynasindy.benchmarks.instruments.arguments import parsed
 from dynasindy.benchmarks.model_free import AGENTS, Job
 from dynasindy.dyna.excite import interact
 from dynasindy.evaluation.ablation import read_rows
@@ -72,7 +73,7 @@ def test_plant_task_reward_and_excitation_are_those_of_the_ablation(plant):
 
 @pytest.mark.parametrize(("agent", "updates"), [("sac", 8), ("sac_5", 40), ("td3", 8), ("td3_5", 40)])
 def test_each_agent_learns_from_the_first_period_on_and_leaves_a_row_per_episode(short, tmp_path, agent, updates):
-    model_free.main(options(tmp_path, "--agents", agent, "--seeds", "3", "--episodes", "2"))
+    model_free.main(parsed("model_free", options(tmp_path, "--agents", agent, "--seeds", "3", "--episodes", "2")))
     curves = read_rows(tmp_path / "results" / "ablation_curves.csv")
     assert [(row["setting"], row["seed"], row["episode"]) for row in curves] == [(f"sb3_{agent}", 3, n) for n in (1, 2)]
     assert [row["updates"] for row in curves] == [updates, 2 * updates]
@@ -88,7 +89,7 @@ def test_each_agent_learns_from_the_first_period_on_and_leaves_a_row_per_episode
 
 def test_columns_are_those_of_the_published_curves(short, tmp_path):
     published = read_rows(Path(__file__).resolve().parents[2] / "docs/results/ablation_curves.csv")[0]
-    model_free.main(options(tmp_path, "--agents", "td3", "--seeds", "0", "--episodes", "1"))
+    model_free.main(parsed("model_free", options(tmp_path, "--agents", "td3", "--seeds", "0", "--episodes", "1")))
     (row,) = read_rows(tmp_path / "results" / "ablation_curves.csv")
     assert set(row) == set(published) - {"commit"}
 
@@ -116,17 +117,17 @@ def test_finished_runs_are_not_repeated_and_others_are_refused_before_anything_r
     monkeypatch.setattr(model_free, "draw_ablation", lambda *a: None)
     command = options(tmp_path, "--agents", "sac", "td3", "--seeds", "0", "--episodes")
     with pytest.raises(KeyboardInterrupt):
-        model_free.main([*command, "4"])
+        model_free.main(parsed("model_free", [*command, "4"]))
     first, second = (Job("xi", agent, 0, 4).folder(tmp_path / "runs") for agent in ("sac", "td3"))
     assert not (second / "metrics.json").exists()
-    model_free.main([*command, "4"])
-    model_free.main([*command, "4"])
+    model_free.main(parsed("model_free", [*command, "4"]))
+    model_free.main(parsed("model_free", [*command, "4"]))
     assert learned == [("sac", 0), ("td3", 0), ("td3", 0)]
     (second / "metrics.json").write_text("")  # as a full disk leaves it
-    model_free.main([*command, "4"])
+    model_free.main(parsed("model_free", [*command, "4"]))
     assert learned[3:] == [("td3", 0)]
     with pytest.raises(SystemExit):
-        model_free.main([*command, "5", "--seeds", "1", "0"])
+        model_free.main(parsed("model_free", [*command, "5", "--seeds", "1", "0"]))
     assert "episodes: 5" in capsys.readouterr().err and len(learned) == 4
     assert set(json.loads((first / "origin.json").read_text())) == {"command", "commit"}
 
@@ -138,9 +139,3 @@ def test_td3_explores_and_sac_has_the_settings_of_its_library():
     assert (td3.gradient_steps, sac.gradient_steps) == (5, 1)
     assert sac.learning_rate == 3e-4 and sac.batch_size == 256 and sac.gamma == 0.99
     assert set(AGENTS) == {"sac", "sac_5", "td3", "td3_5"}
-
-
-def test_no_episode_is_refused_in_one_line(tmp_path, capsys):
-    with pytest.raises(SystemExit) as stop:
-        model_free.main(options(tmp_path, "--episodes", "0"))
-    assert stop.value.code == 2 and "give 1 or more" in capsys.readouterr().err

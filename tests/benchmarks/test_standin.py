@@ -10,12 +10,6 @@ from dynasindy.benchmarks import standin
 RESULTS = Path(__file__).parents[2] / "docs" / "results" / "standin.csv"
 
 
-def test_the_benchmark_has_a_command(capsys):
-    with pytest.raises(SystemExit, match="0"):
-        standin.main(["--help"])
-    assert "--logs" in capsys.readouterr().out
-
-
 def test_the_command_is_found_from_any_folder(tmp_path, monkeypatch):
     (tmp_path / "log.csv").write_text("time,alpha_a\n0,1\n")
     elsewhere = tmp_path / "elsewhere"

@@ -7,6 +7,7 @@ import torch
 from stable_baselines3 import SAC
 
 from dynasindy.benchmarks import swing_up
+from dynasindy.benchmarks.instruments.arguments import parsed
 from dynasindy.benchmarks.instruments.swings import SWINGS
 from dynasindy.evaluation.rows import read_rows
 
@@ -33,19 +34,19 @@ class Still:
 def test_rows_come_as_the_run_goes_on_and_a_finished_run_stays(short, tmp_path, agent, capsys):
     out = tmp_path / "rows.csv"
     command = ["--plants", "pendulum_v1", "--agents", agent, "--seeds", "3", "--steps", "40", "--out", str(out)]
-    swing_up.main(command)
+    swing_up.main(parsed("swing_up", command))
     rows = read_rows(out)
     assert [(row["output"], int(row["real_steps"])) for row in rows] == [("c", 20), ("s", 20), ("c", 40), ("s", 40)]
     assert {(row["plant"], row["agent"], row["seed"]) for row in rows} == {("pendulum_v1", agent, "3")}
     assert all(float(row["own_return"]) < -200 and row["held"] == "0" for row in rows)
-    swing_up.main(command)
+    swing_up.main(parsed("swing_up", command))
     assert read_rows(out) == rows and "finished before" in capsys.readouterr().out
 
 
 def test_settings_of_another_plant_are_not_tried(tmp_path, monkeypatch):
     trained = []
     monkeypatch.setattr(swing_up, "train", lambda *job: trained.append(job[:3]))
-    swing_up.main(["--agents", "sac_bullet", "--seeds", "7", "--out", str(tmp_path / "rows.csv")])
+    swing_up.main(parsed("swing_up", ["--agents", "sac_bullet", "--seeds", "7", "--out", str(tmp_path / "rows.csv")]))
     assert trained == [("swing_up", "sac_bullet", 7)]
     agent = swing_up.build(SWINGS["swing_up"], "sac_bullet", 7)
     assert isinstance(agent, SAC) and agent.use_sde and (agent.gamma, agent.tau) == (0.98, 0.02)  # the zoo's

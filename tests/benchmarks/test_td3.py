@@ -8,6 +8,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from dynasindy.agents import TD3
 from dynasindy.benchmarks import td3
+from dynasindy.benchmarks.instruments.arguments import parsed
 from dynasindy.benchmarks.td3 import N_OBS, N_U, Size
 
 SIZE = Size("tiny", (12, 8), 16, 10)
@@ -98,7 +99,7 @@ def test_times_are_per_update_however_many_a_call_takes(monkeypatch):
 def test_main_writes_a_row_per_contender_and_size(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(td3, "SIZES", (SIZE,))
     monkeypatch.setattr(td3, "REPLAY_ROWS", (50, 100))
-    td3.main(["--repeats", "1", "--out", str(tmp_path / "new" / "td3.csv")])
+    td3.main(parsed("td3", ["--repeats", "1", "--out", str(tmp_path / "new" / "td3.csv")]))
     with (tmp_path / "new" / "td3.csv").open() as file:
         rows = list(csv.DictReader(file))
     rivals = ["TorchRL TD3Loss loop", "Stable-Baselines3 TD3", td3.BEST]
@@ -116,6 +117,6 @@ def test_a_quick_look_leaves_the_published_figures(tmp_path, monkeypatch, capsys
     monkeypatch.chdir(tmp_path)
     for name, value in {"SIZES": (SIZE,), "REPLAY_ROWS": (50, 100), "REPEATS": 2}.items():
         monkeypatch.setattr(td3, name, value)
-    td3.main(["--repeats", repeats])
+    td3.main(parsed("td3", ["--repeats", repeats]))
     assert td3.RESULTS.is_file() == written
     assert ("written to no file" in capsys.readouterr().out) != written

@@ -139,9 +139,9 @@ def test_many_functions_are_counted_and_the_plants_named_that_have_fewer(tmp_pat
     count = int(words.split()[5])
     assert len([name for name in library.names if not name.endswith(others)]) >= count > len(library) / 4
     assert words.startswith(f"note: the fit chooses from {count} candidate functions by {len(source.training)} rows")
-    assert words.endswith("system=NAME, NAME one of tras, trms33, xi, takes its own, shorter list")
+    assert words.endswith("system=NAME, NAME one of tras, trms33, xi, takes a shorter list made for it")
     assert not told(source, "rotor")
-    # The columns of no plant that is known here: fewer than 150 functions are many for few rows alone.
+    # The columns of no plant of the package: fewer than 150 functions are many for few rows alone.
     lines = (tmp_path / "log.csv").read_text().replace("alpha_a", "yaw", 1).splitlines()
     for number, many in ((101, True), (len(lines), False)):
         (tmp_path / "log.csv").write_text("\n".join(lines[:number]))

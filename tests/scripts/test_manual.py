@@ -1,6 +1,8 @@
 """What `--help` shows of conf/: every key once, its value as it is composed, the sentences above it."""
 
 import re
+from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -101,6 +103,24 @@ def test_a_group_shows_its_options_and_an_option_its_settings(small):
     ]
 
 
+def test_a_word_that_is_neither_a_group_nor_a_setting_is_refused_with_the_groups_there_are(small):
+    with pytest.raises(ValueError, match=r"'nosuch' is no group of options.*the groups here are part"):
+        small("nosuch", "--help")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_launchers_are_offered_where_jobs_are_swept_and_all_that_are_installed(module, name):
+    page = module.manual(name, ["--help"])
+    there = {"basic", "together"}  # of Hydra and of this package
+    for plugin, brought in (("joblib", {"joblib"}), ("submitit", {"submitit_local", "submitit_slurm"})):
+        with suppress(ModuleNotFoundError):
+            import_module(f"hydra_plugins.hydra_{plugin}_launcher")
+            there |= brought
+    rows = re.findall(r"^  hydra/launcher=(.*)$", page, re.M)
+    assert len(rows) == (name in ("train", "ablation"))
+    assert all(there <= set(re.findall(r"\w+", row)) for row in rows)
+
+
 def test_other_words_are_shown_as_they_are_given(small):
     assert "  number=5" in small("number=5", "-h")
 
@@ -142,7 +162,7 @@ def test_a_folder_of_names_is_listed(module):
 
 
 def test_every_option_says_at_its_top_what_it_is(module):
-    for group in (folder for folder in CONF.iterdir() if folder.is_dir()):
+    for group in (folder for folder in CONF.iterdir() if folder.is_dir() and folder.name != "hydra"):
         for option in module.options(group.name):
             assert module.heading(group / f"{option}.yaml").endswith("."), (group.name, option)
 

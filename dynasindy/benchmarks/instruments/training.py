@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import resource
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from argparse import Namespace
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from dynasindy.evaluation.rows import Row, append_rows, read_rows
@@ -39,31 +39,14 @@ def trained(words: Sequence[str], folder: Path, modules: Sequence[Path] = ()) ->
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, done.stderr[-500:]
 
 
-def over_seeds(
-    argv: list[str],
-    name: str,
-    told: str | None,
-    plants: Iterable[str],
-    columns: Sequence[str],
-    measure: Callable[[str, int], list[Row]],
-    seeds: int,
-) -> None:
+def over_seeds(arguments: Namespace, columns: Sequence[str], measure: Callable[[str, int], list[Row]]) -> None:
     """Measure plants over seeds and append their rows to a file, but for those that it has already.
 
     Args:
-        argv: What is given on the command line: `--plants`, `--seeds` and `--out`.
-        name: Name of the benchmark, and of its file in docs/results.
-        told: What it measures, in its first line.
-        plants: Names of the plants.
+        arguments: Names as `plants`, numbers as `seeds`, and the file as `out`.
         columns: Columns of the file; `plant` and `seed` among them.
         measure: Returns the rows of a plant and a seed.
-        seeds: How many seeds are measured by default.
     """
-    parser = argparse.ArgumentParser(prog=f"benchmark.py {name}", description=(told or "").splitlines()[0])
-    parser.add_argument("--plants", nargs="+", choices=list(plants), default=list(plants))
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(seeds)))
-    parser.add_argument("--out", type=Path, default=Path(f"docs/results/{name}.csv"), help="CSV file to append to")
-    arguments = parser.parse_args(argv)
     done = {(row["plant"], int(row["seed"])) for row in read_rows(arguments.out)}
     for seed in arguments.seeds:
         for plant in [name for name in arguments.plants if (name, seed) not in done]:

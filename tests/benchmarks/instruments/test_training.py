@@ -1,6 +1,7 @@
 """A benchmark goes on where its file ends, and a command is called as a user calls it."""
 
 import csv
+from argparse import Namespace
 
 from dynasindy.benchmarks.instruments.training import over_seeds, trained
 
@@ -12,12 +13,12 @@ def test_what_the_file_has_is_not_measured_again(tmp_path, capsys):
         asked.append((plant, seed))
         return [{"plant": plant, "seed": seed, "error": 10 * seed}]
 
-    def run(*words):
-        over_seeds([*words, "--out", str(out)], "plants", "What.", ["a", "b"], ("plant", "seed", "error"), measure, 2)
+    def run(plants, seeds):
+        over_seeds(Namespace(plants=plants, seeds=seeds, out=out), ("plant", "seed", "error"), measure)
 
-    run("--plants", "b", "--seeds", "1")
+    run(["b"], [1])
     assert asked == [("b", 1)] and capsys.readouterr().out == "plant b, seed 1, error 10\n"
-    run()
+    run(["a", "b"], [0, 1])
     assert asked == [("b", 1), ("a", 0), ("b", 0), ("a", 1)]
     with out.open() as file:
         assert [tuple(row.values()) for row in csv.DictReader(file)] == [
