@@ -39,6 +39,8 @@ class Plant(TypedDict):
         libraries: The library for each source of the data, between which `library` chooses.
         amplitude: Half range of each input under the excitation [-].
         offset: Mean of each input under the excitation [-].
+        first: Share of the amplitude with which the excitation begins to move the plant.
+        gain: Feedback that holds the plant about its start: a row per input, a column per state.
         sensors: Sensors of the plant's bench, for sensors=bench: `resolution` and `noise` of each measured state.
     """
 
@@ -52,6 +54,8 @@ class Plant(TypedDict):
     libraries: dict[Literal["simulated", "logged"], str]
     amplitude: float | list[float]
     offset: float | list[float]
+    first: float
+    gain: list[list[float]] | None
     sensors: dict[str, dict[str, float]]
 
 
