@@ -11,8 +11,9 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationKeyError, InterpolationToMissingValueError
 
 from dynasindy.dyna.experiment import Recipe
+from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation.ablation import Level
-from dynasindy.evaluation.identification import Logged, Simulated
+from dynasindy.evaluation.identification import Logged
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.rig import Guard
 from dynasindy.systems import System

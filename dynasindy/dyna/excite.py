@@ -29,7 +29,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from dynasindy.agents.classical.linearise import zero_order_hold
 from dynasindy.data.recording import measured
 from dynasindy.dyna.nearby import Nearby, nearby
-from dynasindy.dyna.parts import Parts
+from dynasindy.dyna.parts import Bench, Parts
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
 from dynasindy.planning import ModelPrediction
@@ -53,7 +53,7 @@ LOOKED_AT = 100
 """Control periods, at least, that are simulated again in shorter steps."""
 
 
-def excite(parts: Parts, pilot: Loop | None = None) -> TensorDict:
+def excite(parts: Bench, pilot: Loop | None = None) -> TensorDict:
     """Return the excitation's control periods on the real system, try after try, `(T,)`.
 
     Behind sensors, states are what the observer makes of the measurements. A rig, which stays where it fell, has one
@@ -83,7 +83,7 @@ def excite(parts: Parts, pilot: Loop | None = None) -> TensorDict:
     return torch.cat(tries)
 
 
-def limits(parts: Parts) -> tuple[Tensor, Tensor]:
+def limits(parts: Bench) -> tuple[Tensor, Tensor]:
     """Return the ends of the states within which the plant is excited, `(n_x,)` each."""
     scale, task = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64), parts.plant.task
     if not isinstance(task, Tracking):
@@ -95,7 +95,7 @@ def limits(parts: Parts) -> tuple[Tensor, Tensor]:
     return low, high
 
 
-def restarts(parts: Parts, rows: TensorDict) -> str:
+def restarts(parts: Bench, rows: TensorDict) -> str:
     """Say in one line how often the excitation began anew, and where; empty if it never did.
 
     Args:
@@ -247,7 +247,7 @@ class Loop:
         turn = torch.sin(2 * math.pi * turns)
         return torch.minimum(torch.maximum(self.home + far * turn, self.ends[0]), self.ends[1])
 
-    def close(self, rows: TensorDict, parts: Parts) -> None:
+    def close(self, rows: TensorDict, parts: Bench) -> None:
         """Fit a linear model to what was seen and regulate it; the loop stays as it is where nothing holds the model.
 
         Args:
@@ -265,7 +265,7 @@ class Loop:
             parts.sensing.observer.lean(found.model, [measured(tried) for tried in tries])
             self.ends = _free_ends(found, parts)
 
-    def _regulates(self, found: Nearby, parts: Parts) -> bool:
+    def _regulates(self, found: Nearby, parts: Bench) -> bool:
         """Take the regulator of a linear model, and return whether there is one."""
         scale = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)
         solved = riccati(*zero_order_hold(found.a, found.b, parts.plant.dt), 1.0 / scale.square(), 1.0)
@@ -277,7 +277,7 @@ class Loop:
         return True
 
 
-def _free_ends(found: Nearby, parts: Parts) -> Tensor:
+def _free_ends(found: Nearby, parts: Bench) -> Tensor:
     """Return the ends of the targets of outputs on which no rate of change depends, else x_0, `(2, n_x)`."""
     ends, task = found.home.repeat(2, 1), parts.plant.task
     if not isinstance(task, Tracking):
