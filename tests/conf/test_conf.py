@@ -93,6 +93,18 @@ def test_a_plant_of_which_nobody_says_that_it_stays_is_moved_little_at_first():
     assert parts.excitation.first == 0.1 and parts.excitation.gain.tolist() == [[0.5, 0.2]]
 
 
+@pytest.mark.parametrize(
+    ("system", "period", "samples"), [("tras", 0.05, 5), ("xi", 0.05, 5), ("tanks", 2.0, 5), ("reactor", 3.0, 40)]
+)
+def test_a_recording_of_a_plant_has_its_pace(system, period, samples):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        words = [f"system={system}", f"hydra.searchpath=[file://{EXAMPLES / 'conf'}]", "sensors=bench"]
+        data = compose("identify", overrides=words[: 3 if system in ("tras", "xi") else 2]).data
+    found = instantiate(data, _convert_="all")
+    assert (found.period, found.samples, found.dt, found.validation_seconds) == (period, samples, None, None)
+    assert (found.sensors is None) == (system not in ("tras", "xi"))
+
+
 @pytest.mark.parametrize("setting", sorted(file.stem for file in (CONF / "setting").glob("*.yaml")))
 def test_every_setting_of_the_ablation_differs_from_its_default_in_what_it_names(setting):
     with initialize_config_dir(str(CONF), version_base="1.3"):
