@@ -11,8 +11,9 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationKeyError, InterpolationToMissingValueError
 
 from dynasindy.dyna.experiment import Recipe
+from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation.ablation import Level
-from dynasindy.evaluation.identification import Logged, Simulated
+from dynasindy.evaluation.identification import Logged
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.rig import Guard
 from dynasindy.systems import System
@@ -48,6 +49,8 @@ class Plant(TypedDict):
         libraries: The library for each source of the data, between which `library` chooses.
         amplitude: Half range of each input under the excitation [-].
         offset: Mean of each input under the excitation [-].
+        first: Share of the amplitude with which the excitation begins to move the plant.
+        gain: Feedback that holds the plant about its start: a row per input, a column per state.
         sensors: Sensors of the plant's bench, for sensors=bench: `resolution` and `noise` of each measured state.
         signals: What of tasks and scenarios step, sine and square does not follow from the plant.
         noise: Standard deviation of the noise of scenario noise, by state [unit of the state].
@@ -63,6 +66,8 @@ class Plant(TypedDict):
     libraries: dict[Literal["simulated", "logged"], str]
     amplitude: float | list[float]
     offset: float | list[float]
+    first: float
+    gain: list[list[float]] | None
     sensors: dict[str, dict[str, float]]
     signals: Signals | None
     noise: dict[str, float] | None

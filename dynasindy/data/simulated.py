@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import torch
@@ -82,27 +82,56 @@ def before_leaving(
     if 2 * row < len(data):
         raise Diverged(
             f"{left}, and there is too little before that to identify from; give a smaller excitation.amplitude, "
-            f"another excitation.offset{' or wider plant.bounds' if name in bounds else ''}, or use the command train, "
-            "which begins anew where the plant leaves its bounds and then holds it while it excites it"
+            f"another excitation.offset{' or wider plant.bounds' if name in bounds else ''}, or excitation.first=0.1, "
+            "which begins anew where the plant leaves its bounds and then holds it while it is excited"
         )
     return data.select(torch.arange(len(data)) < row), f"{left}; what came later was left out"
 
 
-def disturb(data: Transitions, level: float, seed: int) -> Transitions:
+def disturb(
+    data: Transitions, level: float | Mapping[str, float], seed: int, signature: Signature | None = None
+) -> Transitions:
     """Add white measurement noise to a recording; a state that two rows share gets one error.
 
     Args:
         data: recording without noise.
-        level: standard deviation of the noise, relative to that of each state.
+        level: standard deviation of the noise: one number, relative to that of each state, or by the name of a state in
+            its unit.
         seed: seed of the noise.
+        signature: names of the states, for noise by name.
 
     Returns:
         The recording as a sensor would have logged it.
+
+    Raises:
+        ValueError: noise is given of what is no state.
     """
-    if level == 0:
+    if isinstance(level, Mapping):
+        scale = _noises(level, signature.state_names if signature else ()).to(data.x)
+    else:
+        scale = level * data.x_next.std(0)
+    if level == 0 or not bool(scale.any()):
         return data
     generator = torch.Generator().manual_seed(seed)
-    scale = level * data.x_next.std(0)
-    after, first = (scale * torch.randn(data.x.shape, generator=generator, dtype=data.x.dtype) for _ in range(2))
-    before = torch.where(data.begins().unsqueeze(-1), first, after.roll(1, 0))
-    return replace(data, x=data.x + before, x_next=data.x_next + after)
+    return observed(data, lambda x: x + scale * torch.randn(x.shape, generator=generator, dtype=x.dtype))
+
+
+def observed(data: Transitions, read: Callable[[Tensor], Tensor]) -> Transitions:
+    """Return a recording as sensors would have logged it; a state that two rows share is read once.
+
+    Args:
+        data: recording of the states as they were.
+        read: what is measured of states `(rows, n_x)`, of the same shape, NaN where nothing is; called for the states
+            after each row, then for those before it.
+    """
+    after, first = read(data.x_next), read(data.x)
+    return replace(data, x=torch.where(data.begins().unsqueeze(-1), first, after.roll(1, 0)), x_next=after)
+
+
+def _noises(given: Mapping[str, float], names: Sequence[str]) -> Tensor:
+    """Return the noise of each state, `(n_x,)` [unit of the state]; zero where none is given."""
+    if absent := [name for name in given if name not in names]:
+        raise ValueError(
+            f"data.noise names '{absent[0]}', which is no state; the states are {', '.join(names)}: correct it"
+        )
+    return torch.tensor([given.get(name, 0.0) for name in names], dtype=torch.float64)

@@ -1,14 +1,17 @@
 """The data collection: excite the real system, and hold it where it would leave its limits.
 
-The signal begins open loop. Where a state leaves its limits, the try ends and the next one begins where episodes do,
-with the rest of the signal; from then on the signal lies on top of a linear-quadratic regulator of a linear model,
+The signal begins open loop. Where nobody knows whether the plant stays by itself (`excitation.first` below 1), it has a
+small strength at first, which grows in every try. Where a state leaves its limits, the try ends and the next one begins
+where episodes do, with the rest of the signal; from then on the signal lies on top of a linear-quadratic regulator of a
+linear model,
 
     u = u_e - K (x - x_0) + strength * (signal - its mean),        dx/dt = A (x - x_0) + B u + c,   c + B u_e = 0,
 
-fitted to the tries so far, near the start x_0 (`dynasindy.dyna.nearby`). Each try that leaves the limits all the same
-halves the strength. Behind sensors the observer relies on that model, too, until there is a better one, and the place
-that is held is led from x_0 to and fro between the targets of each output on which no rate of change depends. Any value
-of it is a rest, and beside the noise of sensors small moves would not tell that nothing depends on it far away.
+fitted to the tries so far, near the start x_0 (`dynasindy.dyna.nearby`). A gain K that the user gives
+(`excitation.gain`) is there from the first period on and stays. Each try that leaves the limits all the same halves the
+strength. Behind sensors the observer relies on that model, too, until there is a better one, and the place that is held
+is led from x_0 to and fro between the targets of each output on which no rate of change depends. Any value of it is a
+rest, and beside the noise of sensors small moves would not tell that nothing depends on it far away.
 """
 
 from __future__ import annotations
@@ -26,7 +29,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from dynasindy.agents.classical.linearise import zero_order_hold
 from dynasindy.data.recording import measured
 from dynasindy.dyna.nearby import Nearby, nearby
-from dynasindy.dyna.parts import Parts
+from dynasindy.dyna.parts import Bench, Parts
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
 from dynasindy.planning import ModelPrediction
@@ -37,7 +40,9 @@ from dynasindy.together import EPISODE, fly
 from dynasindy.told import tell
 
 BEYOND = 10.0
-"""Ranges of a state that limit the excitation where the plant names no bounds."""
+"""Ranges of a state, about zero, that limit the excitation of a plant that stays by itself and names no bounds."""
+FEW = 3.0
+"""Ranges of a state, about the start, that limit that of any other plant."""
 MUCH = 0.25
 """Part of the excitation that is left out from which on more data would help."""
 MARGIN = 0.9
@@ -48,19 +53,22 @@ LOOKED_AT = 100
 """Control periods, at least, that are simulated again in shorter steps."""
 
 
-def excite(parts: Parts) -> TensorDict:
+def excite(parts: Bench, pilot: Loop | None = None) -> TensorDict:
     """Return the excitation's control periods on the real system, try after try, `(T,)`.
 
-    Behind sensors, states are what the observer makes of the measurements. A rig, which stays where it fell, is excited
-    open loop; its guard ends what goes too far.
+    Behind sensors, states are what the observer makes of the measurements. A rig, which stays where it fell, has one
+    try, without a regulator unless it is given; its guard ends what goes too far.
+
+    Args:
+        parts: The plant, and the signal.
+        pilot: The signal with the regulator under it that an earlier excitation found; the signal alone if omitted.
     """
     tell("excitation")
-    signal, steps = parts.excitation, parts.excitation.n_steps
+    pilot, steps = pilot or Loop(parts.excitation), parts.excitation.n_steps
     if not parts.plant.begins_anew:
-        return interact(parts.env, signal, steps)
+        return interact(parts.env, pilot, steps)
     low, high = limits(parts)
     tries: list[TensorDict] = []
-    pilot = Loop(signal)
     while (done := sum(len(rows) for rows in tries)) < steps:
         pilot.begun = done
         tries.append(interact(parts.env, pilot, steps - done, (low, high)))
@@ -68,22 +76,26 @@ def excite(parts: Parts) -> TensorDict:
         # A state that is no number any more leaves no row: then the try is short, and the task has not ended it.
         short = done + len(tries[-1]) < steps and not bool(last["done"].any())
         if short or not bool(within(last["state"], low, high)):
-            pilot.strength *= 1.0 if pilot.gain is None else 0.5
+            was_held = pilot.gain is not None
             pilot.close(torch.cat(tries), parts)
+            # What is caught by now may be excited as before; what nothing holds has to be moved less.
+            pilot.strength *= 0.5 if was_held or (pilot.gain is None and parts.excitation.first < 1) else 1.0
     return torch.cat(tries)
 
 
-def limits(parts: Parts) -> tuple[Tensor, Tensor]:
+def limits(parts: Bench) -> tuple[Tensor, Tensor]:
     """Return the ends of the states within which the plant is excited, `(n_x,)` each."""
-    far = BEYOND * torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)
-    task = parts.plant.task
+    scale, task = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64), parts.plant.task
     if not isinstance(task, Tracking):
-        return -far, far
-    low, high = task.bounds
-    return torch.where(low.isfinite(), low, -far), torch.where(high.isfinite(), high, far)
+        return -BEYOND * scale, BEYOND * scale
+    far = torch.stack([-BEYOND * scale, BEYOND * scale])
+    if parts.excitation.first < 1:
+        far = task.start.double() + FEW * torch.stack([-scale, scale])
+    low, high = torch.where(task.bounds.isfinite(), task.bounds, far)
+    return low, high
 
 
-def restarts(parts: Parts, rows: TensorDict) -> str:
+def restarts(parts: Bench, rows: TensorDict) -> str:
     """Say in one line how often the excitation began anew, and where; empty if it never did.
 
     Args:
@@ -195,9 +207,9 @@ class Loop:
 
     Attributes:
         begun: Control periods of the signal that earlier tries have used.
-        strength: Factor on the signal.
+        strength: Factor on the signal once it has grown.
         gain: K, `(n_u, n_x)`; None as long as the signal acts alone.
-        home: x_0, `(n_x,)`.
+        home: x_0, `(n_x,)`; where the first try begins, under a gain that the user gives.
         ends: Between which it is led to and fro, `(2, n_x)`; both are x_0 where it stays.
         mean: u_e, `(n_u,)`.
 
@@ -207,18 +219,26 @@ class Loop:
 
     def __init__(self, signal: Excitation) -> None:
         self.signal, self.begun, self.strength = signal, 0, 1.0
-        self.gain: Tensor | None = None
-        self.home = self.ends = self.mean = torch.zeros(0)
+        self.gain, self.mean = signal.gain, signal.offset
+        self.home = self.ends = torch.zeros(0)
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write `action`."""
         later = tensordict.select("step_count").set("step_count", tensordict["step_count"] + self.begun)
         u: Tensor = self.signal(later)["action"]
-        if self.gain is not None:
-            added = self.strength * (u - self.signal.offset.to(u))
-            back = (tensordict["state"].double() - self.led(tensordict["step_count"])) @ self.gain.mT
-            u = (self.mean - back).clamp(-1.0, 1.0).to(u) + added
-        return tensordict.set("action", u.clamp(-1.0, 1.0))
+        if self.gain is None and self.strength == self.signal.first == 1.0:
+            return tensordict.set("action", u)
+        added = self.strength * self.signal.growth(tensordict["step_count"]).to(u) * (u - self.signal.offset.to(u))
+        return tensordict.set("action", (self.held(tensordict).to(u) + added).clamp(-1.0, 1.0))
+
+    def held(self, tensordict: TensorDictBase) -> Tensor:
+        """Return the inputs under the signal, `(*batch, n_u)`: those of the regulator, or the mean where none is."""
+        if self.gain is None:
+            return self.mean
+        x = tensordict["state"].double()
+        if not len(self.home):
+            self.home, self.ends = x, x.expand(2, -1)
+        return (self.mean - (x - self.led(tensordict["step_count"])) @ self.gain.mT).clamp(-1.0, 1.0)
 
     def led(self, steps: Tensor) -> Tensor:
         """Return where the regulator holds the plant so many periods after the start of a try, `(*batch, n_x)`."""
@@ -227,7 +247,7 @@ class Loop:
         turn = torch.sin(2 * math.pi * turns)
         return torch.minimum(torch.maximum(self.home + far * turn, self.ends[0]), self.ends[1])
 
-    def close(self, rows: TensorDict, parts: Parts) -> None:
+    def close(self, rows: TensorDict, parts: Bench) -> None:
         """Fit a linear model to what was seen and regulate it; the loop stays as it is where nothing holds the model.
 
         Args:
@@ -237,21 +257,27 @@ class Loop:
         found = nearby(rows, parts)
         if found is None:
             return
-        scale = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)
-        solved = riccati(*zero_order_hold(found.a, found.b, parts.plant.dt), 1.0 / scale.square(), 1.0)
-        if solved is None:
+        if self.signal.gain is None and not self._regulates(found, parts):
             return
-        self.home, self.gain, self.ends = found.home, solved.gain, found.home.expand(2, -1)
-        against = torch.linalg.lstsq(found.b / scale.unsqueeze(-1), -found.c / scale, driver="gelsd").solution
-        self.mean = against.clamp(-MARGIN, MARGIN)
         if parts.sensing is not None and found.model is not None:
             begins = [*(rows["step_count"].flatten() == 0).nonzero().flatten().tolist(), len(rows)]
             tries = [rows[first:end] for first, end in pairwise(begins)]
             parts.sensing.observer.lean(found.model, [measured(tried) for tried in tries])
             self.ends = _free_ends(found, parts)
 
+    def _regulates(self, found: Nearby, parts: Bench) -> bool:
+        """Take the regulator of a linear model, and return whether there is one."""
+        scale = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)
+        solved = riccati(*zero_order_hold(found.a, found.b, parts.plant.dt), 1.0 / scale.square(), 1.0)
+        if solved is None:
+            return False
+        self.home, self.gain, self.ends = found.home, solved.gain, found.home.expand(2, -1)
+        against = torch.linalg.lstsq(found.b / scale.unsqueeze(-1), -found.c / scale, driver="gelsd").solution
+        self.mean = against.clamp(-MARGIN, MARGIN)
+        return True
 
-def _free_ends(found: Nearby, parts: Parts) -> Tensor:
+
+def _free_ends(found: Nearby, parts: Bench) -> Tensor:
     """Return the ends of the targets of outputs on which no rate of change depends, else x_0, `(2, n_x)`."""
     ends, task = found.home.repeat(2, 1), parts.plant.task
     if not isinstance(task, Tracking):

@@ -72,6 +72,7 @@ class Recipe:
         replay = self.replay(seed=seeds[3], **self._storing(sensing, world_model))
         _check_storages(replay, plant)
         excitation = self.excitation(n_u=signature.n_u, dt=plant.dt)
+        excitation.check_gain(signature.state_names)
         if excitation.n_steps > plant.task.max_steps:
             raise ValueError(
                 f"an excitation of {excitation.n_steps * plant.dt:g} s does not fit into an episode of "

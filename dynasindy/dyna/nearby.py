@@ -19,7 +19,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from dynasindy.data.recording import transitions
-from dynasindy.dyna.parts import Parts
+from dynasindy.dyna.parts import Bench
 from dynasindy.systems import Diverged
 from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.libraries.named import polynomial
@@ -49,7 +49,7 @@ class Nearby:
     model: SindyModel | None = None
 
 
-def nearby(rows: TensorDict, parts: Parts) -> Nearby | None:
+def nearby(rows: TensorDict, parts: Bench) -> Nearby | None:
     """Return a linear model of what was seen near the start; None where that is too little.
 
     Args:
@@ -59,7 +59,7 @@ def nearby(rows: TensorDict, parts: Parts) -> Nearby | None:
     return _of_states(rows, parts) if parts.sensing is None else _of_measurements(rows, parts)
 
 
-def _of_states(rows: TensorDict, parts: Parts) -> Nearby | None:
+def _of_states(rows: TensorDict, parts: Bench) -> Nearby | None:
     scale, home = _scale(parts), rows["state"][0].double()
     data = transitions(rows, parts.plant.log_dt)
     middle = (0.5 * (data.x + data.x_next) - home) / scale
@@ -75,7 +75,7 @@ def _of_states(rows: TensorDict, parts: Parts) -> Nearby | None:
     return Nearby(home, a.mT * scale / scale.mT, b.mT * scale, c[0] * scale.squeeze(-1))
 
 
-def _of_measurements(rows: TensorDict, parts: Parts) -> Nearby | None:
+def _of_measurements(rows: TensorDict, parts: Bench) -> Nearby | None:
     assert parts.sensing is not None
     signature, sensors = parts.plant.system.signature, parts.sensing.observer.sensors
     scale, home = _scale(parts), rows["state"][0].double()
@@ -100,5 +100,5 @@ def _of_measurements(rows: TensorDict, parts: Parts) -> Nearby | None:
     return Nearby(home, a, b, c[0], model)
 
 
-def _scale(parts: Parts) -> Tensor:
+def _scale(parts: Bench) -> Tensor:
     return torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)

@@ -23,33 +23,43 @@ from dynasindy.tasks import Tracking
 from dynasindy.world_models import WorldModel
 
 
-@dataclass
-class Parts:
-    """What Algorithm 1 works on.
+@dataclass(kw_only=True)
+class Bench:
+    """What an excitation needs of the parts.
 
     Attributes:
         plant: Real environment.
-        env: The same through its sensors, with the model's one-step prediction beside every step.
-        model_env: The same environment around the world model.
+        env: The same through its sensors.
         excitation: Input signal of the data collection.
-        world_model: Model to fit.
-        agent: TD3 agent.
-        replay: Real and model storages.
-        planner: Dyna's planning phase.
-        gate: Trust in the model.
         sensing: Sensors and observer of the real environment; None where all states are seen as they are.
     """
 
     plant: ControlEnv
     env: EnvBase
-    model_env: ControlEnv
     excitation: Excitation
+    sensing: Sensing | None = None
+
+
+@dataclass(kw_only=True)
+class Parts(Bench):
+    """What Algorithm 1 works on.
+
+    Attributes:
+        env: The plant through its sensors, with the model's one-step prediction beside every step.
+        model_env: The same environment around the world model.
+        world_model: Model to fit.
+        agent: TD3 agent.
+        replay: Real and model storages.
+        planner: Dyna's planning phase.
+        gate: Trust in the model.
+    """
+
+    model_env: ControlEnv
     world_model: WorldModel
     agent: TD3
     replay: DynaReplay
     planner: Planner
     gate: Gate
-    sensing: Sensing | None = None
 
     @property
     def explore(self) -> Callable[[TensorDictBase], TensorDictBase]:

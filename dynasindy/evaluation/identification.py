@@ -9,14 +9,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from dynasindy.data.columns import Column, columns_of, infer
 from dynasindy.data.csv import CsvLog, Recording
 from dynasindy.data.ends import acting_as, with_ends
 from dynasindy.data.rates import Mismatch, require_known, unit_of_rate
-from dynasindy.data.simulated import before_leaving, disturb, record
 from dynasindy.data.table import all_headings, split_unit
 from dynasindy.data.units import as_words, with_units
 from dynasindy.data.unnamed import counted
@@ -24,9 +22,8 @@ from dynasindy.evaluation import verdict
 from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.horizons import Forecasts, begun, forecast
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
-from dynasindy.excitation import Excitation, HeldRandom
+from dynasindy.excitation import Excitation
 from dynasindy.systems.base import Signature, System
-from dynasindy.systems.ranges import Ends, drawn, starts
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell, telling
 from dynasindy.world_models import FitReport, SindyModel
@@ -38,84 +35,6 @@ from dynasindy.world_models.writers.tables import to_csv, to_latex, to_text
 ExcitationBuilder = Callable[..., Excitation]
 BEHIND = "model_with_actuator.json"
 """File of a model one of whose states is an actuator, which no sensor sees."""
-LONGEST = 1e8
-"""Steps of a simulated plant, beyond which a recording would take days."""
-
-
-@dataclass(frozen=True)
-class Simulated:
-    """Take data from a simulated plant.
-
-    Attributes:
-        dt: time between two samples [s]; inputs are held for a control period of 0.05 s.
-        noise: standard deviation of white measurement noise, relative to that of each state.
-        substeps: Runge-Kutta steps of the plant between two samples.
-        validation_seconds: length of the validation, random held inputs [s].
-        seed: seed of noise and validation.
-        bounds: limits of states by name, beyond which nothing is recorded; one for both sides of zero, or both ends.
-        start: where the plant begins, by state: a value, or the two ends of a range from which it is drawn; zero for
-            the others.
-
-    Raises:
-        ValueError: a time or the substeps are not positive, or the noise is negative.
-    """
-
-    dt: float = 0.01
-    noise: float = 0.0
-    substeps: int = 10
-    validation_seconds: float = 20.0
-    seed: int = 0
-    bounds: dict[str, Ends] | None = None
-    start: dict[str, Ends] | None = None
-
-    def __post_init__(self) -> None:
-        if not self.dt > 0 or not self.validation_seconds > 0 or not self.noise >= 0 or self.substeps < 1:
-            raise ValueError(
-                f"data=simulated got dt {self.dt} s, validation {self.validation_seconds} s, noise {self.noise}, "
-                f"substeps {self.substeps}; allowed are positive times, noise >= 0 and substeps >= 1: correct them"
-            )
-
-    def load(self, system: System | None, excitation: ExcitationBuilder) -> Source:
-        """Excite the plant for training, and by random held inputs of the same range for validation.
-
-        Raises:
-            ValueError: there is no plant.
-            Diverged: it leaves its bounds soon.
-        """
-        if system is None:
-            raise ValueError("data=simulated got no plant; it needs one of conf/system: give system=NAME, or data=csv")
-        signal = excitation(n_u=system.signature.n_u, seed=self.seed)
-        steps = max(signal.duration, self.validation_seconds) / self.dt * self.substeps
-        if steps > LONGEST:
-            raise ValueError(
-                f"excitation.duration={signal.duration:g} s or data.validation_seconds={self.validation_seconds:g} s, "
-                f"with data.dt={self.dt:g} s and data.substeps={self.substeps}, is {steps:.3g} steps of the plant; "
-                f"allowed are {LONGEST:g}, an arbitrary limit: shorten it"
-            )
-        unseen = HeldRandom(
-            system.signature.n_u,
-            self.validation_seconds,
-            signal.dt,
-            amplitude=(0.7 * signal.amplitude).tolist(),
-            offset=signal.offset.tolist(),
-            seed=self.seed + 1,
-        )
-        training = record(system, signal.samples(self.dt), self.dt, self.substeps, self._start(system, self.seed))
-        left_out = signal.samples(self.dt).shape[0] - len(training)
-        at_stop = f"{left_out} samples that touched a stop were left out" if left_out else ""
-        training, gone = self._before_leaving(training, system, "in the excitation")
-        other = self._start(system, self.seed + 1)
-        validation = record(system, unseen.samples(self.dt), self.dt, self.substeps, other)
-        validation, lost = self._before_leaving(validation, system, "in the validation, under random inputs,")
-        notes = tuple(filter(None, (at_stop, gone, lost)))
-        return Source(system.signature, disturb(training, self.noise, self.seed), validation, notes)
-
-    def _start(self, system: System, seed: int) -> Tensor:
-        """Return the state in which a recording begins, `(n_x,)`."""
-        return drawn(starts(system.signature, self.start or {}), torch.Size(), torch.Generator().manual_seed(seed))
-
-    def _before_leaving(self, data: Transitions, system: System, what: str) -> tuple[Transitions, str]:
-        return before_leaving(data, system.signature, self.bounds or {}, what)
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import TypedDict
+from typing import TypedDict, Unpack
 
 import torch
 from tensordict import TensorDictBase
@@ -16,9 +17,18 @@ from dynasindy.limits import check_memory
 Levels = float | Sequence[float]
 PERIODS = 200
 """Control periods of an experiment whose length is not given."""
+DOUBLES = 10
+"""Control periods in which an excitation that begins small doubles."""
 
 
-class Common(TypedDict, total=False):
+class Careful(TypedDict, total=False):
+    """Settings for a plant that does not stay by itself; see `Excitation`."""
+
+    first: float
+    gain: Sequence[Sequence[float]] | None
+
+
+class Common(Careful, total=False):
     """Settings that subclasses pass on, by name; see `Excitation`."""
 
     amplitude: Levels
@@ -38,10 +48,16 @@ class Excitation(TensorDictModuleBase, ABC):
         amplitude: half range of each input, or one for all [normalised].
         offset: mean of each input, or one for all: the input that holds the plant where it is to be excited.
         seed: seed of what is random in the signal, if anything is.
+        **careful: `first`, the share of the amplitude with which the plant is moved at first, in (0, 1]; it doubles
+            every ten control periods until it is whole. Less than 1 also says that nobody knows whether the plant stays
+            by itself. `gain`, K of a feedback `-K (x - x_0)` that holds the plant about its start x_0, under the
+            signal: a row per input and a column per state [input in [-1, 1] per unit of the state]; None if there is
+            none, or it is to be found.
 
     Raises:
         ValueError: a time or the number of inputs is not positive.
         ValueError: amplitudes or offsets are not one per input, or an input would always be clipped.
+        ValueError: `first` is not in (0, 1], or `gain` has not one row of finite numbers per input.
     """
 
     in_keys = ["step_count"]  # noqa: RUF012 - the base class of TensorDict sets these per class
@@ -55,6 +71,7 @@ class Excitation(TensorDictModuleBase, ABC):
         amplitude: Levels = 0.3,
         offset: Levels = 0.0,
         seed: int = 0,
+        **careful: Unpack[Careful],
     ) -> None:
         super().__init__()
         self.seed, duration = seed, PERIODS * dt if duration is None else duration
@@ -72,9 +89,17 @@ class Excitation(TensorDictModuleBase, ABC):
                 f"excitation got offset {self.offset.tolist()} and amplitude {self.amplitude.tolist()}; allowed is a "
                 "range that meets [-1, 1]: move the offset towards 0"
             )
+        self.first = float(careful.get("first", 1.0))
+        if not 0 < self.first <= 1:
+            raise ValueError(
+                f"excitation.first is {self.first:g}; allowed is a share of the amplitude above 0 and up to 1: give 1 "
+                "for the whole of it from the start"
+            )
+        self.register_buffer("gain", _matrix(careful.get("gain"), n_u))
 
     amplitude: Tensor
     offset: Tensor
+    gain: Tensor | None
 
     @property
     def n_steps(self) -> int:
@@ -93,6 +118,29 @@ class Excitation(TensorDictModuleBase, ABC):
         """Write `action`, `(*batch, n_u)` float32, for `step_count`, `(*batch, 1)`."""
         t = tensordict.get("step_count").squeeze(-1).to(torch.float64) * self.dt
         return tensordict.set("action", self.signal(t).to(torch.float32))
+
+    def growth(self, steps: Tensor) -> Tensor:
+        """Give the share of its strength, in (0, 1], so many control periods after the plant began to be moved.
+
+        Args:
+            steps: Control periods, of any shape.
+        """
+        return (self.first * 2.0 ** (steps.double() / DOUBLES)).clamp_max(1.0)
+
+    def check_gain(self, names: Sequence[str]) -> None:
+        """Refuse a gain whose columns are not the states of a plant.
+
+        Args:
+            names: Names of the states.
+
+        Raises:
+            ValueError: There are more columns, or fewer.
+        """
+        if self.gain is not None and self.gain.shape[1] != len(names):
+            raise ValueError(
+                f"excitation.gain has {self.gain.shape[1]} columns; allowed is one for each of the states "
+                f"{', '.join(names)}: complete its rows"
+            )
 
     def _check_size(self, step: float, parts: int) -> None:
         """Refuse an experiment of more steps [s], each of so many parts, than fit into memory."""
@@ -121,3 +169,17 @@ def per_input(value: Levels, n_u: int, what: str) -> Tensor:
     if not bool(values.isfinite().all()):
         raise ValueError(f"excitation got {what} {values.tolist()}; allowed are finite numbers: correct them")
     return values.expand(n_u).clone()
+
+
+def _matrix(gain: Sequence[Sequence[float]] | None, n_u: int) -> Tensor | None:
+    """Give a gain as a matrix, `(n_u, n_x)` float64; None where there is none."""
+    if gain is None:
+        return None
+    rows = [list(row) for row in gain]
+    widths = {len(row) for row in rows}
+    if len(rows) != n_u or len(widths) != 1 or not all(math.isfinite(value) for row in rows for value in row):
+        raise ValueError(
+            f"excitation.gain is {rows}; allowed is a row of finite numbers for each of {n_u} inputs, with a number "
+            "for each state: mend it, or give null where no feedback is known"
+        )
+    return torch.tensor(rows, dtype=torch.float64)

@@ -122,7 +122,7 @@ class Session:
         return any(flown.fault is not None for flown in self.flights)
 
     def excite(self, signal: Excitation) -> Flown | None:
-        """Move the rig by a signal, open loop, and log it to `excitation.csv`.
+        """Move the rig by a signal that begins at `signal.first` of its strength, open loop, into `excitation.csv`.
 
         An excitation that an earlier session in the same folder has finished is not repeated. One that was cut short
         is: its log is kept, and the new one is `excitation_N.csv`.
@@ -131,10 +131,10 @@ class Session:
             What came of the flight; None if there was none.
 
         Raises:
-            ValueError: The folder holds logs of another rig, or an input would go beyond what its actuator reaches;
-                nothing has moved.
+            ValueError: The folder holds logs of another rig, an input would go beyond what its actuator reaches, or
+                the signal wants a feedback; nothing has moved.
         """
-        levels = signal.samples(self.wiring.dt).double().numpy()
+        levels = _grown(signal, self.wiring.dt)
         before = self.logs("excitation")
         if done := [path for path, rows in before.items() if rows >= len(levels)]:
             self.tell(f"excitation: {done[0]} is there, so the rig is not excited again")
@@ -365,3 +365,21 @@ def _ends(signature: Signature) -> str:
     """Return what -1 and 1 are of each input in words."""
     ends = signature.input_ends or (WHOLE,) * signature.n_u
     return ", ".join(f"{low:g} and {high:g}" for low, high in ends)
+
+
+def _grown(signal: Excitation, dt: float) -> Array:
+    """Return the inputs of an excitation in each control period, `(T, n_u)`, as strong as it is by then.
+
+    Raises:
+        ValueError: It lies on top of a feedback.
+    """
+    if signal.gain is not None:
+        raise ValueError(
+            "excitation.gain is given, and a rig is excited without feedback, since nobody has tried it there yet; "
+            "leave it out, or fly a controller that holds the rig by controller=PATH"
+        )
+    levels = signal.samples(dt).double()
+    if signal.first < 1:
+        levels = signal.offset + signal.growth(torch.arange(len(levels))).unsqueeze(-1) * (levels - signal.offset)
+    grown: Array = levels.numpy()
+    return grown

@@ -13,6 +13,7 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
 from dynasindy.data import REAL_KEYS
+from dynasindy.dyna.excite import excite
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.planning import Gate
 
@@ -52,6 +53,56 @@ def test_a_task_without_targets_is_flown_as_it_draws_episodes():
     assert cfg.scenario.name == "task" and parts.plant.task.own
     assert parts.plant.task.starts.shape == (256, 3)
     assert parts.plant.task.library.names[-2:] == ("w^2", "torque^2")
+
+
+EXAMPLES = CONF.parent / "docs" / "examples"
+RECORDED = {
+    "tras": [
+        [-0.005198351573199034, 0.27984821796417236],
+        [-5.730215340498211, -0.30110382918359313, 0.2465319856671332, -0.34144758531213615],
+    ],
+    "van_der_pol": [[0.3458976745605469], [1.982514065422649, -0.2543055141566507]],
+}
+"""Inputs of period 20 and states in period 199 of excitations recorded at 8436c6f, before they could begin small."""
+
+
+@pytest.mark.parametrize("system", RECORDED)
+def test_plants_that_stay_are_excited_as_before_excitations_could_begin_small(system, monkeypatch):
+    monkeypatch.syspath_prepend(EXAMPLES)
+    words = [f"system={system}", f"hydra.searchpath=[file://{EXAMPLES / 'conf'}]"]
+    rows, again = excite(build(*words)[1]), build(*words)[1]
+    with torch.no_grad():
+        wanted = again.env.rollout(200, again.excitation)  # the bare signal, from the first period to the last
+    for key in ("state", "action", ("next", "state")):
+        assert torch.equal(rows[key], wanted[key])
+    inputs, states = RECORDED[system]
+    assert rows["action"][20].tolist() == pytest.approx(inputs, abs=1e-6)
+    assert rows["state"][199][: len(states)].tolist() == pytest.approx(states, abs=1e-6)
+
+
+@pytest.mark.parametrize("system", [plant for plant in PLANTS if plant != "gymnasium"])
+def test_plants_of_the_package_are_known_to_stay(system):
+    _, parts = build(f"system={system}", "experiment=smoke")
+    assert parts.excitation.first == 1.0 and parts.excitation.gain is None
+
+
+def test_a_plant_of_which_nobody_says_that_it_stays_is_moved_little_at_first():
+    with pytest.raises(ValueError, match="has 4 columns"):
+        build("system=xi", "~plant.first", "experiment=smoke", "+plant.gain=[[1,2,3,4],[1,2,3,4]]")
+    _, parts = build("system=pendulum", "~plant.first", "experiment=smoke", "+plant.gain=[[0.5,0.2]]")
+    assert parts.excitation.first == 0.1 and parts.excitation.gain.tolist() == [[0.5, 0.2]]
+
+
+@pytest.mark.parametrize(
+    ("system", "period", "samples"), [("tras", 0.05, 5), ("xi", 0.05, 5), ("tanks", 2.0, 5), ("reactor", 3.0, 40)]
+)
+def test_a_recording_of_a_plant_has_its_pace(system, period, samples):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        words = [f"system={system}", f"hydra.searchpath=[file://{EXAMPLES / 'conf'}]", "sensors=bench"]
+        data = compose("identify", overrides=words[: 3 if system in ("tras", "xi") else 2]).data
+    found = instantiate(data, _convert_="all")
+    assert (found.period, found.samples, found.dt, found.validation_seconds) == (period, samples, None, None)
+    assert (found.sensors is None) == (system not in ("tras", "xi"))
 
 
 @pytest.mark.parametrize("setting", sorted(file.stem for file in (CONF / "setting").glob("*.yaml")))

@@ -135,7 +135,7 @@ def test_a_recording_ends_where_the_plant_leaves_its_bounds():
 def test_a_plant_that_runs_away_soon_is_told_by_name_time_and_what_to_do():
     plant, u = Growing(), torch.ones(1000, 1)
     data = record(plant, u, 0.01)  # 1000 m are reached after log(2001) / 2 = 3.80 s
-    advice = "excitation.amplitude, another excitation.offset, or use the command train"
+    advice = r"excitation\.amplitude, another excitation\.offset, or excitation\.first=0\.1"
     with pytest.raises(Diverged, match=rf"in the excitation q ran away, beyond 1000 m, after 3.81 s.*{advice}"):
         before_leaving(data, plant.signature, {}, "in the excitation")
     with pytest.raises(Diverged, match=r"wider plant\.bounds"):

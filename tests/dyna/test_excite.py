@@ -8,7 +8,7 @@ import torch
 from tensordict import TensorDict
 
 from dynasindy.data.recording import transitions
-from dynasindy.dyna.excite import Loop, coarse, excite, interact, left_out, restarts, within
+from dynasindy.dyna.excite import Loop, coarse, excite, interact, left_out, limits, restarts, within
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Multisine
 from dynasindy.sensing import Observer, Sensing, Sensors
@@ -21,21 +21,23 @@ BOUNDS = {"theta": 0.5, "p": 2.0}
 class Inverted(System):
     """A pendulum measured from the top under a constant pull to one side: a = 5 sin(theta) + 8 u + 1."""
 
+    pull = 1.0
+
     def __init__(self):
         super().__init__(Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.0, 3.0)))
 
     def forward(self, x, u):
         theta, rate = x.unbind(-1)
-        return torch.stack((rate, 5.0 * torch.sin(theta) + 8.0 * u[..., 0] + 1.0), -1)
+        return torch.stack((rate, 5.0 * torch.sin(theta) + 8.0 * u[..., 0] + self.pull), -1)
 
 
-def parts(plant, n_r=1, duration=10.0, sensing=None, **settings):
+def parts(plant, n_r=1, duration=10.0, sensing=None, careful=None, **settings):
     names = plant.signature.state_names
     task = Tracking(
         plant.signature, RandomStep([-0.2] * n_r, [0.2] * n_r), names[:n_r], (), TrackingReward((1.0,)), **settings
     )
     env = ControlEnv(plant, task, dtype=torch.float64)
-    signal = Multisine(plant.signature.n_u, duration, 0.05, amplitude=0.3, seed=1)
+    signal = Multisine(plant.signature.n_u, duration, 0.05, amplitude=0.3, seed=1, **(careful or {}))
     return SimpleNamespace(plant=env, env=env, excitation=signal, sensing=sensing)
 
 
@@ -86,6 +88,60 @@ def test_a_plant_that_falls_is_caught_by_its_encoder_alone():
     blind = excited.clone()
     blind["next", "true_state"].fill_(torch.nan)
     assert restarts(experiment, blind) == restarts(experiment, excited)
+
+
+def test_where_nobody_knows_whether_a_plant_stays_it_is_moved_little_at_first_and_more_in_every_period():
+    """What moves it is a line through the mean times 0.1 * 2^(k / 10), and all of it from period 34 on."""
+    careful, bold = parts(Xi(), 2, 3.0, careful={"first": 0.1}), parts(Xi(), 2, 3.0)
+    little, all_of_it = (excite(experiment)["action"].double() for experiment in (careful, bold))
+    share = torch.tensor([min(1.0, 0.1 * 2 ** (k / 10)) for k in range(60)], dtype=torch.float64)
+    assert share[33] < 1.0 == share[34]
+    torch.testing.assert_close(little, share.unsqueeze(-1) * all_of_it, atol=1e-6, rtol=0.0)
+
+
+def test_a_plant_that_falls_leaves_more_slowly_and_is_moved_less_again_after_each_fall():
+    bold, careful = (parts(Inverted(), bounds={"theta": 0.5}, careful={"first": first}) for first in (1.0, 0.1))
+    careful.plant.system.pull = bold.plant.system.pull = 0.0  # else its pull alone makes it fall
+    rows = excite(careful)
+    begins = (rows["step_count"].flatten() == 0).nonzero().flatten().tolist()
+    first_fall = [int((excite(each)["step_count"].flatten() == 0).nonzero()[1]) for each in (bold, careful)]
+    assert first_fall[0] < first_fall[1]
+    signal = careful.excitation(TensorDict({"step_count": torch.tensor([[begins[1]]])}, [1]))["action"].item()
+    pilot_mean = rows["action"][begins[1]].item() - 0.1 * signal  # it begins at its home, where the regulator is still
+    assert abs(pilot_mean) < 0.02
+
+
+@pytest.mark.parametrize(("first", "far"), [(1.0, (10.0, 30.0)), (0.5, (3.0, 9.0))])
+def test_a_plant_that_may_not_stay_is_followed_three_ranges_from_its_start_without_bounds(first, far):
+    low, high = limits(parts(Inverted(), careful={"first": first}))
+    assert low.tolist() == [-far[0], -far[1]] and high.tolist() == [*far]
+    begun = parts(Inverted(), careful={"first": first}, start={"theta": [0.5, 0.7]}, bounds={"Omega": 5.0})
+    low, high = limits(begun)
+    shift = (0.5, 0.7) if first < 1 else (0.0, 0.0)
+    assert low.tolist() == pytest.approx([shift[0] - far[0], -5.0])
+    assert high.tolist() == pytest.approx([shift[1] + far[0], 5.0])
+
+
+def test_under_a_gain_that_is_given_a_plant_that_falls_stays_from_the_first_period_on():
+    """With a = 5 theta + 8 u + 1 and u = -K x the poles are those of s^2 + 8 K_2 s + 8 K_1 - 5: here -3 and -4."""
+    gain = [[(12.0 + 5.0) / 8.0, 7.0 / 8.0]]
+    experiment = parts(Inverted(), bounds={"theta": 0.5}, careful={"gain": gain})
+    experiment.excitation.offset[:] = -1.0 / 8.0  # against the pull
+    rows = excite(experiment)
+    assert restarts(experiment, rows) == "" and len(rows) == 200
+    signal = experiment.excitation(rows.select("step_count"))["action"]
+    expected = signal.double() - rows["state"] @ torch.tensor(gain, dtype=torch.float64).mT
+    torch.testing.assert_close(rows["action"].double(), expected.clamp(-1.0, 1.0), atol=1e-6, rtol=0.0)
+    assert rows["action"].std() > 0.05
+
+
+def test_a_gain_that_does_not_hold_stays_and_the_signal_becomes_weaker(monkeypatch):
+    strengths = []
+    close = Loop.close
+    monkeypatch.setattr(Loop, "close", lambda pilot, *words: (strengths.append(pilot.strength), close(pilot, *words)))
+    wrong = [[-1.0, 0.0]]
+    excite(parts(Inverted(), duration=4.0, bounds={"theta": 0.5}, careful={"gain": wrong}))
+    assert len(strengths) > 2 and strengths == [0.5**k for k in range(len(strengths))]
 
 
 class Carried(System):
@@ -167,7 +223,7 @@ def test_a_real_episode_ends_at_the_bounds_and_is_finite():
     assert len(interact(experiment.env, idle, 5, ends)) == 5
 
 
-def test_limits_are_those_of_the_task_or_ten_ranges():
+def test_limits_of_a_plant_that_stays_are_those_of_the_task_or_ten_ranges():
     low, high = torch.tensor([-1.0, -2.0]), torch.tensor([1.0, 3.0])
     x = torch.tensor([[0.0, 2.9], [0.0, 3.1], [-1.1, 0.0], [torch.nan, 0.0]])
     assert within(x, low, high).tolist() == [True, False, False, False]

@@ -122,7 +122,7 @@ def test_weights_that_are_not_finite_are_in_no_state_to_go_on_from():
     agent = TD3(n_obs=2, n_u=1, hidden=(4,))
     with torch.no_grad():
         next(agent.policy.parameters()).fill_(torch.nan)
-    parts = Parts(*[None] * 5, agent, *[None] * 3)
+    parts = Parts(**dict.fromkeys([f.name for f in fields(Parts)]) | {"agent": agent})
     with pytest.raises(Diverged):
         parts.state_dict()
 

@@ -10,8 +10,9 @@ import torch
 import yaml
 
 from dynasindy.data.simulated import record
+from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation.before_fit import PLANTS, before_fit, rates_lacking, with_missing_rates, wrong_units
-from dynasindy.evaluation.identification import Logged, Simulated
+from dynasindy.evaluation.identification import Logged
 from dynasindy.excitation import Chirp, HeldRandom
 from dynasindy.systems import Pendulum, Tras
 from dynasindy.world_models import SindyModel

@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from dynasindy.data.simulated import record
+from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation import identification
-from dynasindy.evaluation.identification import Logged, Simulated, identify, to_words, write
+from dynasindy.evaluation.identification import Logged, identify, to_words, write
 from dynasindy.excitation import Chirp, HeldRandom
 from dynasindy.systems import Diverged, Pendulum, Tras
 from dynasindy.told import hearing

@@ -150,3 +150,23 @@ def test_times_that_are_not_given_follow_the_control_period(dt):
     assert (held[:10] == held[0]).all() and (held[10:20] == held[10]).all() and held[10] != held[9]
     swept = Chirp(1, None, dt, band=None, amplitude=1.0).samples()
     torch.testing.assert_close(swept, Chirp(1, 200 * dt, dt, band=(0.0, 0.05 / dt), amplitude=1.0).samples())
+
+
+def test_it_begins_at_a_share_of_its_strength_that_doubles_every_ten_periods():
+    steps = torch.tensor([[0], [10], [20], [30], [40]])
+    assert Chirp(1, first=0.1).growth(steps).flatten().tolist() == pytest.approx([0.1, 0.2, 0.4, 0.8, 1.0])
+    assert Chirp(1).growth(steps).flatten().tolist() == [1.0] * 5
+    for share in (0.0, -0.1, 1.5, math.nan):
+        with pytest.raises(ValueError, match=r"excitation\.first is .*; allowed is a share"):
+            Chirp(1, first=share)
+
+
+def test_a_gain_has_a_row_per_input_and_a_column_per_state():
+    signal = Chirp(2, gain=[[1.0, 0.5, 2.0], [0.0, -1.0, 3.0]])
+    assert signal.gain.tolist() == [[1.0, 0.5, 2.0], [0.0, -1.0, 3.0]]
+    signal.check_gain(["a", "b", "c"])
+    with pytest.raises(ValueError, match=r"has 3 columns; allowed is one for each of the states a, b"):
+        signal.check_gain(["a", "b"])
+    for gain in ([[1.0, 2.0]], [[1.0, 2.0], [1.0]], [[1.0], [math.inf]], []):
+        with pytest.raises(ValueError, match=r"allowed is a row of finite numbers for each of 2 inputs"):
+            Chirp(2, gain=gain)

@@ -315,3 +315,14 @@ def test_the_error_that_is_foretold_of_a_flight_is_that_of_the_last_half_of_its_
     (said,) = [line for line in told if line.startswith("  prediction of the model")]
     left = np.mean(targets) * np.exp(-2 * dt * np.arange(40))
     assert float(re.search(r"y to (\S+) m$", said)[1]) == pytest.approx(left[20:].mean(), rel=0.005)
+
+
+def test_a_rig_is_moved_little_at_first_and_under_no_feedback(tmp_path):
+    session, _ = blind(tmp_path)
+    signal = Multisine(1, duration=3, dt=0.05, amplitude=0.4, offset=0.1, seed=0, first=0.1)
+    assert session.excite(signal).fault is None
+    sent = np.genfromtxt(tmp_path / "excitation.csv", delimiter=",", skip_header=1)[:60, 2]  # time, angle, input
+    share = np.minimum(1.0, 0.1 * 2 ** (np.arange(60) / 10))
+    np.testing.assert_allclose(sent, 0.1 + share * (signal.samples().numpy()[:, 0] - 0.1), atol=1e-6)
+    with pytest.raises(ValueError, match=r"excitation\.gain is given, and a rig is excited without feedback"):
+        session.excite(Multisine(1, duration=4, dt=0.05, gain=[[1.0, 0.0]]))

@@ -1,0 +1,185 @@
+"""Data to identify a model from, of a simulated plant, which is moved as training moves it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from dynasindy.data.recording import transitions
+from dynasindy.data.simulated import before_leaving, disturb, observed, record
+from dynasindy.dyna.excite import Loop, excite, left_out, restarts
+from dynasindy.dyna.parts import Bench
+from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.identification import ExcitationBuilder
+from dynasindy.evaluation.source import Source
+from dynasindy.excitation import Excitation, HeldRandom
+from dynasindy.sensing import Sensors
+from dynasindy.systems.base import System
+from dynasindy.systems.ranges import Ends, drawn, starts
+from dynasindy.systems.transitions import Transitions
+from dynasindy.tasks import RandomStep, Tracking, TrackingReward
+
+PERIOD = 0.05
+"""Control period of a plant that names none [s]."""
+VALIDATION = 400
+"""Control periods of the validation, where its length is not given."""
+LONGEST = 1e8
+"""Steps of a simulated plant, beyond which a recording would take days."""
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """Take data from a simulated plant.
+
+    A plant that is known to stay by itself is moved open loop. Any other is excited as in training: within bounds, by a
+    signal that grows, and under a regulator once it has left them; the validation begins with that regulator.
+
+    Attributes:
+        dt: time between two samples [s]; the control period divided by `samples` if omitted.
+        noise: standard deviation of white measurement noise: one number, relative to that of each state, or by the name
+            of a state in its unit, where states that are not named have none.
+        substeps: Runge-Kutta steps of the plant between two samples.
+        validation_seconds: length of the validation, random held inputs [s]; 400 control periods if omitted.
+        seed: seed of noise and validation.
+        bounds: limits of states by name, beyond which nothing is recorded; one for both sides of zero, or both ends.
+        start: where the plant begins, by state: a value, or the two ends of a range from which it is drawn; zero for
+            the others.
+        period: control period, for which inputs are held [s]; 0.05 s if omitted.
+        samples: samples in a control period, where `dt` is omitted.
+        sensors: what is measured in training, how finely and how noisily; all states as they are if omitted.
+
+    Raises:
+        ValueError: a time, the substeps or the samples are not positive, a noise is negative, or the sensors have an
+            actuator that is late.
+    """
+
+    dt: float | None = None
+    noise: float | dict[str, float] = 0.0
+    substeps: int = 10
+    validation_seconds: float | None = None
+    seed: int = 0
+    bounds: dict[str, Ends] | None = None
+    start: dict[str, Ends] | None = None
+    period: float | None = None
+    samples: int = 5
+    sensors: Sensors | None = None
+
+    def __post_init__(self) -> None:
+        levels = self.noise.values() if isinstance(self.noise, Mapping) else [self.noise]
+        times = [time for time in (self.dt, self.validation_seconds, self.period) if time is not None]
+        sound = all(time > 0 for time in times) and all(0 <= level < math.inf for level in levels)
+        if not sound or self.substeps < 1 or self.samples < 1:
+            raise ValueError(
+                f"data=simulated got dt {self.dt} s, validation {self.validation_seconds} s, period {self.period} s, "
+                f"noise {self.noise}, substeps {self.substeps}, samples {self.samples}; allowed are positive times, "
+                "noise >= 0, substeps >= 1 and samples >= 1: correct them"
+            )
+        if self.sensors is not None and self.sensors.actuator_delay:
+            raise ValueError(
+                f"sensors.actuator_delay is {self.sensors.actuator_delay}; allowed is 0, as inputs of a recording act "
+                "at once: give sensors=bench, or use the command train"
+            )
+
+    def load(self, system: System | None, excitation: ExcitationBuilder) -> Source:
+        """Excite the plant for training, and by random held inputs of the same range for validation.
+
+        Raises:
+            ValueError: there is no plant, a name is of none of its states, or the recording would take days.
+            Diverged: it leaves its bounds soon, though it is said to stay by itself.
+        """
+        if system is None:
+            raise ValueError("data=simulated got no plant; it needs one of conf/system: give system=NAME, or data=csv")
+        period = self.period or PERIOD
+        signal = excitation(n_u=system.signature.n_u, seed=self.seed, dt=period)
+        signal.check_gain(system.signature.state_names)
+        unseen = self._unseen(signal)
+        self._check_length(max(signal.duration, unseen.duration), signal.dt)
+        stays = signal.first == 1 and signal.gain is None
+        training, validation, notes = (self._open_loop if stays else self._held)(system, signal, unseen)
+        training = disturb(training, self.noise, self.seed, system.signature)
+        if self.sensors is not None:
+            generator = torch.Generator().manual_seed(self.seed)
+            training = observed(training, partial(self.sensors.read, signature=system.signature, rng=generator))
+        return Source(system.signature, training, validation, tuple(filter(None, notes)))
+
+    def _step(self, period: float) -> float:
+        """Return the time between two samples [s]."""
+        return period / self.samples if self.dt is None else self.dt
+
+    def _unseen(self, signal: Excitation) -> Excitation:
+        """Return the signal of the validation."""
+        seconds = VALIDATION * signal.dt if self.validation_seconds is None else self.validation_seconds
+        return HeldRandom(
+            signal.n_u,
+            seconds,
+            signal.dt,
+            amplitude=(0.7 * signal.amplitude).tolist(),
+            offset=signal.offset.tolist(),
+            seed=self.seed + 1,
+            first=signal.first,
+            gain=None if signal.gain is None else signal.gain.tolist(),
+        )
+
+    def _check_length(self, seconds: float, period: float) -> None:
+        steps = seconds / self._step(period) * self.substeps
+        if steps > LONGEST:
+            raise ValueError(
+                f"excitation.duration or data.validation_seconds of {seconds:g} s, with data.dt={self._step(period):g} "
+                f"s and data.substeps={self.substeps}, is {steps:.3g} steps of the plant; allowed are {LONGEST:g}, an "
+                "arbitrary limit: shorten it"
+            )
+
+    def _open_loop(
+        self, system: System, signal: Excitation, unseen: Excitation
+    ) -> tuple[Transitions, Transitions, list[str]]:
+        """Record a plant that stays by itself; what comes after it has left its bounds is left out."""
+        dt, notes, parts = self._step(signal.dt), [], []
+        words = ("in the excitation", "in the validation, under random inputs,")
+        for k, (moved, what) in enumerate(zip((signal, unseen), words, strict=True)):
+            inputs = moved.samples(dt)
+            data = record(system, inputs, dt, self.substeps, self._start(system, self.seed + k))
+            if k == 0 and len(data) < len(inputs):
+                notes.append(f"{len(inputs) - len(data)} samples that touched a stop were left out")
+            data, gone = before_leaving(data, system.signature, self.bounds or {}, what)
+            parts.append(data)
+            notes.append(gone)
+        return parts[0], parts[1], notes
+
+    def _held(
+        self, system: System, signal: Excitation, unseen: Excitation
+    ) -> tuple[Transitions, Transitions, list[str]]:
+        """Record a plant that may not stay by itself as training does."""
+        pilot, notes, parts = Loop(signal), [], []
+        for k, moved in enumerate((signal, unseen)):
+            bench = self._bench(system, moved, self.seed + k)
+            pilot.signal = moved
+            rows = excite(bench, pilot)
+            parts.append(transitions(rows, bench.plant.log_dt))
+            notes += [restarts(bench, rows), left_out(rows)] if k == 0 else []
+        return parts[0], parts[1], notes
+
+    def _bench(self, system: System, signal: Excitation, seed: int) -> Bench:
+        """Return the plant of which nothing is wanted but that it moves."""
+        signature = system.signature
+        task = Tracking(
+            signature,
+            RandomStep([0.0], [0.0]),
+            signature.state_names[:1],
+            rates=(),
+            reward=TrackingReward((1.0,)),
+            max_steps=signal.n_steps,
+            start=self.start,
+            bounds=self.bounds,
+        )
+        samples = max(1, round(signal.dt / self._step(signal.dt)))
+        plant = ControlEnv(system, task, signal.dt, samples, dtype=torch.float64, seed=seed)
+        return Bench(plant=plant, env=plant, excitation=signal)
+
+    def _start(self, system: System, seed: int) -> Tensor:
+        """Return the state in which a recording begins, `(n_x,)`."""
+        return drawn(starts(system.signature, self.start or {}), torch.Size(), torch.Generator().manual_seed(seed))

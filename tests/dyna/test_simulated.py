@@ -1,0 +1,121 @@
+"""Recordings of simulated plants follow the plant's pace, hold what falls, and have the noise of sensors."""
+
+from functools import partial
+
+import pytest
+import torch
+
+from dynasindy.dyna.simulated import Simulated
+from dynasindy.excitation import Chirp, HeldRandom
+from dynasindy.sensing import Sensors
+from dynasindy.systems import Diverged, Signature, System
+from dynasindy.world_models import Refinement, Regression, SindyModel
+
+CHIRP = partial(Chirp, duration=None, band=None, amplitude=0.4)
+
+
+class Lag(System):
+    """x' = (u - x) / 100 s, as slow as a tank."""
+
+    def __init__(self):
+        super().__init__(Signature(("x", "y"), ("m", "m"), ("u",), (1.0, 1.0)))
+
+    def forward(self, x, u):
+        return (torch.cat([u, x[..., :1]], -1) - x) / 100.0
+
+
+class Inverted(System):
+    """A pendulum measured from the top under a constant pull to one side: a = 5 theta + 8 u + 0.2."""
+
+    def __init__(self):
+        super().__init__(Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.0, 3.0)))
+
+    def forward(self, x, u):
+        theta, rate = x.unbind(-1)
+        return torch.stack((rate, 5.0 * theta + 8.0 * u[..., 0] + 0.2), -1)
+
+
+def test_a_recording_follows_the_control_period_of_its_plant():
+    source = Simulated(period=2.0).load(Lag(), CHIRP)
+    data, unseen = source.training, source.validation
+    assert (data.dt, len(data), unseen.dt, len(unseen)) == (pytest.approx(0.4), 1000, pytest.approx(0.4), 2000)
+    # Of a lag under a held input exp(-dt / 100) of the distance is left.
+    left = torch.exp(torch.tensor(-0.4 / 100.0, dtype=torch.float64))
+    torch.testing.assert_close(data.x_next[:, 0], data.u[:, 0] + left * (data.x[:, 0] - data.u[:, 0]))
+    held = HeldRandom(1, 800.0, 2.0, amplitude=0.28, seed=1).samples(0.4)
+    torch.testing.assert_close(unseen.u, held)  # levels for ten control periods
+
+
+def test_without_a_period_it_is_that_of_the_twin_rotor_and_samples_divide_it():
+    source = Simulated().load(Lag(), CHIRP)
+    assert (source.training.dt, len(source.training), len(source.validation)) == (0.01, 1000, 2000)
+    finer = Simulated(period=0.1, samples=4, validation_seconds=3.0).load(Lag(), CHIRP)
+    assert (finer.training.dt, len(finer.training), len(finer.validation)) == (pytest.approx(0.025), 800, 120)
+
+
+def test_noise_may_be_what_a_sensor_has_in_the_unit_of_its_state():
+    clean, noisy = (Simulated(noise=n).load(Lag(), CHIRP).training for n in (0.0, {"x": 0.03}))
+    error = noisy.x_next - clean.x_next
+    assert error[:, 0].std().item() == pytest.approx(0.03, rel=0.1) and not error[:, 1].any()
+    assert torch.equal(noisy.x[1:], noisy.x_next[:-1])
+    with pytest.raises(ValueError, match=r"data\.noise names 'z', which is no state; the states are x, y"):
+        Simulated(noise={"z": 0.1}).load(Lag(), CHIRP)
+
+
+def test_sensors_of_the_bench_measure_what_they_do_as_finely_as_they_do():
+    sensors = Sensors({"x": {"resolution": 0.01, "noise": 0.002}})
+    source = Simulated(period=2.0, sensors=sensors).load(Lag(), CHIRP)
+    exact = Simulated(period=2.0).load(Lag(), CHIRP)
+    seen = source.training.x_next
+    assert seen[:, 1].isnan().all() and source.training.x[:, 1].isnan().all()
+    steps = seen[:, 0] / 0.01
+    torch.testing.assert_close(steps, steps.round(), atol=1e-6, rtol=0.0)
+    error = seen[:, 0] - exact.training.x_next[:, 0]
+    assert error.std().item() == pytest.approx((0.002**2 + 0.01**2 / 12) ** 0.5, rel=0.15)  # noise, and rounding
+    assert torch.equal(source.validation.x_next, exact.validation.x_next)  # it judges by what is true
+
+
+def test_a_plant_that_falls_is_held_within_its_bounds_and_found_without_bias():
+    careful = partial(CHIRP, first=0.1)
+    source = Simulated(bounds={"theta": 0.5}, noise={"theta": 1e-3, "Omega": 1e-2}).load(Inverted(), careful)
+    exact = Simulated(bounds={"theta": 0.5}).load(Inverted(), careful)
+    for data in (exact.training, exact.validation):
+        assert float(data.x[::5, 0].abs().max()) <= 0.5  # no period, of five samples, begins beyond
+        lengths = data.segment.unique(return_counts=True)[1]
+        assert int(lengths.max()) > 0.5 * len(data)  # most of it is one flight
+    assert len(exact.training) == 1000 and len(exact.validation) == 2000
+    assert exact.validation.segment.unique().numel() == 1  # the regulator of the training holds it from the start
+    assert "began anew" in exact.notes[0]
+    library = ["1", "theta", "Omega", "u"]
+    model = SindyModel(source.signature, library, Regression("bic"), Refinement("trajectory"), known={"theta": "Omega"})
+    model.fit(source.training)
+    expected = torch.tensor([0.2, 5.0, 0.0, 8.0], dtype=torch.float64)
+    torch.testing.assert_close(model.coefficients[:, 1], expected, atol=0.05, rtol=0.02)
+
+
+def test_a_plant_that_falls_though_it_is_said_to_stay_is_told_how_it_is_held():
+    with pytest.raises(Diverged, match=r"theta left its bounds of -0\.5 to 0\.5 rad after.*excitation\.first=0\.1"):
+        Simulated(bounds={"theta": 0.5}).load(Inverted(), CHIRP)
+
+
+def test_a_gain_that_is_given_holds_the_recording_and_its_validation():
+    """The poles of s^2 + 8 K_2 s + 8 K_1 - 5 are -3 and -4."""
+    gain = [[(12.0 + 5.0) / 8.0, 7.0 / 8.0]]
+    source = Simulated(bounds={"theta": 0.5}).load(Inverted(), partial(CHIRP, first=0.1, gain=gain))
+    assert source.notes == ()
+    assert source.training.segment.unique().numel() == source.validation.segment.unique().numel() == 1
+    with pytest.raises(ValueError, match="has 1 columns"):
+        Simulated().load(Inverted(), partial(CHIRP, gain=[[1.0]]))
+
+
+@pytest.mark.parametrize(
+    "settings", [{"dt": -1.0}, {"period": 0.0}, {"samples": 0}, {"noise": {"x": -1.0}}, {"noise": {"x": float("nan")}}]
+)
+def test_settings_that_make_no_sense_are_refused(settings):
+    with pytest.raises(ValueError, match=r"data=simulated got .*: correct them"):
+        Simulated(**settings)
+
+
+def test_an_actuator_that_is_late_is_refused():
+    with pytest.raises(ValueError, match=r"sensors\.actuator_delay is 1; allowed is 0"):
+        Simulated(sensors=Sensors({"x": {}}, actuator_delay=1))
