@@ -26,7 +26,8 @@ from dynasindy.evaluation.horizons import Forecasts, begun, forecast
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.excitation import Excitation, HeldRandom
 from dynasindy.systems.base import Signature, System
-from dynasindy.systems.ranges import Ends, drawn, starts
+from dynasindy.systems.ranges import Ends, drawn, limits, starts
+from dynasindy.systems.sound import require_plant
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell, telling
 from dynasindy.world_models import FitReport, SindyModel
@@ -79,11 +80,16 @@ class Simulated:
         """Excite the plant for training, and by random held inputs of the same range for validation.
 
         Raises:
-            ValueError: there is no plant.
+            ValueError: there is no plant, or its rates of change are none.
             Diverged: it leaves its bounds soon.
         """
         if system is None:
             raise ValueError("data=simulated got no plant; it needs one of conf/system: give system=NAME, or data=csv")
+        require_plant(
+            system,
+            lambda batch: self._start(system, self.seed, batch),
+            limits(system.signature, self.bounds or {}),
+        )
         signal = excitation(n_u=system.signature.n_u, seed=self.seed)
         steps = max(signal.duration, self.validation_seconds) / self.dt * self.substeps
         if steps > LONGEST:
@@ -110,9 +116,10 @@ class Simulated:
         notes = tuple(filter(None, (at_stop, gone, lost)))
         return Source(system.signature, disturb(training, self.noise, self.seed), validation, notes)
 
-    def _start(self, system: System, seed: int) -> Tensor:
-        """Return the state in which a recording begins, `(n_x,)`."""
-        return drawn(starts(system.signature, self.start or {}), torch.Size(), torch.Generator().manual_seed(seed))
+    def _start(self, system: System, seed: int, batch: tuple[int, ...] = ()) -> Tensor:
+        """Return the states in which recordings begin, `(*batch, n_x)`."""
+        ends = starts(system.signature, self.start or {})
+        return drawn(ends, torch.Size(batch), torch.Generator().manual_seed(seed))
 
     def _before_leaving(self, data: Transitions, system: System, what: str) -> tuple[Transitions, str]:
         return before_leaving(data, system.signature, self.bounds or {}, what)
