@@ -23,6 +23,7 @@ from dynasindy.data.unnamed import counted
 from dynasindy.evaluation import verdict
 from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.horizons import Forecasts, begun, forecast
+from dynasindy.evaluation.quiet import heard, quiet_states, too_quiet
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.excitation import Excitation, HeldRandom
 from dynasindy.systems.base import Signature, System
@@ -34,6 +35,7 @@ from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.models.actuators import Found, behind, find_actuator
 from dynasindy.world_models.models.prediction import nrmse, one_step_error, open_loop
 from dynasindy.world_models.refinement.delay import delayed
+from dynasindy.world_models.refinement.measured import rates_known
 from dynasindy.world_models.writers.tables import to_csv, to_latex, to_text
 
 ExcitationBuilder = Callable[..., Excitation]
@@ -85,11 +87,8 @@ class Simulated:
         """
         if system is None:
             raise ValueError("data=simulated got no plant; it needs one of conf/system: give system=NAME, or data=csv")
-        require_plant(
-            system,
-            lambda batch: self._start(system, self.seed, batch),
-            limits(system.signature, self.bounds or {}),
-        )
+        ends = limits(system.signature, self.bounds or {})
+        require_plant(system, lambda batch: self._start(system, self.seed, batch), ends)
         signal = excitation(n_u=system.signature.n_u, seed=self.seed)
         steps = max(signal.duration, self.validation_seconds) / self.dt * self.substeps
         if steps > LONGEST:
@@ -109,10 +108,11 @@ class Simulated:
         training = record(system, signal.samples(self.dt), self.dt, self.substeps, self._start(system, self.seed))
         left_out = signal.samples(self.dt).shape[0] - len(training)
         at_stop = f"{left_out} samples that touched a stop were left out" if left_out else ""
-        training, gone = self._before_leaving(training, system, "in the excitation")
+        training, gone = before_leaving(training, system.signature, self.bounds or {}, "in the excitation")
         other = self._start(system, self.seed + 1)
         validation = record(system, unseen.samples(self.dt), self.dt, self.substeps, other)
-        validation, lost = self._before_leaving(validation, system, "in the validation, under random inputs,")
+        under = "in the validation, under random inputs,"
+        validation, lost = before_leaving(validation, system.signature, self.bounds or {}, under)
         notes = tuple(filter(None, (at_stop, gone, lost)))
         return Source(system.signature, disturb(training, self.noise, self.seed), validation, notes)
 
@@ -120,9 +120,6 @@ class Simulated:
         """Return the states in which recordings begin, `(*batch, n_x)`."""
         ends = starts(system.signature, self.start or {})
         return drawn(ends, torch.Size(batch), torch.Generator().manual_seed(seed))
-
-    def _before_leaving(self, data: Transitions, system: System, what: str) -> tuple[Transitions, str]:
-        return before_leaving(data, system.signature, self.bounds or {}, what)
 
 
 @dataclass(frozen=True)
@@ -276,9 +273,21 @@ class Identified:
     hidden: Sequence[str] = ()
 
     @property
+    def quiet(self) -> str:
+        """Which states the data are too quiet to tell of, and what to move; empty where there are none."""
+        return too_quiet(self.source.training, self.source.signature, self._rates())
+
+    def heard(self) -> Forecasts | None:
+        """Return the errors of the states that the data tell of; None where they tell of none, or are too short."""
+        return heard(self.forecasts, quiet_states(self.source.training, self._rates()))
+
+    @property
     def predicts(self) -> bool:
-        """Whether the model was seen to predict; not where the validation data are too short to tell."""
-        return self.forecasts is not None and not verdict.shortcoming(self.forecasts, self.model.signature)
+        """Whether the model was seen to predict; not where the validation data are too short, or too quiet, to tell."""
+        return (told := self.heard()) is not None and not verdict.shortcoming(told, self.model.signature)
+
+    def _rates(self) -> set[int]:
+        return set(rates_known(self.model.library, self.model.constraints))
 
 
 def identify(
@@ -353,7 +362,8 @@ def to_words(found: Identified, source: Source) -> str:
     lines += [f"note: {note}" for note in unsought]
     if shown is None:
         return "\n".join([*lines, "the validation data are too short to judge how far ahead the model predicts"])
-    return "\n".join([*lines, *verdict.judge(shown, signature)])
+    lines += verdict.judge(told, signature) if (told := found.heard()) is not None else []
+    return "\n".join([*lines, *filter(None, [found.quiet])])
 
 
 def _heading(name: str, given: object) -> str:
