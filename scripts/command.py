@@ -7,6 +7,7 @@ import re
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext, redirect_stdout, suppress
 from functools import wraps
@@ -96,6 +97,7 @@ def command(
         @wraps(task)
         def start() -> None:
             Sweep.here = True
+            warnings.formatwarning = _in_one_line
             listen(stop)
             with while_read(), _stopped_in_words(), _mistakes_in_words(config_name):
                 if asks(sys.argv[1:]):
@@ -120,6 +122,15 @@ def command(
         return start
 
     return decorate
+
+
+def _in_one_line(
+    message: Warning | str, category: type[Warning], file: str, number: int, line: str | None = None
+) -> str:
+    """Return a warning of ours as a line; what else warns says where it stands."""
+    if "dynasindy" not in Path(file).parts:
+        return f"{file}:{number}: {category.__name__}: {message}\n"
+    return f"warning: {message}\n"
 
 
 def show() -> None:

@@ -57,6 +57,8 @@ def following(cfg: DictConfig, found: "Identified", known: Sequence[str], rates:
         known: Plants that are known by name and have the columns of the log.
         rates: Rate of each state, known or lacking.
     """
+    if found.quiet and not found.predicts:
+        return "a log in which the inputs move further, by the same command; this one tells too little to plan on"
     from dynasindy.evaluation.before_fit import known_word
     from dynasindy.evaluation.period import nearest_period
     from dynasindy.evaluation.targets import targets_like

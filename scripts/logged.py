@@ -22,6 +22,7 @@ from dynasindy.evaluation.files import write_json, write_text
 from dynasindy.evaluation.given import read_record, understood
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.period import PERIOD, nearest_period, sampled_in_words, suited_period
+from dynasindy.evaluation.quiet import quiet_targets
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.targets import in_words, require_radians
 from dynasindy.planning import GradientPlanning
@@ -53,8 +54,9 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
         parts["task"](signature=given.signature if given else source.signature)
         if given is None:  # one that is given has its own library
             parts["world_model"](signature=source.signature)
+        quiet = quiet_targets(source.training, source.signature, targets)
         require_radians(source, targets)
-        told = [in_words(source.signature, targets), *told]
+        told = [in_words(source.signature, targets), *told, *filter(None, [quiet and f"note: {quiet}"])]
     dt, why = _asked(cfg, source)
     say(f"Run folder: {folder}", *told, *why)
     with _stopped_in_words(f"the fit was not finished and nothing is kept in {folder}; the same command begins anew"):

@@ -20,7 +20,8 @@ from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Excitation, HeldRandom
 from dynasindy.sensing import Sensors
 from dynasindy.systems.base import System
-from dynasindy.systems.ranges import Ends, drawn, starts
+from dynasindy.systems.ranges import Ends, drawn, limits, starts
+from dynasindy.systems.sound import require_plant
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -89,11 +90,13 @@ class Simulated:
         """Excite the plant for training, and by random held inputs of the same range for validation.
 
         Raises:
-            ValueError: there is no plant, a name is of none of its states, or the recording would take days.
+            ValueError: there is no plant, its rates of change are none, a name is of none of its states, or the recording would take days.
             Diverged: it leaves its bounds soon, though it is said to stay by itself.
         """
         if system is None:
             raise ValueError("data=simulated got no plant; it needs one of conf/system: give system=NAME, or data=csv")
+        ends = limits(system.signature, self.bounds or {})
+        require_plant(system, lambda batch: self._start(system, self.seed, batch), ends)
         period = self.period or PERIOD
         signal = excitation(n_u=system.signature.n_u, seed=self.seed, dt=period)
         signal.check_gain(system.signature.state_names)
@@ -180,6 +183,7 @@ class Simulated:
         plant = ControlEnv(system, task, signal.dt, samples, dtype=torch.float64, seed=seed)
         return Bench(plant=plant, env=plant, excitation=signal)
 
-    def _start(self, system: System, seed: int) -> Tensor:
-        """Return the state in which a recording begins, `(n_x,)`."""
-        return drawn(starts(system.signature, self.start or {}), torch.Size(), torch.Generator().manual_seed(seed))
+    def _start(self, system: System, seed: int, batch: tuple[int, ...] = ()) -> Tensor:
+        """Return the states in which recordings begin, `(*batch, n_x)`."""
+        ends = starts(system.signature, self.start or {})
+        return drawn(ends, torch.Size(batch), torch.Generator().manual_seed(seed))

@@ -13,7 +13,8 @@ from torchrl.envs import EnvBase
 
 from dynasindy.limits import Count, check_memory
 from dynasindy.systems import System, integrate
-from dynasindy.tasks import Task
+from dynasindy.systems.sound import rates, require_plant, shapes
+from dynasindy.tasks import Task, Tracking
 from dynasindy.tasks.constants import constants
 
 FARTHEST = 1e4
@@ -76,7 +77,7 @@ class ControlEnv(EnvBase):
         self.dt, self.substeps, self.float_type = dt, substeps, dtype
         self._make_specs()
         self._set_seed(seed)
-        self._rates_at_start()
+        self._require_rates()
 
     @property
     def log_dt(self) -> float:
@@ -140,18 +141,13 @@ class ControlEnv(EnvBase):
         return integrate(self.system, x, u, self.dt, self.substeps, self.stops)
 
     def check_plant(self) -> None:
-        """Refuse a plant whose rates of change are not finite where episodes begin; a model's may be, the gate tells.
+        """Refuse a plant that is none, and warn where its rates of change are not finite; of a model the gate tells.
 
         Raises:
-            ValueError: They are not finite.
+            ValueError: They are not finite where episodes begin, or a row of a batch depends on another.
         """
-        dx, signature, name = self._rates_at_start(), self.system.signature, type(self.system).__name__
-        if not bool(dx.isfinite().all()):
-            bad = ", ".join(n for n, ok in zip(signature.state_names, dx.isfinite().all(0).tolist()) if not ok)
-            raise ValueError(
-                f"system {name} gives rates of change that are not finite, of {bad}, where episodes begin; "
-                "they have to be finite: mend the system or its constants"
-            )
+        bounds = self.task.bounds if isinstance(self.task, Tracking) else None
+        require_plant(self.system, self._begins, bounds)
 
     def start_from(self, states: Tensor) -> TensorDict:
         """Begin episodes at given states, with fresh references.
@@ -227,20 +223,15 @@ class ControlEnv(EnvBase):
         return TensorDict(out, batch_size=tensordict.batch_size, device=self.device)
 
     @torch.no_grad()
-    def _rates_at_start(self) -> Tensor:
-        """Return the rates of change, `(2, n_x)`, at two states in which episodes begin, under inputs of zero."""
-        n_u, name = self.system.signature.n_u, type(self.system).__name__
-        x = self.task.initial_state(torch.Size((2,)), torch.Generator().manual_seed(0)).to(self.float_type)
-        wanted = f"{tuple(x.shape)} of {x.dtype} for states of that shape and type and inputs {(2, n_u)}"
-        try:
-            dx = self.system(x, torch.zeros(2, n_u, dtype=self.float_type))
-        except (RuntimeError, IndexError, ValueError, TypeError, AttributeError) as error:
-            reason = f"{type(error).__name__}: {error}".splitlines()[0]
-            raise ValueError(f"system {name} failed ({reason}); it has to return {wanted}: mend it") from error
-        given = f"{tuple(dx.shape)} of {dx.dtype}" if isinstance(dx, Tensor) else f"a {type(dx).__name__}"
-        if not isinstance(dx, Tensor) or dx.shape != x.shape or dx.dtype != x.dtype:
-            raise ValueError(f"system {name} returned {given}; it has to return {wanted}: mend it")
-        return dx
+    def _require_rates(self) -> None:
+        """Refuse a system that does not give one rate of change per state, in batches of any shape."""
+        n_x, n_u = self.system.signature.n_x, self.system.signature.n_u
+        for shape in shapes(n_x, n_u):
+            rates(self.system, self._begins(torch.Size(shape)), torch.zeros(*shape, n_u, dtype=self.float_type))
+
+    def _begins(self, batch: torch.Size) -> Tensor:
+        """Return states in which episodes begin, `(*batch, n_x)`, the same ones each time."""
+        return self.task.initial_state(batch, torch.Generator().manual_seed(0)).to(self.float_type)
 
     def _set_seed(self, seed: int | None) -> None:
         self.rng = torch.Generator().manual_seed(0 if seed is None else seed)

@@ -239,9 +239,11 @@ class GymnasiumEnv(ControlEnv):
         begun = [copy.reset(seed=int(rng.integers(2**31)))[0] for _ in range(number)]
         return self.foreign.observed.state(torch.as_tensor(np.stack(begun), dtype=torch.float64))
 
-    def _rates_at_start(self) -> Tensor:
-        """Return zeros, as the equations are not known."""
-        return torch.zeros(2, self.system.signature.n_x, dtype=self.float_type)
+    def _require_rates(self) -> None:
+        """Ask for none, as the equations are not known."""
+
+    def check_plant(self) -> None:
+        """Find nothing wrong, as the equations are not known."""
 
     def _make_specs(self) -> None:
         super()._make_specs()

@@ -21,6 +21,7 @@ from dynasindy.data.unnamed import counted
 from dynasindy.evaluation import verdict
 from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.horizons import Forecasts, begun, forecast
+from dynasindy.evaluation.quiet import heard, quiet_states, too_quiet
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.excitation import Excitation
 from dynasindy.systems.base import Signature, System
@@ -30,6 +31,7 @@ from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.models.actuators import Found, behind, find_actuator
 from dynasindy.world_models.models.prediction import nrmse, one_step_error, open_loop
 from dynasindy.world_models.refinement.delay import delayed
+from dynasindy.world_models.refinement.measured import rates_known
 from dynasindy.world_models.writers.tables import to_csv, to_latex, to_text
 
 ExcitationBuilder = Callable[..., Excitation]
@@ -188,9 +190,21 @@ class Identified:
     hidden: Sequence[str] = ()
 
     @property
+    def quiet(self) -> str:
+        """Which states the data are too quiet to tell of, and what to move; empty where there are none."""
+        return too_quiet(self.source.training, self.source.signature, self._rates())
+
+    def heard(self) -> Forecasts | None:
+        """Return the errors of the states that the data tell of; None where they tell of none, or are too short."""
+        return heard(self.forecasts, quiet_states(self.source.training, self._rates()))
+
+    @property
     def predicts(self) -> bool:
-        """Whether the model was seen to predict; not where the validation data are too short to tell."""
-        return self.forecasts is not None and not verdict.shortcoming(self.forecasts, self.model.signature)
+        """Whether the model was seen to predict; not where the validation data are too short, or too quiet, to tell."""
+        return (told := self.heard()) is not None and not verdict.shortcoming(told, self.model.signature)
+
+    def _rates(self) -> set[int]:
+        return set(rates_known(self.model.library, self.model.constraints))
 
 
 def identify(
@@ -265,7 +279,8 @@ def to_words(found: Identified, source: Source) -> str:
     lines += [f"note: {note}" for note in unsought]
     if shown is None:
         return "\n".join([*lines, "the validation data are too short to judge how far ahead the model predicts"])
-    return "\n".join([*lines, *verdict.judge(shown, signature)])
+    lines += verdict.judge(told, signature) if (told := found.heard()) is not None else []
+    return "\n".join([*lines, *filter(None, [found.quiet])])
 
 
 def _heading(name: str, given: object) -> str:

@@ -33,6 +33,10 @@ DOUBT = 0.03
 """Part of a state's changes that is not relied on: exact states remember whatever signal moved the plant."""
 
 
+SEVERAL = 10
+"""Values of a state that are few enough to be the steps of its sensor."""
+
+
 def samples_of(data: Transitions) -> list[Array]:
     """Return the samples of each state in its longest unbroken stretch."""
     labels, counts = data.segment.unique_consecutive(return_counts=True)
@@ -64,6 +68,16 @@ def step_of(column: Array) -> float:
     step = float(moves.min())
     whole = np.abs(moves / step - np.round(moves / step)) < 0.01 * np.maximum(1, moves / step) ** 0.5
     return step if whole.mean() > 0.99 and step > 1.5 * _noise(column) else 0.0
+
+
+def step_seen(column: Array) -> float:
+    """Return the step in which a sensor reads, also where it changes too seldom for `step_of`; 0 where none is seen.
+
+    Args:
+        column: samples, `(n,)`; lost ones are NaN.
+    """
+    levels = np.unique(column[~np.isnan(column)])
+    return step_of(column) or (float(np.diff(levels).min()) if 1 < len(levels) <= SEVERAL else 0.0)
 
 
 def _noise(column: Array) -> float:

@@ -105,9 +105,11 @@ class RigEnv(ControlEnv):
         """Return a sample as a tensor, `(n_x,)`, NaN where there is no sensor."""
         return torch.as_tensor(y).to(self.float_type).masked_fill(~self._seen, torch.nan)
 
-    def _rates_at_start(self) -> Tensor:
-        """Return zeros, as the equations of a rig are not known."""
-        return torch.zeros(2, self.system.signature.n_x, dtype=self.float_type)
+    def _require_rates(self) -> None:
+        """Ask for none, as the equations of a rig are not known."""
+
+    def check_plant(self) -> None:
+        """Find nothing wrong, as the equations of a rig are not known."""
 
 
 class Rehearsal(Transform):

@@ -24,6 +24,7 @@ from dynasindy.rig.base import Array
 from dynasindy.rig.udp import REST, UdpRig, connect, pack, unpack
 from dynasindy.sensing import Sensors
 from dynasindy.systems import System, integrate
+from dynasindy.systems.sound import require_plant
 
 BRIDGED = 1
 """Periods without inputs that are bridged with the last ones."""
@@ -212,13 +213,14 @@ def rehearsal(system: System, dt: float, sensors: Sensors | None = None, seed: i
         seed: Seed of the sensors' noise.
 
     Raises:
-        ValueError: Nobody knows the equations of the plant.
+        ValueError: Nobody knows the equations of the plant, or they give no rates of change.
     """
     if not system.known:
         raise ValueError(
             "rig=simulated moves a plant by its equations, which nobody knows of this one; give rig=udp and the "
             "address of the rig, rig.host"
         )
+    require_plant(system, lambda batch: torch.zeros(*batch, system.signature.n_x, dtype=torch.float64))
     with FarEnd() as end:
         port = end.begin(FOREVER, system=system, dt=dt, sensors=sensors, seed=seed)
         with connect(system, dt, port=port) as rig:

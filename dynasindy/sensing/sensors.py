@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
@@ -48,7 +48,7 @@ class Sensors:
     Attributes:
         channels: Measured states by name, each a `Channel` or its keys; a state that is not named is not measured.
         rates: State to the state that is its rate, e.g. `{"alpha_a": "Omega_a"}`: how rates are estimated before there
-            is a model. Entries that name no state are ignored.
+            is a model. Entries that name no state are ignored; None stands for no rates.
         delay: Control periods from a measurement to its arrival, known to the observer.
         lost: Probability that a sample, of all channels, is lost.
         actuator_delay: Control periods from a command to the actuator, known to nobody.
@@ -62,7 +62,7 @@ class Sensors:
     """
 
     channels: Mapping[str, Channel | Mapping[str, float]] | None
-    rates: Mapping[str, str] = field(default_factory=dict)
+    rates: Mapping[str, str] | None = None
     delay: Count = 0
     lost: float = 0.0
     actuator_delay: Count = 0
@@ -139,7 +139,7 @@ class Sensors:
     def rate_indices(self, signature: Signature) -> dict[int, int]:
         """Return the index of a state to that of its rate."""
         names = signature.state_names
-        return {names.index(a): names.index(b) for a, b in self.rates.items() if a in names and b in names}
+        return {names.index(a): names.index(b) for a, b in (self.rates or {}).items() if a in names and b in names}
 
     def _places(self, signature: Signature) -> dict[int, Channel]:
         channels = self.channels or {}

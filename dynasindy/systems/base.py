@@ -226,6 +226,20 @@ class System(nn.Module, ABC):
         found = self._machines[x.dtype]
         return found if found is not None and found.fits(x, u) else None
 
+    def __getattr__(self, name: str) -> Any:
+        """Return a part of the module; say what is missing where its class never began to build it.
+
+        Raises:
+            AttributeError: There is no such attribute.
+            TypeError: The class does not call `super().__init__`.
+        """
+        if "_modules" not in self.__dict__ and not name.startswith("__"):
+            raise TypeError(
+                f"system {type(self).__name__} has no {name}, since its __init__ does not call super().__init__; begin "
+                "it with super().__init__(signature), in which signature is a Signature of its states and inputs"
+            )
+        return super().__getattr__(name)
+
     def __setattr__(self, name: str, value: Any) -> None:
         """Set an attribute; machine code that another value was read into is forgotten."""
         super().__setattr__(name, value)

@@ -1,5 +1,6 @@
 """Every option of every group composes and its parts are built."""
 
+import copy
 import math
 import re
 from dataclasses import fields
@@ -150,6 +151,30 @@ def test_without_sensors_there_is_no_transform_and_no_more_to_keep():
 def test_a_plant_without_a_bench_is_told_how_to_give_one():
     with pytest.raises(InstantiationException, match=r"sensors\.channels is empty; .* plant\.sensors"):
         build("sensors=bench", "~plant.sensors")
+
+
+@pytest.mark.parametrize("command", ["train", "identify", "rig", "evaluate", "ablation"])
+def test_each_group_of_a_plant_without_what_may_be_left_out_resolves_by_itself(command, tmp_path):
+    """Hydra resolves the group that it builds, and what that group copies of others, wherever defaults stand there."""
+    (tmp_path / "system").mkdir()
+    lines = (
+        "# @package _global_",
+        "system: {_target_: dynasindy.systems.Pendulum}",
+        "plant: {outputs: [theta], low: [-1.0], high: [1.0], library: polynomial, amplitude: [0.5], offset: [0.0],",
+        "  sensors: {theta: {resolution: 0.001}}}",
+    )
+    (tmp_path / "system" / "mine.yaml").write_text("\n".join(lines))
+    sensors = ["sensors=bench"] if command in ("train", "rig") else []
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        words = [*(["system=mine"] if command != "evaluate" else []), f"hydra.searchpath=[file://{tmp_path}]", *sensors]
+        cfg = compose(command, overrides=words)
+    groups = [name for name in cfg if OmegaConf.is_dict(cfg._get_node(name)) and "_target_" in cfg[name]]
+    assert command == "evaluate" or groups
+    for name in groups:
+        group = copy.deepcopy(cfg[name])
+        group._set_parent(cfg)
+        group._set_flag(["allow_objects", "struct", "readonly"], [True, False, False])  # as Hydra does
+        OmegaConf.resolve(group)
 
 
 @pytest.mark.parametrize("system", PLANTS)

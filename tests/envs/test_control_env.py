@@ -115,10 +115,10 @@ def _two_lines(dx):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda dx: dx[..., :1], r"returned \(2, 1\) of torch\.float32; it has to return \(2, 2\) of torch\.float32"),
+        (lambda dx: dx[..., :1], r"returned \(6, 1\) of torch\.float32; it has to return \(6, 2\) of torch\.float32"),
         (lambda dx: dx.sum(), r"returned \(\) of torch\.float32"),
-        (lambda dx: dx.double(), r"returned \(2, 2\) of torch\.float64"),
-        (lambda dx: dx.tolist(), r"returned a list; it has to return \(2, 2\)"),
+        (lambda dx: dx.double(), r"returned \(6, 2\) of torch\.float64"),
+        (lambda dx: dx.tolist(), r"returned a list; it has to return \(6, 2\)"),
         (lambda dx: dx * torch.tensor([1.0, torch.nan]), r"not finite, of Omega, where episodes begin"),
         (lambda dx: dx[..., 5], r"system Broken failed \(IndexError"),
         (lambda dx: dx.rates, r"system Broken failed \(AttributeError"),

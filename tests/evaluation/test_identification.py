@@ -11,8 +11,10 @@ from dynasindy.data.simulated import record
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation import identification
 from dynasindy.evaluation.identification import Logged, identify, to_words, write
+from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Chirp, HeldRandom
-from dynasindy.systems import Diverged, Pendulum, Tras
+from dynasindy.systems import Diverged, Pendulum, Signature, Tras
+from dynasindy.systems.transitions import Transitions
 from dynasindy.told import hearing
 from dynasindy.world_models import Oracle, Refinement, Regression, SindyModel
 
@@ -255,3 +257,25 @@ def test_a_search_for_actuators_that_fails_costs_a_note_and_may_be_switched_off(
     assert torch.equal(found.found.coefficients, model.coefficients)
     without = identify(model, source, actuators=False)
     assert without.found is None and "play" not in to_words(without, source)
+
+
+def test_no_verdict_is_given_on_a_log_that_is_too_quiet_to_tell():
+    """An angle read by an encoder of 4096 steps a turn, which moves by some four of them."""
+    step, t = 2 * math.pi / 4096, 0.02 * torch.arange(1001, dtype=torch.float64)
+    signature = Signature(("angle",), ("rad",), ("u",), (1.0,))
+
+    def found(amplitude):
+        angle = (amplitude * torch.sin(t) / step).round() * step
+        log = Transitions.from_trajectory(angle.unsqueeze(-1), torch.cos(t)[:-1].unsqueeze(-1), 0.02)
+        model = SindyModel(signature, ["1", "u", "angle"])
+        return identify(
+            model,
+            Source(signature, log.select(torch.arange(1000) < 750), log.select(torch.arange(1000) >= 750)),
+            actuators=False,
+        )
+
+    quiet, loud = found(2 * step), found(500 * step)
+    words = to_words(quiet, quiet.source)
+    assert "the log is too quiet to tell of angle, which moves by 4 steps of its sensor" in words
+    assert "this model" not in words and not quiet.predicts
+    assert "this model" in to_words(loud, loud.source) and not loud.quiet

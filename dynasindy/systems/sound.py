@@ -1,0 +1,148 @@
+"""Whether a vector field is one: its rates have the shape of the states, keep the rows of a batch apart, are finite."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from dynasindy.systems.base import WHOLE, System
+
+ALONG, INSIDE = 5, 32
+"""Places that are tried along the range of each state, and at random within all ranges."""
+APART = 1e-4
+"""Share of the largest rate by which rows may differ when a batch is turned round, which is rounding."""
+INNER = 0.98
+"""Share of each range that is tried; a plant may end at its very ends."""
+
+
+def shapes(n_x: int, n_u: int) -> tuple[tuple[int, ...], ...]:
+    """Return shapes of batches of which none is taken for states or inputs: `x[0]` fails where `x[..., 0]` was meant.
+
+    Args:
+        n_x: Number of states.
+        n_u: Number of inputs.
+    """
+    return (n_x + n_u + 3,), (2, 3)
+
+
+def rates(system: System, x: Tensor, u: Tensor) -> Tensor:
+    """Return the rates of change, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`.
+
+    Raises:
+        ValueError: The system fails, or returns something else.
+    """
+    name = type(system).__name__
+    wanted = (
+        f"{tuple(x.shape)} of {x.dtype} for states of that shape and type and inputs {tuple(u.shape)}, each state as "
+        "x[..., 0] and each input as u[..., 0]"
+    )
+    try:
+        dx = system(x, u)
+    except (RuntimeError, IndexError, ValueError, TypeError, AttributeError) as error:
+        reason = f"{type(error).__name__}: {error}".splitlines()[0]
+        raise ValueError(f"system {name} failed ({reason}); it has to return {wanted}: mend it") from error
+    given = f"{tuple(dx.shape)} of {dx.dtype}" if isinstance(dx, Tensor) else f"a {type(dx).__name__}"
+    if not isinstance(dx, Tensor) or dx.shape != x.shape or dx.dtype != x.dtype:
+        raise ValueError(f"system {name} returned {given}; it has to return {wanted}: mend it")
+    return dx
+
+
+def require_plant(system: System, begins: Callable[[torch.Size], Tensor], bounds: Tensor | None = None) -> None:
+    """Refuse a plant whose rates of change are wrong, or are not finite where it begins; warn where they are not later.
+
+    Args:
+        system: The plant.
+        begins: Returns states in which it begins, `(*batch, n_x)`, for a batch.
+        bounds: Limits of its states, `(2, n_x)`, infinite where there is none; none is asked about beyond them. Of a
+            state without limits the range is asked about, to both sides of zero, and to where it begins.
+
+    Raises:
+        ValueError: The plant fails, returns another shape or type, mixes the rows of a batch, or is not finite in any
+            place where it begins or in all places of its ranges.
+    """
+    _ = system.stops  # a system that was never built says so here
+    n_x, n_u = system.signature.n_x, system.signature.n_u
+    with torch.no_grad():
+        for shape in shapes(n_x, n_u):
+            x = begins(torch.Size(shape))
+            _require_finite_start(system, rates(system, x, torch.zeros(*shape, n_u, dtype=x.dtype)))
+        x, u = _places(system, begins(torch.Size((1,)))[0], bounds)
+        dx = rates(system, x, u)
+        _require_rows_apart(system, dx, rates(system, x.flip(0), u.flip(0)).flip(0))
+    bad = ~dx.isfinite().all(-1)
+    if not bool(bad.any()):
+        return
+    told = _where(system, x, u, dx)
+    if bool(bad.all()):
+        raise ValueError(f"{told}; they have to be finite: mend the system or its constants")
+    warnings.warn(
+        f"{told}; if the plant cannot be there, leave it out by plant.bounds, and if it can, mend the system",
+        stacklevel=1,  # which names this package: where it is called from says nothing of the plant
+    )
+
+
+def _where(system: System, x: Tensor, u: Tensor, dx: Tensor) -> str:
+    """Say where rates `(N, n_x)` of states `(N, n_x)` and inputs `(N, n_u)` are not finite first, and how often."""
+    signature, bad = system.signature, ~dx.isfinite()
+    row = int(bad.any(-1).int().argmax())
+    which = ", ".join(name for name, here in zip(signature.state_names, bad[row].tolist(), strict=True) if here)
+    states = zip(signature.state_names, x[row].tolist(), signature.state_units, strict=True)
+    place = [f"{name} is {value:.3g} {unit}" for name, value, unit in states]
+    place += [f"{name} is {value:.3g}" for name, value in zip(signature.input_names, u[row].tolist(), strict=True)]
+    return (
+        f"system {type(system).__name__} gives rates of change that are not finite, of {which}, where "
+        f"{', '.join(place)}, and at {int(bad.any(-1).sum())} of {len(bad)} places that were tried within plant.bounds "
+        "and the ranges of the states"
+    )
+
+
+def _require_finite_start(system: System, dx: Tensor) -> None:
+    """Refuse rates `(*batch, n_x)` that are not finite where episodes begin."""
+    finite = dx.isfinite().flatten(0, -2).all(0).tolist()
+    if not all(finite):
+        bad = ", ".join(n for n, ok in zip(system.signature.state_names, finite, strict=True) if not ok)
+        raise ValueError(
+            f"system {type(system).__name__} gives rates of change that are not finite, of {bad}, where episodes "
+            "begin; they have to be finite: mend the system or its constants"
+        )
+
+
+def _require_rows_apart(system: System, dx: Tensor, turned: Tensor) -> None:
+    """Refuse rates `(N, n_x)` that are others where the batch was turned round: a row depends on another one."""
+    if torch.equal(dx.isfinite(), turned.isfinite()):
+        apart = (dx - turned).nan_to_num(0.0, 0.0, 0.0).abs().amax(0)
+        if bool((apart <= APART * dx.nan_to_num(0.0, 0.0, 0.0).abs().amax(0)).all()):
+            return
+    raise ValueError(
+        f"system {type(system).__name__} gives a row of a batch other rates of change when the rows change places; the "
+        "rates of a row may depend on that row alone: write x[..., 0] and u[..., 0] for the first state and input, "
+        "and draw nothing at random"
+    )
+
+
+def _places(system: System, begin: Tensor, bounds: Tensor | None) -> tuple[Tensor, Tensor]:
+    """Return states `(N, n_x)` within the ranges of a plant and inputs `(N, n_u)`: along each state, and at random.
+
+    Args:
+        system: The plant.
+        begin: State in which it begins, `(n_x,)`.
+        bounds: Limits of its states, `(2, n_x)`; None or infinite where there is none.
+    """
+    n_x, n_u = system.signature.n_x, system.signature.n_u
+    scale = torch.tensor(system.signature.x_scale, dtype=begin.dtype)
+    low, high = torch.minimum(begin, -scale), torch.maximum(begin, scale)
+    if bounds is not None:
+        low, high = (torch.where(g.isfinite(), g.to(begin), e) for g, e in zip(bounds, (low, high), strict=True))
+    middle, half = 0.5 * (low + high), 0.5 * INNER * (high - low)
+    along = begin.repeat(n_x, ALONG, 1)
+    for i in range(n_x):
+        along[i, :, i] = middle[i] + half[i] * torch.linspace(-1, 1, ALONG, dtype=begin.dtype)
+    generator = torch.Generator().manual_seed(0)
+    inside = middle + half * (2 * torch.rand(INSIDE, n_x, generator=generator, dtype=begin.dtype) - 1)
+    least, most = torch.tensor(system.signature.input_limits or (WHOLE,) * n_u, dtype=begin.dtype).mT
+    drawn = least + (most - least) * torch.rand(INSIDE, n_u, generator=generator, dtype=begin.dtype)
+    still = torch.zeros(n_x * ALONG, n_u, dtype=begin.dtype)
+    return torch.cat([along.flatten(0, 1), inside]), torch.cat([still, drawn])

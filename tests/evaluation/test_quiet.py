@@ -1,0 +1,86 @@
+"""A log whose states move by a few steps of their sensors tells nothing of how they move."""
+
+import math
+
+import pytest
+import torch
+
+from dynasindy.evaluation.horizons import Forecasts
+from dynasindy.evaluation.quiet import FEW, heard, quiet_states, quiet_targets, too_quiet
+from dynasindy.systems import Pendulum, Signature, rk4
+from dynasindy.systems.transitions import Transitions
+
+STEP = 2 * math.pi / 4096
+SIGNATURE = Signature(("angle", "way"), ("rad", "m"), ("u",), (1.0, 1.0))
+
+
+def pendulum(amplitude, seconds=20.0, dt=0.02):
+    """Return a log of a pendulum under a sine of the input, its angle read by an encoder of 4096 steps a turn.
+
+    At rest a torque u turns it by theta = 12 u / 9.81, and the slow sine stays near rests.
+    """
+    plant, x = Pendulum(), torch.zeros(2, dtype=torch.float64)
+    u = amplitude * torch.sin(0.5 * math.pi * dt * torch.arange(round(seconds / dt), dtype=torch.float64)).unsqueeze(-1)
+    angles = [0.0]
+    for held in u:
+        for _ in range(4):
+            x = rk4(plant, x, held, dt / 4)
+        angles.append(round(float(x[0]) / STEP) * STEP)
+    way = torch.linspace(0.0, 3.0, len(angles)).double().sin()  # moves by itself, finely resolved
+    return Transitions.from_trajectory(torch.stack([torch.tensor(angles).double(), way], -1), u, dt)
+
+
+@pytest.mark.parametrize("amplitude", [0.001, 0.002])
+def test_a_state_that_moves_by_a_few_steps_is_quiet(amplitude):
+    moved = quiet_states(pendulum(amplitude))
+    assert list(moved) == [0]
+    # A sine of 0.25 Hz is a third more than at rest, as the pendulum has 0.5 Hz: twice 12 u / 9.81 / (1 - 1 / 4).
+    assert moved[0] == pytest.approx(2 * 12 * amplitude / 9.81 / 0.75 / STEP, abs=1.5)
+    assert moved[0] < FEW
+
+
+def test_a_loud_log_is_not_quiet_nor_is_what_does_not_move():
+    assert not quiet_states(pendulum(0.2))
+    assert not quiet_states(pendulum(0.0))
+    assert not quiet_states(pendulum(0.001), {0})
+    assert too_quiet(pendulum(0.2), SIGNATURE) == ""
+
+
+def test_the_words_say_which_input_to_move_and_how_much_further():
+    log = pendulum(0.001)
+    times = 100 / quiet_states(log)[0]
+    told = too_quiet(log, SIGNATURE)
+    assert told.startswith("the log is too quiet to tell of angle, which moves by ")
+    assert told.endswith(f"move u, which goes from -0.001 to 0.001, about {times:.2g} times as far")
+    # Where it moves that much further the log is loud, as the pendulum is nearly linear.
+    assert not quiet_states(pendulum(0.001 * times))
+
+
+def test_no_input_is_to_go_beyond_its_actuator():
+    motor = Signature(("angle", "way"), ("rad", "m"), ("u",), (1.0, 1.0), ((-12.0, 12.0),), ((-0.002, 0.002),), ("V",))
+    told = too_quiet(pendulum(0.001), motor)
+    assert told.endswith("u, which goes from -0.012 to 0.012 V, as far as its actuator reaches, about 2 times as far")
+    still = pendulum(0.001)
+    still.u.zero_()
+    assert too_quiet(still, SIGNATURE).endswith("move u, which does not move")
+
+
+def test_targets_far_beyond_a_quiet_log_are_refused_and_others_are_told():
+    log = pendulum(0.001)
+    with pytest.raises(
+        ValueError, match=r"angle go from -0\.03 to 0\.03 rad, the log to 0\.00\d+ only; the log is too"
+    ):
+        quiet_targets(log, SIGNATURE, {"angle": (-0.03, 0.03)})
+    assert "too quiet to tell of angle" in quiet_targets(log, SIGNATURE, {"angle": (-0.002, 0.002)})
+    assert quiet_targets(log, SIGNATURE, {"way": (-50.0, 50.0)}) == ""
+    assert quiet_targets(pendulum(0.2), SIGNATURE, {"angle": (-30.0, 30.0)}) == ""
+
+
+def test_errors_of_what_is_quiet_are_not_judged():
+    one = torch.ones(3, 2)
+    forecasts = Forecasts((0.1, 0.2, 0.4), 0.2, 9, one, one, one, torch.ones(2), 1)
+    assert heard(None, [0]) is None and heard(forecasts, []) is forecasts
+    assert heard(forecasts, [0, 1]) is None
+    left = heard(forecasts, [0])
+    assert left.held[:, 0].isnan().all() and left.model[:, 0].isnan().all()
+    assert torch.equal(left.held[:, 1], torch.ones(3)) and torch.equal(forecasts.held, torch.ones(3, 2))

@@ -1,0 +1,124 @@
+import math
+import warnings
+
+import pytest
+import torch
+
+from dynasindy.systems import Pendulum, Signature, System, Tras
+from dynasindy.systems.sound import rates, require_plant, shapes
+
+FREE = torch.tensor([[-math.inf], [math.inf]])
+
+
+class Level(System):
+    """A tank whose outflow is a function of its level h, and which is filled by its input."""
+
+    def __init__(self, outflow):
+        super().__init__(Signature(("h",), ("m",), ("pump",), (1.0,)))
+        self.outflow = outflow
+
+    def forward(self, x, u):
+        return u - self.outflow(x)
+
+
+class Swing(System):
+    """Two states, whose rates are what a function makes of states and inputs."""
+
+    def __init__(self, field, n_x=2):
+        names = tuple("abcd"[:n_x])
+        super().__init__(Signature(names, ("1",) * n_x, ("u",), (1.0,) * n_x))
+        self.field = field
+
+    def forward(self, x, u):
+        return self.field(x, u)
+
+
+def at(*values):
+    """Return what begins every episode in one state."""
+    return lambda batch: torch.tensor(values).expand(*batch, -1)
+
+
+@pytest.mark.parametrize(
+    ("n_x", "field"),
+    [
+        (2, lambda x, u: torch.stack((x[1], u[..., 0] - x[0]), -1)),
+        (2, lambda x, u: torch.stack((x[..., 1], u[0] - x[..., 0]), -1)),
+        (3, lambda x, u: torch.stack((x[1], x[2], -x[0]), -1)),
+        (3, lambda x, u: torch.stack((x[:, 1], x[:, 2], u[:, 0]), -1)),
+    ],
+)
+def test_states_that_are_taken_from_the_batch_are_refused_whatever_their_number(n_x, field):
+    with pytest.raises(ValueError, match=r"system Swing .*each state as x\[\.\.\., 0\]") as error:
+        require_plant(Swing(field, n_x), at(*[0.0] * n_x))
+    assert "\n" not in str(error.value)
+
+
+def test_no_batch_is_as_long_as_there_are_states_or_inputs():
+    for n_x in range(1, 9):
+        for n_u in range(1, 5):
+            assert not {n_x, n_u} & set(shapes(n_x, n_u)[0])
+            assert len(shapes(n_x, n_u)[1]) == 2
+
+
+def test_a_row_that_takes_the_rates_of_another_is_refused():
+    """With one state, `x[0]` has the shape that is wanted, and the values of the first row."""
+    with pytest.raises(ValueError, match="other rates of change when the rows change places"):
+        require_plant(Level(lambda h: 0.2 * h[0]), at(0.5))
+    with pytest.raises(ValueError, match="draw nothing at random"):
+        require_plant(Level(lambda h: 0.2 * h + 0.01 * torch.randn_like(h)), at(0.5))
+    require_plant(Level(lambda h: 0.2 * h), at(0.5))
+
+
+def test_where_rates_are_not_finite_is_said_when_the_plant_is_built():
+    """The root of a negative level is no number, and the logarithm of zero is none either."""
+    with pytest.warns(UserWarning, match=r"not finite, of h, where h is -0\.98 m, pump is 0, and at \d+ of 37") as told:
+        require_plant(Level(torch.sqrt), at(0.5))
+    (line,) = (str(each.message) for each in told)
+    assert "leave it out by plant.bounds" in line and "\n" not in line
+    # One over h has a pole at zero only, in the middle of the range.
+    with pytest.warns(UserWarning, match=r"where h is 0 m, pump is 0, and at 1 of 37 places"):
+        require_plant(Level(torch.reciprocal), at(0.5))
+
+
+def test_nothing_is_asked_of_a_plant_beyond_its_bounds():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        require_plant(Level(torch.sqrt), at(0.5), torch.tensor([[0.0], [2.0]]))
+        require_plant(Level(torch.log), at(0.5), torch.tensor([[0.0], [2.0]]))  # its very end is no place
+        require_plant(Level(lambda h: h.clamp(min=0).sqrt()), at(0.5), FREE)
+    with pytest.warns(UserWarning, match=r"where h is -0\.98 m"):
+        require_plant(Level(torch.sqrt), at(0.5), FREE)
+
+
+def test_a_plant_that_is_finite_nowhere_in_its_ranges_or_not_where_it_begins_is_refused():
+    with pytest.raises(ValueError, match=r"at 37 of 37 places .*: mend the system or its constants"):
+        require_plant(Level(lambda h: (h - 3).sqrt()), at(4.0), torch.tensor([[0.0], [2.0]]))
+    with pytest.raises(ValueError, match="not finite, of h, where episodes begin"):
+        require_plant(Level(torch.sqrt), at(-0.5))
+
+
+def test_plants_of_this_package_are_sound():
+    for plant in (Tras(), Pendulum()):
+        require_plant(plant, at(*[0.0] * plant.signature.n_x))
+
+
+def test_the_rates_are_those_of_the_system():
+    x, u = torch.tensor([[0.25], [1.0]]), torch.tensor([[0.5], [0.0]])
+    assert rates(Level(torch.sqrt), x, u).tolist() == [[0.0], [-1.0]]
+
+
+class Unbuilt(System):
+    def __init__(self, named=True):
+        if named:
+            self.signature = Signature(("h",), ("m",), ("pump",), (1.0,))
+
+    def forward(self, x, u):
+        return u - x
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_class_that_does_not_build_its_base_says_so(named):
+    with pytest.raises(TypeError, match=r"system Unbuilt has no .*begin it with super\(\).__init__\(signature\)"):
+        require_plant(Unbuilt(named), at(0.0))
+    with pytest.raises(AttributeError, match="no attribute 'mass'"):
+        Tras().mass  # noqa: B018 - it is asked for
