@@ -1,6 +1,7 @@
 """Pictures of a controlled plant: a dial per tracked output and, of the twin rotor, the beam in space.
 
-The beam's shadow on the floor shows its azimuth; the plant is blue, and what is dashed and black is the reference, as in every figure.
+The beam's shadow on the floor shows its azimuth. The plant is blue; the reference is dashed and black, as in every
+figure.
 
 Drawn with Pillow at twice the size and scaled down, which smooths the edges.
 """

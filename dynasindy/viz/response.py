@@ -11,7 +11,7 @@ from dynasindy.durations import in_words
 from dynasindy.evaluation.metrics import SETTLING_BAND, steady_seconds
 from dynasindy.systems import Signature
 from dynasindy.systems.twin_rotor import SIGNATURE
-from dynasindy.viz.controllers import colours
+from dynasindy.viz.controllers import looks
 from dynasindy.viz.style import (
     BLACK,
     BLUE,
@@ -142,13 +142,13 @@ def _with_unit(name: str) -> tuple[str, str]:
 
 
 def _lines(axis: Axes, seconds: ArrayLike, outputs: Mapping[str, ArrayLike], column: int) -> None:
-    for (name, values), colour in zip(outputs.items(), colours(outputs).values()):
-        axis.plot(seconds, array(values)[:, column], color=colour, label=name)
+    for (name, values), look in zip(outputs.items(), looks(outputs).values()):
+        axis.plot(seconds, array(values)[:, column], label=name, **look)
 
 
 def _inputs(axis: Axes, seconds: Array, inputs: Mapping[str, ArrayLike], column: int, signature: Signature) -> None:
-    for (of, values), colour in zip(inputs.items(), colours(inputs).values()):
+    for (of, values), look in zip(inputs.items(), looks(inputs).values()):
         # Zero-order hold: the input is constant until the next sample, the last one until the end.
         own = signature.in_own_units(array(values))[:, column]
-        axis.step(*held(seconds, own), where="post", color=colour, linewidth=1.0, label=of)
+        axis.step(*held(seconds, own), where="post", linewidth=1.0, label=of, **look)
     input_axis(axis, signature, column)
