@@ -12,7 +12,7 @@ from dynasindy.viz.report import beyond, control, data, model
 from dynasindy.viz.report.document import Picture, Section, Text, write_markdown
 from dynasindy.viz.report.overview import overview
 from dynasindy.viz.report.page import write_html
-from dynasindy.viz.report.sources import CASES, MissingResult, Results, told
+from dynasindy.viz.report.sources import CASES, MissingResult, Results, listed, told
 
 TITLE = "The paper's figures and tables, beside ours"
 
@@ -71,13 +71,15 @@ def pages(results: Results) -> list[Section]:
     return [*overview(found, _lengths(results)), *found]
 
 
-def _lengths(results: Results) -> dict[str, int]:
-    """Return after how many real episodes the runs with 800 rollouts ended, by their cases in words."""
+def _lengths(results: Results) -> dict[str, str]:
+    """Say after how many real episodes the runs ended, by their cases: those of figure 11, and the saved ones."""
     found = {}
     for plant, experiment in CASES:
         with suppress(MissingResult):
-            run = results.compared(plant, experiment, "rollouts_800")
-            found[told(plant, experiment)] = int(run.setting("train.episodes") or 0)
+            saved = int(results.compared(plant, experiment, "rollouts_800").setting("train.episodes") or 0)
+            curves = results.lengths(plant, experiment) or {saved}
+            longer = f"{listed(map(str, sorted(curves)))} in figure 11, {saved} elsewhere"
+            found[told(plant, experiment)] = f"{saved} episodes" if curves == {saved} else f"episodes: {longer}"
     return found
 
 

@@ -40,7 +40,12 @@ CLOSE = Threshold(
 )
 COEFFICIENT = Threshold(1.0, "%", "A coefficient is found if its error is less; no other function may be in the model.")
 EARLY = Threshold(0.25, "of the evaluations", "The first part, over which early rewards are averaged.")
-NEAR = Threshold(0.05, "of the rise", "Final returns are nearly the same if they differ by at most this.")
+NEAR = Threshold(
+    0.05,
+    "of the rise",
+    "Final returns are nearly the same if they differ by at most this. Settings end alike only if the 95 % intervals over "
+    "seeds of their errors at the end overlap as well, where there are three seeds of each.",
+)
 SOON = Threshold(
     180,
     "real episodes",

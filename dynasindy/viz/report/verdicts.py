@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import torch
 
-from dynasindy.evaluation.statistics import interquartile_mean
+from dynasindy.evaluation.statistics import bootstrap_interval, interquartile_mean
+from dynasindy.evaluation.table import FEWEST
 from dynasindy.viz.report.document import Finding
 from dynasindy.viz.report.sources import SETTINGS
 from dynasindy.viz.report.thresholds import (
@@ -31,7 +32,12 @@ WAVES = "With the model, sines and square waves are followed."
 Score = Mapping[str, float | None]
 
 
-def rewards_agree(case: str, curves: Mapping[str, Array], to_level: Mapping[str, Sequence[float]]) -> list[Finding]:
+def rewards_agree(
+    case: str,
+    curves: Mapping[str, Array],
+    to_level: Mapping[str, Sequence[float]],
+    errors: Mapping[str, Sequence[float]] | None = None,
+) -> list[Finding]:
     """Judge the average rewards.
 
     Args:
@@ -39,6 +45,7 @@ def rewards_agree(case: str, curves: Mapping[str, Array], to_level: Mapping[str,
         curves: Evaluated return per setting, `(n_seeds, n_evaluations)`.
         to_level: Real episodes to the required level per setting and seed, infinite where never reached; settings that
             have no curve here are other agents without a model, all of which planning has to be ahead of.
+        errors: Steady-state error at the end per setting and seed [rad], as far as it is known.
     """
     mean = {name: _middle(returns.T) for name, returns in curves.items()}
     early = {name: float(values[: max(1, int(EARLY.value * len(values)))].mean()) for name, values in mean.items()}
@@ -51,6 +58,7 @@ def rewards_agree(case: str, curves: Mapping[str, Array], to_level: Mapping[str,
     compared = NONE in mean and bool(planned)
     modelless = [episodes for name, episodes in level.items() if name not in planned]
     sooner = compared and max(level[name] for name in planned) < min(modelless)
+    apart, told = _ends(errors or {})
     return [
         Finding(
             case,
@@ -81,9 +89,9 @@ def rewards_agree(case: str, curves: Mapping[str, Array], to_level: Mapping[str,
         ),
         Finding(
             case,
-            f"all settings end nearly the same (within {100 * NEAR.value:g} % of the rise)",
-            f"final return: {_listed(last)}; the rise is {rise:.4g}",
-            judged(max(last.values()) - min(last.values()) <= NEAR.value * rise if compared else None),
+            f"all settings end nearly the same (returns within {100 * NEAR.value:g} % of the rise, errors alike)",
+            f"final return: {_listed(last)}; the rise is {rise:.4g}{told}",
+            judged(max(last.values()) - min(last.values()) <= NEAR.value * rise and not apart if compared else None),
         ),
     ]
 
@@ -174,6 +182,28 @@ def square_agrees(case: str, time: Array, target: Array, model: Array, direct: A
             ),
         ]
     return findings
+
+
+def _ends(errors: Mapping[str, Sequence[float]]) -> tuple[bool, str]:
+    """Return whether errors at the end are told apart, and what is known of them in words.
+
+    They are if no error lies within the 95 % intervals over seeds of all settings; of fewer than three seeds there is
+    no interval, and nothing is told apart.
+    """
+    found = {name: np.array(values) for name, values in errors.items() if np.isfinite(values).all()}
+    if not found:
+        return False, ""
+    few = min(map(len, found.values())) < FEWEST
+    if few:
+        words = ", ".join(f"{name} {' and '.join(f'{v:.3g}' for v in values)}" for name, values in found.items())
+        return False, f"; error at the end [rad]: {words}, too few seeds to tell apart"
+    intervals = {
+        name: tuple(end.item() for end in bootstrap_interval(torch.as_tensor(values).unsqueeze(-1)))
+        for name, values in found.items()
+    }
+    apart = max(low for low, _ in intervals.values()) > min(high for _, high in intervals.values())
+    words = ", ".join(f"{name} {low:.3g} to {high:.3g}" for name, (low, high) in intervals.items())
+    return apart, f"; error at the end [rad]: {words}, {'not all of which' if apart else 'which'} overlap"
 
 
 def _levels(time: Array, target: Array, y: Array) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 import shutil
 
 import numpy as np
+import pytest
 
 from dynasindy.viz.report import control
 from dynasindy.viz.report.document import Picture, Table, Text, Verdict
@@ -44,9 +45,53 @@ def test_other_agents_without_a_model_stand_beside_where_the_level_is_compared(r
 
 def test_the_caption_of_curves_over_seeds_names_the_commits_of_their_runs_and_the_commands_of_the_saved_ones(results):
     (caption,) = [part.source for part in control.rewards(results).parts if isinstance(part, Picture)]
-    assert "ablation_curves.csv`, of runs at commit abc1234 and def5678. First seeds: Run" in caption
+    assert "ablation_curves.csv`, of runs at commit abc1234 and def5678, which " in caption
+    command = "`python scripts/ablation.py system=xi experiment=dyna train.episodes=6 setting="
+    assert f"{command}rollouts_0,rollouts_400,rollouts_800 seed=0,1,2` makes again. First seeds: Run" in caption
     for name in ("rollouts_0", "rollouts_400", "rollouts_800"):
         assert f"xi_dyna_{name}`, made by `python scripts/x.py` at commit abc1234." in caption
+
+
+@pytest.fixture
+def longer(results, tmp_path):
+    """Results whose rows are of 9 episodes, and whose saved runs are of 6 as before; seed 1 without planning ends at 7."""
+    more = tmp_path / "results"
+    shutil.copytree(results.folder, more)
+    runs = (
+        (more / "ablation.csv").read_text().replace(",6,6,", ",9,6,").replace(",6,4,", ",9,4,").replace(",6,,", ",9,,")
+    )
+    (more / "ablation.csv").write_text(runs)
+    with (more / "ablation_curves.csv").open("a") as file:
+        for name in ("rollouts_0", "rollouts_400", "rollouts_800"):
+            for seed, end in ((0, 9), (1, 7 if name == "rollouts_0" else 9), (2, 9)):
+                file.writelines(f"xi,dyna,{name},{seed},{k},-1,0.01,0.01\r\n" for k in range(7, end + 1))
+    return Results(more, results.settings)
+
+
+def test_runs_of_another_length_are_not_told_as_the_first_seeds_of_curves_and_both_lengths_are_told(longer):
+    section = control.rewards(longer)
+    (picture,) = [part for part in section.parts if isinstance(part, Picture)]
+    assert "First seeds" not in picture.source and "train.episodes=9 setting=" in picture.source
+    # Nothing is compared after episode 7, which is as far as all seeds go.
+    assert "up to 7 of them" in picture.caption
+    assert {len(line.get_xdata()) for line in picture.figure.axes[0].lines} - {0} == {7}
+    for section in (control.steps(longer), control.wave(longer, "sine")):
+        (caption,) = [part.caption for part in section.parts if isinstance(part, Picture)]
+        assert "after 6 real episodes. Figure 11 is of other runs, of 9 episodes," in caption
+
+
+def test_runs_of_the_same_length_at_another_commit_are_not_the_first_seeds(results, tmp_path):
+    more = tmp_path / "results"
+    shutil.copytree(results.folder, more)
+    file = more / "ablation.csv"
+    file.write_text(file.read_text().replace("abc1234", "7654321"))
+    (picture,) = [part for part in control.rewards(Results(more, results.settings)).parts if isinstance(part, Picture)]
+    assert "First seeds" not in picture.source and "commit 7654321 and def5678" in picture.source
+
+
+def test_errors_at_the_end_are_those_of_the_worse_axis(results):
+    (end,) = [one for one in control.rewards(results).findings if one.paper.startswith("all settings end")]
+    assert "no planning 0.2 to 0.2, 400 rollouts 0.05 to 0.0501, 800 rollouts 0.01 to 0.01, not all of" in end.ours
 
 
 def test_steps_of_the_three_settings_share_axes_and_their_errors_are_those_of_the_runs(results):
