@@ -56,8 +56,8 @@ def rewards(results: Results) -> Section:
                 f"average_rewards_{plant}_{experiment}",
                 average_rewards(curves, episodes, window=1, title=title, log=True),
                 "Return of the policy without noise over 64 fixed steps after real episodes, up to "
-                f"{max(episodes, default=0):g} of them: interquartile mean and 95 % bootstrap interval over seeds, or a "
-                "line for each seed where there are fewer than three.",
+                f"{max(episodes, default=0):g} of them: interquartile mean and 95 % bootstrap interval over seeds, or "
+                "a line for each seed where there are fewer than three.",
                 results.of_runs("ablation_curves.csv", drawn),
             ),
         ]

@@ -43,8 +43,8 @@ EARLY = Threshold(0.25, "of the evaluations", "The first part, over which early 
 NEAR = Threshold(
     0.05,
     "of the rise",
-    "Final returns are nearly the same if they differ by at most this. Settings end alike only if the 95 % intervals over "
-    "seeds of their errors at the end overlap as well, where there are three seeds of each.",
+    "Final returns are nearly the same if they differ by at most this. Settings end alike only if the 95 % intervals of "
+    "their errors at the end overlap as well, where there are three seeds of each.",
 )
 SOON = Threshold(
     180,

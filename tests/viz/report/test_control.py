@@ -54,7 +54,7 @@ def test_the_caption_of_curves_over_seeds_names_the_commits_of_their_runs_and_th
 
 @pytest.fixture
 def longer(results, tmp_path):
-    """Results whose rows are of 9 episodes, and whose saved runs are of 6 as before; seed 1 without planning ends at 7."""
+    """Results whose rows are of 9 episodes, but seed 1 without planning ends at 7; the saved runs are of 6 as before."""
     more = tmp_path / "results"
     shutil.copytree(results.folder, more)
     runs = (
