@@ -53,8 +53,8 @@ FLIGHT_WORDS = {
 }
 """What is flown in them, in words."""
 GRADIENT = (
-    "Interquartile means over seeds (the value of each where there are fewer than three) of the errors over references; "
-    "worst: of the worst reference. "
+    "Interquartile means over seeds (the value of each where there are fewer than three) of the errors over "
+    "references; worst: of the worst reference. "
 )
 ERRORS = ("azimuth", "pitch", "azimuth_worst", "pitch_worst", "return", "wall_seconds")
 ERROR_HEADER = (

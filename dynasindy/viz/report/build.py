@@ -59,10 +59,8 @@ def build(results: Results, folder: Path, formats: Sequence[str] = ("svg", "png"
         raise ValueError(f"formats is {list(formats)}; a page shows svg or png, name one of them first")
     with understood(results.folder):
         found = pages(results)
-    return [
-        write_html(TITLE, found, folder / "report.html"),
-        *write_markdown(TITLE, found, folder / "report.md", formats),
-    ]
+    page = write_html(TITLE, found, folder / "report.html")
+    return [page, *write_markdown(TITLE, found, folder / "report.md", formats, page.name)]
 
 
 def pages(results: Results) -> list[Section]:

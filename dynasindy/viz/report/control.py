@@ -11,7 +11,18 @@ from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.learning import average_rewards
 from dynasindy.viz.report.document import Part, Picture, Section, Table, Text
 from dynasindy.viz.report.sources import CASES, MODEL_FREE, SETTINGS, MissingResult, Results, Run, each, listed, told
-from dynasindy.viz.report.verdicts import MANY, NONE, rewards_agree, sine_agrees, square_agrees, steps_agree
+from dynasindy.viz.report.verdicts import (
+    MANY,
+    NONE,
+    REWARDS,
+    SINE,
+    SQUARE,
+    STEPS,
+    rewards_agree,
+    sine_agrees,
+    square_agrees,
+    steps_agree,
+)
 from dynasindy.viz.response import step_response, tracking
 from dynasindy.viz.run import stacked
 
@@ -69,7 +80,8 @@ def rewards(results: Results) -> Section:
         "the others; in `experiment=paper` they are direct TD3. Where the level is compared, other agents without a "
         "model stand beside them, as far as the ablation has them."
     )
-    return Section("Figure 11: Dyna-Style vs. Direct TD3 average rewards", [Text(words), *each(_of, *CASES)])
+    found = each(_of, *CASES, statements=REWARDS)
+    return Section("Figure 11: Dyna-Style vs. Direct TD3 average rewards", [Text(words), *found])
 
 
 def steps(results: Results) -> Section:
@@ -110,7 +122,8 @@ def steps(results: Results) -> Section:
         "the smallest steady-state error and, on pitch, little overshoot."
     )
     title = "Figures 12 and 13: azimuth and pitch step trajectory tracking"
-    return Section(title, [Text(words), *each(_of, *CASES)])
+    statements = [one for stated in STEPS.values() for one in stated]
+    return Section(title, [Text(words), *each(_of, *CASES, statements=statements)])
 
 
 def wave(results: Results, shape: str) -> Section:
@@ -147,9 +160,9 @@ def wave(results: Results, shape: str) -> Section:
         "larger and the spikes are smaller."
     )
     number, words = (14, sine) if shape == "sine" else (15, square)
-    return Section(
-        f"Figure {number}: {shape} wave tracking, with and without the model", [Text(words), *each(_of, *CASES)]
-    )
+    statements = [one for stated in (SINE if shape == "sine" else SQUARE).values() for one in stated]
+    found = each(_of, *CASES, statements=statements)
+    return Section(f"Figure {number}: {shape} wave tracking, with and without the model", [Text(words), *found])
 
 
 def _chosen(rows: Rows, plant: str, experiment: str, make: str) -> Rows:

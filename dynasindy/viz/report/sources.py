@@ -11,7 +11,7 @@ from typing import Any
 from dynasindy.evaluation.given import read_record, read_text, understood
 from dynasindy.evaluation.rows import read_rows
 from dynasindy.viz.controllers import named
-from dynasindy.viz.report.document import Finding, Part, Text
+from dynasindy.viz.report.document import Finding, Part, Statement, Text
 from dynasindy.viz.run import Table, read_table
 
 REPORT = "python scripts/report.py"
@@ -153,10 +153,11 @@ class Results:
             rows: A row per run of `ablation.csv`.
         """
         found = commits(rows)
-        of = f", of runs at commit {found}" if found else ""
+        of = f" at commit {found}" if found else ""
         saved = [run.source for row in rows if (run := self._same(row))]
         first = f" First seeds: {' '.join(saved)}" if saved else ""
-        return f"Table `{_shown(self.folder / name)}`{of}, which {listed(_commands(rows))} makes again.{first}"
+        made = listed(_commands(rows))
+        return f"Table `{_shown(self.folder / name)}`, of runs with the settings of {made}{of}.{first}"
 
     def lengths(self, system: str, experiment: str) -> set[int]:
         """Return after how many real episodes the runs behind the curves of the paper's settings ended."""
@@ -217,13 +218,14 @@ def commits(rows: Iterable[Mapping[str, str]]) -> str:
     return listed(dict.fromkeys(row.get("commit") or "" for row in rows))
 
 
-def each(build: Callable[..., list[Part]], *cases: tuple[str, ...]) -> list[Part]:
+def each(build: Callable[..., list[Part]], *cases: tuple[str, ...], statements: Sequence[Statement] = ()) -> list[Part]:
     """Return the parts of every case, findings first.
 
     Args:
         build: Makes the parts of a case; where a result, or a column of it, is missing, a line stands for them that
             says what makes it.
-        cases: Arguments of `build`.
+        cases: Arguments of `build`; a plant and an experiment where there are statements.
+        statements: What `build` judges; not measured where it cannot.
 
     Raises:
         DamagedFileError: What is saved is not what the section expects.
@@ -234,11 +236,12 @@ def each(build: Callable[..., list[Part]], *cases: tuple[str, ...]) -> list[Part
             try:
                 parts += build(*case)
             except MissingResult as missing:
-                parts.append(Text(str(missing)))
+                parts += [Text(str(missing)), *(one.unmeasured(told(*case)) for one in statements)]
             except KeyError as column:
                 words = f"saved results of {' '.join(case)} have no {column}; they are older than this report"
                 again = f"Run their commands again, then `{REPORT} save=runs/ablation`."
                 parts.append(Text(f"Not measured: {words}. {again}"))
+                parts += [one.unmeasured(told(*case)) for one in statements]
     return sorted(parts, key=lambda part: not isinstance(part, Finding))
 
 
