@@ -31,17 +31,17 @@ CONTROLLERS: Mapping[str, Controller] = {
     "gradient_integral": Controller("planning by gradient, integral action", BLUE, "--"),
     "gradient_then_td3": Controller("planning by gradient, then TD3", BLUE, ":"),
     "rollouts_0": Controller("no planning", RED),
-    "rollouts_400": Controller("400 rollouts", ORANGE),
+    "rollouts_400": Controller("400 rollouts", SKY),
     "rollouts_800": Controller("800 rollouts", GREEN),
     "rollouts_0_tuned": Controller("TD3 tuned for no planning", RED, "--"),
     "direct": Controller("direct TD3", RED, ":"),
     "sb3_sac": Controller("SAC", PURPLE),
     "sb3_sac_5": Controller("SAC, five updates per step", PURPLE, "--"),
-    "sb3_td3": Controller("Stable-Baselines3's TD3", SKY),
-    "sb3_td3_5": Controller("Stable-Baselines3's TD3, five updates per step", SKY, "--"),
+    "sb3_td3": Controller("Stable-Baselines3's TD3", ORANGE),
+    "sb3_td3_5": Controller("Stable-Baselines3's TD3, five updates per step", ORANGE, "--"),
     "oracle": Controller("true plant as the model", BROWN),
-    "pysindy": Controller("PySINDy as the model", ORANGE, "--"),
-    "pysindy_gate_off": Controller("PySINDy as the model, gate off", ORANGE, ":"),
+    "pysindy": Controller("PySINDy as the model", SKY, "--"),
+    "pysindy_gate_off": Controller("PySINDy as the model, gate off", SKY, ":"),
     "gate_off": Controller("gate off", BROWN, "--"),
     "horizon_1": Controller("rollouts of 1 period", ORANGE, "-."),
     "horizon_5": Controller("rollouts of 5 periods", SKY, "-."),
@@ -49,12 +49,12 @@ CONTROLLERS: Mapping[str, Controller] = {
     "horizon_100": Controller("rollouts of 100 periods", GREEN, "-."),
     "horizon_400": Controller("rollouts of 400 periods", BROWN, "-."),
     "real_share_05": Controller("5 % of a batch real", PURPLE, ":"),
-    "real_share_25": Controller("25 % of a batch real", SKY, ":"),
+    "real_share_25": Controller("25 % of a batch real", ORANGE, ":"),
     "real_share_50": Controller("50 % of a batch real", BROWN, ":"),
 }
 """The default, and the settings of the ablation."""
 FAMILIES: Mapping[str, str] = {
-    "horizon": "length of a rollout [control periods], equal numbers of imagined transitions",
+    "horizon": "length of a rollout, at equal numbers of imagined transitions",
     "real_share": "share of real transitions in a batch",
 }
 """What the settings of the ablation that end in a number vary."""

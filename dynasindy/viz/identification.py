@@ -42,7 +42,7 @@ LEAST = 0.001
 TYPICAL = "typical ranges"
 """Unit of an error of all states together, each of which counts by its typical range, `Signature.x_scale`."""
 GAP = "gap: samples missing or left out"
-NOTHING = "exactly 0, below any point of the axis"
+NOTHING = "exactly 0, below the axis"
 MOST = 50
 """More gaps than these are not marked, as the marks would hide the data."""
 

@@ -121,7 +121,7 @@ def test_the_error_of_a_prediction_is_drawn_over_time_and_never_at_zero() -> Non
     line, mark = axis.lines
     np.testing.assert_array_equal(line.get_ydata(), [np.nan, 0.1, 0.4])
     assert mark.get_xydata().tolist() == [[0.0, 0.05]] and mark.get_marker() == "v"
-    assert [text.get_text() for text in axis.get_legend().get_texts()] == ["exactly 0, below any point of the axis"]
+    assert [text.get_text() for text in axis.get_legend().get_texts()] == ["exactly 0, below the axis"]
     assert axis.get_yscale() == "log" and axis.get_xlim() == (0.0, 1.0)
     assert axis.get_ylim()[0] > 1e-3  # and not twelve decades below the errors
 
@@ -130,7 +130,7 @@ def test_an_error_that_is_tiny_is_drawn_as_it_is_and_one_that_is_zero_is_said_to
     (axis,) = model_error([1, 2, 3], [1e-14, 0.0, 3e-13]).axes
     np.testing.assert_array_equal(axis.lines[0].get_ydata(), [1e-14, np.nan, 3e-13])
     assert axis.lines[1].get_xydata().tolist() == [[2.0, 5e-15]]
-    assert "exactly 0, below any point of the axis" in [text.get_text() for text in axis.get_legend().get_texts()]
+    assert "exactly 0, below the axis" in [text.get_text() for text in axis.get_legend().get_texts()]
     assert model_error([1, 2], [0.1, 0.2]).axes[0].get_legend() is None
 
 
