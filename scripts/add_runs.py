@@ -13,15 +13,15 @@ from saved_run import load_config, load_policy
 
 from dynasindy.benchmarks import baselines
 from dynasindy.evaluation.given import read_record, understood
+from dynasindy.viz.controllers import by_planning, named
 
 
 def controller(config: DictConfig) -> tuple[str, str]:
     """Return the name of a run's controller and where its model is from."""
-    planning = config.planning._target_.rpartition(".")[2]
-    model = "true" if config.world_model._target_.endswith("Oracle") else "identified"
-    if planning == "NoPlanning" or config.planning.get("rollouts") == 0:
-        return "TD3", "none"
-    return ("Dyna-TD3" if planning == "ImaginedReplay" else f"Dyna, {planning}"), model
+    name = by_planning(config.planning)
+    if name == named("rollouts_0"):
+        return name, "none"
+    return name, "true" if config.world_model._target_.endswith("Oracle") else "identified"
 
 
 def keys(folders: list[Path], plugins: Sequence[str] = ()) -> dict[tuple[str, ...], Path]:

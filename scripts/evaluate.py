@@ -20,6 +20,7 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.planning.integral import IntegralAction
     from dynasindy.terminal import say, width
     from dynasindy.viz.animation import animate
+    from dynasindy.viz.controllers import by_planning, with_integral
     from dynasindy.viz.evaluation import draw_evaluation
 
     torch.set_num_threads(cfg.threads)
@@ -30,14 +31,15 @@ def main(cfg: DictConfig) -> None:
     check(config, str(folder / "config.yaml"))
     env, policy = load_policy(config, folder)
     sensing = load_sensing(config, folder, env)
+    name = by_planning(config.planning)
     if cfg.integral:
-        policy = IntegralAction(policy, env)
+        policy, name = IntegralAction(policy, env), with_integral(name)
     out = own_folder(folder, "evaluation_integral" if cfg.integral else "evaluation")
     scenarios = [load_scenario(name, config, env) for name in cfg.scenarios]
     for scenario in scenarios:
         result = evaluate(env, policy, scenario, sensing)
         save_evaluation(result, out)
-        draw_evaluation(result, out, formats=cfg.formats)
+        draw_evaluation(result, out, name, cfg.formats)
         if cfg.animate:
             animate(result, out / f"{scenario.name}.{cfg.animation}")
         say(to_text(summarise(result), heading(result), result.units, result.steady_seconds, width()), "")

@@ -27,6 +27,7 @@ from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.targets import in_words, require_radians
 from dynasindy.planning import GradientPlanning
 from dynasindy.terminal import say
+from dynasindy.viz.controllers import named
 from dynasindy.viz.evaluation import draw_evaluation
 from dynasindy.workbench import damped, rates_of
 from dynasindy.world_models import SindyModel
@@ -80,7 +81,7 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
         prediction = judged(controller, model, source, wanted)
     write(folder, controller, model, prediction)
     if prediction.shown:
-        draw_evaluation(prediction.shown, folder / "figures", place=prediction.place)
+        draw_evaluation(prediction.shown, folder / "figures", named("gradient"), place=prediction.place)
     say(report(model, prediction), f"Controller: {folder / 'controller.json'}", *model.signature.own_inputs())
     if not swept:
         words = HydraConfig.get().overrides.task

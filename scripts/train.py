@@ -37,9 +37,10 @@ def main(cfg: DictConfig) -> float:
     from dynasindy.control.files import NAME
     from dynasindy.dyna.run import report
     from dynasindy.terminal import say
+    from dynasindy.viz.controllers import by_planning
     from dynasindy.viz.run import draw_run  # Matplotlib, when there is something to draw
 
-    draw_run(folder, done.recipe.system.signature)
+    draw_run(folder, done.recipe.system.signature, controller=by_planning(cfg.planning))
     say(report(done.metrics, folder))
     if not swept:
         written = (folder / NAME).is_file()  # a task without targets leaves no controller to check or to export

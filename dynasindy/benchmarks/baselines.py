@@ -30,13 +30,14 @@ from dynasindy.evaluation.statistics import interquartile_mean
 from dynasindy.evaluation.table import markdown, over_seeds
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.tasks import Wave
+from dynasindy.viz.controllers import named
 
 OUT = Path("docs/results/baselines.csv")
 KEY = ("plant", "controller", "model", "seed")
 COLUMNS = (*KEY, "real_seconds", "scenario", "metric", "azimuth", "pitch", "ms_per_action")
 METRICS = ("rmse", "mean_abs_error", "steady_state_error", "control_variation")
 HEADINGS = ("RMSE [rad]", "mean abs error [rad]", "steady-state error [rad]", "control variation [1/s]")
-LEARNED = ("Dyna-gradient", "Dyna-gradient, integral")
+LEARNED = (named("gradient"), named("gradient_integral"))
 RIVALS = ("LQI", "MPC")
 GOALS = (("step", "steady_state_error"), ("sine", "rmse"), ("square", "rmse"))
 TUNING_REFERENCES = 16

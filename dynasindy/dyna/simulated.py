@@ -90,7 +90,8 @@ class Simulated:
         """Excite the plant for training, and by random held inputs of the same range for validation.
 
         Raises:
-            ValueError: there is no plant, its rates of change are none, a name is of none of its states, or the recording would take days.
+            ValueError: there is no plant, its rates of change are none, a name is of none of its states, or the
+                recording would take days.
             Diverged: it leaves its bounds soon, though it is said to stay by itself.
         """
         if system is None:

@@ -1,13 +1,14 @@
 """Pictures of a controlled plant: a dial or a bar per tracked output and, of the twin rotor, the beam in space.
 
-An angle is a dial, and any other output is a bar with its unit.
-The beam's shadow on the floor shows its azimuth; orange is the reference.
+An angle is a dial, and any other output is a bar with its unit. The beam's shadow on the floor shows its azimuth. The
+plant is blue; the reference is dashed and black, as in every figure.
 
 Drawn with Pillow at twice the size and scaled down, which smooths the edges.
 """
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +25,8 @@ Colour = tuple[int, int, int, int]
 HEIGHT = 360
 """Height of a frame [pixels]."""
 _ZOOM = 2
-_INK, _GHOST = (30, 30, 30, 255), (213, 94, 0, 255)
-_BEAM, _MAIN, _TAIL, _FAINT = (70, 80, 95, 255), (0, 114, 178), (0, 158, 115), (215, 215, 215, 255)
+_INK, _GHOST = (30, 30, 30, 255), (0, 0, 0, 255)
+_PLANT, _MAIN, _TAIL, _FAINT = (0, 114, 178, 255), (230, 159, 0), (0, 158, 115), (215, 215, 215, 255)
 _FLOOR, _SHADOW, _LABEL = (244, 244, 244, 255), (190, 190, 190, 255), (120, 120, 120, 255)
 _VIEW = (
     math.radians(-90.0),
@@ -48,7 +49,7 @@ def draw(
     Args:
         signature: Names and units of the states.
         x: `(n_x,)` state.
-        reference: `(n_r,)` reference of each tracked output; drawn in orange.
+        reference: `(n_r,)` reference of each tracked output; drawn dashed and black.
         outputs: Indices of the tracked outputs in `x`.
         time: Time to write into the corner [s].
         ends: Lowest and highest value that the bar of each tracked output shows [unit of the output]; if omitted it
@@ -92,9 +93,9 @@ def draw_beam(x: Sequence[float], reference: Sequence[float], turned: Sequence[f
     image = _canvas(HEIGHT)
     _draw_twin_rotor(image, np.asarray(x, dtype=np.float64), np.asarray(reference, dtype=np.float64), turned)
     _write(image, (10, 8), words)
-    _write(image, (10, 338), "reference", _GHOST)
-    _write(image, (90, 338), "main rotor", (*_MAIN, 255))
-    _write(image, (170, 338), "tail rotor", (*_TAIL, 255))
+    keys = {"- - reference": _GHOST, "plant": _PLANT, "main rotor": (*_MAIN, 255), "tail rotor": (*_TAIL, 255)}
+    for (name, colour), left in zip(keys.items(), (10, 110, 160, 240), strict=True):
+        _write(image, (left, 338), name, colour)
     return _finished(image)
 
 
@@ -121,10 +122,10 @@ def _draw_dial(
     box = [_ZOOM * (c + s * radius) for s in (-1, 1) for c in centre]
     pen.ellipse(box, outline=_FAINT, width=2 * _ZOOM)
     value, reference = angles
-    for angle, colour, thick in ((reference, _GHOST, 2), (value, _INK, 4)):
+    for angle, line in ((value, partial(pen.line, fill=_PLANT, width=4 * _ZOOM)), (reference, partial(_dashed, pen))):
         turned = angle * 2 * math.pi / turn_of(unit) + zero
         tip = (centre[0] + radius * math.cos(turned), centre[1] - radius * math.sin(turned))
-        pen.line([_ZOOM * c for c in (*centre, *tip)], fill=colour, width=thick * _ZOOM)
+        line([(_ZOOM * u, _ZOOM * v) for u, v in (centre, tip)])
     _write_values(image, corner, f"{value:+.3f} {unit}", f"{reference:+.3f}")
 
 
@@ -135,7 +136,7 @@ def _draw_bar(
     values: tuple[float, float],
     ends: tuple[float, float],
 ) -> None:
-    """Draw a value as a bar from zero, or from the lower end where zero is outside, and its reference as a line."""
+    """Draw a value as a bar from zero, or from the lower end where zero is outside; its reference is a dashed line."""
     pen, (low, high) = ImageDraw.Draw(image, "RGBA"), ends
     left, right, top, bottom = corner[0] + 66, corner[0] + 114, corner[1] + 30, corner[1] + 142
 
@@ -145,10 +146,10 @@ def _draw_bar(
 
     value, reference = values
     base, tip = sorted((height(value), height(0.0)))
-    pen.rectangle([_ZOOM * left, base, _ZOOM * right, tip], fill=_BEAM)
+    pen.rectangle([_ZOOM * left, base, _ZOOM * right, tip], fill=_PLANT)
     pen.rectangle([_ZOOM * left, _ZOOM * top, _ZOOM * right, _ZOOM * bottom], outline=_FAINT, width=2 * _ZOOM)
     wanted = height(reference)
-    pen.line([_ZOOM * (left - 10), wanted, _ZOOM * (right + 10), wanted], fill=_GHOST, width=3 * _ZOOM)
+    _dashed(pen, [(_ZOOM * (left - 10), wanted), (_ZOOM * (right + 10), wanted)])
     # As many digits as tell a thousandth of the bar.
     digits, sign = max(0, 2 - math.floor(math.log10(high - low))), "+" if low < 0 else ""
     for end, level in ((high, top), (low, bottom)):
@@ -157,7 +158,7 @@ def _draw_bar(
 
 
 def _write_values(image: Image.Image, corner: tuple[int, int], value: str, reference: str) -> None:
-    _write(image, (corner[0] + 8, corner[1] + 152), value)
+    _write(image, (corner[0] + 8, corner[1] + 152), value, _PLANT)
     _write(image, (corner[0] + 94, corner[1] + 152), reference, _GHOST)
 
 
@@ -166,7 +167,6 @@ def _draw_twin_rotor(image: Image.Image, x: Vector, reference: Vector, turned: S
     _draw_floor(pen, x[0], reference[0])
     pen.line(_points([(0, 0, -1.0), (0, 0, 0)]), fill=_FAINT, width=10 * _ZOOM)
     ghost, _, _ = _frame(reference[0], reference[1])
-    pen.line(_points([-ghost, ghost]), fill=_GHOST, width=2 * _ZOOM)
     along, side, up = _frame(x[0], x[1])
     main, tail = (*_MAIN, _opacity(x[5], 3800.0)), (*_TAIL, _opacity(x[4], 7500.0))
     parts = [
@@ -177,9 +177,8 @@ def _draw_twin_rotor(image: Image.Image, x: Vector, reference: Vector, turned: S
     # The farthest part first, so that nearer ones cover it.
     for _, part in sorted(parts, key=lambda item: _depth(item[0])):
         part()
-    # The reference reaches beyond the beam, so that it is seen when they coincide.
-    for end in (-1.0, 1.0):
-        pen.line(_points([0.98 * end * ghost, 1.25 * end * ghost]), fill=_GHOST, width=3 * _ZOOM)
+    # The reference lies over the beam and reaches beyond it, so that it is seen when they coincide.
+    _dashed(pen, _points([-1.25 * ghost, 1.25 * ghost]))
 
 
 def _draw_floor(pen: ImageDraw.ImageDraw, azimuth: float, reference: float) -> None:
@@ -194,15 +193,24 @@ def _draw_floor(pen: ImageDraw.ImageDraw, azimuth: float, reference: float) -> N
     pen.polygon(_points(_circle(floor, 0.3, (1, 0, 0), (0, 1, 0))), fill=_FAINT)
 
 
+def _dashed(pen: ImageDraw.ImageDraw, ends: Sequence[tuple[float, float]]) -> None:
+    """Draw a reference: a dashed black line between two points [pixels of the enlarged image]."""
+    (u, v), (u_end, v_end) = ends
+    dashes = max(1, round(math.hypot(u_end - u, v_end - v) / (12 * _ZOOM)))
+    for k in range(dashes):
+        part = [(u + at * (u_end - u), v + at * (v_end - v)) for at in (k / dashes, (k + 0.6) / dashes)]
+        pen.line(part, fill=_GHOST, width=2 * _ZOOM)
+
+
 def _turned(e1: Vector, e2: Vector, angle: float) -> tuple[Vector, Vector]:
     return math.cos(angle) * e1 + math.sin(angle) * e2, math.cos(angle) * e2 - math.sin(angle) * e1
 
 
 def _draw_beam(pen: ImageDraw.ImageDraw, along: Vector, up: Vector) -> None:
-    pen.line(_points([-along, along]), fill=_BEAM, width=6 * _ZOOM)
-    pen.line(_points([np.zeros(3), -0.45 * up]), fill=_BEAM, width=4 * _ZOOM)  # counterweight arm
+    pen.line(_points([-along, along]), fill=_PLANT, width=6 * _ZOOM)
+    pen.line(_points([np.zeros(3), -0.45 * up]), fill=_PLANT, width=4 * _ZOOM)  # counterweight arm
     (u, v), r = _points([-0.45 * up])[0], 8 * _ZOOM
-    pen.ellipse([u - r, v - r, u + r, v + r], fill=_BEAM)
+    pen.ellipse([u - r, v - r, u + r, v + r], fill=_PLANT)
 
 
 def _draw_rotor(

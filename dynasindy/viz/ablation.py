@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from dynasindy.evaluation.ablation import SHARE, Level, Row, read_rows
 from dynasindy.evaluation.given import plain_name
-from dynasindy.viz.controllers import named
+from dynasindy.viz.controllers import FAMILIES, named
 from dynasindy.viz.learning import average_rewards, draw_bands
 from dynasindy.viz.style import BLACK, Array, legend_beside, panels, save, styled
 
@@ -23,7 +23,7 @@ MAIN = "rollouts"
 REFERENCE = "rollouts_800"
 EQUAL = "horizon"
 """Family that is compared at equal numbers of imagined transitions, which are not those of the reference."""
-OTHERS = "model, gate"
+OTHERS = "other models, and the gate"
 MODEL_FREE = "without a model"
 WITHOUT_MODEL = ("rollouts_0_tuned", "direct", "sb3_")
 """How the names of settings begin that have no model; `rollouts_0` stands beside the numbers of rollouts."""
@@ -151,7 +151,7 @@ def families(curves: Mapping[str, Array], reference: Array | None) -> dict[str, 
     for name in sorted(curves, key=_by_number):
         family = _family(name)
         first = {} if family == EQUAL or reference is None else {REFERENCE: reference}
-        found.setdefault(family.replace("_", " "), first)[name] = curves[name]
+        found.setdefault(FAMILIES.get(family, family.replace("_", " ")), first)[name] = curves[name]
     return dict(sorted(found.items()))
 
 

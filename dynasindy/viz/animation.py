@@ -6,6 +6,7 @@ import subprocess
 from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -19,7 +20,7 @@ from dynasindy.envs.drawing import HEIGHT, Frame, draw, draw_beam, is_beam
 from dynasindy.evaluation.drawn import drawn
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.told import counted
-from dynasindy.viz.style import BLACK, BLUE, CYCLE, STYLE, WORDS, Array, label, time_axis
+from dynasindy.viz.style import BLACK, BLUE, STYLE, WORDS, Array, label, time_axis
 
 SUFFIXES = (".gif", ".mp4")
 RATE = 10
@@ -48,10 +49,11 @@ class Chart:
             figure = Figure(figsize=(inch, inch), dpi=100 * self.ZOOM)
             canvas = FigureCanvasAgg(figure)
             axes = figure.subplots(len(self.names), 1, sharex=True, squeeze=False)[:, 0]
-            figure.subplots_adjust(left=0.2, right=0.96, bottom=0.13, top=0.92, hspace=0.32)
+            figure.subplots_adjust(left=0.2, right=0.96, bottom=0.19, top=0.92, hspace=0.32)
             for k, axis in enumerate(axes):
                 self._frame(axis, k)
             time_axis(axes[-1], self.time)
+            figure.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncols=2)
             canvas.draw()
         self.ground = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
         self.lines = [self._pixels(axis, self.y[:, k]) for k, axis in enumerate(axes)]
@@ -72,9 +74,11 @@ class Chart:
         return np.asarray(image.resize((HEIGHT, HEIGHT), Image.Resampling.LANCZOS))
 
     def _frame(self, axis: Axes, k: int) -> None:
-        """Draw what does not move: the reference, and axes that hold the whole run."""
+        """Draw what does not move: the reference, axes that hold the whole run, and the legend's lines."""
         step = bool((np.diff(self.r[:, k]) == 0).mean() > 0.5)
-        axis.plot(self.time, self.r[:, k], color=CYCLE[1], linewidth=1.4, drawstyle="steps-post" if step else "default")
+        look: dict[str, Any] = {"drawstyle": "steps-post" if step else "default", "linestyle": "--", "linewidth": 1.2}
+        axis.plot(self.time, self.r[:, k], color=BLACK, label="reference", **look)
+        axis.plot([], [], color=BLUE, linewidth=2.0, label="plant")  # its curve grows with time, see `until`
         axis.set_ylim(*self._ends(k, 0.08))
         axis.set_xlim(self.time[0], self.time[-1])
         axis.set_ylabel(label(self.names[k], self.units[k]))

@@ -44,6 +44,8 @@ SHOWN = 15
 """Changes of single coefficients that are drawn, the worst first."""
 FEW_TICKS = 4
 """Intervals between the ticks of an axis whose numbers have many digits."""
+ROOM = 0.1
+"""Part of an axis between two ticks, at least."""
 LISTED = 3
 """Targets without a curve that are listed by name."""
 NAMED = 9
@@ -243,7 +245,11 @@ def coefficients(
     axis.set_yticks(places, [_plain(labels[k]) for k in order])
     axis.axvline(1.0, color=BLACK, linestyle="--", linewidth=1.0, label="limit of stability")
     axis.set_xlabel("largest spectral radius (stable below 1)")
-    axis.xaxis.set_major_locator(MaxNLocator(FEW_TICKS))
+    left, right = axis.get_xlim()
+    # The limit of stability has a tick, and no other is so near that their numbers touch.
+    round_ones = MaxNLocator(FEW_TICKS).tick_values(left, right)
+    ticks = [1.0, *(tick for tick in round_ones if left <= tick <= right and abs(tick - 1) > ROOM * (right - left))]
+    axis.set_xticks(sorted(ticks))
     legend_beside(axis)
     return figure
 

@@ -1,66 +1,103 @@
-"""One name and one colour per controller, the same in every figure and table."""
+"""One name and one look per controller, the same in every figure and table."""
 
+import re
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
 
 from dynasindy.viz.style import BLUE, CYCLE, GREEN, ORANGE, PURPLE, RED, SKY
 
 BROWN = "#5D3A1A"
-"""For the one controller for which the palette has no colour left; grey explains lines and bands in legends."""
-NAMES: Mapping[str, str] = {
-    "rollouts_0": "no planning",
-    "rollouts_400": "400 rollouts",
-    "rollouts_800": "800 rollouts",
-    "gradient": "planning by gradient",
-    "rollouts_0_tuned": "TD3 tuned for no planning",
-    "direct": "direct TD3",
-    "sb3_sac": "SAC",
-    "sb3_sac_5": "SAC, five updates per step",
-    "sb3_td3": "Stable-Baselines3's TD3",
-    "sb3_td3_5": "Stable-Baselines3's TD3, five updates per step",
-    "oracle": "true plant as the model",
-    "pysindy": "PySINDy as the model",
-    "pysindy_gate_off": "PySINDy as the model, gate off",
+"""Beside the palette, and darker than all of it; grey explains lines and bands in legends."""
+
+
+@dataclass(frozen=True)
+class Controller:
+    """What a controller is called, and the line that it is drawn as; no other has both its colour and its dashes."""
+
+    words: str
+    colour: str
+    dashes: str = "-"
+
+    @property
+    def look(self) -> dict[str, Any]:
+        """Colour and dashes, as matplotlib takes them."""
+        return {"color": self.colour, "linestyle": self.dashes}
+
+
+# The default and the paper's three settings have a colour and a solid line; of the others, kin share a colour.
+CONTROLLERS: Mapping[str, Controller] = {
+    "gradient": Controller("planning by gradient", BLUE),
+    "gradient_integral": Controller("planning by gradient, integral action", BLUE, "--"),
+    "gradient_then_td3": Controller("planning by gradient, then TD3", BLUE, ":"),
+    "rollouts_0": Controller("no planning", RED),
+    "rollouts_400": Controller("400 rollouts", SKY),
+    "rollouts_800": Controller("800 rollouts", GREEN),
+    "rollouts_0_tuned": Controller("TD3 tuned for no planning", RED, "--"),
+    "direct": Controller("direct TD3", RED, ":"),
+    "sb3_sac": Controller("SAC", PURPLE),
+    "sb3_sac_5": Controller("SAC, five updates per step", PURPLE, "--"),
+    "sb3_td3": Controller("Stable-Baselines3's TD3", ORANGE),
+    "sb3_td3_5": Controller("Stable-Baselines3's TD3, five updates per step", ORANGE, "--"),
+    "oracle": Controller("true plant as the model", BROWN),
+    "pysindy": Controller("PySINDy as the model", SKY, "--"),
+    "pysindy_gate_off": Controller("PySINDy as the model, gate off", SKY, ":"),
+    "gate_off": Controller("gate off", BROWN, "--"),
+    "horizon_1": Controller("rollouts of 1 period", ORANGE, "-."),
+    "horizon_5": Controller("rollouts of 5 periods", SKY, "-."),
+    "horizon_20": Controller("rollouts of 20 periods", PURPLE, "-."),
+    "horizon_100": Controller("rollouts of 100 periods", GREEN, "-."),
+    "horizon_400": Controller("rollouts of 400 periods", BROWN, "-."),
+    "real_share_05": Controller("5 % of a batch real", PURPLE, ":"),
+    "real_share_25": Controller("25 % of a batch real", ORANGE, ":"),
+    "real_share_50": Controller("50 % of a batch real", BROWN, ":"),
 }
-"""Words for a setting of the ablation; of the others the name itself says what they vary."""
-COLOURS: Mapping[str, str] = {
-    "rollouts_0": RED,
-    "rollouts_400": GREEN,
-    "rollouts_800": BLUE,
-    "gradient": PURPLE,
-    "rollouts_0_tuned": RED,
-    "direct": ORANGE,
-    "sb3_sac": GREEN,
-    "sb3_sac_5": PURPLE,
-    "sb3_td3": SKY,
-    "sb3_td3_5": BROWN,
-    "oracle": ORANGE,
-    "pysindy": GREEN,
-    "pysindy_gate_off": PURPLE,
-    "horizon_1": ORANGE,
-    "horizon_5": SKY,
-    "horizon_20": GREEN,
-    "horizon_100": PURPLE,
-    "horizon_400": RED,
-    "real_share_05": ORANGE,
-    "real_share_25": GREEN,
-    "real_share_50": PURPLE,
+"""The default, and the settings of the ablation."""
+FAMILIES: Mapping[str, str] = {
+    "horizon": "length of a rollout, at equal numbers of imagined transitions",
+    "real_share": "share of real transitions in a batch",
 }
-"""Those that share a figure differ; with more controllers than colours some that never do share one."""
+"""What the settings of the ablation that end in a number vary."""
+PATTERNS = ((r"rollouts_(\d+)", "{} rollouts"), (r"horizon_(\d+)", "rollouts of {} periods"))
+"""Words for settings of other numbers than those above."""
 
 
 def named(setting: str) -> str:
-    """Return the words for a setting: `rollouts_800` is `800 rollouts`, `horizon_20` is `horizon 20`."""
-    return NAMES.get(setting, setting if "," in setting else setting.replace("_", " "))
+    """Return the words for a setting: `rollouts_800` is `800 rollouts`, `real_share_05` is `5 % of a batch real`."""
+    if setting in CONTROLLERS:
+        return CONTROLLERS[setting].words
+    for pattern, words in PATTERNS:
+        if found := re.fullmatch(pattern, setting):
+            return words.format(found[1])
+    return setting if "," in setting else setting.replace("_", " ")
 
 
-def colours(names: Iterable[str]) -> dict[str, str]:
-    """Return a colour per controller of a figure, by its setting or its words.
+def by_planning(planning: Mapping[str, Any]) -> str:
+    """Return the words for a controller by the settings of its planning, as a run's config has them.
 
-    One that is known has the same colour everywhere; others take those of the cycle that are left, in their order.
+    Args:
+        planning: Its `_target_` and arguments, `rollouts` among them where rollouts are imagined.
     """
-    known = {**COLOURS, **{named(setting): colour for setting, colour in COLOURS.items()}}
+    kind = str(planning.get("_target_", "")).rpartition(".")[2]
+    if kind in ("NoPlanning", "ImaginedReplay"):
+        return named(f"rollouts_{planning.get('rollouts') or 0}")
+    return named({"GradientPlanning": "gradient", "GradientThenReplay": "gradient_then_td3"}.get(kind, "policy"))
+
+
+def with_integral(words: str) -> str:
+    """Return the words for a controller with integral action around it."""
+    return f"{words}, integral action"
+
+
+def looks(names: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return colour and dashes per controller of a figure, by its setting or its words, as matplotlib takes them.
+
+    One that is known looks the same everywhere; others take the colours of the cycle that are left, in their order.
+    """
+    known = {**CONTROLLERS} | {one.words: one for one in CONTROLLERS.values()}
     chosen = list(names)
-    taken = {known[name] for name in chosen if name in known}
+    taken = {known[name].colour for name in chosen if name in known}
     free = [colour for colour in CYCLE if colour not in taken] or list(CYCLE)
     left = [name for name in chosen if name not in known]
-    return {name: known.get(name) or free[left.index(name) % len(free)] for name in chosen}
+    others = {name: Controller(name, free[k % len(free)]) for k, name in enumerate(left)}
+    return {name: (known.get(name) or others[name]).look for name in chosen}

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from dynasindy.evaluation.drawn import drawn
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.viz.response import error_fan, step_response, tracking
-from dynasindy.viz.style import ORANGE, legend_above, save, styled
+from dynasindy.viz.style import ORANGE, legend_above, save, spelt, styled
 
 
 def draw_evaluation(
@@ -44,7 +44,7 @@ def figures(evaluation: Evaluation, label: str = "policy", place: str = "") -> d
     where = f" {place}" if place else ""
     shown = drawn(evaluation)
     row, name = shown.row, evaluation.scenario
-    scenario = "; ".join([f"Scenario '{name}'{where}", *evaluation.disturbances])
+    scenario = "; ".join([f"Scenario '{name}'{where}", *map(spelt, evaluation.disturbances)])
     title = "\n".join(filter(None, [scenario, shown.words]))
     if not evaluation.columns:
         return {name: _untracked(evaluation, label, row, title)}

@@ -15,6 +15,8 @@ from dynasindy.viz.style import BLACK, BLUE, GREY, ORANGE, RED, Array, array, le
 
 FEW_DECADES = 1000.0
 """Ends of an axis nearer to each other than this factor have few powers of ten between them."""
+CLEAR = 1.1
+"""An end of an axis lies beyond every value by this factor at least: what lies on the frame is not seen."""
 
 
 @styled
@@ -115,14 +117,15 @@ def _rows(axis: Axes, columns: Mapping[str, float], rows: Mapping[str, tuple[str
 
 
 def _around(values: Array) -> tuple[float, float]:
-    """Return the next of 1, 2, 5, 10, 20, ... below and above positive values, at least a factor of 5 apart."""
+    """Return the next of 1, 2, 5, 10, 20, ... clearly below and above positive values, at least a factor of 5 apart."""
     seen = values[np.isfinite(values) & (values > 0)]
     if not len(seen):
         return 1.0, 10.0
-    powers = 10.0 ** np.arange(np.floor(np.log10(seen.min())), np.ceil(np.log10(seen.max())) + 2)
+    powers = 10.0 ** np.arange(np.floor(np.log10(seen.min())) - 1, np.ceil(np.log10(seen.max())) + 2)
     steps = np.outer(powers, (1.0, 2.0, 5.0)).ravel()
-    low = float(steps[steps <= seen.min() * (1 + 1e-9)][-1])
-    return low, float(max(steps[steps >= seen.max() * (1 - 1e-9)][0], 5 * low))
+    # The factors of the powers of ten are not exact in the last digits.
+    low = float(steps[steps <= seen.min() / CLEAR * (1 + 1e-9)][-1])
+    return low, float(max(steps[steps >= seen.max() * CLEAR * (1 - 1e-9)][0], 5 * low))
 
 
 def _ticks(axis: Axis) -> None:

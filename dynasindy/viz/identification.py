@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from itertools import cycle
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -41,6 +42,7 @@ LEAST = 0.001
 TYPICAL = "typical ranges"
 """Unit of an error of all states together, each of which counts by its typical range, `Signature.x_scale`."""
 GAP = "gap: samples missing or left out"
+NOTHING = "exactly 0, below the axis"
 MOST = 50
 """More gaps than these are not marked, as the marks would hide the data."""
 
@@ -175,23 +177,20 @@ def model_error(
         thresholds: levels that the error is compared with, in words; drawn as lines.
     """
     x, y = array(episode), array(error)
-    # Zero has no place on a log axis: it is drawn on the floor.
-    y = np.maximum(y.reshape(len(y), -1), 1e-12)
+    y = y.reshape(len(y), -1)
     figure, (axis,) = panels(1, 1, (7.0, 3.2), title)
-    axis.plot(x, np.median(y, axis=1), color=RED, marker="o", markersize=2.5, linewidth=1.0)
-    name_single(axis, x, np.median(y, axis=1), RED)
+    middle = _draw_positive(axis, x, np.median(y, axis=1), marker="o", markersize=2.5)
+    name_single(axis, x, middle, RED)
     axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axis.set_xlim(x.min(initial=1.0) - 0.5, x.max(initial=1.0) + 0.5)
     if y.shape[1] > 1:
         axis.fill_between(x, y.min(1), y.max(1), color=RED, alpha=0.2, linewidth=0)
     for k, at in enumerate([] if refits is None else array(refits)):
         axis.axvline(at, color=GREY, linestyle=":", linewidth=0.8, label="model refitted" if k == 0 else None)
-    if refits is not None and len(array(refits)):
-        axis.legend(loc="upper right")
     axis.set_yscale("log")
     for (words, level), line in zip((thresholds or {}).items(), cycle((":", "--"))):
         axis.axhline(level, color=BLACK, linestyle=line, linewidth=0.9, label=f"{words} {level:g}")
-    if thresholds:
+    if axis.get_legend_handles_labels()[0]:
         legend_beside(axis)
     axis.set_xlabel("real episode")
     axis.set_ylabel(f"{what} [-]")
@@ -208,7 +207,9 @@ def growing_error(time: ArrayLike, error: ArrayLike, title: str = "Open-loop err
         title: of the figure.
     """
     figure, (axis,) = panels(1, 1, (7.0, 3.2), title)
-    axis.plot(array(time), np.maximum(array(error), 1e-12), color=RED, linewidth=1.0)
+    _draw_positive(axis, array(time), array(error))
+    if axis.get_legend_handles_labels()[0]:
+        legend_beside(axis)
     axis.set_yscale("log")
     axis.set_xlim(0.0, array(time).max(initial=0.0) or 1.0)
     time_axis(axis, time)
@@ -242,6 +243,17 @@ def coefficient_table(
     for cell in table.get_celld().values():
         cell.set_edgecolor("#bfbfbf")
     return figure
+
+
+def _draw_positive(axis: Axes, x: Array, y: Array, **look: Any) -> Array:
+    """Draw a curve on an axis that is to be logarithmic, and return it: a zero is a mark below it, and has no line."""
+    zero, seen = y == 0, y[y > 0]
+    drawn = np.where(zero, np.nan, y)
+    axis.plot(x, drawn, color=RED, linewidth=1.0, **look)
+    if zero.any():
+        below = np.full(zero.sum(), 0.5 * float(seen.min()) if len(seen) else 1.0)
+        axis.plot(x[zero], below, color=RED, marker="v", markersize=4, linestyle="none", label=NOTHING)
+    return drawn
 
 
 def _panels(names: Sequence[str], units: Sequence[str], title: str) -> tuple[Figure, list[Axes], int]:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from dynasindy.evaluation.statistics import bootstrap_interval, interquartile_mean
 from dynasindy.evaluation.table import FEWEST
-from dynasindy.viz.controllers import colours
+from dynasindy.viz.controllers import looks
 from dynasindy.viz.style import BLUE, GREY, RED, Array, array, legend_beside, name_single, panels, styled
 
 LINEAR = 10.0
@@ -109,23 +109,23 @@ def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike |
         seed: Seed of the bootstrap.
     """
     banded = False
-    for (name, values), color in zip(curves.items(), colours(curves).values()):
+    for (name, values), line in zip(curves.items(), looks(curves).values()):
         rows = np.atleast_2d(array(values))
         x = np.arange(1, rows.shape[1] + 1) if episode is None else array(episode)[: rows.shape[1]]
         words = name.replace("$", r"\$")  # names of settings are no mathematics
         label = f"{words} ({len(rows)} seed{'s' * (len(rows) > 1)})"
         # A line through a single episode would not be seen.
-        look: dict[str, Any] = {"color": color, "marker": "o" if len(x) == 1 else None, "clip_on": len(x) > 1}
+        look: dict[str, Any] = {**line, "marker": "o" if len(x) == 1 else None, "clip_on": len(x) > 1}
         if len(rows) < FEWEST:
             axis.plot(x, rows.T, label=[label, *[f"_{label}"] * (len(rows) - 1)], **look)
         else:
             middle, low, high = band(rows, seed)
             axis.plot(x, middle, label=label, **look)
-            axis.fill_between(x, low, high, color=color, alpha=0.2, linewidth=0, label=f"_{label}")
+            axis.fill_between(x, low, high, color=line["color"], alpha=0.2, linewidth=0, label=f"_{label}")
             if len(x) == 1:
-                axis.vlines(x, low, high, color=color, alpha=0.3, linewidth=7)
+                axis.vlines(x, low, high, color=line["color"], alpha=0.3, linewidth=7)
             for row in rows:  # added apart, so that they do not widen the limits
-                axis.add_artist(Line2D(x, row, color=color, linewidth=0.9, label=f"_{label}", visible=False))
+                axis.add_artist(Line2D(x, row, linewidth=0.9, **line, label=f"_{label}", visible=False))
             banded = True
     if banded:
         few = any(len(np.atleast_2d(array(values))) < FEWEST for values in curves.values())

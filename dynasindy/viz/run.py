@@ -35,24 +35,27 @@ def read_table(path: Path) -> Table:
     return dict(zip((name.partition(" [")[0] for name in header), cells.T, strict=True))
 
 
-def draw_run(folder: Path, signature: Signature, formats: tuple[str, ...] = ("png",)) -> list[Path]:
+def draw_run(
+    folder: Path, signature: Signature, formats: tuple[str, ...] = ("png",), controller: str = "policy"
+) -> list[Path]:
     """Draw every figure whose data a run folder holds.
 
     Args:
         folder: Run folder.
         signature: Names and units of the plant.
         formats: File formats, e.g. ("png", "svg").
+        controller: What to call its controller.
 
     Returns:
         The files, in `folder/figures`.
     """
     files = []
-    for name, figure in _figures(folder, signature).items():
+    for name, figure in _figures(folder, signature, controller).items():
         files += save(figure, folder / "figures" / name, formats)
     return files
 
 
-def _figures(folder: Path, signature: Signature) -> dict[str, Figure]:
+def _figures(folder: Path, signature: Signature, controller: str = "policy") -> dict[str, Figure]:
     names, figures = signature.state_names, {}
     found = read_record(folder / "metrics.json") if (folder / "metrics.json").is_file() else {}
     excited = read_table(folder / "data" / "excitation.csv")
@@ -96,7 +99,9 @@ def _figures(folder: Path, signature: Signature) -> dict[str, Figure]:
         unit = "deviations of the reward" if found.get("reward") else "reward per period"
         figures["gate"] = gate(decisions, unit=unit)
     which = found.get("drawn", {}).get("words", "")
-    figures["step_response"] = _response(read_table(folder / "data" / "step_response.csv"), signature, which)
+    figures["step_response"] = _response(
+        read_table(folder / "data" / "step_response.csv"), signature, which, controller
+    )
     return figures
 
 
@@ -108,11 +113,11 @@ def _windows(table: Table, signature: Signature) -> Figure:
     return growing_error(table["time"], size)
 
 
-def _response(table: Table, signature: Signature, which: str) -> Figure:
+def _response(table: Table, signature: Signature, which: str, controller: str) -> Figure:
     """Draw the episode that the run saved; its title says which of how many it is."""
     tracked = [name.removeprefix("reference_") for name in table if name.startswith("reference_")]
     outputs = tracked or signature.state_names
-    y, u = {"policy": stacked(table, outputs)}, {"policy": stacked(table, signature.input_names)}
+    y, u = {controller: stacked(table, outputs)}, {controller: stacked(table, signature.input_names)}
     names = [f"{name} [{signature.state_units[signature.state_index(name)]}]" for name in outputs]
     reference = stacked(table, [f"reference_{name}" for name in outputs]) if tracked else None
     if reference is not None and bool((reference == reference[0]).all()):

@@ -136,6 +136,18 @@ def label(name: str, unit: str = "") -> str:
     return f"{words}{symbol(name)}" + (f" [{unit}]" if unit else "")
 
 
+def spelt(text: str) -> str:
+    """Return a text with words for the names of the twin rotor, and units with raised exponents.
+
+    What a plant's equation makes of a state is told with a stroke, `Omega_a'`, and is the change of it. Names of other
+    plants stay: they may be single letters, as units are.
+    """
+    for name, words in WORDS.items():
+        text = re.sub(rf"\b{name}'", f"change of {words}", text)
+        text = re.sub(rf"\b{name}\b", words, text)
+    return text.replace("^2", "²")
+
+
 def input_axis(axis: Axes, signature: Signature, place: int) -> None:
     """Label the axis of an input and give it the range of its actuator, in the unit of this.
 

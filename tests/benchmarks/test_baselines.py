@@ -42,7 +42,7 @@ def test_every_controller_and_model_has_its_rows_and_its_line(quick, tmp_path):
     assert all(float(row["ms_per_action"]) > 0 and 0 <= float(row["azimuth"]) < 20 for row in rows)
     page = (tmp_path / "baselines.md").read_text()
     assert page.count("| MPC | identified | 10 | 1 |") == 3
-    assert "| xi | RMSE, sine | pitch | Dyna-gradient, integral |" in page
+    assert "| xi | RMSE, sine | pitch | planning by gradient, integral action |" in page
 
 
 def test_rows_in_the_file_are_not_measured_again_and_text_above_the_tables_stays(tmp_path, monkeypatch):
@@ -86,7 +86,7 @@ def row(controller, scenario, metric, azimuth, seed=0):
 
 def test_the_learned_controller_is_held_against_the_better_rival():
     rows = [
-        row("Dyna-gradient", "sine", "rmse", 0.004),
+        row("planning by gradient", "sine", "rmse", 0.004),
         row("LQI", "sine", "rmse", 0.003),
         row("MPC", "sine", "rmse", 0.006),
     ]

@@ -224,7 +224,7 @@ def baselines(text: str) -> Iterator[Tie]:
     yield Tie(BASELINES, "ahead in square C on `tras` ({} against {})", tuple(pairs))
     steady = "steady_state_error"
     behind = [
-        of(plant, "Dyna-gradient", *case, axis) - of(plant, "LQI", *case, axis)
+        of(plant, _LEARNED[0], *case, axis) - of(plant, "LQI", *case, axis)
         for plant, case, axis in (
             ("tras", ("step", steady), "azimuth"),
             ("xi", ("step", steady), "azimuth"),
@@ -251,7 +251,7 @@ def _range(values: list[float]) -> tuple[str, str]:
     return tuple(f"{value:.0e}".replace("e-0", "e-") for value in (min(values), max(values)))
 
 
-_LEARNED = ("Dyna-gradient", "Dyna-gradient, integral")
+_LEARNED = ("planning by gradient", "planning by gradient, integral action")
 _CONTROLLERS = (*_LEARNED, "LQI", "MPC", "PID")
 COMPARED = {
     "Agent training hyperparameters (the paper's table, every row)": "compared with conf/ by tests/test_docs.py",

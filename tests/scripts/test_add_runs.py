@@ -44,18 +44,18 @@ def test_a_run_becomes_the_rows_of_its_controller_and_replaces_earlier_ones(add_
         add_runs.main([str(folder), "--out", str(table)])
     rows = read_rows(table)
     heads = {tuple(row[name] for name in ("plant", "controller", "model", "seed", "real_seconds")) for row in rows}
-    assert heads == {("xi", "Dyna-TD3", "identified", "3", "130.0")}
+    assert heads == {("xi", "4 rollouts", "identified", "3", "130.0")}
     assert [row["metric"] for row in rows] == list(add_runs.baselines.METRICS)
-    assert "| Dyna-TD3 | identified | 130 | 1 |" in table.with_suffix(".md").read_text()
+    assert "| 4 rollouts | identified | 130 | 1 |" in table.with_suffix(".md").read_text()
 
 
 @pytest.mark.parametrize(
     ("overrides", "name"),
     [
-        (["planning=none"], ("TD3", "none")),
-        (["planning=dyna", "planning.rollouts=0"], ("TD3", "none")),
-        (["planning=dyna", "planning.rollouts=4", "world_model=oracle"], ("Dyna-TD3", "true")),
-        (["planning=gradient"], ("Dyna, GradientPlanning", "identified")),
+        (["planning=none"], ("no planning", "none")),
+        (["planning=dyna", "planning.rollouts=0"], ("no planning", "none")),
+        (["planning=dyna", "planning.rollouts=4", "world_model=oracle"], ("4 rollouts", "true")),
+        (["planning=gradient"], ("planning by gradient", "identified")),
     ],
 )
 def test_a_run_is_named_by_its_planning_and_its_model(add_runs, overrides, name):
@@ -65,6 +65,6 @@ def test_a_run_is_named_by_its_planning_and_its_model(add_runs, overrides, name)
 
 
 def test_runs_that_would_replace_each_other_are_refused(add_runs, tmp_path):
-    folders = [run(tmp_path / str(n), "planning=dyna", f"planning.rollouts={n}") for n in (4, 8)]
-    with pytest.raises(ValueError, match=r"4 and .*8 are both tras, Dyna-TD3, identified, 3; give one of them"):
+    folders = [run(tmp_path / str(n), "planning=dyna", "planning.rollouts=4") for n in (4, 8)]
+    with pytest.raises(ValueError, match=r"4 and .*8 are both tras, 4 rollouts, identified, 3; give one of them"):
         add_runs.keys(folders)

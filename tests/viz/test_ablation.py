@@ -45,9 +45,10 @@ def test_controls_stand_by_what_they_vary_beside_the_reference_where_it_compares
     found = families(curves, np.full((5, 2), 9.0))
     assert {family: list(members) for family, members in found.items()} == {
         "changed on the command line": ["rollouts_800", "horizon_20,agent.tau=0.1"],
-        "horizon": ["horizon_20", "horizon_100"],  # at equal numbers of transitions, of which the reference has more
-        "model, gate": ["rollouts_800", "oracle"],
-        "real share": ["rollouts_800", "real_share_05"],
+        # At equal numbers of transitions, of which the reference has more.
+        "length of a rollout, at equal numbers of imagined transitions": ["horizon_20", "horizon_100"],
+        "other models, and the gate": ["rollouts_800", "oracle"],
+        "share of real transitions in a batch": ["rollouts_800", "real_share_05"],
         "without a model": ["rollouts_800", "direct", "rollouts_0_tuned", "sb3_sac", "sb3_sac_5"],
     }
     assert list(families({"direct": curves["direct"]}, None)["without a model"]) == ["direct"]

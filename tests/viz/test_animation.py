@@ -8,7 +8,7 @@ import pytest
 import torch
 from PIL import Image
 
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, drawing
 from dynasindy.envs.drawing import draw_beam
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.systems import Pendulum, Tras
@@ -40,6 +40,22 @@ def test_the_chart_grows_and_its_last_point_is_where_the_output_stands(evaluatio
     assert early.sum() < late.sum()
     u, v = chart.lines[1][9]
     assert late[round(v / 2), round(u / 2)] and not early[round(v / 2), round(u / 2)]
+
+
+def test_the_reference_is_black_and_dashed_and_the_plant_is_blue_with_an_entry_in_the_legend(
+    evaluation: Evaluation,
+) -> None:
+    picture = np.hstack(list(frames(evaluation, row=0, every=9))[-1:]).astype(int)
+    scene, chart = picture[:, :360], picture[:, 360:]
+    black, blue = (np.abs(chart - colour).max(-1) < 60 for colour in ((0, 0, 0), (0, 114, 178)))
+    # 0.4 rad is far above what the azimuth reaches in half a second: between the frame's left side and the right end
+    # the reference is alone in its rows, and a dashed line of it has gaps.
+    rows = [row[90:340] for row in black[:160] if 80 < row[90:340].sum() < 220]
+    assert rows and all(np.diff(row.astype(int)).astype(bool).sum() > 20 for row in rows)
+    assert blue[335:].any() and black[335:].any(), "below the axes stands the legend, with a line of each"
+    # Nothing of the orange-red of a controller is in the scene, whose rotors are neither blue nor black.
+    assert (np.abs(scene - (213, 94, 0)).max(-1) < 30).sum() == 0
+    assert not {(0, 114, 178), (0, 0, 0)} & {drawing._MAIN, drawing._TAIL}
 
 
 def test_other_plants_are_drawn_with_their_dial() -> None:

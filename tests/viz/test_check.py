@@ -97,6 +97,10 @@ def test_the_worst_changes_stand_on_top_and_what_never_rests_at_the_edge():
     assert found["stable"] == [[0.9, 0.0]] and found["not stable"] == [[1.1, 1.0]]
     (((at, height),),) = [found["never comes to rest, drawn at the edge"]]
     assert at > 1.1 and height == 2
+    near = coefficients(["a", "b"], [1.0021, 1.0274]).axes[0]
+    ticks = [tick for tick in near.get_xticks() if near.get_xlim()[0] <= tick <= near.get_xlim()[1]]
+    assert 1.0 in ticks and len(ticks) > 2, "the limit of stability has a tick"
+    assert np.diff(ticks).min() > 0.08 * np.ptp(near.get_xlim())
     assert "the worst 15 of 20 changes" in coefficients([str(k) for k in range(20)], np.ones(20)).get_suptitle()
 
 

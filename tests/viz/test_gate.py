@@ -23,22 +23,35 @@ def test_closed_episodes_are_shaded_and_rolled_back_refits_are_marked():
     assert shade.get_x() == 1.5 and shade.get_width() == 1.0
     crosses = next(line for line in lower.lines if line.get_label() == "rolled back")
     assert crosses.get_xydata().tolist() == [[3.0, 0.4]]
-    assert lower.get_ylim() == (0.1, 0.5)
-    assert upper.get_ylim() == (0.01, 1.0)
+    assert lower.get_ylim() == pytest.approx((0.05, 0.5))
+    assert upper.get_ylim() == pytest.approx((0.005, 1.0))
 
 
 @pytest.mark.parametrize(
     ("values", "ends"),
     [
         ([1.52e-7, 1.53e-7], (1e-7, 5e-7)),  # at least a factor of 5
-        ([0.2, 0.5], (0.2, 1.0)),
+        ([0.2, 0.5], (0.1, 1.0)),  # on a tick: to the next one
         ([0.03, 4.0, np.nan, 0.0], (0.02, 5.0)),
-        ([3e-9, 0.1], (2e-9, 0.1)),
+        ([3e-9, 0.1], (2e-9, 0.2)),
+        ([0.0108, 0.095], (0.005, 0.2)),  # within a tenth of a tick
+        ([0.0111, 0.09], (0.01, 0.1)),
         ([np.nan], (1.0, 10.0)),
     ],
 )
 def test_an_axis_ends_at_the_next_tick_and_not_a_decade_later(values, ends):
     assert _around(np.array(values)) == pytest.approx(ends)
+
+
+def test_nothing_lies_on_the_frame():
+    # The thresholds are ticks themselves, and the errors are below and above them.
+    errors = {"reward_error": [0.2, 0.4, 0.3], "judged_reward_error": [0.1, 0.2, 5.0]}
+    bounds = {"open_below": [0.05] * 3, "close_above": [0.1] * 3, "open": [1] * 3, "episode": [1, 2, 3]}
+    tests = {"held_out_error_before": [0.5, 0.2, 1.0], "held_out_error_after": [0.2, 0.1, 0.5], "refit_kept": [1] * 3}
+    for axis in gate(errors | bounds | tests).axes:
+        low, high = axis.get_ylim()
+        drawn = np.concatenate([np.asarray(line.get_ydata()) for line in axis.lines])
+        assert low * 1.09 < drawn.min() and drawn.max() * 1.09 < high
 
 
 def test_ends_near_to_each_other_have_ticks_between_the_powers_of_ten():
@@ -47,7 +60,7 @@ def test_ends_near_to_each_other_have_ticks_between_the_powers_of_ten():
     ticks = [text.get_text() for text in lower.get_xticklabels()]
     assert {"0.01", "0.02", "0.05"} <= set(ticks)
     # Far ends have the powers alone; both thresholds are on the axis.
-    assert upper.get_xlim() == pytest.approx((1e-7, 0.2))
+    assert upper.get_xlim() == pytest.approx((5e-8, 0.2))
     assert all(np.log10(at) % 1 == pytest.approx(0, abs=1e-9) for at in upper.get_xticks())
 
 

@@ -81,7 +81,8 @@ def test_the_thresholds_of_the_models_error_are_drawn_and_named() -> None:
 
 
 def test_an_error_of_zero_stays_on_the_figure() -> None:
-    assert (model_error([1, 2], [0.0, 1.0]).axes[0].lines[0].get_ydata() > 0).all()
+    axis = model_error([1, 2], [0.0, 1.0]).axes[0]
+    assert axis.get_ylim()[0] < axis.lines[1].get_ydata()[0] < 1.0 and axis.lines[1].get_xdata() == [1.0]
 
 
 def test_the_table_holds_the_used_features_only() -> None:
@@ -117,8 +118,20 @@ def test_the_error_of_a_single_episode_is_written_out() -> None:
 
 def test_the_error_of_a_prediction_is_drawn_over_time_and_never_at_zero() -> None:
     (axis,) = growing_error([0.0, 0.5, 1.0], [0.0, 0.1, 0.4]).axes
-    assert axis.lines[0].get_xydata().tolist() == [[0.0, 1e-12], [0.5, 0.1], [1.0, 0.4]]
+    line, mark = axis.lines
+    np.testing.assert_array_equal(line.get_ydata(), [np.nan, 0.1, 0.4])
+    assert mark.get_xydata().tolist() == [[0.0, 0.05]] and mark.get_marker() == "v"
+    assert [text.get_text() for text in axis.get_legend().get_texts()] == ["exactly 0, below the axis"]
     assert axis.get_yscale() == "log" and axis.get_xlim() == (0.0, 1.0)
+    assert axis.get_ylim()[0] > 1e-3  # and not twelve decades below the errors
+
+
+def test_an_error_that_is_tiny_is_drawn_as_it_is_and_one_that_is_zero_is_said_to_be() -> None:
+    (axis,) = model_error([1, 2, 3], [1e-14, 0.0, 3e-13]).axes
+    np.testing.assert_array_equal(axis.lines[0].get_ydata(), [1e-14, np.nan, 3e-13])
+    assert axis.lines[1].get_xydata().tolist() == [[2.0, 5e-15]]
+    assert "exactly 0, below the axis" in [text.get_text() for text in axis.get_legend().get_texts()]
+    assert model_error([1, 2], [0.1, 0.2]).axes[0].get_legend() is None
 
 
 def words(figure) -> list[str]:

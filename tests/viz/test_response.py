@@ -46,6 +46,20 @@ def test_error_fan_draws_the_median_of_the_absolute_error() -> None:
     assert figure.axes[0].get_yscale() == "log"
 
 
+def test_small_errors_are_drawn_as_they_are_and_no_curve_lies_on_the_frame() -> None:
+    """Four rows whose errors are 1e-6 to 4e-6 rad, of which the first one is exact from the middle on."""
+    errors = 1e-6 * torch.arange(1.0, 5.0).reshape(4, 1, 1).repeat(1, 400, 2).double()
+    errors[0, 200:] = 0.0
+    figure = error_fan(TIME, REFERENCE.double() + errors, REFERENCE.double().expand(4, 400, 2))
+    axis = figure.axes[0]
+    median = np.asarray(axis.lines[0].get_ydata())
+    np.testing.assert_allclose(median, 2.5e-6, rtol=1e-3)
+    outer, inner = (fill.get_paths()[0].vertices[:, 1] for fill in axis.collections)
+    assert inner.min() > 1.05 * axis.get_ylim()[0], "the middle half is inside"
+    assert np.ptp(outer[outer < 1.5e-6]) > 0  # not on one floor
+    assert [text.get_text() for text in axis.get_legend().get_texts()][:3] == ["5 to 95 %", "middle half", "median"]
+
+
 def test_the_time_axis_ends_with_the_last_period_of_the_run():
     time, zeros = np.arange(0.0, 20.0, 0.05), np.zeros((400, 2))
     assert tracking(time, zeros, {"policy": zeros}).axes[-1].get_xlim() == (0.0, 20.0)

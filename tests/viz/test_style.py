@@ -18,11 +18,19 @@ from dynasindy.viz.style import (
     panels,
     save,
     span,
+    spelt,
     styled,
     symbol,
     time_axis,
     wrapped,
 )
+
+
+def test_names_in_a_sentence_become_words():
+    detuned = "detuned: change of azimuth rate times 0.9, main input times 0.8"
+    assert spelt("pushed by 0.5 rad/s^2 on Omega_a") == "pushed by 0.5 rad/s² on azimuth rate"
+    assert spelt("detuned: Omega_a' times 0.9, u_p times 0.8") == detuned
+    assert spelt("pushed by 2 m/s^2 on m, s") == "pushed by 2 m/s² on m, s"
 
 
 @pytest.mark.parametrize(

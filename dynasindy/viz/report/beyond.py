@@ -21,6 +21,61 @@ from dynasindy.viz.response import step_response, tracking
 from dynasindy.viz.run import stacked
 
 AXES = SIGNATURE.state_names[:2]
+CHANGE, NIS = "mean_abs_change_per_period_last_5s", "mean_nis"
+MEASURED = {
+    "mean_abs_error_last_5s": "mean error of the last 5 s",
+    "rmse": "RMSE",
+    "max_abs_error_5s_after_gust": "largest error from 5 s after the gust",
+}
+CASE_WORDS = {
+    "step": "trained on steps",
+    "small": "trained on steps, two layers of 64 units",
+    "oracle": "trained on steps, with the true plant as the model",
+    "moving": "trained on steps, sines and squares",
+    "noise": "noise on all states, behind an observer",
+    "bench": "encoders and speed sensors, behind an observer",
+    "bench_delay": "encoders and speed sensors, inputs a period late",
+    "detuned": "flown with constants off by up to 10 %",
+    "friction": "dry friction, learnt in episodes",
+    "friction_alone": "dry friction, learnt from the excitation alone",
+    "unseen": "trained on steps, flown elsewhere",
+    "unseen_moving": "trained on steps, sines and squares, flown elsewhere",
+}
+"""What the cases of the benchmark are, in words."""
+FLIGHT_WORDS = {
+    "step": "64 steps",
+    "detuned_gust": "64 steps in a gust",
+    "edges": "16 targets on the edge of those trained on",
+    "beyond": "16 targets beyond those trained on",
+    "away": "64 steps from random starts",
+    "noise_in_flight": "64 steps, noise in flight alone",
+    "staircase": "eight targets, one after the other",
+}
+"""What is flown in them, in words."""
+GRADIENT = (
+    "Interquartile means over seeds (the value of each where there are fewer than three) of the errors over "
+    "references; worst: of the worst reference. "
+)
+ERRORS = ("azimuth", "pitch", "azimuth_worst", "pitch_worst", "return", "wall_seconds")
+ERROR_HEADER = (
+    *("error", "azimuth [rad]", "pitch [rad]", "worst azimuth [rad]", "worst pitch [rad]"),
+    *("return", "wall time [s]"),
+)
+BESIDES = (
+    (
+        CHANGE,
+        "How much the inputs change from one control period to the next in the last 5 s, as parts of their half range:",
+        ("azimuth", "pitch"),
+        ("tail input [-]", "main input [-]"),
+    ),
+    (
+        NIS,
+        "The normalised innovation squared of the observer, which is 1 on average if all noise levels are right:",
+        ("azimuth",),
+        ("mean [-]",),
+    ),
+)
+"""What the benchmark measures beside errors: its name, words, columns and their heading."""
 
 
 def trust(results: Results) -> Section:
@@ -45,21 +100,14 @@ def trust(results: Results) -> Section:
 def gradient(results: Results) -> Section:
     """Return planning by gradient: its table, and a step, sine and square of the main job."""
 
-    def _table() -> list[Part]:
-        make = "python scripts/benchmark.py gradient"
-        rows = results.rows("gradient.csv", make)
-        key = ("plant", "case", "scenario", "plant_seconds")
-        numbers = ("azimuth", "pitch", "azimuth_worst", "pitch_worst", "return", "wall_seconds")
-        header = [
-            *("plant", "case", "scenario", "plant time [s]", "seeds", "azimuth [rad]", "pitch [rad]"),
-            *("worst azimuth [rad]", "worst pitch [rad]", "return", "wall time [s]"),
-        ]
-        words = (
-            "Interquartile means over seeds (the value of each where there are fewer than three) of the errors over "
-            "references: mean error of the last 5 s (steps), RMSE (waves, ramp, chirp) or largest error from 5 s after "
-            "the gust (detuned plant); worst: of the worst reference. "
-        )
-        return [Text(words + results.source("gradient.csv")), Table(header, _grouped(rows, key, numbers))]
+    def _tables() -> list[Part]:
+        rows = results.rows("gradient.csv", "python scripts/benchmark.py gradient")
+        errors = [row for row in rows if row["metric"] not in (CHANGE, NIS)]
+        parts: list[Part] = [Text(GRADIENT + results.source("gradient.csv")), _flights(errors, ERRORS, ERROR_HEADER)]
+        for metric, words, numbers, header in BESIDES:
+            if found := [row for row in rows if row["metric"] == metric]:
+                parts += [Text(words), _flights(found, numbers, header)]
+        return parts
 
     def _of(plant: str, scenario: str) -> list[Part]:
         run = results.trained(plant)
@@ -81,7 +129,7 @@ def gradient(results: Results) -> Section:
         "transitions: the policy is trained on the model, and judged on the plant."
     )
     cases = [(plant, scenario) for plant in PLANTS for scenario in ("step", "sine", "square")]
-    return Section("Beyond the paper: planning by gradient", [Text(words), *each(_table, ()), *each(_of, *cases)])
+    return Section("Beyond the paper: planning by gradient", [Text(words), *each(_tables, ()), *each(_of, *cases)])
 
 
 def baselines(results: Results) -> Section:
@@ -122,6 +170,24 @@ def speed(results: Results) -> Section:
         return [Text(results.source("td3.csv")), Table(header, [list(row.values()) for row in rows])]
 
     return Section("Beyond the paper: speed of a TD3 update", each(_table, ()))
+
+
+def _flights(rows: Sequence[Mapping[str, str]], numbers: Sequence[str], header: Sequence[str]) -> Table:
+    """Return a row per plant, case and flight of planning by gradient, each in words."""
+    key = ("plant", "case", "scenario", "plant_seconds", "metric")
+    cells = []
+    for plant, case, flight, seconds, metric, seeds, *values in _grouped(rows, key, numbers):
+        what = CASE_WORDS.get(case, case.replace("_", " "))
+        told = [MEASURED.get(metric, metric)] if "error" in header else []
+        cells.append([plant, what, _flown(flight), seconds, seeds, *told, *values])
+    return Table(["plant", "case", "flight", "plant time [s]", "seeds", *header], cells)
+
+
+def _flown(flight: str) -> str:
+    """Return what is flown in words: `step_integral_nis` is `64 steps, integral action`."""
+    bare = flight.removesuffix("_nis").removesuffix("_inputs")
+    stem = bare.removesuffix("_integral")
+    return FLIGHT_WORDS.get(stem, stem.replace("_", " ")) + ", integral action" * (stem != bare)
 
 
 def _controllers(rows: Sequence[Mapping[str, str]]) -> Table:

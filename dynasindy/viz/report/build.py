@@ -12,7 +12,7 @@ from dynasindy.viz.report import beyond, control, data, model
 from dynasindy.viz.report.document import Picture, Section, Text, write_markdown
 from dynasindy.viz.report.overview import overview
 from dynasindy.viz.report.page import write_html
-from dynasindy.viz.report.sources import CASES, MissingResult, Results, told
+from dynasindy.viz.report.sources import CASES, MissingResult, Results, listed, told
 
 TITLE = "The paper's figures and tables, beside ours"
 
@@ -59,10 +59,8 @@ def build(results: Results, folder: Path, formats: Sequence[str] = ("svg", "png"
         raise ValueError(f"formats is {list(formats)}; a page shows svg or png, name one of them first")
     with understood(results.folder):
         found = pages(results)
-    return [
-        write_html(TITLE, found, folder / "report.html"),
-        *write_markdown(TITLE, found, folder / "report.md", formats),
-    ]
+    page = write_html(TITLE, found, folder / "report.html")
+    return [page, *write_markdown(TITLE, found, folder / "report.md", formats, page.name)]
 
 
 def pages(results: Results) -> list[Section]:
@@ -71,13 +69,15 @@ def pages(results: Results) -> list[Section]:
     return [*overview(found, _lengths(results)), *found]
 
 
-def _lengths(results: Results) -> dict[str, int]:
-    """Return after how many real episodes the runs with 800 rollouts ended, by their cases in words."""
+def _lengths(results: Results) -> dict[str, str]:
+    """Say after how many real episodes the runs ended, by their cases: those of figure 11, and the saved ones."""
     found = {}
     for plant, experiment in CASES:
         with suppress(MissingResult):
-            run = results.compared(plant, experiment, "rollouts_800")
-            found[told(plant, experiment)] = int(run.setting("train.episodes") or 0)
+            saved = int(results.compared(plant, experiment, "rollouts_800").setting("train.episodes") or 0)
+            curves = results.lengths(plant, experiment) or {saved}
+            longer = f"{listed(map(str, sorted(curves)))} in figure 11, {saved} elsewhere"
+            found[told(plant, experiment)] = f"{saved} episodes" if curves == {saved} else f"episodes: {longer}"
     return found
 
 

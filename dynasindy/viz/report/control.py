@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -10,11 +10,21 @@ from dynasindy.evaluation.metrics import MIN_STEP
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.learning import average_rewards
 from dynasindy.viz.report.document import Part, Picture, Section, Table, Text
-from dynasindy.viz.report.sources import CASES, MODEL_FREE, SETTINGS, MissingResult, Results, Run, each, told
-from dynasindy.viz.report.verdicts import MANY, NONE, rewards_agree, sine_agrees, square_agrees, steps_agree
+from dynasindy.viz.report.sources import CASES, MODEL_FREE, SETTINGS, MissingResult, Results, Run, each, listed, told
+from dynasindy.viz.report.verdicts import (
+    MANY,
+    NONE,
+    REWARDS,
+    SINE,
+    SQUARE,
+    STEPS,
+    rewards_agree,
+    sine_agrees,
+    square_agrees,
+    steps_agree,
+)
 from dynasindy.viz.response import step_response, tracking
 from dynasindy.viz.run import stacked
-from dynasindy.viz.style import Array
 
 ABLATION = "python scripts/ablation.py system={} experiment={}"
 FIRST = "The first of the 64 targets, the one nearest to three quarters of the upper ends,"
@@ -33,25 +43,33 @@ def rewards(results: Results) -> Section:
             _chosen(results.rows(f"{name}.csv", make), plant, experiment, make)
             for name in ("ablation_curves", "ablation")
         )
-        curves = {words: returns for name, words in SETTINGS.items() if len(returns := _curves(rows, name))}
-        names = [name for name, words in SETTINGS.items() if words in curves]
-        drawn = [row for row in runs if row["setting"] in names]
-        to_level = {words: _to_level(runs, name) for name, words in SETTINGS.items() if words in curves}
+        found = {name: seeds for name in SETTINGS if (seeds := _seeds(rows, name))}
+        episodes = _common(found.values())
+        curves, errors = (
+            {
+                SETTINGS[name]: np.array([[value(seed[k]) for k in episodes] for seed in seeds])
+                for name, seeds in found.items()
+            }
+            for value in (lambda row: float(row["evaluated_return"]), _error)
+        )
+        ends = {words: values[:, -1].tolist() for words, values in errors.items() if episodes}
+        drawn = [row for row in runs if row["setting"] in found]
+        to_level = {SETTINGS[name]: _to_level(runs, name) for name in found}
         to_level |= {
-            f"{words} ({_lengths(runs, name)} episodes)": seeds
+            f"{words} ({_lengths(runs, name)} episodes)": reached
             for name, words in MODEL_FREE.items()
-            if (seeds := _to_level(runs, name))
+            if (reached := _to_level(runs, name))
         }
-        episodes = np.array(sorted({float(row["episode"]) for row in rows if row["evaluated_return"]}))
         title = f"Dyna-style vs. direct TD3, average rewards: plant {plant}, experiment {experiment}"
         return [
-            *rewards_agree(told(plant, experiment), curves, to_level),
+            *rewards_agree(told(plant, experiment), curves, to_level, ends),
             Picture(
                 f"average_rewards_{plant}_{experiment}",
                 average_rewards(curves, episodes, window=1, title=title, log=True),
-                "Return of the policy without noise over 64 fixed steps after real episodes: interquartile mean and "
-                "95 % bootstrap interval over seeds, or a line for each seed where there are fewer than three.",
-                results.of_runs("ablation_curves.csv", drawn, [(plant, experiment, name) for name in names]),
+                "Return of the policy without noise over 64 fixed steps after real episodes, up to "
+                f"{max(episodes, default=0):g} of them: interquartile mean and 95 % bootstrap interval over seeds, or "
+                "a line for each seed where there are fewer than three.",
+                results.of_runs("ablation_curves.csv", drawn),
             ),
         ]
 
@@ -62,7 +80,8 @@ def rewards(results: Results) -> Section:
         "the others; in `experiment=paper` they are direct TD3. Where the level is compared, other agents without a "
         "model stand beside them, as far as the ablation has them."
     )
-    return Section("Figure 11: Dyna-Style vs. Direct TD3 average rewards", [Text(words), *each(_of, *CASES)])
+    found = each(_of, *CASES, statements=REWARDS)
+    return Section("Figure 11: Dyna-Style vs. Direct TD3 average rewards", [Text(words), *found])
 
 
 def steps(results: Results) -> Section:
@@ -86,6 +105,7 @@ def steps(results: Results) -> Section:
         )
         scores = {words: run.record("metrics.json")["evaluation"] for words, run in runs.items()}
         caption = f"{FIRST} on `{plant}`, of the first seed after {_episodes(runs)} real episodes."
+        caption += _other(results, plant, experiment, runs)
         return [
             *steps_agree(told(plant, experiment), scores),
             Text(
@@ -102,7 +122,8 @@ def steps(results: Results) -> Section:
         "the smallest steady-state error and, on pitch, little overshoot."
     )
     title = "Figures 12 and 13: azimuth and pitch step trajectory tracking"
-    return Section(title, [Text(words), *each(_of, *CASES)])
+    statements = [one for stated in STEPS.values() for one in stated]
+    return Section(title, [Text(words), *each(_of, *CASES, statements=statements)])
 
 
 def wave(results: Results, shape: str) -> Section:
@@ -122,7 +143,8 @@ def wave(results: Results, shape: str) -> Section:
             Picture(
                 f"{shape}_{plant}_{experiment}",
                 figure,
-                f"The {shape} wave on `{plant}`, after {_episodes(runs)} real episodes.",
+                f"The {shape} wave on `{plant}`, after {_episodes(runs)} real episodes."
+                + _other(results, plant, experiment, runs),
                 " ".join(run.source for run in runs.values()),
             ),
         ]
@@ -138,9 +160,9 @@ def wave(results: Results, shape: str) -> Section:
         "larger and the spikes are smaller."
     )
     number, words = (14, sine) if shape == "sine" else (15, square)
-    return Section(
-        f"Figure {number}: {shape} wave tracking, with and without the model", [Text(words), *each(_of, *CASES)]
-    )
+    statements = [one for stated in (SINE if shape == "sine" else SQUARE).values() for one in stated]
+    found = each(_of, *CASES, statements=statements)
+    return Section(f"Figure {number}: {shape} wave tracking, with and without the model", [Text(words), *found])
 
 
 def _chosen(rows: Rows, plant: str, experiment: str, make: str) -> Rows:
@@ -155,14 +177,25 @@ def _chosen(rows: Rows, plant: str, experiment: str, make: str) -> Rows:
     return found
 
 
-def _curves(rows: Rows, setting: str) -> Array:
-    """Return the evaluated returns of a setting, `(n_seeds, n_evaluations)`, as far as all its seeds go."""
-    seeds: dict[str, list[float]] = {}
+def _seeds(rows: Rows, setting: str) -> list[dict[float, dict[str, str]]]:
+    """Return the evaluated rows of each seed of a setting, by episode."""
+    seeds: dict[str, dict[float, dict[str, str]]] = {}
     for row in rows:
         if row["setting"] == setting and row["evaluated_return"]:
-            seeds.setdefault(row["seed"], []).append(float(row["evaluated_return"]))
-    shortest = min(map(len, seeds.values()), default=0)
-    return np.array([returns[:shortest] for returns in seeds.values()])
+            seeds.setdefault(row["seed"], {})[float(row["episode"])] = row
+    return list(seeds.values())
+
+
+def _common(settings: Iterable[list[dict[float, dict[str, str]]]]) -> list[float]:
+    """Return the episodes after which every seed of every setting was evaluated: nothing else is comparable."""
+    found = [set(seed) for seeds in settings for seed in seeds]
+    return sorted(set.intersection(*found)) if found else []
+
+
+def _error(row: Mapping[str, str]) -> float:
+    """Return the steady-state error of the worse axis [rad], NaN where the row has none."""
+    cells = [cell for name, cell in row.items() if name.startswith("evaluated_steady_state_error/")]
+    return max(map(float, cells)) if cells and all(cells) else np.nan
 
 
 def _to_level(runs: Rows, setting: str) -> list[float]:
@@ -190,6 +223,16 @@ def _score_table(scores: Mapping[str, Mapping[str, float | None]], metrics: Mapp
         values = [score[f"{metric}/{name}"] for metric in metrics.values() for name in AXES]
         rows.append([setting, *("-" if value is None else f"{value:.3g}" for value in values)])
     return Table(header, rows)
+
+
+def _other(results: Results, plant: str, experiment: str, runs: Mapping[str, Run]) -> str:
+    """Say that figure 11 is of other runs than these, where those are longer or shorter."""
+    lengths = results.lengths(plant, experiment)
+    if not lengths or lengths == {int(run.setting("train.episodes")) for run in runs.values()}:
+        return ""
+    return (
+        f" Figure 11 is of other runs, of {listed(map(str, sorted(lengths)))} episodes, whose policies are not saved."
+    )
 
 
 def _episodes(runs: Mapping[str, Run]) -> str:

@@ -8,8 +8,8 @@ import numpy as np
 
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.identification import excitation, training_data
-from dynasindy.viz.report.document import Part, Picture, Section, Text
-from dynasindy.viz.report.model_verdicts import excitation_agrees, samples_agree
+from dynasindy.viz.report.document import Part, Picture, Section, Statement, Text
+from dynasindy.viz.report.model_verdicts import CHIRP, SAMPLED, excitation_agrees, samples_agree
 from dynasindy.viz.report.sources import PLANTS, Results, Run, each, told
 from dynasindy.viz.run import Table, stacked
 
@@ -22,7 +22,7 @@ def chirp_input(results: Results) -> Section:
         "The paper drives both inputs with one chirp over 10 s. Its printed formula stays within [0.707, 1] and does "
         "not sweep, so the sweep that is meant is used here, with inputs of different phase, around the hover point."
     )
-    return _section("Figure 5: chirp input", words, results, _chirp)
+    return _section("Figure 5: chirp input", words, results, (CHIRP, _chirp))
 
 
 def training(results: Results) -> Section:
@@ -31,17 +31,21 @@ def training(results: Results) -> Section:
         "The paper plots rotor speeds (figure 6) and angles with their rates (figure 7) during the chirp. All six "
         "states are drawn here in one figure."
     )
-    return _section("Figures 6 and 7: training data", words, results, _samples)
+    return _section("Figures 6 and 7: training data", words, results, (SAMPLED, _samples))
 
 
-def _section(title: str, words: str, results: Results, show: Callable[[str, Run, Table], list[Part]]) -> Section:
-    """Return words and what is shown of the excitation of each plant."""
+Judged = tuple[Statement, Callable[[str, Run, Table], list[Part]]]
 
-    def _of(plant: str) -> list[Part]:
-        run = results.compared(plant, "dyna", "rollouts_800")
+
+def _section(title: str, words: str, results: Results, judged: Judged) -> Section:
+    """Return words and what is shown of the excitation of each plant, by which a statement is judged."""
+    statement, show = judged
+
+    def _of(plant: str, experiment: str) -> list[Part]:
+        run = results.compared(plant, experiment, "rollouts_800")
         return show(plant, run, run.table("data/excitation.csv"))
 
-    return Section(title, [Text(words), *each(_of, *((plant,) for plant in PLANTS))])
+    return Section(title, [Text(words), *each(_of, *((plant, "dyna") for plant in PLANTS), statements=(statement,))])
 
 
 def _chirp(plant: str, run: Run, table: Table) -> list[Part]:

@@ -93,6 +93,22 @@ class Finding:
     claim: str = ""
 
 
+@dataclass(frozen=True)
+class Statement:
+    """What a figure of the paper shows, and what it claims by it, if it is one of its claims."""
+
+    words: str
+    claim: str = ""
+
+    def of(self, case: str, ours: str, verdict: Verdict) -> Finding:
+        """Return what is found of it in a case."""
+        return Finding(case, self.words, ours, verdict, self.claim)
+
+    def unmeasured(self, case: str) -> Finding:
+        """Return that nothing saved says anything of it in a case."""
+        return self.of(case, "no saved result", Verdict.UNKNOWN)
+
+
 Part = Text | Table | Listing | Picture | Finding
 WIDTH = 120
 FINDINGS = ("plant, experiment", "the paper", "ours", "verdict")
@@ -121,9 +137,21 @@ def anchor(title: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
 
 
-def write_markdown(title: str, sections: Sequence[Section], path: Path, formats: Sequence[str]) -> list[Path]:
-    """Write a page as Markdown and its figures into `figures/` beside it; return all files."""
+def write_markdown(
+    title: str, sections: Sequence[Section], path: Path, formats: Sequence[str], same: str = ""
+) -> list[Path]:
+    """Write a page as Markdown and its figures into `figures/` beside it; return all files.
+
+    Args:
+        title: of the page.
+        sections: What stands on it.
+        path: Where.
+        formats: File formats of the figures, the one that it shows first.
+        same: Name of a file beside it that holds the same as HTML, to which its first line leads.
+    """
     lines, files = [f"# {title}", ""], [path]
+    if same:
+        lines += [_wrapped(f"[The same as one HTML file]({same}) needs no other file and has figures to zoom."), ""]
     for section in sections:
         lines += [f"## {section.title}", ""]
         for part in joined(section.parts):

@@ -32,12 +32,12 @@ MEANINGS = {
 }
 
 
-def overview(sections: Sequence[Section], lengths: Mapping[str, int]) -> list[Section]:
+def overview(sections: Sequence[Section], lengths: Mapping[str, str]) -> list[Section]:
     """Return the sections that stand first.
 
     Args:
         sections: All others.
-        lengths: Real episodes of the runs, by their cases.
+        lengths: Real episodes of the runs in words, by their cases.
     """
     places = [(finding, section.title) for section in sections for finding in section.findings]
     return [
@@ -57,7 +57,7 @@ def holds(findings: Sequence[Finding]) -> str:
     return f"holds {share}" if count == len(findings) else f"in part {share}" if count else f"not reached {share}"
 
 
-def _claims(places: Sequence[tuple[Finding, str]], lengths: Mapping[str, int]) -> list[Part]:
+def _claims(places: Sequence[tuple[Finding, str]], lengths: Mapping[str, str]) -> list[Part]:
     rows: list[list[Cell]] = []
     full: dict[str, int] = dict.fromkeys(COLUMNS, 0)
     for claim in CLAIMS:
@@ -78,17 +78,17 @@ def _claims(places: Sequence[tuple[Finding, str]], lengths: Mapping[str, int]) -
         Text(
             f"**The paper makes {len(CLAIMS)} claims. These numbers of them hold here in full: {counts}.** The paper's "
             f"controllers with a model have learnt for {PAPER_EPISODES} episodes; what `paper` does not reach here it "
-            "does not reach in the few episodes of these runs. Each cell leads to its evidence, and says how many of "
+            "does not reach in the episodes of these runs. Each cell leads to its evidence, and says how many of "
             "the statements behind it hold."
         ),
         Table(["what the paper claims, in our words", *COLUMNS], rows),
     ]
 
 
-def _count(full: Mapping[str, int], lengths: Mapping[str, int], plant: str, experiment: str) -> str:
+def _count(full: Mapping[str, int], lengths: Mapping[str, str], plant: str, experiment: str) -> str:
     """Return how many claims hold in full in a case, and after how many episodes."""
     case = told(plant, experiment)
-    return f"{full[case]} on `{plant}`" + (f" ({lengths[case]} episodes)" if case in lengths else "")
+    return f"{full[case]} on `{plant}`" + (f" ({lengths[case]})" if case in lengths else "")
 
 
 def _statements(sections: Sequence[Section]) -> list[Part]:

@@ -11,7 +11,7 @@ from typing import Any
 from dynasindy.evaluation.given import read_record, read_text, understood
 from dynasindy.evaluation.rows import read_rows
 from dynasindy.viz.controllers import named
-from dynasindy.viz.report.document import Finding, Part, Text
+from dynasindy.viz.report.document import Finding, Part, Statement, Text
 from dynasindy.viz.run import Table, read_table
 
 REPORT = "python scripts/report.py"
@@ -145,19 +145,67 @@ class Results:
         made = f", made by `{found[1]}`{commit}" if found else ""
         return f"Table `{_shown(self.folder / name)}`{made}."
 
-    def of_runs(self, name: str, rows: Iterable[Mapping[str, str]], first: Sequence[tuple[str, str, str]]) -> str:
-        """Return where rows over seeds lie, the commits of their runs, and the sources of the first seeds.
+    def of_runs(self, name: str, rows: Sequence[Mapping[str, str]]) -> str:
+        """Return where rows over seeds lie, the commits of their runs, their commands, and which of them are saved.
 
         Args:
             name: Name of the table that is drawn.
-            rows: A row per run, with its commit.
-            first: Plant, experiment and setting of each curve; those that are saved are named with their commands.
+            rows: A row per run of `ablation.csv`.
         """
         found = commits(rows)
-        of = f", of runs at commit {found}" if found else ""
-        saved = [place for place in first if "_".join(place) in self.settings]
-        runs = " ".join(self.compared(*place).source for place in saved)
-        return f"Table `{_shown(self.folder / name)}`{of}." + (f" First seeds: {runs}" if runs else "")
+        of = f" at commit {found}" if found else ""
+        saved = [run.source for row in rows if (run := self._same(row))]
+        first = f" First seeds: {' '.join(saved)}" if saved else ""
+        made = listed(_commands(rows))
+        return f"Table `{_shown(self.folder / name)}`, of runs with the settings of {made}{of}.{first}"
+
+    def lengths(self, system: str, experiment: str) -> set[int]:
+        """Return after how many real episodes the runs behind the curves of the paper's settings ended."""
+        file = self.folder / "ablation.csv"
+        case = (system, experiment)
+        rows = read_rows(file) if file.is_file() else []
+        return {
+            _length(row) for row in rows if (row["system"], row["experiment"]) == case and row["setting"] in SETTINGS
+        }
+
+    def _same(self, row: Mapping[str, str]) -> Run | None:
+        """Return the saved run that a row is of: the same seed, number of episodes and commit."""
+        name = "_".join((row["system"], row["experiment"], row["setting"]))
+        if name not in self.settings:
+            return None
+        run = self.compared(row["system"], row["experiment"], row["setting"])
+        there = (
+            str(run.setting("seed") or 0),
+            int(run.setting("train.episodes") or 0),
+            run.record("origin.json")["commit"],
+        )
+        return run if there == (row["seed"], _length(row), row.get("commit")) else None
+
+
+def listed(words: Iterable[str]) -> str:
+    """Return words with commas and an "and"."""
+    *most, last = list(words) or [""]
+    return f"{', '.join(most)} and {last}" if most else last
+
+
+def _length(row: Mapping[str, str]) -> int:
+    return int(float(row["episodes"]))
+
+
+def _commands(rows: Iterable[Mapping[str, str]]) -> list[str]:
+    """Return the commands that make the runs of rows, those of one plant, experiment and length by one."""
+    found: dict[tuple[str, str, int], list[Mapping[str, str]]] = {}
+    for row in rows:
+        found.setdefault((row["system"], row["experiment"], _length(row)), []).append(row)
+    return [
+        f"`python scripts/ablation.py system={system} experiment={experiment} train.episodes={length} "
+        f"setting={_values(group, 'setting')} seed={_values(group, 'seed')}`"
+        for (system, experiment, length), group in found.items()
+    ]
+
+
+def _values(rows: Iterable[Mapping[str, str]], name: str) -> str:
+    return ",".join(dict.fromkeys(row[name] for row in rows))
 
 
 def told(plant: str, experiment: str) -> str:
@@ -167,17 +215,17 @@ def told(plant: str, experiment: str) -> str:
 
 def commits(rows: Iterable[Mapping[str, str]]) -> str:
     """Return the commits that rows name, in words; empty where they name none."""
-    *most, last = dict.fromkeys(row.get("commit") or "" for row in rows) or [""]
-    return f"{', '.join(most)} and {last}" if most else last
+    return listed(dict.fromkeys(row.get("commit") or "" for row in rows))
 
 
-def each(build: Callable[..., list[Part]], *cases: tuple[str, ...]) -> list[Part]:
+def each(build: Callable[..., list[Part]], *cases: tuple[str, ...], statements: Sequence[Statement] = ()) -> list[Part]:
     """Return the parts of every case, findings first.
 
     Args:
         build: Makes the parts of a case; where a result, or a column of it, is missing, a line stands for them that
             says what makes it.
-        cases: Arguments of `build`.
+        cases: Arguments of `build`; a plant and an experiment where there are statements.
+        statements: What `build` judges; not measured where it cannot.
 
     Raises:
         DamagedFileError: What is saved is not what the section expects.
@@ -188,11 +236,12 @@ def each(build: Callable[..., list[Part]], *cases: tuple[str, ...]) -> list[Part
             try:
                 parts += build(*case)
             except MissingResult as missing:
-                parts.append(Text(str(missing)))
+                parts += [Text(str(missing)), *(one.unmeasured(told(*case)) for one in statements)]
             except KeyError as column:
                 words = f"saved results of {' '.join(case)} have no {column}; they are older than this report"
                 again = f"Run their commands again, then `{REPORT} save=runs/ablation`."
                 parts.append(Text(f"Not measured: {words}. {again}"))
+                parts += [one.unmeasured(told(*case)) for one in statements]
     return sorted(parts, key=lambda part: not isinstance(part, Finding))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dynasindy.evaluation.ablation import Level
+from dynasindy.evaluation.table import FEWEST
 from dynasindy.viz.report.document import Verdict
 
 
@@ -40,7 +41,18 @@ CLOSE = Threshold(
 )
 COEFFICIENT = Threshold(1.0, "%", "A coefficient is found if its error is less; no other function may be in the model.")
 EARLY = Threshold(0.25, "of the evaluations", "The first part, over which early rewards are averaged.")
-NEAR = Threshold(0.05, "of the rise", "Final returns are nearly the same if they differ by at most this.")
+NEAR = Threshold(
+    0.05,
+    "of the rise",
+    "Final returns are nearly the same if they differ by at most this. Settings end alike only if the 95 % intervals "
+    "of their errors at the end overlap as well.",
+)
+SEEDS = Threshold(
+    float(FEWEST),
+    "seeds",
+    "Errors at the end are told apart by their intervals if there are as many seeds of each setting; of fewer "
+    "there is no interval, and returns alone decide.",
+)
 SOON = Threshold(
     180,
     "real episodes",

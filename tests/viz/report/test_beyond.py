@@ -3,6 +3,7 @@ import csv
 import numpy as np
 import pytest
 
+from dynasindy.benchmarks.gradient import REPORTED
 from dynasindy.viz.report import beyond
 from dynasindy.viz.report.document import Picture, Table, Text
 from dynasindy.viz.report.sources import Results
@@ -69,9 +70,43 @@ def test_the_gradient_table_groups_seeds_and_shows_the_worst(empty):
     section = beyond.gradient(empty)
     # Of 0, 1, 2, 3 the interquartile mean keeps 1 and 2.
     (row,) = one(section, Table).rows
-    assert row == ["xi", "step", "step", "10.0", "4", "0.15", "0.2", "0.3", "0.4", "1.5", "7"]
+    words = ["xi", "trained on steps", "64 steps", "10.0", "4", "m"]
+    assert row == [*words, "0.15", "0.2", "0.3", "0.4", "1.5", "7"]
     missing = [part.words for part in section.parts if isinstance(part, Text) and "no saved run" in part.words]
     assert len(missing) == 6 and "python scripts/train.py system=xi folder=runs/xi_gradient" in missing[0]
+
+
+def test_what_is_no_error_stands_in_tables_of_its_own_and_names_are_words(empty):
+    columns = (
+        "case,plant,seed,plant_seconds,scenario,metric,azimuth,pitch,azimuth_worst,pitch_worst,return,wall_seconds"
+    )
+    lines = [
+        "unseen_moving,xi,0,10.0,staircase,mean_abs_error_last_5s,0.1,0.2,0.3,0.4,5,7",
+        "detuned,xi,0,10.0,detuned_gust_integral,max_abs_error_5s_after_gust,0.1,0.2,0.3,0.4,5,7",
+        "noise,xi,0,10.0,step_integral_inputs,mean_abs_change_per_period_last_5s,0.01,0.02,0.03,0.04,5,7",
+        "noise,xi,0,10.0,step_nis,mean_nis,1.5,1.5,1.6,1.6,5,7",
+    ]
+    (empty.folder / "gradient.csv").write_text("\n".join([columns, *lines]) + "\n")
+    errors, inputs, nis = [part for part in beyond.gradient(empty).parts if isinstance(part, Table)]
+    assert [row[1:7] for row in errors.rows] == [
+        [
+            "trained on steps, sines and squares, flown elsewhere",
+            *("eight targets, one after the other", "10.0", "1", "mean error of the last 5 s", "0.1"),
+        ],
+        [
+            "flown with constants off by up to 10 %",
+            *("64 steps in a gust, integral action", "10.0", "1", "largest error from 5 s after the gust", "0.1"),
+        ],
+    ]
+    assert list(inputs.header[-2:]) == ["tail input [-]", "main input [-]"]
+    case = "noise on all states, behind an observer"
+    assert inputs.rows == [["xi", case, "64 steps, integral action", "10.0", "1", "0.01", "0.02"]]
+    assert nis.rows == [["xi", case, "64 steps", "10.0", "1", "1.5"]] and nis.header[-1] == "mean [-]"
+
+
+def test_every_case_that_is_reported_has_words():
+    assert set(REPORTED) == set(beyond.CASE_WORDS)
+    assert not any("_" in words for words in (*beyond.CASE_WORDS.values(), *beyond.FLIGHT_WORDS.values()))
 
 
 def test_a_trained_run_is_drawn_in_three_scenarios(results, tmp_path):

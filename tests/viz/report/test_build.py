@@ -86,6 +86,12 @@ def test_the_figures_of_the_markdown_lie_beside_it(report):
     assert len(linked) == (report / "report.html").read_text().count("<svg xmlns")
 
 
+def test_the_markdown_leads_to_the_same_page_as_html(report):
+    first = (report / "report.md").read_text().split("\n\n")[1]
+    (target,) = re.findall(r"\]\(([^)]+)\)", first)
+    assert target == "report.html" and (report / target).is_file()
+
+
 def test_the_identification_table_is_the_csv_cell_by_cell(saved):
     section = next(s for s in sections(saved) if s.title.endswith("identification"))
     (table,) = [part for part in section.parts if isinstance(part, Table)]
@@ -105,6 +111,18 @@ def test_without_any_result_every_section_stands_and_says_what_makes_it(empty, t
             assert re.search(r"Not measured: .* `python scripts/\w+\.py[^`]*`.* makes (it|them)\.", block), title
 
 
+def test_without_any_result_every_statement_counts_as_not_measured(saved, empty):
+    """By the plants and experiments that the paper's figures are compared in, the same ones as with all results."""
+    everything, nothing = (
+        {(finding.case, finding.paper, finding.claim) for section in sections(one) for finding in section.findings}
+        for one in (saved, empty)
+    )
+    assert everything == nothing and len(nothing) > 100
+    words = pages(empty)[1].parts[0].words
+    assert words.startswith(f"Of {len(nothing)} comparisons: 0 as in the paper,")
+    assert f"0 not reached, {len(nothing)} not measured." in words
+
+
 @pytest.mark.parametrize("formats", [[], ["pdf", "svg"]])
 def test_formats_that_no_page_shows_are_refused(empty, tmp_path, formats):
     with pytest.raises(ValueError, match="a page shows svg or png, name one of them first"):
@@ -117,9 +135,9 @@ def test_a_picture_names_the_command_and_the_commit_of_its_runs_and_no_column(sa
     assert len(pictures) > 40
     for picture in pictures:
         if picture.name != "framework":
-            assert re.search(r"made by `python scripts/\w+\.py [^`]+` at commit [0-9a-f]{7}", picture.source), (
-                picture.name
-            )
+            assert re.search(
+                r"(made by|with the settings of) `python scripts/\w+\.py [^`]+` at commit [0-9a-f]{7}", picture.source
+            ), picture.name
             assert "column" not in picture.source
         assert picture.caption.endswith(".") and "Run `" not in picture.caption
 

@@ -1,6 +1,7 @@
 import shutil
 
 import numpy as np
+import pytest
 
 from dynasindy.viz.report import control
 from dynasindy.viz.report.document import Picture, Table, Text, Verdict
@@ -21,7 +22,7 @@ def test_average_rewards_are_the_numbers_of_the_table(results):
     curves = {line.get_label(): line.get_ydata() for line in axis.lines}
     np.testing.assert_allclose(curves["800 rollouts (3 seeds)"], [-10.0 / k + 1.0 for k in range(1, 7)])
     np.testing.assert_allclose(curves["no planning (3 seeds)"], [-200.0 / k + 1.0 for k in range(1, 7)])
-    said = {finding.paper: finding for finding in section.findings}
+    said = {finding.paper: finding for finding in section.findings if finding.case == "xi, `dyna`"}
     level = said["planning reaches the required level sooner"]
     assert level.verdict is Verdict.AS and level.ours.endswith("no planning never, 400 rollouts 6, 800 rollouts 4")
     assert "`python scripts/ablation.py system=xi experiment=paper` makes them" in lines(section)[0]
@@ -34,7 +35,7 @@ def test_other_agents_without_a_model_stand_beside_where_the_level_is_compared(r
     with (more / "ablation.csv").open("a") as file:
         file.write("xi,dyna,sb3_sac_5,0,7,5,abc1234\r\nxi,dyna,sb3_sac_5,1,7,5,abc1234\r\n")
     section = control.rewards(Results(more, results.settings))
-    said = {finding.paper: finding for finding in section.findings}
+    said = {finding.paper: finding for finding in section.findings if finding.case == "xi, `dyna`"}
     level = said["planning reaches the required level sooner"]
     assert level.ours.endswith("800 rollouts 4, SAC, five updates per step (7 episodes) 5")
     assert level.verdict is Verdict.SHORT
@@ -44,9 +45,54 @@ def test_other_agents_without_a_model_stand_beside_where_the_level_is_compared(r
 
 def test_the_caption_of_curves_over_seeds_names_the_commits_of_their_runs_and_the_commands_of_the_saved_ones(results):
     (caption,) = [part.source for part in control.rewards(results).parts if isinstance(part, Picture)]
-    assert "ablation_curves.csv`, of runs at commit abc1234 and def5678. First seeds: Run" in caption
+    command = "`python scripts/ablation.py system=xi experiment=dyna train.episodes=6 setting="
+    assert f"ablation_curves.csv`, of runs with the settings of {command}" in caption
+    assert "rollouts_0,rollouts_400,rollouts_800 seed=0,1,2` at commit abc1234 and def5678. First seeds: Run" in caption
     for name in ("rollouts_0", "rollouts_400", "rollouts_800"):
         assert f"xi_dyna_{name}`, made by `python scripts/x.py` at commit abc1234." in caption
+
+
+@pytest.fixture
+def longer(results, tmp_path):
+    """Results whose rows are of 9 episodes, but seed 1 without planning ends at 7; saved runs have 6 as before."""
+    more = tmp_path / "results"
+    shutil.copytree(results.folder, more)
+    runs = (
+        (more / "ablation.csv").read_text().replace(",6,6,", ",9,6,").replace(",6,4,", ",9,4,").replace(",6,,", ",9,,")
+    )
+    (more / "ablation.csv").write_text(runs)
+    with (more / "ablation_curves.csv").open("a") as file:
+        for name in ("rollouts_0", "rollouts_400", "rollouts_800"):
+            for seed, end in ((0, 9), (1, 7 if name == "rollouts_0" else 9), (2, 9)):
+                file.writelines(f"xi,dyna,{name},{seed},{k},-1,0.01,0.01\r\n" for k in range(7, end + 1))
+    return Results(more, results.settings)
+
+
+def test_runs_of_another_length_are_not_told_as_the_first_seeds_of_curves_and_both_lengths_are_told(longer):
+    section = control.rewards(longer)
+    (picture,) = [part for part in section.parts if isinstance(part, Picture)]
+    assert "First seeds" not in picture.source and "train.episodes=9 setting=" in picture.source
+    # Nothing is compared after episode 7, which is as far as all seeds go.
+    assert "up to 7 of them" in picture.caption
+    assert {len(line.get_xdata()) for line in picture.figure.axes[0].lines} - {0} == {7}
+    for section in (control.steps(longer), control.wave(longer, "sine")):
+        (caption,) = [part.caption for part in section.parts if isinstance(part, Picture)]
+        assert "after 6 real episodes. Figure 11 is of other runs, of 9 episodes," in caption
+
+
+def test_runs_of_the_same_length_at_another_commit_are_not_the_first_seeds(results, tmp_path):
+    more = tmp_path / "results"
+    shutil.copytree(results.folder, more)
+    file = more / "ablation.csv"
+    file.write_text(file.read_text().replace("abc1234", "7654321"))
+    (picture,) = [part for part in control.rewards(Results(more, results.settings)).parts if isinstance(part, Picture)]
+    assert "First seeds" not in picture.source and "commit 7654321 and def5678" in picture.source
+
+
+def test_errors_at_the_end_are_those_of_the_worse_axis(results):
+    findings = [one for one in control.rewards(results).findings if one.case == "xi, `dyna`"]
+    (end,) = [one for one in findings if one.paper.startswith("all settings end")]
+    assert "no planning 0.2 to 0.2, 400 rollouts 0.05 to 0.0501, 800 rollouts 0.01 to 0.01, not all of" in end.ours
 
 
 def test_steps_of_the_three_settings_share_axes_and_their_errors_are_those_of_the_runs(results):

@@ -50,7 +50,7 @@ def tables(section):
 
 
 def test_claims_come_first_and_lead_to_what_falls_short():
-    verdict, _, _ = overview(sections(), {XI: 20})
+    verdict, _, _ = overview(sections(), {XI: "20 episodes"})
     (table,) = tables(verdict)
     assert [row[0] for row in table.rows] == list(CLAIMS)
     assert table.rows[0][1] == Link("in part (1 of 2)", "Figure 2: two")

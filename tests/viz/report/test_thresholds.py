@@ -27,7 +27,9 @@ def fall(last: float) -> Finding:
 
 
 def close(error: float) -> Finding:
-    return model_verdicts.last_model_agrees("xi", "s", dict.fromkeys(STATES, 0.1) | {"Omega_p": error})
+    return model_verdicts.last_model_agrees(
+        "xi", model_verdicts.CLOSELY, dict.fromkeys(STATES, 0.1) | {"Omega_p": error}
+    )
 
 
 def difficult(error: float) -> Finding:
@@ -53,6 +55,13 @@ def near(part: float) -> Finding:
     """No planning ends short of the others by a part of the whole rise, 100."""
     curves = {NONE: np.array([[0.0, 100.0 * (1 - part)]]), SOME: np.array([[0.0, 100.0]])}
     return verdicts.rewards_agree("xi", curves | {MANY: curves[SOME]}, levels())[4]
+
+
+def ends(seeds: float) -> Finding:
+    """Returns end alike, and errors do not."""
+    curves = {name: np.array([[0.0, 1.0]]) for name in (NONE, SOME, MANY)}
+    errors = {name: [0.1 * (k + 1)] * int(seeds) for k, name in enumerate(curves)}
+    return verdicts.rewards_agree("xi", curves, levels(), errors)[4]
 
 
 def soon(episodes: float) -> Finding:
@@ -130,6 +139,7 @@ CASES = [
     ("COEFFICIENT", coefficient, 1.0, AS, SHORT),
     ("EARLY", lambda share: early(1.0 - share), 0.75, AS, SHORT),
     ("NEAR", near, 0.05, AS, SHORT),
+    ("SEEDS", ends, 3, AS, SHORT),
     ("SOON", soon, 180, BETTER, SHORT),
     ("LEVEL", settles, 0.05, AS, SHORT),
     ("LEVEL", smoother, 0.05, BETTER, SHORT),

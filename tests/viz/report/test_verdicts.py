@@ -24,6 +24,25 @@ def test_rewards_that_go_as_in_the_paper_agree_in_every_statement():
     assert "no planning -90, 400 rollouts -70, 800 rollouts -50" in found[1].ours
 
 
+@pytest.mark.parametrize(
+    ("errors", "verdict", "words"),
+    [
+        # Disjoint: no error lies within all three intervals.
+        (([0.21, 0.24, 0.26], [0.06, 0.28, 0.35], [0.08, 0.09, 0.1]), Verdict.SHORT, "not all of which overlap"),
+        (([0.21, 0.24, 0.26], [0.06, 0.28, 0.35], [0.08, 0.25, 0.1]), Verdict.AS, "which overlap"),
+        (([0.21], [0.06], [0.08]), Verdict.AS, "too few seeds to tell apart"),
+        (([0.21, np.nan, 0.2], [0.06, 0.28, 0.35], [0.3, 0.2, 0.25]), Verdict.AS, "which overlap"),
+    ],
+)
+def test_settings_end_alike_only_if_their_errors_do_too(errors, verdict, words):
+    """The 95 % interval of the mean of three values reaches from the least to the greatest of them."""
+    curves = {name: np.array([[-100.0, 0.0]]) for name in (NONE, SOME, MANY)}
+    to_level = {NONE: [8], SOME: [6], MANY: [3]}
+    found = rewards_agree("xi", curves, to_level, dict(zip((NONE, SOME, MANY), errors, strict=True)))[-1]
+    assert found.verdict is verdict and found.ours.endswith(words)
+    assert rewards_agree("xi", curves, to_level)[-1].verdict is Verdict.AS
+
+
 def test_rewards_that_go_the_other_way_agree_in_none():
     curves = {
         NONE: np.array([[0.0, -50.0]]),
