@@ -140,15 +140,15 @@ def _draw_bar(
     pen, (low, high) = ImageDraw.Draw(image, "RGBA"), ends
     left, right, top, bottom = corner[0] + 66, corner[0] + 114, corner[1] + 30, corner[1] + 142
 
-    def height(value: float) -> float:
+    def _height(value: float) -> float:
         share = (min(max(value, low), high) - low) / (high - low) if math.isfinite(value) else 0.0
         return _ZOOM * (bottom - share * (bottom - top))
 
     value, reference = values
-    base, tip = sorted((height(value), height(0.0)))
+    base, tip = sorted((_height(value), _height(0.0)))
     pen.rectangle([_ZOOM * left, base, _ZOOM * right, tip], fill=_PLANT)
     pen.rectangle([_ZOOM * left, _ZOOM * top, _ZOOM * right, _ZOOM * bottom], outline=_FAINT, width=2 * _ZOOM)
-    wanted = height(reference)
+    wanted = _height(reference)
     _dashed(pen, [(_ZOOM * (left - 10), wanted), (_ZOOM * (right + 10), wanted)])
     # As many digits as tell a thousandth of the bar.
     digits, sign = max(0, 2 - math.floor(math.log10(high - low))), "+" if low < 0 else ""
