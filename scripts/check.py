@@ -17,7 +17,7 @@ def main(cfg: DictConfig) -> None:
 
     from dynasindy.checking import Loop, Plant, Settings, check, verdict
     from dynasindy.checking.check import record
-    from dynasindy.checking.verdict import in_short
+    from dynasindy.checking.verdict import in_short, lost
     from dynasindy.evaluation.files import write_json
     from dynasindy.export.write import Exported
     from dynasindy.viz.check import draw
@@ -48,7 +48,7 @@ def main(cfg: DictConfig) -> None:
         f"Files: {folder}",
         sep="\n",
     )
-    if not bool(found.stable.all()):
+    if bool(lost(found).any()):
         sys.exit(1)
 
 

@@ -89,7 +89,7 @@ def measure(size: Size, repeats: int) -> list[dict[str, str | float]]:
     rounded = TD3(N_OBS, N_U, hidden=size.hidden, target_update_interval=2, matmul_precision="medium").update
     their_rounded = stable_baselines3_update(size, batch, STEPS, fused=True)
 
-    def theirs_rounded() -> None:
+    def _theirs_rounded() -> None:
         with products_in("medium"):
             their_rounded()
 
@@ -102,7 +102,7 @@ def measure(size: Size, repeats: int) -> list[dict[str, str | float]]:
         f"{BEST}, {COMPILED}": (stable_baselines3_update(size, batch, STEPS, fused=True, compiled=True), STEPS),
         IN_TORCH: (lambda: in_torch(batch), 1),
         f"{OURS}, {ROUNDED}": (lambda: rounded(batch), 1),
-        f"{BEST}, {ROUNDED}": (theirs_rounded, STEPS),
+        f"{BEST}, {ROUNDED}": (_theirs_rounded, STEPS),
         "matrix products alone": (matrix_products(size), 1),
         "DynaReplay.sample": (replay.sample, 1),
     }

@@ -16,6 +16,7 @@ from dynasindy.checking.linear import RESTS, Array, Rest, rest
 from dynasindy.checking.loop import Loop
 from dynasindy.checking.margins import Margins, margins
 from dynasindy.checking.noise import noise_gain
+from dynasindy.checking.swings import Swings, swings
 from dynasindy.checking.uncertainty import Spread, Variants, spread, variants
 from dynasindy.told import tell
 
@@ -91,6 +92,7 @@ class Check:
         drawn: Flights from the origin to the farthest target with each plant that was drawn.
         spread: What becomes of the loop with other plants, at the targets where it is stable with the model.
         planes: From which errors around the middle target the plant comes back.
+        swings: What becomes of flights to the targets at which the loop is not stable.
         flown: Margins of flights from each target at which the loop is stable to the opposite one; None where there is
             none, and of a plant without dry friction, whose margins at rest are those of large movements as well.
     """
@@ -106,6 +108,7 @@ class Check:
     drawn: Flights | None
     spread: Spread
     planes: list[Plane]
+    swings: Swings
     flown: Flown | None
 
     @property
@@ -173,6 +176,7 @@ def check(loop: Loop, settings: Settings, errors: Tensor | None = None) -> Check
             settings.grid,
             seconds,
         ),
+        swings(loop, targets, good, seconds),
         _flown(loop, targets[good], found.z[good], seconds),
     )
 
@@ -225,6 +229,9 @@ def record(found: Check) -> dict[str, Any]:
                 "spectral_radius": number(found.rest.linear.radius[k]),
                 "eigenvalues": [[number(v.real), number(v.imag)] for v in eigenvalues[k] if abs(v) > 1e-6],
                 "steady_error": _named(outputs, found.steps.steady_error[k]),
+                "swing": None
+                if bool(found.stable[k])
+                else _named((*outputs, *names), torch.cat([found.swings.outputs[k], found.swings.inputs[k]])),
                 "margins": {
                     name: {key: number(value) for key, value in vars(margin).items()}
                     for name, margin in zip(names, found.margins[k], strict=False)

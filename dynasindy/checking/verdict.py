@@ -26,6 +26,7 @@ class Thresholds:
         phase: Least phase margin [deg].
         delay: Least delay margin [control periods].
         disk: Least disk margin.
+        swing: Largest swing to either side where the loop is not stable [typical sizes of the outputs].
         error: Largest steady error [typical sizes of the outputs].
         recovered: Least share of initial errors from which the plant comes back.
         noise: Largest standard deviation of an input under the noise of the sensors.
@@ -37,6 +38,7 @@ class Thresholds:
     phase: float = 30.0
     delay: float = 1.0
     disk: float = 0.5
+    swing: float = 0.01
     error: float = TOLERANCE
     recovered: float = 0.9
     noise: float = 0.05
@@ -88,50 +90,81 @@ REMEDIES = {
 """What may mend a finding that is weak, by its name."""
 
 
-def in_short(found: Check, findings: Sequence[Finding]) -> str:
+def lost(found: Check, thresholds: Thresholds | None = None) -> torch.Tensor:
+    """Return at which targets a loop that is not stable leaves them, or swings more than is allowed, `(n_targets,)`."""
+    limits, size = thresholds or Thresholds(), _sizes(found)
+    small = (found.swings.outputs <= limits.swing * size) & (found.swings.error <= limits.error * size)
+    return ~found.stable & ~small.all(-1)
+
+
+def in_short(found: Check, findings: Sequence[Finding], thresholds: Thresholds | None = None) -> str:
     """Return one line that sums up the findings.
 
     Args:
         found: What was looked at.
         findings: What `verdict` said of it.
+        thresholds: Those of the findings.
     """
     count, good = len(found.targets), int(found.stable.sum())
     weak = [each.name for each in findings if not each.good]
-    if good < count:
-        return f"In short: NOT stable at {count - good} of {count} targets. Do not fly it as it is."
+    if left := int(lost(found, thresholds).sum()):
+        return f"In short: NOT stable at {left} of {count} targets. Do not fly it as it is."
     rest = f"weak in {len(weak)} of {len(findings)} findings: {', '.join(weak)}" if weak else "no finding is weak"
+    if good < count:
+        swing = f"at {count - good} it goes on swinging, by {_swing(found)[0]}"
+        return f"In short: stable at {good} of {count} targets; {swing}; {rest}."
     return f"In short: stable at all {count} targets, and {rest}."
 
 
 def verdict(found: Check, thresholds: Thresholds | None = None) -> list[Finding]:
     """Return what was found, the stability first; an unstable loop has no margins and no noise."""
     limits = thresholds or Thresholds()
-    lines = [_stability(found)]
+    lines = [_stability(found, limits)]
     if any(found.margins):
         lines += [*_margins(found, limits), *_flown(found, limits), _noise(found, limits)]
     lines += [*_flights(found, limits), *_changes(found, limits)]
     return [*lines, _recovery(found, limits)] if found.planes else lines
 
 
-def _stability(found: Check) -> Finding:
+def _stability(found: Check, limits: Thresholds) -> Finding:
     count, good, dt = len(found.targets), int(found.stable.sum()), found.loop.dt
     if good < count:
         bad = ~found.stable
         k = int(bad.nonzero()[0])
         restless = int((~found.rest.still).sum())
         more = f"; at {restless} of them there is no rest" if restless else ""
-        _, error, output = _error(found, found.steps.steady_error[bad])
+        _, error, output = _error(found, found.swings.error[bad])
         which = ("such as " if count - good > 1 else "") + _place(found, k)
         words = (
-            f"NOT stable at {count - good} of {count} targets, {which}{more}; flown there, {_name(found, output)} ends "
-            f"within {error} of its target"
+            f"NOT stable at {count - good} of {count} targets, {which}{more}; flown there for "
+            f"{in_words(found.swings.seconds)}, {_name(found, output)} ends within {error} of its target, and "
+            f"{_circling(found)}; thresholds: spectral radius < 1 at all, swings of {100 * limits.swing:g} %"
         )
-        return Finding("stability", False, f"{words}; threshold: spectral radius < 1 at all")
+        return Finding("stability", False, words)
     k = int(np.argmax(found.rest.linear.radius))
     radius = float(found.rest.linear.radius[k])
     slowest = -dt / math.log(radius) if radius else 0.0
     words = f"stable at all {count} targets; largest spectral radius {radius:.4f} at {_place(found, k)}"
     return Finding("stability", True, f"{words}, a time constant of {in_words(slowest, digits=2)}; threshold: < 1")
+
+
+def _circling(found: Check) -> str:
+    """Return how the loop swings where it is not stable."""
+    word, output, share = _swing(found)
+    if share == math.inf:
+        return f"{_name(found, output)} runs away, or its swings still grow"
+    moved = found.swings.inputs.amax(0)
+    i = int(moved.argmax())
+    name = found.loop.signature.input_names[i]
+    return (
+        f"the loop goes on swinging, by {word}, {100 * share:.2g} % of its typical size, and {name} by {moved[i]:.2g}"
+    )
+
+
+def _swing(found: Check) -> tuple[str, int, float]:
+    """Return the largest swing of an output where the loop is not stable, in words, its output, and typical sizes."""
+    share, word, output = _error(found, found.swings.outputs)
+    return f"{word} of {_name(found, output)} to either side", output, share
 
 
 def _margins(found: Check, limits: Thresholds) -> list[Finding]:
@@ -299,12 +332,17 @@ def _recovery(found: Check, limits: Thresholds) -> Finding:
 def _error(found: Check, error: torch.Tensor) -> tuple[float, str, int]:
     """Return the largest steady error of `(rows, n_r)` in typical sizes, in words, and the number of its output."""
     signature, outputs = found.loop.signature, found.loop.task.outputs
-    scale = torch.tensor([signature.x_scale[i] for i in outputs], dtype=torch.float64)
-    ranged = (error / scale).amax(0)
+    ranged = (error / _sizes(found)).amax(0)
     i = int(ranged.argmax())
     value = float(error[:, i].amax())
     word = "no bound" if value == math.inf else f"{value:.3g} {signature.state_units[outputs[i]]}"
     return float(ranged[i]), word, i
+
+
+def _sizes(found: Check) -> torch.Tensor:
+    """Return the typical sizes of the outputs, `(n_r,)`."""
+    scale = found.loop.signature.x_scale
+    return torch.tensor([scale[i] for i in found.loop.task.outputs], dtype=torch.float64)
 
 
 def _name(found: Check, output: int) -> str:

@@ -1,6 +1,9 @@
 """Statistics over seeds: interquartile mean and stratified bootstrap intervals.
 
 Source: Agarwal et al., *Deep Reinforcement Learning at the Edge of the Statistical Precipice*, NeurIPS 2021.
+
+The resampling is ours and not `scipy.stats.bootstrap`: that draws other random numbers, by which published intervals of
+five seeds change in their third digit, one end from 10.3 to 10.7 episodes, and it refuses a single seed.
 """
 
 from collections.abc import Callable

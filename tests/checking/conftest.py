@@ -1,5 +1,7 @@
 """Controllers and models as small as they may be: a cart on a rail, held by a linear law that is known by heart."""
 
+import math
+
 import pytest
 import torch
 
@@ -18,14 +20,15 @@ DT = 0.1
 
 
 class Law:
-    """u = k_p (r - p) - k_v v + bias, of an observation of scaled states and errors."""
+    """u = k_p (r - p) - k_v v + bias within a limit, of an observation of scaled states and errors."""
 
-    def __init__(self, k_p, k_v, bias=0.0):
-        self.k_p, self.k_v, self.bias = k_p, k_v, bias
+    def __init__(self, k_p, k_v, bias=0.0, limit=math.inf):
+        self.k_p, self.k_v, self.bias, self.limit = k_p, k_v, bias, limit
 
     def __call__(self, tensordict):
         seen = tensordict["observation"]
-        return tensordict.set("action", self.k_p * 0.7 * seen[..., 2:] - self.k_v * 3.0 * seen[..., 1:2] + self.bias)
+        u = self.k_p * 0.7 * seen[..., 2:] - self.k_v * 3.0 * seen[..., 1:2] + self.bias
+        return tensordict.set("action", u.clamp(-self.limit, self.limit))
 
 
 def task_of(signature=CART):

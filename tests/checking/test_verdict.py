@@ -14,7 +14,7 @@ from dynasindy.checking.check import Settings, check
 from dynasindy.checking.flights import Flights
 from dynasindy.checking.flown import Flown
 from dynasindy.checking.margins import Margins
-from dynasindy.checking.verdict import Finding, Thresholds, in_short, verdict
+from dynasindy.checking.verdict import Finding, Thresholds, in_short, lost, verdict
 
 SMALL = Settings((-0.4,), (0.4,), points=2, seconds=8.0, grid=3, draws=2)
 
@@ -120,8 +120,8 @@ def test_the_threshold_of_the_steady_error_has_the_unit_of_its_value(good):
 def test_an_unstable_loop_says_so_first_and_where(loops, law):
     lines = verdict(check(loops(law(-1.0, 0.0)), SMALL))
     assert lines[0].name == "stability" and not lines[0].good
-    assert lines[0].words.startswith("NOT stable at 2 of 2 targets, such as (-0.4); flown there, p ends within")
-    assert "of its target; threshold" in lines[0].words
+    assert lines[0].words.startswith("NOT stable at 2 of 2 targets, such as (-0.4); flown there for 40 s, p ends")
+    assert "p runs away, or its swings still grow; thresholds" in lines[0].words
     assert not any("margin" in each.name for each in lines)
 
 
@@ -162,6 +162,19 @@ def test_one_line_sums_up(good, loops, law):
     assert in_short(good, sound) == "In short: stable at all 2 targets, and no finding is weak."
     lost = check(loops(law(-1.0, 0.0)), SMALL)
     assert in_short(lost, verdict(lost)).startswith("In short: NOT stable at 2 of 2 targets. Do not fly")
+
+
+def test_small_swings_are_told_with_their_size_and_forbid_no_flight(loops, carts, law):
+    # The weakest swing of tests/checking/test_swings.py: the input is held, which takes more damping than there is.
+    circling = check(loops(law(40.0, 1.0, limit=1.0), carts(friction=0.8)), SMALL)
+    swing = float(circling.swings.outputs.max())
+    assert 0.005 < swing < 0.2
+    for limit, words in ((1.01 * swing / 2, "stable at 0 of 2 targets; at 2 it goes on swinging, by "), (0.0, "NOT ")):
+        limits = Thresholds(swing=limit)
+        findings = verdict(circling, limits)
+        assert in_short(circling, findings, limits).startswith(f"In short: {words}")
+        assert bool(lost(circling, limits).any()) == (limit == 0)
+        assert not findings[0].good and f"{swing:.3g} m of p to either side" in findings[0].words
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,9 @@
 
 Figures are vectors that any browser shows; the scripts beside this module draw them again from their numbers, with
 zoom, read-out and switches. The page allows itself these scripts and no other, and no address outside itself.
+
+Words hold no Markdown but `code` and **bold**, which are two lines here. A package for Markdown would be one more that
+every installation needs, and it would let the HTML and the links of words through, which must not be.
 """
 
 from __future__ import annotations
