@@ -25,7 +25,7 @@ from torch.quasirandom import SobolEngine
 from dynasindy.durations import in_words
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.regulator import Regulator, Weights, regulated, squares_of
-from dynasindy.planning.rests import Rests, find_rests, growth, slopes
+from dynasindy.planning.rests import Rests, between, find_rests, growth, slopes
 from dynasindy.tasks import Tracking
 
 GROWN = 30.0
@@ -101,7 +101,10 @@ def rests_of(env: ControlEnv) -> Rests | None:
         return None
     generator = torch.Generator().manual_seed(0)
     start = task.initial_state(torch.Size((16,)), generator).double().mean(0)
-    return find_rests(env.system, task.outputs, _targets(task, generator), start, env.dt, task.input_limits)
+    targets = _targets(task, generator)
+    if task.rests is not None:
+        return between(env.system, task.outputs, targets, start, task.rests, task.input_limits)
+    return find_rests(env.system, task.outputs, targets, start, env.dt, task.input_limits)
 
 
 def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettings:

@@ -47,10 +47,13 @@ class Tracking(Task):
             others.
         bounds: Limits of the plant that end an excitation or a real episode: state to a value, for both sides of zero,
             or to two ends.
+        rests: Where the plant rests: `x`, a number per state, and `u`, the inputs in [-1, 1] that hold it there. They
+            are searched in the model if omitted.
 
     Raises:
         ValueError: No output is named, a named state does not exist, the numbers of outputs, rates, references and
-            error weights differ, error_scale or max_steps is not positive, or a target range or a start is none.
+            error weights differ, error_scale or max_steps is not positive, or a target range, a start or a rest is
+            none.
     """
 
     # Departure: the paper's S_tt lists the six states alone; without the errors no policy could know where
@@ -70,6 +73,7 @@ class Tracking(Task):
         high: Sequence[float] | None = None,
         start: Mapping[str, Ends] | None = None,
         bounds: Mapping[str, Ends] | None = None,
+        rests: Sequence[Mapping[str, Sequence[float]]] | None = None,
     ) -> None:
         super().__init__(signature, max_steps)
         if not outputs:
@@ -111,6 +115,7 @@ class Tracking(Task):
         self.ends = None if low is None or high is None else (tuple(map(float, low)), tuple(map(float, high)))
         self.start = ranges.starts(signature, start or {}, "task.start")
         self.bounds = ranges.limits(signature, bounds or {}, "task.bounds")
+        self.rests = ranges.rests(signature, rests, "task.rests")
         self.fence = 0.0
         self.followers: Mapping[int, int] = {}
         self._given = set(start or {})
