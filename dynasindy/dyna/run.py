@@ -233,6 +233,7 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
         *([metrics["excitation"]] if metrics.get("excitation") else []),
         *([f"Reward: {metrics['reward']}"] if metrics.get("reward") else []),
         *_of_plant(metrics.get("planning") or ""),
+        *([metrics["gate"]] if metrics.get("gate") else []),
         metrics["verdict"]["sentence"],
         *([metrics["verdict"]["held"]] if metrics["verdict"].get("held") else []),
         f"Run folder: {folder}",

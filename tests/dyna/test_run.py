@@ -207,6 +207,7 @@ def test_the_report_says_equations_metrics_costs_and_folder(tmp_path):
             "verdict": {"usable": True, "sentence": "It is better.", "held": "CONTROLLED: x."},
             "units": {"alpha_a": "m"},
             "planning": "window 60 periods, lr 0.01: it hardly moves",
+            "gate": "The model was not trusted.",
         },
         tmp_path,
     )
@@ -220,6 +221,7 @@ def test_the_report_says_equations_metrics_costs_and_folder(tmp_path):
         "It is better.",
         "CONTROLLED: x.",
         "The model says of the plant: it hardly moves.",
+        "The model was not trusted.",
         "RMSE [m]",
         str(tmp_path),
     ):
