@@ -236,6 +236,11 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
         *([metrics["gate"]] if metrics.get("gate") else []),
         metrics["verdict"]["sentence"],
         *([metrics["verdict"]["held"]] if metrics["verdict"].get("held") else []),
+        *(
+            [f"Check on the model, {folder / 'check'}: {checked['verdict']}"]
+            if (checked := metrics.get("check"))
+            else []
+        ),
         f"Run folder: {folder}",
     ]
     return "\n".join(lines)

@@ -208,6 +208,7 @@ def test_the_report_says_equations_metrics_costs_and_folder(tmp_path):
             "units": {"alpha_a": "m"},
             "planning": "window 60 periods, lr 0.01: it hardly moves",
             "gate": "The model was not trusted.",
+            "check": {"verdict": "In short: stable."},
         },
         tmp_path,
     )
@@ -222,6 +223,7 @@ def test_the_report_says_equations_metrics_costs_and_folder(tmp_path):
         "CONTROLLED: x.",
         "The model says of the plant: it hardly moves.",
         "The model was not trusted.",
+        f"Check on the model, {tmp_path / 'check'}: In short: stable.",
         "RMSE [m]",
         str(tmp_path),
     ):
