@@ -86,7 +86,7 @@ def _of_measurements(rows: TensorDict, parts: Parts) -> Nearby | None:
     if len(data) < ENOUGH * (n_x + n_u + 1):
         return None
     names = signature.state_names
-    known = {a: b for a, b in sensors.rates.items() if a in names and b in names}
+    known = {a: b for a, b in (sensors.rates or {}).items() if a in names and b in names}
     refinement = Refinement(method="trajectory")
     model = SindyModel(signature, partial(polynomial, degree=1), Regression(method="bic"), refinement, known)
     try:
