@@ -17,8 +17,8 @@ def main(cfg: DictConfig) -> None:
 
     from dynasindy.checking import Loop, Plant, Settings, check, verdict
     from dynasindy.checking.check import record
-    from dynasindy.checking.verdict import in_short, lost
-    from dynasindy.evaluation.files import write_json
+    from dynasindy.checking.verdict import in_figures, in_short, lost
+    from dynasindy.evaluation.files import add_to_record, write_json
     from dynasindy.export.write import Exported
     from dynasindy.viz.check import draw
     from dynasindy.viz.style import save
@@ -39,6 +39,9 @@ def main(cfg: DictConfig) -> None:
     findings = verdict(found)
     words = [{"finding": each.name, "good": each.good, "words": each.words} for each in findings]
     write_json(folder / "check.json", {"verdict": words, **record(found)})
+    kept = folder.parent / "metrics.json"
+    if cfg.folder is None and kept.is_file():  # of another folder nobody knows that it is of this run
+        add_to_record(kept, "check", in_figures(found, findings))
     for name, figure in draw(found).items():
         save(figure, folder / name)
     print(

@@ -132,7 +132,8 @@ def _required(cfg: DictConfig) -> dict[str, object]:
     """Return the settings of the planning, where the config says what is to be tracked and how to plan from a log."""
     if cfg.model is not None and cfg.get("data") is None and cfg.system is not None:
         raise ValueError(
-            "model=PATH plans without a plant; give system=logged and plant.outputs, plant.low, plant.high"
+            "model=PATH plans without a plant, and system names one; leave system out, and give plant.outputs, "
+            "plant.low and plant.high"
         )
     if missing := [name for name in ("outputs", "low", "high") if OmegaConf.is_missing(cfg.plant, name)]:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Where a command works: a sweep in a folder named after its words, a resumed run in its own."""
+"""What a command line implies: the folder of a sweep or of a resumed run, and that a model stands for a log."""
 
 import errno
 import hashlib
@@ -11,14 +11,17 @@ SWEEPING = ("-m", "--multirun")
 
 
 def complete(words: list[str]) -> None:
-    """Append to a command line, in place, the folder that Hydra is to use.
+    """Append to a command line, in place, what it implies: the folder that Hydra is to use, and the plant of a model.
 
-    The same sweep has the same folder, so that the same command goes on with it; a resumed run keeps its own.
+    The same sweep has the same folder, so that the same command goes on with it; a resumed run keeps its own. A model
+    that is given without data and without a plant, `model=model.json`, stands in the place of a log's.
 
     Raises:
         FileNotFoundError: The folder to resume is no run folder.
     """
     given = dict(word.split("=", 1) for word in words[1:] if "=" in word)
+    if given.get("model", "null") not in ("null", "") and not {"data", "system", "resume"} & set(given):
+        words.append("system=logged")
     folder = given.get("resume", "null").strip("'\"")
     if folder not in ("null", ""):
         if not (Path(folder) / "config.yaml").is_file():

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 
-from dynasindy.checking.check import Check
+from dynasindy.checking.check import Check, number
 from dynasindy.checking.flights import TOLERANCE
 from dynasindy.checking.flown import GAINS, LATEST, Flown
 from dynasindy.checking.margins import Margins
@@ -114,6 +115,30 @@ def in_short(found: Check, findings: Sequence[Finding], thresholds: Thresholds |
         swing = f"at {count - good} it goes on swinging, by {_swing(found)[0]}"
         return f"In short: stable at {good} of {count} targets; {swing}; {rest}."
     return f"In short: stable at all {count} targets, and {rest}."
+
+
+def in_figures(found: Check, findings: Sequence[Finding]) -> dict[str, Any]:
+    """Return the main figures, as `metrics.json` of a run holds them; null stands for what is infinite.
+
+    Args:
+        found: What was looked at.
+        findings: What `verdict` said of it.
+    """
+    least: dict[str, dict[str, float | None]] = {}
+    for i, name in enumerate(found.loop.signature.input_names):
+        if at_targets := [each[i] for each in found.margins if each]:
+            worst = {key: min(getattr(m, key) for m in at_targets) for key in ("gain", "phase", "delay", "disk")}
+            worst["lower"] = max(m.lower for m in at_targets)
+            least[name] = {key: number(value) for key, value in worst.items()}
+    return {
+        "verdict": in_short(found, findings),
+        "stable": bool(found.stable.all()),
+        "weak": [each.name for each in findings if not each.good],
+        "margins": least,
+        "recovered": {" and ".join(plane.names): plane.share for plane in found.planes},
+        "low": list(found.settings.low),
+        "high": list(found.settings.high),
+    }
 
 
 def verdict(found: Check, thresholds: Thresholds | None = None) -> list[Finding]:

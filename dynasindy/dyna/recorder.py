@@ -23,7 +23,7 @@ from dynasindy.control.files import NAME
 from dynasindy.dyna.callback import Callback, Cost, Episode
 from dynasindy.dyna.excite import coarse, left_out, restarts
 from dynasindy.dyna.parts import Parts
-from dynasindy.dyna.verdict import judge
+from dynasindy.dyna.verdict import distrusted, judge
 from dynasindy.evaluation.drawn import drawn
 from dynasindy.evaluation.files import whole, with_units, write_csv, write_json, write_text
 from dynasindy.evaluation.held import WITHIN, Held, held
@@ -177,6 +177,9 @@ class Recorder(Callback):
             "excitation": self.restarts,
             "planning": self.parts.planner.words(),
             "reward": self.plant.task.words(),
+            "gate": distrusted(
+                [dict(zip(GATE_COLUMNS, row, strict=True)) for row in self.decisions], self.parts.gate.state_error
+            ),
             "untrained": self.untrained,
             "drawn": asdict(shown),
             "equations": self.parts.world_model.equations(),

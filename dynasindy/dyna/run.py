@@ -233,8 +233,14 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
         *([metrics["excitation"]] if metrics.get("excitation") else []),
         *([f"Reward: {metrics['reward']}"] if metrics.get("reward") else []),
         *_of_plant(metrics.get("planning") or ""),
+        *([metrics["gate"]] if metrics.get("gate") else []),
         metrics["verdict"]["sentence"],
         *([metrics["verdict"]["held"]] if metrics["verdict"].get("held") else []),
+        *(
+            [f"Check on the model, {folder / 'check'}: {checked['verdict']}"]
+            if (checked := metrics.get("check"))
+            else []
+        ),
         f"Run folder: {folder}",
     ]
     return "\n".join(lines)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,7 +36,8 @@ def judge(metrics: Mapping[str, Any], within: float = WITHIN) -> Verdict:
 
     Args:
         metrics: What a run ends with: `scenario`, the summaries `untrained` and `evaluation`, each with a
-            `return`, None where it is not finite, and `held`, see `dynasindy.evaluation.held`.
+            `return`, None where it is not finite, and `held`, see `dynasindy.evaluation.held`; and the number of its
+            `episodes`, without which there is no `gate.csv`.
         within: Mean absolute error at the end that is asked for, in ranges of targets.
     """
     usable, sentence = _compared(metrics)
@@ -58,9 +59,40 @@ def _compared(metrics: Mapping[str, Any]) -> tuple[bool, str]:
         word = "better" if share >= HARDLY else f"hardly better, by {100 * share:.2g} %,"
         return True, f"The trained policy is {word} than the untrained one: {returns}."
     how = "worse than" if trained < untrained else "no better than"
+    look = (
+        ", or look in gate.csv whether the model was trusted" if metrics.get("episodes", 1) else ""
+    )  # not written else
     return False, (
         f"There is no usable result: the trained policy is {how} the untrained one: {returns}; train for more "
-        "episodes, or look in gate.csv whether the model was trusted."
+        f"episodes{look}."
+    )
+
+
+def distrusted(decisions: Sequence[Mapping[str, float | None]], state_error: float = math.inf) -> str:
+    """Say that the model was not trusted, in how many episodes and why the last time; empty where it always was.
+
+    Args:
+        decisions: Rows of `gate.csv`.
+        state_error: State error above which the gate is closed [ranges of the states].
+    """
+    closed = [row for row in decisions if not row["open"]]
+    if not closed:
+        return ""
+    last, when = closed[-1], f"after {len(closed)} of {len(decisions)} episodes"
+    reward, states = (_number(last[f"judged_{what}_error"]) for what in ("reward", "state"))
+    opens, closes = _number(last["open_below"]), _number(last["close_above"])
+    why = f"the model's reward error on real periods that it was not fitted to was {reward:.2g} per control period, "
+    if reward > closes:
+        why += f"above gate.close_above={closes:g}"
+    elif reward > opens:
+        why += f"above gate.open_below={opens:g}, at which a closed gate opens"
+    elif states > state_error:
+        why = f"its state error was {states:.2g} ranges, above gate.state_error={state_error:g}"
+    else:
+        why = "its errors on real periods were no numbers"
+    return (
+        f"The model was not trusted {when}, so nothing was planned on it there: after episode "
+        f"{_number(last['episode']):.0f} {why}; gate.csv tells of each."
     )
 
 

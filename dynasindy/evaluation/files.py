@@ -12,6 +12,7 @@ from typing import Any
 import torch
 
 from dynasindy.evaluation.drawn import drawn
+from dynasindy.evaluation.given import read_record
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.evaluation.summary import summarise
 from dynasindy.systems import Signature
@@ -69,6 +70,20 @@ def write_json(path: Path, record: Mapping[str, Any]) -> None:
         ValueError: A number is not finite.
     """
     write_text(path, json.dumps(record, indent=2, allow_nan=False) + "\n")
+
+
+def add_to_record(path: Path, key: str, value: Any) -> None:
+    """Put a key into a record that is there, and leave all else of it, and the time at which it was written.
+
+    Others tell by that time what was made after it, as evaluations of the run that it ended.
+
+    Raises:
+        DamagedFileError: It is no record.
+        ValueError: A number is not finite.
+    """
+    record, written = read_record(path), path.stat()
+    write_json(path, {**record, key: value})
+    os.utime(path, ns=(written.st_atime_ns, written.st_mtime_ns))
 
 
 @contextmanager

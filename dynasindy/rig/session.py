@@ -348,6 +348,21 @@ def _no_delay(longest: float | None) -> str:
 
 
 def _foretold(controller: Controller, model: SindyModel, targets: Sequence[Sequence[float]], seconds: float) -> str:
+    """Say how near a model comes to each target; where that fails, say why: a flight does not wait for its prediction.
+
+    Whatever the reason is, a controller and a rig that fit each other may fly.
+    """
+    try:
+        return _predicted(controller, model, targets, seconds)
+    except Exception as error:
+        why = " ".join(str(error).split())
+        return (
+            "prediction: nothing is foretold of this flight, as the model could not be flown "
+            f"({type(error).__name__}{why and f': {why}'}); the flight goes on without it"
+        )
+
+
+def _predicted(controller: Controller, model: SindyModel, targets: Sequence[Sequence[float]], seconds: float) -> str:
     """Fly a model to each target, from where episodes begin, and say how near it comes, as of a flight."""
     scenario = Scenario("flight", Step(targets), len(targets), seconds)
     flight = workbench.foretell(controller, model, None, scenario).shown

@@ -207,6 +207,8 @@ def test_the_report_says_equations_metrics_costs_and_folder(tmp_path):
             "verdict": {"usable": True, "sentence": "It is better.", "held": "CONTROLLED: x."},
             "units": {"alpha_a": "m"},
             "planning": "window 60 periods, lr 0.01: it hardly moves",
+            "gate": "The model was not trusted.",
+            "check": {"verdict": "In short: stable."},
         },
         tmp_path,
     )
@@ -220,6 +222,8 @@ def test_the_report_says_equations_metrics_costs_and_folder(tmp_path):
         "It is better.",
         "CONTROLLED: x.",
         "The model says of the plant: it hardly moves.",
+        "The model was not trusted.",
+        f"Check on the model, {tmp_path / 'check'}: In short: stable.",
         "RMSE [m]",
         str(tmp_path),
     ):

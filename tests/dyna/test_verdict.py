@@ -5,7 +5,7 @@ from dataclasses import asdict
 
 import pytest
 
-from dynasindy.dyna.verdict import judge
+from dynasindy.dyna.verdict import distrusted, judge
 
 HELD = {"share": {"x": 0.004}, "worst": {"x": 0.02}, "away": {}, "idle": {}}
 
@@ -81,3 +81,42 @@ def test_where_nothing_is_tracked_the_return_counts(trained, away, controlled, w
     assert verdict.controlled is controlled
     assert re.search(words, verdict.held)
     assert "errors" not in verdict.held
+
+
+def test_no_file_is_named_that_a_run_without_episodes_does_not_write():
+    assert "gate.csv" in judge(metrics(-1.0, -1.0) | {"episodes": 2}).sentence
+    assert "gate.csv" not in (told := judge(metrics(-1.0, -1.0) | {"episodes": 0}).sentence)
+    assert told.endswith("train for more episodes.")
+
+
+def decision(episode, reward, state=0.1, is_open=0.0):
+    judged = {"judged_reward_error": reward, "judged_state_error": state}
+    return {"episode": float(episode), "open_below": 0.05, "close_above": 0.1, "open": is_open, **judged}
+
+
+@pytest.mark.parametrize(
+    ("rows", "limit", "words"),
+    [
+        (
+            [decision(1, 0.01, is_open=1.0), decision(2, 0.3)],
+            9.0,
+            r"after 1 of 2 .* episode 2 .* was 0\.3 .*close_above=0.1",
+        ),
+        (
+            [decision(1, 0.3), decision(2, 0.07)],
+            9.0,
+            r"after 2 of 2 episodes.* after episode 2 .* above gate.open_below=0.05",
+        ),
+        ([decision(1, 0.3), decision(2, 0.01, is_open=1.0)], 9.0, r"after 1 of 2 episodes.* after episode 1 "),
+        ([decision(1, 0.01, 2.5)], 2.0, r"its state error was 2\.5 ranges, above gate.state_error=2"),
+        ([decision(1, float("inf"))], 2.0, r"was inf per control period, above gate.close_above"),
+        ([decision(1, float("nan"), float("nan"))], 2.0, r"no numbers"),
+    ],
+)
+def test_a_model_that_was_not_trusted_is_told_with_the_reason(rows, limit, words):
+    told = distrusted(rows, limit)
+    assert re.search(words, told) and "\n" not in told and told.endswith("; gate.csv tells of each.")
+
+
+def test_of_a_model_that_was_always_trusted_nothing_is_told():
+    assert distrusted([]) == "" == distrusted([decision(1, 0.01, is_open=1.0)])

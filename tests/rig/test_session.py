@@ -20,7 +20,7 @@ from dynasindy.rig import FastClock, Guard, InProcessRig, UdpRig, Wiring
 from dynasindy.rig.session import Knowledge, Session, targets_within
 from dynasindy.rig.simulated import SimulatedRig
 from dynasindy.sensing import Sensors
-from dynasindy.systems import Pendulum, Signature, Unknown
+from dynasindy.systems import Diverged, Pendulum, Signature, Unknown
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 from dynasindy.world_models import SindyModel
 
@@ -299,6 +299,34 @@ def test_only_the_controller_that_was_planned_on_the_model_is_foretold(session, 
     assert not any("foretold" in line for line in told)
     session.fly(mine, [[0.1]], 0.1)
     assert "  foretold" in told
+
+
+@pytest.mark.parametrize(
+    ("error", "why"),
+    [
+        (ValueError("two\nlines"), r"\(ValueError: two lines\)"),
+        (RuntimeError(), r"\(RuntimeError\)"),
+        (IndexError("index 4"), r"\(IndexError: index 4\)"),
+        (Diverged("it runs away"), r"\(Diverged: it runs away\)"),
+    ],
+)
+def test_a_flight_goes_on_where_its_prediction_fails(tmp_path, monkeypatch, error, why):
+    signature, told = Signature(("y",), ("m",), ("u",), (1.0,)), []
+    model = SindyModel(signature, ["y", "u"])
+    model.set_coefficients(torch.tensor([[-2.0], [2.0]]))
+    rig = InProcessRig(model, clock=FastClock())
+    session = Session(rig, Wiring(signature, (True,), 0.05), Guard(), tmp_path, told.append, rig.clock, model=model)
+    task = Tracking(signature, RandomStep([0.0], [1.0]), ("y",), (), TrackingReward((1.0,)))
+    session.learnt = Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05))
+
+    def failing(*_):
+        raise error
+
+    monkeypatch.setattr("dynasindy.workbench.foretell", failing)
+    flown = session.fly(session.learnt, [[0.1]], 0.2)
+    assert flown.fault is None and flown.periods == 4
+    (said,) = [line for line in told if "prediction" in line]
+    assert re.search(f"nothing is foretold of this flight, .*{why}; the flight goes on", said) and "\n" not in said
 
 
 def test_the_error_that_is_foretold_of_a_flight_is_that_of_the_last_half_of_its_steps(tmp_path):

@@ -1,6 +1,7 @@
 """The command prints its verdict, writes numbers and figures, and its exit code says whether the loop is stable."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -50,6 +51,27 @@ def test_the_exit_code_is_1_where_the_loop_is_not_stable(tmp_path, spring, code)
     assert [line["words"] in done.stdout for line in found["verdict"]].count(False) == 0
     names = {path.name for path in (tmp_path / "run" / "check").iterdir()}
     assert {"check.json", "recovery.png", "steps.png"} <= names and ("nyquist.png" in names) == (code == 0)
+
+
+def test_the_main_figures_join_what_the_run_has_written_and_leave_it_as_it_is(tmp_path):
+    """A spring and a damper alone bear any gain of an input that hardly acts: no margin ends them."""
+    run_folder(tmp_path / "run", 2.0)
+    (tmp_path / "run" / "config.yaml").write_text("plant: {low: [-0.1], high: [0.1]}\n")
+    before, kept = {"episodes": 3, "verdict": {"usable": True}, "cost": None}, tmp_path / "run" / "metrics.json"
+    kept.write_text(json.dumps(before))
+    os.utime(kept, (1e9, 1e9))
+    done = called(tmp_path, *SMALL)
+    assert done.returncode == 0, done.stderr
+    after = json.loads(kept.read_text())
+    told = after.pop("check")
+    assert after == before and kept.stat().st_mtime == 1e9  # evaluations made since are none of an older run
+    assert told["verdict"] in done.stdout and told["stable"] is True
+    whole = json.loads((tmp_path / "run" / "check" / "check.json").read_text())
+    assert told["margins"] == {"force": whole["targets"][0]["margins"]["force"]}
+    assert told["recovered"] == {" and ".join(each["states"]): each["share"] for each in whole["recovery"]}
+    assert told["weak"] == [line["finding"] for line in whole["verdict"] if not line["good"]]
+    called(tmp_path, *SMALL, f"folder={tmp_path}/elsewhere", "low=[-0.2]")
+    assert json.loads(kept.read_text())["check"] == told
 
 
 def test_what_is_missing_costs_one_line(tmp_path):

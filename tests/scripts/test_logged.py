@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -66,9 +67,9 @@ def test_a_log_gives_a_controller_and_a_prediction(log, tmp_path):
     assert "12 u" in metrics["equations"][1]
     assert dynasindy.load(tmp_path / "run").outputs == ("theta",)
     planned = ["model=" + str(tmp_path / "run" / "model.json"), *TASK, *SHORT, f"folder={tmp_path}/again"]
-    again = train("system=logged", *planned, "evaluation.within=0.9")
+    again = train(*planned, "evaluation.within=0.9")
     assert again.returncode == 0, again.stderr
-    assert "promises nothing of the plant: CONTROLLED" in again.stdout
+    assert "PREDICTED on the model of the plan itself, which promises nothing of the plant: CONTROLLED" in again.stdout
     found = json.loads((tmp_path / "again" / "metrics.json").read_text())["prediction"]
     assert (found["controlled"], found["promised"], found["within"]) == (True, False, 0.9)
     missed = train("system=logged", *planned, "evaluation.within=1e-9")
@@ -112,11 +113,36 @@ def test_a_model_that_swings_fast_is_controlled_in_shorter_periods_unless_one_is
     rows = {"p": (0.0, -3600.0), "v": (1.0, 0.0), "u": (0.0, 3600.0)}
     model.coefficients = torch.tensor([rows[name] for name in model.library.names], dtype=torch.float64)
     model.save(tmp_path / "model.json")
-    words = ["system=logged", f"model={tmp_path}/model.json", "plant.outputs=[p]", "plant.low=[-0.5]"]
+    words = [f"model={tmp_path}/model.json", "plant.outputs=[p]", "plant.low=[-0.5]"]
     words += ["plant.high=[0.5]", "planning.lr=-1.0", f"folder={tmp_path}/run"]
     told = "note: the control period is 0.02 s, a fifth of the model's fastest oscillation of 0.105 s; env.dt chooses"
     assert told in train(*words).stdout
     assert "the control period" not in train(*words, "env.dt=0.05").stdout
+
+
+@pytest.mark.slow
+def test_the_command_of_the_page_plans_on_a_model_alone(tmp_path):
+    """theta'' = -9.81 sin(theta) - 0.5 theta' + 12 u, of a file that `identify` might have written."""
+    page = (ROOT / "docs" / "own_log.md").read_text()
+    (line,) = [line for line in page.splitlines() if "model=runs/DATE_TIME/model.json" in line]
+    model = SindyModel(Pendulum().signature, library=["theta", "Omega", "u", "sin(theta)"])
+    rows = {"theta": (0, 0), "Omega": (1.0, -0.5), "u": (0, 12.0), "sin(theta)": (0, -9.81)}
+    model.coefficients = torch.tensor([rows[name] for name in model.library.names], dtype=torch.float64)
+    (tmp_path / "runs" / "DATE_TIME").mkdir(parents=True)
+    model.save(tmp_path / "runs" / "DATE_TIME" / "model.json")
+    (program, script, *words) = shlex.split(line.replace("angle", "theta"))
+    assert (program, script) == ("python", "scripts/train.py") and not any(w.startswith("system=") for w in words)
+    done = train(*words, *SHORT, "evaluation.must_control=false", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "PREDICTED on the model of the plan itself, which promises nothing of the plant" in done.stdout
+    (found,) = tmp_path.glob("runs/*/controller.json")
+    assert dynasindy.load(found.parent).outputs == ("theta",)
+
+
+def test_a_model_and_a_plant_are_refused_together(tmp_path):
+    done = train("system=pendulum", f"model={tmp_path}/model.json", *TASK, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "system names one; leave system out" in done.stderr
 
 
 def test_a_plan_that_fails_leaves_the_model(log, tmp_path):
