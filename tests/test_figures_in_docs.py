@@ -96,7 +96,7 @@ def test_the_report_is_that_of_the_saved_results(tmp_path, monkeypatch):
     )  # words and tables only: drawing takes a minute
     files = RESULTS.glob("runs/*/config.yaml")
     settings = {file.parent.name: OmegaConf.to_container(OmegaConf.load(file)) for file in files}
-    document.write_markdown(TITLE, pages(Results(RESULTS, settings)), tmp_path / "report.md", ["svg"])
+    document.write_markdown(TITLE, pages(Results(RESULTS, settings)), tmp_path / "report.md", ["svg"], "report.html")
     shown = (REPOSITORY / "docs/report/report.md").read_text()
     assert (tmp_path / "report.md").read_text() == shown, "run: python scripts/report.py"
     assert "a column of" not in shown  # a caption names commits

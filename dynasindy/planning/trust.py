@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import torch
@@ -25,11 +25,13 @@ class ModelError:
         reward_error: Mean absolute difference of the rewards per control period, in the task's unit.
         state_error: Root mean square difference of the states, each divided by its range.
         states: The model's states at the ends of the replayed steps, window by window, `(n, n_x)`.
+        windows: First step, reward error and state error of each window, `(n_windows, 3)`.
     """
 
     reward_error: float
     state_error: float
     states: Tensor
+    windows: Tensor = field(default_factory=lambda: torch.zeros(0, 3))
 
 
 @torch.no_grad()
@@ -60,7 +62,9 @@ def replay_error(
     squares = ((following - x_real[places]) / scale).square().mean(-1)
     errors = torch.stack([differences.mean(), squares.mean().sqrt()])
     reward_error, state_error = errors.nan_to_num(nan=torch.inf, posinf=torch.inf).tolist()
-    return ModelError(reward_error, state_error, following.transpose(0, 1).flatten(0, 1))
+    each = torch.stack([starts.to(x), differences.mean(0), squares.mean(0).sqrt()], -1)
+    each = each.nan_to_num(nan=torch.inf, posinf=torch.inf)
+    return ModelError(reward_error, state_error, following.transpose(0, 1).flatten(0, 1), each)
 
 
 def _replayed(model_env: ControlEnv, x: Tensor, params: Tensor, starts: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:

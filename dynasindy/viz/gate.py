@@ -21,7 +21,10 @@ CLEAR = 1.1
 
 @styled
 def gate(
-    decisions: Mapping[str, ArrayLike], title: str = "Trust in the model", unit: str = "reward per period"
+    decisions: Mapping[str, ArrayLike],
+    title: str = "Trust in the model",
+    unit: str = "reward per period",
+    windows: Mapping[str, ArrayLike] | None = None,
 ) -> Figure:
     """Draw the reward error with its thresholds, shaded while the gate is closed, and the test of each refit.
 
@@ -35,10 +38,12 @@ def gate(
             test.
         title: of the figure.
         unit: of the reward error.
+        windows: Of a single episode, `reward_error` and `state_error` of the model that stays, `(n_windows,)` each, on
+            every window that was held out.
     """
     columns = {name: array(values) for name, values in decisions.items()}
     if len(columns["episode"]) == 1:
-        return _once({name: float(values[0]) for name, values in columns.items()}, title, unit)
+        return _once({name: float(values[0]) for name, values in columns.items()}, title, unit, windows or {})
     x, before, after = (columns[name] for name in ("episode", "held_out_error_before", "held_out_error_after"))
     figure, (upper, lower) = panels(2, 1, (8.5, 5.0), title)
     dots: dict[str, Any] = {"marker": "o", "markersize": 3, "clip_on": False}
@@ -77,8 +82,8 @@ def gate(
     return figure
 
 
-def _once(columns: Mapping[str, float], title: str, unit: str) -> Figure:
-    """Draw what the gate saw in the only episode: errors along the axis, one below the other."""
+def _once(columns: Mapping[str, float], title: str, unit: str, windows: Mapping[str, ArrayLike]) -> Figure:
+    """Draw what the gate saw in the only episode: errors along the axis, one below the other, and those of windows."""
     figure, (upper, lower) = panels(2, 1, (7.0, 3.2), title, sharex=False)
     closed = "" if columns["open"] else ", closes the gate"
     kept = {1.0: "", 0.0: ", rolled back"}.get(columns["refit_kept"], ", not tested")
@@ -86,7 +91,8 @@ def _once(columns: Mapping[str, float], title: str, unit: str) -> Figure:
         "whole episode, before the refit": ("reward_error", GREY),
         f"held-out windows, judged{closed}": ("judged_reward_error", BLUE),
     }
-    _rows(upper, columns, errors, f"reward error [{unit}]")
+    judged = array(windows.get("reward_error", ()))
+    _rows(upper, columns, errors, f"reward error [{unit}]", (judged, 1, BLUE))
     for name, line, words in (("open_below", ":", "opens below"), ("close_above", "--", "closes above")):
         if np.isfinite(columns[name]):
             told = f"{words} {columns[name]:g}"
@@ -99,17 +105,35 @@ def _once(columns: Mapping[str, float], title: str, unit: str) -> Figure:
         "before the refit": ("held_out_error_before", ORANGE),
         f"after the refit{kept}": ("held_out_error_after", RED if columns["refit_kept"] == 0 else BLUE),
     }
-    _rows(lower, columns, tests, f"held-out state error [{TYPICAL}]")
+    back = columns["refit_kept"] == 0  # the model that stays is the one from before
+    stays = (array(windows.get("state_error", ())), 0 if back else 1, ORANGE if back else BLUE)
+    _rows(lower, columns, tests, f"held-out state error [{TYPICAL}]", stays)
+    if lower.get_legend_handles_labels()[0]:
+        legend_beside(lower)
     for axis in (upper, lower):
         if axis.get_xscale() == "log":
             _ticks(axis.xaxis)
     return figure
 
 
-def _rows(axis: Axes, columns: Mapping[str, float], rows: Mapping[str, tuple[str, str]], what: str) -> None:
-    """Draw figures along a logarithmic axis, each with its name in front and its value beside it."""
+def _rows(
+    axis: Axes,
+    columns: Mapping[str, float],
+    rows: Mapping[str, tuple[str, str]],
+    what: str,
+    windows: tuple[Array, int, str],
+) -> None:
+    """Draw figures along a logarithmic axis, each with its name in front and its value beside it.
+
+    Beneath one of them, given by its height and its colour, stand the errors on single windows that it sums up.
+    """
+    single, height, color = windows
+    single = single[np.isfinite(single) & (single > 0)]
+    if len(single):
+        look: dict[str, Any] = {"color": color, "marker": "|", "markersize": 9, "linestyle": "none"}
+        axis.plot(single, np.full(len(single), height + 0.3), label=f"each of {len(single)} windows", **look)
     named_dots(axis, {words: (columns[name], color) for words, (name, color) in rows.items()}, what)
-    values = np.array([columns[name] for name, _ in rows.values()])
+    values = np.concatenate([[columns[name] for name, _ in rows.values()], single])
     seen = values[np.isfinite(values) & (values > 0)]
     if len(seen):
         axis.set_xscale("log")

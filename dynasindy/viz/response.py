@@ -129,9 +129,12 @@ def error_fan(
         told = " ".join([f"{bands[i]:.3g}", *([unit] if unit != "-" else []), "(bonus band)"])
         axis.axhline(bands[i], color=BLACK, linestyle=":", linewidth=1.0, label=told)
         axis.set_yscale("log")
-        # The middle half stays inside; what is less, or zero, leaves the axis and is not laid flat on a floor.
-        least = max(float(p25[:, i].min(where=p25[:, i] > 0, initial=bands[i])), LEAST * float(bands[i]))
-        axis.set_ylim(bottom=0.5 * least)
+        # The middle half stays inside, and the wide band nearly all the time; what is less, or zero, leaves the axis
+        # and is not laid flat on a floor.
+        inner, outer = p25[:, i], p05[p05[:, i] > 0, i]
+        least = float(inner.min(where=inner > 0, initial=bands[i]))
+        least = min(least, float(np.quantile(outer, 0.1))) if len(outer) else least
+        axis.set_ylim(bottom=0.5 * max(least, LEAST * float(bands[i])))
         axis.set_ylabel(f"|error| of {label(*_with_unit(name))}")
     legend_above(axes[0])
     time_axis(axes[-1], seconds)

@@ -97,7 +97,9 @@ def _figures(folder: Path, signature: Signature, controller: str = "policy") -> 
         decisions = read_table(folder / "gate.csv")
         # A reward that was learnt is judged in deviations of what was paid, see `Task.unit`.
         unit = "deviations of the reward" if found.get("reward") else "reward per period"
-        figures["gate"] = gate(decisions, unit=unit)
+        held_out = folder / "data" / "held_out_first_episode.csv"
+        windows = read_table(held_out) if held_out.is_file() else None
+        figures["gate"] = gate(decisions, unit=unit, windows=windows)
     which = found.get("drawn", {}).get("words", "")
     figures["step_response"] = _response(
         read_table(folder / "data" / "step_response.csv"), signature, which, controller

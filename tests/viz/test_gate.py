@@ -85,6 +85,20 @@ def test_a_single_episode_has_a_line_for_each_figure():
     assert names[1:] == ["held-out windows, judged", "before the refit", "after the refit"]
 
 
+def test_a_single_episode_shows_its_windows_beneath_what_sums_them_up():
+    names = ("reward_error", "judged_reward_error", "open_below", "close_above", "open", "episode")
+    columns = dict(zip(names, ([0.03], [0.02], [0.05], [0.1], [1], [1])))
+    columns |= {"held_out_error_before": [0.01], "held_out_error_after": [0.02]}
+    windows = {"time": [1.0, 2.0, 3.0], "reward_error": [0.003, 0.04, 0.5], "state_error": [0.001, 0.02, np.inf]}
+    for kept, height in ((1, 1.3), (0, 0.3)):  # beneath the model that stays
+        upper, lower = gate(columns | {"refit_kept": [kept]}, windows=windows).axes
+        judged, states = (axis.lines[0].get_xydata() for axis in (upper, lower))
+        assert judged.tolist() == [[0.003, 1.3], [0.04, 1.3], [0.5, 1.3]]
+        assert states.tolist() == [[0.001, height], [0.02, height]]
+        assert upper.get_xlim()[0] < 0.003 and upper.get_xlim()[1] > 0.5
+        assert upper.get_legend().get_texts()[0].get_text() == "each of 3 windows"
+
+
 @pytest.mark.parametrize(
     ("changed", "where", "words"),
     [
