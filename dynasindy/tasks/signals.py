@@ -51,11 +51,15 @@ def wave(
         signal: What the plant says of this wave.
 
     Raises:
-        ValueError: The shape is unknown, the numbers of ends differ, or the length of an episode is not known or not
-            positive.
+        ValueError: The shape is unknown, the numbers of ends differ, the length of an episode is not known or not
+            positive, or the plant says something else of the wave than there is to say.
     """
     ends = _ends(low, high)
     own: Signal = signal or {}
+    if stray := sorted(own.keys() - Signal.__annotations__.keys()):
+        raise ValueError(
+            f"plant.signals.{shape} has {', '.join(stray)}; allowed are {', '.join(Signal.__annotations__)}: correct it"
+        )
     if "frequency" not in own and not (dt and dt > 0 and max_steps > 0):
         raise ValueError(
             f"the period of a {shape} is the length of an episode, and task.max_steps is {max_steps}, env.dt {dt}; "
