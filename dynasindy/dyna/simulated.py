@@ -101,8 +101,9 @@ class Simulated:
         period = self.period or PERIOD
         signal = excitation(n_u=system.signature.n_u, seed=self.seed, dt=period)
         signal.check_gain(system.signature.state_names)
-        unseen = self._unseen(signal)
-        self._check_length(max(signal.duration, unseen.duration), signal.dt)
+        seconds = VALIDATION * period if self.validation_seconds is None else self.validation_seconds
+        self._check_length(signal, seconds)
+        unseen = self._unseen(signal, seconds)
         stays = signal.first == 1 and signal.gain is None
         training, validation, notes = (self._open_loop if stays else self._held)(system, signal, unseen)
         training = disturb(training, self.noise, self.seed, system.signature)
@@ -115,9 +116,8 @@ class Simulated:
         """Return the time between two samples [s]."""
         return period / self.samples if self.dt is None else self.dt
 
-    def _unseen(self, signal: Excitation) -> Excitation:
+    def _unseen(self, signal: Excitation, seconds: float) -> Excitation:
         """Return the signal of the validation."""
-        seconds = VALIDATION * signal.dt if self.validation_seconds is None else self.validation_seconds
         return HeldRandom(
             signal.n_u,
             seconds,
@@ -129,13 +129,14 @@ class Simulated:
             gain=None if signal.gain is None else signal.gain.tolist(),
         )
 
-    def _check_length(self, seconds: float, period: float) -> None:
-        steps = seconds / self._step(period) * self.substeps
+    def _check_length(self, signal: Excitation, seconds: float) -> None:
+        dt = self._step(signal.dt)
+        steps = max(signal.duration, seconds) / dt * self.substeps
         if steps > LONGEST:
             raise ValueError(
-                f"excitation.duration or data.validation_seconds of {seconds:g} s, with data.dt={self._step(period):g} "
-                f"s and data.substeps={self.substeps}, is {steps:.3g} steps of the plant; allowed are {LONGEST:g}, an "
-                "arbitrary limit: shorten it"
+                f"excitation.duration={signal.duration:g} s or data.validation_seconds={seconds:g} s, with "
+                f"data.dt={dt:g} s and data.substeps={self.substeps}, is {steps:.3g} steps of the plant; allowed are "
+                f"{LONGEST:g}, an arbitrary limit: shorten it"
             )
 
     def _open_loop(
