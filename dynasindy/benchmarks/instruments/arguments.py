@@ -15,7 +15,7 @@ from typing import Any
 from dynasindy import benchmarks
 from dynasindy.benchmarks.plants import PLANTS as EXAMPLES
 
-CONTROLLERS = ("Dyna-gradient", "Dyna-gradient, integral", "LQI", "MPC", "PID")
+CONTROLLERS = ("planning by gradient", "planning by gradient, integral action", "LQI", "MPC", "PID")
 MODELS = ("identified", "true")
 ROTORS = ("xi", "tras", "trms33")
 REPORTED = (
