@@ -136,9 +136,11 @@ def _paper_in_full() -> Iterator[Tie]:
         return pair(lambda axis: float(row[axis]), digits, axes=("azimuth", "pitch"))
 
     for run, seed in sorted({(row["setting"], int(row["seed"])) for row in table("paper_in_full.csv")}):
-        shown = [after(run, seed, episode) for episode in (60, 180, 220)]
-        yield Tie(PAGE, f"| {run.removeprefix('rollouts_')}, {seed} | {{}} | {{}} | {{}} |", tuple(shown))
-    yield Tie(PAGE, "went on to 1200 episodes, and ends at {}.", (after("rollouts_800", 0, 1200, 4),))
+        last = max(int(row["episode"]) for row in rows("paper_in_full.csv", setting=run, seed=seed))
+        shown = [f" {after(run, seed, at)} " if at <= last else " " for at in (60, 180, 220, 600, 1200)]
+        yield Tie(PAGE, f"| {run.removeprefix('rollouts_')}, {seed} |" + "{}|" * len(shown), tuple(shown))
+    ends = [after(*run, 1200, 4) for run in (("rollouts_800", 0), ("rollouts_800", 1), ("rollouts_0", 0))]
+    yield Tie(PAGE, "With 800 rollouts they end at {} and at {}, without rollouts at {}.", tuple(ends))
 
 
 def _tuned(changed: dict[str, object], episode: int) -> str:
