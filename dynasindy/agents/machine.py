@@ -99,7 +99,9 @@ class MachineSteps(Steps):
         networks = [loss.actor_layers, loss.critic_layers, *targets, *gradients]
         first, last = loss.actor_layers[0].weight, loss.critic_layers[-1].bias
         self.n_obs, self.n_u = first.shape[-1], loss.actor_layers[-1].bias.shape[-1]
-        parts = PARTS[precision] if self._code.tiles() else 0
+        parts = PARTS[precision]
+        if parts and not self._code.tiles():  # asking has the system keep more room for each signal
+            parts = 0
         sizes = self.n_obs, self.n_u, last.shape[0], parts
         self._agent = _Agent(*sizes, loss.discount, loss.policy_noise, loss.noise_clip, *map(_network, networks))
         self._actor_weights = _weights(actor, loss.actor_layers, gradients[0])

@@ -188,12 +188,16 @@ INLINE void add_products(void)
     _tile_dpbf16ps(3, 5, 7);
 }
 
+/* What lies there is as it was written: compilers do not know how much the instructions of tiles read and write. */
+INLINE void settle(const void *what) { __asm__ volatile("" : : "r"(what) : "memory"); }
+
 /* The next rows of the product from row m, a multiple of 32: out[i * 32 + j]. Returns how many. */
 static int multiply(const Halves *halves, int m, float *out)
 {
     const int count = halves->rows - m < SIDE ? halves->rows - m : SIDE, size = 2 * halves->parts * TILE;
     const uint32_t *left = halves->left + (long)(m / SIDE) * halves->steps * size, *right = halves->right;
     float some[SIDE * SIDE], *sums = count == SIDE ? out : some;
+    settle(sums);
     _tile_zero(0);
     _tile_zero(1);
     _tile_zero(2);
@@ -213,6 +217,7 @@ static int multiply(const Halves *halves, int m, float *out)
     _tile_stored(1, sums + 16, 4 * SIDE);
     _tile_stored(2, sums + 16 * SIDE, 4 * SIDE);
     _tile_stored(3, sums + 16 * SIDE + 16, 4 * SIDE);
+    settle(sums);
     if (count < SIDE) memcpy(out, some, sizeof(float) * SIDE * (unsigned)count);
     return count;
 }
@@ -227,6 +232,7 @@ static void set_tiles(void)
     } shape = {.palette = 1};
     for (int i = 0; i < 8; i++)
         shape.bytes[i] = 64, shape.rows[i] = 16;
+    settle(&shape);
     _tile_loadconfig(&shape);
 }
 
