@@ -11,7 +11,7 @@ from ties import Tie, Untied
 
 from dynasindy.benchmarks.gradient import GUST, PLANTS
 from dynasindy.benchmarks.plants import UNTUNED
-from dynasindy.benchmarks.td3 import BEST, COMPILED, IN_TORCH, SIZES
+from dynasindy.benchmarks.td3 import BEST, COMPILED, IN_TORCH, OURS, ROUNDED, SIZES
 from dynasindy.planning.integral import IntegralAction
 
 PAGE = "docs/results/README.md"
@@ -391,7 +391,7 @@ def _speed() -> Iterator[Tie]:
     """Yield the rows of the time of a TD3 update, each ratio in both runs."""
     loop, compiled = "TorchRL TD3Loss loop", f", {COMPILED}"
     rivals = ("Stable-Baselines3 TD3", BEST, BEST + compiled, loop, loop + compiled)
-    contenders = (*rivals, IN_TORCH, "matrix products alone")
+    contenders = (*rivals, IN_TORCH, f"{OURS}, {ROUNDED}", f"{BEST}, {ROUNDED}", "matrix products alone")
     for size in SIZES:
         hidden = "-".join(map(str, size.hidden))
         figures = []
