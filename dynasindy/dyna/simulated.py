@@ -57,7 +57,7 @@ class Simulated:
 
     Raises:
         ValueError: a time, the substeps or the samples are not positive, a noise is negative, or the sensors have an
-            actuator that is late.
+            actuator or measurements that are late.
     """
 
     dt: float | None = None
@@ -81,10 +81,11 @@ class Simulated:
                 f"noise {self.noise}, substeps {self.substeps}, samples {self.samples}; allowed are positive times, "
                 "noise >= 0, substeps >= 1 and samples >= 1: correct them"
             )
-        if self.sensors is not None and self.sensors.actuator_delay:
+        if self.sensors is not None and (self.sensors.delay or self.sensors.actuator_delay):
             raise ValueError(
-                f"sensors.actuator_delay is {self.sensors.actuator_delay}; allowed is 0, as inputs of a recording act "
-                "at once: give sensors=bench, or use the command train"
+                f"sensors.delay is {self.sensors.delay} and sensors.actuator_delay is {self.sensors.actuator_delay}; "
+                "allowed is 0 for both, as nothing in a recording comes late: leave them out, with sensors=bench, or "
+                "use the command train"
             )
 
     def load(self, system: System | None, excitation: ExcitationBuilder) -> Source:

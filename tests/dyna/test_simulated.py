@@ -116,9 +116,11 @@ def test_settings_that_make_no_sense_are_refused(settings):
         Simulated(**settings)
 
 
-def test_an_actuator_that_is_late_is_refused():
-    with pytest.raises(ValueError, match=r"sensors\.actuator_delay is 1; allowed is 0"):
-        Simulated(sensors=Sensors({"x": {}}, actuator_delay=1))
+@pytest.mark.parametrize(("late", "said"), [({"actuator_delay": 1}, (0, 1)), ({"delay": 3}, (3, 0))])
+def test_sensors_and_actuators_that_are_late_are_refused(late, said):
+    words = r"sensors\.delay is %d and sensors\.actuator_delay is %d; allowed is 0 for both" % said
+    with pytest.raises(ValueError, match=words):
+        Simulated(sensors=Sensors({"x": {}}, **late))
 
 
 class Oscillator(System):
