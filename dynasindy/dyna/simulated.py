@@ -41,7 +41,8 @@ class Simulated:
     signal that grows, and under a regulator once it has left them; the validation begins with that regulator.
 
     Attributes:
-        dt: time between two samples [s]; the control period divided by `samples` if omitted.
+        dt: time between two samples [s]; the control period divided by `samples` if omitted. It has to divide the period
+            of a plant that may not stay by itself.
         noise: standard deviation of white measurement noise: one number, relative to that of each state, or by the name
             of a state in its unit, where states that are not named have none.
         substeps: Runge-Kutta steps of the plant between two samples.
@@ -56,7 +57,7 @@ class Simulated:
 
     Raises:
         ValueError: a time, the substeps or the samples are not positive, a noise is negative, or the sensors have an
-            actuator that is late.
+            actuator or measurements that are late.
     """
 
     dt: float | None = None
@@ -80,18 +81,19 @@ class Simulated:
                 f"noise {self.noise}, substeps {self.substeps}, samples {self.samples}; allowed are positive times, "
                 "noise >= 0, substeps >= 1 and samples >= 1: correct them"
             )
-        if self.sensors is not None and self.sensors.actuator_delay:
+        if self.sensors is not None and (self.sensors.delay or self.sensors.actuator_delay):
             raise ValueError(
-                f"sensors.actuator_delay is {self.sensors.actuator_delay}; allowed is 0, as inputs of a recording act "
-                "at once: give sensors=bench, or use the command train"
+                f"sensors.delay is {self.sensors.delay} and sensors.actuator_delay is {self.sensors.actuator_delay}; "
+                "allowed is 0 for both, as nothing in a recording comes late: leave them out, with sensors=bench, or "
+                "use the command train"
             )
 
     def load(self, system: System | None, excitation: ExcitationBuilder) -> Source:
         """Excite the plant for training, and by random held inputs of the same range for validation.
 
         Raises:
-            ValueError: there is no plant, its rates of change are none, a name is of none of its states, or the
-                recording would take days.
+            ValueError: there is no plant, its rates of change are none, a name is of none of its states, the recording
+                would take days, or `dt` does not divide the period of a plant that may not stay by itself.
             Diverged: it leaves its bounds soon, though it is said to stay by itself.
         """
         if system is None:
@@ -115,6 +117,22 @@ class Simulated:
     def _step(self, period: float) -> float:
         """Return the time between two samples [s]."""
         return period / self.samples if self.dt is None else self.dt
+
+    def _samples_in(self, period: float) -> int:
+        """Return the samples in a control period [s].
+
+        Raises:
+            ValueError: The time between two samples does not divide it.
+        """
+        dt = self._step(period)
+        samples = round(period / dt)
+        if samples < 1 or abs(samples * dt - period) > 1e-6 * period:
+            raise ValueError(
+                f"data.dt is {dt:g} s, and this plant is excited as in training, in control periods of {period:g} s; "
+                "allowed is a time that divides the period into equal parts: leave data.dt out, and give the number of "
+                f"parts, such as data.samples={math.ceil(period / dt)}"
+            )
+        return samples
 
     def _unseen(self, signal: Excitation, seconds: float) -> Excitation:
         """Return the signal of the validation."""
@@ -164,8 +182,9 @@ class Simulated:
             bench = self._bench(system, moved, self.seed + k)
             pilot.signal = moved
             rows = excite(bench, pilot)
-            parts.append(transitions(rows, bench.plant.log_dt))
             notes += [restarts(bench, rows), left_out(rows)] if k == 0 else []
+            rows["next", "samples"] = rows["next", "samples"][:, self.substeps - 1 :: self.substeps]
+            parts.append(transitions(rows, self.substeps * bench.plant.log_dt))
         return parts[0], parts[1], notes
 
     def _bench(self, system: System, signal: Excitation, seed: int) -> Bench:
@@ -181,8 +200,8 @@ class Simulated:
             start=self.start,
             bounds=self.bounds,
         )
-        samples = max(1, round(signal.dt / self._step(signal.dt)))
-        plant = ControlEnv(system, task, signal.dt, samples, dtype=torch.float64, seed=seed)
+        steps = self._samples_in(signal.dt) * self.substeps
+        plant = ControlEnv(system, task, signal.dt, steps, dtype=torch.float64, seed=seed)
         return Bench(plant=plant, env=plant, excitation=signal)
 
     def _start(self, system: System, seed: int, batch: tuple[int, ...] = ()) -> Tensor:

@@ -24,7 +24,7 @@ from dynasindy.rig.base import Array, Clock, Rig, Wiring
 from dynasindy.rig.flight import ROUNDING, Flown, Guard, fly
 from dynasindy.rig.log import heading
 from dynasindy.rig.shown import LAST, Shown
-from dynasindy.systems import Signature
+from dynasindy.systems import Diverged, Signature
 from dynasindy.systems.base import WHOLE
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import Step
@@ -348,13 +348,10 @@ def _no_delay(longest: float | None) -> str:
 
 
 def _foretold(controller: Controller, model: SindyModel, targets: Sequence[Sequence[float]], seconds: float) -> str:
-    """Say how near a model comes to each target; where that fails, say why: a flight does not wait for its prediction.
-
-    Whatever the reason is, a controller and a rig that fit each other may fly.
-    """
+    """Say how near a model comes to each target; where the model cannot be flown, say why, as the flight goes on."""
     try:
         return _predicted(controller, model, targets, seconds)
-    except Exception as error:
+    except (ValueError, RuntimeError, Diverged) as error:
         why = " ".join(str(error).split())
         return (
             "prediction: nothing is foretold of this flight, as the model could not be flown "

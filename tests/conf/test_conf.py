@@ -102,6 +102,23 @@ def test_a_plant_of_which_nobody_says_that_it_stays_is_moved_little_at_first():
 
 
 @pytest.mark.parametrize(
+    ("words", "first"),
+    [
+        (["rig=udp"], 0.1),
+        (["rig=udp", "excitation=chirp", "plant.first=0.02"], 0.02),
+        (["rig=udp", "~plant.first"], 0.1),
+        (["rig=udp", "excitation=prbs", "excitation.first=1.0"], 1.0),
+        (["rig=simulated"], 1.0),
+    ],
+)
+def test_a_rig_that_is_really_there_is_moved_little_at_first_whatever_the_file_of_its_plant_says(words, first):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        cfg = compose("rig", overrides=["system=tras", *words])
+    assert cfg.plant.get("first") == {"plant.first=0.02": 0.02, "~plant.first": None}.get(words[-1], 1.0)
+    assert instantiate(cfg.excitation, _convert_="all")(n_u=2, dt=0.05).first == first
+
+
+@pytest.mark.parametrize(
     ("system", "period", "samples"), [("tras", 0.05, 5), ("xi", 0.05, 5), ("tanks", 2.0, 5), ("reactor", 3.0, 40)]
 )
 def test_a_recording_of_a_plant_has_its_pace(system, period, samples):

@@ -116,6 +116,40 @@ def test_settings_that_make_no_sense_are_refused(settings):
         Simulated(**settings)
 
 
-def test_an_actuator_that_is_late_is_refused():
-    with pytest.raises(ValueError, match=r"sensors\.actuator_delay is 1; allowed is 0"):
-        Simulated(sensors=Sensors({"x": {}}, actuator_delay=1))
+@pytest.mark.parametrize(("late", "said"), [({"actuator_delay": 1}, (0, 1)), ({"delay": 3}, (3, 0))])
+def test_sensors_and_actuators_that_are_late_are_refused(late, said):
+    words = r"sensors\.delay is %d and sensors\.actuator_delay is %d; allowed is 0 for both" % said
+    with pytest.raises(ValueError, match=words):
+        Simulated(sensors=Sensors({"x": {}}, **late))
+
+
+class Oscillator(System):
+    """A mass on a spring, of 2 rad/s, pushed by u."""
+
+    def __init__(self):
+        super().__init__(Signature(("x", "v"), ("m", "m/s"), ("u",), (10.0, 10.0)))
+
+    def forward(self, x, u):
+        return torch.stack((x[..., 1], u[..., 0] - 4.0 * x[..., 0]), -1)
+
+
+@pytest.mark.parametrize("substeps", [1, 5, 50])
+def test_a_plant_that_is_excited_as_in_training_has_the_samples_and_the_steps_that_were_asked_for(substeps):
+    """Under a held input the mass circles about u / 4 by 2 dt = 1; s Runge-Kutta steps miss s (1 / s)^5 / 5! of that."""
+    careful = partial(CHIRP, duration=20.0, first=0.5)
+    source = Simulated(dt=0.5, period=1.0, substeps=substeps, validation_seconds=5.0).load(Oscillator(), careful)
+    turn = torch.tensor([[0.0, -1.0], [1.0, 0.0]], dtype=torch.float64).matrix_exp()
+    for data, count in ((source.training, 40), (source.validation, 10)):
+        assert (data.dt, len(data), data.substeps) == (0.5, count, 2)
+        assert torch.equal(data.x[1:], data.x_next[:-1]) and torch.equal(data.u[::2], data.u[1::2])
+        before, after = (torch.stack((2 * x[:, 0] - data.u[:, 0] / 2, x[:, 1]), -1) for x in (data.x, data.x_next))
+        missed = (after - before @ turn).norm(dim=-1) / before.norm(dim=-1)
+        torch.testing.assert_close(missed, torch.full_like(missed, substeps**-4 / 120), rtol=0.02, atol=0.0)
+
+
+@pytest.mark.parametrize(("dt", "parts"), [(0.02, 3), (0.1, 1)])
+def test_a_time_between_samples_that_does_not_divide_the_control_period_is_refused(dt, parts):
+    words = rf"data\.dt is {dt:g} s, .*periods of 0\.05 s; allowed is .* data\.samples={parts}$"
+    with pytest.raises(ValueError, match=words):
+        Simulated(dt=dt).load(Inverted(), partial(CHIRP, first=0.1))
+    assert len(Simulated(dt=0.05 / 3, validation_seconds=1.0).load(Inverted(), partial(CHIRP, first=0.1)).training) == 600

@@ -306,11 +306,27 @@ def test_only_the_controller_that_was_planned_on_the_model_is_foretold(session, 
     [
         (ValueError("two\nlines"), r"\(ValueError: two lines\)"),
         (RuntimeError(), r"\(RuntimeError\)"),
-        (IndexError("index 4"), r"\(IndexError: index 4\)"),
         (Diverged("it runs away"), r"\(Diverged: it runs away\)"),
     ],
 )
 def test_a_flight_goes_on_where_its_prediction_fails(tmp_path, monkeypatch, error, why):
+    session, told = foretelling(tmp_path, monkeypatch, error)
+    flown = session.fly(session.learnt, [[0.1]], 0.2)
+    assert flown.fault is None and flown.periods == 4
+    (said,) = [line for line in told if "prediction" in line]
+    assert re.search(f"nothing is foretold of this flight, .*{why}; the flight goes on", said) and "\n" not in said
+
+
+@pytest.mark.parametrize("error", [IndexError, AttributeError, TypeError, KeyError, AssertionError])
+def test_a_mistake_in_the_program_is_no_line_before_a_flight(tmp_path, monkeypatch, error):
+    session, _ = foretelling(tmp_path, monkeypatch, error("x"))
+    with pytest.raises(error):
+        session.fly(session.learnt, [[0.1]], 0.2)
+    assert session.flights == []  # nothing has moved
+
+
+def foretelling(tmp_path, monkeypatch, error):
+    """Return a session with a controller whose prediction fails, and the list of what it says."""
     signature, told = Signature(("y",), ("m",), ("u",), (1.0,)), []
     model = SindyModel(signature, ["y", "u"])
     model.set_coefficients(torch.tensor([[-2.0], [2.0]]))
@@ -323,10 +339,7 @@ def test_a_flight_goes_on_where_its_prediction_fails(tmp_path, monkeypatch, erro
         raise error
 
     monkeypatch.setattr("dynasindy.workbench.foretell", failing)
-    flown = session.fly(session.learnt, [[0.1]], 0.2)
-    assert flown.fault is None and flown.periods == 4
-    (said,) = [line for line in told if "prediction" in line]
-    assert re.search(f"nothing is foretold of this flight, .*{why}; the flight goes on", said) and "\n" not in said
+    return session, told
 
 
 def test_the_error_that_is_foretold_of_a_flight_is_that_of_the_last_half_of_its_steps(tmp_path):
