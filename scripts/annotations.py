@@ -129,7 +129,9 @@ LEAVES = {
 
 
 def shown(value: Any) -> str:
-    """Return a value as a message shows it, in one short line."""
+    """Return a value as a message shows it, in one short line, of a group first what it builds."""
+    if isinstance(value, dict) and "_target_" in value:
+        value = {"_target_": value["_target_"], **value}
     text = "null" if value is None else repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 

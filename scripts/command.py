@@ -33,6 +33,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from places import complete, require_writable
 from reader import while_read
 
+import dynasindy
 from dynasindy.dyna.stopped import Stopped
 from dynasindy.told import tell
 
@@ -44,6 +45,8 @@ os.environ["PYTHONWARNINGS"] = ",".join(
 )
 
 
+PACKAGE = Path(dynasindy.__file__).parent
+"""Folder of what warns in words for users; a checkout may have the package's name, too, and hold a whole venv."""
 JOBS, SWEPT = "DYNASINDY_JOBS", "DYNASINDY_SWEPT"
 """Variables that tell the workers of a sweep how many jobs there are, and in which settings they differ."""
 SHOWN = ExitStack()
@@ -128,7 +131,7 @@ def _in_one_line(
     message: Warning | str, category: type[Warning], file: str, number: int, line: str | None = None
 ) -> str:
     """Return a warning of ours as a line; what else warns says where it stands."""
-    if "dynasindy" not in Path(file).parts:
+    if not Path(file).is_relative_to(PACKAGE):
         return f"{file}:{number}: {category.__name__}: {message}\n"
     return f"warning: {message}\n"
 

@@ -27,8 +27,8 @@ from dynasindy.evaluation.scenarios import Policy, Scenario
 from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.world_models import Oracle, SindyModel
 
-TWIN_ROTOR = ["alpha_a", "alpha_p"]
-"""Outputs of the plants of the paper."""
+TWIN_ROTORS = ("dynasindy.systems.Tras", "dynasindy.systems.Trms33", "dynasindy.systems.Xi")
+"""Plants of which the paper says signals and noise, which runs of earlier versions do not hold."""
 
 
 def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
@@ -132,13 +132,15 @@ def load_scenario(name: str, config: DictConfig, env: ControlEnv) -> Scenario:
                 f"scenario '{name}' is unknown; use some of {', '.join(names)}, or give --config-dir FOLDER, in which "
                 f"scenario/NAME.yaml is one of your own"
             )
-        # Runs of earlier versions do not hold what the paper wants of a twin rotor.
-        twin = ["+system=_twin_rotor"] if list(config.plant.outputs) == TWIN_ROTOR else []
+        twin = ["+system=_twin_rotor"] if config.system.get("_target_") in TWIN_ROTORS else []
         found = hydra.compose(overrides=[f"+scenario={name}", *twin])
     finally:
         GlobalHydra.instance().clear()
     place = {"task": {"max_steps": env.task.max_steps}, "env": {"dt": env.dt}}
-    merged = OmegaConf.merge(OmegaConf.to_container(found), {"plant": config.plant}, place)
+    # What a run says of a key counts as a whole: a noise of one state is no noise of the others.
+    whole = OmegaConf.to_container(found)
+    whole["plant"] = {key: value for key, value in whole.get("plant", {}).items() if key not in config.plant}
+    merged = OmegaConf.merge(whole, {"plant": config.plant}, place)
     check_values(merged)
     scenario: Scenario = instantiate(merged.scenario, _convert_="all")
     own = OmegaConf.select(config, "scenario.seconds")

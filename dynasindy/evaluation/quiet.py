@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from dynasindy.evaluation.horizons import Forecasts
-from dynasindy.evaluation.symptoms import samples_of, step_seen
+from dynasindy.evaluation.symptoms import all_samples_of, step_seen
 from dynasindy.systems.base import WHOLE, Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -33,7 +33,7 @@ def quiet_states(data: Transitions, but: Collection[int] = ()) -> dict[int, floa
         but: Places of states that are not asked about: rates made of differences move in steps of their own.
     """
     moved = {}
-    for place, column in enumerate(samples_of(data)):
+    for place, column in enumerate(all_samples_of(data)):
         step = 0.0 if place in but else step_seen(column)
         if step and (steps := float(np.nanmax(column) - np.nanmin(column)) / step) < FEW:
             moved[place] = steps

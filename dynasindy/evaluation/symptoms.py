@@ -35,13 +35,21 @@ DOUBT = 0.03
 
 SEVERAL = 10
 """Values of a state that are few enough to be the steps of its sensor."""
+AGAIN = 5
+"""Times that half of such values have to be read for them to be steps: samples of a smooth movement seldom repeat."""
 
 
 def samples_of(data: Transitions) -> list[Array]:
     """Return the samples of each state in its longest unbroken stretch."""
     labels, counts = data.segment.unique_consecutive(return_counts=True)
-    mine = data.segment == labels[int(counts.argmax())]
-    samples = torch.cat([data.x[mine][:1], data.x_next[mine]]).double()
+    return all_samples_of(data.select(data.segment == labels[int(counts.argmax())]))
+
+
+def all_samples_of(data: Transitions) -> list[Array]:
+    """Return the samples of each state in all unbroken stretches, one after the other."""
+    begins = data.begins()
+    taken = torch.stack([begins, torch.ones_like(begins)], -1)
+    samples = torch.stack([data.x, data.x_next], 1)[taken].double()
     return [column.numpy() for column in samples.unbind(-1)]
 
 
@@ -76,8 +84,9 @@ def step_seen(column: Array) -> float:
     Args:
         column: samples, `(n,)`; lost ones are NaN.
     """
-    levels = np.unique(column[~np.isnan(column)])
-    return step_of(column) or (float(np.diff(levels).min()) if 1 < len(levels) <= SEVERAL else 0.0)
+    levels, times = np.unique(column[~np.isnan(column)], return_counts=True)
+    few = 1 < len(levels) <= SEVERAL and np.median(times) >= AGAIN
+    return step_of(column) or (float(np.diff(levels).min()) if few else 0.0)
 
 
 def _noise(column: Array) -> float:

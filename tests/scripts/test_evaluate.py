@@ -125,6 +125,32 @@ def test_a_run_of_an_earlier_version_is_flown_in_the_waves_and_the_noise_of_the_
     assert noise(lambda td: td, env).std.tolist() == torch.tensor([0.002, 0.002, 0.02, 0.02, 40.0, 20.0]).tolist()
 
 
+def test_what_a_run_says_of_a_twin_rotor_counts_as_a_whole(saved_run) -> None:
+    config, env = short_of(saved_run.load_config(REPOSITORY / "docs" / "results" / "runs" / "tras_gradient"))
+    config.plant.noise = {"alpha_a": 0.01}
+    (noise,) = saved_run.load_scenario("noise", config, env).wrappers
+    assert noise(lambda td: td, env).std.tolist() == pytest.approx([0.01, 0, 0, 0, 0, 0])
+    config.plant.signals = {"sine": {"amplitude": [0.1, 0.1]}}
+    sine = saved_run.load_scenario("sine", config, env)
+    # What is not said follows from the plant: one and a half periods, each as long as an episode.
+    period = env.task.max_steps * env.dt
+    rows = sine.reference.sample(torch.Size(()), torch.Generator())
+    assert rows[:, 1:3].tolist() == [pytest.approx([0.1, 1 / period])] * 2
+    assert sine.length(env) == pytest.approx(1.5 * period)
+    config.plant.noise = None
+    (noise,) = saved_run.load_scenario("noise", config, env).wrappers
+    assert noise(lambda td: td, env).std[4:].tolist() == [20.0, 20.0]  # of its tachometers [rpm]
+
+
+def test_a_rotor_of_ones_own_gets_nothing_of_the_packaged_ones(saved_run) -> None:
+    config, env = short_of(saved_run.load_config(REPOSITORY / "docs" / "results" / "runs" / "tras_gradient"))
+    config.system = {"_target_": "my_rotor.Rotor"}  # which has the outputs of the packaged ones, and other states
+    del config.plant.sensors
+    (noise,) = saved_run.load_scenario("noise", config, env).wrappers
+    assert noise.keywords["std"] is None and noise.keywords["sensors"] is None
+    assert saved_run.load_scenario("sine", config, env).length(env) == pytest.approx(1.5 * env.task.max_steps * env.dt)
+
+
 def test_scenarios_follow_a_plant_with_one_output_and_its_sensors(saved_run) -> None:
     with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
         config = compose("train", ["folder=x", "system=pendulum", "env.dt=0.1", "task.max_steps=50"])

@@ -67,7 +67,7 @@ def test_what_conf_holds_is_allowed_and_stays_as_it_is(command):
         ("agent.layer_norm", 1, "agent.layer_norm is 1; allowed is true or false"),
         ("agent.tua", 1, "'tua' does not exist in 'agent'; allowed are actor_lr"),
         ("gate.open_below", None, "gate.open_below is null; allowed is a finite number"),
-        ("excitation._target_", "dynasindy.systems.Tras", "excitation is {'duration': None, 'amplitude'"),
+        ("excitation._target_", "dynasindy.systems.Tras", "excitation is {'_target_': 'dynasindy.systems.Tras'"),
         ("gate", None, "gate is null; allowed is a group with _target_, a Gate"),
         ("task.reward._target_", "dynasindy.tasks.Step", "a TrackingReward or null"),
         ("system._target_", "no.such", "system._target_ is 'no.such', which cannot be imported (ModuleNotFoundError"),
