@@ -24,6 +24,7 @@ from dynasindy.rig.base import Array
 from dynasindy.rig.udp import REST, UdpRig, connect, pack, unpack
 from dynasindy.sensing import Sensors
 from dynasindy.systems import System, integrate
+from dynasindy.systems.ranges import Ends, drawn, limits, starts
 from dynasindy.systems.sound import require_plant
 
 BRIDGED = 1
@@ -64,6 +65,7 @@ class SimulatedRig:
             computer is no fault of the flight; 0 keeps the clock.
         faults: What goes wrong from which sample on: silent (no samples), old (the same again), garbage, nan, range (a
             state of 1e9), gone (the socket is closed).
+        start: State in which the plant begins, `(n_x,)`; zeros if omitted.
 
     Raises:
         ValueError: A fault is unknown.
@@ -80,18 +82,21 @@ class SimulatedRig:
         seed: int = 0,
         lockstep: float = 0.0,
         faults: Mapping[str, int] | None = None,
+        start: Array | None = None,
     ) -> None:
         if unknown := [name for name in faults or {} if name not in FAULTS]:
             raise ValueError(f"fault '{unknown[0]}' is unknown; use some of {', '.join(FAULTS)}")
         self.system, self.dt, self.sensors, self.lockstep = system, dt, sensors, lockstep
         self.safe = np.zeros(system.signature.n_u) if safe is None else np.asarray(safe, dtype=np.float64)
+        begin = np.zeros(system.signature.n_x) if start is None else np.asarray(start, dtype=np.float64)
+        self.start = torch.from_numpy(begin)
         self.faults, self.rng = dict(faults or {}), torch.Generator().manual_seed(seed)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", port))
         self.port: int = self._socket.getsockname()[1]
         self.record = Record()
         # The first period makes machine code of the plant, which would take longer than a control period.
-        self._moved(torch.zeros(system.signature.n_x, dtype=torch.float64), self.safe)
+        self._moved(self.start, self.safe)
 
     def serve(self, periods: int) -> Record:
         """Wait for a caller, then run so many periods.
@@ -104,7 +109,7 @@ class SimulatedRig:
         """
         self._socket.settimeout(300.0)
         caller = self._socket.recvfrom(65536)[1]
-        x, begun = torch.zeros(self.system.signature.n_x, dtype=torch.float64), time.monotonic()
+        x, begun = self.start, time.monotonic()
         u, missed = self.safe, 0
         coming = deque([self.safe] * (self.sensors.actuator_delay if self.sensors else 0))
         for k in range(periods):
@@ -203,26 +208,44 @@ class FarEnd:
 
 
 @contextmanager
-def rehearsal(system: System, dt: float, sensors: Sensors | None = None, seed: int = 0) -> Iterator[UdpRig]:
+def rehearsal(
+    system: System,
+    dt: float,
+    sensors: Sensors | None = None,
+    seed: int = 0,
+    bounds: Mapping[str, Ends] | None = None,
+    start: Mapping[str, Ends] | None = None,
+) -> Iterator[UdpRig]:
     """Talk to a simulated rig in another process, which ends with the conversation.
 
     Args:
         system: The plant.
         dt: Control period [s].
         sensors: What is measured, and how many periods late an input acts; all states as they are if omitted.
-        seed: Seed of the sensors' noise.
+        seed: Seed of the sensors' noise, and of where the plant begins.
+        bounds: Limits of states by name, beyond which the equations are not asked about; one for both sides of zero, or
+            both ends.
+        start: Where the plant begins, by state: a value, or the two ends of a range from which it is drawn; zero for
+            the others.
 
     Raises:
-        ValueError: Nobody knows the equations of the plant, or they give no rates of change.
+        ValueError: Nobody knows the equations of the plant, they give no rates of change, or a limit or a start is of
+            no state or is no range.
     """
     if not system.known:
         raise ValueError(
             "rig=simulated moves a plant by its equations, which nobody knows of this one; give rig=udp and the "
             "address of the rig, rig.host"
         )
-    require_plant(system, lambda batch: torch.zeros(*batch, system.signature.n_x, dtype=torch.float64))
+    ends = starts(system.signature, start or {}).double()
+
+    def _begins(batch: torch.Size) -> torch.Tensor:
+        return drawn(ends, batch, torch.Generator().manual_seed(seed))
+
+    require_plant(system, _begins, limits(system.signature, bounds or {}))
     with FarEnd() as end:
-        port = end.begin(FOREVER, system=system, dt=dt, sensors=sensors, seed=seed)
+        begin = _begins(torch.Size()).numpy()
+        port = end.begin(FOREVER, system=system, dt=dt, sensors=sensors, seed=seed, start=begin)
         with connect(system, dt, port=port) as rig:
             yield rig
 

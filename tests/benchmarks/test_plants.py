@@ -40,6 +40,17 @@ def test_each_example_is_a_short_plant_with_a_file(name):
     assert facts["plant"]["known"].keys() <= set(system.signature.state_names)
 
 
+@pytest.mark.parametrize(("name", "theta", "fastest"), [("cart_pole", 0.0, 3.97), ("swing_up", torch.pi, 0.0)])
+def test_a_pole_is_excited_with_the_whole_strength_where_it_hangs_and_with_little_where_it_falls(name, theta, fastest):
+    """Upright it falls by exp(t sqrt(g / (l (4/3 - m / M)))), with the numbers below."""
+    pole, u = example("CartPole").double(), torch.zeros(1).double()
+    x = torch.tensor([0.0, theta, 0.0, 0.0]).double()
+    slopes = torch.func.jacrev(lambda x: pole(x, u))(x)
+    assert float(torch.linalg.eigvals(slopes).real.max()) == pytest.approx(fastest, abs=0.01)
+    plant = yaml.safe_load((EXAMPLES / "conf" / "system" / f"{name}.yaml").read_text())["plant"]
+    assert plant.get("first", 0.1) == (0.1 if fastest > 0 else 1.0)
+
+
 @pytest.mark.parametrize("name", MEASURED)
 def test_a_bench_measures_steps_of_places_and_angles_and_no_rate(name):
     plant = yaml.safe_load((EXAMPLES / "conf" / "system" / f"{name}.yaml").read_text())["plant"]

@@ -118,6 +118,14 @@ def test_a_rig_that_is_really_there_is_moved_little_at_first_whatever_the_file_o
     assert instantiate(cfg.excitation, _convert_="all")(n_u=2, dt=0.05).first == first
 
 
+def test_a_rehearsal_has_the_bounds_and_the_start_of_its_plant():
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        words = ["system=pendulum", "+plant.bounds={theta: 2.0}", "+plant.start={theta: [0.1, 0.5]}"]
+        given, bare = (instantiate(compose("rig", overrides=w).rig, _convert_="all") for w in (words, words[:1]))
+    assert (given.keywords["bounds"], given.keywords["start"]) == ({"theta": 2.0}, {"theta": [0.1, 0.5]})
+    assert bare.keywords["bounds"] == bare.keywords["start"] == {}
+
+
 @pytest.mark.parametrize(
     ("system", "period", "samples"), [("tras", 0.05, 5), ("xi", 0.05, 5), ("tanks", 2.0, 5), ("reactor", 3.0, 40)]
 )

@@ -152,4 +152,6 @@ def test_a_time_between_samples_that_does_not_divide_the_control_period_is_refus
     words = rf"data\.dt is {dt:g} s, .*periods of 0\.05 s; allowed is .* data\.samples={parts}$"
     with pytest.raises(ValueError, match=words):
         Simulated(dt=dt).load(Inverted(), partial(CHIRP, first=0.1))
-    assert len(Simulated(dt=0.05 / 3, validation_seconds=1.0).load(Inverted(), partial(CHIRP, first=0.1)).training) == 600
+    assert (
+        len(Simulated(dt=0.05 / 3, validation_seconds=1.0).load(Inverted(), partial(CHIRP, first=0.1)).training) == 600
+    )

@@ -10,7 +10,7 @@ from dynasindy.rig import simulated
 from dynasindy.rig.simulated import SimulatedRig, rehearsal
 from dynasindy.rig.udp import REST, pack
 from dynasindy.sensing import Sensors
-from dynasindy.systems import Pendulum
+from dynasindy.systems import Pendulum, Signature, System
 from dynasindy.systems.integrators import integrate
 
 SAFE = np.array([0.25])
@@ -75,6 +75,34 @@ def test_a_rehearsal_is_a_rig_in_another_process():
         # Full torque takes hold for two periods at least: one in which it arrives, and one that is bridged.
         turned = [y[0] for y in (rig.read(10.0) for _ in range(4)) if y is not None]
         assert max(turned) > 0.01
+
+
+class Tank(System):
+    """A tank of 1 m^2 that drains through a hole: h' = 0.1 (1 + u) - 0.2 sqrt(h)."""
+
+    def __init__(self):
+        super().__init__(Signature(("h",), ("m",), ("pump",), (1.0,)))
+
+    def forward(self, x, u):
+        return 0.1 * (1.0 + u) - 0.2 * x.sqrt()
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("error")
+def test_a_rehearsal_begins_where_its_user_says_and_asks_the_plant_about_nothing_beyond_its_bounds():
+    with rehearsal(Tank(), 0.05, bounds={"h": [0.0, 2.0]}, start={"h": 0.25}) as rig:
+        rig.begin()
+        samples = [rig.read(60.0).item() for _ in range(3)]
+    assert samples == pytest.approx([0.25] * 3, abs=1e-9)  # where 0.1 flows in and 0.2 sqrt(0.25) out
+
+
+@pytest.mark.slow
+def test_a_rehearsal_without_bounds_warns_of_where_the_plant_cannot_be():
+    words = r"not finite, of h, where h is -0\.98 m"
+    with pytest.warns(UserWarning, match=words), rehearsal(Tank(), 0.05):
+        pass
+    with pytest.raises(ValueError, match=r"plant\.bounds has depth"), rehearsal(Tank(), 0.05, bounds={"depth": 1.0}):
+        pass
 
 
 def test_the_plant_is_ready_before_anybody_calls(monkeypatch):
