@@ -41,8 +41,8 @@ class Simulated:
     signal that grows, and under a regulator once it has left them; the validation begins with that regulator.
 
     Attributes:
-        dt: time between two samples [s]; the control period divided by `samples` if omitted. It has to divide the period
-            of a plant that may not stay by itself.
+        dt: time between two samples [s]; the control period divided by `samples` if omitted. It has to divide the
+            period of a plant that may not stay by itself.
         noise: standard deviation of white measurement noise: one number, relative to that of each state, or by the name
             of a state in its unit, where states that are not named have none.
         substeps: Runge-Kutta steps of the plant between two samples.
