@@ -105,7 +105,7 @@ def test_a_plant_of_which_nobody_says_that_it_stays_is_moved_little_at_first():
     ("words", "first"),
     [
         (["rig=udp"], 0.1),
-        (["rig=udp", "excitation=chirp", "plant.first=0.02"], 0.02),
+        (["rig=udp", "excitation=chirp", "plant.first=0.02"], 0.1),
         (["rig=udp", "~plant.first"], 0.1),
         (["rig=udp", "excitation=prbs", "excitation.first=1.0"], 1.0),
         (["rig=simulated"], 1.0),
