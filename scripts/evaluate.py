@@ -1,4 +1,4 @@
-"""Evaluate a policy: `python scripts/evaluate.py run=PATH 'scenarios=[step,sine,wind]' [animate=true]`."""
+"""Evaluate a policy: `python scripts/evaluate.py run=PATH 'scenarios=[step,sine,noise]' [animate=true]`."""
 
 from pathlib import Path
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from commands import called
 
 NEXT = {
-    "evaluate": "flies it in other scenarios, as wind and noise",
+    "evaluate": "flies it to steps, along sines and along squares, and draws that",
     "check": "tells its margins and worst cases, on the model",
     "export": "writes the controller as C, for a microcontroller",
 }

@@ -91,7 +91,8 @@ class Controller:
     def __repr__(self) -> str:
         names, units = self.signature.state_names, self.signature.state_units
         outputs = ", ".join(f"{name} [{units[names.index(name)]}]" for name in self.outputs)
-        seen = ", ".join(f"{name} [{unit}]" for name, unit in zip(names, units, strict=True))
+        measured = self._measured()
+        seen = ", ".join(f"{name} [{unit}]" for name, unit in zip(names, units, strict=True) if name in measured)
         parts = [part for part, there in (("observer", self.observer), ("integral action", self.integral)) if there]
         more = f", with {' and '.join(parts)}" if parts else ""
         inputs = ", ".join(self.signature.input_names)
@@ -160,6 +161,19 @@ class Controller:
         found: NDArray[np.float64] = action.double().numpy().copy()
         return found
 
+    def _measured(self) -> list[str]:
+        """Return the names of the states that are measured: all of them, or those that the observer is told."""
+        names = self.signature.state_names
+        channels = self.observer.sensors.channels if self.observer is not None else None
+        return [name for name in names if channels is None or name in channels]
+
+    def _refused(self, what: str, name: str, names: Sequence[str]) -> ValueError:
+        """Return the error that a name of nothing ends in, with what can be given."""
+        measured = self._measured() if what == "measurement" else list(names)
+        estimated = ", ".join(each for each in names if each not in measured)
+        more = f"; leave out {estimated}, which the controller estimates" if estimated else ""
+        return ValueError(f"{what} has '{name}', which does not exist; allowed are {', '.join(measured)}{more}")
+
     def _warn_far(self, r: Tensor) -> None:
         """Warn once of a reference that lies more than a target range beyond the targets of the plan."""
         task = self.pace.task
@@ -222,12 +236,13 @@ class Controller:
             self._shift = observer.correction(mean, self._inputs, self.pace.task.outputs, self._shift)
         return mean[: self.signature.n_x], {"shift": self._shift}
 
-    @staticmethod
-    def _numbers(what: str, given: Values, names: Sequence[str], missing: float) -> Tensor:
+    def _numbers(self, what: str, given: Values, names: Sequence[str], missing: float) -> Tensor:
         """Return numbers in the order of names, float64."""
         if isinstance(given, Mapping):
             if unknown := [name for name in given if name not in names]:
-                raise ValueError(f"{what} has '{unknown[0]}', which does not exist; allowed are {', '.join(names)}")
+                raise self._refused(what, unknown[0], names)
+            if what == "reference" and (absent := [name for name in names if name not in given]):
+                raise ValueError(f"{what} lacks {absent[0]}; give where each of {', '.join(names)} is to be")
             given = [float(given.get(name, missing)) for name in names]
         values = torch.as_tensor(given, dtype=torch.float64).flatten()
         if values.numel() != len(names):

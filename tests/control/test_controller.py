@@ -207,13 +207,22 @@ def test_numbers_may_be_given_by_name():
         ),
         ([0.1, 0.0], [math.nan], "reference of theta is nan; give a finite number$"),
         ([0.1, 0.0], [0.3, 0.1], "reference has 2 numbers; give one for each of theta"),
-        ([0.1, 0.0], {}, "reference of theta is nan"),
+        ([0.1, 0.0], {}, "reference lacks theta; give where each of theta is to be$"),
     ],
 )
 def test_what_is_no_number_of_the_plant_is_refused(measurement, reference, words):
     env, policy = setting()
     with pytest.raises(ValueError, match=words):
         Controller(policy, Pace(env.task, env.dt)).act(measurement, reference)
+
+
+def test_what_the_controller_estimates_is_not_among_what_it_reads_and_what_may_be_given():
+    env, policy = setting()
+    controller = Controller(policy, Pace(env.task, env.dt, env.substeps), watching(env))
+    assert "reads theta [rad]; sets" in str(controller)
+    words = "has 'speed', which does not exist; allowed are theta; leave out Omega, which the controller estimates$"
+    with pytest.raises(ValueError, match=words):
+        controller.act({"theta": 0.1, "speed": 0.0}, [0.3])
 
 
 def test_an_infinite_measurement_is_refused_behind_sensors_too():
