@@ -16,6 +16,8 @@ SHARE = 0.2
 """By how much a coefficient is moved, as a share of itself."""
 DRAWN = 0.05
 """Largest share by which coefficients are drawn at random where their standard errors are not known."""
+WITHIN = f"each within {100 * DRAWN:g} % of itself"
+"""How coefficients were drawn by that share, in words."""
 
 
 @dataclass(frozen=True)
@@ -26,11 +28,13 @@ class Variants:
         labels: What is changed in each.
         coefficients: Xi of each, `(n, n_features, n_x)`.
         draws: How many of them, the first ones, are drawn at random.
+        how: By how much these are drawn, in words.
     """
 
     labels: list[str]
     coefficients: Tensor
     draws: int
+    how: str = WITHIN
 
 
 def uncertain(model: SindyModel) -> list[tuple[int, int]]:
@@ -66,7 +70,8 @@ def variants(model: SindyModel, draws: int, seed: int, errors: Tensor | None = N
             changed[k, i] *= 1 + sign * SHARE
             moved.append(changed)
             labels.append(f"{model.library.names[k]} in {model.signature.state_names[i]}' {100 * sign * SHARE:+.0f} %")
-    return Variants(labels, torch.cat([drawn, *(one.unsqueeze(0) for one in moved)]), draws)
+    how = WITHIN if errors is None else "by their standard errors"
+    return Variants(labels, torch.cat([drawn, *(one.unsqueeze(0) for one in moved)]), draws, how)
 
 
 @dataclass(frozen=True)
@@ -78,12 +83,14 @@ class Spread:
         radius: Spectral radius, `(n_targets, n)`, infinite where no point of rest was found.
         error: Steady error of the outputs, `(n_targets, n, n_r)`, infinite where they run away.
         draws: How many, the first ones, are drawn at random.
+        how: By how much these are drawn, in words.
     """
 
     labels: list[str]
     radius: Tensor
     error: Tensor
     draws: int
+    how: str = WITHIN
 
     @property
     def worst(self) -> Tensor:
@@ -117,4 +124,4 @@ def spread(loop: Loop, r: Tensor, nominal: Rest, changed: Variants, seconds: flo
         found = rest(loop.varied(changed.coefficients), target.expand(count, -1), start, seconds)
         radii[k] = torch.from_numpy(found.linear.radius).where(found.still, torch.inf)
         errors[k] = found.error
-    return Spread(changed.labels, radii, errors, changed.draws)
+    return Spread(changed.labels, radii, errors, changed.draws, changed.how)

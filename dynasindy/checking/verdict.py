@@ -72,6 +72,11 @@ class Finding:
 BORNE = "Try planning.margin=0.3, which trains with inputs that are weaker or stronger by up to that share"
 LATE = "Try planning.variation.late=true, which trains as if inputs came a control period later"
 GENTLE = "Where plant.rates names rates, try task.reward.rate_weight=10, by which quick movements cost more than by 0.1"
+ROBUST = (
+    "The size of these changes is fixed, so longer data do not help. Where a plant is not stable, try "
+    "planning.variation.parameters=0.2 or planning.margin=0.3, by which training varies the plant by up to that share; "
+    "where only the steady error is too large, give the controller integral action, as docs/check.md shows"
+)
 REMEDIES = {
     "stability": "To mend it, narrow the targets, or excite the plant near these targets and train anew",
     **dict.fromkeys(("gain margin", "gain reduction"), BORNE),
@@ -83,8 +88,7 @@ REMEDIES = {
     "beside their targets, narrow the targets",
     "slew": GENTLE,
     "saturation": "To mend it, narrow the targets, for these steps ask for more than the actuator has",
-    "one coefficient": "To mend it, excite the plant for longer, so that the model is surer",
-    "all coefficients": "To mend it, excite the plant for longer, so that the model is surer",
+    **dict.fromkeys(("one coefficient", "all coefficients"), ROBUST),
     "recovery": "Switch the controller on near the middle of the targets, or give plant.start the range from which it "
     "is to come back, and train anew",
 }
@@ -320,7 +324,7 @@ def _changes(found: Check, limits: Thresholds) -> list[Finding]:
     others, lines = found.spread, []
     for name, rows, words in (
         ("one coefficient", slice(others.draws, None), f"each coefficient by {100 * SHARE:.0f} % of itself"),
-        ("all coefficients", slice(0, others.draws), f"{others.draws} draws of all coefficients"),
+        ("all coefficients", slice(0, others.draws), f"{others.draws} draws of all coefficients, {others.how}"),
     ):
         radius, labels = others.worst[rows], others.labels[rows]
         if not len(labels) or not len(others.radius):

@@ -44,8 +44,8 @@ SHOWN = 15
 """Changes of single coefficients that are drawn, the worst first."""
 FEW_TICKS = 4
 """Intervals between the ticks of an axis whose numbers have many digits."""
-ROOM = 0.1
-"""Part of an axis between two ticks, at least."""
+ROOM = 1.3
+"""Distance of two ticks, at least [widths of the widest number at one]."""
 LISTED = 3
 """Targets without a curve that are listed by name."""
 NAMED = 9
@@ -106,20 +106,21 @@ def _listed(found: Check, targets: Sequence[int]) -> str:
 
 
 def _steps(found: Check, limits: Thresholds) -> Figure:
-    """Draw the model's step to the farthest target, and those of plants within its uncertainty."""
+    """Draw the model's step to the farthest target, and those of plants that were drawn around it."""
     signature, outputs, far = found.loop.signature, found.loop.task.outputs, found.farthest
     x, u = found.steps.x[far : far + 1], found.steps.u[far : far + 1]
     if found.drawn is not None:
         x, u = torch.cat([x, found.drawn.x]), torch.cat([u, found.drawn.u])
     names, units, ranges = signature.state_names, signature.state_units, signature.x_scale
+    targets = found.targets[far].tolist()
     return steps(
         found.steps.dt,
         array(x[:, :, outputs]),
         array(u),
-        array(found.targets[far]),
-        [(names[i], units[i], limits.error * ranges[i]) for i in outputs],
+        [(names[i], units[i], r, limits.error * ranges[i]) for i, r in zip(outputs, targets, strict=True)],
         signature,
         f"Step from the origin to {_target(found, far)}, the farthest target",
+        f"coefficients {found.spread.how}",
     )
 
 
@@ -173,35 +174,35 @@ def steps(
     dt: float,
     outputs: ArrayLike,
     inputs: ArrayLike,
-    reference: ArrayLike,
-    names: Sequence[tuple[str, str, float]],
+    names: Sequence[tuple[str, str, float, float]],
     signature: Signature,
     title: str = "Step",
+    how: str = "other coefficients",
 ) -> Figure:
-    """Draw a step of the model and of plants within its uncertainty, under one controller.
+    """Draw a step of the model and of plants that were drawn around it, under one controller.
 
     Args:
         dt: Control period [s].
         outputs: `(rows, T + 1, n_r)`; the first row is that of the model, all others are of other plants.
         inputs: `(rows, T, n_u)`, in [-1, 1], likewise; drawn in their own units.
-        reference: `(n_r,)`.
-        names: Name and unit of each output, and the steady error that passes the check.
+        names: Name, unit and target of each output, and the steady error that passes the check.
         signature: Tells the inputs, their units and ranges.
         title: of the figure.
+        how: What the other plants have that the model has not.
     """
-    y, u, r = array(outputs), array(inputs), array(reference)
+    y, u = array(outputs), array(inputs)
     n_u = signature.n_u
     figure, axes = panels(len(names) + n_u, 1, (7.0, 2.1 * len(names) + 1.4 * n_u), title)
     seconds = array(dt * np.arange(y.shape[1]))
-    others = f"{len(y) - 1} plants within its uncertainty"
+    others = f"{len(y) - 1} plants, {how}"
     looks: list[dict[str, Any]] = [{"color": BLUE, "zorder": 3, "label": "the model itself"}]
     looks += [{"color": SKY, "linewidth": 0.8, "label": "_" * (k > 0) + others} for k in range(len(y) - 1)]
-    for i, (axis, (name, unit, error)) in enumerate(zip(axes, names, strict=False)):
-        axis.axhline(r[i], color=BLACK, linestyle="--", linewidth=1.2, label="target")
+    for i, (axis, (name, unit, target, error)) in enumerate(zip(axes, names, strict=False)):
+        axis.axhline(target, color=BLACK, linestyle="--", linewidth=1.2, label="target")
         for row, look in zip(y, looks, strict=True):
             axis.plot(seconds, row[:, i], **look)
         told = "steady error that passes"
-        axis.axhspan(r[i] - error, r[i] + error, color=GREY, alpha=0.2, lw=0, label=told)
+        axis.axhspan(target - error, target + error, color=GREY, alpha=0.2, lw=0, label=told)
         axis.set_ylabel(label(name, unit))
     for i, axis in enumerate(axes[len(names) :]):
         for row, look in zip(signature.in_own_units(u), looks, strict=True):
@@ -245,13 +246,27 @@ def coefficients(
     axis.set_yticks(places, [_plain(labels[k]) for k in order])
     axis.axvline(1.0, color=BLACK, linestyle="--", linewidth=1.0, label="limit of stability")
     axis.set_xlabel("largest spectral radius (stable below 1)")
-    left, right = axis.get_xlim()
-    # The limit of stability has a tick, and no other is so near that their numbers touch.
-    round_ones = MaxNLocator(FEW_TICKS).tick_values(left, right)
-    ticks = [1.0, *(tick for tick in round_ones if left <= tick <= right and abs(tick - 1) > ROOM * (right - left))]
-    axis.set_xticks(sorted(ticks))
     legend_beside(axis)
+    _limit_and_ticks_beside_it(figure, axis)
     return figure
+
+
+def _limit_and_ticks_beside_it(figure: Figure, axis: Axes) -> None:
+    """Give the limit of stability a tick, and others as many as there is room for their numbers.
+
+    Long names of changes leave a narrow axis, so the room is known only when all else has its place.
+    """
+    left, right = axis.get_xlim()
+    ticks = [1.0, *(tick for tick in MaxNLocator(FEW_TICKS).tick_values(left, right) if left <= tick <= right)]
+    axis.set_xticks(ticks)
+    figure.draw_without_rendering()
+    widest = max(number.get_window_extent().width for number in axis.get_xticklabels())
+    room = ROOM * widest / axis.bbox.width * (right - left)
+    kept: list[float] = []
+    for tick in sorted(ticks, key=lambda tick: abs(tick - 1)):
+        if all(abs(tick - other) >= room for other in kept):
+            kept.append(tick)
+    axis.set_xticks(sorted(kept))
 
 
 Drawn = tuple[tuple[str, str], tuple[str, str], ArrayLike, ArrayLike, ArrayLike]

@@ -30,6 +30,8 @@ def test_draws_spread_as_the_standard_errors_say(carts):
     drawn = variants(model, 4000, 1, errors).coefficients[:4000]
     np.testing.assert_allclose(drawn[:, :, 1].std(0), [0.3, 0.02, 0.0], rtol=0.05)
     assert drawn[:, :, 0].std(0).max() == 0  # an equation that is known
+    assert variants(model, 1, 1, errors).how == "by their standard errors"
+    assert variants(model, 1, 1).how == "each within 5 % of itself"
 
 
 def test_error_and_eigenvalues_with_other_plants_are_those_of_paper(loops, carts):

@@ -137,6 +137,19 @@ def test_a_coefficient_that_makes_it_unstable_is_named(loops, carts, law):
     assert "NOT stable with 1 of 2, worst force in v' +20 %" in found["one coefficient"].words
 
 
+def test_draws_are_told_with_their_size_and_weak_coefficients_are_not_blamed_on_the_data(good):
+    words = by_name(good)["all coefficients"].words
+    assert words.startswith("2 draws of all coefficients, each within 5 % of itself, where")
+    spread = replace(good.spread, how="by their standard errors")
+    assert (
+        "coefficients, by their standard errors, where"
+        in by_name(replace(good, spread=spread))["all coefficients"].words
+    )
+    for name in ("one coefficient", "all coefficients"):
+        line = str(Finding(name, False, "b"))
+        assert "planning.variation.parameters=" in line and "integral action" in line and "excite" not in line
+
+
 def test_a_finding_is_a_line():
     assert str(Finding("a", True, "b")) == "ok   a: b" and str(Finding("a", False, "b")) == "WEAK a: b"
 

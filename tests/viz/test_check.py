@@ -104,6 +104,17 @@ def test_the_worst_changes_stand_on_top_and_what_never_rests_at_the_edge():
     assert "the worst 15 of 20 changes" in coefficients([str(k) for k in range(20)], np.ones(20)).get_suptitle()
 
 
+@pytest.mark.parametrize("long", [1, 40, 70])
+@pytest.mark.parametrize("radius", [[0.9965, 1.0061], [0.9702, 1.0009], [1.0021, 1.0274], [0.4, 0.99], [1.0, 1.0]])
+def test_numbers_at_the_ticks_do_not_touch_however_little_room_names_leave(long, radius):
+    figure = coefficients(["a" * long, "b"], radius)
+    figure.draw_without_rendering()
+    (axis,) = figure.axes
+    boxes = [number.get_window_extent() for number in axis.get_xticklabels()]
+    assert 1.0 in axis.get_xticks()
+    assert all(before.x1 < after.x0 for before, after in zip(boxes, boxes[1:], strict=False))
+
+
 def test_a_plane_is_drawn_with_the_first_state_to_the_right():
     back = np.array([[1, 1, 0], [0, 0, 0]])
     figure = recovery([(("p", "v"), ("m", "m/s"), [-1.0, 1.0], [-2.0, 0.0, 2.0], back)])
@@ -120,14 +131,14 @@ def test_a_plane_is_drawn_with_the_first_state_to_the_right():
 
 def test_steps_of_the_model_and_of_other_plants_are_drawn_with_the_target_and_what_passes():
     y, u = np.random.default_rng(0).normal(size=(4, 6, 1)), np.zeros((4, 5, 1))
-    figure = steps(0.1, y, u, [0.3], [("p", "m", 0.05)], Signature(("p",), ("m",), ("force",), (1.0,)))
+    figure = steps(0.1, y, u, [("p", "m", 0.3, 0.05)], CART, how="coefficients by their standard errors")
     upper, lower = figure.axes
     np.testing.assert_allclose(upper.lines[3].get_ydata(), y[2, :, 0])
     assert upper.lines[0].get_ydata()[0] == 0.3 and upper.lines[1].get_xdata()[-1] == 0.5
     assert [text.get_text() for text in upper.get_legend().get_texts()] == [
         "target",
         "the model itself",
-        "3 plants within its uncertainty",
+        "3 plants, coefficients by their standard errors",
         "steady error that passes",
     ]
     (band,) = upper.patches
@@ -140,5 +151,5 @@ def test_steps_of_the_model_and_of_other_plants_are_drawn_with_the_target_and_wh
 def test_steps_have_inputs_in_the_unit_of_the_actuator():
     volts = Signature(("p",), ("m",), ("force",), (1.0,), [[-8, 8]], [[0, 1]], ["N"])
     y, u = np.zeros((2, 6, 1)), np.full((2, 5, 1), 0.5)
-    lower = steps(0.1, y, u, [0.3], [("p", "m", 0.05)], volts).axes[1]
+    lower = steps(0.1, y, u, [("p", "m", 0.3, 0.05)], volts).axes[1]
     assert lower.lines[1].get_ydata().tolist() == [4.0] * 6 and lower.get_ylabel() == "force [N]"
