@@ -31,7 +31,7 @@ from dynasindy.tasks import Tracking
 GROWN = 30.0
 """Growth of a deviation within an episode beyond which a plant has to be held. Of the twin rotor it is 5."""
 DOUBLED = math.log(2)
-"""Exponent by which a deviation has doubled in an episode, from which on a plant is called unstable; stable, if it has halved."""
+"""Exponent by which a deviation has doubled in an episode, from which on a plant is unstable; minus it, stable."""
 REFERENCES = 64
 """References at which rests are looked for."""
 LOOKED_AT = 8
