@@ -42,7 +42,7 @@ def main(cfg: DictConfig) -> None:
         draw_evaluation(result, out, name, cfg.formats)
         if cfg.animate:
             animate(result, out / f"{scenario.name}.{cfg.animation}")
-        say(to_text(summarise(result), heading(result), result.units, result.steady_seconds, width()), "")
+        say(to_text(summarise(result), heading(result), result.units, result.told_steady_seconds, width()), "")
     say(f"Figures, tables and trajectories: {out}")
 
 

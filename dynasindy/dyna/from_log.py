@@ -99,6 +99,6 @@ def report(model: SindyModel, prediction: Prediction) -> str:
     if prediction.shown is not None:
         title = f"{heading(prediction.shown)}, {prediction.place}"
         shown = prediction.shown
-        told = to_text(summarise(shown), title, shown.units, shown.steady_seconds, width())
+        told = to_text(summarise(shown), title, shown.units, shown.told_steady_seconds, width())
         lines += [told, *restless(shown), ""]
     return "\n".join([*lines, prediction.words()])

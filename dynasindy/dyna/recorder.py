@@ -49,6 +49,10 @@ GATE_COLUMNS = (
 )
 
 
+IDENTIFICATION = "identification.txt"
+"""Name of the file of what the fit of the excitation says of itself."""
+FIRST = "The first fit, of the excitation alone; model.json has the equations of the last fit that was kept."
+"""Its head where other fits came after that one."""
 WINDOWS = "held_out_first_episode"
 """Name of the table of the windows that were held out of the first episode."""
 WRITTEN_EVERY = 10.0
@@ -119,10 +123,7 @@ class Recorder(Callback):
         """Write the excitation data, and what the fit says of itself and of them."""
         self.cost = cost
         if isinstance(report, FitReport):
-            head = (
-                "The first fit, of the excitation alone; model.json has the equations of the last fit that was kept.\n"
-            )
-            write_text(self.folder / "identification.txt", f"{head}{report.to_text()}\n")
+            write_text(self.folder / IDENTIFICATION, f"{report.to_text()}\n")
         fine = "" if self.parts.sensing is not None else coarse(self.plant, excited)
         words = [restarts(self.parts, excited), fine, left_out(excited)]
         self.restarts = " ".join(filter(None, words))
@@ -149,6 +150,8 @@ class Recorder(Callback):
         row |= {f"evaluated_{key}": value if due else None for key, value in _headline(self.latest).items()}
         self._log(row)
         self._log_decision(episode)
+        if episode.refit is not None:
+            self._say_which_fit()
         if due or time.perf_counter() - self.written > WRITTEN_EVERY:
             self.write_tables()
         if episode.number in (1, self.episodes):
@@ -271,6 +274,12 @@ class Recorder(Callback):
         if self.tensorboard:
             self.loggers[-1].experiment.flush()  # shown at once, and kept if the run is killed
 
+    def _say_which_fit(self) -> None:
+        """Say above the report of the first fit that others came after it; a run without them has one model only."""
+        path = self.folder / IDENTIFICATION
+        if path.is_file() and not refitted(self.folder):
+            write_text(path, f"{FIRST}\n{path.read_text()}")
+
     def _log_decision(self, episode: Episode) -> None:
         """Append to `gate.csv`: what the gate saw and decided, and what became of the refit."""
         gate, error = self.parts.gate, episode.error
@@ -345,3 +354,8 @@ def _with_gaps(values: Tensor, counts: Tensor) -> Tensor:
 def _headline(summary: Summary) -> Summary:
     """Return the figures of an evaluation that belong in the progress table."""
     return {k: v for k, v in summary.items() if k == "return" or k.startswith(("steady_state_error/", "rmse/"))}
+
+
+def refitted(folder: Path) -> bool:
+    """Tell whether the report of the fit in a run folder is one of several: whether the model was fitted again."""
+    return (folder / IDENTIFICATION).read_text().startswith(FIRST)

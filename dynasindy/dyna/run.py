@@ -15,7 +15,7 @@ from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.folder import check_settings, claimed, clear, result
 from dynasindy.dyna.loop import train
 from dynasindy.dyna.progress import Progress
-from dynasindy.dyna.recorder import Recorder
+from dynasindy.dyna.recorder import IDENTIFICATION, Recorder, refitted
 from dynasindy.dyna.stopped import Stopped
 from dynasindy.evaluation.files import write_json, write_text
 from dynasindy.evaluation.given import read_record
@@ -218,8 +218,9 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
     """Return what a user reads at the end: equations, step tracking, cost, folder."""
     cost = metrics["cost"]
     lines = ["", "Identified equations", *(f"  {line}" for line in metrics["equations"]), ""]
-    if (folder / "identification.txt").is_file():
-        lines[-1:] = [f"What the excitation alone could tell, the first fit: {folder / 'identification.txt'}", ""]
+    if (file := folder / IDENTIFICATION).is_file():
+        which = "What the excitation alone could tell, the first fit" if refitted(folder) else "What the fit could tell"
+        lines[-1:] = [f"{which}: {file}", ""]
     untrained = metrics["untrained"]["return"]
     title = f"Policy on the plant, scenario '{metrics['scenario']}' (untrained return {untrained:.1f})"
     steady = metrics.get("steady_seconds", 5.0)

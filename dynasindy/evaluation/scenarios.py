@@ -133,6 +133,12 @@ class Evaluation:
         return (last == last[:, -1:]).all(-1).all(-1)
 
     @property
+    def told_steady_seconds(self) -> float | None:
+        """Length of the steady state in a table to read [s]; None where no reference rests, as that of a sine."""
+        moving = (self.references.diff(dim=1) != 0).any(-1).float().mean(-1) > 0.5  # more often than it rests
+        return None if len(moving) and bool(moving.all()) else self.steady_seconds
+
+    @property
     def units(self) -> dict[str, str]:
         """Unit of each tracked state."""
         return {self.signature.state_names[i]: self.signature.state_units[i] for i in self.columns}

@@ -84,7 +84,7 @@ def to_text(
     summary: Mapping[str, float | None],
     title: str = "",
     units: Mapping[str, str] | None = None,
-    steady: float = 5.0,
+    steady: float | None = 5.0,
     width: int | None = None,
 ) -> str:
     """Return a table of a summary, metrics down and axes across, aligned for a terminal.
@@ -95,10 +95,14 @@ def to_text(
         summary: The figures.
         title: First line.
         units: Unit of each axis; rad if omitted.
-        steady: Length of the part that counts as steady state [s].
+        steady: Length of the part that counts as steady state [s]; None leaves its error out, as of a sine.
         width: Columns of the terminal; axes that do not fit beside each other stand below. None lets lines be long.
     """
-    units, words = units or {}, {**WORDS, "steady_state_error": f"steady-state error (last {in_words(steady)})"}
+    units, words, errors = units or {}, dict(WORDS), list(TRACKING)
+    if steady is None:
+        errors.remove("steady_state_error")
+    else:
+        words["steady_state_error"] = f"steady-state error (last {in_words(steady)})"
     axes = _columns(summary, "rmse")
     inputs = _columns(summary, "control_effort")
     lines = [title] if title else []
@@ -110,7 +114,7 @@ def to_text(
     for some in _split(axes, beside):
         heads = some if shared else [f"{axis} [{units.get(axis, 'rad')}]" for axis in some]
         lines.append(f"{'':38s}" + "".join(f" {name:>11s}" for name in heads))
-        for name in (*TRACKING, *(steps if stepped else ())):
+        for name in (*errors, *(steps if stepped else ())):
             unit = shared if name in TRACKING else "" if name == "steps" else UNITS.get(name, "%")
             factor = 100.0 if name == "settled" else 1.0
             if unit == SECONDS.name:

@@ -31,7 +31,7 @@ from dynasindy.tasks import Tracking
 GROWN = 30.0
 """Growth of a deviation within an episode beyond which a plant has to be held. Of the twin rotor it is 5."""
 DOUBLED = math.log(2)
-"""Exponent by which a deviation has doubled in an episode, from which on a plant is called unstable."""
+"""Exponent by which a deviation has doubled in an episode, from which on a plant is unstable; minus it, stable."""
 REFERENCES = 64
 """References at which rests are looked for."""
 LOOKED_AT = 8
@@ -230,7 +230,10 @@ def _fate(slopes: list[Tensor], grown: float, seconds: float) -> str:
         return f"the plant is unstable, without control a deviation doubles every {doubling}"
     if grown > 2.0:
         return f"without control a deviation grows {grown:.2g} times at most in an episode"
-    return "the plant is stable, without control a deviation hardly grows"
+    if fastest * seconds < -DOUBLED:
+        halving = in_words(-math.log(2) / fastest, digits=2)
+        return f"the plant is stable, without control a deviation decays, at the slowest by half every {halving}"
+    return "without control a deviation hardly changes in an episode"
 
 
 def _targets(task: Tracking, generator: torch.Generator) -> Tensor:

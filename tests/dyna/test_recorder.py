@@ -17,7 +17,7 @@ from dynasindy.dyna import recorder as module
 from dynasindy.dyna.callback import Cost, Episode
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import Settings, train
-from dynasindy.dyna.recorder import Recorder, _with_gaps
+from dynasindy.dyna.recorder import Recorder, _with_gaps, refitted
 from dynasindy.dyna.refit import Refit
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
@@ -203,6 +203,23 @@ def test_the_windows_by_which_the_first_refit_was_judged_stand_in_a_table(record
     found = rows(tmp_path / "data" / "held_out_first_episode.csv")
     assert [[float(cell) for cell in row.values()] for row in found] == [[4.0, 1.5, 2.5], [9.0, 2.5, 3.5]]
     assert list(found[0]) == ["time [s]", "reward_error", "state_error"]
+
+
+def test_a_fit_is_called_the_first_once_others_have_come(recorded, tmp_path):
+    _, parts, recorder = recorded
+    again = Recorder(tmp_path, parts, recorder.scenario, every=5, episodes=3)
+    again.begin()
+    (tmp_path / "identification.txt").write_text("drag: well known\n")
+    rollout = parts.env.rollout(4)
+    rollout["next", "predicted_reward"] = rollout["next", "reward"]
+    error = ModelError(0.0, 0.0, rollout["next", "state"])
+    again.episode(Episode(1, rollout, error, True, None), Cost(7, 8, 9))
+    assert (tmp_path / "identification.txt").read_text() == "drag: well known\n" and not refitted(tmp_path)
+    for number in (2, 3):
+        again.episode(Episode(number, rollout, error, True, Refit(None, 4.0, 3.0, True, error)), Cost(7, 8, 9))
+    head, *rest = (tmp_path / "identification.txt").read_text().splitlines()
+    assert head.startswith("The first fit, of the excitation alone;") and rest == ["drag: well known"]
+    assert refitted(tmp_path)
 
 
 @pytest.mark.parametrize(("number", "name"), [(1, "first"), (2, None), (3, "last")])

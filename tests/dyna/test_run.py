@@ -11,6 +11,7 @@ from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.parts import Settings
+from dynasindy.dyna.recorder import FIRST
 from dynasindy.dyna.run import Evaluating, Provenance, Saving, report, run
 from dynasindy.dyna.stopped import Stopped
 from dynasindy.envs import ControlEnv
@@ -229,6 +230,27 @@ def test_the_report_says_equations_metrics_costs_and_folder(tmp_path):
     ):
         assert words in text
     assert "window 60" not in text and "2.3 MB" not in text  # of use to nobody who reads a verdict
+
+
+@pytest.mark.parametrize(
+    ("head", "words"),
+    [("", "What the fit could tell: "), (f"{FIRST}\n", "What the excitation alone could tell, the first fit: ")],
+)
+def test_only_a_fit_with_others_after_it_is_called_the_first(tmp_path, head, words):
+    (tmp_path / "identification.txt").write_text(f"{head}drag: well known\n")
+    cost = dict.fromkeys(("real_steps", "plant_seconds", "imagined_transitions", "updates", "wall_seconds"), 1)
+    told = report(
+        {
+            "cost": {**cost, "evaluation_steps": 1},
+            "equations": [],
+            "scenario": "step",
+            "evaluation": {"return": 0.0, "stop_share": 0.0, "control_effort/u": 0.1, "control_variation/u": 0.2},
+            "untrained": {"return": 0.0},
+            "verdict": {"usable": True, "sentence": "It is better."},
+        },
+        tmp_path,
+    )
+    assert f"{words}{tmp_path / 'identification.txt'}" in told.splitlines()
 
 
 @pytest.mark.parametrize("name", ["replay", "gradient", "both"])

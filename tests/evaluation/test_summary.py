@@ -10,7 +10,7 @@ from tensordict import TensorDict
 
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.disturbances import Pushed
-from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING
+from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, tracking_metrics
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import heading, restless, summarise, to_text
 from dynasindy.systems import Pendulum, Signature
@@ -112,6 +112,23 @@ def test_the_table_of_a_wave_leaves_the_metrics_of_steps_out() -> None:
     assert "settl" not in text
     assert "overshoot" not in text
     assert row(text, "RMSE")[-2:] == ["0.3", "0.5"]
+
+
+@pytest.mark.parametrize(
+    ("signal", "kept"), [(torch.sin, False), (lambda t: torch.sin(t).sign(), True), (torch.ones_like, True)]
+)
+def test_only_what_rests_has_a_steady_state_to_read(signal, kept):
+    """A square rests between its jumps, one of which is in the last quarter of two periods; a sine never rests."""
+    time = 0.05 * torch.arange(252, dtype=torch.float64)
+    y, r = torch.zeros(1, 252, 1).double(), signal(time + 0.01).reshape(1, 252, 1)
+    metrics = tracking_metrics(time, y, r, torch.zeros(1, 252, 1))
+    following = TensorDict({"reward": torch.zeros(1, 252, 1), "at_stop": torch.zeros(1, 252, 1)}, [1, 252])
+    trajectory = TensorDict({"state": y, "reference": r, "next": following}, [1, 252])
+    made = Evaluation("made up", Signature(("h",), ("m",), ("u",), (1.0,)), (0,), time, trajectory, metrics)
+    summary = summarise(made)
+    text = to_text(summary, units=made.units, steady=made.told_steady_seconds)
+    assert summary["steady_state_error/h"] is not None and "mean abs error [m]" in text
+    assert ("steady-state error" in text) == kept
 
 
 def test_the_heading_says_how_long_and_when_the_plant_was_disturbed() -> None:

@@ -46,8 +46,19 @@ def test_a_plant_that_runs_away_is_held_and_trained_in_smaller_steps():
     assert wild.why.startswith(
         "the plant is unstable, without control a deviation doubles every 0.35 s; under a linear"
     )
+    # p'' = -p - p': both modes decay as exp(-t / 2), by half every 2 ln(2) s.
+    assert calm.why.startswith(
+        "the plant is stable, without control a deviation decays, at the slowest by half every 1.4 s; under a linear"
+    )
     assert "unstable" not in calm.why and "fold" not in calm.why
     assert wild.lr < calm.lr
+
+
+def test_nothing_decays_in_an_integrator_nor_where_an_episode_is_too_short_for_it():
+    """Of x' = v, v' = -v the place stays where it is; x'' = -0.04 x - 0.02 x' has halved after 69 s, not after 20 s."""
+    for plant in (Linear(0.0, 1.0, 4.0), Linear(-0.04, 0.02, 4.0)):
+        assert "stable" not in pace(plant).why
+    assert pace(Linear(0.0, 1.0, 4.0)).why.startswith("without control a deviation hardly changes in an episode;")
 
 
 def test_a_double_integrator_runs_away_although_no_mode_grows():
