@@ -25,33 +25,38 @@ MANY = 10000.0
 """Length [s] from which on one alone is never told in seconds; below, 1000 s is plainer than 16.67 min."""
 
 
-def unit_of(seconds: float) -> TimeUnit:
-    """Return the unit in which a length of time [s] is told; one that is not finite has seconds."""
+def unit_of(seconds: float, running: bool = False) -> TimeUnit:
+    """Return the unit in which a length of time is told, the same in words, in figures and in animations.
+
+    Args:
+        seconds: The length [s]; one that is not finite has seconds.
+        running: Whether it goes on. Then only how long it is counts: from one moment to the next seconds would take the
+            place of minutes where they are rounder.
+
+    Returns:
+        The unit: of what does not run, seconds also where only they make a round number of it, as of 800 s.
+    """
     if seconds == float("inf"):
         return SECONDS
-    return next((unit for least, unit in FROM if abs(seconds) >= least), SECONDS)
-
-
-def _suited(seconds: float) -> TimeUnit:
-    """Return the unit in which a length of time alone is told: seconds where only they make a round number of it."""
-    unit = unit_of(seconds)
-    rough = abs(seconds) < MANY and not _round(seconds / unit.seconds) and _round(seconds)
+    unit = next((unit for least, unit in FROM if abs(seconds) >= least), SECONDS)
+    rough = not running and abs(seconds) < MANY and not _round(seconds / unit.seconds) and _round(seconds)
     return SECONDS if rough else unit
 
 
 def _round(value: float) -> bool:
-    """Tell whether three digits say all of a number."""
-    return float(f"{value:.3g}") == float(f"{value:.9g}")
+    """Tell whether three digits say all of a number; sums of control periods miss it by less than a millionth."""
+    return float(f"{value:.3g}") == float(f"{value:.6g}")
 
 
-def in_words(seconds: float, longest: float | None = None, digits: int = 4) -> str:
+def in_words(seconds: float, longest: float | None = None, digits: int = 4, running: bool = False) -> str:
     """Return a length of time with its unit, `90 min`.
 
     Args:
         seconds: The length [s].
         longest: Length whose unit is used [s], where several lengths stand beside each other; by default its own.
         digits: Significant digits, at least those before the point.
+        running: Whether it goes on, as `unit_of` takes it.
     """
-    unit = _suited(seconds) if longest is None else unit_of(longest)
+    unit = unit_of(seconds if longest is None else longest, running)
     value = seconds / unit.seconds
     return f"{value:.0f} {unit.name}" if abs(value) >= 10 ** (digits - 1) else f"{value:.{digits}g} {unit.name}"

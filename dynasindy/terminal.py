@@ -276,8 +276,7 @@ def _progress(file: TextIO) -> Progress:
 
 def line(told: Told, seconds: float) -> str:
     """Return a phase, how much of it is done, and how long it took so far, in words."""
-    # In the unit of its length alone: from line to line seconds would take the place of minutes where they are rounder.
-    parts = [told.counted(), told.words, in_words(round(seconds), longest=round(seconds), digits=3)]
+    parts = [told.counted(), told.words, in_words(round(seconds), digits=3, running=True)]
     return f"{told.phase}: {', '.join(filter(None, parts))}"
 
 

@@ -43,6 +43,7 @@ def draw(
     outputs: Sequence[int],
     time: float | None = None,
     ends: Sequence[tuple[float, float]] | None = None,
+    longest: float | None = None,
 ) -> Frame:
     """Draw one state of a plant.
 
@@ -54,6 +55,7 @@ def draw(
         time: Time to write into the corner [s].
         ends: Lowest and highest value that the bar of each tracked output shows [unit of the output]; if omitted it
             shows zero in the middle, and its range or the reference.
+        longest: Length of the run, in whose unit the time is written [s]; if omitted it is as for a clock that runs on.
 
     Returns:
         Colours, uint8 `(height, width, 3)`.
@@ -73,7 +75,7 @@ def draw(
             reach = max(signature.x_scale[index], 1.25 * abs(float(reference[k])))
             _draw_bar(image, corner, unit, (value, float(reference[k])), ends[k] if ends else (-reach, reach))
     if time is not None:
-        clock = unit_of(time)
+        clock = unit_of(time, running=True) if longest is None else unit_of(longest)
         _write(image, (10, 8), f"t = {time / clock.seconds:.2f} {clock.name}")
     return _finished(image)
 
@@ -126,7 +128,7 @@ def _draw_dial(
         turned = angle * 2 * math.pi / turn_of(unit) + zero
         tip = (centre[0] + radius * math.cos(turned), centre[1] - radius * math.sin(turned))
         line([(_ZOOM * u, _ZOOM * v) for u, v in (centre, tip)])
-    _write_values(image, corner, f"{value:+.3f} {unit}", f"{reference:+.3f}")
+    _write_values(image, corner, f"{value:+z.3f} {unit}", f"{reference:+z.3f}")
 
 
 def _draw_bar(
@@ -154,7 +156,7 @@ def _draw_bar(
     digits, sign = max(0, 2 - math.floor(math.log10(high - low))), "+" if low < 0 else ""
     for end, level in ((high, top), (low, bottom)):
         _write(image, (right + 14, level - 8), f"{end:.3g}", _LABEL)
-    _write_values(image, corner, f"{value:{sign}.{digits}f} {unit}", f"{reference:{sign}.{digits}f}")
+    _write_values(image, corner, f"{value:{sign}z.{digits}f} {unit}", f"{reference:{sign}z.{digits}f}")
 
 
 def _write_values(image: Image.Image, corner: tuple[int, int], value: str, reference: str) -> None:

@@ -103,7 +103,8 @@ class GymControl(gymnasium.Env[Array, Array]):
         # A third of the range beyond each end of the targets, in which an output may overshoot.
         bars = [(low - box / 3, high + box / 3) for low, high, box in rows]
         signature, time = self.env.system.signature, float(self._t)
-        return draw(signature, self._x.tolist(), reference, self._task.outputs, time, bars)
+        longest = self._task.max_steps * self.env.dt
+        return draw(signature, self._x.tolist(), reference, self._task.outputs, time, bars, longest)
 
     def _observed(self) -> tuple[Array, dict[str, Any]]:
         observation = self._task.observation(self._x, self._params, self._t).float().numpy()

@@ -104,6 +104,8 @@ class Evaluation:
         windows: Times `(start, end)` at which the plant was disturbed [s], where that was not all the time.
         boxes: Extents of the outputs' targets, `(n_r,)`, of an angle one turn at most; one of each unit if empty.
         disturbances: What disturbed it and by how much, in words.
+        bounds: Lower and upper limit of each tracked state [its unit], infinite where there is none; empty if no task
+            tells them.
     """
 
     scenario: str
@@ -115,6 +117,7 @@ class Evaluation:
     windows: tuple[Window, ...] = ()
     boxes: tuple[float, ...] = ()
     disturbances: tuple[str, ...] = ()
+    bounds: tuple[tuple[float, float], ...] = ()
 
     @property
     def steady_seconds(self) -> float:
@@ -373,6 +376,9 @@ def _measure(env: ControlEnv, task: Task, scenario: Scenario, trajectory: Tensor
     boxes = task.boxes().minimum(turns) if isinstance(task, Tracking) else torch.ones(len(outputs))
     metrics = tracking_metrics(time, y, r, u, boxes)
     windows = tuple((start, end) for start, end in scenario.windows or ()) if scenario.plant else ()
+    limits = task.bounds[:, outputs].T.tolist() if isinstance(task, Tracking) else []
+    bounds = tuple((low, high) for low, high in limits)
+    extents, signature = tuple(boxes.tolist()), env.system.signature
     return Evaluation(
-        scenario.name, env.system.signature, tuple(outputs), time, trajectory, metrics, windows, tuple(boxes.tolist())
+        scenario.name, signature, tuple(outputs), time, trajectory, metrics, windows, extents, bounds=bounds
     )

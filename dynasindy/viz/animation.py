@@ -10,6 +10,7 @@ from typing import Any
 
 import matplotlib
 import numpy as np
+import torch
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -20,7 +21,7 @@ from dynasindy.envs.drawing import HEIGHT, Frame, draw, draw_beam, is_beam
 from dynasindy.evaluation.drawn import drawn
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.told import counted
-from dynasindy.viz.style import BLACK, BLUE, STYLE, WORDS, Array, label, time_axis
+from dynasindy.viz.style import BLACK, BLUE, STYLE, WORDS, Array, label, span, time_axis
 
 SUFFIXES = (".gif", ".mp4")
 RATE = 10
@@ -43,7 +44,6 @@ class Chart:
         self.names, self.time = evaluation.output_names, evaluation.time.numpy()
         self.units = tuple(evaluation.units.values())
         self.y, self.r = evaluation.outputs[row].numpy(), evaluation.references[row].numpy()
-        self.ends = [self._ends(k, 0.0) for k in range(len(self.names))]
         inch = HEIGHT / 100
         with matplotlib.rc_context(STYLE):
             figure = Figure(figsize=(inch, inch), dpi=100 * self.ZOOM)
@@ -52,7 +52,7 @@ class Chart:
             figure.subplots_adjust(left=0.2, right=0.96, bottom=0.19, top=0.92, hspace=0.32)
             for k, axis in enumerate(axes):
                 self._frame(axis, k)
-            time_axis(axes[-1], self.time)
+            time_axis(axes[-1], span(self.time))
             figure.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncols=2)
             canvas.draw()
         self.ground = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
@@ -69,7 +69,7 @@ class Chart:
             (u, v), size = past[-1], 4 * self.ZOOM
             pen.ellipse([u - size, v - size, u + size, v + size], fill=BLUE)
             error = self.r[moment, k] - self.y[moment, k]
-            words = f"{WORDS.get(self.names[k], self.names[k])} error {error:+.3f} {self.units[k]}"
+            words = f"{WORDS.get(self.names[k], self.names[k])} error {error:+z.3f} {self.units[k]}"
             pen.text((0.96 * image.width, top - 5 * self.ZOOM), words, fill=BLACK, font=font, anchor="rs")
         return np.asarray(image.resize((HEIGHT, HEIGHT), Image.Resampling.LANCZOS))
 
@@ -79,20 +79,39 @@ class Chart:
         look: dict[str, Any] = {"drawstyle": "steps-post" if step else "default", "linestyle": "--", "linewidth": 1.2}
         axis.plot(self.time, self.r[:, k], color=BLACK, label="reference", **look)
         axis.plot([], [], color=BLUE, linewidth=2.0, label="plant")  # its curve grows with time, see `until`
-        axis.set_ylim(*self._ends(k, 0.08))
+        axis.set_ylim(*self._ends(k))
         axis.set_xlim(self.time[0], self.time[-1])
         axis.set_ylabel(label(self.names[k], self.units[k]))
 
-    def _ends(self, k: int, margin: float) -> tuple[float, float]:
-        """Return between which values output and reference are, and a margin as a share of their distance."""
+    def _ends(self, k: int) -> tuple[float, float]:
+        """Return between which values output and reference are, and a little more."""
         values = np.concatenate([self.y[:, k], self.r[:, k]])
         extent = float(np.ptp(values))
-        beyond = margin * max(extent, 0.02) if extent else 0.0016
+        beyond = 0.08 * max(extent, 0.02) if extent else 0.0016
         return float(values.min()) - beyond, float(values.max()) + beyond
 
     def _pixels(self, axis: Axes, values: Array) -> list[tuple[float, float]]:
         points = axis.transData.transform(np.stack([self.time, values], -1))
         return [(float(u), self.ground.height - float(v)) for u, v in points]
+
+
+def bar_ends(evaluation: Evaluation, row: int, output: int) -> tuple[float, float]:
+    """Return the ends of the bar of an output [its unit]: the plant's bounds, so that a level reads as a level.
+
+    Where there are none, the bar begins at zero, or at the lowest value if that is below, and it reaches up to the
+    typical range of the state, or to the highest value or target if that is above.
+
+    Args:
+        evaluation: What is shown.
+        row: Which of its references.
+        output: Which of its outputs.
+    """
+    low, high = evaluation.bounds[output] if evaluation.bounds else (-math.inf, math.inf)
+    values = torch.cat([evaluation.outputs[row, :, output], evaluation.references[row, :, output]]).double()
+    shown, scale = values[values.isfinite()].tolist(), evaluation.signature.x_scale[evaluation.columns[output]]
+    low = low if math.isfinite(low) else min([0.0, *shown])
+    high = high if math.isfinite(high) else max([scale, *shown])
+    return low, high if high > low else low + scale
 
 
 def frames(evaluation: Evaluation, row: int = 0, every: int = 2) -> Iterator[Frame]:
@@ -107,15 +126,16 @@ def frames(evaluation: Evaluation, row: int = 0, every: int = 2) -> Iterator[Fra
     x, reference = evaluation.trajectory["state"][row].tolist(), evaluation.references[row].tolist()
     speed = every * RATE * float(evaluation.time[1] - evaluation.time[0])
     fast = f", {speed:.3g} times as fast" if speed > 1.01 else ""
-    turned, unit = [0.0, 0.0], unit_of(float(evaluation.time[-1]))
+    ends = [bar_ends(evaluation, row, n) for n in range(len(evaluation.columns))]
+    turned, unit = [0.0, 0.0], unit_of(evaluation.seconds)
     for k in range(0, len(x), every):
         words = f"t = {evaluation.time[k] / unit.seconds:.1f} {unit.name}{fast}"
         if is_beam(evaluation.signature):
             turned = [angle + w / full for angle, w, full in zip(turned, x[k][4:], FULL, strict=True)]
             scene = draw_beam(x[k], reference[k], turned, words)
         else:
-            moment = float(evaluation.time[k])
-            scene = draw(evaluation.signature, x[k], reference[k], evaluation.columns, moment, chart.ends)
+            moment, seconds = float(evaluation.time[k]), evaluation.seconds
+            scene = draw(evaluation.signature, x[k], reference[k], evaluation.columns, moment, ends, seconds)
         yield np.hstack([scene, chart.until(k)])
 
 

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from dynasindy.durations import in_words
 from dynasindy.viz.response import tracking
-from dynasindy.viz.style import GREY, ORANGE, RED, legend_above, styled
+from dynasindy.viz.style import GREY, ORANGE, RED, legend_above, styled, time_axis
 
 if TYPE_CHECKING:  # figures know a flight by its attributes alone
     from dynasindy.rig import Guard, Wiring
@@ -50,6 +50,7 @@ def flight(shown: Shown, wiring: Wiring, guard: Guard, name: str) -> Figure:
     for axis in figure.axes:
         if shown.fault:
             axis.axvline(ended, color=RED, linewidth=1.0, label="ended, safe input")
+    time_axis(figure.axes[-1], (0.0, planned))
     figure.axes[-1].set_xlim(0.0, planned * (1 + LATE * bool(shown.fault)))
     legend_above(figure.axes[0])
     return figure

@@ -319,7 +319,7 @@ def _finish(axes: Sequence[Axes], columns: int, seconds: Array, segment: ArrayLi
     words = "time without the gaps" if _breaks(segment) else "time"
     shown = [axis for axis in axes if axis.get_visible()]
     for axis in shown[-columns:]:  # the last one of each column, above an empty place, too
-        time_axis(axis, seconds, words)
+        time_axis(axis, span(seconds), words)
         axis.tick_params(labelbottom=True)
     axes[0].set_xlim(*span(seconds))
 

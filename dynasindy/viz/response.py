@@ -66,7 +66,7 @@ def tracking(
     for i in range(n_u):
         _inputs(axes[len(names) + i], seconds, inputs, i, signature)
     legend_above(axes[0])
-    time_axis(axes[-1], seconds)
+    time_axis(axes[-1], span(seconds))
     axes[-1].set_xlim(*span(seconds))
     return figure
 
@@ -90,8 +90,8 @@ def step_response(
         half = SETTLING_BAND * max((abs(target[-1, i] - start) for start in starts), default=0.0)
         band = f"{100 * SETTLING_BAND:g} % band"
         axis.axhspan(target[-1, i] - half, target[-1, i] + half, color=GREY, alpha=0.2, lw=0, label=band)
-        end = span(seconds)[1]
-        told = f"steady state: last {in_words(steady, longest=float(np.ptp(seconds)), digits=3)}"
+        start, end = span(seconds)
+        told = f"steady state: last {in_words(steady, longest=end - start, digits=3)}"
         axis.axvspan(end - steady, end, color=GREY, alpha=0.08, lw=0, label=told)
     legend_above(figure.axes[0])
     return figure
@@ -137,7 +137,7 @@ def error_fan(
         axis.set_ylim(bottom=0.5 * max(least, LEAST * float(bands[i])))
         axis.set_ylabel(f"|error| of {label(*_with_unit(name))}")
     legend_above(axes[0])
-    time_axis(axes[-1], seconds)
+    time_axis(axes[-1], span(seconds))
     axes[-1].set_xlim(*span(seconds))
     return figure
 

@@ -183,16 +183,16 @@ def span(seconds: Array) -> tuple[float, float]:
 
 
 def time_axis(axis: Axes, seconds: ArrayLike, words: str = "time") -> None:
-    """Label an axis whose data are in seconds, with ticks in the unit that suits its length: s, min or h.
+    """Label an axis whose data are in seconds, with ticks in the unit in which its length is told: s, min or h.
 
     Args:
         axis: Where; figures that share it are told, too.
-        seconds: The times that it shows [s].
+        seconds: The times that it shows, or its two ends [s]; `span` gives those of a run.
         words: What it shows.
     """
     unit = unit_of(float(np.ptp(array(seconds)))) if np.size(seconds) else unit_of(0.0)
     axis.set_xlabel(f"{words} [{unit.name}]")
-    if unit.seconds != 1:
+    if unit.seconds != 1 or isinstance(axis.xaxis.get_major_locator(), _Scaled):  # which had another unit before
         axis.xaxis.set_major_locator(_Scaled(unit.seconds))
         axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value / unit.seconds:g}"))
 

@@ -358,3 +358,15 @@ def test_of_an_angle_that_goes_over_many_turns_errors_are_shares_of_one_turn() -
         assert found.turned == (["theta"] if box > 6 else [])
         told = Prediction((found,), result).words()
         assert ("1 to 1 % of a turn on average" in told) is (box > 6)
+
+
+def test_an_evaluation_tells_the_bounds_of_its_outputs() -> None:
+    system = Pendulum()
+    bounds = {"theta": [-0.5, 2.0]}
+    task = Tracking(system.signature, Step([[0.3]]), ["theta"], ["Omega"], TrackingReward((4.0,)), bounds=bounds)
+
+    def still(td):
+        return td.set("action", torch.zeros(*td.batch_size, 1))
+
+    env = ControlEnv(system, task, substeps=1)
+    assert evaluate(env, still, Scenario("step", Step([[0.1]]), seconds=0.2)).bounds == ((-0.5, 2.0),)

@@ -1,19 +1,23 @@
 """Animations: real time, one picture per shown sample, and one line for what cannot be written."""
 
+import math
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from PIL import Image
+from matplotlib.axes import Axes
+from PIL import Image, ImageDraw
+from tensordict import TensorDict
 
+from dynasindy.durations import in_words
 from dynasindy.envs import ControlEnv, drawing
 from dynasindy.envs.drawing import draw_beam
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
-from dynasindy.systems import Pendulum, Tras
+from dynasindy.systems import Pendulum, Signature, Tras
 from dynasindy.tasks import Step, Tracking, TrackingReward
-from dynasindy.viz.animation import FULL, Chart, animate, frames
+from dynasindy.viz.animation import FULL, Chart, animate, bar_ends, frames
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +70,71 @@ def test_other_plants_are_drawn_with_their_dial() -> None:
     shown = evaluate(env, lambda td: td.set("action", torch.zeros(*td.batch_size, 1)), swing)
     (first, _) = frames(shown)
     assert first.shape == (360, 180 + 360, 3)
+
+
+def tank(levels: list[float], bounds: tuple[tuple[float, float], ...] = (), length: int = 5) -> Evaluation:
+    """Levels [m] of a tank that is wanted at 1 m, a value every second; `length` seconds in all."""
+    time = torch.arange(length, dtype=torch.float64)
+    y = torch.tensor(levels + levels[-1:] * (length - len(levels))).reshape(1, -1, 1)
+    trajectory = TensorDict({"state": y, "reference": torch.ones_like(y)}, y.shape[:2])
+    signature = Signature(("h",), ("m",), ("q",), (0.5,))
+    return Evaluation("tank", signature, (0,), time, trajectory, {}, bounds=bounds)
+
+
+@pytest.mark.parametrize(
+    ("levels", "bounds", "ends"),
+    [
+        ([1.0, 1.4], ((0.0, 2.0),), (0.0, 2.0)),
+        ([1.0, 1.4], ((-math.inf, 2.0),), (0.0, 2.0)),
+        ([1.0, 1.5], (), (0.0, 1.5)),
+        ([0.25, 0.75], (), (0.0, 1.0)),  # the target is 1 m
+        ([-0.25, 0.75], ((-math.inf, math.inf),), (-0.25, 1.0)),
+    ],
+)
+def test_a_bar_begins_at_zero_or_where_the_plant_ends(levels, bounds, ends) -> None:
+    assert bar_ends(tank(levels, bounds), 0, 0) == ends
+
+
+def test_a_full_tank_is_drawn_half_full_at_half_of_its_height() -> None:
+    (first, *_) = frames(tank([1.0, 1.4], ((0.0, 2.0),)), every=1)
+    # The bar of 112 pixels begins 30 below the corner of the plant's picture, at a quarter of its height.
+    column = np.abs(first[:, 80].astype(int) - np.array([0, 114, 178])).max(-1) < 20
+    rows = np.nonzero(column[100:240])[0]
+    assert len(rows) == pytest.approx(56, abs=4)
+
+
+@pytest.fixture
+def written(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """All words that pictures get from here on."""
+    words: list[str] = []
+    write, name = ImageDraw.ImageDraw.text, Axes.set_xlabel
+
+    def text(pen, at, what, *args, **kwargs):
+        words.append(what)
+        return write(pen, at, what, *args, **kwargs)
+
+    def xlabel(axis, what, *args, **kwargs):
+        words.append(what)
+        return name(axis, what, *args, **kwargs)
+
+    monkeypatch.setattr(ImageDraw.ImageDraw, "text", text)
+    monkeypatch.setattr(Axes, "set_xlabel", xlabel)
+    return words
+
+
+def test_no_error_is_minus_zero(written: list[str]) -> None:
+    list(frames(tank([1.0002, 1.25], ((-1.0, 2.0),)), every=1))
+    assert "h error +0.000 m" in written and "h error -0.250 m" in written
+    assert not any("-0.000" in words for words in written)
+
+
+@pytest.mark.parametrize(("length", "unit"), [(600, "min"), (800, "s")])
+def test_clock_and_axis_have_the_unit_of_the_run(length: int, unit: str, written: list[str]) -> None:
+    """Ten minutes are told in minutes from the first picture on, though the last sample is at 599 s."""
+    list(frames(tank([1.0, 1.25], length=length), every=length // 4))
+    clocks = [words for words in written if words.startswith("t = ")]
+    assert len(clocks) == 4 and all(words.endswith(f" {unit}") for words in clocks)
+    assert f"time [{unit}]" in written and in_words(length).endswith(f" {unit}")
 
 
 def test_a_gif_runs_in_real_time(evaluation: Evaluation, tmp_path: Path) -> None:

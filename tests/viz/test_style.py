@@ -160,6 +160,7 @@ def test_a_long_title_breaks_between_clauses_or_in_equal_lines(line, rows):
     ("end", "what", "ticks"),
     [
         (20.0, "time [s]", {0.0: "0", 10.0: "10"}),
+        (800.0, "time [s]", {0.0: "0", 400.0: "400"}),
         (1800.0, "time [min]", {0.0: "0", 600.0: "10"}),
         (86400.0, "time [h]", {0.0: "0", 36000.0: "10"}),
     ],
@@ -168,6 +169,7 @@ def test_the_time_of_a_slow_plant_is_drawn_in_minutes_or_hours(end, what, ticks)
     figure, (upper, lower) = panels(2)
     for axis in (upper, lower):
         axis.plot([0.0, end], [0.0, 1.0])
+    time_axis(lower, [0.0, 40000.0])  # what is planned may be longer or shorter than what was flown
     time_axis(lower, [0.0, end])
     lower.set_xlim(0.0, end)
     figure.draw_without_rendering()
