@@ -2,10 +2,11 @@
 
 import sys
 from pathlib import Path
+from typing import Any
 
 from admitted import read_config
 from command import command
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.evaluation.given import folder_for, understood
 
@@ -31,7 +32,8 @@ def main(cfg: DictConfig) -> None:
     if given.controller is None or given.model is None:
         lack = "controller" if given.controller is None else "model of the plant"
         raise ValueError(f"{run} has no {lack}; give the folder of a run that has ended, with controller and model")
-    box = {key: _box(cfg, run, key) for key in ("low", "high")}
+    box: dict[str, Any] = {key: _box(cfg, run, key) for key in ("low", "high")}
+    box |= {key: _kept(run, key) for key in ("start", "bounds")}
     settings = Settings(**box, **{key: cfg[key] for key in ("points", "seconds", "reach", "grid", "draws", "seed")})
     folder = folder_for(cfg.folder, run, "check")
     plant = Plant(given.model, given.controller.dt, given.step, given.stops)
@@ -62,6 +64,18 @@ def _box(cfg: DictConfig, run: Path, key: str) -> tuple[float, ...]:
         raise ValueError(f"{key} is not given, and there is no {file} to read it from; give {key}=[...] of the targets")
     with understood(file):
         return tuple(float(value) for value in (read_config(file).plant[key] if values is None else values))
+
+
+def _kept(run: Path, key: str) -> dict[str, Any]:
+    """Return where episodes of the run begin, or the limits of its states; nothing if there is no run to say it."""
+    file = (run if run.is_dir() else run.parent) / "config.yaml"
+    if not file.is_file():
+        return {}
+    with understood(file):
+        kept = read_config(file)
+        parts = (kept.get("task") or {}, kept.get("plant") or {})
+        found = next((part[key] for part in parts if part.get(key)), {})
+        return {str(name): list(ends) if OmegaConf.is_list(ends) else float(ends) for name, ends in found.items()}
 
 
 if __name__ == "__main__":

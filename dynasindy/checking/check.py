@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,14 @@ from torch import Tensor
 
 from dynasindy.checking.flights import Flights, Plane, fly, recovery
 from dynasindy.checking.flown import Flown, flown, rubs
-from dynasindy.checking.linear import RESTS, Array, Rest, rest
+from dynasindy.checking.linear import RESTS, Array, Rest, guess, rest
 from dynasindy.checking.loop import Loop
 from dynasindy.checking.margins import Margins, margins
 from dynasindy.checking.noise import noise_gain
 from dynasindy.checking.swings import Swings, swings
 from dynasindy.checking.uncertainty import Spread, Variants, spread, variants
+from dynasindy.systems import ranges
+from dynasindy.systems.ranges import Ends
 from dynasindy.told import tell
 
 PERIODS = 400
@@ -36,6 +39,9 @@ class Settings:
         grid: Initial errors along each axis.
         draws: Plants drawn at random.
         seed: Seed of the draws.
+        start: Where steps begin, as `plant.start` of a run: by state a value, or a range, of which it is the middle.
+        bounds: Limits of states, as `plant.bounds` of a run. Without `start` steps begin at the origin, or where the
+            model rests nearest to the middle target if these exclude the origin.
 
     Raises:
         ValueError: The target range is none, or a number is too small.
@@ -49,6 +55,8 @@ class Settings:
     grid: int = 11
     draws: int = 20
     seed: int = 0
+    start: Mapping[str, Ends] = field(default_factory=dict)
+    bounds: Mapping[str, Ends] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         ends = list(zip(self.low, self.high, strict=False))
@@ -84,12 +92,13 @@ class Check:
         loop: The loop that was looked at.
         settings: What was tried.
         targets: References, `(n_targets, n_r)`.
+        begin: State in which steps begin, `(n_x,)`.
         rest: Where the loop rests at them.
         margins: Per target and input; none where the loop is not stable.
         noise: Per target, standard deviation of the inputs per unit of noise, `(n_u, n_x)`; none likewise.
         sensors: Standard deviation of the noise of each state's measurement, as the controller's file has it, `(n_x,)`.
-        steps: Flights from the origin to each target.
-        drawn: Flights from the origin to the farthest target with each plant that was drawn.
+        steps: Flights from `begin` to each target.
+        drawn: Flights from `begin` to the farthest target with each plant that was drawn.
         spread: What becomes of the loop with other plants, at the targets where it is stable with the model.
         planes: From which errors around the middle target the plant comes back.
         swings: What becomes of flights to the targets at which the loop is not stable.
@@ -100,6 +109,7 @@ class Check:
     loop: Loop
     settings: Settings
     targets: Tensor
+    begin: Tensor
     rest: Rest
     margins: list[list[Margins]]
     noise: list[Array | None]
@@ -124,7 +134,13 @@ class Check:
     @property
     def farthest(self) -> int:
         """Number of the target of `drawn`."""
-        return _farthest(self.targets)
+        return _farthest(self.loop, self.targets, self.begin)
+
+    def beginning(self, written: Callable[[str], str] = str) -> str:
+        """Return in words where steps begin; `written` says how the name of a state is written."""
+        signature = self.loop.signature
+        states = zip(signature.state_names, self.begin.tolist(), signature.state_units, strict=True)
+        return ", ".join(f"{written(name)} = {x:.3g} {unit}" for name, x, unit in states if x) or "the origin"
 
     @property
     def stable(self) -> Tensor:
@@ -156,17 +172,19 @@ def check(loop: Loop, settings: Settings, errors: Tensor | None = None) -> Check
     rows = [found.linear.row(k) for k in range(len(targets))]
     others = variants(loop.plant.model, settings.draws, settings.seed, errors)
     middle = _middle(targets)
-    steps = fly(loop, torch.zeros(len(targets), loop.signature.n_x), targets, seconds)
+    begin = _begin(loop, settings, targets[middle])
+    steps = fly(loop, begin.expand(len(targets), -1), targets, seconds)
     return Check(
         loop,
         settings,
         targets,
+        begin,
         found,
         [margins(row) if ok else [] for row, ok in zip(rows, stable, strict=True)],
         [noise_gain(row) if ok else None for row, ok in zip(rows, stable, strict=True)],
         _stated(loop),
         steps,
-        _drawn(loop, targets, others, seconds),
+        _drawn(loop, targets, others, seconds, begin),
         spread(loop, targets[good], found.select(good), others, seconds),
         recovery(
             loop,
@@ -176,8 +194,8 @@ def check(loop: Loop, settings: Settings, errors: Tensor | None = None) -> Check
             settings.grid,
             seconds,
         ),
-        swings(loop, targets, good, seconds),
-        _flown(loop, targets[good], found.z[good], seconds),
+        swings(loop, targets, good, seconds, begin),
+        _flown(loop, targets[good], found.z[good], seconds, begin),
     )
 
 
@@ -185,8 +203,17 @@ def _middle(targets: Tensor) -> int:
     return int((targets - targets.mean(0)).square().sum(-1).argmin())
 
 
-def _farthest(targets: Tensor) -> int:
-    return int(targets.square().sum(-1).argmax())
+def _farthest(loop: Loop, targets: Tensor, begin: Tensor) -> int:
+    return int((targets - begin[loop.task.outputs]).square().sum(-1).argmax())
+
+
+def _begin(loop: Loop, settings: Settings, middle: Tensor) -> Tensor:
+    """Return the state in which steps begin, `(n_x,)`."""
+    ends = ranges.starts(loop.signature, settings.start).double()
+    low, high = ranges.limits(loop.signature, settings.bounds)
+    if settings.start or bool(((low <= 0) & (high >= 0)).all()):
+        return ends.mean(0)
+    return guess(loop, middle.unsqueeze(0))[0, loop.parts["x"]]
 
 
 def _stated(loop: Loop) -> Array:
@@ -197,19 +224,19 @@ def _stated(loop: Loop) -> Array:
     return variance.where(variance.isfinite(), 0.0).sqrt().numpy()
 
 
-def _flown(loop: Loop, targets: Tensor, z: Tensor, seconds: float) -> Flown | None:
-    """Fly from rest at each target to the opposite one; a single target is flown to from the origin."""
+def _flown(loop: Loop, targets: Tensor, z: Tensor, seconds: float, begin: Tensor) -> Flown | None:
+    """Fly from rest at each target to the opposite one; a single target is flown to from `begin`."""
     if not len(targets) or not rubs(loop.plant.model):
         return None
     x = z[:, loop.parts["x"]]
-    return flown(loop, x if len(targets) > 1 else torch.zeros_like(x), targets.flip(0), seconds)
+    return flown(loop, x if len(targets) > 1 else begin.expand_as(x), targets.flip(0), seconds)
 
 
-def _drawn(loop: Loop, targets: Tensor, others: Variants, seconds: float) -> Flights | None:
+def _drawn(loop: Loop, targets: Tensor, others: Variants, seconds: float, begin: Tensor) -> Flights | None:
     if not others.draws:
         return None
-    farthest = targets[_farthest(targets)]
-    start = torch.zeros(others.draws, loop.signature.n_x)
+    farthest = targets[_farthest(loop, targets, begin)]
+    start = begin.expand(others.draws, -1)
     plants = loop.varied(others.coefficients[: others.draws])
     return fly(plants, start, farthest.expand(others.draws, -1), seconds, "steps of plants that differ from the model")
 

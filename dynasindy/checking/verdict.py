@@ -303,7 +303,7 @@ def _flights(found: Check, limits: Thresholds) -> list[Finding]:
         Finding(
             "steady error",
             error <= limits.error,
-            f"in steps from the origin at most {word} of {_name(found, output)}; "
+            f"in steps from {found.beginning()} at most {word} of {_name(found, output)}; "
             f"threshold: {_allowed(found, limits, output)}",
         ),
         Finding(

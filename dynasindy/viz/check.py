@@ -119,7 +119,7 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
         array(u),
         [(names[i], units[i], r, limits.error * ranges[i]) for i, r in zip(outputs, targets, strict=True)],
         signature,
-        f"Step from the origin to {_target(found, far)}, the farthest target",
+        f"Step from {found.beginning(symbol)} to {_target(found, far)}, the farthest target",
         f"coefficients {found.spread.how}",
     )
 

@@ -21,7 +21,8 @@ def test_targets_are_the_grid_of_the_box():
 
 def test_what_is_tried_by_default_is_what_the_command_tries():
     told = OmegaConf.load(Path(__file__).parents[2] / "conf" / "check.yaml")
-    ours = {name: value for name, value in asdict(Settings((0.0,), (1.0,))).items() if name not in ("low", "high")}
+    of_the_run = ("low", "high", "start", "bounds")
+    ours = {name: value for name, value in asdict(Settings((0.0,), (1.0,))).items() if name not in of_the_run}
     assert ours == {name: told[name] for name in ours}
 
 
@@ -82,3 +83,22 @@ def test_a_loop_that_is_not_stable_has_no_margins(loops, law):
     held = record(found)
     assert held["targets"][0]["noise_to_input"] is None and held["targets"][0]["spectral_radius"] > 1
     assert held["targets"][0]["steady_error"]["p"] > 1 and number(torch.inf) is None
+
+
+@pytest.mark.parametrize(
+    ("start", "bounds", "begin", "told"),
+    [
+        ({}, {}, [0.0, 0.0], "the origin"),
+        ({}, {"p": 0.5}, [0.0, 0.0], "the origin"),
+        ({"p": [0.1, 0.3]}, {"p": [0.05, 0.5]}, [0.2, 0.0], "p = 0.2 m"),
+        ({}, {"p": [0.05, 0.5]}, [0.3, 0.0], "p = 0.3 m"),  # a cart rests wherever it stands
+    ],
+)
+def test_steps_begin_where_the_run_begins_or_within_its_bounds(loops, start, bounds, begin, told):
+    settings = Settings((0.2,), (0.4,), points=3, seconds=4.0, grid=3, draws=1, start=start, bounds=bounds)
+    found = check(loops(), settings)
+    expected = torch.tensor(begin, dtype=torch.float64)
+    for flights in (found.steps, found.drawn):
+        torch.testing.assert_close(flights.x[:, 0], expected.expand(len(flights.x), -1))
+    assert found.beginning() == told
+    assert abs(float(found.targets[found.farthest, 0]) - begin[0]) == pytest.approx(max(0.4 - begin[0], begin[0] - 0.2))
