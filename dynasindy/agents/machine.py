@@ -20,12 +20,12 @@ from torch.optim import Adam
 
 from dynasindy.agents.loss import TD3Loss
 from dynasindy.agents.networks import Layer
-from dynasindy.agents.steps import Check, Steps, kept_by
+from dynasindy.agents.steps import PRECISIONS, Check, Steps, kept_by
 from dynasindy.systems.compiler import load
 
 LINE = 64
 """Bytes at whose multiples the room for a batch begins, as the widest numbers of a processor do."""
-PARTS = {"highest": 0, "high": 2, "medium": 1}
+PARTS = dict(zip(PRECISIONS, (0, 2, 1), strict=True))
 """How many numbers of bfloat16 stand for one of float32 in a product; 0 leaves it as it is."""
 FUNCTIONS = ("learn_values", "learn_policy", "descend", "room", "tiles")
 Pointers = ctypes.POINTER(ctypes.c_void_p)

@@ -160,10 +160,9 @@ static void round_rows(Factor f, int count, int parts, int by_pairs, uint32_t *t
 static void enter_left(Halves *halves, Factor f, int rows)
 {
     halves->rows = rows, halves->steps = steps_of(f);
-    for (int m = 0; m < rows; m += SIDE) {
-        Factor some = {f.a + m * f.row, f.row, f.col, f.jump, f.outer, f.inner};
-        round_rows(some, rows - m, halves->parts, 0, halves->left + words_of(f, m, halves->parts));
-    }
+    uint32_t *to = halves->left;
+    for (int m = 0; m < rows; m += SIDE, f.a += SIDE * f.row, to += words_of(f, SIDE, halves->parts))
+        round_rows(f, rows - m, halves->parts, 0, to);
 }
 
 static void enter_right(Halves *halves, Factor f, int rows) { round_rows(f, rows, halves->parts, 1, halves->right); }
