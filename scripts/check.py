@@ -1,6 +1,7 @@
 """Check a controller on its model before it touches metal: `python scripts/check.py run=PATH [low=[..] high=[..]]`."""
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,9 @@ from command import command
 from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.evaluation.given import folder_for, understood
+
+ENDS = ("low", "high")
+"""Settings of the target range."""
 
 
 @command("check")
@@ -32,9 +36,9 @@ def main(cfg: DictConfig) -> None:
     if given.controller is None or given.model is None:
         lack = "controller" if given.controller is None else "model of the plant"
         raise ValueError(f"{run} has no {lack}; give the folder of a run that has ended, with controller and model")
-    box: dict[str, Any] = {key: _box(cfg, run, key) for key in ("low", "high")}
-    box |= {key: _kept(run, key) for key in ("start", "bounds")}
-    settings = Settings(**box, **{key: cfg[key] for key in ("points", "seconds", "reach", "grid", "draws", "seed")})
+    settings = Settings(
+        **_places(cfg, run), **{key: cfg[key] for key in ("points", "seconds", "reach", "grid", "draws", "seed")}
+    )
     folder = folder_for(cfg.folder, run, "check")
     plant = Plant(given.model, given.controller.dt, given.step, given.stops)
     found = check(Loop(given.controller, plant), settings)
@@ -57,25 +61,24 @@ def main(cfg: DictConfig) -> None:
         sys.exit(1)
 
 
-def _box(cfg: DictConfig, run: Path, key: str) -> tuple[float, ...]:
-    """Return one end of the target range, as it is given or as the run has it."""
-    values, file = cfg[key], (run if run.is_dir() else run.parent) / "config.yaml"
-    if values is None and not file.is_file():
-        raise ValueError(f"{key} is not given, and there is no {file} to read it from; give {key}=[...] of the targets")
-    with understood(file):
-        return tuple(float(value) for value in (read_config(file).plant[key] if values is None else values))
-
-
-def _kept(run: Path, key: str) -> dict[str, Any]:
-    """Return where episodes of the run begin, or the limits of its states; nothing if there is no run to say it."""
+def _places(cfg: DictConfig, run: Path) -> dict[str, Any]:
+    """Return the ends of the target range, as given or as the run has them, and where its episodes begin and end."""
     file = (run if run.is_dir() else run.parent) / "config.yaml"
-    if not file.is_file():
-        return {}
+    absent = [key for key in ENDS if cfg[key] is None]
+    if absent and not file.is_file():
+        raise ValueError(
+            f"{absent[0]} is not given, and there is no {file} to read it from; give {absent[0]}=[...] of the targets"
+        )
     with understood(file):
-        kept = read_config(file)
-        parts = (kept.get("task") or {}, kept.get("plant") or {})
-        found = next((part[key] for part in parts if part.get(key)), {})
-        return {str(name): list(ends) if OmegaConf.is_list(ends) else float(ends) for name, ends in found.items()}
+        kept = read_config(file) if file.is_file() else OmegaConf.create()
+        plant, task = kept.get("plant") or {}, kept.get("task") or {}
+        box = {key: tuple(map(float, plant[key] if key in absent else cfg[key])) for key in ENDS}
+        return box | {key: _by_state(task.get(key) or plant.get(key) or {}) for key in ("start", "bounds")}
+
+
+def _by_state(ends: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a value, or two ends, by the name of a state."""
+    return {str(name): list(end) if OmegaConf.is_list(end) else float(end) for name, end in ends.items()}
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ class Swings:
     seconds: float
 
 
-def swings(loop: Loop, targets: Tensor, stable: Tensor, seconds: float, begin: Tensor | None = None) -> Swings:
+def swings(loop: Loop, targets: Tensor, stable: Tensor, seconds: float, begin: Tensor) -> Swings:
     """Fly to the targets at which the loop is not stable.
 
     Args:
@@ -42,7 +42,7 @@ def swings(loop: Loop, targets: Tensor, stable: Tensor, seconds: float, begin: T
         targets: References, `(n_targets, n_r)`.
         stable: Whether the loop is stable there, bool `(n_targets,)`.
         seconds: Length of the other flights [s].
-        begin: State in which flights begin, `(n_x,)`; None for the origin.
+        begin: State in which flights begin, `(n_x,)`.
     """
     n, n_r, whole = len(targets), loop.task.n_r, LONGER * seconds
     outputs, inputs, error = (torch.zeros(n, width).double() for width in (n_r, loop.signature.n_u, n_r))
@@ -51,8 +51,7 @@ def swings(loop: Loop, targets: Tensor, stable: Tensor, seconds: float, begin: T
     if not bool(lost.any()):
         return found
     r = targets[lost]
-    x = torch.zeros(loop.signature.n_x) if begin is None else begin
-    flights = fly(loop, x.expand(len(r), -1), r, whole, "flights where the loop is not stable")
+    flights = fly(loop, begin.expand(len(r), -1), r, whole, "flights where the loop is not stable")
     part = max(1, round(seconds / loop.dt))
     y = flights.x[..., flights.outputs]
     before, last = _half(y[:, -2 * part : -part]), _half(y[:, -part:])
