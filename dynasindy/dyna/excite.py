@@ -2,12 +2,11 @@
 
 The signal begins open loop. Where nobody knows whether the plant stays by itself (`excitation.first` below 1), it has a
 small strength at first, which grows in every try. Where a state leaves its limits, the try ends and the next one begins
-where episodes do, with the rest of the signal; from then on the signal lies on top of a linear-quadratic regulator of a
-linear model,
+where episodes do, with the rest of the signal. From then on the signal lies on top of a linear-quadratic regulator,
 
     u = u_e - K (x - x_0) + strength * (signal - its mean),        dx/dt = A (x - x_0) + B u + c,   c + B u_e = 0,
 
-fitted to the tries so far, near the start x_0 (`dynasindy.dyna.nearby`). A gain K that the user gives
+of a linear model, fitted to the tries so far near the start x_0 (`dynasindy.dyna.nearby`). A gain K that the user gives
 (`excitation.gain`) is there from the first period on and stays. Each try that leaves the limits all the same halves the
 strength. Behind sensors the observer relies on that model, too, until there is a better one, and the place that is held
 is led from x_0 to and fro between the targets of each output on which no rate of change depends. Any value of it is a
