@@ -15,6 +15,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
+from pickle import PicklingError
 from typing import Any
 
 import numpy as np
@@ -196,10 +197,23 @@ class FarEnd:
         Args:
             periods: How many.
             **settings: Arguments of `SimulatedRig`.
+
+        Raises:
+            ValueError: The other process cannot import what it is to play, such as a class of a notebook.
         """
-        self._here.send((periods, settings))
-        port: int = self._here.recv()
-        return port
+        try:
+            self._here.send((periods, settings))
+            answer: int | Exception = self._here.recv()
+        except (AttributeError, PicklingError) as error:  # a class within a function has no address
+            answer = error
+        if isinstance(answer, Exception):
+            plant = type(settings["system"])
+            raise ValueError(
+                f"the simulated rig plays its plant in another process, which cannot import {plant.__qualname__} of "
+                f"{plant.__module__} ({answer}); write the class into a Python file of its own that can be imported "
+                "(docs/extending.md), and import it from there"
+            ) from answer
+        return answer
 
     def end(self) -> Record:
         """Return what the rig saw, once it has run all its periods."""
@@ -255,7 +269,11 @@ def _serve(pipe: Connection) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a script's own handlers came with its module
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the flight; this end notices its silence
     while True:
-        periods, settings = pipe.recv()
+        try:
+            periods, settings = pipe.recv()
+        except (ImportError, AttributeError) as error:  # the other end knows what to say about it
+            pipe.send(error)
+            continue
         rig = SimulatedRig(**settings)
         pipe.send(rig.port)
         pipe.send(rig.serve(periods))

@@ -1,16 +1,19 @@
 """A simulated rig keeps a watch of its own: a flight that falls silent ends in the safe input."""
 
 import socket
+import sys
 import threading
+import types
 
 import numpy as np
 import pytest
+from tank import Tank
 
 from dynasindy.rig import simulated
 from dynasindy.rig.simulated import SimulatedRig, rehearsal
 from dynasindy.rig.udp import REST, pack
 from dynasindy.sensing import Sensors
-from dynasindy.systems import Pendulum, Signature, System
+from dynasindy.systems import Pendulum
 from dynasindy.systems.integrators import integrate
 
 SAFE = np.array([0.25])
@@ -77,16 +80,6 @@ def test_a_rehearsal_is_a_rig_in_another_process():
         assert max(turned) > 0.01
 
 
-class Tank(System):
-    """A tank of 1 m^2 that drains through a hole: h' = 0.1 (1 + u) - 0.2 sqrt(h)."""
-
-    def __init__(self):
-        super().__init__(Signature(("h",), ("m",), ("pump",), (1.0,)))
-
-    def forward(self, x, u):
-        return 0.1 * (1.0 + u) - 0.2 * x.sqrt()
-
-
 @pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 def test_a_rehearsal_begins_where_its_user_says_and_asks_the_plant_about_nothing_beyond_its_bounds():
@@ -103,6 +96,20 @@ def test_a_rehearsal_without_bounds_warns_of_where_the_plant_cannot_be():
         pass
     with pytest.raises(ValueError, match=r"plant\.bounds has depth"), rehearsal(Tank(), 0.05, bounds={"depth": 1.0}):
         pass
+
+
+@pytest.mark.slow
+def test_a_rehearsal_says_what_to_do_about_a_class_that_no_other_process_can_import(monkeypatch):
+    monkeypatch.setitem(sys.modules, "notebook", types.ModuleType("notebook"))
+    reached = type("Reached", (Pendulum,), {"__module__": "notebook"})
+    sys.modules["notebook"].Reached = reached  # pickled here, found nowhere there
+
+    class Local(Pendulum):
+        pass
+
+    for plant, name in ((reached(), "Reached of notebook"), (Local(), "Local of ")):
+        with pytest.raises(ValueError, match=rf"cannot import .*{name}.*a Python file"), rehearsal(plant, 0.05):
+            pass
 
 
 def test_the_plant_is_ready_before_anybody_calls(monkeypatch):
