@@ -23,7 +23,7 @@ from dynasindy import Controller
 from dynasindy.benchmarks.instruments import logged, unfamiliar
 from dynasindy.benchmarks.instruments.commit import commit
 from dynasindy.benchmarks.instruments.logged import SUBSTEPS, Case, Input
-from dynasindy.benchmarks.instruments.training import over_seeds, trained
+from dynasindy.benchmarks.instruments.training import called, over_seeds
 from dynasindy.data.units import in_radians
 from dynasindy.evaluation.files import write_csv
 from dynasindy.evaluation.rows import Row
@@ -59,7 +59,7 @@ def measure(name: str, seed: int) -> list[Row]:
         log, place = Path(folder) / "log.csv", Path(folder) / "run"
         write_log(case, log, seed)
         given = [*words(case, log), f"seed={seed}", f"folder={place}"]
-        spent, complaint = trained(given, Path(folder))
+        spent, complaint = called("train", given, Path(folder))
         if not (place / "model.json").is_file():
             raise RuntimeError(f"train.py left no model for {name}, seed {seed}: {complaint}")
         terms = terms_of(place / "model.json")

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from dynasindy.benchmarks.instruments.commit import commit
-from dynasindy.benchmarks.instruments.training import ROOT, over_seeds, trained
+from dynasindy.benchmarks.instruments.training import ROOT, called, over_seeds
 from dynasindy.evaluation.rows import Row
 
 EXAMPLES = ROOT / "docs" / "examples"
@@ -50,7 +50,7 @@ def measure(plant: str, seed: int) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "run"
         words = ["--config-dir", str(EXAMPLES / "conf"), *PLANTS[plant], f"seed={seed}", f"folder={place}"]
-        spent, complaint = trained(words, Path(folder), [EXAMPLES])
+        spent, complaint = called("train", words, Path(folder), [EXAMPLES])
         file = place / "metrics.json"
         if not file.is_file():
             raise RuntimeError(f"train.py left no metrics.json for {plant}, seed {seed}: {complaint}")

@@ -69,26 +69,24 @@ class Finding:
         return f"WEAK {self.name}: {self.words}{'. ' * bool(mend)}{mend}"
 
 
-BORNE = "Try planning.margin=0.3, which trains with inputs that are weaker or stronger by up to that share"
-LATE = "Try planning.variation.late=true, which trains as if inputs came a control period later"
+ROBUST = "Try planning=robust, which trains with inputs that are weaker, stronger or a control period late"
 GENTLE = "Where plant.rates names rates, try task.reward.rate_weight=10, by which quick movements cost more than by 0.1"
-ROBUST = (
+VARIED = (
     "The size of these changes is fixed, so longer data do not help. Where a plant is not stable, try "
-    "planning.variation.parameters=0.2 or planning.margin=0.3, by which training varies the plant by up to that share; "
+    "planning=robust, or planning.variation.parameters=0.2, by which training varies the plant by up to that share; "
     "where only the steady error is too large, give the controller integral action, as docs/check.md shows"
 )
 REMEDIES = {
     "stability": "To mend it, narrow the targets, or excite the plant near these targets and train anew",
-    **dict.fromkeys(("gain margin", "gain reduction"), BORNE),
-    **dict.fromkeys(("phase margin", "delay margin", "disk margin"), LATE),
-    "large movements": "Try planning.margin=0.3, which trains with stronger inputs, too, or "
-    "planning.variation.late=true, which trains with later ones",
+    **dict.fromkeys(
+        ("gain margin", "gain reduction", "phase margin", "delay margin", "disk margin", "large movements"), ROBUST
+    ),
     "noise": f"{GENTLE}, or mend the sensor",
     "steady error": "See steps.png. If outputs still move at its end, give a longer flight by seconds=; if they rest "
     "beside their targets, narrow the targets",
     "slew": GENTLE,
     "saturation": "To mend it, narrow the targets, for these steps ask for more than the actuator has",
-    **dict.fromkeys(("one coefficient", "all coefficients"), ROBUST),
+    **dict.fromkeys(("one coefficient", "all coefficients"), VARIED),
     "recovery": "Switch the controller on near the middle of the targets, or give plant.start the range from which it "
     "is to come back, and train anew",
 }

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from dynasindy.data.clock import CLOCK, clock_of, in_seconds, period_of
+from dynasindy.data.clock import CLOCK, clock_of, in_seconds
 from dynasindy.data.columns import Column, columns_of, require_names
 from dynasindy.data.ends import reaches, scaled
 from dynasindy.data.rates import turning
@@ -122,7 +122,7 @@ class CsvLog:
         u = np.stack([values[c.name] * c.scale for c in inputs.values()], -1)
         found = reaches(self.path, u, inputs, self.into_range, notes)
         u = scaled(u, found)
-        dt = period_of(t) if self.dt is None else self.dt
+        dt = float(np.median(np.diff(t))) if self.dt is None else self.dt
         t, x, u, segment = evened(t, x, u, dt, notes)
         states = _decided(states, table.headings, x, segment, dt)
         notes[converted:converted] = conversions(states, table.headings)

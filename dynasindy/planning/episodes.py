@@ -38,6 +38,7 @@ class Episodes:
         self.rows = references(planner.env, planner.rollouts, planner.rng)
         self.rows.kept = True
         self.rows.noise = planner.variation.deviations(planner.env.system.signature.n_x)
+        self.rows.late = planner.variation.delays(planner.rollouts, planner.rng)
         self.system: System = planner.env.system
         if planner.others:
             self.system = Members([self.system, *planner.others])
@@ -78,6 +79,8 @@ class Episodes:
         rows.t = rows.t.masked_fill(new.unsqueeze(-1), 0.0)
         if self.margin is not None and rows.strength is not None:
             rows.strength = rows.strength.where(new, self.margin.draw(rows.params, planner.rng))
+        if rows.late is not None and (delays := planner.variation.delays(len(new), planner.rng)) is not None:
+            rows.late = delays.where(new.unsqueeze(-1), rows.late)
         self.end = self.end.masked_fill(new.unsqueeze(-1), self.length)
         if isinstance(self.system, Varied):
             self.system.draw(new, planner.rng)

@@ -143,6 +143,7 @@ class GradientPlanning(Planner):
         self.env.stops = env.stops
         self.terminal = self._terminal(terminal_updates)
         self.held_out = references(self.env, 64, torch.Generator().manual_seed(seed + 1))
+        self.held_out.late = self.variation.ends(64)
         self.log_dt, self.finest, self.phase = env.log_dt, env.substeps, 0
         self.pace = dataclasses.replace(PlanSettings(), **self.given)
 
@@ -232,20 +233,19 @@ class GradientPlanning(Planner):
         rows, task = self.held_out, self.env.task
         policy: Network = network or self.network
         flown = (lambda observation: task.limit(policy(observation))) if task.limited else policy
-        whole = imagine(self.env, self.env.system, flown, rows, task.max_steps, False, self.rng)
+        whole = imagine(self.env, self.env.system, flown, rows, task.max_steps, self.rng)
         return rewards(self.env, rows, whole).mean().item()
 
     def _update(self, episodes: Episodes, optimizer: torch.optim.Adam) -> bool:
         """Take a gradient step, and return whether it was one: an explosion in the model is no direction."""
-        late = self.variation.late
         rows, system = episodes.rows, episodes.system
-        window = imagine(self.env, system, self.network, rows, self.pace.window, late, self.rng)
+        window = imagine(self.env, system, self.network, rows, self.pace.window, self.rng)
         optimizer.zero_grad()
         terminal = None
         if self.terminal is not None:
             self.terminal.learn(rows, window)
             terminal = self.terminal.slope(rows, window)
-        backward(self.env, system, self.network, rows, window, late, terminal)
+        backward(self.env, system, self.network, rows, window, terminal)
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), self.max_grad_norm)
         alive = window.alive[-1]
         episodes.diverged += len(alive) - int(alive.sum())

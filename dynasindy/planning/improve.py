@@ -80,7 +80,7 @@ def improve(
         if failures >= PATIENCE:
             break
         begun, floor = starts(network, env, rows, rng, periods), Floor()
-        flown = imagine(env, env.system, network, begun, periods, False, rng)
+        flown = imagine(env, env.system, network, begun, periods, rng)
         rewards(env, begun, flown, floor)
         way = better(network, env, begun, rng, periods, floor)
         # The way to the starts, that of the policy, those of all signals, and the best one once more.
@@ -122,7 +122,7 @@ def starts(network: Network, env: ControlEnv, rows: Rows, rng: torch.Generator, 
     nothing, zero = torch.zeros(STARTS, env.system.signature.n_u), torch.zeros(STARTS, 1)
     x, params = task.initial_state(batch, rng).float(), task.sample(batch, rng)
     begun = replace(rows, x=x, held=nothing, params=params, t=zero, kept=False)
-    flown = imagine(env, env.system, network, begun, periods, False, rng)
+    flown = imagine(env, env.system, network, begun, periods, rng)
     moment = torch.randint(periods + 1, (STARTS,), generator=rng)
     moment[::2] = 0
     each = torch.arange(STARTS)
@@ -152,12 +152,12 @@ def better(
     )
 
     def _earned(drawn: Tensor) -> Tensor:
-        flown = imagine(env, env.system, OnTop(network, drawn, acting, env.task.limit), many, periods, False, rng)
+        flown = imagine(env, env.system, OnTop(network, drawn, acting, env.task.limit), many, periods, rng)
         return rewards(env, many, flown, floor).sum(0)
 
     nothing = torch.zeros(n, max(2, acting // KNOT), n_u)  # the policy itself is among the ways
     best = cross_entropy(_earned, nothing, POPULATION, range(DRAWS), MOST, rng)
-    return imagine(env, env.system, OnTop(network, best, acting, env.task.limit), begun, periods, False, rng)
+    return imagine(env, env.system, OnTop(network, best, acting, env.task.limit), begun, periods, rng)
 
 
 class OnTop:

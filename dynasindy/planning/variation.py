@@ -25,7 +25,7 @@ class Variation:
         parameters: Half range of a factor on each rate of change and on each input, e.g. 0.1 for +-10 %.
         disturbance: Half range of a constant added to each rate of change, in ranges of the state per second.
         noise: Standard deviation of the measurement noise of each state [its unit]; none if empty.
-        late: Whether inputs reach the plant one control period late.
+        late: Most by which inputs reach the plant late, in control periods, up to 1, in one episode of two.
         members: Fits to resampled blocks of the data, of which each imagined plant is one; the model itself if 0.
 
     Raises:
@@ -35,15 +35,16 @@ class Variation:
     parameters: float = 0.0
     disturbance: float = 0.0
     noise: Sequence[float] = ()
-    late: bool = False
+    late: float = 0.0
     members: Count = 0
 
     def __post_init__(self) -> None:
-        numbers = (self.parameters, self.disturbance, self.members, *self.noise)
+        numbers = (self.parameters, self.disturbance, self.late, self.members, *self.noise)
         # Asked so that NaN, which compares false with everything, fails.
-        if not all(0 <= number < math.inf for number in numbers) or self.parameters >= 1:
+        if not all(0 <= number < math.inf for number in numbers) or self.parameters >= 1 or self.late > 1:
             raise ValueError(
-                "a variation needs finite numbers, 0 <= parameters < 1, disturbance, noise and members >= 0, got "
+                "a variation needs finite numbers, 0 <= parameters < 1, 0 <= late <= 1, disturbance, noise and "
+                f"members >= 0, got "
                 f"{self}; mend planning.variation"
             )
 
@@ -51,6 +52,18 @@ class Variation:
     def plants(self) -> bool:
         """Whether imagined plants differ from the model."""
         return self.parameters > 0 or self.disturbance > 0
+
+    def delays(self, rows: int, rng: torch.Generator) -> Tensor | None:
+        """Return the delays of so many episodes, `(rows, 1)` [control periods]; None if none is late.
+
+        About one in two is late, and by as much as may be: what lies between is easier than the ends, and a policy that
+        was planned with delays drawn evenly from between has less margin.
+        """
+        return self.late * (torch.rand(rows, 1, generator=rng) < 0.5).float() if self.late else None
+
+    def ends(self, rows: int) -> Tensor | None:
+        """Return delays to test a policy with, `(rows, 1)`: three episodes in time and three that are late, in turn."""
+        return self.late * (torch.arange(rows) // 3 % 2).unsqueeze(-1).float() if self.late else None
 
     def deviations(self, n_x: int) -> Tensor | None:
         """Return the standard deviations of the measurement noise, `(n_x,)`, or None without noise.

@@ -34,6 +34,9 @@ from dynasindy.systems import System, integrate
 Network = Callable[[Tensor], Tensor]
 """Observations `(*batch, n_o)` to actions `(*batch, n_u)`."""
 
+FedBack = Callable[[int, Tensor], tuple[Tensor, Tensor]]
+"""What an action's derivative is by the state it answers: factors `(rows, m)` and `(rows, m, n_x)` of a period."""
+
 CHUNK = 20
 """Control periods whose activations are handled at once; more would not stay in a core's cache."""
 
@@ -44,13 +47,15 @@ class Rows:
 
     Attributes:
         x: States, `(rows, n_x)`.
-        held: Inputs that still wait for the actuator under a delay, `(rows, n_u)`.
+        held: Inputs of the period before, `(rows, n_u)`, which go on acting where inputs are late.
         params: Task parameters, `(rows, *params_shape)`.
         t: Time since the start of each episode [s], `(rows, 1)`.
         noise: Standard deviation of the measurement noise of each state, `(n_x,)`; None measures exactly.
         reach: Magnitude of each state beyond which the model has diverged, `(n_x,)`; None for any finite one.
         kept: Whether the policy's layers are kept for `backward`, if its derivatives are taken by hand.
         strength: How strong the inputs of each episode are; None for that of the model.
+        late: Share of a control period by which the inputs of each episode are late, `(rows, 1)`, in [0, 1]: so much of
+            what acts is the input of the period before. None for no delay.
     """
 
     x: Tensor
@@ -61,6 +66,7 @@ class Rows:
     reach: Tensor | None = None
     kept: bool = False
     strength: Strength | None = None
+    late: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -94,7 +100,6 @@ def imagine(
     network: Network,
     rows: Rows,
     steps: int,
-    late: bool,
     rng: torch.Generator,
 ) -> Window:
     """Roll the policy out in the model.
@@ -105,7 +110,6 @@ def imagine(
         network: Policy.
         rows: Where the rollouts begin; not changed.
         steps: Control periods T of the window.
-        late: Whether inputs reach the plant one period late.
         rng: Generator of the measurement noise.
     """
     layers: list[Layers] | None = [] if rows.kept and by_hand(network) else None
@@ -123,7 +127,7 @@ def imagine(
             assert isinstance(traced, Layers)
             layers.append(traced)
             u = traced.actions
-        entering, held = (held, u) if late else (u, held)
+        entering, held = u if rows.late is None else torch.lerp(u, held, rows.late), u
         if rows.strength is not None:
             entering = rows.strength.acting(entering)
         samples, _ = integrate(system, x, entering, env.dt, env.substeps, env.stops)
@@ -153,7 +157,6 @@ def backward(
     network: Network,
     rows: Rows,
     window: Window,
-    late: bool,
     terminal: Tensor | None = None,
 ) -> Tensor:
     """Add the gradient of the window's mean cost, the negative reward, to the policy's parameters.
@@ -167,7 +170,6 @@ def backward(
         network: Policy.
         rows: Where the window began.
         window: What `imagine` returned.
-        late: Whether inputs reach the plant one period late.
         terminal: Derivative of what follows the window by its last states, `(rows, n_x)`; nothing follows if omitted.
 
     Returns:
@@ -182,16 +184,12 @@ def backward(
         reward, cost, effort = _cost(env, rows, window)
         if terminal is not None:
             cost[-1] += terminal * window.alive[-1].unsqueeze(-1)
-        if window.layers is not None and not late:
-            _sweep(a, b, _observed(env, rows, window), cost, effort, window.layers)
+        if (layers := window.layers) is not None:
+            observed = _observed(env, rows, window)
+            _adjoint(a, b, cost, effort, rows.late, lambda step, slope: (layers[step].pull(slope), observed[step]))
             return reward
         actions, k = _policy(env, network, rows, window)
-        if late:
-            a, b, k, cost = _behind_delay(a, b, k, cost)
-        if effort is not None:
-            cost[:-1] += (effort.unsqueeze(-2) @ k).squeeze(-2)
-        whole = _adjoint(a, b, k, cost)
-        whole = whole if effort is None else whole + effort
+        whole = _adjoint(a, b, cost, effort, rows.late, lambda step, slope: (slope, k[step]))
         for traced, slopes in zip(actions, whole.split(CHUNK), strict=True):
             traced.backward(slopes)
     return reward
@@ -240,16 +238,6 @@ def _observed(env: ControlEnv, rows: Rows, window: Window) -> Tensor:
     return torch.stack([torch.autograd.grad(c.sum(), seen, retain_graph=True)[0] for c in columns], -2)
 
 
-def _sweep(a: Tensor, b: Tensor, observed: Tensor, cost: Tensor, effort: Tensor | None, layers: list[Layers]) -> None:
-    """Solve the adjoint equation backwards, through the policy's layers as they were."""
-    adjoint = cost[-1].unsqueeze(-2)
-    for step in range(len(a) - 1, -1, -1):
-        slope = (adjoint @ b[step]).squeeze(-2)
-        pulled = layers[step].pull(slope if effort is None else slope + effort[step]).unsqueeze(-2)
-        adjoint = torch.baddbmm(cost[step].unsqueeze(-2), adjoint, a[step])
-        adjoint = torch.baddbmm(adjoint, pulled, observed[step])
-
-
 def _cost(env: ControlEnv, rows: Rows, window: Window) -> tuple[Tensor, Tensor, Tensor | None]:
     """Return mean reward, rows that diverged at zero, and its negative's derivatives.
 
@@ -274,22 +262,26 @@ def _cost(env: ControlEnv, rows: Rows, window: Window) -> tuple[Tensor, Tensor, 
     return reward.detach(), slope, effort
 
 
-def _behind_delay(a: Tensor, b: Tensor, k: Tensor, cost_x: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Append the waiting input to the state: z = (x, u_k-1)."""
-    n_u = b.shape[-1]
-    width = (0, n_u)
-    waiting = torch.nn.functional.pad(torch.cat([a, b], -1), (0, 0, *width))
-    entry = torch.zeros(*b.shape[:-2], a.shape[-1] + n_u, n_u, dtype=b.dtype)
-    entry[..., -n_u:, :] = torch.eye(n_u, dtype=b.dtype)
-    return waiting, entry, torch.nn.functional.pad(k, width), torch.nn.functional.pad(cost_x, width)
+def _adjoint(
+    a: Tensor, b: Tensor, cost: Tensor, effort: Tensor | None, late: Tensor | None, fed_back: FedBack
+) -> Tensor:
+    """Solve the adjoint equation backwards and return dJ/du, `(T, rows, n_u)`.
 
-
-def _adjoint(a: Tensor, b: Tensor, k: Tensor, cost: Tensor) -> Tensor:
-    """Solve the adjoint equation backwards and return dJ/du, `(T, rows, n_u)`."""
-    closed = a + b @ k
-    adjoint = cost[-1].unsqueeze(-2)
-    slopes = []
+    Args:
+        a: Derivatives of the next state by the state, `(T, rows, n_x, n_x)`.
+        b: Those by the input that acts, `(T, rows, n_x, n_u)`.
+        cost: Derivatives of the cost by the states, `(T + 1, rows, n_x)`.
+        effort: Those by the actions, `(T, rows, n_u)`; None where these cost nothing.
+        late: Share of each action that acts a period later, `(rows, 1)`; None for no delay.
+        fed_back: Takes a period and dJ/du in it, and returns two factors of what that is by the state.
+    """
+    adjoint, slopes, later = cost[-1].unsqueeze(-2), [], torch.zeros(())
     for step in range(len(a) - 1, -1, -1):
-        slopes.append(adjoint)
-        adjoint = torch.baddbmm(cost[step].unsqueeze(-2), adjoint, closed[step])
-    return (torch.stack(slopes[::-1]) @ b).squeeze(-2)
+        slope = (adjoint @ b[step]).squeeze(-2)
+        if late is not None:  # an action acts in part in its own period, and for the rest in the next one
+            slope, later = slope * (1 - late) + later, slope * late
+        slopes.append(slope if effort is None else slope + effort[step])
+        left, right = fed_back(step, slopes[-1])
+        adjoint = torch.baddbmm(cost[step].unsqueeze(-2), adjoint, a[step])
+        adjoint = torch.baddbmm(adjoint, left.unsqueeze(-2), right)
+    return torch.stack(slopes[::-1])

@@ -133,7 +133,7 @@ def test_a_model_that_explodes_elsewhere_is_still_planned_with(setting, small):
     replay.extend_real(flown(env, agent))
     before = total(env, agent)
     planner = GradientPlanning(env.with_system(Runaway()), agent, replay, updates=40, lr=1e-2, **small)
-    whole = imagine(planner.env, planner.env.system, planner.network, Episodes(planner).rows, 60, False, planner.rng)
+    whole = imagine(planner.env, planner.env.system, planner.network, Episodes(planner).rows, 60, planner.rng)
     assert not whole.alive[-1].all()  # the untrained policy does run it backwards
     planner.plan()
     assert total(env, agent) > 0.5 * before
@@ -306,7 +306,7 @@ def test_the_held_out_score_is_the_mean_reward_over_whole_episodes_from_rest(set
 def test_a_row_that_diverged_scores_like_the_worst_before_it(planned):
     planner = planned(width=None)
     with torch.no_grad():
-        free = imagine(planner.env, planner.env.system, planner.network, planner.held_out, 60, False, planner.rng)
+        free = imagine(planner.env, planner.env.system, planner.network, planner.held_out, 60, planner.rng)
     planner.held_out.reach = torch.full((6,), torch.inf)
     planner.held_out.reach[5] = free.states[..., 5].abs().flatten().median().item()
     alive = (free.states.abs() <= planner.held_out.reach).all(-1).int().cummin(0).values.bool()[1:]

@@ -22,7 +22,7 @@ def setting(**agent):
     td3 = TD3(task.n_o, 2, hidden=(32, 32), **agent)
     rng = torch.Generator().manual_seed(3)
     rows = Rows(torch.zeros(8, 6), torch.zeros(8, 2), task.sample(torch.Size((8,)), rng), torch.zeros(8, 1))
-    window = imagine(env, plant, td3.policy.module, rows, STEPS, False, rng)
+    window = imagine(env, plant, td3.policy.module, rows, STEPS, rng)
     return env, td3, rows, window, rng
 
 
@@ -58,7 +58,7 @@ def test_the_transitions_of_a_window_are_the_steps_of_the_environment():
     rows.x, rows.t = 0.1 * torch.randn(8, 6, generator=rng), 0.05 * torch.arange(8.0).unsqueeze(-1)
     rows.params = env.task.sample(torch.Size((8,)), rng)
     rows.params[..., 3] = torch.rand(8, 2, generator=rng)  # a phase of its own for each row
-    window = imagine(env, env.system, td3.policy.module, rows, STEPS, False, rng)
+    window = imagine(env, env.system, td3.policy.module, rows, STEPS, rng)
     k, i = torch.tensor([0, 3, STEPS - 1, 3]), torch.tensor([7, 0, 2, 5])
     found = TerminalValue(env, td3, 1, rng)._transitions(rows, window, k, i)
     for place, (step, row) in enumerate(zip(k.tolist(), i.tolist())):

@@ -135,7 +135,17 @@ def test_plants_differ_by_parameters_or_disturbances_only():
     assert Variation(noise=[0.1, 0.2]).deviations(2).tolist() == pytest.approx([0.1, 0.2])
 
 
-@pytest.mark.parametrize("wrong", [{"parameters": -0.1}, {"parameters": 1.5}, {"noise": [0.1, -0.1]}])
+def test_one_episode_of_two_is_late_by_as_much_as_may_be():
+    drawn = Variation(late=0.7).delays(4000, torch.Generator().manual_seed(0))
+    assert drawn.shape == (4000, 1) and sorted(drawn.unique().tolist()) == pytest.approx([0.0, 0.7])
+    assert float((drawn > 0).float().mean()) == pytest.approx(0.5, abs=0.03)  # of 4000 throws of a coin
+    assert Variation().delays(5, torch.Generator()) is None and Variation().ends(5) is None
+    assert Variation(late=True).ends(8).flatten().tolist() == [0, 0, 0, 1, 1, 1, 0, 0]
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"late": 1.1}, {"late": -0.1}, {"parameters": -0.1}, {"parameters": 1.5}, {"noise": [0.1, -0.1]}]
+)
 def test_each_number_of_a_variation_is_checked(wrong):
     with pytest.raises(ValueError, match=r"mend planning\.variation"):
         Variation(**wrong)

@@ -16,6 +16,8 @@ from dynasindy.systems.xi import Xi
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward, Wave
 
 STEPS = 25
+SHARES = torch.linspace(0.0, 1.0, 8).unsqueeze(-1)
+"""Delays of eight rows [control periods], from none to a whole period."""
 
 
 def setting():
@@ -30,13 +32,13 @@ def setting():
     return env, network, rows, rng
 
 
-def unrolled(env, network, rows, late=False, factor=1.0, rest=0.0, limits=(-math.inf, math.inf)):
+def unrolled(env, network, rows, late=0.0, factor=1.0, rest=0.0, limits=(-math.inf, math.inf)):
     """Back-propagate through time, step by step, with nothing but autograd."""
     x, held, total = rows.x, rows.held, 0.0
     for k in range(STEPS):
         t = torch.full((8, 1), k * env.dt)
         u = network(env.task.observation(x, rows.params, t))
-        entering, held = (held, u) if late else (u, held)
+        entering, held = (1 - late) * u + late * held, u
         x_next = rk4(env.system, x, (rest + factor * (entering - rest)).clamp(*limits), env.dt)
         stopped = torch.zeros(8, dtype=torch.bool)
         total = total + env.task.earned(x, u, x_next, rows.params, t + env.dt, stopped).mean() / STEPS
@@ -46,37 +48,41 @@ def unrolled(env, network, rows, late=False, factor=1.0, rest=0.0, limits=(-math
 
 
 @pytest.mark.parametrize(("strong", "limits"), [(False, None), (True, None), (True, (-0.4, -0.1))])
-@pytest.mark.parametrize("late", [False, True])
+@pytest.mark.parametrize("late", [None, SHARES], ids=["at once", "late"])
 def test_gradient_equals_back_propagation_through_time(late, strong, limits):
     env, network, rows, rng = setting()
     factor, rest = (0.7 + 0.6 * torch.rand(8, 2, generator=rng), torch.rand(8, 2, generator=rng)) if strong else (1, 0)
-    expected = unrolled(env, network, rows, late, factor, rest, limits or (-math.inf, math.inf))
+    rows.late = late
+    expected = unrolled(
+        env, network, rows, 0.0 if late is None else late, factor, rest, limits or (-math.inf, math.inf)
+    )
     ends = None if limits is None else torch.tensor(limits).unsqueeze(-1).expand(2, 2)
     rows.strength = Strength(factor, rest, ends) if strong else None
     wanted = [p.grad.clone() for p in network.parameters()]
     network.zero_grad()
-    window = imagine(env, env.system, network, rows, STEPS, late, rng)
+    window = imagine(env, env.system, network, rows, STEPS, rng)
     if limits is not None:
         clamped = (window.applied == ends[0]) | (window.applied == ends[1])
         assert 0.1 < clamped.float().mean() < 0.9
-    reward = backward(env, env.system, network, rows, window, late)
+    reward = backward(env, env.system, network, rows, window)
     torch.testing.assert_close(reward, expected, rtol=1e-5, atol=1e-6)
     for parameter, gradient in zip(network.parameters(), wanted, strict=True):
         torch.testing.assert_close(parameter.grad, gradient, rtol=2e-3, atol=1e-5 * float(gradient.abs().max()))
 
 
-@pytest.mark.parametrize(("late", "kept"), [(False, False), (True, False), (False, True)])
+@pytest.mark.parametrize("late", [None, SHARES], ids=["at once", "late"])
+@pytest.mark.parametrize("kept", [False, True])
 def test_gradient_of_what_inputs_cost_is_that_of_back_propagation_through_time(settle, late, kept):
     env, network, rows, rng = setting()
     env.task = settle(env.system.signature, price=3.0)
     network[0] = nn.Linear(env.task.n_o, 16)
     if kept:
         network = MLP(env.task.n_o, 2, (16, 8), squash=True)
-    rows.params, rows.kept = torch.zeros(8, 0), kept
-    unrolled(env, network, rows, late)
+    rows.params, rows.kept, rows.late = torch.zeros(8, 0), kept, late
+    unrolled(env, network, rows, 0.0 if late is None else late)
     wanted = [p.grad.clone() for p in network.parameters()]
     network.zero_grad()
-    backward(env, env.system, network, rows, imagine(env, env.system, network, rows, STEPS, late, rng), late)
+    backward(env, env.system, network, rows, imagine(env, env.system, network, rows, STEPS, rng))
     for parameter, gradient in zip(network.parameters(), wanted, strict=True):
         torch.testing.assert_close(parameter.grad, gradient, rtol=2e-3, atol=1e-5 * float(gradient.abs().max()))
 
@@ -86,25 +92,30 @@ def test_a_reward_without_a_derivative_is_refused(settle):
     env.task, rows.params = settle(env.system.signature), torch.zeros(8, 0)
     env.task.reward = lambda x, x_next, params, t, stopped: (x_next[..., 0] > 0.0).float()
     network[0] = nn.Linear(env.task.n_o, 16)
-    window = imagine(env, env.system, network, rows, STEPS, False, rng)
+    window = imagine(env, env.system, network, rows, STEPS, rng)
     with pytest.raises(TypeError, match=r"the reward of task Settle has no derivative.*use planning=dyna"):
-        backward(env, env.system, network, rows, window, False)
+        backward(env, env.system, network, rows, window)
 
 
 def test_rollout_equals_the_environment():
     env, network, rows, rng = setting()
-    window = imagine(env, env.system, network, rows, STEPS, False, rng)
+    window = imagine(env, env.system, network, rows, STEPS, rng)
     x = rows.x
     for k in range(STEPS):
         x = env.advance(x, window.actions[k])[0][:, -1]
         torch.testing.assert_close(window.states[k + 1], x)
 
 
-def test_late_inputs_arrive_one_period_later():
+def test_late_inputs_go_on_acting_for_their_share_of_the_next_period():
     env, network, rows, rng = setting()
-    window = imagine(env, env.system, network, rows, STEPS, True, rng)
-    torch.testing.assert_close(window.applied[0], rows.held)
-    torch.testing.assert_close(window.applied[1:], window.actions[:-1])
+    rows.held, rows.late = torch.randn(8, 2, generator=rng), torch.tensor([[1.0], [0.25]]).repeat(4, 1)
+    window = imagine(env, env.system, network, rows, STEPS, rng)
+    torch.testing.assert_close(window.applied[0, ::2], rows.held[::2])
+    torch.testing.assert_close(window.applied[1:, ::2], window.actions[:-1, ::2])
+    # A quarter of a period late: what was held a quarter of the period has a quarter of the weight.
+    torch.testing.assert_close(
+        window.applied[1:, 1::2], 0.75 * window.actions[1:, 1::2] + 0.25 * window.actions[:-1, 1::2]
+    )
 
 
 def test_layers_that_are_kept_give_the_gradient_of_inputs_of_other_strength():
@@ -115,10 +126,10 @@ def test_layers_that_are_kept_give_the_gradient_of_inputs_of_other_strength():
     wanted = [p.grad.clone() for p in network.parameters()]
     network.zero_grad()
     rows.kept, rows.strength = True, Strength(factor, rest)
-    window = imagine(env, env.system, network, rows, STEPS, False, rng)
+    window = imagine(env, env.system, network, rows, STEPS, rng)
     assert window.layers is not None
     torch.testing.assert_close(window.applied, rest + factor * (window.actions - rest))
-    backward(env, env.system, network, rows, window, False)
+    backward(env, env.system, network, rows, window)
     for parameter, gradient in zip(network.parameters(), wanted, strict=True):
         torch.testing.assert_close(parameter.grad, gradient, rtol=2e-3, atol=1e-5 * float(gradient.abs().max()))
 
@@ -126,7 +137,7 @@ def test_layers_that_are_kept_give_the_gradient_of_inputs_of_other_strength():
 def test_noise_disturbs_what_is_seen_and_not_the_plant():
     env, network, rows, rng = setting()
     rows.noise = torch.tensor([5e-4, 5e-4, 5e-3, 5e-3, 20.0, 20.0])
-    window = imagine(env, env.system, network, rows, STEPS, False, rng)
+    window = imagine(env, env.system, network, rows, STEPS, rng)
     spread = (window.seen - window.states[:-1]).std((0, 1))
     torch.testing.assert_close(spread, rows.noise, rtol=0.3, atol=0.0)
 
@@ -171,8 +182,8 @@ def test_rows_that_diverge_neither_count_nor_cost_the_others_their_gradient():
     for first, last in ((0, 8), (3, 8)):
         some = Rows(*(getattr(rows, name)[first:last] for name in ("x", "held", "params", "t")), reach=reach)
         network.zero_grad()
-        window = imagine(env, sick, network, some, STEPS, False, rng)
-        backward(env, sick, network, some, window, False)
+        window = imagine(env, sick, network, some, STEPS, rng)
+        backward(env, sick, network, some, window)
         gradient = torch.cat([p.grad.flatten() for p in network.parameters()])
         if first == 0:
             whole = gradient
@@ -185,10 +196,10 @@ def test_rows_that_diverge_neither_count_nor_cost_the_others_their_gradient():
 def test_a_row_out_of_reach_is_out_from_there_on():
     env, network, rows, rng = setting()
     rows.reach = torch.full((6,), torch.inf)
-    free = imagine(env, env.system, network, rows, STEPS, False, rng)
+    free = imagine(env, env.system, network, rows, STEPS, rng)
     assert free.alive.all()
     rows.reach[0] = free.states[:, :, 0].abs().amax().item() / 2
-    bound = imagine(env, env.system, network, rows, STEPS, False, rng)
+    bound = imagine(env, env.system, network, rows, STEPS, rng)
     out = (free.states[..., 0].abs() > rows.reach[0]).int().cummax(0).values.bool()
     assert out.any() and torch.equal(bound.alive, ~out)
     torch.testing.assert_close(bound.states[bound.alive], free.states[bound.alive])
@@ -214,7 +225,7 @@ def looped(env, network, rows, late):
         for k in range(STEPS):
             t = rows.t[i : i + 1] + k * env.dt
             u = network(env.task.observation(x, rows.params[i : i + 1], t))
-            entering, held = (held, u) if late else (u, held)
+            entering, held = (1 - late[i]) * u + late[i] * held, u
             following = env.advance(x, entering)[0][:, -1]
             free = torch.zeros(1, dtype=torch.bool)
             total = total + env.task.reward(x, following, rows.params[i : i + 1], t + env.dt, free).sum() / (8 * STEPS)
@@ -225,19 +236,20 @@ def looped(env, network, rows, late):
     return torch.stack(states, 1), torch.stack(actions).reshape(8, STEPS, 2).movedim(0, 1), total
 
 
-@pytest.mark.parametrize("late", [False, True])
+@pytest.mark.parametrize("late", [torch.zeros(8, 1), SHARES], ids=["at once", "late"])
 def test_a_window_under_moving_references_is_a_loop_over_rows_and_periods(late):
     env, network, rows, rng = moving()
+    rows.late = late
     states, actions, total = looped(env, network, rows, late)
     terminal = torch.randn(8, 6, generator=rng) / torch.tensor(env.system.signature.x_scale)
     (-total + (terminal * states[-1]).sum()).backward()
     wanted = torch.cat([p.grad.flatten() for p in network.parameters()])
     network.zero_grad()
-    window = imagine(env, env.system, network, rows, STEPS, late, rng)
+    window = imagine(env, env.system, network, rows, STEPS, rng)
     torch.testing.assert_close(window.states, states.detach(), rtol=1e-4, atol=1e-4)
     torch.testing.assert_close(window.actions, actions.detach(), rtol=1e-4, atol=1e-5)
     torch.testing.assert_close(window.times[:, :, 0], rows.t[:, 0] + 0.05 * torch.arange(STEPS + 1.0).unsqueeze(-1))
-    reward = backward(env, env.system, network, rows, window, late, terminal)
+    reward = backward(env, env.system, network, rows, window, terminal)
     torch.testing.assert_close(reward, total.detach(), rtol=1e-4, atol=1e-6)
     found = torch.cat([p.grad.flatten() for p in network.parameters()])
     torch.testing.assert_close(found, wanted, rtol=2e-3, atol=1e-4 * float(wanted.abs().max()))
@@ -245,15 +257,15 @@ def test_a_window_under_moving_references_is_a_loop_over_rows_and_periods(late):
 
 def test_the_gradient_equals_central_differences_of_the_imagined_reward():
     env, network, rows, rng = moving()
-    window = imagine(env, env.system, network, rows, STEPS, False, rng)
-    backward(env, env.system, network, rows, window, False)
+    window = imagine(env, env.system, network, rows, STEPS, rng)
+    backward(env, env.system, network, rows, window)
     bias = network[2].bias
     for j in range(2):
         totals = []
         for step in (1e-2, -1e-2):
             with torch.no_grad():
                 bias[j] += step
-                totals.append(looped(env, network, rows, False)[2].item())
+                totals.append(looped(env, network, rows, torch.zeros(8))[2].item())
                 bias[j] -= step
         # The cost is the negative reward.
         assert bias.grad[j].item() == pytest.approx(-(totals[0] - totals[1]) / 2e-2, rel=2e-2, abs=1e-5)
@@ -262,9 +274,9 @@ def test_the_gradient_equals_central_differences_of_the_imagined_reward():
 def test_what_diverged_holds_the_first_state_and_no_input_from_there_on():
     env, network, rows, rng = setting()
     rows.reach = torch.full((6,), torch.inf)
-    free = imagine(env, env.system, network, rows, STEPS, False, rng)
+    free = imagine(env, env.system, network, rows, STEPS, rng)
     rows.reach[0] = free.states[:, :, 0].abs().amax().item() / 2
-    bound = imagine(env, env.system, network, rows, STEPS, False, rng)
+    bound = imagine(env, env.system, network, rows, STEPS, rng)
     for i in range(8):
         out = [k for k in range(STEPS + 1) if free.states[k, i, 0].abs() > rows.reach[0]]
         first = min(out, default=STEPS + 1)  # the first state that is out of reach
@@ -288,23 +300,20 @@ def test_a_terminal_slope_of_a_row_that_diverged_does_not_count():
     for of_the_lost in (1.0, 100.0):
         terminal[:3] = of_the_lost
         network.zero_grad()
-        window = imagine(env, sick, network, rows, STEPS, False, rng)
-        reward = backward(env, sick, network, rows, window, False, terminal)
+        window = imagine(env, sick, network, rows, STEPS, rng)
+        reward = backward(env, sick, network, rows, window, terminal)
         gradients.append(torch.cat([p.grad.flatten() for p in network.parameters()]))
     torch.testing.assert_close(*gradients)
     # The reward is a mean over eight rows, of which three earn nothing.
     five = Rows(*(getattr(rows, name)[3:] for name in ("x", "held", "params", "t")), reach=rows.reach)
-    window = imagine(env, sick, network, five, STEPS, False, rng)
-    torch.testing.assert_close(reward, 5 / 8 * backward(env, sick, network, five, window, False))
+    window = imagine(env, sick, network, five, STEPS, rng)
+    torch.testing.assert_close(reward, 5 / 8 * backward(env, sick, network, five, window))
 
 
 def test_the_noise_is_that_of_the_generator():
     env, network, rows, _ = setting()
     rows.noise = torch.tensor([5e-4, 5e-4, 5e-3, 5e-3, 20.0, 20.0])
-    seen = [
-        imagine(env, env.system, network, rows, 3, False, torch.Generator().manual_seed(seed)).seen
-        for seed in (0, 0, 1)
-    ]
+    seen = [imagine(env, env.system, network, rows, 3, torch.Generator().manual_seed(seed)).seen for seed in (0, 0, 1)]
     assert torch.equal(seen[0], seen[1]) and not torch.equal(seen[0], seen[2])
 
 
@@ -318,10 +327,10 @@ def test_a_perceptron_that_keeps_its_layers_gets_the_same_gradient(noise):
     found = {}
     for keep in (True, False):
         rows.kept = keep
-        window = imagine(env, env.system, network, rows, STEPS, False, torch.Generator().manual_seed(5))
+        window = imagine(env, env.system, network, rows, STEPS, torch.Generator().manual_seed(5))
         assert (window.layers is not None) == keep
         network.zero_grad()
-        backward(env, env.system, network, rows, window, False, terminal)
+        backward(env, env.system, network, rows, window, terminal)
         found[keep] = [p.grad.clone() for p in network.parameters()]
     # By autograd through the rollout, with the noise of the window.
     x, total, noises = rows.x, 0.0, window.seen - window.states[:-1]
@@ -343,4 +352,4 @@ def test_rows_that_diverge_let_no_layers_be_kept():
     env, _, rows, rng = setting()
     network = MLP(env.task.n_o, 2, (16, 8), squash=True)
     rows.x[:3, 5], rows.kept = 1500.0, True
-    assert imagine(env, Explosion(), network, rows, STEPS, False, rng).layers is None
+    assert imagine(env, Explosion(), network, rows, STEPS, rng).layers is None

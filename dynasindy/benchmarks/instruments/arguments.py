@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from dynasindy import benchmarks
+from dynasindy.benchmarks.margins import PLANTS as BEARING
 from dynasindy.benchmarks.plants import PLANTS as EXAMPLES
 
 CONTROLLERS = ("planning by gradient", "planning by gradient, integral action", "LQI", "MPC", "PID")
@@ -98,6 +99,7 @@ OPTIONS: dict[str, Options] = {
         **_replaced("identification", SEEDS, "seeds"),
     },
     "logs": {"--plants": _chosen(LOGGED), "--seeds": _seeds(3), **_appended("logs")},
+    "margins": {"--plants": _chosen(BEARING), "--seeds": _seeds(3), **_appended("margins")},
     "model_free": {
         "--plants": _chosen(("xi", "tras")),
         "--agents": _chosen(LEARNERS),

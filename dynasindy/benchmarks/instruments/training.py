@@ -1,4 +1,4 @@
-"""`train.py`, called as a user does, and a benchmark of plants and seeds that goes on where it was stopped."""
+"""Commands, called as a user does, and a benchmark of plants and seeds that goes on where it was stopped."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ from dynasindy.evaluation.rows import Row, append_rows, read_rows
 ROOT = Path(__file__).resolve().parents[3]
 
 
-def trained(words: Sequence[str], folder: Path, modules: Sequence[Path] = ()) -> tuple[float, str]:
-    """Return the CPU time that `train.py` took [s], and the end of what it wrote to standard error.
+def called(command: str, words: Sequence[str], folder: Path, modules: Sequence[Path] = ()) -> tuple[float, str]:
+    """Return the CPU time that a command took [s], and the end of what it wrote to standard error.
 
     Args:
+        command: Its name, such as `train`.
         words: What is given on the command line.
         folder: Where it is called.
         modules: Folders besides the package from which it imports.
     """
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run(
-        [sys.executable, str(ROOT / "scripts" / "train.py"), *words],
+        [sys.executable, str(ROOT / "scripts" / f"{command}.py"), *words],
         cwd=folder,
         env={
             **os.environ,

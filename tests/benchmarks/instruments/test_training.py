@@ -3,7 +3,7 @@
 import csv
 from argparse import Namespace
 
-from dynasindy.benchmarks.instruments.training import over_seeds, trained
+from dynasindy.benchmarks.instruments.training import called, over_seeds
 
 
 def test_what_the_file_has_is_not_measured_again(tmp_path, capsys):
@@ -30,6 +30,6 @@ def test_what_the_file_has_is_not_measured_again(tmp_path, capsys):
 
 
 def test_a_command_that_fails_says_why_and_what_time_it_took(tmp_path):
-    spent, complaint = trained(["system=nowhere"], tmp_path)
+    spent, complaint = called("train", ["system=nowhere"], tmp_path)
     assert "nowhere" in complaint and 0 < spent < 600
     assert not list(tmp_path.iterdir())
