@@ -2,6 +2,7 @@
 
 import inspect
 import re
+import statistics
 from collections.abc import Iterator
 from functools import partial
 
@@ -38,6 +39,7 @@ def ties(text: str) -> Iterator[Tie]:
     yield from _plants()
     yield from _logs()
     yield from _unfamiliar()
+    yield from _margins()
     yield from _untuned()
     yield from _own_returns()
     yield from _mujoco()
@@ -49,6 +51,20 @@ def _bench() -> Iterator[Tie]:
     ]
     largest = max(max(numbers(found, axis)) for axis in AXES)
     yield Tie(PAGE, "The inputs change by at most {} per control period in the steady state", (short(largest),))
+
+
+def _margins() -> Iterator[Tie]:
+    """Yield the rows of what controllers bear: the least margin and the largest error over the seeds, counts of all."""
+    every = table("margins.csv")
+    for plant, planning in sorted({(row["plant"], row["planning"]) for row in every}):
+        found = rows("margins.csv", plant=plant, planning=planning)
+        earned = statistics.fmean(numbers(found, "return"))
+        least = [f"{min(numbers(found, name)):g}" for name in ("gain", "phase_deg", "disk")]
+        late = 1e3 * min(numbers(found, "delay_s"))
+        draws, lost = (round(sum(numbers(found, name))) for name in ("draws", "unstable_draws"))
+        words = f"| {plant} | {planning} | {len(found)} | {{}} | {{}} % | {{}} | {{}} | {late:.0f} ms | {{}} | {lost} of {draws} |"
+        worst = f"{max(numbers(found, 'error_percent')):g}"
+        yield Tie(PAGE, words, (f"{earned:.1f}", worst, *least))
 
 
 def _rigs() -> Iterator[Tie]:
