@@ -1,6 +1,6 @@
 """How learning went: the return over episodes of one run, and of several settings over seeds."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -69,6 +69,7 @@ def average_rewards(
     seed: int = 0,
     title: str = "Average rewards",
     log: bool = False,
+    longer: Mapping[str, Sequence[tuple[ArrayLike, ArrayLike]]] | None = None,
 ) -> Figure:
     """Draw interquartile mean and 95 % bootstrap band over seeds, one line per setting; see `draw_bands`.
 
@@ -79,6 +80,8 @@ def average_rewards(
         seed: of the bootstrap.
         title: of the figure.
         log: logarithmic returns, linear within 10 of zero, if they differ by more than a factor of `WIDE`.
+        longer: single runs that went on after the last episode of the curves, drawn faintly: `(n,)` episodes and `(n,)`
+            returns of each, per setting.
     """
     figure, (axis,) = panels(1, 1, (8.5, 3.8), title)
     smooth = {
@@ -90,6 +93,7 @@ def average_rewards(
         axis.set_yscale("symlog", linthresh=LINEAR)
         words += f", logarithmic beyond {LINEAR:g}"
     draw_bands(axis, smooth, episode, seed)
+    _draw_longer(axis, longer or {}, list(curves))
     _enough_ticks(axis)
     legend_beside(axis)
     axis.set_ylabel(f"{words} [-]")
@@ -140,6 +144,21 @@ def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike |
     axis.set_xlim(x[0] - room, x[-1] + room)
     axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axis.set_xlabel("real episode")
+
+
+def _draw_longer(axis: Axes, longer: Mapping[str, Sequence[tuple[ArrayLike, ArrayLike]]], known: Sequence[str]) -> None:
+    """Draw single runs as thin lines in the colours of their settings, and widen the axis to their ends."""
+    of = looks(dict.fromkeys([*known, *longer]))
+    for name, runs in longer.items():
+        words = name.replace("$", r"\$")
+        label = f"{words}, longer ({len(runs)} seed{'s' * (len(runs) > 1)})"
+        for number, (x, y) in enumerate(runs):
+            told = "_" * (number > 0) + label
+            axis.plot(array(x), array(y), linewidth=0.8, alpha=0.55, zorder=1.5, label=told, **of[name])
+    ends = [float(array(x).max()) for runs in longer.values() for x, _ in runs]
+    if ends:
+        left, right = axis.get_xlim()
+        axis.set_xlim(left, max(right, max(ends) + 0.02 * (max(ends) - left)))
 
 
 def _enough_ticks(axis: Axes) -> None:

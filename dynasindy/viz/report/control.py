@@ -10,6 +10,7 @@ from dynasindy.evaluation.metrics import MIN_STEP
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.learning import average_rewards
 from dynasindy.viz.report.document import Part, Picture, Section, Table, Text
+from dynasindy.viz.report.in_full import TABLE, course, courses, how_far, longer
 from dynasindy.viz.report.sources import CASES, MODEL_FREE, SETTINGS, MissingResult, Results, Run, each, listed, told
 from dynasindy.viz.report.verdicts import (
     MANY,
@@ -61,16 +62,19 @@ def rewards(results: Results) -> Section:
             if (reached := _to_level(runs, name))
         }
         title = f"Dyna-style vs. direct TD3, average rewards: plant {plant}, experiment {experiment}"
+        last = max(episodes, default=0.0)
+        single = longer(results, plant, experiment, last)
         return [
             *rewards_agree(told(plant, experiment), curves, to_level, ends),
             Picture(
                 f"average_rewards_{plant}_{experiment}",
-                average_rewards(curves, episodes, window=1, title=title, log=True),
-                "Return of the policy without noise over 64 fixed steps after real episodes, up to "
-                f"{max(episodes, default=0):g} of them: interquartile mean and 95 % bootstrap interval over seeds, or "
-                "a line for each seed where there are fewer than three.",
-                results.of_runs("ablation_curves.csv", drawn),
+                average_rewards(curves, episodes, window=1, title=title, log=True, longer=courses(single)),
+                f"Return of the policy without noise over 64 fixed steps after real episodes, up to {last:g} of them: "
+                "interquartile mean and 95 % bootstrap interval over seeds, or a line for each seed where there are "
+                f"fewer than three.{how_far(single, last)}",
+                results.of_runs("ablation_curves.csv", drawn) + f" Thin lines: {results.source(TABLE)}" * bool(single),
             ),
+            *course(results, single, told(plant, experiment), last),
         ]
 
     words = (
