@@ -44,7 +44,8 @@ def figures(evaluation: Evaluation, label: str = "policy", place: str = "") -> d
     where = f" {place}" if place else ""
     shown = drawn(evaluation)
     row, name = shown.row, evaluation.scenario
-    scenario = "; ".join([f"Scenario '{name}'{where}", *map(spelt, evaluation.disturbances)])
+    disturbed = (words.removeprefix(f"{name}: ") for words in evaluation.disturbances)  # which the name says already
+    scenario = "; ".join([f"Scenario '{name}'{where}", *map(spelt, disturbed)])
     title = "\n".join(filter(None, [scenario, shown.words]))
     if not evaluation.columns:
         return {name: _untracked(evaluation, label, row, title)}

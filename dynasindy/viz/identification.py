@@ -36,6 +36,8 @@ from dynasindy.viz.style import (
 
 BEYOND = 0.6
 """A prediction is drawn as far as this part of the plant's own range beyond it."""
+MARGIN = 0.06
+"""Room above and below what is drawn, of the plant's own range."""
 LOST = 10.0
 """A prediction ends where it is off by more than this part of the range."""
 LEAST = 0.001
@@ -152,8 +154,7 @@ def prediction(
         told = _fit(truths[:, i], model[:, i], f"{short(float(wide))} {signature.state_units[i]}, {whose}")
         axes[i].set_title(told, fontsize=8.5, loc="right")
         if wide > 0:
-            # A model that runs away must not flatten the plant's own curve.
-            axes[i].set_ylim(truths[:, i].min() - BEYOND * wide, truths[:, i].max() + BEYOND * wide)
+            axes[i].set_ylim(*_limits(truths[:, i], ended, wide))
     _mark_gaps(axes[: len(names)], seconds, segment)
     _legend_below(figure, axes[0])
     _finish(axes, columns, seconds, segment)
@@ -310,6 +311,13 @@ def _until_lost(predicted: Array, real: Array, wide: float) -> Array:
     with np.errstate(invalid="ignore"):
         lost = ~(np.abs(predicted - real) <= LOST * wide) if wide > 0 else ~np.isfinite(predicted)
     return np.where(np.logical_or.accumulate(lost), np.nan, predicted)
+
+
+def _limits(real: Array, predicted: Array, wide: float) -> tuple[float, float]:
+    """Return the ends of an axis around both curves; a model that runs away must not flatten the plant's own."""
+    seen, room = np.concatenate([real, predicted[np.isfinite(predicted)]]), (BEYOND - MARGIN) * wide
+    low, high = max(seen.min(), real.min() - room), min(seen.max(), real.max() + room)
+    return float(low - MARGIN * wide), float(high + MARGIN * wide)
 
 
 def _legend_below(figure: Figure, axis: Axes) -> None:

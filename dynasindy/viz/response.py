@@ -126,7 +126,8 @@ def error_fan(
         axis.fill_between(seconds, p25[:, i], p75[:, i], color=BLUE, alpha=0.3, lw=0, label="middle half")
         axis.plot(seconds, p50[:, i], color=BLUE, label="median")
         unit = _with_unit(name)[1]
-        told = " ".join([f"{bands[i]:.3g}", *([unit] if unit != "-" else []), "(bonus band)"])
+        least_paid = " ".join([f"{bands[i]:.3g}", *([unit] if unit != "-" else [])])
+        told = f"the reward pays a bonus below {least_paid}"
         axis.axhline(bands[i], color=BLACK, linestyle=":", linewidth=1.0, label=told)
         axis.set_yscale("log")
         # The middle half stays inside, and the wide band nearly all the time; what is less, or zero, leaves the axis

@@ -130,7 +130,7 @@ def states(results: Results, when: str) -> Section:
     words += (
         f" Here the {when} real episode is predicted open loop, from its start and its inputs alone, before the model "
         f"is fitted to it. A state is predicted well when its RMSE is under {CLOSE.value:g} % of its range. The axes "
-        f"end {BEYOND:g} ranges beyond those of the plant; one that leaves them is called cut off."
+        f"end at most {BEYOND:g} ranges beyond those of the plant; one that leaves them is called cut off."
     )
     number = 9 if before else 10
     title = f"Figure {number}: predicted and real states {word} reinforcement learning"
