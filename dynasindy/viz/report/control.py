@@ -25,7 +25,7 @@ from dynasindy.viz.report.verdicts import (
     steps_agree,
 )
 from dynasindy.viz.response import step_response, tracking
-from dynasindy.viz.run import stacked
+from dynasindy.viz.run import periods, stacked
 
 ABLATION = "python scripts/ablation.py system={} experiment={}"
 FIRST = "The first of the 64 targets, the one nearest to three quarters of the upper ends,"
@@ -95,11 +95,10 @@ def steps(results: Results) -> Section:
         runs = {words: results.compared(plant, experiment, name) for name, words in SETTINGS.items()}
         tables = {words: run.table("data/step_response.csv") for words, run in runs.items()}
         first = next(iter(tables.values()))
-        outputs, inputs = (
-            {w: stacked(t, names) for w, t in tables.items()} for names in (tuple(AXES), SIGNATURE.input_names)
-        )
+        outputs = {words: stacked(table, tuple(AXES)) for words, table in tables.items()}
+        inputs = {words: periods(table, SIGNATURE.input_names)[1] for words, table in tables.items()}
         figure = step_response(
-            first["time"],
+            periods(first, SIGNATURE.input_names)[0],
             stacked(first, [f"reference_{name}" for name in AXES]),
             outputs,
             inputs,
