@@ -90,7 +90,7 @@ def learning_progress(results: Results) -> Section:
                 "Mean difference of the reward per control period between the plant and the model. One curve is of the "
                 "whole episode, replayed through the model that had not seen it. The other is of held-out windows and "
                 "of the model that stays: this is the error that the gate compares with its levels, the straight lines."
-                + " A triangle at the upper edge stands where the replay ran away."
+                + " A mark at the upper edge stands where the replay ran away."
                 * (not np.isfinite(error).all()),
                 run.source,
             ),
