@@ -14,10 +14,12 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from itertools import groupby
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, TextIO, cast
 
 from dynasindy.durations import in_words
+from dynasindy.narrow import narrowed
 from dynasindy.told import Told, hearing
 
 if TYPE_CHECKING:
@@ -311,8 +313,13 @@ def fitted(text: str, columns: int) -> str:
     """Return a text whose lines are no longer than so many columns: equations end between terms, sentences at words.
 
     A command stays one line, which the terminal wraps: of two lines, a shell would take the second for another command.
+    A table in Markdown that is too wide is turned.
     """
-    return "\n".join(part for whole in text.split("\n") for part in _broken(whole, columns))
+    found: list[str] = []
+    for is_table, several in groupby(text.split("\n"), lambda line: line.startswith("| ")):
+        lines = [*several]
+        found += narrowed(lines, columns) if is_table else [part for line in lines for part in _broken(line, columns)]
+    return "\n".join(found)
 
 
 def _broken(whole: str, columns: int) -> list[str]:

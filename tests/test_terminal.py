@@ -322,6 +322,12 @@ def test_a_command_is_one_line_that_can_be_copied_however_narrow_the_terminal():
     assert max(map(len, fitted(text, 40).splitlines()[3:])) <= 40
 
 
+def test_a_table_that_is_too_wide_is_turned_and_what_stands_around_it_is_not():
+    text = "Level: 0.05\n| setting | seeds |\n| --- | --- |\n| direct | 3 |\nTables: x"
+    assert fitted(text, 20).splitlines() == text.splitlines()
+    assert fitted(text, 15).splitlines() == ["Level: 0.05", "setting  direct", "seeds    3", "Tables: x"]
+
+
 def test_equations_end_between_terms_and_sentences_between_words():
     text = "  x' = 1.5 a - 2 sin(b + c) d + 1e-06 e^2\nOne sentence that is long\nshort"
     assert fitted(text, 20).splitlines() == [
