@@ -34,6 +34,8 @@ EVERY = 10.0
 TOLD = re.compile(r"\bNOT (?:CONTROLLED|promised|JUDGED)\b|\bCONTROLLED\b|^(?:note|hint|found|next|warning):", re.M)
 COMMAND = re.compile(r"\s*(?:dynasindy \w+|python scripts/\w+\.py)(?: |$)")
 """How a line begins that is meant to be copied into a shell."""
+REMARK = "  # "
+"""What a comment behind a command begins with."""
 SIGN = re.compile(r" (?=[+-] )")
 
 
@@ -313,7 +315,8 @@ def fitted(text: str, columns: int) -> str:
     """Return a text whose lines are no longer than so many columns: equations end between terms, sentences at words.
 
     A command stays one line, which the terminal wraps: of two lines, a shell would take the second for another command.
-    A table in Markdown that is too wide is turned.
+    A comment that does not fit behind it stands below it, each of its lines a comment. A table in Markdown that is too
+    wide is turned.
     """
     found: list[str] = []
     for is_table, several in groupby(text.split("\n"), lambda line: line.startswith("| ")):
@@ -323,9 +326,14 @@ def fitted(text: str, columns: int) -> str:
 
 
 def _broken(whole: str, columns: int) -> list[str]:
-    if len(whole) <= columns or COMMAND.match(whole):
+    if len(whole) <= columns:
         return [whole]
     start = " " * (len(whole) - len(whole.lstrip()))
+    if COMMAND.match(whole):
+        command, sign, comment = whole.rpartition(REMARK)
+        begin = f"{start}{REMARK}"
+        below = textwrap.wrap(comment, columns, initial_indent=begin, subsequent_indent=begin, break_long_words=False)
+        return [command, *below] if sign else [whole]
     equation = re.match(r"\s*\S+' = ", whole)
     if equation is None:
         return textwrap.wrap(whole, columns, subsequent_indent=start, break_long_words=False, break_on_hyphens=False)

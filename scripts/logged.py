@@ -85,7 +85,7 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     say(report(model, prediction), f"Controller: {folder / 'controller.json'}", *model.signature.own_inputs())
     if not swept:
         words = HydraConfig.get().overrides.task
-        print(following(folder, "check", "export") if prediction.controlled else mending(folder, words))
+        say(following(folder, "check", "export") if prediction.controlled else mending(folder, words))
     return prediction.record()
 
 

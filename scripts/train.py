@@ -45,9 +45,9 @@ def main(cfg: DictConfig) -> float:
     if not swept:
         written = (folder / NAME).is_file()  # a task without targets leaves no controller to check or to export
         if done.metrics["verdict"].get("controlled") is False:
-            print(mending(folder, HydraConfig.get().overrides.task, done.recipe.train.episodes, written))
+            say(mending(folder, HydraConfig.get().overrides.task, done.recipe.train.episodes, written))
         else:
-            print(following(folder, "evaluate", *(("check", "export") if written else ()), trusting=done.trusting))
+            say(following(folder, "evaluate", *(("check", "export") if written else ()), trusting=done.trusting))
     if not (done.enough or swept):
         sys.exit(1)
     return max(shares, default=math.inf)
