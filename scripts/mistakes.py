@@ -80,6 +80,8 @@ def in_words(error: BaseException, config_name: str) -> str:
             f"'{merged[1]}' gives a group of keys where one value is wanted, or one value where a group of keys "
             "stands; give it in a file of its own, as conf/ has it"
         )
+    if text == "No trials are completed yet.":  # Optuna's
+        return "no trial came to an end, so none of them is the best; error.txt in the folder of each says why"
     misspelt = re.search(r"Could not override '([^']+)'", text)
     if not misspelt:
         return text
