@@ -92,7 +92,7 @@ def command(
                     raise _told(signal, cfg.get("folder")) from signal
                 finally:
                     if not swept:
-                        _remove_empty(Path(HydraConfig.get().runtime.output_dir))
+                        remove_empty(Path(HydraConfig.get().runtime.output_dir))
             return None  # a job of a sweep that failed
 
         main = hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)(guarded)
@@ -374,10 +374,10 @@ def _leave_word(line: str) -> None:
         file.unlink(missing_ok=True)  # it may be a link in a run folder of others
         file.write_text(line + "\n")
     else:
-        _remove_empty(folder)
+        remove_empty(folder)
 
 
-def _remove_empty(folder: Path) -> None:
+def remove_empty(folder: Path) -> None:
     """Remove a run folder that holds nothing, as where `folder=` names another one, and runs/ if that was all in it."""
     with suppress(OSError):  # another process may just have begun to use it
         if folder.is_dir() and folder.resolve() != Path.cwd():
