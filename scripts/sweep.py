@@ -35,6 +35,20 @@ HERE = ("BasicLauncher", "JoblibLauncher", "LocalLauncher", "Together")
 """Launchers whose jobs run on this machine."""
 
 
+def require_sweep(hydra: DictConfig) -> None:
+    """Refuse a launcher or a sweeper where there is one job.
+
+    Raises:
+        ValueError: One was chosen, and no sweep was asked for.
+    """
+    for group in ("hydra/sweeper", "hydra/launcher"):
+        if (choice := hydra.runtime.choices.get(group, "basic")) != "basic":
+            raise ValueError(
+                f"{group}={choice} is for many jobs, and this command is one; add -m, and give several values or a "
+                "range, such as seed=0,1"
+            )
+
+
 def require_targets(cfg: DictConfig, hydra: DictConfig) -> None:
     """Refuse a task without targets, before a search spends runs on scores that are all the same.
 
@@ -76,6 +90,8 @@ def _check(config: DictConfig) -> None:
             "hydra/launcher=joblib, or submitit_local"
         )
     different = {word.lstrip("+~").partition(".")[0].partition("@")[0] for word in swept(hydra)}
+    if needs_score(hydra) and not (different or any(map(hydra.sweeper.get, ("search_space", "custom_search_space")))):
+        raise ValueError("nothing is searched; give a range, such as 'planning.lr=interval(0.002,0.03)'")
     with open_dict(config):
         config.folder = ""  # each job has its own
         del config.hydra

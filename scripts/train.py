@@ -9,7 +9,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from next_steps import following, mending
 from omegaconf import DictConfig
-from sweep import require_targets
+from sweep import require_sweep, require_targets
 
 
 @command("train")
@@ -17,6 +17,8 @@ def main(cfg: DictConfig) -> float:
     """Build the experiment, run it, draw its figures, print what came of it and return its score."""
     hydra = HydraConfig.get()
     swept = hydra.mode == RunMode.MULTIRUN
+    if not swept:
+        require_sweep(hydra)
     if cfg.get("data") is not None or cfg.model is not None:
         from logged import plan_from_log
 

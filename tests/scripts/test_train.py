@@ -109,6 +109,7 @@ def test_a_plain_sweep_needs_no_task_with_a_score_and_each_of_its_jobs_leaves_it
     ("words", "said"),
     [
         (["task=own", "seed=0,1"], "task=own has no targets, so its jobs have no score"),
+        (["seed=3"], "nothing is searched; give a range, such as 'planning.lr=interval(0.002,0.03)'"),
     ],
 )
 def test_a_search_that_cannot_find_anything_costs_one_line_and_leaves_nothing(tmp_path, asking, words, said):
@@ -117,6 +118,20 @@ def test_a_search_that_cannot_find_anything_costs_one_line_and_leaves_nothing(tm
     assert done.returncode == 2 and done.stdout == "", done.stderr
     assert len(lines) == 1 and lines[0].startswith(f"error: {said}")
     assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("hydra/launcher=together", "hydra/launcher=together is for many jobs, and this command is one; add -m, "),
+        ("seed=0,1", "seed=0,1 gives several values; add -m for a job with each of them, or write 'seed=[0,1]' for"),
+    ],
+)
+def test_what_is_for_a_sweep_says_how_to_ask_for_one(tmp_path, word, said):
+    done = run("experiment=smoke", word, cwd=tmp_path)
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.startswith(f"error: {said}") and done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow
