@@ -28,6 +28,7 @@ from dynasindy.sensing.kinematic import Kinematic
 from dynasindy.sensing.offset import correction
 from dynasindy.sensing.sensors import LONGEST, Sensors
 from dynasindy.systems import Stops, System, integrate
+from dynasindy.systems.steps import Rates
 
 DRIFTING = 0.01
 """Process noise of a push [its ranges, in the time in which its state may cross its own: a second for a rate]."""
@@ -348,7 +349,7 @@ class Observer:
         u = u.double().expand(*x.shape[:-1], u.shape[-1])
         # State-major memory: every elementwise operation of the model runs on contiguous rows.
         x, u = (t.movedim(-1, 0).contiguous().movedim(0, -1) for t in (x, u))
-        return integrate(self._rates, x, u, seconds, substeps, self.stops)[0][..., -1, :]
+        return integrate(Rates(self._rates, self.system.step), x, u, seconds, substeps, self.stops)[0][..., -1, :]
 
     def _rates(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt of the states and, if they are estimated, of the pushes behind them, which stay."""

@@ -190,6 +190,11 @@ class System(nn.Module, ABC):
         self._machines: dict[torch.dtype, Machine | None] = {}
 
     @property
+    def step(self) -> float | None:
+        """Step of the difference equation that it is [s], see `dynasindy.systems.steps`; None of dx/dt = f(x, u)."""
+        return None
+
+    @property
     def followers(self) -> dict[int, int]:
         """Places of states that no sensor sees and that follow another state, and of that; at rest they are equal."""
         return {}
