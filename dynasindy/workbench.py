@@ -37,8 +37,7 @@ from dynasindy.evaluation.period import as_planned, other_period, suited_period
 from dynasindy.evaluation.predicted import Prediction, predict
 from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
-from dynasindy.evaluation.symptoms import resolution as resolution_of
-from dynasindy.evaluation.symptoms import samples_of, step_of
+from dynasindy.evaluation.symptoms import resolutions, samples_of, step_of
 from dynasindy.evaluation.targets import require_radians
 from dynasindy.evaluation.verdict import beyond, doubts, unlogged, unmoved
 from dynasindy.planning import GradientPlanning
@@ -340,8 +339,8 @@ def sensors_of(log: Source, model: SindyModel) -> Sensors | None:
     """
     data, names = log.training, log.signature.state_names
     channels, exact = {}, True
-    for name, column in zip(names, samples_of(data), strict=True):
-        step, finest = step_of(column), resolution_of(column)
+    for name, column, finest in zip(names, samples_of(data), resolutions(model, data), strict=True):
+        step = step_of(column)
         seen = not math.isnan(finest)
         exact &= seen and finest < 1e-6 * model.signature.x_scale[names.index(name)]
         if seen:

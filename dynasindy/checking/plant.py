@@ -70,4 +70,5 @@ class Plant:
 
     def _flow(self, x: Tensor, u: Tensor, seconds: float) -> Tensor:
         steps = max(1, math.ceil(seconds / self.step - 1e-6))
-        return integrate(Rates(self.rates, self.model.step), x, self.gain * u, seconds, steps, self.stops)[0][..., -1, :]
+        rates = Rates(self.rates, self.model.step)
+        return integrate(rates, x, self.gain * u, seconds, steps, self.stops)[0][..., -1, :]

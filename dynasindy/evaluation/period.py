@@ -88,6 +88,8 @@ def other_period(model: SindyModel, task: Tracking, log: Source | None, dt: floa
         log: The log.
         dt: The control period of the plan [s].
     """
+    if model.step is not None:
+        return ""  # a difference equation swings as often however it is sampled
     task, (x, u) = as_planned(task, model, log), _places(model, task, log)
     step, oscillation = log.training.dt if log else 0.0, _oscillation(model, x, u, task.outputs)
     longest = oscillation / PART

@@ -172,9 +172,7 @@ def squares_of(task: Tracking, weights: Weights) -> Tensor:
     return q
 
 
-def regulated(
-    a: Tensor, b: Tensor, dt: float, q: Tensor, r: float, step: float | None = None
-) -> Solved | None:
+def regulated(a: Tensor, b: Tensor, dt: float, q: Tensor, r: float, step: float | None = None) -> Solved | None:
     """Return the law of the least quadratic cost for inputs that are held for a control period, or None without one.
 
     Args:

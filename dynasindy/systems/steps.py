@@ -28,12 +28,12 @@ class Steps(NamedTuple):
 
     Attributes:
         h: length of each [s].
-        count: how many there are.
+        number: how many there are.
         difference: whether they are those of a difference equation.
     """
 
     h: float
-    count: int
+    number: int
     difference: bool
 
 

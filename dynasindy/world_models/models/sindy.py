@@ -190,8 +190,7 @@ class SindyModel(WorldModel):
             ValueError: a sample is not finite.
             Diverged: a coefficient is not finite; the model stays as it was.
         """
-        if self.step is not None:
-            self.library = self.library.with_step(UNTOLD)
+        self.library = self.library.with_step(None if self.step is None else UNTOLD)
         return self._identify(transitions, RunningSums(len(self.library), self.signature.n_x), 0.0)
 
     def update(self, transitions: Transitions) -> FitReport:
@@ -329,7 +328,7 @@ class SindyModel(WorldModel):
         return model
 
     def _checked(self, transitions: Transitions) -> Transitions:
-        """Return transitions as they are fitted; a difference equation takes its step from them."""
+        """Return transitions as they are fitted, from which a difference equation takes its step."""
         data = transitions.to(torch.float64)
         shape = (data.x.shape[1], data.u.shape[1])
         if shape != (self.signature.n_x, self.signature.n_u):

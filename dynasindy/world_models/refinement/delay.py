@@ -101,9 +101,7 @@ def reach(free: Tensor, rows: Callable[[int, int], Rows], least: int) -> tuple[i
     return found
 
 
-def fine_delay(
-    rough: float, dt: float, longest: float, worth: float, cost: Cost, whole: bool = False
-) -> float:
+def fine_delay(rough: float, dt: float, longest: float, worth: float, cost: Cost, whole: bool = False) -> float:
     """Return the delay that explains a recording best, in fractions of a sample [s]; 0 if none is hardly worse.
 
     Args:

@@ -41,7 +41,8 @@ def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bo
     """
     data = data.to(torch.float64)
     if library.step is not None:
-        return _looks_noisy(library, coefficients, data)
+        share = sensor_noise(library, coefficients, data)[1]
+        return bool(coefficients.any()) and bool(2 * (share > DUE).sum() > len(share))
     error = data.x_next - moved(generate(library, coefficients), data.x, data.u, data.dt)
     # A constant, too, as a library need not have one.
     functions = torch.nn.functional.pad(library(data.x, data.u), (0, 1), value=1.0)
@@ -56,28 +57,34 @@ def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bo
     return bool(2 * (plain & kept).sum() > len(plain)) or bool((beneath & kept).any())
 
 
-def _looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bool:
+def sensor_noise(library: Library, coefficients: Tensor, data: Transitions) -> tuple[Tensor, Tensor]:
     """Tell measurement noise from random pushes of a difference equation, by the errors of its steps.
 
     White noise n of the states makes errors e_k = n_k+1 - A_k n_k, where A_k is the derivative of the step, and so
     E[e_k+1 e_k'] = -A_k+1 R; pushes make errors that are white. R, the variances of n, are those that explain these
-    products best. The noise is seen where most of a state's error is due to it: its own share, and that of A_k n_k. A
-    state whose value does not matter for the next step keeps no trace of its noise, which then does no harm.
+    products best. A state whose value does not matter for the next step keeps no trace of its noise, which then does no
+    harm.
+
+    Args:
+        library: candidate functions of a difference equation.
+        coefficients: Xi, `(n_features, n_x)`.
+        data: transitions; rows in which a state was not measured do not count.
+
+    Returns:
+        R, `(n_x,)`, and the part of each state's squared errors that this noise explains: its own, and A_k n_k.
     """
-    used = Parameters.where(coefficients != 0)
-    if not len(used):
-        return False
-    ends, slopes = Propagator(library, coefficients, used).transfer(data.x, data.u, data.dt, 1)
+    data = data.to(torch.float64)
+    data = data.select((data.x.isfinite() & data.x_next.isfinite()).all(-1))
+    propagator = Propagator(library, coefficients, Parameters.where(coefficients != 0))
+    ends, slopes = propagator.transfer(data.x, data.u, data.dt, 1)
     error, a = data.x_next - ends, slopes[..., : data.x.shape[1]]
+    scale, spread = error.square().mean(0).clamp_min(1e-300), a.square().mean(0)
     follows = (data.segment[1:] == data.segment[:-1]).nonzero().squeeze(-1)
     products = error[follows + 1].unsqueeze(-1) * error[follows].unsqueeze(-2)
-    scale = error.square().mean(0).clamp_min(1e-300)
-    weight = 1 / scale.unsqueeze(-1)  # so that states of any unit count alike
-    after = a[follows + 1]
-    squares = (after.square() * weight).sum((0, 1))
-    noise = (-(after * products * weight).sum((0, 1)) / squares.clamp_min(1e-300)).clamp_min(0.0)
-    share = (noise + (a.square().mean(0) * noise).sum(-1)) / scale
-    return bool(2 * (share > DUE).sum() > len(share))
+    after, weight = a[follows + 1], 1 / scale.unsqueeze(-1)  # so that states of any unit count alike
+    squares = (after.square() * weight).sum((0, 1)).clamp_min(1e-300)
+    noise = (-(after * products * weight).sum((0, 1)) / squares).clamp_min(0.0)
+    return noise, (noise + (spread * noise).sum(-1)) / scale
 
 
 def _correlation(values: Tensor, follows: Tensor) -> Tensor:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import torch
-
 from dynasindy.systems.steps import ALIKE, UNTOLD
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.library import Library
@@ -28,14 +26,14 @@ def stepwise(library: Library, data: Transitions) -> tuple[Library, Transitions]
     step = library.step
     if step is not None and step != UNTOLD and abs(step - data.dt) > ALIKE * step:
         raise ValueError(
-            f"the model is a difference equation with a step of {step:g} s, and the data are sampled every {data.dt:g} s; "
-            "give data of the same sampling time, or fit the model anew"
+            f"the model is a difference equation with a step of {step:g} s, and the data are sampled every {data.dt:g} "
+            "s; give data of the same sampling time, or fit the model anew"
         )
     if never := data.x.isnan().all(0).nonzero().flatten().tolist():
         names = ", ".join(library.signature.state_names[i] for i in never)
         raise ValueError(
-            f"a difference equation needs all of its states measured, and {names} never was; leave it out of the states "
-            "and of plant.known, or give world_model.time=continuous"
+            f"a difference equation needs all of its states measured, and {names} never was; leave it out of the "
+            "states and of plant.known, or give world_model.time=continuous"
         )
     seen = (data.x.isfinite() & data.x_next.isfinite()).all(-1)
     rows = data if bool(seen.all()) else data.select(seen)

@@ -13,7 +13,6 @@ from dynasindy.world_models.libraries.features import latex_name, variable
 from dynasindy.world_models.libraries.functions import QUOTIENTS
 from dynasindy.world_models.libraries.library import Library
 
-
 CANCELLED = 1e-9
 """Part of its own change that is left of a state, below which nothing is."""
 
