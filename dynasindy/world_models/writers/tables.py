@@ -69,7 +69,7 @@ def mapping(library: Library, coefficients: Tensor) -> tuple[Library, Tensor]:
         right sides.
     """
     step = library.step
-    if not step:  # nothing is known of a difference equation without a step
+    if step is None:
         return library, coefficients
     names = library.signature.state_names
     whole = Library(library.signature, [*map(variable, names), *library.features], step=step)
