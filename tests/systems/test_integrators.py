@@ -128,7 +128,7 @@ def test_a_difference_equation_is_moved_by_its_own_steps(machine_code, substeps)
         assert samples.shape == (2, substeps, 1) and not bool(touched.any())
         torch.testing.assert_close(samples, torch.full_like(samples, end))
         torch.testing.assert_close(moved(DOUBLING, x, u, 0.1 * periods, substeps), torch.full_like(x, end))
-    with pytest.raises(ValueError, match="cannot move by 0.25 s"):
+    with pytest.raises(ValueError, match=r"cannot move by 0.25 s"):
         integrate(DOUBLING, x, u, 0.25, substeps)
     assert steps_needed(DOUBLING, x, u, 0.1, 1) == (1, 0.0)
 

@@ -127,7 +127,7 @@ def test_a_difference_equation_has_the_derivatives_of_its_steps(dtype):
     a, b = code.sensitivities(x, u, 1.0, 9)
     torch.testing.assert_close(a, a2 @ a1)
     torch.testing.assert_close(b, a2 @ by_u + by_u)
-    with pytest.raises(ValueError, match="cannot move by 0.7 s"):
+    with pytest.raises(ValueError, match=r"cannot move by 0.7 s"):
         code.integrate(x, u, 0.7, 1)
-    with pytest.raises(ValueError, match="cannot move by 0.7 s"):
+    with pytest.raises(ValueError, match=r"cannot move by 0.7 s"):
         code.sensitivities(x, u, 0.7, 1)

@@ -42,6 +42,7 @@ from dynasindy.world_models.refinement.shapes import stayed
 from dynasindy.world_models.refinement.shooting import RunsAway
 from dynasindy.world_models.refinement.stepwise import stepwise, timed
 from dynasindy.world_models.refinement.windows import ENOUGH, STRETCHES
+from dynasindy.world_models.regression.finite import require_finite
 from dynasindy.world_models.regression.regression import Regression, Rows, RunningSums, integral_form
 from dynasindy.world_models.regression.selection import DEPENDENT
 from dynasindy.world_models.writers.fast_field import Field, generate
@@ -254,7 +255,13 @@ class SindyModel(WorldModel):
         return replace(report, samples=samples, in_pieces=in_pieces)
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
-        """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`."""
+        """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`.
+
+        Raises:
+            ValueError: it is a difference equation, which has no derivatives.
+        """
+        if self.step is not None:
+            raise ValueError("a difference equation has no derivatives to be fitted to; use fit, or time='continuous'")
         x, u, dx = (t.to(torch.float64) for t in (x, u, dx))
         self.sums = RunningSums(len(self.library), self.signature.n_x)
         self.sums.add((self.library(x, u), dx))
@@ -355,7 +362,7 @@ class SindyModel(WorldModel):
             found = self.refinement.run(self.library, self.coefficients, constraints, data, guess, late)
         except RunsAway as error:
             raise Diverged(f"model learning: {error}") from error
-        refined = self._finite(found.coefficients, "refinement")
+        refined = require_finite(found.coefficients, self.library, "refinement", self.sums.count)
         if self.coefficients[constraints.free].any() and not refined[constraints.free].any():
             note = "the refinement dropped every function, so the fit before it stays; collect more or cleaner data"
             return [note], False
@@ -382,19 +389,4 @@ class SindyModel(WorldModel):
     def _solve(self, sums: RunningSums, constraints: Constraints, dependent: float = DEPENDENT) -> None:
         regression = replace(self.regression, dependent=dependent) if dependent > DEPENDENT else self.regression
         found = regression.solve(sums, constraints.free, constraints.offset)
-        self.set_coefficients(self._finite(found, "regression"))
-
-    def _finite(self, coefficients: Tensor, source: str) -> Tensor:
-        """Return coefficients as they are.
-
-        Raises:
-            Diverged: one of them is not finite.
-        """
-        if len(wrong := (~coefficients.isfinite()).nonzero()):
-            k, i = wrong[0].tolist()
-            raise Diverged(
-                f"model learning: the {source} on {self.sums.count} samples left {len(wrong)} coefficients that are "
-                f"not finite, such as {coefficients[k, i].item()} of {self.library.names[k]} in "
-                f"{self.signature.state_names[i]}'; leave that function out of the library, or check the data's units"
-            )
-        return coefficients
+        self.set_coefficients(require_finite(found, self.library, "regression", self.sums.count))

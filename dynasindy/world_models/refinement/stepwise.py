@@ -8,22 +8,17 @@ from dynasindy.world_models.libraries.library import Library
 
 
 def stepwise(library: Library, data: Transitions) -> tuple[Library, Transitions]:
-    """Return the library with the step of a recording, and the rows in which all states were measured.
+    """Return the library with the step of a recording, and its control periods in which all states were measured.
 
     Args:
         library: candidate functions of a difference equation, whose step may not be known yet.
         data: the recording, NaN where a state was not measured.
 
     Raises:
-        ValueError: there is more than one sample in a control period, another sampling time than that of the step, or a
-            state that was never measured.
+        ValueError: samples within control periods are not whole periods, the sampling time is not that of the step, or
+            a state was never measured.
     """
-    if data.substeps > 1:
-        raise ValueError(
-            f"a difference equation is fitted to one sample per control period, and there are {data.substeps} in each; "
-            "give env.substeps=1, or world_model.time=continuous"
-        )
-    step = library.step
+    data, step = _by_period(data), library.step
     if step is not None and step != UNTOLD and abs(step - data.dt) > ALIKE * step:
         raise ValueError(
             f"the model is a difference equation with a step of {step:g} s, and the data are sampled every {data.dt:g} "
@@ -38,6 +33,19 @@ def stepwise(library: Library, data: Transitions) -> tuple[Library, Transitions]
     seen = (data.x.isfinite() & data.x_next.isfinite()).all(-1)
     rows = data if bool(seen.all()) else data.select(seen)
     return library.with_step(data.dt) if step == UNTOLD else library, rows
+
+
+def _by_period(data: Transitions) -> Transitions:
+    """Return a recording without the samples within its control periods, of which the equation says nothing."""
+    n = data.substeps
+    if n == 1:
+        return data
+    if len(data) % n or bool((data.segment.reshape(-1, n) != data.segment[::n].unsqueeze(-1)).any()):
+        raise ValueError(
+            f"a difference equation was given {len(data)} samples that are not whole control periods of {n}; give whole "
+            "ones, or one sample per control period"
+        )
+    return Transitions(data.x[::n], data.u[::n], data.x_next[n - 1 :: n], n * data.dt, data.segment[::n])
 
 
 def timed(library: Library, time: str | None) -> Library:

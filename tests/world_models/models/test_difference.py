@@ -90,7 +90,7 @@ def test_a_file_and_a_checkpoint_hold_the_step(tmp_path):
         assert same.predict(x, u, DT)[0].tolist() == pytest.approx(mapped([0.3, -0.7], 0.4), rel=1e-12)
     record["step"] = -1.0
     (tmp_path / "model.json").write_text(json.dumps(record))
-    with pytest.raises(ValueError, match="the step of its difference equation is -1.0 s, which is negative"):
+    with pytest.raises(ValueError, match=r"the step of its difference equation is -1.0 s, which is negative"):
         SindyModel.load(tmp_path / "model.json")
 
 
@@ -103,7 +103,7 @@ def test_a_period_of_parts_of_the_step_is_refused_and_one_of_whole_steps_holds_t
     env = ControlEnv(model, task, 0.15, 1, dtype=torch.float64)
     with pytest.raises(ValueError, match=r"a step of 0.1 s and cannot move by 0.15 s; .* give env.dt=0.1"):
         env.rollout(2)
-    with pytest.raises(ValueError, match="the data are sampled every 0.2 s"):
+    with pytest.raises(ValueError, match=r"the data are sampled every 0.2 s"):
         model.update(data_of(*trajectory(), dt=0.2))
     assert model.fit(data_of(*trajectory(), dt=0.2)).dt == model.step == 0.2  # a fit forgets all that was
 

@@ -23,7 +23,7 @@ def test_the_library_is_of_the_kind_that_is_wanted():
     known = discrete.with_step(0.5)
     assert timed(known, None).step == timed(known, "discrete").step == 0.5
     assert timed(known, "continuous").step is None
-    with pytest.raises(ValueError, match="world_model.time is 'diskrete'; allowed are continuous and discrete"):
+    with pytest.raises(ValueError, match=r"world_model.time is 'diskrete'; allowed are continuous and discrete"):
         timed(LIBRARY, "diskrete")
 
 
@@ -43,9 +43,11 @@ def test_rows_with_a_lost_sample_are_left_out():
 
 def test_what_no_difference_equation_is_fitted_to_is_refused():
     discrete = timed(LIBRARY, "discrete")
-    with pytest.raises(ValueError, match="one sample per control period, and there are 5 in each; give env.substeps=1"):
+    with pytest.raises(
+        ValueError, match=r"one sample per control period, and there are 5 in each; give env.substeps=1"
+    ):
         stepwise(discrete, replace(DATA, substeps=5))
-    with pytest.raises(ValueError, match="a step of 0.1 s, and the data are sampled every 0.25 s"):
+    with pytest.raises(ValueError, match=r"a step of 0.1 s, and the data are sampled every 0.25 s"):
         stepwise(discrete.with_step(0.1), DATA)
     blind = replace(DATA, x=DATA.x * torch.tensor([1.0, math.nan]))
     with pytest.raises(ValueError, match="needs all of its states measured, and b never was"):
