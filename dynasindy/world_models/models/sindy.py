@@ -7,8 +7,9 @@
 | threshold    | lambda          | 1                        | the paper, 0.9; see `Regression` |
 
 Departure: the paper regresses derivatives; here changes over sampling intervals are regressed on the functions
-averaged over the intervals, which is exact for inputs held by a zero-order hold. A difference equation has the
-functions where its steps begin, and its changes over a step h are what it says.
+averaged over the intervals, which is exact for inputs held by a zero-order hold.
+
+A difference equation has the functions where its steps begin, and its changes over a step h are what it says.
 """
 
 from __future__ import annotations

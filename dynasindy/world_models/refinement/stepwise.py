@@ -42,8 +42,8 @@ def _by_period(data: Transitions) -> Transitions:
         return data
     if len(data) % n or bool((data.segment.reshape(-1, n) != data.segment[::n].unsqueeze(-1)).any()):
         raise ValueError(
-            f"a difference equation was given {len(data)} samples that are not whole control periods of {n}; give whole "
-            "ones, or one sample per control period"
+            f"a difference equation was given {len(data)} samples that are not whole control periods of {n}; give "
+            "whole ones, or one sample per control period"
         )
     return Transitions(data.x[::n], data.u[::n], data.x_next[n - 1 :: n], n * data.dt, data.segment[::n])
 

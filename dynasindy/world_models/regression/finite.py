@@ -25,7 +25,7 @@ def require_finite(coefficients: Tensor, library: Library, source: str, samples:
         place = f"{library.names[k]} in {library.signature.state_names[i]}'"
         raise Diverged(
             f"model learning: the {source} on {samples} samples left {len(wrong)} coefficients that are not finite, "
-            f"such as {coefficients[k, i].item()} of {place}; leave that function out of the library, or check the data's "
-            "units"
+            f"such as {coefficients[k, i].item()} of {place}; leave that function out of the library, or check the "
+            "data's units"
         )
     return coefficients

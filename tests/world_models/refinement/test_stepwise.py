@@ -41,12 +41,16 @@ def test_rows_with_a_lost_sample_are_left_out():
     assert rows.segment.tolist() == [0, 0, 0, 1, 1, 1, 1]
 
 
+def test_samples_within_a_control_period_are_left_out():
+    library, rows = stepwise(timed(LIBRARY, "discrete"), replace(DATA, substeps=3))
+    assert library.step == rows.dt == 0.75 and rows.substeps == 1
+    assert rows.x[:, 0].tolist() == [0.0, 6.0, 12.0] and rows.x_next[:, 0].tolist() == [6.0, 12.0, 18.0]
+
+
 def test_what_no_difference_equation_is_fitted_to_is_refused():
     discrete = timed(LIBRARY, "discrete")
-    with pytest.raises(
-        ValueError, match=r"one sample per control period, and there are 5 in each; give env.substeps=1"
-    ):
-        stepwise(discrete, replace(DATA, substeps=5))
+    with pytest.raises(ValueError, match="was given 9 samples that are not whole control periods of 2"):
+        stepwise(discrete, replace(DATA, substeps=2))
     with pytest.raises(ValueError, match=r"a step of 0.1 s, and the data are sampled every 0.25 s"):
         stepwise(discrete.with_step(0.1), DATA)
     blind = replace(DATA, x=DATA.x * torch.tensor([1.0, math.nan]))
