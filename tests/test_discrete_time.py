@@ -55,6 +55,7 @@ def test_a_log_of_a_map_that_no_differential_equation_is_leads_to_a_controller_o
         assert flown(controller, target) == pytest.approx(target, abs=0.004)  # 2 % of the range
     with pytest.raises(ValueError, match=r"a step of 0\.25 s and cannot move by 0\.1 s"):
         dynasindy.plan(model, {"a": (-0.1, 0.1)}, dt=0.1)
+    assert dynasindy.plan(model, {"a": (-0.1, 0.1)}, updates=1).dt == DT
 
 
 def test_a_controller_with_an_observer_in_discrete_time_is_the_same_out_of_its_file(tmp_path):

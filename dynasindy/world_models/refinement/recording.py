@@ -51,7 +51,7 @@ class Recording:
         part = Recording.of(self.data.select(rows), self.guess.select(rows), self.rates, longest)
         return replace(part, noisy=self.noisy)
 
-    def smoothed(self, step: float | None) -> Recording:
+    def smoothed(self, step: float | None = None) -> Recording:
         """Return the recording as one whose samples are noisy, wherever it is read from now on.
 
         Args:
