@@ -69,7 +69,9 @@ class FitReport:
         each = f" of {self.dt:g} s" if self.dt else ""
         lines = [f"fit of {self.samples} transitions{each}, which took {self.seconds:.3g} s"]
         counts = {name: f"{count} term{'s' * (count != 1)}" for name, count in self.terms.items()}
+        moves = "'" if self._source[0].step is None else "[k+1] - {0}[k]"
         lines += [
-            f"  {s}': {counts[s]}; {100 * r:.3g} % of it stays unexplained (RMS)" for s, r in self.residual.items()
+            f"  {s}{moves.format(s)}: {counts[s]}; {100 * r:.3g} % of it stays unexplained (RMS)"
+            for s, r in self.residual.items()
         ]
         return "\n".join([*lines, *(f"note: {note}" for note in self.notes), self.identifiability.to_text()])

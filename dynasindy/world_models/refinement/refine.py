@@ -189,7 +189,7 @@ class Refinement:
         refined = Refined(*found, delay)
         if method == "trajectory":
             if noisy:
-                recording = recording.smoothed()
+                recording = recording.smoothed(library.step)
                 found = self._regressed(*found, constraints, recording.brief(self._longest).seen(delay))
             refined = self._by_trajectories(found, delay, constraints, recording)
         notes += refined.notes
@@ -214,7 +214,7 @@ class Refinement:
         def _cost(trial: float) -> float:
             return unexplained(constraints.free, *recording.seen(trial).rows(found[0], field))
 
-        fine = fine_delay(rough, data.dt, self._longest, math.log(max(len(data), 2)), _cost)
+        fine = fine_delay(rough, data.dt, self._longest, math.log(max(len(data), 2)), _cost, found[0].step is not None)
         return rough if abs(fine - rough) < ALIKE * data.dt else fine
 
     def _reach(
@@ -235,7 +235,7 @@ class Refinement:
         farthest, best = reach(constraints.free, partial(_rows, read=recording), least)
         if noisy and not best and not bool(has_gaps(data)):
             # Of single steps most may be noise, which no delay explains: their averages tell it.
-            farthest, best = reach(constraints.free, partial(_rows, read=recording.smoothed()), least)
+            farthest, best = reach(constraints.free, partial(_rows, read=recording.smoothed(found[0].step)), least)
         return farthest * data.dt, best * data.dt
 
     def _by_trajectories(self, first: Model, rough: float, constraints: Constraints, recording: Recording) -> Refined:
@@ -322,7 +322,8 @@ class Refinement:
         def _cost(trial: float) -> float:
             return few_steps(*found, free, recording.measured(trial), few, recording.guessed(trial).x)[0]
 
-        return fine_delay(delay, data.dt, self._longest, math.log(max(len(data), 2)), _cost)
+        worth, whole = math.log(max(len(data), 2)), found[0].step is not None
+        return fine_delay(delay, data.dt, self._longest, worth, _cost, whole)
 
     def _chosen(
         self, library: Library, coefficients: Tensor, data: Transitions, guess: Transitions

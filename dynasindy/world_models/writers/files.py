@@ -35,6 +35,8 @@ def save(
 ) -> None:
     """Write signature, library, coefficients, constraints and the equations in words.
 
+    Coefficients are of rates of change; a `step` [s] says that they are those of a difference equation.
+
     Args:
         library: candidate functions.
         coefficients: Xi, `(n_features, n_x)`.
@@ -65,6 +67,8 @@ def record(
         data["functions"] = own
     if delay:
         data["delay"] = delay
+    if library.step is not None:
+        data["step"] = library.step
     if constraints is not None and not bool(constraints.free.all()):
         data["constraints"] = {s: _constraint(library, constraints, i) for i, s in enumerate(states)}
     return data
@@ -163,7 +167,10 @@ def _model(data: dict[str, Any]) -> tuple[Library, Tensor, Constraints, float]:
 
 def _parts(data: dict[str, Any]) -> tuple[Library, Tensor, Constraints, float]:
     signature = _signature(data["signature"])
-    library = Library(signature, [_feature(f) for f in data["library"].values()])
+    step = data.get("step")
+    if step is not None and (step := _number(step)) < 0:
+        raise TypeError(f"the step of its difference equation is {step} s, which is negative")
+    library = Library(signature, [_feature(f) for f in data["library"].values()], step=step)
     coefficients = torch.zeros(len(library), signature.n_x, dtype=torch.float64)
     place = {name: k for k, name in enumerate(library.names)}
     for i, state in enumerate(signature.state_names):

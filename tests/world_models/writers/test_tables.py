@@ -133,3 +133,20 @@ def test_equations_as_latex_break_after_three_terms():
         r"    \dot{y} &= 0",
         r"\end{align*}",
     ]
+
+
+def test_a_difference_equation_is_written_as_what_a_state_is_next():
+    """p[k+1] = p + 0.5 (2 v - 0.2 u) and v[k+1] = v + 0.5 (-2 v + 3 p^2), whose own v is gone."""
+    signature = Signature(("p", "v"), ("m", "m/s"), ("u",), (1.0, 1.0))
+    p, v = variable("p"), variable("v")
+    library = Library(signature, [v, variable("u"), p * p], step=0.5)
+    xi = torch.tensor([[2.0, -2.0 + 1e-13], [-0.2, 0.0], [0.0, 3.0]], dtype=torch.float64)
+    assert equations(library, xi) == ["p[k+1] = p + v - 0.1 u", "v[k+1] = 1.5 p^2"]
+    text = to_text(library, xi, active_only=True).splitlines()
+    assert text[0].split() == ["function", "p[k+1]", "v[k+1]"] and [line.split()[0] for line in text[1:]] == [
+        "p", "v", "u", "p^2",
+    ]  # fmt: skip
+    assert "{p}[k+1] &= p + v - 0.1 \\, u" in equations_to_latex(library, xi)
+    assert "${v}[k+1]$" in to_latex(library, xi)
+    rows = list(csv.reader(io.StringIO(to_csv(library, xi))))
+    assert rows[0] == ["function", "p[k+1] [m]", "v[k+1] [m/s]"] and ["p", "1.0", "0.0"] in rows
