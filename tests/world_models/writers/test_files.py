@@ -33,7 +33,7 @@ def test_what_is_loaded_is_what_was_saved(tmp_path, name):
     library = build_library(name, Tras().signature)
     xi = coefficients(library)
     save(library, xi, tmp_path / "model.json")
-    again, back, _, _ = load(tmp_path / "model.json")
+    again, back, *_ = load(tmp_path / "model.json")
     assert again.names == library.names and again.signature == library.signature
     assert torch.equal(back, xi) and back.dtype == torch.float64
 
@@ -47,7 +47,7 @@ def test_powers_and_frequencies_of_any_size_are_kept(tmp_path):
 
 def test_a_file_can_be_read_by_a_person(written):
     data = json.loads(written.read_text())
-    library, xi, _, _ = load(written)
+    library, xi, *_ = load(written)
     assert data["format"] == FORMAT
     assert [line.partition("'")[0] for line in data["equations"]] == list(library.signature.state_names)
     assert data["signature"]["input_names"] == ["u_a", "u_p"]
@@ -208,7 +208,7 @@ def test_fitted_numbers_and_the_delay_come_back_to_the_last_digit(tmp_path):
     words = ["tanh(~7 Omega_a)", "Omega_p^2 per_cos2(~3 alpha_p)", "root(~0.1 alpha_a)", "tanh(7 Omega_a)"]
     library = Library(Xi().signature, map(parse, words)).with_shapes([5 + 1 / 3, 10 / 3, np.pi / 30])
     save(library, coefficients(library), tmp_path / "model.json", delay=0.1 / 3)
-    again, _, _, delay = load(tmp_path / "model.json")
+    again, _, _, delay, _ = load(tmp_path / "model.json")
     assert again.features == library.features and delay == 0.1 / 3
     numbers = [(shape.frequency, shape.fitted) for shape in again.shapes]
     assert numbers == [(5 + 1 / 3, 7.0), (10 / 3, 3.0), (np.pi / 30, 0.1)]
