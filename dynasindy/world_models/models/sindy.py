@@ -252,7 +252,7 @@ class SindyModel(WorldModel):
         report = FitReport.of(self.library, self.coefficients, self.sums, seconds, notes, data.dt)
         # The sums may be of fewer rows than that, each of them the average of many transitions.
         samples = int(known_inputs(data, self.delay).sum()) + (earlier if self.sums is sums else 0)
-        return replace(report, samples=samples, in_pieces=in_pieces)
+        return replace(report, samples=samples, in_pieces=in_pieces, covariance=self.covariance)
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
         """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`."""
@@ -301,7 +301,7 @@ class SindyModel(WorldModel):
 
     def record(self) -> dict[str, Any]:
         """Return what `save` writes, as keys and values."""
-        return record(self.library, self.coefficients, self.constraints, self.delay)
+        return record(self.library, self.coefficients, self.constraints, self.delay, self.covariance)
 
     @classmethod
     def of_record(cls, given: object, source: str | Path) -> SindyModel:

@@ -23,7 +23,7 @@ from torch import Tensor
 from dynasindy.world_models.regression.regression import RunningSums
 from dynasindy.world_models.regression.sensitivity import Parameters
 
-STRETCHES = 15
+STRETCHES = 10
 """Stretches of the data, each of which is left out in turn; fewer where there are fewer rows. More of them tell the
 size of an error more exactly, but forget less of an error that lasts."""
 
@@ -59,6 +59,10 @@ class Covariance(NamedTuple):
     def table(self, shape: Sequence[int]) -> Tensor:
         """Return the standard errors as a table of the given shape, `(n_features, n_x)`, zero of other coefficients."""
         return Parameters(self.features, self.states).write(torch.zeros(*shape, dtype=torch.float64), self.errors)
+
+    def shares(self, xi: Tensor) -> Tensor:
+        """Return the standard errors as shares of the coefficients, `(P,)`, which are in a table `(n_features, n_x)`."""
+        return self.errors / xi[self.features, self.states].abs()
 
     def draw(self, xi: Tensor, count: int, generator: torch.Generator) -> Tensor:
         """Draw coefficients around those of the fit, all at a time, from a normal distribution.

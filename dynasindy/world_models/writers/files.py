@@ -49,16 +49,18 @@ def save(
         delay: time between an input and its effect [s].
         covariance: which coefficients' covariance is known, and its factor.
     """
-    data = record(library, coefficients, constraints, delay)
-    if covariance is not None and len(covariance[0]):
-        data["uncertainty"] = _uncertainty(library, *covariance)
+    data = record(library, coefficients, constraints, delay, covariance)
     Path(path).write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 
 def record(
-    library: Library, coefficients: Tensor, constraints: Constraints | None = None, delay: float = 0.0
+    library: Library,
+    coefficients: Tensor,
+    constraints: Constraints | None = None,
+    delay: float = 0.0,
+    covariance: Known | None = None,
 ) -> dict[str, Any]:
-    """Return what `save` writes, as keys and values, but for the uncertainty, which nothing that runs needs."""
+    """Return what `save` writes, as keys and values."""
     signature, table = library.signature, coefficients.tolist()
     states = signature.state_names
     data: dict[str, Any] = {
@@ -76,6 +78,8 @@ def record(
         data["delay"] = delay
     if constraints is not None and not bool(constraints.free.all()):
         data["constraints"] = {s: _constraint(library, constraints, i) for i, s in enumerate(states)}
+    if covariance is not None and len(covariance[0]):
+        data["uncertainty"] = _uncertainty(library, *covariance)
     return data
 
 
@@ -183,8 +187,7 @@ def _covariance(library: Library, data: dict[str, Any] | None) -> Known | None:
             features.append(library.index(name))
             states.append(i)
             errors.append(_number(error))
-            written = data["correlations"][state][name].split()
-            rows.append(torch.tensor([_number(float(n)) for n in written], dtype=torch.float64))
+            rows.append(torch.tensor(_numbers(data["correlations"][state][name]), dtype=torch.float64))
     if not rows or any(not 0 < len(row) <= LARGEST_FACTOR for row in rows) or min(errors) < 0:
         raise TypeError("its uncertainty has no standard errors of 0 or more, each with its correlations")
     sizes = torch.tensor(errors, dtype=torch.float64).unsqueeze(-1)
@@ -216,6 +219,13 @@ def _parts(data: dict[str, Any]) -> Model:
         raise TypeError(f"its delay is {delay} s, which is negative")
     constraints = _constraints(library, data.get("constraints"))
     return library, coefficients, constraints, delay, _covariance(library, data.get("uncertainty"))
+
+
+def _numbers(written: str) -> list[float]:
+    try:
+        return [_number(float(number)) for number in written.split()]
+    except ValueError as error:
+        raise TypeError(f"{written[:40]!r} stands where numbers belong") from error
 
 
 def _number(value: Any) -> float:

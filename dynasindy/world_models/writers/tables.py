@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Sequence
 
 from torch import Tensor
@@ -44,6 +45,35 @@ def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[s
             written += f"{joint}{above} {quotient}"
         lines.append(f"{state}' = {written or '0'}")
     return lines
+
+
+def with_errors(library: Library, coefficients: Tensor, errors: Tensor) -> list[str]:
+    """Write a line for each coefficient that has a standard error, such as `v'  sin(p)  -9.81 ± 0.03`.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`.
+        errors: standard errors, zero of coefficients that were not fitted, `(n_features, n_x)`.
+    """
+    states = library.signature.state_names
+    wide, long = max(map(len, states)) + 1, max(map(len, library.names))
+    return [
+        f"{states[i] + chr(39):<{wide}}  {library.names[k]:<{long}}  {plus_minus(float(xi), float(error))}"
+        for i in range(len(states))
+        for k, (xi, error) in enumerate(zip(coefficients[:, i], errors[:, i], strict=True))
+        if error
+    ]
+
+
+def plus_minus(value: float, error: float) -> str:
+    """Write a number and its standard error, the error to two digits: `1.2340 ± 0.0050`, `(3.10 ± 0.20)e-07`."""
+    exponent = math.floor(math.log10(max(abs(value), error)))
+    scale = exponent if not -4 < exponent < 6 else 0
+    size, spread = value / 10.0**scale, error / 10.0**scale
+    # 9.96 written to two digits is 10: the error tells its digits once it is rounded.
+    digits = max(0, 1 - math.floor(math.log10(float(f"{spread:.1e}"))))
+    written = f"{size:.{digits}f} ± {spread:.{digits}f}"
+    return f"({written})e{scale:+03d}" if scale else written
 
 
 def written_sum(terms: Sequence[tuple[str, float]], digits: int) -> str:

@@ -271,3 +271,46 @@ def test_what_is_known_of_the_equations_comes_back(tmp_path):
 def test_a_file_without_a_word_of_constraints_has_none(written):
     back = load(written)[2]
     assert bool(back.free.all()) and not bool(back.offset.any())
+
+
+def known_coefficients(columns: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    rng = np.random.default_rng(3)
+    factor = rng.normal(size=(4, columns)) * np.array([[1e-9], [3.0], [1e6], [0.02]])
+    return torch.tensor([2, 5, 2, 7]), torch.tensor([0, 0, 3, 3]), torch.from_numpy(factor)
+
+
+@pytest.mark.parametrize("columns", [15, 4, 2])
+def test_the_covariance_of_coefficients_survives_its_file(tmp_path, columns):
+    library, known = build_library("paper_table", Xi().signature), known_coefficients(columns)
+    save(library, torch.ones(27, 6, dtype=torch.float64), tmp_path / "model.json", covariance=known)
+    features, states, factor = load(tmp_path / "model.json")[4]
+    assert torch.equal(features, known[0]) and torch.equal(states, known[1])
+    size = known[2].norm(dim=-1)
+    wanted = known[2] @ known[2].mT / size / size.unsqueeze(-1)
+    np.testing.assert_allclose(factor @ factor.mT / size / size.unsqueeze(-1), wanted, atol=1e-13)
+    told = json.loads((tmp_path / "model.json").read_text())["uncertainty"]["standard_errors"]
+    assert told["alpha_a"][library.names[5]] == pytest.approx(float(size[1])) and told["alpha_p"] == {}
+
+
+def test_a_file_of_before_tells_no_covariance(written):
+    assert "uncertainty" not in json.loads(written.read_text()) and load(written)[4] is None
+
+
+@pytest.mark.parametrize(
+    "spoilt",
+    [
+        {"standard_errors": {}},
+        {"standard_errors": {"alpha_a": {"1": -1.0}}, "correlations": {"alpha_a": {"1": "1"}}},
+        {"standard_errors": {"alpha_a": {"1": 1.0}}, "correlations": {"alpha_a": {"1": ""}}},
+        {"standard_errors": {"alpha_a": {"1": 1.0}}, "correlations": {"alpha_a": {"1": "1 nan"}}},
+        {"standard_errors": {"alpha_a": {"1": 1.0}}, "correlations": {"alpha_a": {"1": "one"}}},
+        [1.0],
+    ],
+)
+def test_a_covariance_that_is_damaged_is_refused(written, spoilt):
+    data = json.loads(written.read_text())
+    if isinstance(spoilt, dict):
+        spoilt = {what: {s: {} for s in data["coefficients"]} | words for what, words in spoilt.items()}
+    written.write_text(json.dumps({**data, "uncertainty": spoilt}))
+    with pytest.raises(ValueError, match="damaged"):
+        load(written)
