@@ -61,7 +61,7 @@ class Covariance(NamedTuple):
         return Parameters(self.features, self.states).write(torch.zeros(*shape, dtype=torch.float64), self.errors)
 
     def shares(self, xi: Tensor) -> Tensor:
-        """Return the standard errors as shares of the coefficients, `(P,)`, which are in a table `(n_features, n_x)`."""
+        """Return the standard errors as shares of coefficients `(n_features, n_x)`, `(P,)`."""
         return self.errors / xi[self.features, self.states].abs()
 
     def draw(self, xi: Tensor, count: int, generator: torch.Generator) -> Tensor:

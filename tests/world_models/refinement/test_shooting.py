@@ -15,8 +15,8 @@ from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.features import CONSTANT, of, variable
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.flow import Estimate, Flow
 from dynasindy.world_models.refinement.descent import Descent
+from dynasindy.world_models.refinement.flow import Estimate, Flow
 from dynasindy.world_models.refinement.pushes import Noise
 from dynasindy.world_models.refinement.shooting import RunsAway, certainty, cost_of, linearise, move
 from dynasindy.world_models.refinement.trajectory import refine_trajectory
@@ -222,7 +222,7 @@ def test_standard_errors_are_those_of_cramer_and_rao_and_of_the_scatter_over_see
 
 
 def pushed(seed: int, n: int = 1500, lasts: float = 0.3) -> Transitions:
-    """y' = A y + B u + d, where d is random and lasts for some tenths of a second; y is measured with a little noise."""
+    """y' = A y + B u + d, where d is random and lasts for some tenths of a second; y has a little noise."""
     rng, y, d, u = np.random.default_rng(seed), [0.0], 0.0, inputs(n // 10)
     part, phi = math.exp(-DT / lasts), math.exp(A * DT)
     for held in u:

@@ -1,4 +1,4 @@
-"""The covariance of a fit is that of least squares where errors are independent, and of their scatter where they last."""
+"""The covariance of a fit is that of least squares where errors are independent, and of the scatter where they last."""
 
 import numpy as np
 import pytest
