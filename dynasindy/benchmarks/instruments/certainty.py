@@ -128,6 +128,7 @@ def ratios(library: Library, guess: Tensor, logs: list[Transitions], joined: boo
     for data in logs:
         flow = refine_trajectory(library, guess, free, data, Descent(20, joined)).flow
         known = certainty(flow)
+        assert known is not None, "a model runs away"
         fits.append(flow.estimate.xi[known.features, known.states])
         told.append(known.errors)
         textbook.append(_textbook(flow))

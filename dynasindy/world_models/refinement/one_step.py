@@ -109,8 +109,10 @@ def _descend(
     return library, xi, support
 
 
-def certainty(library: Library, xi: Tensor, free: Tensor, data: Transitions, tolerance: float) -> Covariance:
+def certainty(library: Library, xi: Tensor, free: Tensor, data: Transitions, tolerance: float) -> Covariance | None:
     """Return the covariance of the coefficients of least one-step error, numbers inside functions unknown as well.
+
+    It is None where a number in it is not finite.
 
     Args:
         library: candidate functions.
@@ -124,8 +126,8 @@ def certainty(library: Library, xi: Tensor, free: Tensor, data: Transitions, tol
     rows, target, scale = linear_model(library, xi, parameters, data, floor)
     n_shapes = len(library.shapes)
     errors = target - rows[:, n_shapes:] @ (parameters.read(xi) * scale[n_shapes:]).unsqueeze(-1)
-    factor = moved(torch.cat([rows, errors], -1).unflatten(0, (len(data), -1))) / scale.unsqueeze(-1)
-    return Covariance.of(parameters, factor[n_shapes:])
+    factor = moved(torch.cat([rows, errors], -1).unflatten(0, (len(data), -1)))
+    return None if factor is None else Covariance.of(parameters, (factor / scale.unsqueeze(-1))[n_shapes:])
 
 
 def linear_model(

@@ -78,16 +78,16 @@ def linearise(flow: Flow, sigma: Tensor | None = None) -> Linearised:
     return Linearised(triangle, scale, cost, moves, sigma, errors)
 
 
-def certainty(flow: Flow) -> Covariance:
+def certainty(flow: Flow) -> Covariance | None:
     """Return the covariance of the coefficients of trajectories that fit best, starts and shapes unknown as well.
+
+    It is None where the model runs away.
 
     Args:
         flow: the trajectories.
-
-    Raises:
-        RunsAway: the model runs away within a window.
     """
-    _require_bounded(flow)
+    if bool(flow.lost().any()):
+        return None
     rows, windows = _rows(flow, flow.sigma())[0], flow.windows
     samples = windows.length if bool(windows.joined.any()) else windows.length + 1
     count = len(windows) * samples * windows.mask.shape[-1]
@@ -95,6 +95,8 @@ def certainty(flow: Flow) -> Covariance:
     # Errors within a window have its start in common, so it is left out as a whole where there are enough of them.
     parts = len(windows) if len(windows) >= STRETCHES else len(windows) * samples
     factor = moved(rows[:count].unflatten(0, (parts, -1)), always)
+    if factor is None:
+        return None
     return Covariance.of(flow.parameters, factor[len(factor) - len(flow.parameters) :])
 
 

@@ -101,8 +101,8 @@ def of_sums(coefficients: Tensor, free: Tensor, sums: RunningSums) -> Covariance
     return Covariance.of(parameters, torch.block_diag(*factors))
 
 
-def of_rates(coefficients: Tensor, free: Tensor, theta: Tensor, dx: Tensor) -> Covariance:
-    """Return the covariance of a regression of rates of change.
+def of_rates(coefficients: Tensor, free: Tensor, theta: Tensor, dx: Tensor) -> Covariance | None:
+    """Return the covariance of a regression of rates of change; None where a number in it is not finite.
 
     Args:
         coefficients: Xi of the fit, `(n_features, n_x)`.
@@ -114,11 +114,14 @@ def of_rates(coefficients: Tensor, free: Tensor, theta: Tensor, dx: Tensor) -> C
     errors, factors = dx - theta @ coefficients, []
     for state in range(coefficients.shape[1]):
         active = parameters.features[parameters.states == state]
-        factors.append(moved(torch.cat([theta[:, active], errors[:, state : state + 1]], -1).unsqueeze(1)))
+        factor = moved(torch.cat([theta[:, active], errors[:, state : state + 1]], -1).unsqueeze(1))
+        if factor is None:
+            return None
+        factors.append(factor)
     return Covariance.of(parameters, torch.cat(factors))
 
 
-def moved(rows: Tensor, always: Tensor | None = None, stretches: int = STRETCHES) -> Tensor:
+def moved(rows: Tensor, always: Tensor | None = None, stretches: int = STRETCHES) -> Tensor | None:
     """Return how unknowns move when each stretch of the data is left out, as a factor of their covariance.
 
     Args:
@@ -129,11 +132,14 @@ def moved(rows: Tensor, always: Tensor | None = None, stretches: int = STRETCHES
 
     Returns:
         The factor, `(M, stretches)`; of fewer windows or samples than stretches it has as many columns as there are.
+        None where a number is not finite, as of a model that all but runs away.
     """
     count = min(stretches, len(rows))
     always = rows.new_zeros(1, rows.shape[-1]) if always is None else always
-    scale = rows[..., :-1].norm(dim=(0, 1)).clamp_min(1e-300)
-    scale = torch.cat([scale, scale.new_ones(1)])
+    scale = torch.cat([rows.flatten(0, 1), always]).norm(dim=0).clamp_min(1e-100)
+    if not bool(scale.isfinite().all()):
+        return None
+    scale[-1] = 1.0
     parts = [_triangle((part / scale).flatten(0, 1)) for part in rows.tensor_split(count)]
     before, after = [_triangle(always / scale)], [rows.new_zeros(1, rows.shape[-1])]
     for first, last in zip(parts[:-1], parts[:0:-1], strict=True):

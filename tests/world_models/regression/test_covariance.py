@@ -105,3 +105,19 @@ def test_draws_have_the_covariance_and_leave_other_coefficients_alone():
     drawn[:, 0, 0] = drawn[:, 2, 1] = 0
     assert not drawn.any()
     assert known.shares(XI).tolist() == pytest.approx([0.6, np.sqrt(0.05) / 3])
+
+
+def test_an_unknown_that_the_rows_tell_nothing_of_is_held_by_those_that_stay():
+    rows = torch.from_numpy(np.random.default_rng(0).normal(size=(40, 1, 3)))
+    rows[..., 1] = 0
+    found = moved(rows, torch.tensor([[0.0, 1e12, 0.0]], dtype=torch.float64))
+    assert found[1].tolist() == [0.0] * 10
+    np.testing.assert_allclose(found[0], moved(rows[..., [0, 2]])[0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("number", [torch.inf, torch.nan, 1e200])
+def test_nothing_is_told_where_numbers_grow_beyond_all_bounds(number):
+    rows = torch.ones(40, 1, 2, dtype=torch.float64)
+    rows[3, 0, 0] = number
+    assert moved(rows) is None
+    assert of_rates(torch.ones(1, 1).double(), FREE[:1, :1], rows[:, 0, :1], torch.zeros(40, 1).double()) is None
