@@ -168,13 +168,14 @@ def _uncertainty(library: Library, features: Tensor, places: Tensor, factor: Ten
     names, states = library.names, library.signature.state_names
     # The triangular factor of the same covariance has no more columns than there are coefficients.
     factor = torch.linalg.qr(factor.mT, mode="r")[1].mT
+    factor = factor * factor.diagonal().sign().where(factor.diagonal() != 0, 1.0)
     errors = factor.norm(dim=-1)
     rows = (factor / errors.clamp_min(1e-300).unsqueeze(-1)).tolist()
-    told: dict[str, Any] = {"standard_errors": {s: {} for s in states}, "correlations": {s: {} for s in states}}
+    told: dict[str, Any] = {"standard_errors": {s: {} for s in states}, "correlation_factor": {s: {} for s in states}}
     each = zip(features.tolist(), places.tolist(), errors.tolist(), rows, strict=True)
     for k, (feature, state, error, row) in enumerate(each):
         told["standard_errors"][states[state]][names[feature]] = error
-        told["correlations"][states[state]][names[feature]] = " ".join(map(repr, row[: k + 1]))
+        told["correlation_factor"][states[state]][names[feature]] = " ".join(map(repr, row[: k + 1]))
     return told
 
 
@@ -187,7 +188,7 @@ def _covariance(library: Library, data: dict[str, Any] | None) -> Known | None:
             features.append(library.index(name))
             states.append(i)
             errors.append(_number(error))
-            rows.append(torch.tensor(_numbers(data["correlations"][state][name]), dtype=torch.float64))
+            rows.append(torch.tensor(_numbers(data["correlation_factor"][state][name]), dtype=torch.float64))
     if not rows or any(not 0 < len(row) <= LARGEST_FACTOR for row in rows) or min(errors) < 0:
         raise TypeError("its uncertainty has no standard errors of 0 or more, each with its correlations")
     sizes = torch.tensor(errors, dtype=torch.float64).unsqueeze(-1)

@@ -300,10 +300,10 @@ def test_a_file_of_before_tells_no_covariance(written):
     "spoilt",
     [
         {"standard_errors": {}},
-        {"standard_errors": {"alpha_a": {"1": -1.0}}, "correlations": {"alpha_a": {"1": "1"}}},
-        {"standard_errors": {"alpha_a": {"1": 1.0}}, "correlations": {"alpha_a": {"1": ""}}},
-        {"standard_errors": {"alpha_a": {"1": 1.0}}, "correlations": {"alpha_a": {"1": "1 nan"}}},
-        {"standard_errors": {"alpha_a": {"1": 1.0}}, "correlations": {"alpha_a": {"1": "one"}}},
+        {"standard_errors": {"alpha_a": {"1": -1.0}}, "correlation_factor": {"alpha_a": {"1": "1"}}},
+        {"standard_errors": {"alpha_a": {"1": 1.0}}, "correlation_factor": {"alpha_a": {"1": ""}}},
+        {"standard_errors": {"alpha_a": {"1": 1.0}}, "correlation_factor": {"alpha_a": {"1": "1 nan"}}},
+        {"standard_errors": {"alpha_a": {"1": 1.0}}, "correlation_factor": {"alpha_a": {"1": "one"}}},
         [1.0],
     ],
 )
