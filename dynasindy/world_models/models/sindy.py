@@ -43,10 +43,12 @@ from dynasindy.world_models.refinement.shapes import stayed
 from dynasindy.world_models.refinement.shooting import RunsAway
 from dynasindy.world_models.refinement.stepwise import stepwise, timed
 from dynasindy.world_models.refinement.windows import ENOUGH, STRETCHES
+from dynasindy.world_models.regression.covariance import Covariance, of_rates, of_sums
 from dynasindy.world_models.regression.finite import require_finite
 from dynasindy.world_models.regression.regression import Regression, Rows, RunningSums, integral_form
 from dynasindy.world_models.regression.selection import DEPENDENT
 from dynasindy.world_models.writers.fast_field import Field, generate
+from dynasindy.world_models.writers.files import Model as Read
 from dynasindy.world_models.writers.files import load, record, save, understand
 from dynasindy.world_models.writers.machine import machine
 from dynasindy.world_models.writers.tables import equations
@@ -68,6 +70,8 @@ class SindyModel(WorldModel):
         machine_code: whether states are moved by machine code, where a C compiler is found.
         time: `continuous` identifies a differential equation, `discrete` a difference equation, whose step is the
             sampling time of the data.
+
+    `covariance` tells after a fit how well the coefficients are known; None where nothing does.
 
     Raises:
         ValueError: a name of a state, an input or a function does not exist, or `time` is another word.
@@ -98,6 +102,7 @@ class SindyModel(WorldModel):
         self.initial_delay = 0.0  # of the inputs in that guess [s]
         self.sums = RunningSums(len(self.library), signature.n_x)
         self.register_buffer("coefficients", self.constraints.offset.clone())
+        self.covariance: Covariance | None = None
         self._field: Field | None = None
         self._field_of: tuple[Tensor, int] | None = None
 
@@ -145,7 +150,8 @@ class SindyModel(WorldModel):
     def get_extra_state(self) -> dict[str, object]:
         """Return what `state_dict` keeps besides the coefficients: the running sums, the fitted factors, the delay."""
         shapes = [shape.frequency for shape in self.library.shapes]
-        return {"r": self.sums.r, "count": self.sums.count, "shapes": shapes, "delay": self.delay, "step": self.step}
+        sums, known = {"r": self.sums.r, "count": self.sums.count}, self.covariance and tuple(self.covariance)
+        return {**sums, "shapes": shapes, "delay": self.delay, "step": self.step, "covariance": known}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore what `get_extra_state` returned."""
@@ -153,6 +159,7 @@ class SindyModel(WorldModel):
         self.sums.r, self.sums.count = state["r"].clone(), state["count"]
         self.library, self.delay = self.library.with_shapes(state["shapes"]), state["delay"]
         self.library = self.library.with_step(state.get("step"))
+        self.covariance = (known := state.get("covariance")) and Covariance(*known)  # not in older states
         self._field = None
 
     def predict(self, x: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
@@ -227,8 +234,7 @@ class SindyModel(WorldModel):
 
     def _identify(self, transitions: Transitions, sums: RunningSums, delay: float) -> FitReport:
         """Fit to the sums of earlier data and to new transitions, whose inputs act `delay` seconds later."""
-        start = time.perf_counter()
-        self.sums, earlier = sums, sums.count
+        start, self.sums, earlier = time.perf_counter(), sums, sums.count
         data = self._checked(transitions)
         rates, first = rates_known(self.library, self.constraints), None
         guess = at_rest(reconstruct(data, rates), self.followers)
@@ -238,11 +244,15 @@ class SindyModel(WorldModel):
             late = imagined(self.library, first, data, late, rates)
             guess = replace(begun(self.library, first, late, self.followers), u=data.u)
         recording = Recording.of(data, guess, rates, delay)
-        self.sums.add(self._rows(recording, delay))
+        rows = self._rows(recording, delay)
+        self.sums.add(rows)
         free = one_quotient(self.library, self.constraints.free, lambda trial: self._rows(recording, delay, trial))
         constraints = replace(self.constraints, free=free)
         if first is None:
             self._solve(self.sums, constraints, recording.seen(delay).dependent)
+            if self.refinement is None:
+                known = self.coefficients, constraints.free
+                self.covariance = of_sums(*known, self.sums) if earlier else of_rates(*known, *rows)
         else:
             self.set_coefficients(first)
         self.delay = delay
@@ -253,7 +263,7 @@ class SindyModel(WorldModel):
         report = FitReport.of(self.library, self.coefficients, self.sums, seconds, notes, data.dt)
         # The sums may be of fewer rows than that, each of them the average of many transitions.
         samples = int(known_inputs(data, self.delay).sum()) + (earlier if self.sums is sums else 0)
-        return replace(report, samples=samples, in_pieces=in_pieces)
+        return replace(report, samples=samples, in_pieces=in_pieces, covariance=self.covariance)
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
         """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`.
@@ -284,10 +294,11 @@ class SindyModel(WorldModel):
                 "one row per function, one column per state"
             )
         self.coefficients = coefficients.detach().to(torch.float64).clone()
+        self.covariance = None  # what was known of others says nothing of these
 
     def save(self, path: str | Path) -> None:
         """Write the model as readable JSON, with what was known of its equations before the data."""
-        save(self.library, self.coefficients, path, self.constraints, self.delay)
+        save(self.library, self.coefficients, path, self.constraints, self.delay, self.covariance)
 
     @classmethod
     def load(
@@ -307,7 +318,7 @@ class SindyModel(WorldModel):
 
     def record(self) -> dict[str, Any]:
         """Return what `save` writes, as keys and values."""
-        return record(self.library, self.coefficients, self.constraints, self.delay)
+        return record(self.library, self.coefficients, self.constraints, self.delay, self.covariance)
 
     @classmethod
     def of_record(cls, given: object, source: str | Path) -> SindyModel:
@@ -323,16 +334,12 @@ class SindyModel(WorldModel):
         return cls._of(understand(given, source))
 
     @classmethod
-    def _of(
-        cls,
-        found: tuple[Library, Tensor, Constraints, float],
-        regression: Regression | None = None,
-        refinement: Refinement | None = None,
-    ) -> SindyModel:
-        library, coefficients, constraints, delay = found
+    def _of(cls, found: Read, regression: Regression | None = None, refinement: Refinement | None = None) -> SindyModel:
+        library, coefficients, constraints, delay, known = found
         model = cls(library.signature, library, regression, refinement)
         model.constraints, model.delay = constraints, delay
         model.set_coefficients(coefficients)
+        model.covariance = known and Covariance(*known)
         return model
 
     def _checked(self, transitions: Transitions) -> Transitions:
@@ -365,9 +372,9 @@ class SindyModel(WorldModel):
             raise Diverged(f"model learning: {error}") from error
         refined = require_finite(found.coefficients, self.library, "refinement", self.sums.count)
         if self.coefficients[constraints.free].any() and not refined[constraints.free].any():
-            note = "the refinement dropped every function, so the fit before it stays; collect more or cleaner data"
-            return [note], False
+            return ["the refinement dropped every function, so the fit before it stays; log cleaner data"], False
         self.set_coefficients(refined)
+        self.covariance = found.covariance
         if found.library is not self.library or found.delay != self.delay:
             # The functions are others now, and so are the sums of their products.
             self.library, self.delay = found.library, found.delay

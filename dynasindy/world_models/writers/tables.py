@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Sequence
 
 import torch
@@ -82,6 +83,41 @@ def mapping(library: Library, coefficients: Tensor) -> tuple[Library, Tensor]:
         rate = float(table[own, i])
         table[own, i] = 1 + rate if abs(1 + rate) > CANCELLED * abs(rate) else 0.0
     return whole, table
+
+
+def with_errors(library: Library, coefficients: Tensor, errors: Tensor) -> list[str]:
+    """Write a line for each coefficient that has a standard error, such as `v'  sin(p)  -9.81 ± 0.03`.
+
+    Of a difference equation it is that of the right side, whose coefficients are the step times those of the rates.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`.
+        errors: standard errors, zero of coefficients that were not fitted, `(n_features, n_x)`.
+    """
+    whole, table = mapping(library, coefficients)
+    place = {feature.key: k for k, feature in enumerate(whole.features)}
+    spread = torch.zeros_like(table)
+    spread[[place[feature.key] for feature in library.features]] = (library.step or 1.0) * errors.to(table)
+    left = [moved_on(library, state) for state in library.signature.state_names]
+    wide, long = max(map(len, left)), max(map(len, whole.names))
+    return [
+        f"{left[i]:<{wide}}  {whole.names[k]:<{long}}  {plus_minus(float(xi), float(error))}"
+        for i in range(len(left))
+        for k, (xi, error) in enumerate(zip(table[:, i], spread[:, i], strict=True))
+        if error
+    ]
+
+
+def plus_minus(value: float, error: float) -> str:
+    """Write a number and its standard error, the error to two digits: `1.2340 ± 0.0050`, `(3.10 ± 0.20)e-07`."""
+    exponent = math.floor(math.log10(max(abs(value), error)))
+    scale = exponent if not -4 < exponent < 6 else 0
+    size, spread = value / 10.0**scale, error / 10.0**scale
+    # 9.96 written to two digits is 10: the error tells its digits once it is rounded.
+    digits = max(0, 1 - math.floor(math.log10(float(f"{spread:.1e}"))))
+    written = f"{size:.{digits}f} ± {spread:.{digits}f}"
+    return f"({written})e{scale:+03d}" if scale else written
 
 
 def written_sum(terms: Sequence[tuple[str, float]], digits: int) -> str:
