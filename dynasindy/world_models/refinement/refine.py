@@ -209,11 +209,11 @@ class Refinement:
     def _certainty(
         self, method: str, found: Model, constraints: Constraints, recording: Recording, delay: float
     ) -> Covariance | None:
-        """Return how well coefficients are known that regressions or single steps have found."""
+        """Return how well coefficients are known that regressions or single steps have found, if there are any."""
+        if method == "trajectory" or not bool(found[1].any()):
+            return None
         if method == "one_step":
             return one_step.certainty(*found, constraints.free, recording.guessed(delay), self.tolerance)
-        if method == "trajectory":
-            return None
         rows = recording.brief(self._longest).seen(delay).rows(found[0], generate(*found))
         return of_rates(found[1], constraints.free, *rows)
 
