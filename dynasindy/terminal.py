@@ -14,10 +14,12 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from itertools import groupby
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, TextIO, cast
 
 from dynasindy.durations import in_words
+from dynasindy.narrow import narrowed
 from dynasindy.told import Told, hearing
 
 if TYPE_CHECKING:
@@ -32,6 +34,8 @@ EVERY = 10.0
 TOLD = re.compile(r"\bNOT (?:CONTROLLED|promised|JUDGED)\b|\bCONTROLLED\b|^(?:note|hint|found|next|warning):", re.M)
 COMMAND = re.compile(r"\s*(?:dynasindy \w+|python scripts/\w+\.py)(?: |$)")
 """How a line begins that is meant to be copied into a shell."""
+REMARK = "  # "
+"""What a comment behind a command begins with."""
 SIGN = re.compile(r" (?=[+-] )")
 
 
@@ -311,14 +315,25 @@ def fitted(text: str, columns: int) -> str:
     """Return a text whose lines are no longer than so many columns: equations end between terms, sentences at words.
 
     A command stays one line, which the terminal wraps: of two lines, a shell would take the second for another command.
+    A comment that does not fit behind it stands below it, each of its lines a comment. A table in Markdown that is too
+    wide is turned.
     """
-    return "\n".join(part for whole in text.split("\n") for part in _broken(whole, columns))
+    found: list[str] = []
+    for is_table, several in groupby(text.split("\n"), lambda line: line.startswith("| ")):
+        lines = [*several]
+        found += narrowed(lines, columns) if is_table else [part for line in lines for part in _broken(line, columns)]
+    return "\n".join(found)
 
 
 def _broken(whole: str, columns: int) -> list[str]:
-    if len(whole) <= columns or COMMAND.match(whole):
+    if len(whole) <= columns:
         return [whole]
     start = " " * (len(whole) - len(whole.lstrip()))
+    if COMMAND.match(whole):
+        command, sign, comment = whole.rpartition(REMARK)
+        begin = f"{start}{REMARK}"
+        below = textwrap.wrap(comment, columns, initial_indent=begin, subsequent_indent=begin, break_long_words=False)
+        return [command, *below] if sign else [whole]
     equation = re.match(r"\s*\S+' = ", whole)
     if equation is None:
         return textwrap.wrap(whole, columns, subsequent_indent=start, break_long_words=False, break_on_hyphens=False)

@@ -43,9 +43,13 @@ _phases: list[str] = []
 def tell(
     phase: str, done: int = 0, total: int | None = None, unit: str = "", words: str = "", around: bool = False
 ) -> None:
-    """Tell what is under way; the arguments are those of `Told`."""
+    """Tell what is under way; the arguments are those of `Told`.
+
+    What is around phases keeps its name within `telling`: a thread tells it that knows nothing of the phase of another.
+    """
+    named = _phases[0] if _phases and not around else phase
     for hearer in _hearers:
-        hearer(Told(_phases[0] if _phases else phase, done, total, unit, words, around))
+        hearer(Told(named, done, total, unit, words, around))
 
 
 def counted(phase: str, items: Iterable[Item], total: int, unit: str = "") -> Iterator[Item]:

@@ -37,8 +37,7 @@ from dynasindy.evaluation.period import as_planned, other_period, suited_period
 from dynasindy.evaluation.predicted import Prediction, predict
 from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
-from dynasindy.evaluation.symptoms import resolution as resolution_of
-from dynasindy.evaluation.symptoms import samples_of, step_of
+from dynasindy.evaluation.symptoms import resolutions, samples_of, step_of
 from dynasindy.evaluation.targets import require_radians
 from dynasindy.evaluation.verdict import beyond, doubts, unlogged, unmoved
 from dynasindy.planning import GradientPlanning
@@ -117,6 +116,7 @@ def identify(
     method: Literal["integral", "one_step", "trajectory", "auto"] = "auto",
     longest_delay: float | None = None,
     tell: Callable[[str], None] | None = None,
+    time: Literal["continuous", "discrete"] = "continuous",
 ) -> SindyModel:
     """Identify sparse equations from a log, as `train.py data=csv` does.
 
@@ -134,6 +134,8 @@ def identify(
         longest_delay: Longest delay of the inputs that is looked for [s]; None where the data are to tell.
         tell: Called before the fit with a line, in the words of the commands, for each rate that was added, that is
             missing, or that is in other units than its state. If omitted, these are warnings.
+        time: `continuous` identifies differential equations, `discrete` difference equations whose step is the sampling
+            time of the log, for what moves in steps: all states have to be in the log.
 
     Returns:
         The model; `equations()` shows it, `save` keeps it.
@@ -144,7 +146,8 @@ def identify(
         Diverged: A coefficient is not finite.
     """
     refinement = Refinement(method, longest_delay=longest_delay)
-    build = partial(SindyModel, library=library, regression=Regression("bic", tolerance=1e-4), refinement=refinement)
+    regression = Regression("bic", tolerance=1e-4)
+    build = partial(SindyModel, library=library, regression=regression, refinement=refinement, time=time)
     source, rates, added = with_missing_rates(build, log, known)
     source = source.with_rates(rates)
     require_known(source.training, source.signature, rates, partial(_read_scaled, log.signature))
@@ -336,8 +339,8 @@ def sensors_of(log: Source, model: SindyModel) -> Sensors | None:
     """
     data, names = log.training, log.signature.state_names
     channels, exact = {}, True
-    for name, column in zip(names, samples_of(data), strict=True):
-        step, finest = step_of(column), resolution_of(column)
+    for name, column, finest in zip(names, samples_of(data), resolutions(model, data), strict=True):
+        step = step_of(column)
         seen = not math.isnan(finest)
         exact &= seen and finest < 1e-6 * model.signature.x_scale[names.index(name)]
         if seen:

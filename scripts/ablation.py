@@ -15,6 +15,7 @@ class Gathering(Callback):
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
         """Gather what lies in the folder of the sweep; what is in the way is told as an error when all is over."""
         from dynasindy.evaluation.ablation import gather
+        from dynasindy.terminal import say
         from dynasindy.viz.ablation import draw_ablation
 
         root, results, level = Path(config.hydra.sweep.dir), Path(config.results), instantiate(config.level)
@@ -23,7 +24,7 @@ class Gathering(Callback):
                 print(f"No run in {root} has finished, so there are no tables and figures.")
                 return
             draw_ablation(results, level.error, share=level.share)
-            print((results / "ablation.md").read_text(), f"Tables and figures: {results}", sep="\n")
+            say((results / "ablation.md").read_text(), f"Tables and figures: {results}")
         except MENDABLE as error:  # Hydra would make a warning of it, and the command would end with code 0
             Sweep.wrong.append(in_words(error, "ablation"))
 

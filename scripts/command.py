@@ -92,7 +92,7 @@ def command(
                     raise _told(signal, cfg.get("folder")) from signal
                 finally:
                     if not swept:
-                        _remove_empty(Path(HydraConfig.get().runtime.output_dir))
+                        remove_empty(Path(HydraConfig.get().runtime.output_dir))
             return None  # a job of a sweep that failed
 
         main = hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)(guarded)
@@ -170,6 +170,8 @@ class Sweep(Callback):
         Sweep.running = str(config.hydra.sweep.dir)
         for name in ("hydra", "hydra_plugins"):  # which would list the jobs, too
             logging.getLogger(name).setLevel(logging.WARNING)
+        if needs_score(config.hydra):
+            _quiet_search()
         show()
         os.environ[JOBS] = str(number_of_jobs(config.hydra))
         os.environ[SWEPT] = " ".join(swept(config.hydra))
@@ -248,6 +250,15 @@ def _short(value: object) -> str:
 def needs_score(hydra_config: DictConfig) -> bool:
     """Return whether the sweeper chooses its next jobs by the score of those before, as Optuna does."""
     return "n_trials" in hydra_config.sweeper
+
+
+def _quiet_search() -> None:
+    """Let Optuna say nothing of its own: that a search begins is known, and why a trial failed stands in its line."""
+    logging.getLogger("hydra_plugins.hydra_optuna_sweeper").setLevel(logging.CRITICAL)
+    with suppress(ImportError):  # it need not be installed, and another sweeper may want scores, too
+        import optuna  # first, as its import sets what it says
+
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
 
 
 def number_of_jobs(hydra_config: DictConfig) -> int:
@@ -363,10 +374,10 @@ def _leave_word(line: str) -> None:
         file.unlink(missing_ok=True)  # it may be a link in a run folder of others
         file.write_text(line + "\n")
     else:
-        _remove_empty(folder)
+        remove_empty(folder)
 
 
-def _remove_empty(folder: Path) -> None:
+def remove_empty(folder: Path) -> None:
     """Remove a run folder that holds nothing, as where `folder=` names another one, and runs/ if that was all in it."""
     with suppress(OSError):  # another process may just have begun to use it
         if folder.is_dir() and folder.resolve() != Path.cwd():

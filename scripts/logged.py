@@ -1,8 +1,9 @@
 """From a log to a controller: what `train.py data=csv` and `train.py model=PATH` do, without a plant."""
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -33,33 +34,61 @@ from dynasindy.workbench import damped, rates_of
 from dynasindy.world_models import SindyModel
 
 
-def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
-    """Identify, plan and foretell, write the folder, print what came of it, and return what is foretold."""
+@dataclass(frozen=True)
+class Prepared:
+    """What a plan begins with, before anything is fitted.
+
+    Attributes:
+        planning: Settings of the planning.
+        source: The log; None where a model is given without one.
+        parts: What a plan is made of, by the group of its settings.
+        told: What is said of the data, in lines.
+    """
+
+    planning: Mapping[str, object]
+    source: Source | None
+    parts: Mapping[str, Any]
+    told: Sequence[str]
+
+
+def prepared(cfg: DictConfig) -> Prepared:
+    """Read the log of a config and build the parts of a plan; what cannot be is refused before the fit.
+
+    Args:
+        cfg: The settings. `plant.known` and `plant.rates` are written into them where nobody gave them.
+    """
     planning = _required(cfg)
-    torch.set_num_threads(cfg.threads)
     source, told = loaded(cfg) if cfg.get("data") is not None else (None, [])
     given = None if cfg.model is None else SindyModel.load(str(cfg.model))
     if "rates" not in cfg.plant:  # nor where they are to be given
         rates = damped(cfg.plant.outputs, rates_of(given) if given else cfg.plant.get("known") or {})
         OmegaConf.update(cfg, "plant.rates", rates, force_add=True)
-    folder, settings = Path(cfg.folder), OmegaConf.to_yaml(cfg, resolve=True)
-    swept = HydraConfig.get().mode == RunMode.MULTIRUN
-    read = {"read": _digests(cfg)}
-    if swept and (before := _finished(folder, settings, read)) is not None:
-        say(f"finished before: {folder}")
-        return before
     names = ("task", "sensors", "world_model", "scenario")
     parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
-    targets = {name: ends for name, *ends in zip(cfg.plant.outputs, cfg.plant.low, cfg.plant.high, strict=False)}
-    if source is not None:  # what cannot be is refused before the fit
+    if source is not None:
+        targets = {name: ends for name, *ends in zip(cfg.plant.outputs, cfg.plant.low, cfg.plant.high, strict=False)}
         parts["task"](signature=given.signature if given else source.signature)
         if given is None:  # one that is given has its own library
             parts["world_model"](signature=source.signature)
         quiet = quiet_targets(source.training, source.signature, targets)
         require_radians(source, targets)
         told = [in_words(source.signature, targets), *told, *filter(None, [quiet and f"note: {quiet}"])]
+    return Prepared(planning, source, parts, told)
+
+
+def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
+    """Identify, plan and foretell, write the folder, print what came of it, and return what is foretold."""
+    torch.set_num_threads(cfg.threads)
+    begun = prepared(cfg)
+    source, parts = begun.source, begun.parts
+    folder, settings = Path(cfg.folder), OmegaConf.to_yaml(cfg, resolve=True)
+    swept = HydraConfig.get().mode == RunMode.MULTIRUN
+    read = {"read": _digests(cfg)}
+    if swept and (before := _finished(folder, settings, read)) is not None:
+        say(f"finished before: {folder}")
+        return before
     dt, why = _asked(cfg, source)
-    say(f"Run folder: {folder}", *told, *why)
+    say(f"Run folder: {folder}", *begun.told, *why)
     with _stopped_in_words(f"the fit was not finished and nothing is kept in {folder}; the same command begins anew"):
         model = model_of(source, parts["world_model"], cfg.model)
     task = parts["task"](signature=model.signature)
@@ -73,7 +102,7 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
         if period.why:
             say(f"note: {period.why}")
     within = cfg.evaluation.get("within", WITHIN)
-    wanted = Wanted(task, parts["scenario"], parts["sensors"], dt, cfg.seed, within, planning)
+    wanted = Wanted(task, parts["scenario"], parts["sensors"], dt, cfg.seed, within, begun.planning)
     again = planning_on(folder / "model.json", HydraConfig.get().overrides.task)
     kept = f"the equations are kept in {folder / 'model.json'}, but no controller yet; plan on them without a new fit:"
     with _stopped_in_words(f"{kept} {again}"):
@@ -85,7 +114,7 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     say(report(model, prediction), f"Controller: {folder / 'controller.json'}", *model.signature.own_inputs())
     if not swept:
         words = HydraConfig.get().overrides.task
-        print(following(folder, "check", "export") if prediction.controlled else mending(folder, words))
+        say(following(folder, "check", "export") if prediction.controlled else mending(folder, words))
     return prediction.record()
 
 

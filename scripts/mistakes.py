@@ -29,6 +29,8 @@ EXTRAS = {
     "tensorboard": "tensorboard",
 }
 """Optional packages by the first word of a launcher, sweeper or module, and the extra of ours that installs them."""
+SWEEPING = ("train", "ablation")
+"""Commands of which a sweep makes several jobs."""
 CAUSES = {
     errno.ENOSPC: "the disk is full: free some of it, or choose a folder on another",
     errno.EDQUOT: "your quota of the disk is used up: free some of it, or choose a folder on another",
@@ -80,6 +82,12 @@ def in_words(error: BaseException, config_name: str) -> str:
             f"'{merged[1]}' gives a group of keys where one value is wanted, or one value where a group of keys "
             "stands; give it in a file of its own, as conf/ has it"
         )
+    if several := re.match(r"Ambiguous value for argument '(.+?)' 1\. ", text):
+        key, _, value = several[1].partition("=")
+        more = "add -m for a job with each of them" if config_name in SWEEPING else "give one of them"
+        return f"{several[1]} gives several values; {more}, or write '{key}=[{value}]' for a list"
+    if text == "No trials are completed yet.":  # Optuna's
+        return "no trial came to an end, so none of them is the best; error.txt in the folder of each says why"
     misspelt = re.search(r"Could not override '([^']+)'", text)
     if not misspelt:
         return text

@@ -23,6 +23,11 @@ def main(cfg: DictConfig) -> None:
     if cfg.save is not None:
         keep(cfg, results / "runs")
     configs = {file.parent.name: read_config(file) for file in sorted(results.glob("runs/*/config.yaml"))}
+    if not configs and not any(results.glob("*.csv")):
+        raise ValueError(
+            f"{results} holds no saved run and no table, so there is nothing to report; give results=FOLDER, where "
+            "they are, or save=RUN, which saves a run there first: a run folder, or runs/ablation"
+        )
     settings = {name: OmegaConf.to_container(config) for name, config in configs.items()}
     files = build(Results(results, settings), Path(cfg.output), list(cfg.formats))
     print(f"{files[0]} and {files[1]}, from {len(settings)} saved runs")

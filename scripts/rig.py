@@ -26,7 +26,7 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.evaluation.files import write_text
     from dynasindy.rig import Wiring
     from dynasindy.rig.session import Knowledge, Session, targets_within
-    from dynasindy.terminal import Shown
+    from dynasindy.terminal import Shown, say
 
     torch.set_num_threads(cfg.threads)
     system, guard = (instantiate(cfg[name], _convert_="all") for name in ("system", "guard"))
@@ -72,7 +72,7 @@ def main(cfg: DictConfig) -> None:
         print(f"Mend what ended the flight; {again(cfg.folder)}")
         sys.exit(1)
     if given is None:
-        print(after_flights(cfg.folder, words))
+        say(after_flights(cfg.folder, words))
 
 
 def again(folder: str) -> str:

@@ -1,4 +1,4 @@
-"""Print a sweep as a Markdown table: `python scripts/table.py runs/SWEEP`, the folder that it printed."""
+"""Print the table of a sweep, in Markdown for a file: `python scripts/table.py runs/SWEEP`, the folder it printed."""
 
 import sys
 from pathlib import Path
@@ -17,8 +17,9 @@ def main() -> None:
             if len(sys.argv) != 2:
                 raise ValueError(f"give one folder, that of a sweep: {called('table')} runs/SWEEP")
             from dynasindy.evaluation.table import sweep_table
+            from dynasindy.terminal import say
 
-            print(sweep_table(Path(sys.argv[1])))
+            say(sweep_table(Path(sys.argv[1])))
         except (FileNotFoundError, ValueError) as error:
             print(f"error: {error}", file=sys.stderr)
             sys.exit(2)

@@ -9,12 +9,16 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from next_steps import following, mending
 from omegaconf import DictConfig
+from sweep import require_sweep, require_targets
 
 
 @command("train")
 def main(cfg: DictConfig) -> float:
     """Build the experiment, run it, draw its figures, print what came of it and return its score."""
-    swept = HydraConfig.get().mode == RunMode.MULTIRUN
+    hydra = HydraConfig.get()
+    swept = hydra.mode == RunMode.MULTIRUN
+    if not swept:
+        require_sweep(hydra)
     if cfg.get("data") is not None or cfg.model is not None:
         from logged import plan_from_log
 
@@ -22,10 +26,8 @@ def main(cfg: DictConfig) -> float:
         if not (found["controlled"] or swept) and cfg.evaluation.get("must_control"):
             sys.exit(1)
         return score(found["score"])
-    if swept and needs_score(HydraConfig.get()) and cfg.resume is None and cfg.system is not None:
-        from sweep import require_targets
-
-        require_targets(cfg)
+    if swept and needs_score(hydra) and cfg.resume is None and cfg.system is not None:
+        require_targets(cfg, hydra)
     from job import run_job
 
     folder = Path(cfg.folder)
@@ -45,9 +47,9 @@ def main(cfg: DictConfig) -> float:
     if not swept:
         written = (folder / NAME).is_file()  # a task without targets leaves no controller to check or to export
         if done.metrics["verdict"].get("controlled") is False:
-            print(mending(folder, HydraConfig.get().overrides.task, done.recipe.train.episodes, written))
+            say(mending(folder, hydra.overrides.task, done.recipe.train.episodes, written))
         else:
-            print(following(folder, "evaluate", *(("check", "export") if written else ()), trusting=done.trusting))
+            say(following(folder, "evaluate", *(("check", "export") if written else ()), trusting=done.trusting))
     if not (done.enough or swept):
         sys.exit(1)
     return max(shares, default=math.inf)

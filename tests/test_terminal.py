@@ -315,11 +315,22 @@ def test_the_score_of_a_plan_is_read_in_80_columns(monkeypatch):
 
 
 def test_a_command_is_one_line_that_can_be_copied_however_narrow_the_terminal():
-    command = "  dynasindy train system=xi train.episodes=3  # flies more episodes, whose data mend the model"
+    command = "  dynasindy train system=xi 'plant.known={a:  # b}' train.episodes=3"
     script = command.replace("dynasindy train", "python scripts/train.py")
-    text = f"next:\n{command}\n{script}\na sentence that names dynasindy train is none"
-    assert fitted(text, 40).splitlines()[:3] == ["next:", command, script]
-    assert max(map(len, fitted(text, 40).splitlines()[3:])) <= 40
+    why = "flies more episodes, whose data mend the model"
+    text = f"next:\n{command}  # {why}\n{script}  # short\na sentence that names dynasindy train is none"
+    found = fitted(text, 40).splitlines()
+    assert found[:2] == ["next:", command] and found[4:6] == [script, "    # short"]
+    assert [line[:6] for line in found[2:4]] == ["    # "] * 2  # so a shell takes no line of it for a command
+    assert " ".join(line[6:] for line in found[2:4]) == why
+    assert max(map(len, [*found[2:4], *found[6:]])) <= 40
+    assert fitted(text, 120) == text
+
+
+def test_a_table_that_is_too_wide_is_turned_and_what_stands_around_it_is_not():
+    text = "Level: 0.05\n| setting | seeds |\n| --- | --- |\n| direct | 3 |\nTables: x"
+    assert fitted(text, 20).splitlines() == text.splitlines()
+    assert fitted(text, 15).splitlines() == ["Level: 0.05", "setting  direct", "seeds    3", "Tables: x"]
 
 
 def test_equations_end_between_terms_and_sentences_between_words():

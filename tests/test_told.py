@@ -33,3 +33,10 @@ def test_what_the_parts_of_a_phase_tell_is_told_of_it_until_it_ends_or_fails():
         except ValueError:
             tell("fit")
     assert heard == [Told("actuators"), Told("actuators", words="6 coefficients"), Told("fit")]
+
+
+def test_a_sweep_that_is_told_of_during_a_phase_is_not_taken_for_the_phase():
+    heard = []
+    with hearing(heard.append), telling("fit to log.csv"):
+        tell("sweep", 1, 2, "jobs", around=True)
+    assert heard == [Told("fit to log.csv"), Told("sweep", 1, 2, "jobs", around=True)]

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dynasindy.benchmarks.instruments import textbook
+from dynasindy.benchmarks.instruments import certainty, textbook
 from dynasindy.benchmarks.instruments.arguments import SEEDS
 from dynasindy.benchmarks.instruments.bound import cramer_rao
 from dynasindy.benchmarks.instruments.rivals import (
@@ -186,6 +186,12 @@ def open_loop_errors(model: SindyModel, states: Tensor, inputs: Tensor) -> Tenso
     return error.nan_to_num(math.inf, math.inf)
 
 
+def xi_noisy(logs: int) -> certainty.Logs:
+    """Record `xi` for 20 s, with noise of 1e-3 of each state's standard deviation."""
+    data = [disturb(clean, 1e-3, 1000 + k) for k, clean in enumerate(xi_recordings(20.0, 0.01, range(logs)))]
+    return paper_table(Xi().signature), true_table(), data
+
+
 def rig(plant: System, library: str, excitation: Excitation, goal: str) -> tuple[list[Row], list[Missing]]:
     """Identify a first-principles plant from 20 s and predict unseen episodes open loop."""
     data = record(plant, excitation.samples(0.01), 0.01, 10)
@@ -345,6 +351,7 @@ CASES: dict[str, Callable[[int], list[Row]]] = {
     "xi_control": lambda seeds: noise_free(20.0, 0.05, 1e-4, seeds),
     "xi_noise": noisy,
     **{name: partial(textbook.measure, case) for name, case in textbook.CASES.items()},
+    "standard_errors": lambda seeds: certainty.measure(seeds, xi_noisy),
     "tras": tras,
     "trms33": trms33,
     "pysindy": pysindy_rows,

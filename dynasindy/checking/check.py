@@ -148,13 +148,12 @@ class Check:
         return self.rest.still & torch.from_numpy(self.rest.linear.radius < 1)
 
 
-def check(loop: Loop, settings: Settings, errors: Tensor | None = None) -> Check:
+def check(loop: Loop, settings: Settings) -> Check:
     """Look at a loop.
 
     Args:
         loop: Controller and model.
         settings: What is tried.
-        errors: Standard errors of the model's coefficients, if they are known, `(n_features, n_x)`.
 
     Raises:
         ValueError: The target range has another number of outputs than the controller.
@@ -170,7 +169,7 @@ def check(loop: Loop, settings: Settings, errors: Tensor | None = None) -> Check
     good = found.still & torch.from_numpy(found.linear.radius < 1)
     stable = good.tolist()
     rows = [found.linear.row(k) for k in range(len(targets))]
-    others = variants(loop.plant.model, settings.draws, settings.seed, errors)
+    others = variants(loop.plant.model, settings.draws, settings.seed)
     middle = _middle(targets)
     begin = _begin(loop, settings, targets[middle])
     steps = fly(loop, begin.expand(len(targets), -1), targets, seconds)

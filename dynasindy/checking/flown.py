@@ -22,8 +22,8 @@ GAINS = torch.linspace(1.0, 4.0, 25, dtype=torch.float64)
 """Factors on the effect of the inputs that are tried, that of the model first."""
 LATEST = 8.0
 """Delay up to which flights are tried [control periods]."""
-HALVINGS = 4
-"""Times that the range in which the delay lies is halved."""
+HALVINGS, WHOLE = 4, 3
+"""Times that the range in which the delay lies is halved, and how often so that it stays whole periods."""
 DIES_OUT = 0.9
 """Part of its swing before that an output which comes to rest has at most in the last quarter of a flight."""
 PHASE = "large movements with stronger and later inputs"
@@ -68,15 +68,17 @@ def flown(loop: Loop, x: Tensor, r: Tensor, seconds: float) -> Flown:
     def _held(periods: float) -> bool:
         return not bool(_lost(loop.worse(1.0, periods * loop.dt), x, r, seconds).any())
 
-    return Flown(float(GAINS[first - 1]), _largest(_held, LATEST))
+    # A difference equation cannot get its inputs a part of a step late.
+    halvings = HALVINGS if loop.plant.model.step is None else WHOLE
+    return Flown(float(GAINS[first - 1]), _largest(_held, LATEST, halvings))
 
 
-def _largest(held: Callable[[float], bool], end: float) -> float:
+def _largest(held: Callable[[float], bool], end: float, halvings: int) -> float:
     """Return the largest number that is held, up to an end, if all below it are held, too."""
     if held(end):
         return end
     good, bad = 0.0, end
-    for _ in range(HALVINGS):
+    for _ in range(halvings):
         middle = 0.5 * (good + bad)
         good, bad = (middle, bad) if held(middle) else (good, middle)
     return good

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from dynasindy.systems import Stops, integrate
+from dynasindy.systems.steps import Rates
 from dynasindy.world_models import SindyModel
 
 
@@ -69,4 +70,5 @@ class Plant:
 
     def _flow(self, x: Tensor, u: Tensor, seconds: float) -> Tensor:
         steps = max(1, math.ceil(seconds / self.step - 1e-6))
-        return integrate(self.rates, x, self.gain * u, seconds, steps, self.stops)[0][..., -1, :]
+        rates = Rates(self.rates, self.model.step)
+        return integrate(rates, x, self.gain * u, seconds, steps, self.stops)[0][..., -1, :]

@@ -15,8 +15,8 @@ from dynasindy.world_models import SindyModel
 SHARE = 0.2
 """By how much a coefficient is moved, as a share of itself."""
 DRAWN = 0.05
-"""Largest share by which coefficients are drawn at random where their standard errors are not known."""
-WITHIN = f"each within {100 * DRAWN:g} % of itself"
+"""Largest share by which coefficients are drawn at random where the model does not tell how well it knows them."""
+WITHIN = f"each within {100 * DRAWN:g} % of itself, as the model tells no standard errors"
 """How coefficients were drawn by that share, in words."""
 
 
@@ -42,27 +42,29 @@ def uncertain(model: SindyModel) -> list[tuple[int, int]]:
     return [(int(k), int(i)) for k, i in (model.constraints.free & (model.coefficients != 0)).nonzero()]
 
 
-def variants(model: SindyModel, draws: int, seed: int, errors: Tensor | None = None) -> Variants:
+def variants(model: SindyModel, draws: int, seed: int) -> Variants:
     """Draw coefficients, and move each that was found in data by `SHARE` up and down.
+
+    They are drawn from the covariance of the fit, as far as the model tells it; else uniformly, within a share `DRAWN`
+    of each.
 
     Args:
         model: The model.
         draws: Number of draws, all coefficients at a time.
         seed: Their seed.
-        errors: Standard error of each coefficient, `(n_features, n_x)`, as `Identifiability` has it: normal draws.
-            Without it, draws are uniform within a share `DRAWN` of each coefficient.
     """
     generator = torch.Generator().manual_seed(seed)
     found, xi = uncertain(model), model.coefficients
-    mask = torch.zeros_like(xi)
-    for place in found:
-        mask[place] = 1.0
-    shape = (draws, *xi.shape)
-    if errors is None:
-        uniform = 2 * torch.rand(shape, generator=generator, dtype=xi.dtype) - 1
-        drawn = xi * (1 + DRAWN * uniform * mask)
+    if model.covariance is None:
+        mask = torch.zeros_like(xi)
+        for place in found:
+            mask[place] = 1.0
+        uniform = 2 * torch.rand((draws, *xi.shape), generator=generator, dtype=xi.dtype) - 1
+        drawn, how = xi * (1 + DRAWN * uniform * mask), WITHIN
     else:
-        drawn = xi + torch.randn(shape, generator=generator, dtype=xi.dtype) * errors * mask
+        drawn = model.covariance.draw(xi, draws, generator)
+        shares = 100 * model.covariance.shares(xi)
+        how = f"from the covariance of the fit, with standard errors of {shares.min():.2g} to {shares.max():.2g} %"
     moved, labels = [], [f"draw {k + 1}" for k in range(draws)]
     for k, i in found:
         for sign in (1, -1):
@@ -70,7 +72,6 @@ def variants(model: SindyModel, draws: int, seed: int, errors: Tensor | None = N
             changed[k, i] *= 1 + sign * SHARE
             moved.append(changed)
             labels.append(f"{model.library.names[k]} in {model.signature.state_names[i]}' {100 * sign * SHARE:+.0f} %")
-    how = WITHIN if errors is None else "by their standard errors"
     return Variants(labels, torch.cat([drawn, *(one.unsqueeze(0) for one in moved)]), draws, how)
 
 

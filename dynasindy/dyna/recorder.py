@@ -195,7 +195,7 @@ class Recorder(Callback):
             metrics["observer"] = self.parts.sensing.observer.state_dict()
             write_json(self.folder / "observer.json", metrics["observer"])
         metrics["verdict"] = asdict(judge(metrics, self.within))
-        self._write_rollout("step_response", final.trajectory[shown.row])
+        self._write_rollout("step_response", final.trajectory[shown.row], last=True)
         with whole(self.folder / "model.json") as path:
             self.parts.world_model.save(path)
         with whole(self.folder / "policy.pt") as path:
@@ -300,12 +300,18 @@ class Recorder(Callback):
             write_csv(self.folder / "progress.csv", list(self.rows[0]), [list(row.values()) for row in self.rows])
             write_csv(self.folder / "gate.csv", GATE_COLUMNS, self.decisions)
 
-    def _write_rollout(self, name: str, rollout: TensorDict) -> None:
+    def _write_rollout(self, name: str, rollout: TensorDict, last: bool = False) -> None:
+        """Write a row per control period, and the `last` state, after the last period, in a row without inputs."""
         signature = self.plant.system.signature
         columns = [*signature.state_names, *signature.input_names]
         columns += [f"reference_{name}" for name in self.plant.task.output_names]
         values = torch.cat([rollout["state"], rollout["action"], rollout["reference"]], -1)
-        self._write_series(name, columns, _with_gaps(values, rollout["step_count"][:, 0]))
+        values = _with_gaps(values, rollout["step_count"][:, 0])
+        if last:
+            empty = torch.full_like(rollout["action"][-1:], math.nan)
+            end = [rollout["next", "state"][-1:], empty, rollout["reference"][-1:]]
+            values = torch.cat([values, torch.cat(end, -1)])
+        self._write_series(name, columns, values)
 
     def _left_out(self, excited: TensorDict) -> list[list[float]]:
         """Return from when to when the fit leaves the excitation out, on the clock of its table [s]."""

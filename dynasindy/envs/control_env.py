@@ -14,6 +14,7 @@ from torchrl.envs import EnvBase
 from dynasindy.limits import Count, check_memory
 from dynasindy.systems import System, integrate
 from dynasindy.systems.sound import rates, require_plant, shapes
+from dynasindy.systems.steps import steps_of
 from dynasindy.tasks import Task, Tracking
 from dynasindy.tasks.constants import constants
 
@@ -144,8 +145,15 @@ class ControlEnv(EnvBase):
         """Refuse a plant that is none, and warn where its rates of change are not finite; of a model the gate tells.
 
         Raises:
-            ValueError: They are not finite where episodes begin, or a row of a batch depends on another.
+            ValueError: They are not finite where episodes begin, a row of a batch depends on another, or a plant that
+                moves in steps has another control period or samples within it.
         """
+        if self.system.step is not None:
+            steps_of(self.system.step, self.dt, 1)
+            if self.substeps > 1:
+                raise ValueError(
+                    f"env.substeps={self.substeps}: the plant moves in steps and has no samples within them; give 1"
+                )
         bounds = self.task.bounds if isinstance(self.task, Tracking) else None
         require_plant(self.system, self._begins, bounds)
 

@@ -97,6 +97,8 @@ class LateEnv(ControlEnv):
     def advance(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         """Advance states by one control period, under the commands that arrive in it."""
         before, now = (self.past[k].to(x.dtype) for k in (0, 1))
+        if self.system.step is not None:
+            return self._stepped(x, before, now)
         samples, touched = [], []
         for k in range(self.substeps):
             old = min(1.0, max(0.0, self.part * self.substeps - k))  # part of this sample before the input changes
@@ -105,3 +107,12 @@ class LateEnv(ControlEnv):
             samples.append(x)
             touched.append(hit)
         return torch.stack(samples, -2), torch.stack(touched).any(0)
+
+    def _stepped(self, x: Tensor, before: Tensor, now: Tensor) -> tuple[Tensor, Tensor]:
+        """Advance a difference equation, whose input changes between two of its steps."""
+        first, touched = self.part * self.dt if self.part > 1e-6 else 0.0, torch.zeros_like(x[..., 0], dtype=torch.bool)
+        if first:
+            end, touched = integrate(self.system, x, before, first, 1, self.stops)
+            x = end[..., -1, :]
+        samples, hit = integrate(self.system, x, now, self.dt - first, self.substeps, self.stops)
+        return samples, touched | hit

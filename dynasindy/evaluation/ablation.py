@@ -162,7 +162,7 @@ def to_markdown(rows: Iterable[Row], level: Level) -> str:
         "evaluations in a row.",
         "Interquartile mean over seeds [95 % bootstrap interval]; where there are fewer than three seeds, the value of "
         "each.",
-        "Excitation counts as real, evaluation does not.",
+        "The excitation counts as real experience, and evaluations do not.",
         "Steady-state error: the worse axis after the last episode. Area: the mean evaluated return.",
         "",
     ]

@@ -175,7 +175,7 @@ def rates_lacking(model: SindyModel, source: Source) -> Lacking:
     signature, known = source.signature, _known(model)
     missing = moving_on(model.library, source.training)
     angles = []
-    if "rad/s" not in signature.state_units and not _chosen(model, signature):
+    if model.step is None and "rad/s" not in signature.state_units and not _chosen(model, signature):
         angles = [n for n, unit in zip(signature.state_names, signature.state_units, strict=True) if unit == "rad"]
     return Lacking(
         *(

@@ -51,6 +51,11 @@ class Pushed(System):
         self.system = system
         self.register_buffer("push", _by_name(system.signature, push, 0.0))
 
+    @property
+    def step(self) -> float | None:
+        """Step of the difference equation that it is [s]; None of a differential equation."""
+        return self.system.step
+
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
         return self.system(x, u) + self.push.to(x)
@@ -90,6 +95,11 @@ class Detuned(System):
         self.system = system
         self.register_buffer("gain", _by_name(system.signature, gain, 1.0))
         self.register_buffer("input_gain", torch.tensor(input_gain, dtype=torch.float64))
+
+    @property
+    def step(self) -> float | None:
+        """Step of the difference equation that it is [s]; None of a differential equation."""
+        return self.system.step
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""

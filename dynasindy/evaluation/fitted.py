@@ -97,7 +97,8 @@ def _fitted(model: SindyModel, source: Source) -> Fitted:
     if before is None:
         return plain
     lacking = bool(unresolved(before, model.signature).any())
-    if lacking and not moving_on(model.library, arrived(source.training, model.delay)):
+    # A state that follows a signal is one of a differential equation.
+    if lacking and model.step is None and not moving_on(model.library, arrived(source.training, model.delay)):
         for found in _wider(model, source):
             after = _forecast(found) if found.follower else None
             if after is not None and _better(before, after, model.signature):

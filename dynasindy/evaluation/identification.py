@@ -32,7 +32,7 @@ from dynasindy.world_models.models.actuators import Found, behind, find_actuator
 from dynasindy.world_models.models.prediction import nrmse, one_step_error, open_loop
 from dynasindy.world_models.refinement.delay import delayed
 from dynasindy.world_models.refinement.measured import rates_known
-from dynasindy.world_models.writers.tables import to_csv, to_latex, to_text
+from dynasindy.world_models.writers.tables import to_csv, to_latex, to_text, with_errors
 
 ExcitationBuilder = Callable[..., Excitation]
 BEHIND = "model_with_actuator.json"
@@ -262,6 +262,7 @@ def to_words(found: Identified, source: Source) -> str:
         seen.append(f"{found.found.words}; {BEHIND} has it")
     lines = [
         *found.model.equations(),
+        *_errors(found.model),
         "",
         found.report.to_text(),
         *(f"found: {line}" for line in seen),
@@ -281,6 +282,14 @@ def to_words(found: Identified, source: Source) -> str:
         return "\n".join([*lines, "the validation data are too short to judge how far ahead the model predicts"])
     lines += verdict.judge(told, signature) if (told := found.heard()) is not None else []
     return "\n".join([*lines, *filter(None, [found.quiet])])
+
+
+def _errors(model: SindyModel) -> list[str]:
+    """Return a line for each coefficient with its standard error, below a heading; none where they are not known."""
+    if model.covariance is None:
+        return []
+    errors = model.covariance.table(model.coefficients.shape)
+    return ["", "coefficients and their standard errors", *with_errors(model.library, model.coefficients, errors)]
 
 
 def _heading(name: str, given: object) -> str:

@@ -52,13 +52,15 @@ def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> Peri
     It is what suits the log, but a fifth of the model's fastest oscillation at most, where the log mostly was or in a
     quarter of its places; without a log where episodes begin. It is longer where a plan would otherwise not look as
     far ahead as the regulated plant takes to settle. With a log it is a multiple of its sampling time, and one sample
-    at least.
+    at least. Of a difference equation without a log it is the step.
 
     Args:
         model: The fitted model.
         task: What is to be tracked.
         log: The log.
     """
+    if log is None and model.step:
+        return _chosen(model.step, "the step of the model")
     usual, step = nearest_period(log), log.training.dt if log else 0.0
     task, (x, u) = as_planned(task, model, log), _places(model, task, log)
     oscillation = _oscillation(model, x, u, task.outputs)
@@ -88,6 +90,8 @@ def other_period(model: SindyModel, task: Tracking, log: Source | None, dt: floa
         log: The log.
         dt: The control period of the plan [s].
     """
+    if model.step is not None:
+        return ""  # a difference equation swings as often however it is sampled
     task, (x, u) = as_planned(task, model, log), _places(model, task, log)
     step, oscillation = log.training.dt if log else 0.0, _oscillation(model, x, u, task.outputs)
     longest = oscillation / PART

@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import SindyModel
+from dynasindy.world_models.refinement.delay import arrived
 from dynasindy.world_models.refinement.measured import best_length, filled, local_cubic
+from dynasindy.world_models.refinement.noisy import sensor_noise
 
 Array = NDArray[np.float64]
 LAGS = 10
@@ -60,6 +63,21 @@ def resolution(column: Array) -> float:
         column: samples, `(n,)`; NaN if there are none.
     """
     return step_of(column) or _noise(column)
+
+
+def resolutions(model: SindyModel, data: Transitions) -> list[float]:
+    """Return what the sensor of each state of a model can tell [its unit]; NaN of what was not measured.
+
+    A difference equation may jump from sample to sample, which no cubic follows: its own errors tell the noise.
+
+    Args:
+        model: a fitted model.
+        data: the recording.
+    """
+    if model.step is None:
+        return [resolution(column) for column in samples_of(data)]
+    noise, _ = sensor_noise(model.library, model.coefficients, arrived(data, model.delay))
+    return noise.sqrt().tolist()
 
 
 def step_of(column: Array) -> float:

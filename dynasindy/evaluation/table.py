@@ -23,8 +23,8 @@ SWEEP = (
     "real steps (plant time)",
     "return, untrained",
     "return, trained",
-    "steady-state error, per axis [{}]",
-    "RMSE, per axis [{}]",
+    "steady-state error, per axis{}",
+    "RMSE, per axis{}",
     "wall time [s]",
 )
 
@@ -33,7 +33,8 @@ def sweep_table(folder: Path) -> str:
     """Return a Markdown table of a sweep, a row per setting, over its seeds.
 
     Args:
-        folder: Folder of the sweep, whose runs are named `number_key-value__key-value` by Hydra.
+        folder: Folder of the sweep, whose runs are named `number_key-value__key-value` by Hydra; or of an ablation or a
+            part of it, in which a run lies in `system/experiment/setting/key-value/seed_N`.
 
     Raises:
         FileNotFoundError: No run of the folder has ended, or it is one run.
@@ -42,19 +43,26 @@ def sweep_table(folder: Path) -> str:
     if (folder / "metrics.json").is_file():
         raise FileNotFoundError(f"{folder} is one run, not a sweep of runs; give the folder above it")
     groups: dict[str, list[dict[str, Any]]] = {}
-    for file in sorted(folder.glob("*/metrics.json")):
-        words = overrides(file.parent.name.partition("_")[2])
-        setting = " ".join(word for word in words if not word.startswith("seed="))
+    for file in sorted(folder.rglob("metrics.json")):
+        setting = _setting(file.parent.relative_to(folder))
         with understood(file):
             _row(setting, [run := read_record(file)])
         groups.setdefault(setting, []).append(run)
     if not groups:
         raise FileNotFoundError(f"{folder} holds no finished run; give the folder of a sweep, which it prints")
     with understood(folder):  # whose runs may not have the same figures
+        units = {_units(run) for runs in groups.values() for run in runs}
+        shared = units.pop() if len(units) == 1 else ""  # plants may differ in them
         return markdown(
-            [head.format(_units(groups)) for head in SWEEP],
-            [_row(setting, runs) for setting, runs in sorted(groups.items())],
+            [head.format(shared) for head in SWEEP],
+            [_row(setting, runs, not shared) for setting, runs in sorted(groups.items())],
         )
+
+
+def _setting(place: Path) -> str:
+    """Return the setting of a run in words, all but its seed, from the folders that lead to it in that of its sweep."""
+    words = [word for part in place.parts for word in overrides(re.sub(r"^\d+(_|$)", "", part))]
+    return " ".join(word for word in words if not re.match(r"seed[=_]", word))
 
 
 def overrides(name: str) -> list[str]:
@@ -95,24 +103,24 @@ def _short(value: float, digits: int, infinite: str) -> str:
     return f"{value:.0f}" if abs(value) >= 10**digits - 0.5 else f"{value:.{digits}g}"
 
 
-def _row(setting: str, runs: Sequence[dict[str, Any]]) -> list[str]:
-    cost = runs[0]["cost"]
+def _row(setting: str, runs: Sequence[dict[str, Any]], with_units: bool = False) -> list[str]:
+    cost, unit = runs[0]["cost"], _units(runs[0]) if with_units else ""
     return [
         f"`{setting or 'default'}`",
         str(len(runs)),
         f"{cost['real_steps']} ({in_words(cost['plant_seconds'])})",
         _finite([run["untrained"]["return"] for run in runs]),
         _finite([run["evaluation"]["return"] for run in runs]),
-        _axes(runs, "steady_state_error"),
-        _axes(runs, "rmse"),
+        _axes(runs, "steady_state_error") + unit,
+        _axes(runs, "rmse") + unit,
         _finite([run["cost"]["wall_seconds"] for run in runs]),
     ]
 
 
-def _units(groups: Mapping[str, Sequence[dict[str, Any]]]) -> str:
-    """Return the unit of all axes, or one for each."""
-    units = [*next(iter(groups.values()))[0].get("units", {"": "rad"}).values()]
-    return " / ".join(units if len(set(units)) > 1 else units[:1])
+def _units(run: Mapping[str, Any]) -> str:
+    """Return the unit of all axes of a run, or one for each, as it stands behind a name or a figure."""
+    units = [*run.get("units", {"": "rad"}).values()]
+    return f" [{' / '.join(units if len(set(units)) > 1 else units[:1])}]"
 
 
 def _axes(runs: Sequence[dict[str, Any]], metric: str) -> str:

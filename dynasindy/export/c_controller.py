@@ -70,6 +70,7 @@ def controller_sources(controller: Controller, name: str = "controller") -> Cont
         *((0, 0) if found is None else (found.flops, len(found.lines))),
         0 if watching is None else watching.n_stops,
         task.observe_rate,
+        watching is not None and watching.model.step is not None,
     )  # fmt: skip
     flags, words = _flags(controller), _words(controller, name)
     text = f'{_HEAD}#include "{name}.h"\n\n#include <math.h>\n\n{_sizes(sizes, name)}\n{_tables(controller)}'

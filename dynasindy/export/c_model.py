@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dynasindy.export.expressions import Formulas, formulas
+from dynasindy.export.expressions import Formulas, right_sides
 from dynasindy.export.names import comment, identifiers, module_name, number
 from dynasindy.systems import Signature
 from dynasindy.world_models import SindyModel
@@ -39,7 +39,7 @@ class Sources:
 
 
 def model_sources(model: SindyModel, name: str = "model") -> Sources:
-    """Write a model as a C function `NAME_dx(x, u, dx)`.
+    """Write a model as a C function `NAME_dx(x, u, dx)`; a difference equation as `NAME_next(x, u, next)`.
 
     Args:
         model: The model.
@@ -48,18 +48,21 @@ def model_sources(model: SindyModel, name: str = "model") -> Sources:
     Raises:
         ValueError: The name is none, or the model has a function without a formula.
     """
-    name, signature, found = module_name(name), model.signature, formulas(model)
+    name, signature, found = module_name(name), model.signature, right_sides(model)
+    kind, result = ("dx/dt = f(x, u)", "dx") if model.step is None else ("x[k+1] = F(x[k], u[k])", "next")
+    each = "" if model.step is None else f"A step takes {model.step!r} s, in which the inputs are held. "
     late = f"Inputs act {model.delay!r} s after they are given: u is what acts." if model.delay else ""
-    told = block([*signature_words(signature), "", f"{found.flops} floating-point operations per call. {late}"])
-    arguments = f"const double x[{signature.n_x}], const double u[{max(1, signature.n_u)}], double dx[{signature.n_x}]"
+    told = block([*signature_words(signature), "", f"{found.flops} floating-point operations per call. {each}{late}"])
+    n_x, n_u = signature.n_x, max(1, signature.n_u)
+    arguments = f"const double x[{n_x}], const double u[{n_u}], double {result}[{n_x}]"
     header = (
-        f"/* The identified model, dx/dt = f(x, u).\n *\n{told}\n */\n#ifndef {name.upper()}_H\n"
+        f"/* The identified model, {kind}.\n *\n{told}\n */\n#ifndef {name.upper()}_H\n"
         f'#define {name.upper()}_H\n\n#ifdef __cplusplus\nextern "C" {{\n#endif\n\n'
         f"/* Places in the arrays, by name. */\nenum {{\n{places(signature, name)}\n}};\n\n"
-        f"void {name}_dx({arguments});\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n"
+        f"void {name}_{result}({arguments});\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n"
     )
     source = f'#include "{name}.h"\n\n#include <math.h>\n\n{helpers(found)}{_equations(model)}'
-    return Sources(name, header, source + _function(found, f"void {name}_dx({arguments})"))
+    return Sources(name, header, source + _function(found, f"void {name}_{result}({arguments})", result))
 
 
 def field(model: SindyModel, found: Formulas) -> str:
@@ -109,8 +112,8 @@ def _equations(model: SindyModel) -> str:
     return "/* The identified equations, rounded:\n *\n" + block(model.equations()) + "\n */\n"
 
 
-def _function(found: Formulas, head: str) -> str:
+def _function(found: Formulas, head: str, result: str = "dx") -> str:
     spare = [f"    (void){variable};\n" for variable in ("x", "u") if not found.reads(variable)]
     body = [f"    const double {name} = {formula};\n" for name, formula in found.lines]
-    results = [f"    dx[{i}] = {formula};\n" for i, formula in enumerate(found.results)]
+    results = [f"    {result}[{i}] = {formula};\n" for i, formula in enumerate(found.results)]
     return f"{head}\n{{\n{''.join([*body, *spare, *results])}}}\n"

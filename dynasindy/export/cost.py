@@ -43,6 +43,7 @@ class Sizes:
     values: int
     n_stops: int
     observe_rate: bool
+    difference: bool = False
 
     @property
     def n_p(self) -> int:
@@ -89,6 +90,8 @@ def _flops(s: Sizes) -> int:
 
 
 def _step(s: Sizes) -> int:
+    if s.difference:
+        return s.flops + s.n_p + 2 * s.n
     return 4 * (s.flops + s.n_p) + 16 * s.n
 
 
@@ -131,7 +134,7 @@ def _stack(s: Sizes) -> int:
     """Return the largest sum of the variables of functions that call each other."""
     n_z, field = s.n_x + s.n_u, DOUBLE * s.values + FRAME
     act = DOUBLE * (max(s.n, s.n_x) + s.n_r + s.n_u) + FRAME
-    flow = DOUBLE * 3 * s.n + 2 * FRAME + field
+    flow = DOUBLE * (1 if s.difference else 3) * s.n + 2 * FRAME + field
     paths = [2 * FLOAT * s.widest + 2 * FRAME]
     if s.n:
         paths.append(DOUBLE * (2 * s.n**2 + 3 * s.n) + 2 * FRAME + flow)

@@ -10,10 +10,14 @@ import re
 from collections import Counter
 from dataclasses import dataclass
 
+from torch import Tensor
+
 from dynasindy.export.names import number
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.libraries.functions import FORMULA_FUNCTIONS
+from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.writers.infix import InfixWriter
+from dynasindy.world_models.writers.tables import mapping
 
 _OPERATOR = re.compile(r" [-+*/] |-(?=square)")
 _CALL = re.compile(rf"\b({'|'.join(FORMULA_FUNCTIONS)})\(")
@@ -46,12 +50,25 @@ class Formulas:
 
 
 def formulas(model: SindyModel) -> Formulas:
-    """Return the equations of a model as formulas.
+    """Return the rates of change of a model as formulas.
 
     Raises:
         ValueError: The model has a function without a formula, or too many terms.
     """
-    writer = _FormulaWriter.of(model.library, model.coefficients)
+    return _written(model.library, model.coefficients)
+
+
+def right_sides(model: SindyModel) -> Formulas:
+    """Return the right sides of the equations as formulas: rates of change, or of a difference equation next states.
+
+    Raises:
+        ValueError: The model has a function without a formula, or too many terms.
+    """
+    return _written(*mapping(model.library, model.coefficients))
+
+
+def _written(library: Library, coefficients: Tensor) -> Formulas:
+    writer = _FormulaWriter.of(library, coefficients)
     lines = writer.named
     written = [*(text for _, text in lines), *writer.results]
     calls = Counter(name for text in written for name in _CALL.findall(text))

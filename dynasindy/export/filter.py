@@ -11,7 +11,10 @@ from dynasindy.export.names import number, reach
 from dynasindy.sensing import Observer
 from dynasindy.sensing.observer import NUDGE, UNKNOWN
 from dynasindy.systems import Stops
+from dynasindy.systems.steps import Steps
 from dynasindy.world_models import SindyModel
+
+NO_STEPS = Steps(0.0, 0, False)
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,8 @@ class Filter:
         whole, part = observer.late()
         late, dt = observer.sensors.delay + whole, observer.dt
         sensed = tuple(i for i, r in enumerate(observer.variance.tolist()) if r < torch.inf)
-        rest_steps, part_steps = (max(1, round(observer.substeps * s / dt)) for s in (dt - part, part))
+        rest, parts_of, ahead = (observer.steps(s) if s else NO_STEPS for s in (dt - part, part, dt))
+        rest_steps, part_steps = rest.number, max(1, parts_of.number)
         stops, n_stops = stop_words(observer.stops, observer.n_x)
         n = len(observer.scale)
         scale, followers = observer.scale, observer.model.followers
@@ -68,11 +72,12 @@ class Filter:
             "late_index": ", k" if late else "",
             "part": number(part), "part_steps": part_steps,
             "rest": number(dt - part), "rest_steps": rest_steps,
-            "substeps": max(1, round(observer.substeps)),
+            "substeps": ahead.number,
             **stops,
         }  # fmt: skip
-        parts = {"observer": True, "pushed": observer.pushed, "stops": n_stops, "part": part, "late": late}
-        steps = (rest_steps + bool(part) * part_steps, bool(part) * part_steps + late * max(1, observer.substeps))
+        parts: dict[str, object] = {"observer": True, "pushed": observer.pushed, "stops": n_stops, "part": part}
+        parts |= {"late": late, "difference": observer.model.step is not None}
+        steps = (rest_steps + bool(part) * part_steps, bool(part) * part_steps + late * ahead.number)
         flags = {flag for flag, there in parts.items() if there} | ({"followers"} if followers else set())
         return cls(observer.model, sensed, words, flags, (n, len(sensed), late + 2, *steps), n_stops)
 

@@ -108,7 +108,7 @@ def plant_fmu(
     Args:
         model: The model.
         path: File to write.
-        step: Longest step of the Runge-Kutta method [s].
+        step: Longest step of the Runge-Kutta method [s]; a difference equation has its own, and moves by whole steps.
         stops: Mechanical stops, if any.
         name: Its model identifier.
         version: Of FMI, 2 or 3.
@@ -123,7 +123,9 @@ def plant_fmu(
     if not signature.n_u:
         raise ValueError("an FMU of a plant has inputs, and this model has none; export it as C instead")
     stopped, n_stops = stop_words(stops, signature.n_x)
+    step = model.step or step
     flags = {*(["stops"] if n_stops else []), *(["late"] if model.delay else [])}
+    flags |= {"difference"} if model.step is not None else set()
     sizes = {"NX": signature.n_x, "NU": signature.n_u, "N": signature.n_x, "VALUES": signature.n_x + signature.n_u}
     sizes |= {"PAST": PAST} if model.delay else {}
     words = {**stopped, "pushes_word": "", "step": number(step), "delay": number(model.delay)}

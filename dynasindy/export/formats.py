@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynasindy.export.expressions import formulas
+from dynasindy.export.expressions import Formulas, formulas, right_sides
 from dynasindy.export.names import comment, identifiers, module_name
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.writers.tables import equations_to_latex
@@ -30,16 +30,20 @@ def casadi_source(model: SindyModel, name: str = "model") -> str:
         ValueError: The name is none, or the model has a function without a formula.
     """
     name, signature = module_name(name), model.signature
+    kind, word = ("dx/dt = f(x, u)", "dx") if model.step is None else ("x[k+1] = F(x[k], u[k])", "next")
+    step = "" if model.step is None else f"STEP = {model.step!r}  # seconds from x[k] to x[k+1]\n"
     equations = "\n".join(comment(line) for line in model.equations())
     return (
-        f'"""The identified model, dx/dt = f(x, u), for CasADi.\n\n{equations}\n"""\n\n'
+        f'"""The identified model, {kind}, for CasADi.\n\n{equations}\n"""\n\n'
         "import casadi\nfrom casadi import cos, exp, fabs, sign, sin, sqrt, tanh\nfrom casadi import fmax as larger\n\n"
         f"STATES = {signature.state_names!a}\nSTATE_UNITS = {signature.state_units!a}\n"
-        f"INPUTS = {signature.input_names!a}\nDELAY = {model.delay!r}  # seconds from an input to its effect\n\n\n"
+        f"INPUTS = {signature.input_names!a}\n"
+        f"DELAY = {model.delay!r}  # seconds from an input to its effect\n{step}\n\n"
         "def square(a):\n    return a * a\n\n\n"
-        f'{_python(model)}\n\ndef function():\n    """Return dx/dt as a casadi.Function of x and u."""\n'
+        f"{_python(right_sides(model), word)}\n\n"
+        f'def function():\n    """Return {word} as a casadi.Function of x and u."""\n'
         f'    x, u = casadi.SX.sym("x", {signature.n_x}), casadi.SX.sym("u", {signature.n_u})\n'
-        f'    return casadi.Function("{name}", [x, u], [casadi.vertcat(*field(x, u))], ["x", "u"], ["dx"])\n'
+        f'    return casadi.Function("{name}", [x, u], [casadi.vertcat(*field(x, u))], ["x", "u"], ["{word}"])\n'
     )
 
 
@@ -57,11 +61,13 @@ def latex_source(model: SindyModel, digits: int = 5) -> str:
 def numpy_field(model: SindyModel) -> NumpyField:
     """Return dx/dt of a model as a function of arrays `x` `(n_x,)` and `u` `(n_u,)`, in NumPy alone.
 
+    Of a difference equation it returns the next state.
+
     Raises:
         ValueError: The model has a function without a formula.
     """
     calls: dict[str, Any] = {name: getattr(np, name) for name in ("cos", "exp", "fabs", "sign", "sin", "sqrt", "tanh")}
-    field = field_of(model, calls | {"square": np.square, "larger": np.maximum})
+    field = _run(right_sides(model), calls | {"square": np.square, "larger": np.maximum})
     return lambda x, u: np.array(field(x, u), dtype=np.float64)
 
 
@@ -75,15 +81,20 @@ def field_of(model: SindyModel, calls: Mapping[str, Any]) -> Callable[[Any, Any]
     Raises:
         ValueError: The model has a function without a formula.
     """
+    return _run(formulas(model), calls)
+
+
+def _run(found: Formulas, calls: Mapping[str, Any]) -> Callable[[Any, Any], list[Any]]:
+    """Return formulas as a function."""
     scope = dict(calls)
     # The text is made of numbers, places and the formulas of the library's functions: no word of a file is in it.
-    exec(compile(_python(model), "<exported model>", "exec"), scope)
-    found: Callable[[Any, Any], list[Any]] = scope["field"]
-    return found
+    exec(compile(_python(found), "<exported model>", "exec"), scope)
+    field: Callable[[Any, Any], list[Any]] = scope["field"]
+    return field
 
 
 def control_system(model: SindyModel) -> Any:
-    """Return a model as a nonlinear system of python-control, whose outputs are its states.
+    """Return a model as a nonlinear system of python-control, whose outputs are its states; in discrete time as it is.
 
     Its inputs are those that act: a delay of the model is not in it.
 
@@ -105,12 +116,13 @@ def control_system(model: SindyModel) -> Any:
         states=[f"x_{word}" for word in states],
         outputs=[f"y_{word}" for word in states],
         name="model",
+        dt=model.step or 0,
     )
 
 
-def _python(model: SindyModel) -> str:
+def _python(found: Formulas, word: str = "dx") -> str:
     """Return the text of `field(x, u)`."""
-    found = formulas(model)
+    what = "dx/dt of the states" if word == "dx" else "the states one step later"
     body = "".join(f"    {name} = {formula}\n" for name, formula in found.lines)
-    head = 'def field(x, u):\n    """Return dx/dt of the states as a list."""\n'
+    head = f'def field(x, u):\n    """Return {what} as a list."""\n'
     return f"{head}{body}    return [{', '.join(found.results)}]\n"

@@ -241,11 +241,14 @@ class _Watching:
         return self._flow(columns, inputs[self.memory - self.late - 1], self.observer.dt - self.part)
 
     def _flow(self, x: list[Value], u: Value, seconds: float) -> list[Value]:
-        """Move states, one value each, on under held inputs by steps of the classical Runge-Kutta method."""
-        steps = max(1, round(self.observer.substeps * seconds / self.observer.dt))
-        h, given = seconds / steps, [u[i] for i in range(self.observer.model.signature.n_u)]
-        for _ in range(steps):
+        """Move states, one value each, on under held inputs by the steps of the observer."""
+        h, count, difference = self.observer.steps(seconds)
+        given = [u[i] for i in range(self.observer.model.signature.n_u)]
+        for _ in range(count):
             k1 = self._rates(x, given)
+            if difference:
+                x = self._stopped(_moved(x, h, k1))
+                continue
             k2 = self._rates(_moved(x, 0.5 * h, k1), given)
             k3 = self._rates(_moved(x, 0.5 * h, k2), given)
             k4 = self._rates(_moved(x, h, k3), given)

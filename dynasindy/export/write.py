@@ -128,7 +128,7 @@ def _model(model: SindyModel, folder: Path) -> list[str]:
     told = {"model.tex": "the equations as LaTeX", "model.py": "the equations for CasADi"}
     for name, text in files.items():
         write_text(folder / name, text)
-    return [_size(folder / name, told.get(name, "dx/dt = f(x, u) in C")) for name in files]
+    return [_size(folder / name, told.get(name, "the equations in C")) for name in files]
 
 
 def _fmu(path: Path, written: Callable[[Path], bool]) -> str:

@@ -18,6 +18,7 @@ import torch
 from scipy.linalg import eig
 from torch import Tensor
 
+from dynasindy.agents.classical.linearise import told_by_time
 from dynasindy.planning.rests import slopes
 from dynasindy.systems import System
 
@@ -43,8 +44,9 @@ def fastest_oscillation(system: System, x: Tensor, u: Tensor, outputs: Sequence[
         return math.inf
     scale = torch.tensor(system.signature.x_scale, dtype=torch.float64)
     rates, left, right = map(torch.as_tensor, eig((a * scale / scale.unsqueeze(-1)).numpy(), left=True))
-    size, reach = rates.abs(), (left.mH @ (b / scale.unsqueeze(-1)).to(left)).abs().amax(-1)
-    moved = reach > SHARE * size * (left.conj() * right).sum(0).abs()
+    reach = (left.mH @ (b / scale.unsqueeze(-1)).to(left)).abs().amax(-1)
+    moved = reach > SHARE * rates.abs() * (left.conj() * right).sum(0).abs()
     seen = right[list(outputs)].abs().amax(0) > SHARE
-    counts = (rates.imag > 0) & (rates.real.abs() < LIGHT * size) & (moved | seen)
+    rates = rates if system.step is None else told_by_time(rates, system.step)
+    counts = (rates.imag > 0) & (rates.real.abs() < LIGHT * rates.abs()) & (moved | seen)
     return 2 * math.pi / float(rates.imag[counts].max()) if bool(counts.any()) else math.inf

@@ -22,6 +22,7 @@ import torch
 from torch import Tensor
 from torch.quasirandom import SobolEngine
 
+from dynasindy.agents.classical.linearise import modes
 from dynasindy.durations import in_words
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.regulator import Regulator, Weights, regulated, squares_of
@@ -90,7 +91,7 @@ class PlanSettings:
         begun = f"begun as {law}, " if self.held else ""
         return (
             f"{begun}window {self.window} periods, lr {self.lr:g}, {self.updates} updates, patience {self.patience}, "
-            f"{self.substeps} Runge-Kutta step{'s' * (self.substeps > 1)} a period: {self.why}"
+            f"{self.substeps} step{'s' * (self.substeps > 1)} a period: {self.why}"
         )
 
 
@@ -121,13 +122,13 @@ def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettin
     never = unheld(env, rests)
     if not len(rests):
         return PlanSettings(why=never)
-    moved, seconds = rests.moved, env.task.max_steps * env.dt
+    moved, seconds, step = rests.moved, env.task.max_steps * env.dt, env.system.step
     scale = torch.tensor(env.system.signature.x_scale, dtype=torch.float64)[moved]
     places = torch.linspace(0, len(rests) - 1, min(LOOKED_AT, len(rests))).long()
     slopes = [rests.a[k][moved][:, moved] for k in places.tolist()]
-    grown = max(growth(a, scale, seconds) for a in slopes)
-    fastest = max(float(torch.linalg.eigvals(a).abs().max()) for a in slopes)
-    substeps = max(1, min(math.ceil(fastest * env.dt / STEP - 1e-9), SUBSTEPS))
+    grown = max(growth(a, scale, seconds, step) for a in slopes)
+    fastest = max(float(modes(a, step).abs().max()) for a in slopes)
+    substeps = max(1, min(math.ceil(fastest * env.dt / STEP - 1e-9), SUBSTEPS)) if step is None else 1
     regulator = Regulator.of(env, rests, Weights())
     slowest = regulator.slowest if regulator else math.nan
     window = 60 if math.isnan(slowest) else WINDOW * round(TIME_CONSTANTS * slowest / WINDOW)
@@ -135,7 +136,7 @@ def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettin
     loop = "no linear regulator holds it"
     if regulator is not None:
         loop = f"under a linear regulator its slowest motion has a time constant of {slowest:.3g} control periods"
-    why = "; ".join(filter(None, (_fate(slopes, grown, seconds), loop, never)))
+    why = "; ".join(filter(None, (_fate(slopes, grown, seconds, step), loop, never)))
     if not grown > GROWN:
         assert isinstance(env.task, Tracking)
         narrow = _narrow(env.task) if regulator is not None else ""
@@ -171,7 +172,7 @@ def settles(env: ControlEnv, x: Tensor, u: Tensor, share: float = SETTLED) -> fl
     found = []
     for a, b in zip(*slopes(env.system, *places), strict=True):
         fine = bool(a.isfinite().all() & b.isfinite().all())
-        law = regulated(a[moved][:, moved], b[moved], env.dt, q, weights.inputs) if fine else None
+        law = regulated(a[moved][:, moved], b[moved], env.dt, q, weights.inputs, env.system.step) if fine else None
         found.append(math.nan if law is None else law.settling(away, extents[moved], share))
     seconds = env.dt * torch.tensor(found, dtype=torch.float64)
     return float(seconds[0].fmin(seconds[1:].nanmedian()).nan_to_num(nan=0.0))
@@ -216,15 +217,16 @@ def unheld(env: ControlEnv, rests: Rests) -> str:
     return f"in the model no input {within} was found that holds {n} of {n + len(rests)} targets, {such}{held}"
 
 
-def _fate(slopes: list[Tensor], grown: float, seconds: float) -> str:
+def _fate(slopes: list[Tensor], grown: float, seconds: float, step: float | None) -> str:
     """Say what becomes of a deviation that nothing controls.
 
     Args:
         slopes: df/dx at some rests, `(n_x, n_x)` each [1/s].
         grown: By how much a deviation may have grown in an episode, in ranges.
         seconds: Length of an episode [s].
+        step: Of the difference equation that the model is [s]; None of a differential equation.
     """
-    fastest = max(float(torch.linalg.eigvals(a).real.max()) for a in slopes)
+    fastest = max(float(modes(a, step).real.max()) for a in slopes)
     if fastest * seconds > DOUBLED:
         doubling = in_words(math.log(2) / fastest, digits=2)
         return f"the plant is unstable, without control a deviation doubles every {doubling}"

@@ -92,7 +92,8 @@ class Regulator:
         task, k, moved = env.task, rests.middle(), rests.moved
         assert isinstance(task, Tracking)
         q = squares_of(task, weights)
-        found = regulated(rests.a[k][moved][:, moved], rests.b[k][moved], env.dt, q[moved], weights.inputs)
+        a, b = rests.a[k][moved][:, moved], rests.b[k][moved]
+        found = regulated(a, b, env.dt, q[moved], weights.inputs, env.system.step)
         return None if found is None else cls(task, rests, weights, q, found)
 
     def __call__(self, observation: Tensor) -> Tensor:
@@ -171,7 +172,7 @@ def squares_of(task: Tracking, weights: Weights) -> Tensor:
     return q
 
 
-def regulated(a: Tensor, b: Tensor, dt: float, q: Tensor, r: float) -> Solved | None:
+def regulated(a: Tensor, b: Tensor, dt: float, q: Tensor, r: float, step: float | None = None) -> Solved | None:
     """Return the law of the least quadratic cost for inputs that are held for a control period, or None without one.
 
     Args:
@@ -180,8 +181,9 @@ def regulated(a: Tensor, b: Tensor, dt: float, q: Tensor, r: float) -> Solved | 
         dt: Control period [s].
         q: Weight of each squared state, `(n_x,)`.
         r: Weight of each squared input.
+        step: Of the difference equation that the model is [s]; None of a differential equation.
     """
-    return riccati(*zero_order_hold(a, b, dt), q, r)
+    return riccati(*zero_order_hold(a, b, dt, step), q, r)
 
 
 def riccati(a: Tensor, b: Tensor, q: Tensor, r: float) -> Solved | None:

@@ -159,17 +159,22 @@ def _slope(f: Callable[[Tensor], Tensor], n: int, dtype: torch.dtype) -> Tensor:
     return ((f(steps) - f(-steps)) / (2 * _STEP)).mT
 
 
-def growth(a: Tensor, scale: Tensor, seconds: float) -> float:
+def growth(a: Tensor, scale: Tensor, seconds: float, step: float | None = None) -> float:
     """Return by how much a deviation of a state may have grown after some time, in ranges; inf beyond all numbers.
 
     Args:
         a: df/dx, `(n_x, n_x)` [1/s].
         scale: Ranges of the states, `(n_x,)`.
         seconds: The time [s].
+        step: Of the difference equation that the model is [s]; None of a differential equation.
     """
     scaled = a * scale / scale.unsqueeze(-1)
     with np.errstate(over="ignore", invalid="ignore"):
-        grown = torch.as_tensor(expm((scaled * seconds).numpy()))
+        if step is None:
+            grown = torch.as_tensor(expm((scaled * seconds).numpy()))
+        else:
+            once = torch.eye(len(a), dtype=a.dtype) + step * scaled
+            grown = torch.linalg.matrix_power(once, max(1, round(seconds / step)))
     return float(torch.linalg.matrix_norm(grown, 2)) if bool(grown.isfinite().all()) else math.inf
 
 

@@ -106,6 +106,11 @@ class Members(System):
             member.set_coefficients(coefficients)
         return cls(models)
 
+    @property
+    def step(self) -> float | None:
+        """Step of the difference equation that it is [s]; None of a differential equation."""
+        return self.models[0].step
+
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, rows, n_x)`, of states `(*batch, rows, n_x)` under inputs `(*batch, rows, n_u)`."""
         shares = zip(x.tensor_split(len(self.models), -2), u.tensor_split(len(self.models), -2))
@@ -140,6 +145,11 @@ class Varied(System):
         ):
             fresh = centre + reach * (2 * torch.rand(tensor.shape, generator=rng) - 1)
             tensor[new] = fresh[new]
+
+    @property
+    def step(self) -> float | None:
+        """Step of the difference equation that it is [s]; None of a differential equation."""
+        return self.system.step
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, rows, n_x)`, of states `(*batch, rows, n_x)` under inputs `(*batch, rows, n_u)`."""

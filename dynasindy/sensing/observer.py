@@ -28,6 +28,7 @@ from dynasindy.sensing.kinematic import Kinematic
 from dynasindy.sensing.offset import correction
 from dynasindy.sensing.sensors import LONGEST, Sensors
 from dynasindy.systems import Stops, System, integrate
+from dynasindy.systems.steps import Rates, Steps, steps_of
 
 DRIFTING = 0.01
 """Process noise of a push [its ranges, in the time in which its state may cross its own: a second for a rate]."""
@@ -334,6 +335,14 @@ class Observer:
         rest = delay - whole * self.dt
         return whole, rest if rest > 1e-6 * self.dt else 0.0
 
+    def steps(self, seconds: float) -> Steps:
+        """Return the steps by which it passes a part of a control period.
+
+        Args:
+            seconds: The part [s].
+        """
+        return steps_of(self.system.step, seconds, max(1, round(self.substeps * seconds / self.dt)))
+
     def _period(self, x: Tensor, inputs: Tensor) -> Tensor:
         """Move states `(*batch, n, n_x)` on by the control period whose measurement has just arrived."""
         whole, part = self.late()
@@ -344,11 +353,11 @@ class Observer:
 
     def _flow(self, x: Tensor, u: Tensor, seconds: float) -> Tensor:
         """Move states on under inputs that broadcast with them."""
-        substeps = max(1, round(self.substeps * seconds / self.dt))
+        steps = self.steps(seconds)
         u = u.double().expand(*x.shape[:-1], u.shape[-1])
         # State-major memory: every elementwise operation of the model runs on contiguous rows.
         x, u = (t.movedim(-1, 0).contiguous().movedim(0, -1) for t in (x, u))
-        return integrate(self._rates, x, u, seconds, substeps, self.stops)[0][..., -1, :]
+        return integrate(Rates(self._rates, self.system.step), x, u, seconds, steps.number, self.stops)[0][..., -1, :]
 
     def _rates(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt of the states and, if they are estimated, of the pushes behind them, which stay."""

@@ -2,7 +2,7 @@
 
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.diverged import Diverged
-from dynasindy.systems.integrators import integrate, rk4, steps_needed
+from dynasindy.systems.integrators import integrate, moved, rk4, steps_needed
 from dynasindy.systems.pendulum import Pendulum
 from dynasindy.systems.stops import Stops
 from dynasindy.systems.tras import Tras
@@ -21,6 +21,7 @@ __all__ = [
     "Unknown",
     "Xi",
     "integrate",
+    "moved",
     "rk4",
     "steps_needed",
 ]

@@ -190,6 +190,11 @@ class System(nn.Module, ABC):
         self._machines: dict[torch.dtype, Machine | None] = {}
 
     @property
+    def step(self) -> float | None:
+        """Step of the difference equation that it is [s], see `dynasindy.systems.steps`; None of dx/dt = f(x, u)."""
+        return None
+
+    @property
     def followers(self) -> dict[int, int]:
         """Places of states that no sensor sees and that follow another state, and of that; at rest they are equal."""
         return {}
@@ -203,7 +208,9 @@ class System(nn.Module, ABC):
         if not (self.machine_code and "machine_code" in vars(type(self))) or x.dtype not in PRECISIONS:
             return None
         n_x, n_u = self.signature.n_x, self.signature.n_u
-        return self._machine(x, u, lambda dtype: Machine(program(self.forward, n_x, n_u), dtype))
+        return self._machine(
+            x, u, lambda dtype: Machine(replace(program(self.forward, n_x, n_u), step=self.step), dtype)
+        )
 
     def _machine(self, x: Tensor, u: Tensor, make: Callable[[torch.dtype], Machine]) -> Machine | None:
         """Return machine code for such states and inputs; what cannot be made is not tried again before a change."""

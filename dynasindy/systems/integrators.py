@@ -1,18 +1,17 @@
-"""Fixed-step integration under a zero-order hold of the inputs."""
+"""How a system moves under a zero-order hold of the inputs, by fixed steps."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
 from dynasindy.systems.base import System
 from dynasindy.systems.plain import plain
+from dynasindy.systems.steps import VectorField, step_of, steps_of
 from dynasindy.systems.stops import Stops
 
-VectorField = Callable[[Tensor, Tensor], Tensor]
 COARSE = 1e-3
 """Ranges of a state that a control period may end elsewhere when its Runge-Kutta steps are halved."""
 MOST_DOUBLINGS = 5
@@ -38,6 +37,33 @@ def rk4(f: VectorField, x: Tensor, u: Tensor, dt: float) -> Tensor:
     return torch.add(x, torch.add(k1 + k4, k2 + k3, alpha=2.0), alpha=dt / 6)
 
 
+def stepped(f: VectorField, x: Tensor, u: Tensor, h: float, difference: bool) -> Tensor:
+    """Return states, `(*batch, n_x)`, one step of h [s] later: of a difference equation, or a Runge-Kutta step."""
+    return torch.add(x, f(x, u), alpha=h) if difference else rk4(f, x, u, h)
+
+
+def moved(f: VectorField, x: Tensor, u: Tensor, seconds: float, substeps: int = 1) -> Tensor:
+    """Advance states by some time under held inputs, without stops.
+
+    Args:
+        f: Vector field, `(x, u) -> dx`; with an attribute `step` [s] that of a difference equation.
+        x: States, `(*batch, n_x)`.
+        u: Inputs held over the time, `(*batch, n_u)`.
+        seconds: The time [s].
+        substeps: Runge-Kutta steps in it; a difference equation has its own.
+
+    Returns:
+        States at its end, `(*batch, n_x)`.
+
+    Raises:
+        ValueError: The time is not made of whole steps of a difference equation.
+    """
+    h, count, difference = steps_of(step_of(f), seconds, substeps)
+    for _ in range(count):
+        x = stepped(f, x, u, h, difference)
+    return x
+
+
 def integrate(
     f: VectorField, x: Tensor, u: Tensor, dt: float, substeps: int, stops: Stops | None = None
 ) -> tuple[Tensor, Tensor]:
@@ -46,7 +72,7 @@ def integrate(
     A system that has machine code for states that carry no gradient is moved by that.
 
     Args:
-        f: Vector field, `(x, u) -> dx`.
+        f: Vector field, `(x, u) -> dx`; with an attribute `step` [s] that of a difference equation.
         x: States at the start of the period, `(*batch, n_x)`.
         u: Inputs held over the period, `(*batch, n_u)`.
         dt: Control period [s].
@@ -55,19 +81,32 @@ def integrate(
 
     Returns:
         The state after each sub-step, `(*batch, substeps, n_x)`, and whether a stop was touched in the
-        period, bool `(*batch,)`.
+        period, bool `(*batch,)`. A difference equation says nothing of the time within its steps: each state is the
+        one at the end of the period.
+
+    Raises:
+        ValueError: The period is not made of whole steps of a difference equation.
     """
     if isinstance(f, System) and plain(x, u) and (code := f.compiled(x, u)) is not None:
-        return code.integrate(x, u, dt, substeps, stops)
+        samples, touched = code.integrate(x, u, dt, substeps, stops)
+        return sampled(samples, f.step, substeps), touched
     touched = torch.zeros(x.shape[:-1], dtype=torch.bool, device=x.device)
-    samples = []
-    for _ in range(substeps):
-        x = rk4(f, x, u, dt / substeps)
+    ends = []
+    h, count, difference = steps_of(step_of(f), dt, substeps)
+    for _ in range(count):
+        x = stepped(f, x, u, h, difference)
         if stops is not None:
             x, stopped = stops.apply(x)
             touched = touched | stopped
-        samples.append(x)
-    return torch.stack(samples, -2), touched
+        ends.append(x)
+    return sampled(torch.stack(ends, -2), step_of(f), substeps), touched
+
+
+def sampled(samples: Tensor, step: float | None, substeps: int) -> Tensor:
+    """Return as many samples of a period as are asked for, those of a difference equation all from its end."""
+    if step is None or samples.shape[-2] == substeps == 1:
+        return samples
+    return samples[..., -1:, :].repeat_interleave(substeps, -2)
 
 
 def steps_needed(

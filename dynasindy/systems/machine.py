@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.compiler import load
+from dynasindy.systems.steps import steps_of
 from dynasindy.systems.stops import Stops
 from dynasindy.systems.tangents import Tangents
 
@@ -48,6 +49,7 @@ class Program:
         lines: name and formula of each value, in the order in which they are computed.
         results: formula of dx/dt of each state.
         constants: what `k[0]`, `k[1]`, ... stand for.
+        step: of the difference equation that it belongs to [s]; None of a differential equation.
     """
 
     n_x: int
@@ -55,6 +57,7 @@ class Program:
     lines: tuple[tuple[str, str], ...]
     results: tuple[str, ...]
     constants: tuple[float, ...] = ()
+    step: float | None = None
 
 
 class Machine:
@@ -71,6 +74,7 @@ class Machine:
 
     def __init__(self, program: Program, dtype: torch.dtype = torch.float32) -> None:
         self.n_x, self.n_u, self.dtype = program.n_x, program.n_u, dtype
+        self.step = program.step
         self._real = ctypes.c_float if dtype == torch.float32 else ctypes.c_double
         self._constants = self._reals(program.constants)
         source, single = _source(program, dtype == torch.float32), dtype == torch.float32
@@ -96,18 +100,21 @@ class Machine:
             stops: mechanical stops, if any.
 
         Returns:
-            The state after each sub-step, `(*batch, substeps, n_x)`, and whether a stop was touched, bool `(*batch,)`.
+            The state after each step, `(*batch, substeps, n_x)`, and whether a stop was touched, bool `(*batch,)`. Of a
+            difference equation the steps are its own.
 
         Raises:
             IndexError: a stop is of a state that does not exist.
+            ValueError: the period is not made of whole steps of a difference equation.
         """
         x, u, stops = x.contiguous(), u.contiguous(), stops or FREE
-        samples = x.new_empty(*x.shape[:-1], substeps, self.n_x)
+        length, count, _ = steps_of(self.step, dt, substeps)
+        samples = x.new_empty(*x.shape[:-1], count, self.n_x)
         touched = torch.empty(x.shape[:-1], dtype=torch.bool)
         ends = self._places(stops.positions), self._places(stops.rates), self._reals(stops.low), self._reals(stops.high)
-        rows, h, n_stops = ctypes.c_long(touched.numel()), self._real(dt / substeps), len(stops.positions)
+        rows, h, n_stops = ctypes.c_long(touched.numel()), self._real(length), len(stops.positions)
         into = _data(samples, touched)
-        self._code.advance(rows, *_data(x, u), self._constants, h, int(substeps), n_stops, *ends, *into)
+        self._code.advance(rows, *_data(x, u), self._constants, h, int(count), n_stops, *ends, *into)
         return samples, touched
 
     def sensitivities(self, x: Tensor, u: Tensor, dt: float, substeps: int) -> tuple[Tensor, Tensor]:
@@ -118,11 +125,15 @@ class Machine:
             u: inputs, `(*batch, n_u)`.
             dt: control period [s].
             substeps: Runge-Kutta steps per period.
+
+        Raises:
+            ValueError: the period is not made of whole steps of a difference equation.
         """
         x, u = x.contiguous(), u.contiguous()
+        length, count, _ = steps_of(self.step, dt, substeps)
         a, b = x.new_empty(*x.shape, self.n_x), x.new_empty(*x.shape, self.n_u)
-        rows, h = ctypes.c_long(x.numel() // self.n_x), self._real(dt / substeps)
-        self._code.sensitivities(rows, *_data(x, u), self._constants, h, int(substeps), *_data(a, b))
+        rows, h = ctypes.c_long(x.numel() // self.n_x), self._real(length)
+        self._code.sensitivities(rows, *_data(x, u), self._constants, h, int(count), *_data(a, b))
         return a, b
 
     def _places(self, columns: Sequence[int]) -> ctypes.Array[ctypes.c_int]:
@@ -153,6 +164,7 @@ def _source(program: Program, single: bool) -> str:
         "n_x": program.n_x,
         "n_u": program.n_u,
         "n_slopes": len(entries),
+        "stages": 4 if program.step is None else 1,
         "rates": _body([line for line in tangents.lines if line[0] in values], rates, single),
         "slopes": _body(tangents.lines, [*rates, *slopes], single),
         "slope_rows": ", ".join(str(i) for i, _, _ in entries),

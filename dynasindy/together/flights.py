@@ -29,7 +29,8 @@ from dynasindy.agents import MLP, Exploring
 from dynasindy.agents.networks import Layer
 from dynasindy.envs import ControlEnv
 from dynasindy.systems import System
-from dynasindy.systems.integrators import rk4
+from dynasindy.systems.integrators import sampled, stepped
+from dynasindy.systems.steps import steps_of
 from dynasindy.together.alike import alike
 from dynasindy.together.captured import captured
 from dynasindy.together.company import Company, Work, here
@@ -133,7 +134,7 @@ class Flight(Work):
     def kind(self) -> Hashable:
         """Name, sizes, plant, task and pace; of a model whose coefficients may differ, its functions."""
         env, network, system = self.env, self.network, self.env.system
-        moved = tuple(f.key for f in system.library.features) if _stacks(system) else alike(system)
+        moved = (*(f.key for f in system.library.features), system.step) if _stacks(system) else alike(system)
         sizes = None if network is None else tuple(tuple(layer.weight.shape) for layer in network.layers())
         pace = env.dt, env.substeps, env.stops, env.left_beyond, env.float_type
         shapes = self.steps, tuple(self.start.batch_size), sizes, self.noise is None
@@ -300,6 +301,11 @@ class Coefficients(System):
         assert isinstance(model, SindyModel)
         self.stacked[r].copy_(model.coefficients)
 
+    @property
+    def step(self) -> float | None:
+        """Step of the difference equation that it is [s]; None of a differential equation."""
+        return self.library.step
+
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt of states `(R, n, n_x)` under inputs `(R, n, n_u)`."""
         return torch.bmm(self.library(x, u), self.stacked)
@@ -319,10 +325,10 @@ def _advancing(
     system: System, env: ControlEnv, device: torch.device
 ) -> Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]:
     """Return what advances states by a control period, as `integrate` does, without a look at what they are."""
-    stops, step = env.stops, env.dt / env.substeps
+    stops, (h, count, difference) = env.stops, steps_of(system.step, env.dt, env.substeps)
 
     def _substep(x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        x = rk4(system, x, u, step)
+        x = stepped(system, x, u, h, difference)
         return (x, torch.zeros_like(x[..., 0], dtype=torch.bool)) if stops is None else stops.apply(x)
 
     moved = _substep
@@ -333,10 +339,10 @@ def _advancing(
 
     def _advance(x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         samples, touches = [], []
-        for _ in range(env.substeps):
+        for _ in range(count):
             x, touched = moved(x, u)
             samples.append(x)
             touches.append(touched)
-        return torch.stack(samples, -2), torch.stack(touches).any(0)
+        return sampled(torch.stack(samples, -2), system.step, env.substeps), torch.stack(touches).any(0)
 
     return _advance

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from dynasindy.evaluation.ablation import SHARE, Level, Row, read_rows
 from dynasindy.evaluation.given import plain_name
 from dynasindy.viz.controllers import FAMILIES, named
-from dynasindy.viz.learning import average_rewards, draw_bands
+from dynasindy.viz.learning import average_rewards, draw_bands, single
 from dynasindy.viz.style import BLACK, Array, legend_beside, panels, save, styled
 
 ValueOf = Callable[[Row], float]
@@ -71,14 +71,16 @@ def controls(
         title: of the figure.
         unit: of errors and level.
     """
-    figure, axes = panels(len(families), 1, (10.0, 0.6 + 2.6 * len(families)), title)
+    once = all(map(single, families.values()))  # then each panel has a strip for each of its settings
+    figure, axes = panels(len(families), 1, (10.0, 0.6 + 2.6 * len(families)), title, sharex=not once)
     for axis in axes[1:]:
         axis.sharey(axes[0])
     for axis, (family, curves) in zip(axes, families.items()):
         _draw_errors(axis, curves, level, episode, unit)
         axis.set_title(family)
         axis.set_ylabel(f"steady-state error,\nworse axis [{_short(unit)}]")
-        axis.label_outer(remove_inner_ticks=False)
+        if not once:
+            axis.label_outer(remove_inner_ticks=False)
     return figure
 
 

@@ -3,7 +3,9 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+import torch
 from matplotlib.figure import Figure
+from torch import Tensor
 
 from dynasindy.evaluation.drawn import drawn
 from dynasindy.evaluation.scenarios import Evaluation
@@ -44,19 +46,21 @@ def figures(evaluation: Evaluation, label: str = "policy", place: str = "") -> d
     where = f" {place}" if place else ""
     shown = drawn(evaluation)
     row, name = shown.row, evaluation.scenario
-    scenario = "; ".join([f"Scenario '{name}'{where}", *map(spelt, evaluation.disturbances)])
+    disturbed = (words.removeprefix(f"{name}: ") for words in evaluation.disturbances)  # which the name says already
+    scenario = "; ".join([f"Scenario '{name}'{where}", *map(spelt, disturbed)])
     title = "\n".join(filter(None, [scenario, shown.words]))
     if not evaluation.columns:
         return {name: _untracked(evaluation, label, row, title)}
     reference = evaluation.references[row]
+    to_the_end = torch.cat([reference, reference[-1:]])  # of the state after the last period
     names = [f"{output} [{unit}]" for output, unit in evaluation.units.items()]
     # A constant reference is a step; what moves has no settling band.
     draw = step_response if bool((reference == reference[0]).all()) else tracking
     found = {
         name: draw(
             evaluation.time,
-            reference,
-            {label: evaluation.outputs[row]},
+            to_the_end,
+            {label: _states(evaluation, row)[:, list(evaluation.columns)]},
             {label: evaluation.inputs[row]},
             names,
             evaluation.signature,
@@ -81,10 +85,16 @@ def _untracked(evaluation: Evaluation, label: str, row: int, title: str) -> Figu
     """Return all states of a row over time, where the task has no references."""
     signature = evaluation.signature
     names = [f"{name} [{unit}]" for name, unit in zip(signature.state_names, signature.state_units, strict=True)]
-    x, u = {label: evaluation.trajectory["state"][row]}, {label: evaluation.inputs[row]}
+    x, u = {label: _states(evaluation, row)}, {label: evaluation.inputs[row]}
     figure = tracking(evaluation.time, None, x, u, names, signature, title)
     _shade(figure, evaluation)
     return figure
+
+
+def _states(evaluation: Evaluation, row: int) -> Tensor:
+    """Return the states of a row at the start of each control period, and at the end of the last, `(T + 1, n_x)`."""
+    states, following = evaluation.trajectory["state"], evaluation.trajectory["next", "state"]
+    return torch.cat([states[row], following[row, -1:]])
 
 
 @styled

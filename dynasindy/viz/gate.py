@@ -10,8 +10,21 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import ArrayLike
 
-from dynasindy.viz.identification import TYPICAL
-from dynasindy.viz.style import BLACK, BLUE, GREY, ORANGE, RED, Array, array, legend_beside, named_dots, panels, styled
+from dynasindy.viz.identification import EPISODE, JUDGED, TYPICAL
+from dynasindy.viz.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    ORANGE,
+    RED,
+    Array,
+    array,
+    legend_beside,
+    mark_away,
+    named_dots,
+    panels,
+    styled,
+)
 
 FEW_DECADES = 1000.0
 """Ends of an axis nearer to each other than this factor have few powers of ten between them."""
@@ -28,7 +41,8 @@ def gate(
 ) -> Figure:
     """Draw the reward error with its thresholds, shaded while the gate is closed, and the test of each refit.
 
-    Of a single episode each figure has a line of its own, as there is no course to draw.
+    A replay that ran away is marked at the upper edge. Of a single episode each figure has a line of its own, as there
+    is no course to draw.
 
     Args:
         decisions: The columns of `gate.csv`, `(n_episodes,)` each: `episode`; `reward_error` per control period of the
@@ -47,8 +61,8 @@ def gate(
     x, before, after = (columns[name] for name in ("episode", "held_out_error_before", "held_out_error_after"))
     figure, (upper, lower) = panels(2, 1, (8.5, 5.0), title)
     dots: dict[str, Any] = {"marker": "o", "markersize": 3, "clip_on": False}
-    upper.plot(x, columns["reward_error"], color=GREY, label="whole episode, before the refit", **dots)
-    upper.plot(x, columns["judged_reward_error"], color=BLUE, label="held-out windows, judged", **dots)
+    upper.plot(x, columns["reward_error"], color=GREY, label=EPISODE, **dots)
+    upper.plot(x, columns["judged_reward_error"], color=BLUE, label=JUDGED, **dots)
     # Half an episode to each side, as the shade of a closed one is as wide.
     wide = np.concatenate([x[:1] - 0.5, x, x[-1:] + 0.5])
     for name, line, words in (("open_below", ":", "opens below"), ("close_above", "--", "closes above")):
@@ -61,6 +75,8 @@ def gate(
     bounds = [columns[name] for name in ("open_below", "close_above")]
     upper.set_ylim(*_around(np.concatenate([columns["reward_error"], columns["judged_reward_error"], *bounds])))
     _ticks(upper.yaxis)
+    mark_away(upper, x[~np.isfinite(columns["reward_error"])], GREY)
+    mark_away(upper, x[np.isinf(columns["judged_reward_error"])], BLUE)
     upper.set_ylabel(f"reward error\n[{unit}]")
     legend_beside(upper)
     lower.plot(x, before, color=ORANGE, label="before the refit", **dots)
@@ -88,8 +104,8 @@ def _once(columns: Mapping[str, float], title: str, unit: str, windows: Mapping[
     closed = "" if columns["open"] else ", closes the gate"
     kept = {1.0: "", 0.0: ", rolled back"}.get(columns["refit_kept"], ", not tested")
     errors = {
-        "whole episode, before the refit": ("reward_error", GREY),
-        f"held-out windows, judged{closed}": ("judged_reward_error", BLUE),
+        EPISODE: ("reward_error", GREY),
+        f"{JUDGED}{closed}": ("judged_reward_error", BLUE),
     }
     judged = array(windows.get("reward_error", ()))
     _rows(upper, columns, errors, f"reward error [{unit}]", (judged, 1, BLUE))

@@ -24,6 +24,7 @@ from dynasindy.viz.style import (
     label,
     legend_above,
     legend_beside,
+    mark_away,
     name_single,
     panels,
     short,
@@ -35,6 +36,8 @@ from dynasindy.viz.style import (
 
 BEYOND = 0.6
 """A prediction is drawn as far as this part of the plant's own range beyond it."""
+MARGIN = 0.06
+"""Room above and below what is drawn, of the plant's own range."""
 LOST = 10.0
 """A prediction ends where it is off by more than this part of the range."""
 LEAST = 0.001
@@ -43,6 +46,8 @@ TYPICAL = "typical ranges"
 """Unit of an error of all states together, each of which counts by its typical range, `Signature.x_scale`."""
 GAP = "gap: samples missing or left out"
 NOTHING = "exactly 0, below the axis"
+EPISODE, JUDGED = "whole episode, before the refit", "held-out windows, judged"
+"""What an error of the model is of: what it had not seen, and what the gate compares with its thresholds."""
 MOST = 50
 """More gaps than these are not marked, as the marks would hide the data."""
 
@@ -149,8 +154,7 @@ def prediction(
         told = _fit(truths[:, i], model[:, i], f"{short(float(wide))} {signature.state_units[i]}, {whose}")
         axes[i].set_title(told, fontsize=8.5, loc="right")
         if wide > 0:
-            # A model that runs away must not flatten the plant's own curve.
-            axes[i].set_ylim(truths[:, i].min() - BEYOND * wide, truths[:, i].max() + BEYOND * wide)
+            axes[i].set_ylim(*_limits(truths[:, i], ended, wide))
     _mark_gaps(axes[: len(names)], seconds, segment)
     _legend_below(figure, axes[0])
     _finish(axes, columns, seconds, segment)
@@ -165,8 +169,11 @@ def model_error(
     what: str = "reward error, |real - model|",
     title: str = "SINDy model learning progress",
     thresholds: Mapping[str, float] | None = None,
+    judged: ArrayLike | None = None,
 ) -> Figure:
     """Draw the model's error over real episodes on a log axis, with a tick at each refit.
+
+    An error that is not finite is that of a replay that ran away, and is marked at the upper edge.
 
     Args:
         episode: `(n,)` real episodes.
@@ -174,13 +181,19 @@ def model_error(
         refits: episodes after which the model was fitted anew.
         what: the error in words, the label of the axis.
         title: of the figure.
-        thresholds: levels that the error is compared with, in words; drawn as lines.
+        thresholds: levels that the judged error is compared with, or the error where nothing else is judged, in
+            words; drawn as lines.
+        judged: `(n,)` the error that the gate judges, on held-out windows; NaN where nothing was judged.
     """
     x, y = array(episode), array(error)
     y = y.reshape(len(y), -1)
-    figure, (axis,) = panels(1, 1, (7.0, 3.2), title)
-    middle = _draw_positive(axis, x, np.median(y, axis=1), marker="o", markersize=2.5)
+    figure, (axis,) = panels(1, 1, (7.0 if judged is None else 8.5, 3.2), title)
+    dots: dict[str, Any] = {"marker": "o", "markersize": 2.5}
+    middle = _draw_positive(axis, x, np.median(y, axis=1), label=None if judged is None else EPISODE, **dots)
     name_single(axis, x, middle, RED)
+    windows = np.full(len(x), np.nan) if judged is None else array(judged)
+    if judged is not None:
+        _draw_positive(axis, x, windows, color=BLUE, label=JUDGED, **dots)
     axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axis.set_xlim(x.min(initial=1.0) - 0.5, x.max(initial=1.0) + 0.5)
     if y.shape[1] > 1:
@@ -190,6 +203,8 @@ def model_error(
     axis.set_yscale("log")
     for (words, level), line in zip((thresholds or {}).items(), cycle((":", "--"))):
         axis.axhline(level, color=BLACK, linestyle=line, linewidth=0.9, label=f"{words} {level:g}")
+    mark_away(axis, x[~np.isfinite(y).all(axis=1)], RED)
+    mark_away(axis, x[np.isinf(windows)], BLUE)
     if axis.get_legend_handles_labels()[0]:
         legend_beside(axis)
     axis.set_xlabel("real episode")
@@ -245,14 +260,14 @@ def coefficient_table(
     return figure
 
 
-def _draw_positive(axis: Axes, x: Array, y: Array, **look: Any) -> Array:
+def _draw_positive(axis: Axes, x: Array, y: Array, color: str = RED, **look: Any) -> Array:
     """Draw a curve on an axis that is to be logarithmic, and return it: a zero is a mark below it, and has no line."""
-    zero, seen = y == 0, y[y > 0]
+    zero, seen = y == 0, y[(y > 0) & np.isfinite(y)]
     drawn = np.where(zero, np.nan, y)
-    axis.plot(x, drawn, color=RED, linewidth=1.0, **look)
+    axis.plot(x, drawn, color=color, linewidth=1.0, **look)
     if zero.any():
         below = np.full(zero.sum(), 0.5 * float(seen.min()) if len(seen) else 1.0)
-        axis.plot(x[zero], below, color=RED, marker="v", markersize=4, linestyle="none", label=NOTHING)
+        axis.plot(x[zero], below, color=color, marker="v", markersize=4, linestyle="none", label=NOTHING)
     return drawn
 
 
@@ -296,6 +311,13 @@ def _until_lost(predicted: Array, real: Array, wide: float) -> Array:
     with np.errstate(invalid="ignore"):
         lost = ~(np.abs(predicted - real) <= LOST * wide) if wide > 0 else ~np.isfinite(predicted)
     return np.where(np.logical_or.accumulate(lost), np.nan, predicted)
+
+
+def _limits(real: Array, predicted: Array, wide: float) -> tuple[float, float]:
+    """Return the ends of an axis around both curves; a model that runs away must not flatten the plant's own."""
+    seen, room = np.concatenate([real, predicted[np.isfinite(predicted)]]), (BEYOND - MARGIN) * wide
+    low, high = max(seen.min(), real.min() - room), min(seen.max(), real.max() + room)
+    return float(low - MARGIN * wide), float(high + MARGIN * wide)
 
 
 def _legend_below(figure: Figure, axis: Axes) -> None:

@@ -1,6 +1,7 @@
 """How learning went: the return over episodes of one run, and of several settings over seeds."""
 
-from collections.abc import Mapping
+import textwrap
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,10 @@ FEWEST_TICKS = 3
 """Ticks that an axis needs to be read."""
 WIDE = 30.0
 """Returns that differ by more than this factor are drawn on a logarithmic axis, if one is asked for."""
+APART = 0.12
+"""Distance of the seeds of a setting after a single episode, of the width of its strip."""
+MOST_NAMED, STRIP = 6, 80
+"""Strips that have their names below them at most, and the letters of one line of all these names."""
 
 
 @styled
@@ -69,6 +74,7 @@ def average_rewards(
     seed: int = 0,
     title: str = "Average rewards",
     log: bool = False,
+    longer: Mapping[str, Sequence[tuple[ArrayLike, ArrayLike]]] | None = None,
 ) -> Figure:
     """Draw interquartile mean and 95 % bootstrap band over seeds, one line per setting; see `draw_bands`.
 
@@ -79,6 +85,8 @@ def average_rewards(
         seed: of the bootstrap.
         title: of the figure.
         log: logarithmic returns, linear within 10 of zero, if they differ by more than a factor of `WIDE`.
+        longer: single runs that went on after the last episode of the curves, drawn faintly: `(n,)` episodes and `(n,)`
+            returns of each, per setting.
     """
     figure, (axis,) = panels(1, 1, (8.5, 3.8), title)
     smooth = {
@@ -90,6 +98,7 @@ def average_rewards(
         axis.set_yscale("symlog", linthresh=LINEAR)
         words += f", logarithmic beyond {LINEAR:g}"
     draw_bands(axis, smooth, episode, seed)
+    _draw_longer(axis, longer or {}, list(curves))
     _enough_ticks(axis)
     legend_beside(axis)
     axis.set_ylabel(f"{words} [-]")
@@ -100,7 +109,8 @@ def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike |
     """Draw interquartile mean and 95 % bootstrap band over seeds into an axis, one line per setting.
 
     Where there are fewer than three seeds, each is a line of its own, and nothing is a band. Where there is a band, the
-    single seeds are lines that are not visible, for a page that can switch them on.
+    single seeds are lines that are not visible, for a page that can switch them on. After a single episode there is no
+    course: settings stand side by side, and so do the seeds of each.
 
     Args:
         axis: Where to draw.
@@ -108,16 +118,19 @@ def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike |
         episode: `(n_episodes,)` numbers of the episodes, by default 1, 2, ...
         seed: Seed of the bootstrap.
     """
-    banded = False
-    for (name, values), line in zip(curves.items(), looks(curves).values()):
+    banded, once = False, single(curves)
+    for place, ((name, values), line) in enumerate(zip(curves.items(), looks(curves).values())):
         rows = np.atleast_2d(array(values))
         x = np.arange(1, rows.shape[1] + 1) if episode is None else array(episode)[: rows.shape[1]]
+        x = np.array([float(place)]) if once else x
         words = name.replace("$", r"\$")  # names of settings are no mathematics
         label = f"{words} ({len(rows)} seed{'s' * (len(rows) > 1)})"
         # A line through a single episode would not be seen.
         look: dict[str, Any] = {**line, "marker": "o" if len(x) == 1 else None, "clip_on": len(x) > 1}
         if len(rows) < FEWEST:
-            axis.plot(x, rows.T, label=[label, *[f"_{label}"] * (len(rows) - 1)], **look)
+            for number, row in enumerate(rows):
+                beside = APART * (number - (len(rows) - 1) / 2) if once else 0.0
+                axis.plot(x + beside, row, label="_" * (number > 0) + label, **look)
         else:
             middle, low, high = band(rows, seed)
             axis.plot(x, middle, label=label, **look)
@@ -134,12 +147,45 @@ def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike |
         axis.plot([], [], color=GREY, alpha=0.3, linewidth=7, label="band: its 95 % bootstrap interval")
     if not curves:
         return
+    if once:
+        _name_strips(axis, list(curves), 1.0 if episode is None else float(array(episode)[0]))
+        return
     last = max(np.atleast_2d(array(values)).shape[1] for values in curves.values())
     x = np.arange(1, last + 1) if episode is None else array(episode)[:last]
-    room = 0.02 * (x[-1] - x[0]) + 1e-3 if len(x) > 1 else 0.5
+    room = 0.02 * (x[-1] - x[0]) + 1e-3
     axis.set_xlim(x[0] - room, x[-1] + room)
     axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axis.set_xlabel("real episode")
+
+
+def single(curves: Mapping[str, ArrayLike]) -> bool:
+    """Return whether no curve, `(n_seeds, n_episodes)` each, has more than one episode."""
+    return bool(curves) and all(np.atleast_2d(array(values)).shape[1] == 1 for values in curves.values())
+
+
+def _name_strips(axis: Axes, names: Sequence[str], episode: float) -> None:
+    """Write the names of settings under their strips, which stand at 0, 1, ..., unless these are too many to read."""
+    few = len(names) <= MOST_NAMED
+    words = [textwrap.fill(name, STRIP // len(names)).replace("$", r"\$") for name in names] if few else []
+    axis.set_xticks(range(len(words)), words)
+    axis.set_xlim(-0.5, len(names) - 0.5)
+    axis.grid(visible=False, axis="x")
+    axis.set_xlabel(f"setting, after real episode {episode:g}")
+
+
+def _draw_longer(axis: Axes, longer: Mapping[str, Sequence[tuple[ArrayLike, ArrayLike]]], known: Sequence[str]) -> None:
+    """Draw single runs as thin lines in the colours of their settings, and widen the axis to their ends."""
+    of = looks(dict.fromkeys([*known, *longer]))
+    for name, runs in longer.items():
+        words = name.replace("$", r"\$")
+        label = f"{words}, longer ({len(runs)} seed{'s' * (len(runs) > 1)})"
+        for number, (x, y) in enumerate(runs):
+            told = "_" * (number > 0) + label
+            axis.plot(array(x), array(y), linewidth=0.8, alpha=0.55, zorder=1.5, label=told, **of[name])
+    ends = [float(array(x).max()) for runs in longer.values() for x, _ in runs]
+    if ends:
+        left, right = axis.get_xlim()
+        axis.set_xlim(left, max(right, max(ends) + 0.02 * (max(ends) - left)))
 
 
 def _enough_ticks(axis: Axes) -> None:

@@ -1,6 +1,7 @@
 """How a controlled plant responds: steps, sines and squares, and the error over many references."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -46,9 +47,9 @@ def tracking(
     """Draw the tracked axes of one or several controllers against the same reference.
 
     Args:
-        time: `(T,)` [s].
-        reference: `(T, n_r)`; None of a task that has none.
-        outputs: `(T, n_r)` per controller.
+        time: `(T,)` at which each control period begins [s].
+        reference: `(T, n_r)`, or as many rows as the outputs; None of a task that has none.
+        outputs: `(T, n_r)` per controller, or `(T + 1, n_r)` with those after the last period.
         inputs: `(T, n_u)` per controller, in [-1, 1]; adds one panel per input, in its own unit.
         names: tracked states, with their units unless these are rad: `height [m]`.
         signature: tells the inputs, their units and ranges.
@@ -60,7 +61,8 @@ def tracking(
     figure, axes = panels(len(names) + n_u, 1, (7.0, 2.1 * len(names) + 1.4 * n_u + 0.5), title)
     for i, name in enumerate(names):
         if target is not None:
-            axes[i].plot(seconds, target[:, i], color=BLACK, linestyle="--", linewidth=1.2, label="reference")
+            look: Any = {"color": BLACK, "linestyle": "--", "linewidth": 1.2}
+            axes[i].plot(_moments(seconds, target), target[:, i], label="reference", **look)
         _lines(axes[i], seconds, outputs, i)
         axes[i].set_ylabel(label(*_with_unit(name)))
     for i in range(n_u):
@@ -126,7 +128,8 @@ def error_fan(
         axis.fill_between(seconds, p25[:, i], p75[:, i], color=BLUE, alpha=0.3, lw=0, label="middle half")
         axis.plot(seconds, p50[:, i], color=BLUE, label="median")
         unit = _with_unit(name)[1]
-        told = " ".join([f"{bands[i]:.3g}", *([unit] if unit != "-" else []), "(bonus band)"])
+        least_paid = " ".join([f"{bands[i]:.3g}", *([unit] if unit != "-" else [])])
+        told = f"the reward pays a bonus below {least_paid}"
         axis.axhline(bands[i], color=BLACK, linestyle=":", linewidth=1.0, label=told)
         axis.set_yscale("log")
         # The middle half stays inside, and the wide band nearly all the time; what is less, or zero, leaves the axis
@@ -148,9 +151,15 @@ def _with_unit(name: str) -> tuple[str, str]:
     return bare, unit.removesuffix("]") or "rad"
 
 
-def _lines(axis: Axes, seconds: ArrayLike, outputs: Mapping[str, ArrayLike], column: int) -> None:
+def _moments(seconds: Array, rows: Array) -> Array:
+    """Return the times of rows, the last of which may be a row after the last control period."""
+    return seconds if len(rows) <= len(seconds) else np.append(seconds, span(seconds)[1])
+
+
+def _lines(axis: Axes, seconds: Array, outputs: Mapping[str, ArrayLike], column: int) -> None:
     for (name, values), look in zip(outputs.items(), looks(outputs).values()):
-        axis.plot(seconds, array(values)[:, column], label=name, **look)
+        rows = array(values)
+        axis.plot(_moments(seconds, rows), rows[:, column], label=name, **look)
 
 
 def _inputs(axis: Axes, seconds: Array, inputs: Mapping[str, ArrayLike], column: int, signature: Signature) -> None:

@@ -119,15 +119,26 @@ def _response(table: Table, signature: Signature, which: str, controller: str) -
     """Draw the episode that the run saved; its title says which of how many it is."""
     tracked = [name.removeprefix("reference_") for name in table if name.startswith("reference_")]
     outputs = tracked or signature.state_names
-    y, u = {controller: stacked(table, outputs)}, {controller: stacked(table, signature.input_names)}
+    time, inputs = periods(table, signature.input_names)
+    y, u = {controller: stacked(table, outputs)}, {controller: inputs}
     names = [f"{name} [{signature.state_units[signature.state_index(name)]}]" for name in outputs]
     reference = stacked(table, [f"reference_{name}" for name in outputs]) if tracked else None
     if reference is not None and bool((reference == reference[0]).all()):
         title = "\n".join(filter(None, ["Step response", which]))
-        return step_response(table["time"], reference, y, u, names, signature, title)
+        return step_response(time, reference, y, u, names, signature, title)
     # What moves has no settling band.
     title = "\n".join(filter(None, ["Response", which]))
-    return tracking(table["time"], reference, y, u, names, signature, title)
+    return tracking(time, reference, y, u, names, signature, title)
+
+
+def periods(table: Table, inputs: Sequence[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return when each control period of a flight begins, `(T,)` [s], and the inputs held during it, `(T, n_u)`.
+
+    A last row of the table without inputs is the state at the end, and no period; tables of earlier runs have none.
+    """
+    time, u = table["time"], stacked(table, inputs)
+    ended = len(u) > 1 and bool(np.isnan(u[-1]).all())
+    return (time[:-1], u[:-1]) if ended else (time, u)
 
 
 def stacked(table: Table, columns: Sequence[str]) -> NDArray[np.float64]:

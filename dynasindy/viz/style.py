@@ -36,6 +36,7 @@ BLACK, ORANGE, SKY, GREEN, BLUE, RED, PURPLE = (
 """Colour-blind safe palette (Okabe and Ito 2008); black is always the reference or the real plant."""
 CYCLE = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
 GREY = "#7f7f7f"
+AWAY = "ran away, above the axis"
 ROW = 95
 """Letters that a row of a legend above an axis holds."""
 
@@ -260,8 +261,18 @@ def legend_above(axis: Axes) -> None:
 
 
 def legend_beside(axis: Axes) -> None:
-    """Put the legend to the right of an axis, where no line can run through it."""
-    axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    """Put the legend to the right of an axis, where no line can run through it; what is drawn twice is told once."""
+    named = dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
+    axis.legend(list(named.values()), list(named), loc="upper left", bbox_to_anchor=(1.0, 1.0))
+
+
+def mark_away(axis: Axes, x: Array, color: str) -> None:
+    """Mark at the upper edge of an axis, whose limits end with this, where an error was not finite."""
+    low, top = axis.get_ylim()
+    axis.set_ylim(low, top)
+    if len(x):
+        look: dict[str, Any] = {"marker": "^", "markersize": 6, "linestyle": "none", "clip_on": False, "zorder": 3}
+        axis.plot(x, np.full(len(x), top), color=color, label=AWAY, **look)
 
 
 def save(figure: Figure, path: str | Path, formats: Sequence[str] = ("png",)) -> list[Path]:

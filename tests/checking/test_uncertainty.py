@@ -8,6 +8,7 @@ import torch
 
 from dynasindy.checking.linear import rest
 from dynasindy.checking.uncertainty import Spread, spread, variants
+from dynasindy.world_models.regression.covariance import Covariance
 
 
 def test_each_coefficient_of_the_data_is_moved_and_no_other(carts):
@@ -24,14 +25,18 @@ def test_each_coefficient_of_the_data_is_moved_and_no_other(carts):
     np.testing.assert_array_equal(found.coefficients[:4, :, 0], model.coefficients[:, 0].expand(4, -1))
 
 
-def test_draws_spread_as_the_standard_errors_say(carts):
+def test_draws_spread_and_go_together_as_the_covariance_of_the_fit_says(carts):
     model = carts(friction=0.5, spring=2.0)
-    errors = torch.tensor([[9.0, 0.3], [9.0, 0.02], [9.0, 0.0]], dtype=torch.float64)
-    drawn = variants(model, 4000, 1, errors).coefficients[:4000]
-    np.testing.assert_allclose(drawn[:, :, 1].std(0), [0.3, 0.02, 0.0], rtol=0.05)
-    assert drawn[:, :, 0].std(0).max() == 0  # an equation that is known
-    assert variants(model, 1, 1, errors).how == "by their standard errors"
-    assert variants(model, 1, 1).how == "each within 5 % of itself"
+    assert variants(model, 1, 1).how == "each within 5 % of itself, as the model tells no standard errors"
+    wanted = torch.tensor([[0.01, -0.009], [-0.009, 0.04]], dtype=torch.float64)
+    places = torch.tensor([1, 2]), torch.tensor([1, 1])  # friction and spring
+    model.covariance = Covariance(*places, torch.linalg.cholesky(wanted))
+    found = variants(model, 4000, 1)
+    drawn = found.coefficients[:4000]
+    np.testing.assert_allclose(torch.cov(drawn[:, 1:, 1].mT), wanted, rtol=0.1)
+    assert drawn[:, 0].std(0).max() == drawn[:, :, 0].std(0).max() == 0  # what is known, and what was not fitted
+    assert found.how == "from the covariance of the fit, with standard errors of 10 to 20 %"
+    np.testing.assert_allclose(found.coefficients[4000, :, 1] / model.coefficients[:, 1], [1.2, 1, 1])
 
 
 def test_error_and_eigenvalues_with_other_plants_are_those_of_paper(loops, carts):

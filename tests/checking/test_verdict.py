@@ -139,7 +139,7 @@ def test_a_coefficient_that_makes_it_unstable_is_named(loops, carts, law):
 
 def test_draws_are_told_with_their_size_and_weak_coefficients_are_not_blamed_on_the_data(good):
     words = by_name(good)["all coefficients"].words
-    assert words.startswith("2 draws of all coefficients, each within 5 % of itself, where")
+    assert words.startswith("2 draws of all coefficients, each within 5 % of itself, as the model tells no")
     spread = replace(good.spread, how="by their standard errors")
     assert (
         "coefficients, by their standard errors, where"

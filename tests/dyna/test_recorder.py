@@ -124,7 +124,12 @@ def test_the_end_leaves_policy_model_and_metrics(recorded):
     for axis in ("alpha_a", "alpha_p"):  # without a box, errors count in their unit
         assert metrics["held"]["share"][axis] == pytest.approx(final[f"steady_state_error/{axis}"], rel=1e-5)
     assert not metrics["verdict"]["controlled"] and metrics["verdict"]["held"].startswith("NOT CONTROLLED: ")
-    assert len(rows(folder / "data" / "step_response.csv")) == 120
+    *flown, end = rows(folder / "data" / "step_response.csv")
+    assert len(flown) == 120 and all(row["u_a [-]"] for row in flown)
+    # The state at which the last period ends, to which no input belongs.
+    last = recorder.evaluate().trajectory["next", "state"][0, -1]
+    assert end["u_a [-]"] == end["u_p [-]"] == "" and float(end["time [s]"]) == pytest.approx(6.0)
+    assert float(end["alpha_p [rad]"]) == pytest.approx(float(last[1]), rel=1e-6)
     assert metrics["drawn"]["row"] == 0 and metrics["drawn"]["words"].startswith("episode 1 of 2, ")
 
 

@@ -6,7 +6,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
 from dynasindy.envs import ControlEnv
-from dynasindy.systems import Pendulum, Signature, Tras, Xi, integrate
+from dynasindy.systems import Pendulum, Signature, System, Tras, Xi, integrate
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward, Wave
 
 
@@ -301,3 +301,22 @@ def test_an_episode_that_leaves_in_one_sample_stays_at_the_end_of_that_state_alo
     assert torch.equal(kept[2], x[2].expand(5, 6))
     far = env.with_system(Xi(), seed=1)
     assert far.left_beyond == 10.0 and make().left_beyond == math.inf
+
+
+def test_a_plant_that_moves_in_steps_has_periods_of_whole_steps_and_no_samples_within_them():
+    class Alternating(System):
+        step = 0.1
+
+        def forward(self, x, u):
+            return (u - 1.5 * x) / 0.1
+
+    plant = Alternating(Signature(("x",), ("-",), ("u",), (1.0,)))
+    task = Tracking(plant.signature, RandomStep([-0.5], [0.5]), ["x"], [], TrackingReward([1.0]))
+    env = ControlEnv(plant, task, 0.1, 1, dtype=torch.float64)
+    env.check_plant()
+    rollout = env.rollout(2, Constant(0.3), auto_reset=False, tensordict=env.start_from(torch.tensor([0.8])))
+    assert rollout["next", "state"].flatten().tolist() == pytest.approx([-0.1, 0.35])  # -0.5 x + u
+    with pytest.raises(ValueError, match=r"env\.substeps=5: the plant moves in steps and has no samples within them"):
+        ControlEnv(plant, task, 0.1, 5).check_plant()
+    with pytest.raises(ValueError, match=r"a step of 0\.1 s and cannot move by 0\.05 s"):
+        ControlEnv(plant, task, 0.05, 1).check_plant()

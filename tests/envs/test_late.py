@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 from torchrl.envs.utils import check_env_specs
 
 from dynasindy.envs import ControlEnv, LateEnv
-from dynasindy.systems import Pendulum
+from dynasindy.systems import Pendulum, Signature, System
 from dynasindy.tasks import Step, Tracking, TrackingReward
 
 DT = 0.05
@@ -48,3 +48,27 @@ def test_a_model_of_the_plant_has_no_delay_and_another_task_has_the_same():
     assert env.with_task(env.task).delay == env.with_system(Pendulum()).delay == 0.1
     with pytest.raises(ValueError, match="allowed is 0 or more"):
         late(-0.1)
+
+
+@pytest.mark.parametrize(("delay", "late_steps"), [(0.05, 2), (0.075, 3)])
+def test_a_difference_equation_gets_its_inputs_whole_steps_late(delay, late_steps):
+    """x[k+1] = -0.5 x[k] + u[k - late], two steps of 0.025 s to a control period."""
+
+    class Alternating(System):
+        step = 0.025
+
+        def forward(self, x, u):
+            return (-1.5 * x + u) / 0.025
+
+    signature = Signature(("x",), ("-",), ("u",), (1.0,))
+    task = Tracking(signature, Step([[0.3]]), ("x",), (), TrackingReward((4.0,)), max_steps=40)
+    env = LateEnv(Alternating(signature), task, DT, 2, delay, dtype=torch.float64)
+    inputs = torch.sin(torch.arange(20.0))
+    rows = env.rollout(20, lambda td: td.set("action", inputs[td["step_count"]]))
+    x, seen = 0.0, []
+    for k in range(40):
+        x = -0.5 * x + (float(inputs[(k - late_steps) // 2]) if k >= late_steps else 0.0)
+        seen.append(x)
+    np.testing.assert_allclose(rows["next", "state"].flatten(), seen[1::2], rtol=1e-6)
+    with pytest.raises(ValueError, match="cannot move by"):
+        LateEnv(Alternating(signature), task, DT, 2, 0.06, dtype=torch.float64).rollout(3)

@@ -5,8 +5,10 @@ import pytest
 import torch
 
 from dynasindy.evaluation import symptoms as module
-from dynasindy.evaluation.symptoms import closed_loop, resolution, saturated, step_of
+from dynasindy.evaluation.symptoms import closed_loop, resolution, resolutions, saturated, step_of
+from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import SindyModel
 
 T = 0.01 * np.arange(3000)
 
@@ -65,3 +67,20 @@ def test_what_past_inputs_explain_is_relied_on_and_what_states_explain_is_doubte
     (own, certain), (both, same) = fits
     assert own.shape[1] == certain == same and torch.equal(both[:, :certain], own)
     assert both.shape[1] == certain + 2 * module.LAGS  # of two states
+
+
+def test_the_noise_of_what_jumps_is_told_by_a_difference_equation():
+    """x+ = -0.6 x + u, seen with noise of 0.02: a cubic takes the jumps themselves for noise."""
+    rng, n = np.random.default_rng(3), 3000
+    u, x = rng.standard_normal(n), np.zeros(n + 1)
+    for k in range(n):
+        x[k + 1] = -0.6 * x[k] + u[k]
+    seen = torch.from_numpy(x + 0.02 * rng.standard_normal(n + 1)).unsqueeze(-1)
+    data = Transitions.from_trajectory(seen, torch.from_numpy(u).unsqueeze(-1), 0.1)
+    found = []
+    for time in ("continuous", "discrete"):
+        model = SindyModel(Signature(("x",), ("-",), ("u",), (1.0,)), ["x", "u"], time=time)
+        model.library = model.library.with_step(0.1 if time == "discrete" else None)
+        model.set_coefficients(torch.tensor([[-16.0], [10.0]], dtype=torch.float64))
+        found += resolutions(model, data)
+    assert found[0] > 0.3 and found[1] == pytest.approx(0.02, rel=0.1)

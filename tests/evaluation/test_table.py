@@ -5,13 +5,13 @@ import pytest
 from dynasindy.evaluation.table import markdown, over_seeds, overrides, sweep_table
 
 
-def write(folder, name, trained):
+def write(folder, name, trained, **more):
     run = folder / name
     run.mkdir(parents=True)
     evaluation = {"return": trained, "steady_state_error/alpha_a": 0.01, "rmse/alpha_a": 0.02}
     cost = {"real_steps": 600, "plant_seconds": 30.0, "wall_seconds": 100.0}
     (run / "metrics.json").write_text(
-        json.dumps({"cost": cost, "untrained": {"return": -9.0}, "evaluation": evaluation})
+        json.dumps({"cost": cost, "untrained": {"return": -9.0}, "evaluation": evaluation} | more)
     )
 
 
@@ -23,6 +23,30 @@ def test_seeds_are_joined_and_settings_are_not(tmp_path):
     dyna, none = sweep_table(tmp_path).splitlines()[2:]
     assert dyna.startswith("| `planning=dyna` | 4 | 600 (30 s) | -9 [-9, -9] |") and "| 2.5 [" in dyna
     assert none.startswith("| `planning=none` | 1 |") and "| -50 |" in none
+
+
+@pytest.mark.parametrize(
+    ("part", "settings"),
+    [
+        (".", ["xi smoke direct", "xi smoke direct agent.critics=1", "xi smoke rollouts_0"]),
+        ("xi", ["smoke direct", "smoke direct agent.critics=1", "smoke rollouts_0"]),
+        ("xi/smoke/direct", ["agent.critics=1", "default"]),
+    ],
+)
+def test_the_runs_of_an_ablation_are_found_from_each_of_its_folders(tmp_path, part, settings):
+    for place in ("direct/seed_0", "direct/seed_1", "rollouts_0/seed_0", "direct/agent.critics-1/seed_3"):
+        write(tmp_path / "xi" / "smoke", place, 1.0)
+    rows = [row.split(" | ") for row in sweep_table(tmp_path / part).splitlines()[2:]]
+    assert {row[0] for row in rows} == {f"| `{setting}`" for setting in settings}
+    assert sum(int(row[1]) for row in rows) == (4 if "direct" not in part else 3)
+
+
+def test_units_that_plants_do_not_share_stand_in_the_cells(tmp_path):
+    write(tmp_path, "0_system-tank__seed-0", 1.0, units={"h": "m"})
+    write(tmp_path, "1_system-xi__seed-0", 1.0, units={"alpha_a": "rad"})
+    head, _, tank, xi = sweep_table(tmp_path).splitlines()
+    assert "| steady-state error, per axis | RMSE, per axis |" in head
+    assert "| 0.01 [m] | 0.02 [m] |" in tank and "| 0.01 [rad] | 0.02 [rad] |" in xi
 
 
 def test_a_run_without_a_finite_figure_is_counted_and_not_left_out(tmp_path):

@@ -23,7 +23,7 @@ def policy_of(task, hidden=(8, 5), seed=1):
         return actor(task.n_o, task.signature.n_u, hidden).requires_grad_(False)
 
 
-def model_of(signature=PENDULUM, delay=0.0):
+def model_of(signature=PENDULUM, delay=0.0, step=None):
     angle, rate = signature.state_names
     push, omega = variable(signature.input_names[0]), variable(rate)
     words = [push, omega, of("tanh", angle, frequency=3.7), of("sin", angle), omega * of("abs", rate)]
@@ -31,13 +31,17 @@ def model_of(signature=PENDULUM, delay=0.0):
     table = [[0.0, 8.0], [1.0, -0.6], [0.0, -2.5], [0.0, -6.0], [0.0, -0.04]]
     model.set_coefficients(torch.tensor(table, dtype=torch.float64))
     model.delay = delay
+    model.library = model.library.with_step(step)
     return model
 
 
 def pendulum_controller(
-    observer=True, integral=None, delay=0.07, stops=True, disturbance=True, signature=PENDULUM, ends=None
+    observer=True, integral=None, delay=0.07, stops=True, disturbance=True, signature=PENDULUM, ends=None, step=None
 ):
-    """Return a controller of a pendulum whose angle is measured, with other ends of its input, `(2, 1)`, if given."""
+    """Return a controller of a pendulum whose angle is measured, with other ends of its input, `(2, 1)`, if given.
+
+    With a step its model is the difference equation of that step [s].
+    """
     angle, rate = signature.state_names
     task = Tracking(
         signature,
@@ -58,7 +62,7 @@ def pendulum_controller(
     sensors = Sensors(
         {angle: {"resolution": 0.01, "noise": 0.002}}, rates={angle: rate}, delay=1, disturbance=disturbance
     )
-    watching = Observer(model_of(signature, delay), sensors, pace)
+    watching = Observer(model_of(signature, delay, step), sensors, pace)
     watching.load_state_dict({"process_noise": [0.013, 0.021, 0.4][: 2 + disturbance], "nis": 1.1})
     return Controller(policy_of(task), pace, watching, integral)
 

@@ -72,6 +72,8 @@ KINDS = [
     {"observer": False, "integral": {"band": 0.9}},
     {"ends": [[-0.02], [0.05]]},
     {"observer": False, "ends": [[0.185], [0.216]]},
+    {"step": 0.02, "delay": 0.06},
+    {"step": 0.04, "delay": 0.0, "stops": False, "disturbance": False},
 ]
 """Controllers that differ by all that an exported one may have."""
 

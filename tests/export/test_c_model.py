@@ -1,6 +1,7 @@
 """The model in C is the model, and compiles without a word of its file in the code."""
 
 import ctypes
+import math
 import re
 
 import numpy as np
@@ -16,10 +17,10 @@ needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C co
 WORDS = ["1", "a", "a |a| b", "sign(b)", "exp(-(2 a)^2)", "sqrt(b - 0.3)", "max(0, a - -0.2)", "b /(1 + 3 cos(a)^2)"]
 
 
-def compiled(sources, folder):
+def compiled(sources, folder, result="dx"):
     for name, text in sources.files().items():
         (folder / name).write_text(text)
-    call = getattr(ctypes.CDLL(str(build([folder / f"{sources.name}.c"], folder / "m.so"))), f"{sources.name}_dx")
+    call = getattr(ctypes.CDLL(str(build([folder / f"{sources.name}.c"], folder / "m.so"))), f"{sources.name}_{result}")
 
     def field(x, u, n):
         dx = (ctypes.c_double * n)()
@@ -60,3 +61,14 @@ def test_hostile_names_are_comments_and_places_alone(pendulum_model, hostile, tm
     assert compiled(sources, tmp_path)([0.0, 0.0], [0.5], 2) == [0.0, 4.0]
     bare = re.sub(r"/\*.*?\*/", "", sources.header, flags=re.S)
     assert "model_x_int = 0" in bare and "f()" not in bare
+
+
+@needs_compiler
+def test_a_difference_equation_is_what_comes_next(pendulum_model, tmp_path):
+    """theta+ = theta + 0.05 Omega and Omega+ = Omega + 0.05 (8 u - 0.6 Omega - 2.5 tanh(3.7 theta) ...)."""
+    sources = model_sources(pendulum_model(step=0.05))
+    assert "x[k+1] = F(x[k], u[k])" in sources.header and "A step takes 0.05 s" in " ".join(sources.header.split())
+    following = compiled(sources, tmp_path, "next")
+    theta, omega, u = 0.4, -1.5, 0.3
+    push = 8 * u - 0.6 * omega - 2.5 * math.tanh(3.7 * theta) - 6 * math.sin(theta) - 0.04 * omega * abs(omega)
+    assert following([theta, omega], [u], 2) == pytest.approx([theta + 0.05 * omega, omega + 0.05 * push], rel=1e-12)

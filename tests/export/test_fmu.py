@@ -317,3 +317,24 @@ def test_they_are_valid_and_fly_coupled_as_they_do_in_python(pendulum, hostile, 
         worst = max(worst, np.abs(states - x.numpy()).max(), abs(ours.get("u_u")[0] - float(past[-1])))
     assert worst < 1e-6
     assert abs(float(x[0])) > 0.005
+
+
+@needs_compiler
+@pytest.mark.parametrize(("version", "delay"), [(2, 0.0), (3, 0.2)])
+def test_a_plant_in_discrete_time_moves_by_whole_steps_alone(tmp_path, version, delay):
+    """x1+ = -0.6 x1 + 0.3 u, every 0.1 s, whatever the step of Runge and Kutta is."""
+    model = linear([-16.0, 3.0], delay=delay)
+    model.library = model.library.with_step(0.1)
+    plant_fmu(model, tmp_path / "p.fmu", 0.004, version=version)
+    plant, now, x, inputs = Library(tmp_path / "p.fmu", version), 0.0, 1.0, [0.0] * round(delay / 0.1)
+    plant.set(x_x1=x)
+    for steps, u in ((1, 0.5), (2, -1.0), (1, 0.25), (3, 1.0)):
+        plant.set(u_u=u)
+        assert plant.step(now, 0.1 * steps) == OK
+        now += 0.1 * steps
+        for _ in range(steps):
+            inputs.append(u)
+            x = -0.6 * x + 0.3 * inputs.pop(0)
+        assert plant.get("x_x1") == pytest.approx([x], abs=1e-12)
+    assert plant.step(now, 0.05) == ERROR and plant.step(now, 0.15) == ERROR
+    assert plant.get("x_x1") == pytest.approx([x], abs=1e-12)

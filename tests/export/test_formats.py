@@ -72,3 +72,18 @@ def test_latex_shows_every_term_once(pendulum_model):
         "    &\\quad - 6 \\, \\sin \\theta - 0.04 \\, \\Omega \\, |\\Omega|\n"
         "\\end{align*}\n"
     )
+
+
+def test_a_difference_equation_is_what_comes_next_in_all_forms(pendulum_model):
+    model = pendulum_model(step=0.05)
+    x, u = np.array([0.4, -1.5]), np.array([0.3])
+    expected = x + 0.05 * np.array(by_hand(x, 0.3))
+    np.testing.assert_allclose(numpy_field(model)(x, u), expected, rtol=1e-12)
+    source = casadi_source(model)
+    assert "STEP = 0.05" in source and "x[k+1] = F(x[k], u[k])" in source and '["next"]' in source
+    assert r"{\theta}[k+1]" in latex_source(model)
+    control = pytest.importorskip("control", reason="python-control is not installed: pip install -e '.[export]'")
+    system = control_system(model)
+    assert system.dt == 0.05
+    np.testing.assert_allclose(system.dynamics(0.0, x, u), expected, rtol=1e-12)
+    assert control.isdtime(system, strict=True)

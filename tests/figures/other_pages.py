@@ -7,6 +7,7 @@ from tables import cell, middle, numbers, pair, record, rows, setting, short, ta
 from ties import Tie, Untied
 
 from dynasindy.benchmarks.instruments import logged
+from dynasindy.benchmarks.instruments.certainty import LASTS
 from dynasindy.evaluation.fitted import BETTER
 from dynasindy.world_models.models.follower import TIMES
 from dynasindy.world_models.refinement.trajectory import WORSE
@@ -167,6 +168,17 @@ def identification(text: str) -> Iterator[Tie]:
     ):
         yield tie(words, {"van_der_pol": "0.02", "lorenz": "0.01"}[case])
         yield tie(*_textbook(case))
+    for start, case, given in (
+        ("`xi`, white noise of {} | whole", "xi, white noise of 1e-3, simulation", ["1e-3"]),
+        ("white noise of {} % | whole", "van der Pol, white noise of 10 %, simulation", ["10"]),
+        ("pushes that last {} s | whole", "oscillator, random pushes, simulation", [str(LASTS)]),
+        ("the same | windows on their own", "oscillator, random pushes, prediction", []),
+        ("a spring that its library lacks | whole", "not in the library, simulation", []),
+        ("the same | windows on their own", "not in the library, prediction", []),
+    ):
+        told = (_measured("standard_errors", case, method) for method in ("ours", "textbook"))
+        ends = [end for each in told for end in each.split(" to ")]
+        yield tie(f"{start} | {{}} to {{}} | {{}} to {{}} |", *given, *ends)
     yield tie("| {} % worst state, 32 unseen episodes |", _measured("tras", "worst state"))
     better, worse = (
         next(

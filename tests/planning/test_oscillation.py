@@ -84,3 +84,12 @@ def test_a_model_that_is_infinite_there_has_none():
             return super().forward(x, u) + (x - 1e-3).sqrt()
 
     assert of(Root([*spring(9.4, 0.1)], [[0.0], [1.0]])) == math.inf
+
+
+def test_a_difference_equation_whose_sign_changes_swings_every_two_steps():
+    class Alternating(Linear):
+        step = 0.25
+
+    a, b = [[-1.6 / 0.25]], [[4.0]]
+    assert of(Linear(a, b)) == math.inf
+    assert of(Alternating(a, b)) == pytest.approx(0.5)

@@ -148,7 +148,7 @@ def test_targets_that_no_input_holds_are_told_beside_what_the_others_ask_for():
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({}, "window 60 periods, lr 0.01, 200 updates, patience 3, 1 Runge-Kutta step a period: as"),
+        ({}, "window 60 periods, lr 0.01, 200 updates, patience 3, 1 step a period: as"),
         ({"held": True, "substeps": 2}, "begun as a regulator, window 60 periods, lr 0.01, 200 updates, patience 3, 2"),
         ({"held": True, "afar": True}, "begun as ways from afar, found by search, window 60 periods"),
     ],

@@ -145,3 +145,10 @@ def test_a_single_rest_serves_all_targets_and_what_no_input_holds_is_left_out():
     far = between(Pendulum(), [0], torch.tensor([[0.2], [2.0]]), torch.zeros(2), known_rests(-0.5, 0.5), WHOLE)
     assert far.targets.tolist() == [[pytest.approx(0.2)]] and far.unheld.tolist() == [[2.0]]
     assert far.needed.item() == pytest.approx(9.81 / 12.0 * math.sin(0.5) / 0.5 * 2.0)
+
+
+def test_growth_of_a_difference_equation_is_the_power_of_its_matrix():
+    """1.1 every 0.5 s for 4 s grows 1.1^8 times, and -1.1 as much."""
+    for factor in (1.1, -1.1):
+        a = torch.tensor([[(factor - 1) / 0.5]], dtype=torch.float64)
+        assert growth(a, torch.ones(1, dtype=torch.float64), 4.0, 0.5) == pytest.approx(1.1**8)

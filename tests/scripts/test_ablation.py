@@ -177,14 +177,14 @@ def test_a_run_that_cannot_be_read_at_the_end_is_a_line_and_no_warning(tmp_path)
     assert not (tmp_path / "results").exists()
 
 
-def test_a_device_that_is_not_there_costs_one_line(tmp_path):
-    command = [sys.executable, str(SCRIPT), *SMALL, "hydra/launcher=together", "device=tpu"]
+@pytest.mark.parametrize("launcher", ["together", "basic"])
+def test_a_device_that_is_not_there_costs_one_line_and_leaves_nothing(tmp_path, launcher):
+    command = [sys.executable, str(SCRIPT), *SMALL, f"hydra/launcher={launcher}", "device=tpu"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
     assert done.returncode == 2
-    assert (
-        done.stderr.strip().splitlines()[-1].startswith("error: device=tpu is not to be had; on this machine there is")
-    )
-    assert not jobs(tmp_path)
+    (line,) = [line for line in done.stderr.splitlines() if not line.startswith("sweep: ")]
+    assert line.startswith("error: device=tpu is not to be had; on this machine there is")
+    assert not list(tmp_path.iterdir())
 
 
 def test_jobs_in_lockstep_that_name_several_devices_are_refused_in_one_line(tmp_path):

@@ -179,6 +179,14 @@ def test_what_is_missing_costs_one_line(log, tmp_path, words, message):
     assert done.stdout == "" and not list(tmp_path.iterdir())  # no fit, and no folder
 
 
+def test_a_log_that_no_job_of_a_sweep_could_read_costs_one_line_before_the_first(tmp_path):
+    done = train("-m", "data=csv", "data.path=nowhere.csv", *TASK, "seed=0,1", cwd=tmp_path)
+    lines = [line for line in done.stderr.splitlines() if not line.startswith("sweep: ")]
+    assert done.returncode == 2 and done.stdout == ""
+    assert len(lines) == 1 and lines[0].startswith("error: nowhere.csv does not exist")
+    assert not list(tmp_path.iterdir())
+
+
 LOGGED = {"data": {"_target_": "dynasindy.evaluation.identification.Logged", "path": "log.csv"}, "system": None}
 
 

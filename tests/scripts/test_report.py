@@ -46,3 +46,10 @@ def test_a_folder_without_runs_has_its_line(tmp_path: Path) -> None:
     done = report(f"save={tmp_path}", cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr.startswith("error: ") and "holds no finished run of seed 0" in done.stderr
+
+
+def test_a_folder_without_anything_saved_is_refused_and_no_page_is_written(tmp_path: Path) -> None:
+    done = report(cwd=tmp_path)
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.startswith("error: docs/results holds no saved run and no table") and "save=RUN" in done.stderr
+    assert not list(tmp_path.iterdir())

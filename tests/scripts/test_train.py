@@ -82,26 +82,56 @@ def test_a_bad_setting_costs_one_line_and_leaves_nothing(tmp_path, override, wor
     assert not [file for file in tmp_path.rglob("*") if file.is_file()]
 
 
-@pytest.mark.parametrize(
-    ("sweeper", "task", "words"),
-    [
-        ("asking", "own", "task=own has no targets, so its jobs have no score"),
-        ("asking", "random_step", "an excitation of 90 s does not fit"),  # what is found next, before any work
-        ("basic", "own", "an excitation of 90 s does not fit"),
-    ],
-)
-def test_a_search_refuses_a_task_that_has_no_score_and_a_plain_sweep_does_not(tmp_path, sweeper, task, words):
+@pytest.fixture
+def asking(tmp_path):
+    """Where Python finds a sweeper of the name `asking`."""
     (tmp_path / "hydra_plugins").mkdir()
     (tmp_path / "hydra_plugins" / "asking.py").write_text(ASKING)
-    path = os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")]))
+    return os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")]))
+
+
+@pytest.mark.parametrize(("sweeper", "task"), [("asking", "random_step"), ("basic", "own")])
+def test_a_plain_sweep_needs_no_task_with_a_score_and_each_of_its_jobs_leaves_its_own_line(
+    tmp_path, asking, sweeper, task
+):
     jobs = tmp_path / "sweep"
     done = run(
         "-m", "experiment=smoke", f"task={task}", "excitation.duration=90", f"hydra/sweeper={sweeper}",
-        f"hydra.sweep.dir={jobs}", *(["seed=0,1"] if sweeper == "basic" else []), cwd=tmp_path, PYTHONPATH=path,
+        f"hydra.sweep.dir={jobs}", "seed=0,1", cwd=tmp_path, PYTHONPATH=asking,
     )  # fmt: skip
     lines = [file.read_text() for file in jobs.rglob("error.txt")]
     assert done.returncode == 2 and "2 jobs failed" in done.stderr, done.stderr
-    assert len(lines) == 2 and all(line.startswith(f"error: {words}") and line.count("\n") == 1 for line in lines)
+    said = "error: an excitation of 90 s does not fit"  # what is found next, before any work
+    assert len(lines) == 2 and all(line.startswith(said) and line.count("\n") == 1 for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["task=own", "seed=0,1"], "task=own has no targets, so its jobs have no score"),
+        (["seed=3"], "nothing is searched; give a range, such as 'planning.lr=interval(0.002,0.03)'"),
+    ],
+)
+def test_a_search_that_cannot_find_anything_costs_one_line_and_leaves_nothing(tmp_path, asking, words, said):
+    done = run("-m", "experiment=smoke", "hydra/sweeper=asking", *words, cwd=tmp_path, PYTHONPATH=asking)
+    lines = [line for line in done.stderr.splitlines() if not line.startswith("sweep: ")]
+    assert done.returncode == 2 and done.stdout == "", done.stderr
+    assert len(lines) == 1 and lines[0].startswith(f"error: {said}")
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("hydra/launcher=together", "hydra/launcher=together is for many jobs, and this command is one; add -m, "),
+        ("seed=0,1", "seed=0,1 gives several values; add -m for a job with each of them, or write 'seed=[0,1]' for"),
+    ],
+)
+def test_what_is_for_a_sweep_says_how_to_ask_for_one(tmp_path, word, said):
+    done = run("experiment=smoke", word, cwd=tmp_path)
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.startswith(f"error: {said}") and done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow

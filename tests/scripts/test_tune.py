@@ -39,6 +39,7 @@ def log(tmp_path_factory, write_log):
 def test_the_best_trial_is_the_one_of_the_least_error_and_the_search_goes_on(log, tmp_path):
     done = tune(log, tmp_path / "tune")
     assert done.returncode == 0, done.stderr
+    assert all("of 3 jobs" in line for line in done.stderr.splitlines())  # how far it is, and nothing of Optuna's own
     best = yaml.safe_load((tmp_path / "tune" / "optimization_results.yaml").read_text())
     trials = {
         json.loads(file.read_text())["prediction"]["score"]: yaml.safe_load((file.parent / "config.yaml").read_text())

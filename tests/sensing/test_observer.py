@@ -311,3 +311,23 @@ def test_a_rough_model_is_leant_on_until_there_is_a_better_one():
     torch.testing.assert_close(ours.follow(y, u)[0], wanted)
     ours.learn(y, u)
     assert ours.learnt and ours.system is ours.model
+
+
+def test_a_model_in_discrete_time_is_filtered_as_in_the_textbook():
+    """The same plant as its exact difference equation, (F - 1) / dt and G / dt: what is in between does not matter."""
+
+    class Sampled(Linear):
+        step = DT
+
+        def forward(self, x, u):
+            f, g = held(DT)
+            return (x @ (f - torch.eye(3, dtype=torch.float64)).to(x).T + u @ g.to(x).T) / DT
+
+    ours, (y, u, _) = observer(), logged(60, lost=0.2)
+    ours.model = Sampled()
+    first = ours.begin(y[0])
+    theirs = textbook(y, u, 1e-2, (first.mean, first.covariance))[0]
+    torch.testing.assert_close(ours.follow(y, u)[0][1:], theirs, rtol=0, atol=1e-7)
+    ours.dt = 1.5 * DT
+    with pytest.raises(ValueError, match=r"a step of 0\.05 s and cannot move by 0\.075 s"):
+        ours.follow(y, u)

@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from dynasindy.systems import Pendulum, Stops, integrate, rk4
+from dynasindy.systems import Pendulum, Signature, Stops, System, integrate, moved, rk4, steps_needed
 
 
 def oscillator(x, u):
@@ -101,3 +101,40 @@ def test_undamped_pendulum_keeps_its_energy():
     for _ in range(1000):
         x = rk4(pendulum, x, torch.zeros(1, dtype=torch.float64), 0.01)
     assert abs(energy(x) - start) < 1e-6
+
+
+class Doubling(System):
+    """x[k+1] = 2 x[k] + 0.5 u[k], every 0.1 s, as rates of change."""
+
+    step = 0.1
+    machine_code = True
+
+    def forward(self, x, u):
+        (position,), (push,) = x.unbind(-1), u.unbind(-1)
+        return torch.stack((10.0 * position + 5.0 * push,), -1)
+
+
+DOUBLING = Doubling(Signature(("x",), ("-",), ("u",), (1.0,)))
+
+
+@pytest.mark.parametrize("machine_code", [True, False])
+@pytest.mark.parametrize("substeps", [1, 4])
+def test_a_difference_equation_is_moved_by_its_own_steps(machine_code, substeps):
+    """From 1 under 2 it goes to 3, 7 and 15; within a control period there is nothing but its end."""
+    x, u = torch.ones(2, 1, dtype=torch.float64), torch.full((2, 1), 2.0, dtype=torch.float64)
+    DOUBLING.machine_code = machine_code
+    for periods, end in ((1, 3.0), (3, 15.0)):
+        samples, touched = integrate(DOUBLING, x, u, 0.1 * periods, substeps)
+        assert samples.shape == (2, substeps, 1) and not bool(touched.any())
+        torch.testing.assert_close(samples, torch.full_like(samples, end))
+        torch.testing.assert_close(moved(DOUBLING, x, u, 0.1 * periods, substeps), torch.full_like(x, end))
+    with pytest.raises(ValueError, match=r"cannot move by 0.25 s"):
+        integrate(DOUBLING, x, u, 0.25, substeps)
+    assert steps_needed(DOUBLING, x, u, 0.1, 1) == (1, 0.0)
+
+
+def test_a_stop_holds_a_difference_equation_after_each_of_its_steps():
+    """From 1 under 2 it would go to 3 and 7; held at 2.5 after the first step, it is at 2.5 after the second too."""
+    one = torch.ones(1, 1, dtype=torch.float64)
+    samples, touched = integrate(DOUBLING, one, 2 * one, 0.2, 1, Stops((0,), (0,), (-2.5,), (2.5,)))
+    assert bool(touched.all()) and float(samples.abs().max()) <= 2.5

@@ -103,3 +103,31 @@ def test_nothing_is_left_behind(tmp_path):
     )
     subprocess.run([sys.executable, "-c", code], check=True, env={**os.environ, "TMPDIR": str(tmp_path)})
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_difference_equation_has_the_derivatives_of_its_steps(dtype):
+    """x[k+1] = (a + 0.5 (a b - 2 a + u), b + 0.5 (-b + 2 a)): two steps, their Jacobians multiplied by hand."""
+    lines = (("v0", "x[0] * x[1]"),)
+    code = Machine(Program(2, 1, lines, ("v0 - 2.0 * x[0] + u[0]", "2.0 * x[0] - x[1]"), step=0.5), dtype)
+    rng = torch.Generator().manual_seed(3)
+    x, u = torch.randn(40, 2, generator=rng).to(dtype), torch.randn(40, 1, generator=rng).to(dtype)
+
+    def once(z):
+        a, b = z.unbind(-1)
+        end = torch.stack([0.5 * a * b + 0.5 * u[:, 0], a + 0.5 * b], -1)
+        slopes = torch.stack([torch.stack([0.5 * b, 0.5 * a], -1), torch.tensor([1.0, 0.5]).to(z).expand_as(z)], -2)
+        return end, slopes
+
+    first, a1 = once(x)
+    second, a2 = once(first)
+    by_u = torch.tensor([[0.5], [0.0]], dtype=dtype)
+    samples, _ = code.integrate(x, u, 1.0, 9)
+    torch.testing.assert_close(samples, torch.stack([first, second], -2))
+    a, b = code.sensitivities(x, u, 1.0, 9)
+    torch.testing.assert_close(a, a2 @ a1)
+    torch.testing.assert_close(b, a2 @ by_u + by_u)
+    with pytest.raises(ValueError, match=r"cannot move by 0.7 s"):
+        code.integrate(x, u, 0.7, 1)
+    with pytest.raises(ValueError, match=r"cannot move by 0.7 s"):
+        code.sensitivities(x, u, 0.7, 1)

@@ -90,6 +90,29 @@ def test_models_with_coefficients_of_their_own_fly_at_once(device):
     assert len(company.kept) == 1
 
 
+@pytest.mark.parametrize("steps", [1, 2])
+def test_models_in_discrete_time_fly_as_each_alone_and_not_with_others(steps):
+    """A period of 0.05 s is one step, or two; a model of the same functions in continuous time is of another kind."""
+
+    def _timed(seed):
+        found = model(seed)
+        found.library = found.library.with_step(None if seed == 2 else 0.05 / steps)
+        return env(0).with_system(found, torch.float32, seed)
+
+    def _start(place):
+        return place.start_from(0.1 * torch.ones(4, 6, dtype=torch.float64))
+
+    def _fly(seed):
+        place = _timed(seed)
+        return fly(place, agent(seed).deployed, partial(_start, place), 6, "imagined")
+
+    company = Company("cpu")
+    for seed, rollout in enumerate(company.run([partial(_fly, seed) for seed in range(3)])):
+        wanted = _timed(seed).rollout(6, agent(seed).deployed, auto_reset=False, tensordict=_start(_timed(seed)))
+        assert_same(rollout, wanted)
+    assert len(company.kept) == 2
+
+
 @pytest.mark.parametrize("given", [{"plant": Tras}, {"dt": 0.1}, {"azimuth_stop": 1e-3}, {"steps": 13}])
 def test_runs_of_other_plants_paces_and_tasks_fly_apart(given):
     def _fly(given):

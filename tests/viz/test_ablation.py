@@ -76,6 +76,13 @@ def test_the_figure_of_controls_has_a_panel_per_family_on_one_scale():
     assert figure.axes[1].get_legend().get_texts()[0].get_text() == "direct (1 seed)"
 
 
+def test_panels_of_a_single_episode_name_their_own_settings():
+    families = {"one": {"a": np.full((2, 1), 0.1), "b": np.full((2, 1), 0.1)}, "two": {"c": np.full((1, 1), 2.0)}}
+    axes = controls(families, level=0.05).axes
+    assert [[text.get_text() for text in axis.get_xticklabels()] for axis in axes] == [["a", "b"], ["c"]]
+    assert all(text.get_visible() for axis in axes for text in axis.get_xticklabels())
+
+
 def hostile_rows(**changed):
     row = {"system": "xi", "experiment": "dyna", "setting": "a", "seed": 0, "episode": 1, "evaluated_return": -1.0}
     return [{**row, "evaluated_steady_state_error/y": 0.1, **changed}]

@@ -1,5 +1,6 @@
 """Figures of an evaluation: which kind is drawn for which scenario."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -83,6 +84,16 @@ def test_the_figures_of_a_disturbed_flight_say_how_large_the_disturbance_is() ->
     found = figures(evaluate(env, lambda td: td.set("action", torch.zeros(*td.batch_size, 2)), late))
     for figure in found.values():
         assert figure.get_suptitle().startswith("Scenario 'delay'; inputs late by 3 control periods, 0.15 s")
+
+
+def test_a_title_does_not_say_the_name_of_a_disturbance_twice() -> None:
+    result = replace(run(Step([[0.1, 0.1]]), 2), scenario="detuned", disturbances=("detuned: J times 1.1",))
+    assert [figure.get_suptitle().split("\n")[0] for figure in figures(result).values()] == [
+        "Scenario 'detuned'; J times 1.1",
+        "Scenario 'detuned'; J times 1.1: error over all references (2)",
+    ]
+    other = figures(replace(result, scenario="mine"))["mine"]
+    assert other.get_suptitle().startswith("Scenario 'mine'; detuned: J times 1.1")
 
 
 def test_the_episode_that_begins_farthest_is_drawn() -> None:

@@ -27,6 +27,20 @@ def test_closed_episodes_are_shaded_and_rolled_back_refits_are_marked():
     assert upper.get_ylim() == pytest.approx((0.005, 1.0))
 
 
+def test_where_the_model_ran_away_there_is_a_mark_at_the_upper_edge():
+    decisions = {"episode": [1, 2, 3, 4], "reward_error": [0.4, np.inf, np.nan, 0.4], "open": [1] * 4}
+    decisions |= {"judged_reward_error": [0.1, np.nan, 0.1, np.inf], "open_below": [0.3] * 4, "close_above": [0.5] * 4}
+    tests = {"held_out_error_before": [1.0] * 4, "held_out_error_after": [1.0] * 4, "refit_kept": [1] * 4}
+    upper, lower = gate(decisions | tests).axes
+    marks = [line for line in upper.lines if line.get_marker() == "^"]
+    # Where no planning was due nothing was judged: that is no flight.
+    assert [line.get_xdata().tolist() for line in marks] == [[2.0, 3.0], [4.0]]
+    assert {height for line in marks for height in line.get_ydata()} == {upper.get_ylim()[1]}
+    words = [text.get_text() for text in upper.get_legend().get_texts()]
+    assert words.count("ran away, above the axis") == 1
+    assert not [line for line in lower.lines if line.get_marker() == "^"]
+
+
 @pytest.mark.parametrize(
     ("values", "ends"),
     [

@@ -30,6 +30,12 @@ def test_prediction_titles_say_the_error_in_percent_of_the_range() -> None:
     assert figure.axes[4].get_ylabel().endswith("[rpm]")
 
 
+def test_curves_fill_their_panels_unless_the_model_leaves_the_plant_far_behind() -> None:
+    """The plant goes from 0 to 1; the model beside it, a fifth beyond it, and three times as far."""
+    ends = [prediction(TIME, STATES, k * STATES).axes[0].get_ylim() for k in (1.0, 1.2, 3.0)]
+    np.testing.assert_allclose(ends, [(-0.06, 1.06), (-0.06, 1.26), (-0.06, 1.6)])
+
+
 def test_a_model_that_runs_away_is_said_and_does_not_flatten_the_plant() -> None:
     wild = STATES.copy()
     wild[50:, 0] = 1e30

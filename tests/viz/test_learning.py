@@ -85,4 +85,16 @@ def test_of_a_single_episode_there_are_dots_and_intervals_to_be_seen() -> None:
     assert {line.get_marker() for line in shown} == {"o"}
     (interval,) = axis.collections[-1].get_segments()
     assert 1.0 <= interval[0][1] < interval[1][1] <= 6.0
-    assert axis.get_xlim() == (0.5, 1.5)
+
+
+def test_of_a_single_episode_settings_and_seeds_stand_side_by_side() -> None:
+    # The same returns: dots at the same place would hide each other.
+    curves = {"a": [[1.0], [1.0]], "b": [[1.0], [1.0]], "c": [[1.0], [2.0], [6.0]]}
+    (axis,) = average_rewards(curves, episode=[4], window=1).axes
+    shown = [line for line in axis.lines if line.get_visible() and len(line.get_xdata())]
+    places = [float(line.get_xdata()[0]) for line in shown]
+    assert len(set(places)) == 5 and [round(place) for place in places] == [0, 0, 1, 1, 2]
+    assert [text.get_text() for text in axis.get_xticklabels()] == ["a", "b", "c"]
+    assert axis.get_xlabel() == "setting, after real episode 4" and axis.get_xlim() == (-0.5, 2.5)
+    words = [text.get_text() for text in axis.get_legend().get_texts()]
+    assert words[:3] == ["a (2 seeds)", "b (2 seeds)", "c (3 seeds)"]

@@ -24,6 +24,14 @@ def test_tracking_draws_reference_and_every_controller() -> None:
     assert [t.get_text() for t in figure.axes[0].get_legend().get_texts()] == ["reference", "a", "b"]
 
 
+def test_the_state_after_the_last_period_is_drawn_at_its_end() -> None:
+    longer = [torch.cat([rows, rows[-1:] + 0.01]) for rows in (REFERENCE, OUTPUT)]
+    (reference, output) = tracking(TIME, longer[0], {"a": longer[1]}, {"a": OUTPUT}).axes[0].lines
+    for line, rows in ((reference, longer[0]), (output, longer[1])):
+        assert len(line.get_xdata()) == 401 and line.get_xdata()[-1] == 20.0
+        assert line.get_ydata()[-1] == pytest.approx(float(rows[-1, 0]))
+
+
 def test_inputs_are_drawn_as_held() -> None:
     figure = tracking(TIME, REFERENCE, {"a": OUTPUT}, {"a": OUTPUT})
     (line,) = figure.axes[2].lines
@@ -58,6 +66,7 @@ def test_small_errors_are_drawn_as_they_are_and_no_curve_lies_on_the_frame() -> 
     assert inner.min() > 1.05 * axis.get_ylim()[0], "the middle half is inside"
     assert np.ptp(outer[outer < 1.5e-6]) > 0  # not on one floor
     assert [text.get_text() for text in axis.get_legend().get_texts()][:3] == ["5 to 95 %", "middle half", "median"]
+    assert axis.get_legend().get_texts()[3].get_text() == "the reward pays a bonus below 0.01 rad"
 
 
 def test_the_time_axis_ends_with_the_last_period_of_the_run():

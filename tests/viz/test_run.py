@@ -57,6 +57,23 @@ def test_a_single_episode_shows_how_its_prediction_went(tmp_path: Path) -> None:
     np.testing.assert_allclose(axis.lines[0].get_ydata(), 0.3 / wide / np.sqrt(2))
 
 
+def test_the_last_row_of_a_response_is_the_state_at_its_end(tmp_path: Path) -> None:
+    heading = "time [s],theta [rad],Omega [rad/s],u [-],reference_theta [rad]"
+    write(tmp_path / "data" / "excitation.csv", heading, "0.1", "0.2", "0.3", "0.0")
+    response = tmp_path / "data" / "step_response.csv"
+    write(response, heading, "0.1", "0", "0.3", "0.5")
+    before = _figures(tmp_path, Pendulum().signature)["step_response"]
+    start, end = before.axes[0].get_xlim()
+    response.write_text(f"{response.read_text()}{end},0.7,0,,0.5\n")
+    after = _figures(tmp_path, Pendulum().signature)["step_response"]
+    assert after.axes[0].get_xlim() == (start, end)  # no period more
+    reference, output = after.axes[0].lines[:2]
+    assert (output.get_xdata()[-1], output.get_ydata()[-1]) == (end, 0.7) and reference.get_xdata()[-1] == end
+    (held,) = after.axes[1].lines
+    assert not np.isnan(held.get_ydata()).any() and held.get_xdata()[-1] == end
+    assert before.axes[0].lines[1].get_xdata()[-1] < end  # a table of an earlier run
+
+
 def test_empty_cells_are_nan(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("a,b\n1,\n2,3.5\n")
     table = read_table(tmp_path / "t.csv")

@@ -9,10 +9,13 @@ from torch.autograd.functional import jacobian
 from torch.nn.functional import pad
 
 from dynasindy.systems import System
+from dynasindy.systems.steps import steps_of
 
 _TOLERANCE = 1e-9
 _ITERATIONS = 50
 _STEP = 1e-6
+GONE = 1e-6
+"""Part of a motion that is left after a step of a difference equation, below which nothing is."""
 
 
 def jacobians(system: System, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
@@ -21,18 +24,47 @@ def jacobians(system: System, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
     return a, b
 
 
-def zero_order_hold(a: Tensor, b: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+def zero_order_hold(a: Tensor, b: Tensor, dt: float, step: float | None = None) -> tuple[Tensor, Tensor]:
     """Sample a linear system exactly: x[k+1] = Ad x[k] + Bd u[k] under an input held for `dt` [s].
 
     Args:
         a: `(n_x, n_x)` [1/s].
         b: `(n_x, n_u)` [1/s].
         dt: sampling time [s].
+        step: of the difference equation x + step (a x + b u) that it is [s]; None of a differential equation.
+
+    Raises:
+        ValueError: the sampling time is not made of whole steps of the difference equation.
     """
+    if step is not None:
+        h, count, _ = steps_of(step, dt, 1)
+        once = torch.eye(len(a), dtype=a.dtype) + h * a
+        powers = [torch.linalg.matrix_power(once, k) for k in range(count)]
+        return once @ powers[-1], h * torch.stack(powers).sum(0) @ b
     # The input is a state that does not change. scipy.signal has this as a function, for a second of imports.
     held = pad(torch.cat((a, b), 1), (0, 0, 0, b.shape[1]))
     sampled = torch.as_tensor(expm((held * dt).numpy()))[: len(a)]
     return sampled[:, : len(a)], sampled[:, len(a) :]
+
+
+def modes(a: Tensor, step: float | None = None) -> Tensor:
+    """Return the modes s of a linear system, its motions e^(s t), complex `(n_x,)` [1/s].
+
+    Args:
+        a: `(n_x, n_x)` [1/s].
+        step: of the difference equation x + step a x that it is [s]; None of a differential equation.
+    """
+    rates = torch.linalg.eigvals(a)
+    return rates if step is None else told_by_time(rates, step)
+
+
+def told_by_time(rates: Tensor, step: float) -> Tensor:
+    """Return the modes s [1/s] of a difference equation x + step a x, given the eigenvalues of a.
+
+    What is gone after a step has no mode; it counts as one of which `GONE` is left.
+    """
+    factors = 1 + step * rates
+    return torch.where(factors.abs() > GONE, factors, GONE).log() / step
 
 
 class Equilibria:

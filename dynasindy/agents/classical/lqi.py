@@ -61,7 +61,7 @@ class LQI(TrackingController):
         self.equilibria = Equilibria(system, outputs)
         home = torch.zeros(len(self.outputs), dtype=torch.float64)
         self.model = zero_order_hold(
-            *jacobians(system, *self.equilibria.state_and_input(home, self.equilibria.home)), self.dt
+            *jacobians(system, *self.equilibria.state_and_input(home, self.equilibria.home)), self.dt, system.step
         )
         self.gain = self.riccati(
             [*(w / s**2 for w, s in zip(state_weights, signature.x_scale)), *integral_weights], input_weights

@@ -125,7 +125,7 @@ class MPC(Controller):
         s = _array("change", cost.change, n_u)
         home = torch.zeros(n_r, dtype=torch.float64)
         place = self.equilibria.state_and_input(home, self.equilibria.home)
-        a, b = (m.numpy() for m in zero_order_hold(*jacobians(system, *place), self.dt))
+        a, b = (m.numpy() for m in zero_order_hold(*jacobians(system, *place), self.dt, system.step))
         weight = np.zeros(len(a))
         weight[self.outputs] = q
         # In ranges of the states: rotor speeds in rpm would spoil the solution.

@@ -8,6 +8,7 @@ import numpy as np
 
 from dynasindy.agents.classical.symbolic import casadi, vector_field
 from dynasindy.systems import System
+from dynasindy.systems.steps import steps_of
 
 Array = np.ndarray
 
@@ -19,7 +20,10 @@ class Predictor:
         system: the model.
         dt: control period [s].
         n_periods: control periods of the horizon.
-        substeps: Runge-Kutta steps per control period.
+        substeps: Runge-Kutta steps per control period; a difference equation has its own.
+
+    Raises:
+        ValueError: the period is not made of whole steps of a difference equation.
     """
 
     def __init__(self, system: System, dt: float, n_periods: int, substeps: int) -> None:
@@ -28,8 +32,9 @@ class Predictor:
         field = vector_field(system)
         x, u, d = (ca.SX.sym(name, n) for name, n in (("x", n_x), ("u", n_u), ("d", n_x)))
         after: Any = x
-        for _ in range(substeps):
-            after = _rk4(field, after, u, dt / substeps)
+        h, count, difference = steps_of(system.step, dt, substeps)
+        for _ in range(count):
+            after = after + h * field(after, u) if difference else _rk4(field, after, u, h)
         slopes = ca.densify(ca.jacobian(after, ca.vertcat(x, u)))
         self.step = ca.Function("step", [x, u], [ca.densify(after)])
         self.slope = ca.Function("slope", [x, u], [slopes])

@@ -29,7 +29,19 @@ TRIALS = (
     *("late", "late_robust", "detuned_robust"),
 )
 IDENTIFIED = (
-    *("xi_10s", "xi_control", "xi_noise", "van_der_pol", "lorenz", "tras", "trms33", "pysindy", "refit", "speed"),
+    *(
+        "xi_10s",
+        "xi_control",
+        "xi_noise",
+        "van_der_pol",
+        "lorenz",
+        "standard_errors",
+        "tras",
+        "trms33",
+        "pysindy",
+        "refit",
+        "speed",
+    ),
 )
 LOGGED = (
     *("servo", "arm", "propeller", "tanks", "oven", "crane", "pole", "drone", "fan", "ship", "beam", "shaft"),

@@ -45,6 +45,23 @@ static void stop(double x[N])
 }
 
 @end
+@if difference
+/* Move states on under held inputs, by steps of the difference equation x + h f(x, u). */
+static void flow(double x[N], const double u[NU], double h, int steps)
+{
+    double k[N];
+    int i, s;
+    for (s = 0; s < steps; s++) {
+        rates(x, u, k);
+        for (i = 0; i < N; i++)
+            x[i] += h * k[i];
+@if stops
+        stop(x);
+@end
+    }
+}
+@end
+@if !difference
 /* Move states on under held inputs, by steps of the classical Runge-Kutta method of fourth order. */
 static void flow(double x[N], const double u[NU], double h, int steps)
 {
@@ -74,3 +91,4 @@ static void flow(double x[N], const double u[NU], double h, int steps)
 @end
     }
 }
+@end

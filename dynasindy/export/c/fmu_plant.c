@@ -22,18 +22,32 @@ static void begin(component *c)
 @end
 }
 
+@if difference
+/* Move on under held inputs, by steps of @step@ s. */
+@end
+@if !difference
 /* Move on under held inputs, by steps of at most @step@ s. */
+@end
 static void move(double x[NX], const double u[NU], double seconds)
 {
     const double steps = ceil(seconds / @step@ - 1e-6);
     const int n = steps < 1.0 ? 1 : (int)steps;
+@if difference
+    flow(x, u, @step@, n);
+@end
+@if !difference
     flow(x, u, seconds / n, n);
+@end
 }
 
 /* Move the plant from now to now + h. */
 static bool step(component *c, double now, double h)
 {
     double *x = c->values + NU;
+@if difference
+    if (h < 0.5 * @step@ || fabs(h / @step@ - floor(h / @step@ + 0.5)) > 1e-6)
+        return false; /* the model says nothing of the time between its steps */
+@end
 @if !late
     (void)now;
     move(x, c->values, h);

@@ -1,8 +1,9 @@
-/* One control period of a vector field, and its derivatives, for many rows at once. Generated code fills the gaps. */
+/* One control period of a vector field, and its derivatives, for many rows at once. Generated code fills the gaps. A step
+   has four stages, those of Runge and Kutta, or the one of a difference equation. */
 #include <math.h>
 
 typedef @real@ real;
-enum { N = @n_x@, M = @n_u@, C = N + M, P = @n_slopes@, W = @width@ }; /* W rows at once stay in the first cache */
+enum { N = @n_x@, M = @n_u@, C = N + M, P = @n_slopes@, W = @width@, STAGES = @stages@ }; /* W rows at once stay in the first cache */
 
 static inline real square(real v) { return v * v; }
 static inline real larger(real a, real b) { return a < b ? b : a; } /* a, if that is no number */
@@ -75,7 +76,7 @@ static void gather(const real *from, long rows, long first, int n, real *to)
     }
 }
 
-/* The state after each of `steps` Runge-Kutta steps of h [s], and whether a stop was touched. At a stop a position is held
+/* The state after each of `steps` steps of h [s], and whether a stop was touched. At a stop a position is held
    and its outward rate is zero. */
 void advance(long rows, const real *x0, const real *u0, const real *k, real h, int steps, int n_stops,
              const int *position, const int *rate, const real *low, const real *high, real *out, unsigned char *touched)
@@ -89,13 +90,17 @@ void advance(long rows, const real *x0, const real *u0, const real *k, real h, i
             at[r] = 0;
         for (int step = 0; step < steps; step++) {
             rates(x, u, k, a);
-            for (int i = 0; i < N * W; i++) y[i] = x[i] + (real)0.5 * h * a[i];
-            rates(y, u, k, b);
-            for (int i = 0; i < N * W; i++) y[i] = x[i] + (real)0.5 * h * b[i];
-            rates(y, u, k, c);
-            for (int i = 0; i < N * W; i++) y[i] = x[i] + h * c[i];
-            rates(y, u, k, d);
-            for (int i = 0; i < N * W; i++) x[i] += h / 6 * (a[i] + d[i] + 2 * (b[i] + c[i]));
+            if (STAGES == 1) {
+                for (int i = 0; i < N * W; i++) x[i] += h * a[i];
+            } else {
+                for (int i = 0; i < N * W; i++) y[i] = x[i] + (real)0.5 * h * a[i];
+                rates(y, u, k, b);
+                for (int i = 0; i < N * W; i++) y[i] = x[i] + (real)0.5 * h * b[i];
+                rates(y, u, k, c);
+                for (int i = 0; i < N * W; i++) y[i] = x[i] + h * c[i];
+                rates(y, u, k, d);
+                for (int i = 0; i < N * W; i++) x[i] += h / 6 * (a[i] + d[i] + 2 * (b[i] + c[i]));
+            }
             for (int s = 0; s < n_stops; s++) {
                 real *place = x + position[s] * W, *speed = x + rate[s] * W;
                 for (int r = 0; r < W; r++) {
@@ -151,7 +156,8 @@ void sensitivities(long rows, const real *x0, const real *u0, const real *k, rea
 {
     real x[N * W], u[M * W], y[N * W], f[N * W], sum[N * W], j[P * W];
     real s[N * C * W], t[N * C * W], d[N * C * W], total[N * C * W];
-    const real ahead[4] = {(real)0.5 * h, (real)0.5 * h, h, 0}, weight[4] = {h / 6, h / 3, h / 3, h / 6};
+    const real ahead[4] = {(real)0.5 * h, (real)0.5 * h, h, 0}, whole[1] = {h};
+    const real quarters[4] = {h / 6, h / 3, h / 3, h / 6}, *weight = STAGES == 1 ? whole : quarters;
     for (long first = 0; first < rows; first += W) {
         gather(x0, rows, first, N, x);
         gather(u0, rows, first, M, u);
@@ -160,7 +166,7 @@ void sensitivities(long rows, const real *x0, const real *u0, const real *k, rea
         for (int step = 0; step < steps; step++) {
             for (int i = 0; i < N * W; i++) { y[i] = x[i]; sum[i] = x[i]; }
             for (int i = 0; i < N * C * W; i++) { t[i] = s[i]; total[i] = s[i]; }
-            for (int stage = 0; stage < 4; stage++) {
+            for (int stage = 0; stage < STAGES; stage++) {
                 slopes(y, u, k, f, j);
                 chain(j, t, d);
                 for (int i = 0; i < N * W; i++) {

@@ -18,7 +18,7 @@ from dynasindy.viz.report.control import FIRST
 from dynasindy.viz.report.document import Part, Picture, Section, Table, Text
 from dynasindy.viz.report.sources import CASES, PLANTS, Results, each
 from dynasindy.viz.response import step_response, tracking
-from dynasindy.viz.run import stacked
+from dynasindy.viz.run import periods, stacked
 
 AXES = SIGNATURE.state_names[:2]
 CHANGE, NIS = "mean_abs_change_per_period_last_5s", "mean_nis"
@@ -116,9 +116,10 @@ def gradient(results: Results) -> Section:
         target = stacked(columns, [f"reference_{name}" for name in AXES])
         name = named("gradient")
         y = {name: stacked(columns, AXES)}
-        u = {name: stacked(columns, SIGNATURE.input_names)} if step else None
+        time, inputs = periods(columns, SIGNATURE.input_names) if step else (columns["time"], None)
+        u = None if inputs is None else {name: inputs}
         title = f"{scenario.capitalize()}, planning by gradient: plant {plant}"
-        figure = (step_response if step else tracking)(columns["time"], target, y, u, title=title)
+        figure = (step_response if step else tracking)(time, target, y, u, title=title)
         cost = run.record("metrics.json")["cost"]
         what = FIRST if step else f"The {scenario}"
         caption = f"{what} on `{plant}` after {cost['plant_seconds']:.0f} s of plant time."

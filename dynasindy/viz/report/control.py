@@ -10,6 +10,7 @@ from dynasindy.evaluation.metrics import MIN_STEP
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.learning import average_rewards
 from dynasindy.viz.report.document import Part, Picture, Section, Table, Text
+from dynasindy.viz.report.in_full import TABLE, course, courses, how_far, longer
 from dynasindy.viz.report.sources import CASES, MODEL_FREE, SETTINGS, MissingResult, Results, Run, each, listed, told
 from dynasindy.viz.report.verdicts import (
     MANY,
@@ -24,7 +25,7 @@ from dynasindy.viz.report.verdicts import (
     steps_agree,
 )
 from dynasindy.viz.response import step_response, tracking
-from dynasindy.viz.run import stacked
+from dynasindy.viz.run import periods, stacked
 
 ABLATION = "python scripts/ablation.py system={} experiment={}"
 FIRST = "The first of the 64 targets, the one nearest to three quarters of the upper ends,"
@@ -61,16 +62,19 @@ def rewards(results: Results) -> Section:
             if (reached := _to_level(runs, name))
         }
         title = f"Dyna-style vs. direct TD3, average rewards: plant {plant}, experiment {experiment}"
+        last = max(episodes, default=0.0)
+        single = longer(results, plant, experiment, last)
         return [
             *rewards_agree(told(plant, experiment), curves, to_level, ends),
             Picture(
                 f"average_rewards_{plant}_{experiment}",
-                average_rewards(curves, episodes, window=1, title=title, log=True),
-                "Return of the policy without noise over 64 fixed steps after real episodes, up to "
-                f"{max(episodes, default=0):g} of them: interquartile mean and 95 % bootstrap interval over seeds, or "
-                "a line for each seed where there are fewer than three.",
-                results.of_runs("ablation_curves.csv", drawn),
+                average_rewards(curves, episodes, window=1, title=title, log=True, longer=courses(single)),
+                f"Return of the policy without noise over 64 fixed steps after real episodes, up to {last:g} of them: "
+                "interquartile mean and 95 % bootstrap interval over seeds, or a line for each seed where there are "
+                f"fewer than three.{how_far(single, last)}",
+                results.of_runs("ablation_curves.csv", drawn) + f" Thin lines: {results.source(TABLE)}" * bool(single),
             ),
+            *course(results, single, told(plant, experiment), last),
         ]
 
     words = (
@@ -91,11 +95,10 @@ def steps(results: Results) -> Section:
         runs = {words: results.compared(plant, experiment, name) for name, words in SETTINGS.items()}
         tables = {words: run.table("data/step_response.csv") for words, run in runs.items()}
         first = next(iter(tables.values()))
-        outputs, inputs = (
-            {w: stacked(t, names) for w, t in tables.items()} for names in (tuple(AXES), SIGNATURE.input_names)
-        )
+        outputs = {words: stacked(table, tuple(AXES)) for words, table in tables.items()}
+        inputs = {words: periods(table, SIGNATURE.input_names)[1] for words, table in tables.items()}
         figure = step_response(
-            first["time"],
+            periods(first, SIGNATURE.input_names)[0],
             stacked(first, [f"reference_{name}" for name in AXES]),
             outputs,
             inputs,

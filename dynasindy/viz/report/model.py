@@ -73,7 +73,7 @@ def learning_progress(results: Results) -> Section:
     def _of(plant: str, experiment: str) -> list[Part]:
         run = results.compared(plant, experiment, "rollouts_800")
         table = run.table("gate.csv")
-        episode, error = table["episode"], table["reward_error"]
+        episode, error, windows = (table[name] for name in ("episode", "reward_error", "judged_reward_error"))
         opened, below, above = episode[table["open"] == 1], run.setting("gate.open_below"), table["close_above"][-1]
         return [
             learning_agrees(told(plant, experiment), episode, error, opened, float(below)),
@@ -85,10 +85,12 @@ def learning_progress(results: Results) -> Section:
                     what="reward error per period",
                     title=f"SINDy model learning progress: plant {plant}, experiment {experiment}",
                     thresholds={"trusted below": float(below), "no longer trusted above": float(above)},
+                    judged=windows,
                 ),
-                "Mean difference of the reward per control period between a real episode and its replay through the "
-                "model that had not seen it. The lines are levels of the gate, which looks at held-out windows."
-                + " Where no error is drawn, the replay ran away."
+                "Mean difference of the reward per control period between the plant and the model. One curve is of the "
+                "whole episode, replayed through the model that had not seen it. The other is of held-out windows and "
+                "of the model that stays: this is the error that the gate compares with its levels, the straight lines."
+                + " A mark at the upper edge stands where the replay ran away."
                 * (not np.isfinite(error).all()),
                 run.source,
             ),
@@ -128,7 +130,7 @@ def states(results: Results, when: str) -> Section:
     words += (
         f" Here the {when} real episode is predicted open loop, from its start and its inputs alone, before the model "
         f"is fitted to it. A state is predicted well when its RMSE is under {CLOSE.value:g} % of its range. The axes "
-        f"end {BEYOND:g} ranges beyond those of the plant; one that leaves them is called cut off."
+        f"end at most {BEYOND:g} ranges beyond those of the plant; one that leaves them is called cut off."
     )
     number = 9 if before else 10
     title = f"Figure {number}: predicted and real states {word} reinforcement learning"

@@ -65,7 +65,7 @@ def learning_agrees(case: str, episode: Array, error: Array, opened: Array, belo
     return FALLS.of(
         case,
         f"{error[0]:.2g} per period in episode 1, {error[-1]:.2g} in episode {episode[-1]:.0f}, the greatest "
-        f"{error[worst]:.2g} in episode {episode[worst]:.0f}; trusted below {below:g}, {trusted}",
+        f"{error[worst]:.2g} in episode {episode[worst]:.0f}; trusted below {below:g} on held-out windows, {trusted}",
         judged(fallen, bool((error < below).all())),
     )
 

@@ -42,6 +42,8 @@ MARKS = {
     "in part": "part",
 }
 """Class of a cell that is a verdict."""
+WORDY = 40
+"""Cells of more letters than this keep a width on a narrow screen at which they can be read; the table scrolls."""
 PAGE = """<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -126,7 +128,8 @@ def _cell(cell: Cell) -> str:
 
 
 def _mark(words: str) -> str:
-    return f' class="{MARKS[words]}"' if words in MARKS else ""
+    name = MARKS.get(words, "words" if len(words) > WORDY else "")
+    return f' class="{name}"' if name else ""
 
 
 def _inline(words: str) -> str:

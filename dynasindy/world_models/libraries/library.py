@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
@@ -41,6 +42,8 @@ class Library:
         signature: names of the states and inputs the features read.
         features: candidate functions; repeated ones are kept once.
         allowed: features that may occur in a state's equation, by state; all where a state is not named.
+        step: of the difference equation that the functions make up [s], see `systems.steps`; None of a
+            differential equation.
 
     Raises:
         ValueError: a feature reads a state or an input that does not exist.
@@ -53,8 +56,9 @@ class Library:
         signature: Signature,
         features: Iterable[Feature],
         allowed: Mapping[str, Iterable[Feature]] | None = None,
+        step: float | None = None,
     ) -> None:
-        self.signature = signature
+        self.signature, self.step = signature, step
         self.features: tuple[Feature, ...] = tuple({f.key: f for f in bounded(features)}.values())
         self._index = {n: i for i, n in enumerate((*signature.state_names, *signature.input_names))}
         wrong = sorted(set().union(*(f.variables for f in self.features)) - set(self._index))
@@ -89,7 +93,7 @@ class Library:
 
     def subset(self, indices: Sequence[int]) -> Library:
         """Keep the features at the given positions."""
-        return Library(self.signature, [self.features[i] for i in indices])
+        return Library(self.signature, [self.features[i] for i in indices], step=self.step)
 
     def index(self, name: str) -> int:
         """Find a feature by its readable name.
@@ -133,8 +137,14 @@ class Library:
             for feature in self.features
         ]
         names = dict(zip(self.names, (f.name() for f in features), strict=True))
-        changed = Library(self.signature, features)
+        changed = Library(self.signature, features, step=self.step)
         changed.allowed = {state: tuple(names[n] for n in group) for state, group in self.allowed.items()}
+        return changed
+
+    def with_step(self, step: float | None) -> Library:
+        """Return the library as one of a difference equation with that step [s], or of a differential equation."""
+        changed = copy.copy(self)
+        changed.step = step
         return changed
 
     def by_shapes(self, x: Tensor, u: Tensor, shapes: Sequence[Factor]) -> Tensor:

@@ -90,6 +90,8 @@ def find_actuator(model: SindyModel, data: Transitions) -> Found:
         model: what was fitted to the recording.
         data: the recording, NaN where a state was not measured.
     """
+    if model.step is not None:
+        return Found.none(model, "they are those of differential equations")
     if (n := int((model.coefficients != 0).any(1).sum())) > LARGEST:
         return Found.none(model, f"the model has {n} functions, and the limit is {LARGEST}")
     bench = _Bench.of(model, data)

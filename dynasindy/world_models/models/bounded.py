@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.base import System
-from dynasindy.systems.integrators import rk4
+from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
 
 LEVELS = 7
@@ -44,8 +44,8 @@ def stays_near(model: System, data: Transitions, start: Tensor, substeps: int = 
             u = data.u.mean(0).expand(LEVELS, -1).clone()
             u[:, i] = least[i] + shares[:, 0] * (most[i] - least[i])
             held = x
-            for _ in range(DURATION * len(data) * substeps):
-                held = rk4(model, held, u, data.dt / substeps)
+            for _ in range(DURATION * len(data)):
+                held = moved(model, held, u, data.dt, substeps)
             near = (held >= low - reach) & (held <= high + reach)
             if not bool(near[:, measured].all()):
                 return False

@@ -11,6 +11,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.features import Feature, of, variable
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.models.sindy import SindyModel
+from dynasindy.world_models.refinement.stepwise import stepwise
 from dynasindy.world_models.regression.regression import simpson_form
 
 
@@ -50,6 +51,8 @@ def diagnose(model: SindyModel, data: Transitions, least: float = 0.005) -> list
         One entry for each equation that is not complete, whatever was found.
     """
     candidates = _candidates(model)
+    if model.step is not None:
+        _, data = stepwise(model.library, data)
     theta, dx = simpson_form(model.library, model, data)
     others, _ = simpson_form(candidates, model, data)
     found = []

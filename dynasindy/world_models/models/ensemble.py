@@ -12,6 +12,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.told import telling
 from dynasindy.world_models.models.sindy import SindyModel
 from dynasindy.world_models.refinement.delay import delayed
+from dynasindy.world_models.refinement.stepwise import stepwise
 from dynasindy.world_models.regression.regression import Regression, RunningSums, simpson_form
 
 
@@ -59,13 +60,16 @@ def bag(model: SindyModel, data: Transitions, n_members: int = 50, blocks: int =
         seed: seed of the drawing.
 
     Raises:
-        ValueError: there is no member, or there are fewer transitions than blocks.
+        ValueError: there is no member, there are fewer transitions than blocks, or they are not those of the model's
+            steps.
     """
     if n_members < 1 or blocks < 2 or len(data) < blocks:
         raise ValueError(
             f"bag got {n_members} members and {blocks} blocks of {len(data)} transitions; allowed are 1 member, 2 "
             "blocks and as many transitions as blocks, or more: correct them"
         )
+    if model.step is not None:
+        _, data = stepwise(model.library, data)
     theta, dx = simpson_form(model.library, model, data)
     regression = (
         model.regression if model.refinement is None else Regression("bic", tolerance=model.refinement.tolerance)

@@ -14,6 +14,7 @@ from dynasindy.world_models.libraries.features import Feature, parse
 from dynasindy.world_models.libraries.functions import function
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.models.sindy import SindyModel
+from dynasindy.world_models.writers.tables import mapping
 
 
 def to_pysindy(model: SindyModel) -> Any:
@@ -21,7 +22,15 @@ def to_pysindy(model: SindyModel) -> Any:
 
     PySINDy's own `predict`, `simulate` and `print` then work on it. Each function is a custom one of all states and
     inputs, so that libraries of any form fit into PySINDy's.
+
+    Raises:
+        ValueError: the model is a difference equation.
     """
+    if model.step is not None:
+        raise ValueError(
+            "to_pysindy got a difference equation; allowed are differential equations: use to_sympy, or fit a model of "
+            "PySINDy in discrete time to the data"
+        )
     import pysindy
 
     n_x, n_u = model.signature.n_x, model.signature.n_u
@@ -94,6 +103,8 @@ def _renamed(feature: Feature, names: dict[str, str]) -> Feature:
 def to_sympy(model: SindyModel) -> dict[str, Any]:
     """Return dx/dt of every state as a sympy expression in symbols of the states and inputs.
 
+    Of a difference equation it returns the next value of every state.
+
     Raises:
         ImportError: sympy is not installed.
     """
@@ -101,7 +112,8 @@ def to_sympy(model: SindyModel) -> dict[str, Any]:
 
     names = {name: getattr(sympy, name) for name in ("sin", "cos", "exp", "tanh", "sqrt", "sign")}
     names |= {"fabs": sympy.Abs, "square": lambda z: z**2, "larger": sympy.Max}
-    table = model.coefficients.tolist()
+    library, coefficients = mapping(model.library, model.coefficients)
+    table = coefficients.tolist()
 
     def _expression(feature: Feature) -> Any:
         product = sympy.Integer(1)
@@ -122,7 +134,7 @@ def to_sympy(model: SindyModel) -> dict[str, Any]:
 
     return {
         state: sum(
-            (table[k][i] * _expression(f) for k, f in enumerate(model.library.features) if table[k][i]),
+            (table[k][i] * _expression(f) for k, f in enumerate(library.features) if table[k][i]),
             sympy.Integer(0),
         )
         for i, state in enumerate(model.signature.state_names)

@@ -32,6 +32,11 @@ class Oracle(WorldModel):
             )
         self.system = system
 
+    @property
+    def step(self) -> float | None:
+        """Step of the difference equation that it is [s]; None of a differential equation."""
+        return self.system.step
+
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return the plant's dx/dt, `(*batch, n_x)`."""
         dx: Tensor = self.system(x, u)

@@ -6,16 +6,14 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.base import System
-from dynasindy.systems.integrators import rk4
+from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
 
 
 def one_step_error(model: System, data: Transitions, substeps: int = 1) -> Tensor:
     """Return the root-mean-square one-step error of each state, relative to its standard deviation, `(n_x,)`."""
-    x = data.x
     with torch.no_grad():
-        for _ in range(substeps):
-            x = rk4(model, x, data.u, data.dt / substeps)
+        x = moved(model, data.x, data.u, data.dt, substeps)
     return (x - data.x_next).square().mean(0).sqrt() / data.x_next.std(0).clamp_min(1e-300)
 
 
@@ -35,9 +33,7 @@ def open_loop(model: System, data: Transitions, substeps: int = 1) -> Tensor:
     with torch.no_grad():
         for k in range(len(data)):
             x = data.x[k] if fresh[k] else predicted[k - 1]
-            for _ in range(substeps):
-                x = rk4(model, x, data.u[k], data.dt / substeps)
-            predicted[k] = x
+            predicted[k] = moved(model, x, data.u[k], data.dt, substeps)
     return predicted
 
 

@@ -9,6 +9,7 @@ from functools import cached_property
 from torch import Tensor
 
 from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.regression.covariance import Covariance
 from dynasindy.world_models.regression.identifiability import Identifiability
 from dynasindy.world_models.regression.regression import RunningSums
 
@@ -25,6 +26,7 @@ class FitReport:
         notes: sentences on what a reader would not expect.
         dt: time that a transition takes [s].
         in_pieces: whether simulations meet the log in pieces only, which begin anew: something is lacking.
+        covariance: how well the coefficients are known; None where that is not told.
     """
 
     samples: int
@@ -35,6 +37,7 @@ class FitReport:
     notes: tuple[str, ...] = ()
     dt: float | None = None
     in_pieces: bool = False
+    covariance: Covariance | None = None
 
     @classmethod
     def of(
@@ -62,14 +65,33 @@ class FitReport:
     @cached_property
     def identifiability(self) -> Identifiability:
         """Judge what the samples can tell; computed when first asked for."""
-        return Identifiability.of(*self._source)
+        library, _, sums = self._source
+        return Identifiability.of(library, sums)
+
+    @property
+    def known(self) -> str:
+        """Say how well the coefficients are known; nothing where that is not told."""
+        if self.covariance is None or not len(self.covariance.errors):
+            return ""
+        library, xi, _ = self._source
+        shares = 100 * self.covariance.shares(xi)
+        worst = int(shares.argmax())
+        feature, state = int(self.covariance.features[worst]), int(self.covariance.states[worst])
+        place = f"that of {library.names[feature]} in {library.signature.state_names[state]}'"
+        return (
+            f"coefficients are known within {float(shares.median()):.2g} % of themselves in the median, and {place}, "
+            f"the least of all, within {float(shares[worst]):.2g} % (standard errors)"
+        )
 
     def to_text(self) -> str:
         """Write the report in a few lines."""
         each = f" of {self.dt:g} s" if self.dt else ""
         lines = [f"fit of {self.samples} transitions{each}, which took {self.seconds:.3g} s"]
         counts = {name: f"{count} term{'s' * (count != 1)}" for name, count in self.terms.items()}
+        moves = "'" if self._source[0].step is None else "[k+1] - {0}[k]"
         lines += [
-            f"  {s}': {counts[s]}; {100 * r:.3g} % of it stays unexplained (RMS)" for s, r in self.residual.items()
+            f"  {s}{moves.format(s)}: {counts[s]}; {100 * r:.3g} % of it stays unexplained (RMS)"
+            for s, r in self.residual.items()
         ]
-        return "\n".join([*lines, *(f"note: {note}" for note in self.notes), self.identifiability.to_text()])
+        told = [*filter(None, [self.known]), *(f"note: {note}" for note in self.notes)]
+        return "\n".join([*lines, *told, self.identifiability.to_text()])

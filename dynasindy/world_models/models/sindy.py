@@ -1,4 +1,4 @@
-"""The sparse world model: dx/dt = Xi' Theta(x, u), fitted to transitions.
+"""The sparse world model: dx/dt = Xi' Theta(x, u), or x[k+1] = x[k] + h Xi' Theta(x[k], u[k]), fitted to transitions.
 
 | name         | symbol          | unit                     | source                          |
 | ------------ | --------------- | ------------------------ | ------------------------------- |
@@ -8,6 +8,8 @@
 
 Departure: the paper regresses derivatives; here changes over sampling intervals are regressed on the functions
 averaged over the intervals, which is exact for inputs held by a zero-order hold.
+
+A difference equation has the functions where its steps begin, and its changes over a step h are what it says.
 """
 
 from __future__ import annotations
@@ -16,15 +18,16 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
 from dynasindy.systems.base import PRECISIONS, Signature
 from dynasindy.systems.diverged import Diverged
-from dynasindy.systems.integrators import rk4
+from dynasindy.systems.integrators import moved
 from dynasindy.systems.machine import Machine
+from dynasindy.systems.steps import UNTOLD
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries import LibraryBuilder, build_library
 from dynasindy.world_models.libraries.constraints import Constraints
@@ -38,10 +41,14 @@ from dynasindy.world_models.refinement.recording import Recording
 from dynasindy.world_models.refinement.refine import Refinement
 from dynasindy.world_models.refinement.shapes import stayed
 from dynasindy.world_models.refinement.shooting import RunsAway
+from dynasindy.world_models.refinement.stepwise import stepwise, timed
 from dynasindy.world_models.refinement.windows import ENOUGH, STRETCHES
+from dynasindy.world_models.regression.covariance import Covariance, of_rates, of_sums
+from dynasindy.world_models.regression.finite import require_finite
 from dynasindy.world_models.regression.regression import Regression, Rows, RunningSums, integral_form
 from dynasindy.world_models.regression.selection import DEPENDENT
 from dynasindy.world_models.writers.fast_field import Field, generate
+from dynasindy.world_models.writers.files import Model as Read
 from dynasindy.world_models.writers.files import load, record, save, understand
 from dynasindy.world_models.writers.machine import machine
 from dynasindy.world_models.writers.tables import equations
@@ -61,9 +68,13 @@ class SindyModel(WorldModel):
         initial: first guess of the equations, by state and function name, instead of a regression: for plants with a
             state that no sensor sees in any form.
         machine_code: whether states are moved by machine code, where a C compiler is found.
+        time: `continuous` identifies a differential equation, `discrete` a difference equation, whose step is the
+            sampling time of the data.
+
+    `covariance` tells after a fit how well the coefficients are known; None where nothing does.
 
     Raises:
-        ValueError: a name of a state, an input or a function does not exist.
+        ValueError: a name of a state, an input or a function does not exist, or `time` is another word.
     """
 
     coefficients: Tensor
@@ -79,10 +90,11 @@ class SindyModel(WorldModel):
         fixed: Mapping[str, Mapping[str, float]] | None = None,
         initial: Mapping[str, Mapping[str, float]] | None = None,
         machine_code: bool = True,
+        time: Literal["continuous", "discrete"] | None = None,
     ) -> None:
         super().__init__(signature)
         self.machine_code = machine_code
-        self.library = build_library(library, signature)
+        self.library = timed(build_library(library, signature), time)
         self.regression = regression or Regression()
         self.refinement = refinement
         self.constraints = Constraints.build(self.library, known or {}, allowed or {}, fixed or {})
@@ -90,8 +102,14 @@ class SindyModel(WorldModel):
         self.initial_delay = 0.0  # of the inputs in that guess [s]
         self.sums = RunningSums(len(self.library), signature.n_x)
         self.register_buffer("coefficients", self.constraints.offset.clone())
+        self.covariance: Covariance | None = None
         self._field: Field | None = None
         self._field_of: tuple[Tensor, int] | None = None
+
+    @property
+    def step(self) -> float | None:
+        """Step of its difference equation [s], `UNTOLD` before a fit; None of a differential equation."""
+        return self.library.step
 
     @property
     def followed(self) -> dict[str, str]:
@@ -132,22 +150,23 @@ class SindyModel(WorldModel):
     def get_extra_state(self) -> dict[str, object]:
         """Return what `state_dict` keeps besides the coefficients: the running sums, the fitted factors, the delay."""
         shapes = [shape.frequency for shape in self.library.shapes]
-        return {"r": self.sums.r, "count": self.sums.count, "shapes": shapes, "delay": self.delay}
+        sums, known = {"r": self.sums.r, "count": self.sums.count}, self.covariance and tuple(self.covariance)
+        return {**sums, "shapes": shapes, "delay": self.delay, "step": self.step, "covariance": known}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore what `get_extra_state` returned."""
         self.sums = RunningSums(len(self.library), self.signature.n_x)
         self.sums.r, self.sums.count = state["r"].clone(), state["count"]
         self.library, self.delay = self.library.with_shapes(state["shapes"]), state["delay"]
+        self.library = self.library.with_step(state.get("step"))
+        self.covariance = (known := state.get("covariance")) and Covariance(*known)  # not in older states
         self._field = None
 
     def predict(self, x: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
         """Predict states one sampling time ahead, `(*batch, n_x)`, by `substeps` Runge-Kutta steps."""
         # State-major memory: every row of an elementwise operation is contiguous.
         x, u = (t.movedim(-1, 0).contiguous().movedim(0, -1) for t in (x, u))
-        for _ in range(substeps):
-            x = rk4(self, x, u, dt / substeps)
-        return x
+        return moved(self, x, u, dt, substeps)
 
     def simulate(self, x0: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
         """Predict trajectories open loop.
@@ -180,6 +199,7 @@ class SindyModel(WorldModel):
             ValueError: a sample is not finite.
             Diverged: a coefficient is not finite; the model stays as it was.
         """
+        self.library = self.library.with_step(None if self.step is None else UNTOLD)
         return self._identify(transitions, RunningSums(len(self.library), self.signature.n_x), 0.0)
 
     def update(self, transitions: Transitions) -> FitReport:
@@ -190,7 +210,7 @@ class SindyModel(WorldModel):
 
         Raises:
             ValueError: there are fewer samples than functions.
-            ValueError: a sample is not finite.
+            ValueError: a sample is not finite, or the sampling time is not the step of a difference equation.
             Diverged: a coefficient is not finite; the model stays as it was.
         """
         return self._identify(transitions, self.sums, self.delay)
@@ -208,16 +228,14 @@ class SindyModel(WorldModel):
         """
         if not len(transitions):
             return
-        data, rates = transitions.to(torch.float64), rates_known(self.library, self.constraints)
-        self._check(data)
+        data, rates = self._checked(transitions), rates_known(self.library, self.constraints)
         guess = at_rest(reconstruct(data, rates), self.followers)
         self.sums.add(self._rows(Recording.of(data, guess, rates, self.delay), self.delay))
 
     def _identify(self, transitions: Transitions, sums: RunningSums, delay: float) -> FitReport:
         """Fit to the sums of earlier data and to new transitions, whose inputs act `delay` seconds later."""
-        start = time.perf_counter()
-        data, self.sums, earlier = transitions.to(torch.float64), sums, sums.count
-        self._check(data)
+        start, self.sums, earlier = time.perf_counter(), sums, sums.count
+        data = self._checked(transitions)
         rates, first = rates_known(self.library, self.constraints), None
         guess = at_rest(reconstruct(data, rates), self.followers)
         if self.initial is not None:
@@ -226,11 +244,15 @@ class SindyModel(WorldModel):
             late = imagined(self.library, first, data, late, rates)
             guess = replace(begun(self.library, first, late, self.followers), u=data.u)
         recording = Recording.of(data, guess, rates, delay)
-        self.sums.add(self._rows(recording, delay))
+        rows = self._rows(recording, delay)
+        self.sums.add(rows)
         free = one_quotient(self.library, self.constraints.free, lambda trial: self._rows(recording, delay, trial))
         constraints = replace(self.constraints, free=free)
         if first is None:
             self._solve(self.sums, constraints, recording.seen(delay).dependent)
+            if self.refinement is None:
+                known = self.coefficients, constraints.free
+                self.covariance = of_sums(*known, self.sums) if earlier else of_rates(*known, *rows)
         else:
             self.set_coefficients(first)
         self.delay = delay
@@ -241,10 +263,16 @@ class SindyModel(WorldModel):
         report = FitReport.of(self.library, self.coefficients, self.sums, seconds, notes, data.dt)
         # The sums may be of fewer rows than that, each of them the average of many transitions.
         samples = int(known_inputs(data, self.delay).sum()) + (earlier if self.sums is sums else 0)
-        return replace(report, samples=samples, in_pieces=in_pieces)
+        return replace(report, samples=samples, in_pieces=in_pieces, covariance=self.covariance)
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
-        """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`."""
+        """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`.
+
+        Raises:
+            ValueError: it is a difference equation, which has no derivatives.
+        """
+        if self.step is not None:
+            raise ValueError("a difference equation has no derivatives to be fitted to; use fit, or time='continuous'")
         x, u, dx = (t.to(torch.float64) for t in (x, u, dx))
         self.sums = RunningSums(len(self.library), self.signature.n_x)
         self.sums.add((self.library(x, u), dx))
@@ -266,10 +294,11 @@ class SindyModel(WorldModel):
                 "one row per function, one column per state"
             )
         self.coefficients = coefficients.detach().to(torch.float64).clone()
+        self.covariance = None  # what was known of others says nothing of these
 
     def save(self, path: str | Path) -> None:
         """Write the model as readable JSON, with what was known of its equations before the data."""
-        save(self.library, self.coefficients, path, self.constraints, self.delay)
+        save(self.library, self.coefficients, path, self.constraints, self.delay, self.covariance)
 
     @classmethod
     def load(
@@ -289,7 +318,7 @@ class SindyModel(WorldModel):
 
     def record(self) -> dict[str, Any]:
         """Return what `save` writes, as keys and values."""
-        return record(self.library, self.coefficients, self.constraints, self.delay)
+        return record(self.library, self.coefficients, self.constraints, self.delay, self.covariance)
 
     @classmethod
     def of_record(cls, given: object, source: str | Path) -> SindyModel:
@@ -305,19 +334,17 @@ class SindyModel(WorldModel):
         return cls._of(understand(given, source))
 
     @classmethod
-    def _of(
-        cls,
-        found: tuple[Library, Tensor, Constraints, float],
-        regression: Regression | None = None,
-        refinement: Refinement | None = None,
-    ) -> SindyModel:
-        library, coefficients, constraints, delay = found
+    def _of(cls, found: Read, regression: Regression | None = None, refinement: Refinement | None = None) -> SindyModel:
+        library, coefficients, constraints, delay, known = found
         model = cls(library.signature, library, regression, refinement)
         model.constraints, model.delay = constraints, delay
         model.set_coefficients(coefficients)
+        model.covariance = known and Covariance(*known)
         return model
 
-    def _check(self, data: Transitions) -> None:
+    def _checked(self, transitions: Transitions) -> Transitions:
+        """Return transitions as they are fitted, from which a difference equation takes its step."""
+        data = transitions.to(torch.float64)
         shape = (data.x.shape[1], data.u.shape[1])
         if shape != (self.signature.n_x, self.signature.n_u):
             raise ValueError(
@@ -329,6 +356,9 @@ class SindyModel(WorldModel):
                 f"fit got {len(data) + self.sums.count} samples; allowed are {len(self.library)} or more, one per "
                 "function: collect more data or choose a smaller library"
             )
+        if self.step is not None:
+            self.library, data = stepwise(self.library, data)
+        return data
 
     def _refine(
         self, data: Transitions, guess: Transitions, constraints: Constraints, late: float
@@ -340,11 +370,11 @@ class SindyModel(WorldModel):
             found = self.refinement.run(self.library, self.coefficients, constraints, data, guess, late)
         except RunsAway as error:
             raise Diverged(f"model learning: {error}") from error
-        refined = self._finite(found.coefficients, "refinement")
+        refined = require_finite(found.coefficients, self.library, "refinement", self.sums.count)
         if self.coefficients[constraints.free].any() and not refined[constraints.free].any():
-            note = "the refinement dropped every function, so the fit before it stays; collect more or cleaner data"
-            return [note], False
+            return ["the refinement dropped every function, so the fit before it stays; log cleaner data"], False
         self.set_coefficients(refined)
+        self.covariance = found.covariance
         if found.library is not self.library or found.delay != self.delay:
             # The functions are others now, and so are the sums of their products.
             self.library, self.delay = found.library, found.delay
@@ -367,19 +397,4 @@ class SindyModel(WorldModel):
     def _solve(self, sums: RunningSums, constraints: Constraints, dependent: float = DEPENDENT) -> None:
         regression = replace(self.regression, dependent=dependent) if dependent > DEPENDENT else self.regression
         found = regression.solve(sums, constraints.free, constraints.offset)
-        self.set_coefficients(self._finite(found, "regression"))
-
-    def _finite(self, coefficients: Tensor, source: str) -> Tensor:
-        """Return coefficients as they are.
-
-        Raises:
-            Diverged: one of them is not finite.
-        """
-        if len(wrong := (~coefficients.isfinite()).nonzero()):
-            k, i = wrong[0].tolist()
-            raise Diverged(
-                f"model learning: the {source} on {self.sums.count} samples left {len(wrong)} coefficients that are "
-                f"not finite, such as {coefficients[k, i].item()} of {self.library.names[k]} in "
-                f"{self.signature.state_names[i]}'; leave that function out of the library, or check the data's units"
-            )
-        return coefficients
+        self.set_coefficients(require_finite(found, self.library, "regression", self.sums.count))

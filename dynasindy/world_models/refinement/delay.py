@@ -101,7 +101,7 @@ def reach(free: Tensor, rows: Callable[[int, int], Rows], least: int) -> tuple[i
     return found
 
 
-def fine_delay(rough: float, dt: float, longest: float, worth: float, cost: Cost) -> float:
+def fine_delay(rough: float, dt: float, longest: float, worth: float, cost: Cost, whole: bool = False) -> float:
     """Return the delay that explains a recording best, in fractions of a sample [s]; 0 if none is hardly worse.
 
     Args:
@@ -110,6 +110,7 @@ def fine_delay(rough: float, dt: float, longest: float, worth: float, cost: Cost
         longest: longest delay [s].
         worth: what a delay must lower the cost by.
         cost: what a fit to the recording under inputs delayed by so much leaves over.
+        whole: whether it is a whole number of samples, as that of a difference equation.
     """
     costs: dict[float, float] = {}
 
@@ -125,12 +126,14 @@ def fine_delay(rough: float, dt: float, longest: float, worth: float, cost: Cost
         better = min((best - step, best, best + step), key=_at)
         if better != best:
             best = better
-        elif step > dt / 4:
+        elif step > dt / 4 and not whole:
             step /= 2
         else:
             break
     if best and _at(0.0) - _at(best) < worth:
         return 0.0
+    if whole:
+        return best
     before, here, after = (_at(best + k * step) for k in (-1, 0, 1))
     bend = before - 2 * here + after
     return best + step * 0.5 * (before - after) / bend if math.isfinite(bend) and bend > 0 else best

@@ -9,7 +9,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from dynasindy.systems.integrators import rk4
+from dynasindy.systems.integrators import moved
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement.coloured import news
 from dynasindy.world_models.refinement.windows import Windows
@@ -93,11 +93,9 @@ def states_of(estimate: Estimate, windows: Windows) -> Tensor:
     """Return the states at the ends of the intervals of all windows, `(W, L, n_x)`."""
     if not bool(estimate.xi.isfinite().all()):
         return torch.full((*windows.mask.shape[:2], estimate.xi.shape[1]), math.nan, dtype=estimate.nodes.dtype)
-    field, h = generate(estimate.library, estimate.xi), windows.dt / windows.substeps
-    x, states = estimate.nodes, []
+    field, x, states = generate(estimate.library, estimate.xi), estimate.nodes, []
     for u in windows.inputs.unbind(1):
-        for _ in range(windows.substeps):
-            x = rk4(field, x, u, h)
+        x = moved(field, x, u, windows.dt, windows.substeps)
         states.append(x)
     return torch.stack(states, 1)
 

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dynasindy.systems.base import Signature
-from dynasindy.systems.integrators import rk4
+from dynasindy.systems.integrators import moved
+from dynasindy.systems.steps import Rates
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.library import Library
@@ -209,9 +210,8 @@ def imagined(
     for k in range(len(guess)):
         if k and bool(guess.segment[k] == guess.segment[k - 1]):
             x[k] = torch.where(hidden, x_next[k - 1], x[k])
-        after, led = x[k], partial(_led, field, leads[k])
-        for _ in range(substeps):
-            after = rk4(led, after, guess.u[k], guess.dt / substeps)
+        led = Rates(partial(_led, field, leads[k]), library.step)
+        after = moved(led, x[k], guess.u[k], guess.dt, substeps)
         x_next[k] = torch.where(hidden & after.isfinite(), after, x_next[k])
     return replace(guess, x=x, x_next=x_next)
 

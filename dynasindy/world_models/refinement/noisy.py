@@ -7,9 +7,10 @@ import math
 import torch
 from torch import Tensor
 
-from dynasindy.systems.integrators import rk4
+from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.regression.sensitivity import Parameters, Propagator
 from dynasindy.world_models.writers.fast_field import generate
 
 PLAIN = -0.3
@@ -21,6 +22,8 @@ BENEATH = -0.6
 PUSHED, SPREAD = -0.5, 3 / math.sqrt(2)
 """That correlation of random pushes, and three standard errors of it, times the root of the number of samples
 (Bartlett's formula): in fewer samples less than `BENEATH` is asked for."""
+DUE = 0.6
+"""Part of the squared errors of a difference equation's steps that noise of the sensors has to explain."""
 KEPT = 0.5
 """Part of the errors that the functions of the model have to leave over, as they do not explain noise."""
 
@@ -37,7 +40,10 @@ def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bo
     present states and inputs, as noise is not.
     """
     data = data.to(torch.float64)
-    error = data.x_next - rk4(generate(library, coefficients), data.x, data.u, data.dt)
+    if library.step is not None:
+        share = sensor_noise(library, coefficients, data)[1]
+        return bool(coefficients.any()) and bool(2 * (share > DUE).sum() > len(share))
+    error = data.x_next - moved(generate(library, coefficients), data.x, data.u, data.dt)
     # A constant, too, as a library need not have one.
     functions = torch.nn.functional.pad(library(data.x, data.u), (0, 1), value=1.0)
     functions = functions / functions.norm(dim=0).clamp_min(1e-300)
@@ -49,6 +55,36 @@ def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bo
     least = min(BENEATH, PUSHED - SPREAD / math.sqrt(max(int(both.sum()), 1)))
     beneath = (_correlation(error.diff(dim=0), both) < least) & (_correlation(left.diff(dim=0), both) < least)
     return bool(2 * (plain & kept).sum() > len(plain)) or bool((beneath & kept).any())
+
+
+def sensor_noise(library: Library, coefficients: Tensor, data: Transitions) -> tuple[Tensor, Tensor]:
+    """Tell measurement noise from random pushes of a difference equation, by the errors of its steps.
+
+    White noise n of the states makes errors e_k = n_k+1 - A_k n_k, where A_k is the derivative of the step, and so
+    E[e_k+1 e_k'] = -A_k+1 R; pushes make errors that are white. R, the variances of n, are those that explain these
+    products best. A state whose value does not matter for the next step keeps no trace of its noise, which then does no
+    harm.
+
+    Args:
+        library: candidate functions of a difference equation.
+        coefficients: Xi, `(n_features, n_x)`.
+        data: transitions; rows in which a state was not measured do not count.
+
+    Returns:
+        R, `(n_x,)`, and the part of each state's squared errors that this noise explains: its own, and A_k n_k.
+    """
+    data = data.to(torch.float64)
+    data = data.select((data.x.isfinite() & data.x_next.isfinite()).all(-1))
+    propagator = Propagator(library, coefficients, Parameters.where(coefficients != 0))
+    ends, slopes = propagator.transfer(data.x, data.u, data.dt, 1)
+    error, a = data.x_next - ends, slopes[..., : data.x.shape[1]]
+    scale, spread = error.square().mean(0).clamp_min(1e-300), a.square().mean(0)
+    follows = (data.segment[1:] == data.segment[:-1]).nonzero().squeeze(-1)
+    products = error[follows + 1].unsqueeze(-1) * error[follows].unsqueeze(-2)
+    after, weight = a[follows + 1], 1 / scale.unsqueeze(-1)  # so that states of any unit count alike
+    squares = (after.square() * weight).sum((0, 1)).clamp_min(1e-300)
+    noise = (-(after * products * weight).sum((0, 1)) / squares).clamp_min(0.0)
+    return noise, (noise + (spread * noise).sum(-1)) / scale
 
 
 def _correlation(values: Tensor, follows: Tensor) -> Tensor:

@@ -12,6 +12,7 @@ from dynasindy.told import tell
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement.flow import MOST_STEPS, turn_of
 from dynasindy.world_models.refinement.windows import ENOUGH, spread
+from dynasindy.world_models.regression.covariance import Covariance, moved
 from dynasindy.world_models.regression.regression import least_squares
 from dynasindy.world_models.regression.selection import reconsider, walk_down
 from dynasindy.world_models.regression.sensitivity import Parameters, Propagator
@@ -106,6 +107,27 @@ def _descend(
         if len(chosen) == len(parameters) and float(change.max()) < 1e-7:
             break
     return library, xi, support
+
+
+def certainty(library: Library, xi: Tensor, free: Tensor, data: Transitions, tolerance: float) -> Covariance | None:
+    """Return the covariance of the coefficients of least one-step error, numbers inside functions unknown as well.
+
+    It is None where a number in it is not finite.
+
+    Args:
+        library: candidate functions.
+        xi: coefficients, `(n_features, n_x)`.
+        free: coefficients that were estimated, bool `(n_features, n_x)`.
+        data: transitions, in the order of time.
+        tolerance: error of a one-step prediction, relative to the change over the step, that is taken as exact.
+    """
+    data, parameters = data.to(torch.float64), Parameters.where((xi != 0) & free)
+    floor = tolerance * (data.x_next - data.x).square().mean(0).sqrt()
+    rows, target, scale = linear_model(library, xi, parameters, data, floor)
+    n_shapes = len(library.shapes)
+    errors = target - rows[:, n_shapes:] @ (parameters.read(xi) * scale[n_shapes:]).unsqueeze(-1)
+    factor = moved(torch.cat([rows, errors], -1).unflatten(0, (len(data), -1)))
+    return None if factor is None else Covariance.of(parameters, (factor / scale.unsqueeze(-1))[n_shapes:])
 
 
 def linear_model(

@@ -36,9 +36,10 @@ def moving_on(library: Library, data: Transitions) -> list[str]:
 
     Args:
         library: candidate functions.
-        data: the recording; one with a state that was not measured is not judged.
+        data: the recording; one with a state that was not measured is not judged, and none by a difference equation, as
+            what it lacks is no rate.
     """
-    if len(data) < WINDOW or bool(data.x.isnan().any() | data.x_next.isnan().any()):
+    if library.step is not None or len(data) < WINDOW or bool(data.x.isnan().any() | data.x_next.isnan().any()):
         return []
     data, signature = data.to(torch.float64), library.signature
     smooth = polynomial(signature, 3 if signature.n_x + signature.n_u <= CUBIC else 2)

@@ -51,8 +51,15 @@ class Recording:
         part = Recording.of(self.data.select(rows), self.guess.select(rows), self.rates, longest)
         return replace(part, noisy=self.noisy)
 
-    def smoothed(self) -> Recording:
-        """Return the recording as one whose samples are noisy, wherever it is read from now on."""
+    def smoothed(self, step: float | None = None) -> Recording:
+        """Return the recording as one whose samples are noisy, wherever it is read from now on.
+
+        Args:
+            step: of the difference equation that is fitted [s]: it may jump from sample to sample, and no cubic tells
+                that from noise, so that the recording stays as it is; None of a differential equation.
+        """
+        if step is not None:
+            return self
         return replace(self, guess=reconstruct(self.data, self.rates, True), noisy=True)
 
     def measured(self, delay: float) -> Transitions:

@@ -14,6 +14,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell
 from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.refinement import one_step
 from dynasindy.world_models.refinement.delay import (
     arrived,
     fine_delay,
@@ -29,8 +30,9 @@ from dynasindy.world_models.refinement.one_step import refine_one_step
 from dynasindy.world_models.refinement.order import moving_on
 from dynasindy.world_models.refinement.recording import Recording
 from dynasindy.world_models.refinement.shapes import fit_shapes
-from dynasindy.world_models.refinement.shooting import RunsAway
+from dynasindy.world_models.refinement.shooting import RunsAway, certainty
 from dynasindy.world_models.refinement.trajectory import WORSE, Fitted, few_steps, refine_trajectory, strain
+from dynasindy.world_models.regression.covariance import Covariance, of_rates
 from dynasindy.world_models.regression.regression import Regression, Rows, RunningSums
 from dynasindy.world_models.writers.fast_field import generate
 
@@ -71,6 +73,7 @@ class Refined(NamedTuple):
         delay: time between an input and its effect [s].
         notes: sentences on what was chosen, and by what.
         in_pieces: whether `auto` found that the log is met in pieces only, which begin anew: something is lacking.
+        covariance: how well the coefficients are known; None where that is not told.
     """
 
     library: Library
@@ -78,6 +81,7 @@ class Refined(NamedTuple):
     delay: float = 0.0
     notes: tuple[str, ...] = ()
     in_pieces: bool = False
+    covariance: Covariance | None = None
 
 
 @dataclass(frozen=True)
@@ -183,13 +187,15 @@ class Refinement:
             library, coefficients = self._regressed(library, coefficients, constraints, brief.seen(delay))
             delay = self._regressed_delay(delay, (library, coefficients), constraints, brief)
         found = self._regressed(library, coefficients, constraints, brief.seen(delay))
+        if not late and not bool(found[1].any()):  # no function is left to follow, step by step or further
+            return Refined(*found, delay)
         method, noisy, notes = self._chosen(*found, data, recording.guessed(delay))
         if method == "one_step":
             found = refine_one_step(*found, constraints.free, recording.guessed(delay), self.tolerance)
-        refined = Refined(*found, delay)
+        refined = Refined(*found, delay, covariance=self._certainty(method, found, constraints, recording, delay))
         if method == "trajectory":
             if noisy:
-                recording = recording.smoothed()
+                recording = recording.smoothed(library.step)
                 found = self._regressed(*found, constraints, recording.brief(self._longest).seen(delay))
             refined = self._by_trajectories(found, delay, constraints, recording)
         notes += refined.notes
@@ -199,6 +205,17 @@ class Refinement:
                 f"longer: give longest_delay={2 * self._longest:g}",
             )
         return refined._replace(notes=notes)
+
+    def _certainty(
+        self, method: str, found: Model, constraints: Constraints, recording: Recording, delay: float
+    ) -> Covariance | None:
+        """Return how well coefficients are known that regressions or single steps have found, if there are any."""
+        if method == "trajectory" or not bool(found[1].any()):
+            return None
+        if method == "one_step":
+            return one_step.certainty(*found, constraints.free, recording.guessed(delay), self.tolerance)
+        rows = recording.brief(self._longest).seen(delay).rows(found[0], generate(*found))
+        return of_rates(found[1], constraints.free, *rows)
 
     def _rough(self, library: Library, coefficients: Tensor, constraints: Constraints, recording: Recording) -> float:
         """Return the delay of whole samples that a regression finds [s]; 0 where none is looked for."""
@@ -214,7 +231,7 @@ class Refinement:
         def _cost(trial: float) -> float:
             return unexplained(constraints.free, *recording.seen(trial).rows(found[0], field))
 
-        fine = fine_delay(rough, data.dt, self._longest, math.log(max(len(data), 2)), _cost)
+        fine = fine_delay(rough, data.dt, self._longest, math.log(max(len(data), 2)), _cost, found[0].step is not None)
         return rough if abs(fine - rough) < ALIKE * data.dt else fine
 
     def _reach(
@@ -235,7 +252,7 @@ class Refinement:
         farthest, best = reach(constraints.free, partial(_rows, read=recording), least)
         if noisy and not best and not bool(has_gaps(data)):
             # Of single steps most may be noise, which no delay explains: their averages tell it.
-            farthest, best = reach(constraints.free, partial(_rows, read=recording.smoothed()), least)
+            farthest, best = reach(constraints.free, partial(_rows, read=recording.smoothed(found[0].step)), least)
         return farthest * data.dt, best * data.dt
 
     def _by_trajectories(self, first: Model, rough: float, constraints: Constraints, recording: Recording) -> Refined:
@@ -249,11 +266,10 @@ class Refinement:
         }
         error = self.error or ("auto" if self.method == "auto" else "simulation")
         if error != "auto":
-            found, delay, notes = self._in_turn(first, rough, constraints, recording, kinds[error])
-            return Refined(*found, delay, notes)
+            return self._in_turn(first, rough, constraints, recording, kinds[error])
         try:
-            found, delay, notes = self._in_turn(first, rough, constraints, recording, descent, HOPELESS)
-            ratio = _strain(found, delay, constraints.free, recording, descent)
+            found = self._in_turn(first, rough, constraints, recording, descent, HOPELESS)
+            ratio = _strain(found[:2], found.delay, constraints.free, recording, descent)
         except RunsAway:
             why = "one simulation through all samples runs away"
         else:
@@ -268,7 +284,7 @@ class Refinement:
                     f"{name} is {times} that of simulations that begin anew every {descent.window} samples, which "
                     "noise of the sensors explains (error=simulation)"
                 )
-                return Refined(*found, delay, (note, *notes))
+                return found._replace(notes=(note, *found.notes))
             else:
                 why = (
                     f"in one simulation through all samples the error of {name} is {times} as large, so something "
@@ -278,8 +294,8 @@ class Refinement:
             f"the fit simulates the log in pieces that begin anew every {descent.window} samples: {why} "
             "(error=prediction)"
         )
-        found, delay, notes = self._in_turn(first, rough, constraints, recording, kinds["prediction"])
-        return Refined(*found, delay, (note, *notes), in_pieces=True)
+        found = self._in_turn(first, rough, constraints, recording, kinds["prediction"])
+        return found._replace(notes=(note, *found.notes), in_pieces=True)
 
     def _in_turn(
         self,
@@ -289,8 +305,8 @@ class Refinement:
         recording: Recording,
         descent: Descent,
         hopeless: float = math.inf,
-    ) -> tuple[Model, float, tuple[str, ...]]:
-        """Return the model that trajectories tell, the delay, fitted in turn with it, and what is to be said.
+    ) -> Refined:
+        """Return the model that trajectories tell, and the delay, fitted in turn with it.
 
         Turns end where one trajectory strays more than `hopeless` times: no other delay mends that.
         """
@@ -312,7 +328,8 @@ class Refinement:
                 delay = last
                 break
             fitted = _fitted(fitted[:2], delay)
-        return fitted[:2], delay, _shortened(fitted.window, descent.window)
+        notes = _shortened(fitted.window, descent.window)
+        return Refined(*fitted[:2], delay, notes, covariance=certainty(fitted.flow))
 
     def _fine(self, delay: float, found: Model, free: Tensor, recording: Recording, descent: Descent) -> float:
         """Return the delay in fractions of a sample that a few steps of the fit to trajectories find [s]."""
@@ -322,7 +339,8 @@ class Refinement:
         def _cost(trial: float) -> float:
             return few_steps(*found, free, recording.measured(trial), few, recording.guessed(trial).x)[0]
 
-        return fine_delay(delay, data.dt, self._longest, math.log(max(len(data), 2)), _cost)
+        worth, whole = math.log(max(len(data), 2)), found[0].step is not None
+        return fine_delay(delay, data.dt, self._longest, worth, _cost, whole)
 
     def _chosen(
         self, library: Library, coefficients: Tensor, data: Transitions, guess: Transitions

@@ -20,6 +20,7 @@ from dynasindy.world_models.refinement.coloured import remaining
 from dynasindy.world_models.refinement.flow import EXACT, Estimate, Flow, white
 from dynasindy.world_models.refinement.pushes import Noise, estimated, whiten
 from dynasindy.world_models.refinement.windows import Windows
+from dynasindy.world_models.regression.covariance import STRETCHES, Covariance, moved
 from dynasindy.world_models.regression.sensitivity import Parameters
 
 LARGEST = 500.0
@@ -68,13 +69,40 @@ def linearise(flow: Flow, sigma: Tensor | None = None) -> Linearised:
     if sigma is None:
         _require_bounded(flow)
         sigma = flow.sigma()
-    rows, moves, errors, cost = (_joined if bool(flow.windows.joined.any()) else _alone)(flow, sigma)
+    rows, moves, errors, cost = _rows(flow, sigma)
     parameters = flow.parameters
     n_fixed = moves.shape[-1] - len(parameters) - 1
     scale = rows[:, :-1].norm(dim=0).clamp_min(1e-300)
     target = rows[:, -1:] + rows[:, n_fixed:-1] @ parameters.read(flow.estimate.xi).unsqueeze(-1)
     triangle = torch.linalg.qr(torch.cat([rows[:, :-1] / scale, target], -1), mode="r")[1]
     return Linearised(triangle, scale, cost, moves, sigma, errors)
+
+
+def certainty(flow: Flow) -> Covariance | None:
+    """Return the covariance of the coefficients of trajectories that fit best, starts and shapes unknown as well.
+
+    It is None where the model runs away.
+
+    Args:
+        flow: the trajectories.
+    """
+    if bool(flow.lost().any()):
+        return None
+    rows, windows = _rows(flow, flow.sigma())[0], flow.windows
+    samples = windows.length if bool(windows.joined.any()) else windows.length + 1
+    count = len(windows) * samples * windows.mask.shape[-1]
+    always = rows[count:] if count < len(rows) else None
+    # Errors within a window have its start in common, so it is left out as a whole where there are enough of them.
+    parts = len(windows) if len(windows) >= STRETCHES else len(windows) * samples
+    factor = moved(rows[:count].unflatten(0, (parts, -1)), always)
+    if factor is None:
+        return None
+    return Covariance.of(flow.parameters, factor[len(factor) - len(flow.parameters) :])
+
+
+def _rows(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
+    """Return weighted rows `(M, F + P + 1)`, moves of the nodes, weighted errors, and the cost."""
+    return (_joined if bool(flow.windows.joined.any()) else _alone)(flow, sigma)
 
 
 def _joined(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:

@@ -46,11 +46,18 @@ NEGLIGIBLE = 1e-6
 
 
 class Fitted(NamedTuple):
-    """Hold the library with its shapes, coefficients `(n_features, n_x)`, and the length of the windows in the end."""
+    """Hold the library with its shapes, coefficients `(n_features, n_x)`, the length of the windows, and their flow."""
 
     library: Library
     coefficients: Tensor
     window: int
+    flow: Flow
+
+    @classmethod
+    def of(cls, found: Estimate, free: Tensor, windows: Windows) -> Fitted:
+        """Return what was found in windows, with their trajectories."""
+        flow = Flow.of(found, Parameters.where((found.xi != 0) & free), windows)
+        return cls(found.library, found.xi, windows.length, flow)
 
 
 def refine_trajectory(
@@ -99,25 +106,26 @@ def refine_trajectory(
     else:
         found = search(found, free, windows, limits)
     if bool(some.all()):
-        found = _finely(found, free, windows, limits)
+        found, windows = _finely(found, free, windows, limits)
     else:
         support = (found.xi != 0) & free
         whole, windows = _grown(replace(found, nodes=guess), support, data, replace(descent, joined=joined))
         if may_begin_anew:
             windows = replace(windows, joined=_grows(whole, windows)[1])
         found, _ = descend(whole, support, windows, replace(limits, price=price(len(data), free)))
-    return Fitted(found.library, found.xi, windows.length)
+    return Fitted.of(found, free, windows)
 
 
-def _finely(found: Estimate, free: Tensor, windows: Windows, limits: Limits) -> Estimate:
+def _finely(found: Estimate, free: Tensor, windows: Windows, limits: Limits) -> tuple[Estimate, Windows]:
     """Return an estimate by the steps that its fastest rate asks for, where it was found by longer ones."""
     support = (found.xi != 0) & free
     if not bool(support.any()):
-        return found
+        return found, windows
     wanted = substeps_for(turn_of(found.library, found.xi, found.nodes, windows.inputs[:, 0], windows.dt))
     if wanted <= windows.substeps:
-        return found
-    return descend(found, support, replace(windows, substeps=wanted), limits)[0]
+        return found, windows
+    windows = replace(windows, substeps=wanted)
+    return descend(found, support, windows, limits)[0], windows
 
 
 def _refine_weighed(
@@ -139,7 +147,7 @@ def _refine_weighed(
         found, windows = _grown(replace(found, nodes=guess), support, data, descent)
         windows = _weighed(found, free, windows, descent)
         found, _ = descend(found, support, windows, replace(limits, price=price(len(data), free)))
-    return Fitted(found.library, found.xi, windows.length)
+    return Fitted.of(found, free, windows)
 
 
 def _weighed(found: Estimate, free: Tensor, windows: Windows, descent: Descent) -> Windows:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import torch
-from torch import Tensor
 
 from dynasindy.world_models.libraries.features import Feature
 from dynasindy.world_models.libraries.library import Library
@@ -24,7 +23,6 @@ class Identifiability:
         n_features: number of functions.
         condition: largest over smallest singular value, columns scaled to unit norm.
         weakest: functions in the least excited direction, with their weight in it, heaviest first.
-        standard_error: of each non-zero coefficient, zero elsewhere, `(n_features, n_x)`.
         advice: sentences that say what to excite more.
     """
 
@@ -32,16 +30,14 @@ class Identifiability:
     n_features: int
     condition: float
     weakest: tuple[tuple[str, float], ...]
-    standard_error: Tensor
     advice: tuple[str, ...]
 
     @classmethod
-    def of(cls, library: Library, coefficients: Tensor, sums: RunningSums) -> Identifiability:
+    def of(cls, library: Library, sums: RunningSums) -> Identifiability:
         """Judge the samples behind running sums.
 
         Args:
             library: candidate functions.
-            coefficients: Xi of the fit, `(n_features, n_x)`.
             sums: the samples.
         """
         norms = sums.norms()[: sums.n_features]
@@ -60,7 +56,6 @@ class Identifiability:
             sums.n_features,
             condition,
             tuple(weakest),
-            standard_errors(coefficients, sums),
             tuple(_advice(library, [n for n, _ in weakest], sums, rank, condition)),
         )
 
@@ -79,20 +74,6 @@ class Identifiability:
                 f"these of {count} candidate functions can hardly be told apart by these data ({condition}): {names}"
             )
         return "\n".join([first, *self.advice])
-
-
-def standard_errors(coefficients: Tensor, sums: RunningSums) -> Tensor:
-    """Return the standard error of each non-zero coefficient, `(n_features, n_x)`, independent errors assumed."""
-    errors = torch.zeros_like(coefficients)
-    residual = sums.residual(coefficients)
-    norms = sums.norms()[: sums.n_features]
-    scaled = sums.theta() / torch.where(norms > 0, norms, 1.0)
-    for i in range(coefficients.shape[1]):
-        active = coefficients[:, i].nonzero().flatten()
-        inverse = torch.linalg.pinv(scaled[:, active])
-        sigma = residual[i] / max(sums.count - len(active), 1) ** 0.5
-        errors[active, i] = sigma * inverse.square().sum(-1).sqrt() / norms[active]
-    return errors
 
 
 def _advice(library: Library, weak: list[str], sums: RunningSums, rank: int, condition: float) -> list[str]:

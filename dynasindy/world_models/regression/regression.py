@@ -21,6 +21,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from dynasindy.systems.steps import step_of
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.regression.selection import DEPENDENT, least_missed
 
@@ -32,16 +33,19 @@ def integral_form(library: Theta, data: Transitions) -> Rows:
     """Average the functions over each sampling interval and take the mean rate of change over it.
 
     Under zero-order hold the input is constant within an interval and jumps between two, so neither a centred
-    difference nor a derivative filter is right; the trapezoidal rule within the interval is.
+    difference nor a derivative filter is right; the trapezoidal rule within the interval is. A difference equation has
+    its functions where the interval begins, and nothing is averaged.
 
     Args:
-        library: `(x, u) -> (N, n_features)`.
+        library: `(x, u) -> (N, n_features)`, with a `step` where it is of a difference equation.
         data: transitions, N rows.
 
     Returns:
         `0.5 (Theta(x_k, u_k) + Theta(x_k+1, u_k))`, `(N, n_features)`, and `(x_k+1 - x_k) / dt`, `(N, n_x)`, float64.
     """
     data = data.to(torch.float64)
+    if step_of(library) is not None:
+        return library(data.x, data.u), (data.x_next - data.x) / data.dt
     theta = 0.5 * (library(data.x, data.u) + library(data.x_next, data.u))
     return theta, (data.x_next - data.x) / data.dt
 
@@ -50,14 +54,16 @@ def simpson_form(library: Theta, field: Theta, data: Transitions) -> Rows:
     """Average the functions over each interval by Simpson's rule, its midpoint taken from a first model.
 
     The midpoint is the cubic Hermite interpolant 0.5 (x_k + x_k+1) + dt/8 (f_k - f_k+1): fourth order instead of
-    second, which is what data at the control period (0.05 s) need.
+    second, which is what data at the control period (0.05 s) need. Of a difference equation nothing is averaged.
 
     Args:
         library: `(x, u) -> (N, n_features)`.
-        field: first model `(x, u) -> dx`, `(N, n_x)`.
+        field: first model `(x, u) -> dx`, `(N, n_x)`, with a `step` where it is a difference equation.
         data: transitions, N rows.
     """
     data = data.to(torch.float64)
+    if step_of(field) is not None:
+        return library(data.x, data.u), (data.x_next - data.x) / data.dt
     bend = field(data.x, data.u) - field(data.x_next, data.u)
     middle = 0.5 * (data.x + data.x_next) + data.dt / 8 * bend
     ends = library(data.x, data.u) + library(data.x_next, data.u)

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from dynasindy.systems.steps import steps_of
 from dynasindy.world_models.libraries.features import Factor
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.writers.fast_slopes import Slopes
@@ -98,7 +99,7 @@ class Propagator:
         position = torch.zeros(len(used), dtype=torch.int64)
         position[rows] = torch.arange(len(rows))
         self.features, self.states = position[parameters.features], parameters.states
-        self.n_x, self.shapes = xi.shape[1], tuple(shapes)
+        self.n_x, self.shapes, self.step = xi.shape[1], tuple(shapes), library.step
         self.slopes = Slopes(library.subset(rows.tolist()), self.shapes)
         self.jacobian = _summed(self.xi, self.slopes.by_state, self.n_x)
         self.of_shapes = _summed(self.xi, self.slopes.by_shape, len(self.shapes))
@@ -118,13 +119,14 @@ class Propagator:
 
         A step k1 .. k4 of h moves an error of its end by a4 = h/6, a3 = h/3 + h a4 J4, a2 = h/3 + h/2 a3 J3 and
         a1 = h/6 + h/2 a2 J2 times the errors of its four rates, where J are the slopes of the rates by the states. So
-        the functions themselves need no sensitivities of their own: each is weighed, once.
+        the functions themselves need no sensitivities of their own: each is weighed, once. A step of a difference
+        equation has one rate, whose error moves the end by h of itself.
 
         Args:
             x: states, `(B, n_x)`.
             u: inputs, `(B, n_u)`.
             dt: length of the interval [s].
-            substeps: Runge-Kutta steps in it.
+            substeps: Runge-Kutta steps in it; a difference equation has its own.
 
         Returns:
             States, `(B, n_x)`, and derivatives by the states before, the shapes and the coefficients,
@@ -136,10 +138,11 @@ class Propagator:
         return torch.cat([end for end, _ in parts]), torch.cat([slopes for _, slopes in parts])
 
     def _transfer(self, x: Tensor, u: Tensor, dt: float, substeps: int) -> tuple[Tensor, Tensor]:
-        h, stages = dt / substeps, []
-        for _ in range(substeps):
+        (h, count, difference), stages = steps_of(self.step, dt, substeps), []
+        parts = [(0.0, h)] if difference else [(0.0, h / 6), (h / 2, h / 3), (h / 2, h / 3), (h, h / 6)]
+        for _ in range(count):
             dx, total = torch.zeros_like(x), torch.zeros_like(x)
-            for ahead, weight in zip((0.0, h / 2, h / 2, h), (h / 6, h / 3, h / 3, h / 6)):
+            for ahead, weight in parts:
                 values = self.slopes(x + ahead * dx, u)
                 dx = values[0] @ self.xi
                 total = total + weight * dx
@@ -147,9 +150,13 @@ class Propagator:
             x = x + total
         unit = torch.eye(self.n_x, dtype=x.dtype)
         after, weights = unit.expand(len(x), -1, -1), []
-        for k in range(substeps - 1, -1, -1):
-            four = (slopes @ self.jacobian for _, slopes, _ in stages[4 * k : 4 * k + 4])
-            jacobians = [slopes.unflatten(-1, (self.n_x, self.n_x)) for slopes in four]
+        for k in range(count - 1, -1, -1):
+            mine = (slopes @ self.jacobian for _, slopes, _ in stages[len(parts) * k : len(parts) * (k + 1)])
+            jacobians = [slopes.unflatten(-1, (self.n_x, self.n_x)) for slopes in mine]
+            if difference:
+                weights.append(h * after)
+                after = after + weights[-1] @ jacobians[0]
+                continue
             a4 = h / 6 * after
             a3 = 2 * a4 + h * (p4 := a4 @ jacobians[3])
             a2 = 2 * a4 + h / 2 * (p3 := a3 @ jacobians[2])

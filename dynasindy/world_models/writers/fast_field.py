@@ -29,7 +29,7 @@ def generate(library: Library, coefficients: Tensor) -> Field:
         coefficients: Xi, `(n_features, n_x)`; zeros cost nothing.
 
     Returns:
-        `(x, u) -> dx`, `(*batch, n_x)`.
+        `(x, u) -> dx`, `(*batch, n_x)`, with the library's `step` as an attribute.
 
     Raises:
         ValueError: a coefficient is not finite, or the model has more functions than can be written.
@@ -49,6 +49,7 @@ def generate(library: Library, coefficients: Tensor) -> Field:
     exec(compile(writer.source(), "<sparse model>", "exec"), scope)
     field: Field = scope["field"]  # type: ignore[assignment]
     field.__doc__ = writer.source()
+    field.__dict__["step"] = library.step
     return field
 
 

@@ -24,6 +24,11 @@ LARGEST = 20_000_000
 """Size beyond which no model is read [bytes]; that of a plant here has 30 000."""
 LARGEST_SYSTEM = 200
 """Number of states beyond which a model is taken for damaged."""
+LARGEST_FACTOR = 1000
+"""Numbers of a coefficient's correlations beyond which it is as well."""
+Known = tuple[Tensor, Tensor, Tensor]
+"""Places of coefficients in Xi, two `(P,)`, and a factor of their covariance, `(P, K)`."""
+Model = tuple[Library, Tensor, Constraints, float, Known | None]
 
 
 def save(
@@ -32,8 +37,11 @@ def save(
     path: str | Path,
     constraints: Constraints | None = None,
     delay: float = 0.0,
+    covariance: Known | None = None,
 ) -> None:
-    """Write signature, library, coefficients, constraints and the equations in words.
+    """Write signature, library, coefficients, constraints, how well they are known, and the equations in words.
+
+    Coefficients are of rates of change; a `step` [s] says that they are those of a difference equation.
 
     Args:
         library: candidate functions.
@@ -41,13 +49,18 @@ def save(
         path: file to write.
         constraints: what is known of the equations; nothing by default.
         delay: time between an input and its effect [s].
+        covariance: which coefficients' covariance is known, and its factor.
     """
-    data = record(library, coefficients, constraints, delay)
+    data = record(library, coefficients, constraints, delay, covariance)
     Path(path).write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 
 def record(
-    library: Library, coefficients: Tensor, constraints: Constraints | None = None, delay: float = 0.0
+    library: Library,
+    coefficients: Tensor,
+    constraints: Constraints | None = None,
+    delay: float = 0.0,
+    covariance: Known | None = None,
 ) -> dict[str, Any]:
     """Return what `save` writes, as keys and values."""
     signature, table = library.signature, coefficients.tolist()
@@ -65,20 +78,24 @@ def record(
         data["functions"] = own
     if delay:
         data["delay"] = delay
+    if library.step is not None:
+        data["step"] = library.step
     if constraints is not None and not bool(constraints.free.all()):
         data["constraints"] = {s: _constraint(library, constraints, i) for i, s in enumerate(states)}
+    if covariance is not None and len(covariance[0]):
+        data["uncertainty"] = _uncertainty(library, *covariance)
     return data
 
 
-def load(path: str | Path) -> tuple[Library, Tensor, Constraints, float]:
+def load(path: str | Path) -> Model:
     """Read a library, its coefficients and its constraints, exact to the last digit.
 
     Args:
         path: file that `save` wrote.
 
     Returns:
-        The library, Xi, `(n_features, n_x)` float64, what is known of the equations, and the delay of the inputs [s];
-        without a word of them in the file, nothing and 0.
+        The library, Xi, `(n_features, n_x)` float64, what is known of the equations, the delay of the inputs [s], and
+        the covariance of coefficients; without a word of them in the file, nothing, 0 and None.
 
     Raises:
         FileNotFoundError: the file does not exist.
@@ -97,7 +114,7 @@ def load(path: str | Path) -> tuple[Library, Tensor, Constraints, float]:
     return understand(data, path)
 
 
-def understand(data: object, path: str | Path) -> tuple[Library, Tensor, Constraints, float]:
+def understand(data: object, path: str | Path) -> Model:
     """Return what `load` does, from keys and values.
 
     Args:
@@ -150,7 +167,39 @@ def _constraints(library: Library, data: dict[str, Any] | None) -> Constraints:
     return Constraints(free, offset)
 
 
-def _model(data: dict[str, Any]) -> tuple[Library, Tensor, Constraints, float]:
+def _uncertainty(library: Library, features: Tensor, places: Tensor, factor: Tensor) -> dict[str, Any]:
+    """Return standard errors, and rows of the factor of their correlations, a line of numbers each."""
+    names, states = library.names, library.signature.state_names
+    # The triangular factor of the same covariance has no more columns than there are coefficients.
+    factor = torch.linalg.qr(factor.mT, mode="r")[1].mT
+    factor = factor * factor.diagonal().sign().where(factor.diagonal() != 0, 1.0)
+    errors = factor.norm(dim=-1)
+    rows = (factor / errors.clamp_min(1e-300).unsqueeze(-1)).tolist()
+    told: dict[str, Any] = {"standard_errors": {s: {} for s in states}, "correlation_factor": {s: {} for s in states}}
+    each = zip(features.tolist(), places.tolist(), errors.tolist(), rows, strict=True)
+    for k, (feature, state, error, row) in enumerate(each):
+        told["standard_errors"][states[state]][names[feature]] = error
+        told["correlation_factor"][states[state]][names[feature]] = " ".join(map(repr, row[: k + 1]))
+    return told
+
+
+def _covariance(library: Library, data: dict[str, Any] | None) -> Known | None:
+    if data is None:
+        return None
+    features, states, errors, rows = [], [], [], []
+    for i, state in enumerate(library.signature.state_names):
+        for name, error in data["standard_errors"][state].items():
+            features.append(library.index(name))
+            states.append(i)
+            errors.append(_number(error))
+            rows.append(torch.tensor(_numbers(data["correlation_factor"][state][name]), dtype=torch.float64))
+    if not rows or any(not 0 < len(row) <= LARGEST_FACTOR for row in rows) or min(errors) < 0:
+        raise TypeError("its uncertainty has no standard errors of 0 or more, each with its correlations")
+    sizes = torch.tensor(errors, dtype=torch.float64).unsqueeze(-1)
+    return torch.tensor(features), torch.tensor(states), sizes * torch.nn.utils.rnn.pad_sequence(rows, batch_first=True)
+
+
+def _model(data: dict[str, Any]) -> Model:
     new = [name for name in data.get("functions", {}) if not is_registered(name)]
     try:
         for name, formula in data.get("functions", {}).items():
@@ -161,9 +210,12 @@ def _model(data: dict[str, Any]) -> tuple[Library, Tensor, Constraints, float]:
         raise
 
 
-def _parts(data: dict[str, Any]) -> tuple[Library, Tensor, Constraints, float]:
+def _parts(data: dict[str, Any]) -> Model:
     signature = _signature(data["signature"])
-    library = Library(signature, [_feature(f) for f in data["library"].values()])
+    step = data.get("step")
+    if step is not None and (step := _number(step)) < 0:
+        raise TypeError(f"the step of its difference equation is {step} s, which is negative")
+    library = Library(signature, [_feature(f) for f in data["library"].values()], step=step)
     coefficients = torch.zeros(len(library), signature.n_x, dtype=torch.float64)
     place = {name: k for k, name in enumerate(library.names)}
     for i, state in enumerate(signature.state_names):
@@ -173,7 +225,15 @@ def _parts(data: dict[str, Any]) -> tuple[Library, Tensor, Constraints, float]:
         library(torch.ones(1, signature.n_x, dtype=torch.float64), torch.ones(1, signature.n_u, dtype=torch.float64))
     if (delay := _number(data.get("delay", 0.0))) < 0:
         raise TypeError(f"its delay is {delay} s, which is negative")
-    return library, coefficients, _constraints(library, data.get("constraints")), delay
+    constraints = _constraints(library, data.get("constraints"))
+    return library, coefficients, constraints, delay, _covariance(library, data.get("uncertainty"))
+
+
+def _numbers(written: str) -> list[float]:
+    try:
+        return [_number(float(number)) for number in written.split()]
+    except ValueError as error:
+        raise TypeError(f"{written[:40]!r} stands where numbers belong") from error
 
 
 def _number(value: Any) -> float:

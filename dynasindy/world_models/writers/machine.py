@@ -24,7 +24,7 @@ def machine(library: Library, coefficients: Tensor, dtype: torch.dtype = torch.f
     """
     writer = _MachineWriter.of(library, coefficients)
     n_x, n_u = library.signature.n_x, library.signature.n_u
-    return Machine(Program(n_x, n_u, writer.named, tuple(writer.results), tuple(writer.constants)), dtype)
+    return Machine(Program(n_x, n_u, writer.named, tuple(writer.results), tuple(writer.constants), library.step), dtype)
 
 
 class _MachineWriter(InfixWriter):

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Sequence
 
+import torch
 from torch import Tensor
 
-from dynasindy.world_models.libraries.features import latex_name
+from dynasindy.world_models.libraries.features import latex_name, variable
 from dynasindy.world_models.libraries.functions import QUOTIENTS
 from dynasindy.world_models.libraries.library import Library
+
+CANCELLED = 1e-9
+"""Part of its own change that is left of a state, below which nothing is."""
 
 
 def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[str]:
@@ -22,8 +27,10 @@ def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[s
         digits: significant digits.
 
     Returns:
-        Lines such as `Omega_p' = -0.414 Omega_p + 0.0013 omega_p`.
+        Lines such as `Omega_p' = -0.414 Omega_p + 0.0013 omega_p`; of a difference equation such as
+        `p[k+1] = p + v + 0.0015 force`, all on the right at k.
     """
+    library, coefficients = mapping(library, coefficients)
     lines = []
     for i, state in enumerate(library.signature.state_names):
         groups: dict[str, list[tuple[str, float]]] = {}
@@ -42,8 +49,75 @@ def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[s
                 above, sign = above[1:], "-"
             joint = (" - " if sign else " + ") if written else sign
             written += f"{joint}{above} {quotient}"
-        lines.append(f"{state}' = {written or '0'}")
+        lines.append(f"{moved_on(library, state)} = {written or '0'}")
     return lines
+
+
+def moved_on(library: Library, state: str) -> str:
+    """Return the left side of a state's equation: its rate, or its next value."""
+    return f"{state}'" if library.step is None else f"{state}[k+1]"
+
+
+def mapping(library: Library, coefficients: Tensor) -> tuple[Library, Tensor]:
+    """Return what stands on the right of the equations: of a difference equation x[k] + step Xi' Theta, as one sum.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`: rates of change.
+
+    Returns:
+        The library, with the states themselves where it is one of a difference equation, and the coefficients of the
+        right sides.
+    """
+    step = library.step
+    if step is None:
+        return library, coefficients
+    names = library.signature.state_names
+    whole = Library(library.signature, [*map(variable, names), *library.features], step=step)
+    table = torch.zeros(len(whole), len(names), dtype=coefficients.dtype)
+    place = {feature.key: k for k, feature in enumerate(whole.features)}
+    rows = [place[feature.key] for feature in library.features]
+    table[rows] = step * coefficients
+    for i, name in enumerate(names):
+        own = place[variable(name).key]
+        rate = float(table[own, i])
+        table[own, i] = 1 + rate if abs(1 + rate) > CANCELLED * abs(rate) else 0.0
+    return whole, table
+
+
+def with_errors(library: Library, coefficients: Tensor, errors: Tensor) -> list[str]:
+    """Write a line for each coefficient that has a standard error, such as `v'  sin(p)  -9.81 ± 0.03`.
+
+    Of a difference equation it is that of the right side, whose coefficients are the step times those of the rates.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`.
+        errors: standard errors, zero of coefficients that were not fitted, `(n_features, n_x)`.
+    """
+    whole, table = mapping(library, coefficients)
+    place = {feature.key: k for k, feature in enumerate(whole.features)}
+    spread = torch.zeros_like(table)
+    spread[[place[feature.key] for feature in library.features]] = (library.step or 1.0) * errors.to(table)
+    left = [moved_on(library, state) for state in library.signature.state_names]
+    wide, long = max(map(len, left)), max(map(len, whole.names))
+    return [
+        f"{left[i]:<{wide}}  {whole.names[k]:<{long}}  {plus_minus(float(xi), float(error))}"
+        for i in range(len(left))
+        for k, (xi, error) in enumerate(zip(table[:, i], spread[:, i], strict=True))
+        if error
+    ]
+
+
+def plus_minus(value: float, error: float) -> str:
+    """Write a number and its standard error, the error to two digits: `1.2340 ± 0.0050`, `(3.10 ± 0.20)e-07`."""
+    exponent = math.floor(math.log10(max(abs(value), error)))
+    scale = exponent if not -4 < exponent < 6 else 0
+    size, spread = value / 10.0**scale, error / 10.0**scale
+    # 9.96 written to two digits is 10: the error tells its digits once it is rounded.
+    digits = max(0, 1 - math.floor(math.log10(float(f"{spread:.1e}"))))
+    written = f"{size:.{digits}f} ± {spread:.{digits}f}"
+    return f"({written})e{scale:+03d}" if scale else written
 
 
 def written_sum(terms: Sequence[tuple[str, float]], digits: int) -> str:
@@ -83,7 +157,8 @@ def to_text(library: Library, coefficients: Tensor, digits: int = 5, active_only
         digits: significant digits.
         active_only: whether functions without any coefficient are left out.
     """
-    header = ["function", *(f"{s}'" for s in library.signature.state_names)]
+    library, coefficients = mapping(library, coefficients)
+    header = ["function", *(moved_on(library, s) for s in library.signature.state_names)]
     rows = [header, *_rows(library, coefficients, digits, False, active_only)]
     widths = [max(len(row[k]) for row in rows) for k in range(len(header))]
     return "\n".join(
@@ -103,7 +178,8 @@ def to_latex(library: Library, coefficients: Tensor, digits: int = 5, active_onl
         digits: significant digits.
         active_only: whether functions without any coefficient are left out.
     """
-    states = [rf"$\dot{{{latex_name(s)}}}$" for s in library.signature.state_names]
+    library, coefficients = mapping(library, coefficients)
+    states = [f"${_latex_moved_on(library, s)}$" for s in library.signature.state_names]
     rows = _rows(library, coefficients, digits, True, active_only)
     lines = [r"\begin{tabular}{|" + "c|" * (len(states) + 1) + "}", r"\hline"]
     lines += [" & ".join(["Library function", *states]) + r" \\ \hline"]
@@ -119,6 +195,7 @@ def equations_to_latex(library: Library, coefficients: Tensor, digits: int = 5) 
         coefficients: Xi, `(n_features, n_x)`.
         digits: significant digits.
     """
+    library, coefficients = mapping(library, coefficients)
     written = []
     for i, state in enumerate(library.signature.state_names):
         terms = []
@@ -131,16 +208,23 @@ def equations_to_latex(library: Library, coefficients: Tensor, digits: int = 5) 
                 )
         lines = [" ".join(f"{sign} {term}" for sign, term in terms[k : k + 3]) for k in range(0, len(terms), 3)]
         right = " \\\\\n    &\\quad ".join(lines).removeprefix("+ ") or "0"
-        written.append(rf"    \dot{{{latex_name(state)}}} &= {right}")
+        written.append(f"    {_latex_moved_on(library, state)} &= {right}")
     return "\\begin{align*}\n" + " \\\\\n".join(written) + "\n\\end{align*}\n"
+
+
+def _latex_moved_on(library: Library, state: str) -> str:
+    name = latex_name(state)
+    return rf"\dot{{{name}}}" if library.step is None else f"{{{name}}}[k+1]"
 
 
 def to_csv(library: Library, coefficients: Tensor) -> str:
     """Write the Xi table as CSV at full precision: one row per function, one column per state."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
+    library, coefficients = mapping(library, coefficients)
     units = zip(library.signature.state_names, library.signature.state_units, strict=True)
-    writer.writerow(["function", *(f"d({s})/dt [{unit}/s]" for s, unit in units)])
+    heads = (f"d({s})/dt [{u}/s]" if library.step is None else f"{moved_on(library, s)} [{u}]" for s, u in units)
+    writer.writerow(["function", *heads])
     for name, values in zip(library.names, coefficients.tolist(), strict=True):
         writer.writerow([name, *(repr(v) for v in values)])
     return out.getvalue()

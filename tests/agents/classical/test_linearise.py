@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.signal import cont2discrete
 
-from dynasindy.agents.classical.linearise import Equilibria, jacobians, zero_order_hold
+from dynasindy.agents.classical.linearise import Equilibria, jacobians, modes, zero_order_hold
 from dynasindy.systems import Pendulum, Signature, System, Tras, Xi
 
 OUTPUTS = ("alpha_a", "alpha_p")
@@ -98,3 +98,28 @@ def test_as_many_outputs_as_inputs_are_asked_for():
 def test_reference_out_of_reach_is_refused():
     with pytest.raises(ValueError, match="does not rest with its outputs at"):
         Equilibria(Tras(), OUTPUTS)(torch.tensor([[0.0, float("nan")]]))
+
+
+@pytest.mark.parametrize("steps", [1, 3])
+def test_a_difference_equation_is_sampled_by_its_own_steps(steps):
+    rng = np.random.default_rng(2)
+    f, g = rng.standard_normal((3, 3)), rng.standard_normal((3, 2))
+    a, b = torch.from_numpy((f - np.eye(3)) / 0.2), torch.from_numpy(g / 0.2)
+    found_f, found_g = zero_order_hold(a, b, 0.2 * steps, 0.2)
+    x, u = rng.standard_normal(3), rng.standard_normal(2)
+    wanted = x
+    for _ in range(steps):
+        wanted = f @ wanted + g @ u
+    np.testing.assert_allclose(found_f.numpy() @ x + found_g.numpy() @ u, wanted, rtol=1e-12)
+    with pytest.raises(ValueError, match=r"cannot move by 0\.3 s"):
+        zero_order_hold(a, b, 0.3, 0.2)
+
+
+def test_modes_of_a_difference_equation_are_logarithms_of_what_it_multiplies_by():
+    """-0.6 every 0.1 s halves in turns of 0.2 s: log(0.6) / 0.1 + pi / 0.1 i; what is gone at once is gone fast."""
+    a = torch.diag(torch.tensor([-1.6, -0.5, -1.0], dtype=torch.float64)) / 0.1
+    found = modes(a, 0.1)
+    assert complex(found[0]) == pytest.approx(complex(np.log(0.6), np.pi) / 0.1)
+    assert complex(found[1]) == pytest.approx(np.log(0.5) / 0.1)
+    assert float(found[2].real) == pytest.approx(np.log(1e-6) / 0.1)
+    assert sorted(modes(a).real.tolist()) == pytest.approx([-16.0, -10.0, -5.0])

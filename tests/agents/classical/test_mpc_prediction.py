@@ -5,8 +5,9 @@ import pytest
 import torch
 
 from dynasindy.agents.classical.mpc_prediction import Predictor
-from dynasindy.systems import Tras
+from dynasindy.systems import Signature, Tras
 from dynasindy.systems.integrators import rk4
+from dynasindy.world_models import SindyModel
 
 pytest.importorskip("casadi")
 
@@ -53,3 +54,12 @@ def test_slopes_are_finite_differences_on_the_way(predictor):
     for place, by in enumerate(1e-5 * np.eye(2)):
         slope = (stepped(before, u[:, -1] + by) - stepped(before, u[:, -1] - by)) / 2e-5
         np.testing.assert_allclose(b[:, -1, :, place] / RANGES, slope / RANGES, rtol=1e-5, atol=1e-7)
+
+
+def test_a_difference_equation_is_predicted_by_its_own_steps():
+    """x[k+1] = -0.6 x[k] + 0.3 u[k], two steps to a period: 0.36 x + 0.12 u."""
+    model = SindyModel(Signature(("x",), ("-",), ("u",), (1.0,)), ["x", "u"], time="discrete")
+    model.library = model.library.with_step(0.1)
+    model.set_coefficients(torch.tensor([[-16.0], [3.0]], dtype=torch.float64))
+    found = Predictor(model, 0.2, 3, 5).one(np.array([[2.0], [-1.0]]), np.array([[5.0], [0.5]]))
+    np.testing.assert_allclose(found, [[1.32], [-0.3]], rtol=1e-12)

@@ -1,5 +1,6 @@
 import shutil
 
+import numpy as np
 import pytest
 
 from dynasindy.viz.report import model
@@ -26,12 +27,16 @@ def test_the_models_error_falls_and_its_trust_is_told(results):
     (finding,) = measured(section)
     assert finding.verdict is Verdict.AS and finding.case == "xi, `dyna`"
     assert finding.ours == (
-        "0.5 per period in episode 1, 5e-06 in episode 6, the greatest 0.5 in episode 1; trusted below 0.2, "
-        "trusted from episode 2"
+        "0.5 per period in episode 1, 5e-06 in episode 6, the greatest 0.5 in episode 1; trusted below 0.2 "
+        "on held-out windows, trusted from episode 2"
     )
     (picture,) = [part for part in section.parts if isinstance(part, Picture)]
-    levels = [line.get_label() for line in picture.figure.axes[0].lines[1:]]
-    assert levels == ["trusted below 0.2", "no longer trusted above 0.5"]
+    whole, judged, *levels = picture.figure.axes[0].lines
+    # The fixture's gate opens at the second episode, after a judged error of 0.1, and not at a whole one of 0.5.
+    np.testing.assert_allclose(whole.get_ydata(), [5.0 * 0.1**k for k in range(1, 7)])
+    np.testing.assert_allclose(judged.get_ydata(), [0.1**k for k in range(1, 7)])
+    assert judged.get_label() == "held-out windows, judged"
+    assert [line.get_label() for line in levels] == ["trusted below 0.2", "no longer trusted above 0.5"]
     assert len(missing(section)) == MISSING
 
 
@@ -45,6 +50,9 @@ def test_a_replay_that_ran_away_is_told_below_its_picture(results, tmp_path, err
     section = model.learning_progress(Results(folder, results.settings))
     (picture,) = [part for part in section.parts if isinstance(part, Picture)]
     assert ("the replay ran away" in picture.caption) is away
+    (axis,) = picture.figure.axes
+    marks = [line.get_xydata().tolist() for line in axis.lines if line.get_marker() == "^"]
+    assert marks == ([[[2.0, axis.get_ylim()[1]]]] if away else [])
 
 
 def test_states_before_and_after_are_judged_by_their_error(results):

@@ -34,7 +34,8 @@ def test_rotors_and_beam_are_judged_apart():
 def test_a_model_that_was_never_trusted_is_called_so():
     of = (np.array([1.0, 2.0]), np.array([46.0, 71.0]))
     assert learning("xi", *of, np.array([]), 0.05).ours == (
-        "46 per period in episode 1, 71 in episode 2, the greatest 71 in episode 2; trusted below 0.05, never trusted"
+        "46 per period in episode 1, 71 in episode 2, the greatest 71 in episode 2; trusted below 0.05 on "
+        "held-out windows, never trusted"
     )
     assert learning("xi", *of, np.array([2.0]), 0.05).ours.endswith(", trusted from episode 2")
 

@@ -105,6 +105,15 @@ def test_verdicts_have_a_colour_each_and_claims_lead_to_their_evidence(text):
     assert all(f"td.{mark}" in styles for mark in {*written.MARKS.values()})
 
 
+def test_cells_of_many_words_stay_readable_on_a_narrow_page(tmp_path):
+    sentence = "Planning on the model lets the policy learn from fewer real episodes."
+    part = Table(["claim", "number"], [[sentence, "as in the paper"], ["short", "0.1"]])
+    page = write_html("t", [Section("s", [part])], tmp_path / "p.html").read_text()
+    assert f'<td class="words">{sentence}</td><td class="as">' in page and "<td>short</td><td>0.1</td>" in page
+    narrow = page.partition("@media (max-width: 60rem)")[2].partition("@media print")[0]
+    assert "td.words { min-width: 13rem; }" in narrow
+
+
 def test_the_contents_stay_on_a_wide_page_and_open_on_a_narrow_one_and_paper_is_white(text):
     styles = (HERE / "page.css").read_text()
     narrow, paper = styles.partition("@media (max-width: 60rem)")[2], styles.partition("@media print")[2]

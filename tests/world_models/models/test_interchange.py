@@ -109,3 +109,16 @@ def test_a_signature_of_another_size_is_refused():
     with pytest.raises(ValueError, match="6 states"):
         from_pysindy(to_pysindy(_model("paper_table")), Signature(("a",), ("-",), ("u",), (1.0,)))
     assert Xi().signature.n_x == 6
+
+
+def test_a_difference_equation_goes_to_sympy_as_what_comes_next_and_not_to_pysindy():
+    """x+ = -0.6 x + 0.3 u, every 0.1 s."""
+    signature = Signature(("x",), ("-",), ("u",), (1.0,))
+    model = SindyModel(signature, ["x", "u"], time="discrete")
+    model.library = model.library.with_step(0.1)
+    model.set_coefficients(torch.tensor([[-16.0], [3.0]]))
+    expression = to_sympy(model)["x"]
+    values = {str(symbol): symbol for symbol in expression.free_symbols}
+    assert float(expression.subs({values["x"]: 2.0, values["u"]: 5.0})) == pytest.approx(0.3)
+    with pytest.raises(ValueError, match="to_pysindy got a difference equation"):
+        to_pysindy(model)

@@ -14,6 +14,8 @@ from dynasindy.systems import Diverged, Pendulum, Tras, Xi, integrate, rk4
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import Refinement, Regression, SindyModel
+from dynasindy.world_models.libraries.features import CONSTANT, variable
+from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.models import sindy
 from dynasindy.world_models.refinement.refine import Refined
 from dynasindy.world_models.writers.fast_field import generate
@@ -236,6 +238,19 @@ def test_a_refinement_that_drops_everything_leaves_the_fit_and_says_so():
     assert "note: the refinement dropped every function, so the fit before it stays" in report.to_text()
 
 
+@pytest.mark.parametrize("time", ["continuous", "discrete"])
+@pytest.mark.parametrize("method", ["auto", "one_step", "trajectory", "integral"])
+def test_a_log_of_nothing_but_noise_is_no_error(method, time):
+    """White noise has no equation, so no function may stay through the refinement, whatever its method is."""
+    generator, signature = torch.Generator().manual_seed(0), Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 1.0))
+    x = torch.randn(301, 2, generator=generator, dtype=torch.float64)
+    u = torch.randn(300, 1, generator=generator, dtype=torch.float64)
+    library = Library(signature, [CONSTANT, variable("u")])
+    model = SindyModel(signature, library, refinement=Refinement(method=method), time=time)
+    report = model.fit(Transitions(x[:-1], u, x[1:], 0.1, torch.zeros(300, dtype=torch.long)))
+    assert "note: the refinement dropped every function" in report.to_text() and model.covariance is None
+
+
 @pytest.mark.parametrize("stage", ["regression", "refinement"])
 def test_coefficients_that_are_not_finite_are_told_and_the_model_stays(stage):
     data = _recording(Xi(), HeldRandom(2, duration=5.0, amplitude=(0.6, 0.45), offset=HOVER, seed=0))
@@ -334,3 +349,49 @@ def test_what_a_fit_changes_besides_coefficients_is_kept_in_its_state():
     x, u = torch.tensor([[0.2]]).double(), torch.tensor([[0.5]]).double()
     assert copy(x, u).item() == pytest.approx(0.2 + 2 * np.tanh(7 * 0.2) + 1.5)
     assert copy.delay == 0.03
+
+
+PAIR = Signature(("x", "v"), ("m", "m/s"), ("u",), (1.0, 1.0))
+
+
+def _oscillator(seed: int, noise: float = 0.01) -> Transitions:
+    """x' = v, v' = -4 x - v + 3 u in exact steps of 0.05 s, with white noise in both states."""
+    rng = np.random.default_rng(seed)
+    flow = expm(0.05 * np.array([[0.0, 1, 0], [-4, -1, 3], [0, 0, 0]]))
+    x, u = [np.zeros(2)], rng.uniform(-1, 1, 40).repeat(10)
+    for held in u:
+        x.append((flow @ [*x[-1], held])[:2])
+    seen = np.array(x) + noise * rng.normal(size=(len(x), 2))
+    return Transitions.from_trajectory(torch.from_numpy(seen), torch.from_numpy(u)[:, None], 0.05)
+
+
+@pytest.mark.parametrize("method", ["integral", "one_step", "trajectory"])
+def test_a_fit_knows_its_errors_and_keeps_them_with_the_model(tmp_path, method):
+    model = SindyModel(PAIR, ["x", "v", "u"], Regression("bic"), Refinement(method), known={"x": "v"})
+    assert model.covariance is None
+    report = model.fit(_oscillator(0))
+    known = model.covariance
+    assert (known.features.tolist(), known.states.tolist()) == ([0, 1, 2], [1, 1, 1])  # x' = v was given
+    assert report.covariance is known and "(standard errors)" in report.to_text()
+    model.save(tmp_path / "model.json")
+    kept = json.loads(json.dumps(model.record()))
+    for again in (SindyModel.load(tmp_path / "model.json"), SindyModel.of_record(kept, "here")):
+        np.testing.assert_allclose(again.covariance.matrix, known.matrix, rtol=1e-9)
+        assert torch.equal(again.coefficients, model.coefficients)
+    restored = SindyModel(PAIR, ["x", "v", "u"])
+    restored.load_state_dict(model.state_dict())
+    assert torch.equal(restored.covariance.factor, known.factor)
+    model.set_coefficients(2 * model.coefficients)
+    assert model.covariance is None  # they are others, of which nothing is known
+    restored.load_state_dict(model.state_dict())
+    assert restored.covariance is None
+
+
+def test_a_regression_of_old_and_new_data_knows_its_errors_by_its_sums():
+    model = SindyModel(PAIR, ["x", "v", "u"], Regression("bic"))
+    model.fit(_oscillator(0))
+    told = []
+    for seed in range(1, 9):
+        model.update(_oscillator(seed))
+        told.append(model.covariance.errors)
+    np.testing.assert_allclose(told[-1] / told[0], (2 / 9) ** 0.5, rtol=0.1)

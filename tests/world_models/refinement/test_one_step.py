@@ -12,7 +12,7 @@ from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.features import CONSTANT, variable
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.one_step import linear_model, refine_one_step, steps_in
+from dynasindy.world_models.refinement.one_step import certainty, linear_model, refine_one_step, steps_in
 from dynasindy.world_models.regression.sensitivity import Parameters
 
 SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
@@ -122,3 +122,23 @@ def test_the_linear_model_of_the_error_has_the_slopes_of_the_closed_form():
     assert torch.allclose(rows * scale, slopes * weight, rtol=1e-6, atol=1e-8)
     assert torch.allclose(target[:, 0], weight * (error + slopes @ torch.tensor([A, B]).double()), rtol=1e-5, atol=1e-6)
     assert torch.allclose(rows.norm(dim=0), torch.ones(2).double())
+
+
+def test_standard_errors_are_those_of_the_discrete_form_and_of_the_scatter():
+    """phi and gamma are a linear regression; a = log(phi) / dt and b = a gamma / (phi - 1) follow by their slopes."""
+    fits, stated, support = [], [], torch.tensor([[True], [True], [False], [False]])
+    for seed in range(40):
+        data = recording(0.02, 400, seed)
+        library, xi = refine_one_step(LIBRARY, column(A, B, 0.0, 0.0), support, data, 1e-9)
+        known = certainty(library, xi, support, data, 1e-9)
+        assert (known.features.tolist(), known.states.tolist()) == ([0, 1], [0, 0])
+        fits.append(xi[:2, 0])
+        stated.append(known.errors)
+    rows = torch.cat([data.x, data.u], -1).numpy()
+    phi, gamma = math.exp(A * DT), B * (math.exp(A * DT) - 1) / A
+    slope = np.array([[1 / (phi * DT), 0.0], [0.0, A / (phi - 1)]])
+    slope[1, 0] = gamma * (1 / (phi * DT) / (phi - 1) - A / (phi - 1) ** 2)
+    closed = np.sqrt(np.diag(slope @ (0.02**2 * np.linalg.inv(rows.T @ rows)) @ slope.T))
+    told = torch.stack(stated).square().mean(0).sqrt()
+    np.testing.assert_allclose(told, closed, rtol=0.25)
+    np.testing.assert_allclose(told, torch.stack(fits).std(0), rtol=0.35)

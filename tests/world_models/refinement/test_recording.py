@@ -33,3 +33,5 @@ def test_a_recording_that_is_called_noisy_is_guessed_smoother_and_stays_so_when_
     data = Transitions.from_trajectory(noise, noise[:-1], 0.1)
     smooth = Recording.of(data, data, {}, 0.0).smoothed()
     assert float(smooth.guess.x.std()) < 0.5 * float(data.x.std()) and smooth.brief(0.0).noisy
+    jumping = Recording.of(data, data, {}, 0.0)
+    assert jumping.smoothed(0.1) is jumping  # a difference equation may jump as noise does

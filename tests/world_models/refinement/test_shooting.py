@@ -8,13 +8,18 @@ import pytest
 import torch
 from first_order import DT, LIBRARY, SIGNATURE, TWO, Y0, A, B, column, inputs, motion
 
+from dynasindy.benchmarks.instruments.bound import cramer_rao
+from dynasindy.benchmarks.instruments.textbook import CASES
+from dynasindy.data.simulated import disturb
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.features import CONSTANT, of, variable
 from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.refinement.descent import Descent
 from dynasindy.world_models.refinement.flow import Estimate, Flow
 from dynasindy.world_models.refinement.pushes import Noise
-from dynasindy.world_models.refinement.shooting import RunsAway, cost_of, linearise, move
+from dynasindy.world_models.refinement.shooting import RunsAway, certainty, cost_of, linearise, move
+from dynasindy.world_models.refinement.trajectory import refine_trajectory
 from dynasindy.world_models.refinement.windows import Windows
 from dynasindy.world_models.regression.sensitivity import Parameters
 
@@ -198,3 +203,51 @@ def test_the_cost_of_a_trial_is_that_of_its_linear_model(joined, made_white):
     flow, sigma = Flow.of(estimate, Parameters.where(TWO), windows), torch.tensor([0.3]).double()
     model = linearise(flow, sigma)
     assert cost_of(flow, sigma) == pytest.approx(model.cost, rel=1e-12) and model.cost > 0.1
+
+
+def test_standard_errors_are_those_of_cramer_and_rao_and_of_the_scatter_over_seeds():
+    """Van der Pol's oscillator with 10 % of white noise: the bound says how small errors can be at all."""
+    case, fits, stated, bounds = CASES["van_der_pol"], [], [], []
+    library, truth = case.library(), case.truth()
+    for seed, clean in enumerate(case.clean(20)):
+        found = refine_trajectory(library, truth, truth != 0, disturb(clean, 0.1, 1000 + seed), Descent(20))
+        known = certainty(found.flow)
+        fits.append(found.coefficients[known.features, known.states])
+        stated.append(known.errors)
+        bounds.append(cramer_rao(library, truth, clean, 0.1 * clean.x_next.std(0)))
+    told = torch.stack(stated).square().mean(0).sqrt()
+    np.testing.assert_allclose(told / torch.stack(bounds).mean(0), 1.0, atol=0.5)
+    ratio = told / torch.stack(fits).std(0)
+    assert ((ratio > 0.5) & (ratio < 2)).all()
+
+
+def pushed(seed: int, n: int = 1500, lasts: float = 0.3) -> Transitions:
+    """y' = A y + B u + d, where d is random and lasts for some tenths of a second; y has a little noise."""
+    rng, y, d, u = np.random.default_rng(seed), [0.0], 0.0, inputs(n // 10)
+    part, phi = math.exp(-DT / lasts), math.exp(A * DT)
+    for held in u:
+        d = part * d + 0.1 * math.sqrt(1 - part**2) * rng.normal()
+        y.append(phi * y[-1] + (phi - 1) / A * (B * held + d))
+    y = np.array(y) + 0.002 * rng.normal(size=len(y))
+    return Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.from_numpy(u)[:, None], DT)
+
+
+@pytest.mark.parametrize("joined", [True, False])
+def test_standard_errors_are_those_of_the_scatter_where_errors_last(joined):
+    fits, stated, alone = [], [], []
+    for seed in range(20):
+        found = refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), TWO, pushed(seed), Descent(20, joined))
+        known, model = certainty(found.flow), linearise(found.flow)
+        fits.append(found.coefficients[:2, 0])
+        stated.append(known.errors)
+        inverse = torch.linalg.inv(model.triangle[:-1, :-1])
+        alone.append((inverse.square().sum(-1).sqrt() / model.scale)[-2:])
+    scatter = torch.stack(fits).std(0)
+    ratio, textbook = (torch.stack(each).square().mean(0).sqrt() / scatter for each in (stated, alone))
+    assert ((ratio > 0.5) & (ratio < 2)).all()
+    assert (textbook < 0.5).all()  # which takes every sample for a witness of its own
+
+
+def test_a_single_window_still_tells_standard_errors():
+    found = refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), TWO, pushed(0, 60), Descent(60))
+    assert len(found.flow.windows) == 1 and (certainty(found.flow).errors > 0).all()

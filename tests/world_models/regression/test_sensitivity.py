@@ -99,3 +99,17 @@ def test_many_states_are_moved_in_parts_as_they_are_at_once(monkeypatch):
     for whole, parts in zip(at_once, propagator.transfer(x, u, 0.1, 2), strict=True):
         assert torch.allclose(whole, parts, rtol=1e-12, atol=1e-14)
     assert propagator.transfer(x[:0], u[:0], 0.1, 2)[1].shape == (0, 6, 6 + len(parameters))
+
+
+def test_steps_of_a_difference_equation_have_the_slopes_of_their_formula():
+    """x+ = x + h (c x^2 + d u): by x 1 + 2 h c x, by c h x^2, by d h u; two steps by the chain rule."""
+    signature = Signature(("x",), ("-",), ("u",), (1.0,))
+    library = Library(signature, [variable("x") * variable("x"), variable("u")], step=0.5)
+    xi = torch.tensor([[-0.8], [1.5]], dtype=torch.float64)
+    x, u = draw(5, 1, seed=1), draw(5, 1, seed=2)
+    first = x - 0.4 * x**2 + 0.75 * u
+    end, slopes = Propagator(library, xi, Parameters.where(xi != 0)).transfer(x, u, 1.0, 7)
+    torch.testing.assert_close(end, first - 0.4 * first**2 + 0.75 * u)
+    before, after = 1 - 0.8 * x, 1 - 0.8 * first
+    wanted = [after * before, after * 0.5 * x**2 + 0.5 * first**2, after * 0.5 * u + 0.5 * u]
+    torch.testing.assert_close(slopes, torch.cat(wanted, -1).unsqueeze(1))

@@ -33,7 +33,7 @@ def test_what_is_loaded_is_what_was_saved(tmp_path, name):
     library = build_library(name, Tras().signature)
     xi = coefficients(library)
     save(library, xi, tmp_path / "model.json")
-    again, back, _, _ = load(tmp_path / "model.json")
+    again, back, *_ = load(tmp_path / "model.json")
     assert again.names == library.names and again.signature == library.signature
     assert torch.equal(back, xi) and back.dtype == torch.float64
 
@@ -47,7 +47,7 @@ def test_powers_and_frequencies_of_any_size_are_kept(tmp_path):
 
 def test_a_file_can_be_read_by_a_person(written):
     data = json.loads(written.read_text())
-    library, xi, _, _ = load(written)
+    library, xi, *_ = load(written)
     assert data["format"] == FORMAT
     assert [line.partition("'")[0] for line in data["equations"]] == list(library.signature.state_names)
     assert data["signature"]["input_names"] == ["u_a", "u_p"]
@@ -208,7 +208,7 @@ def test_fitted_numbers_and_the_delay_come_back_to_the_last_digit(tmp_path):
     words = ["tanh(~7 Omega_a)", "Omega_p^2 per_cos2(~3 alpha_p)", "root(~0.1 alpha_a)", "tanh(7 Omega_a)"]
     library = Library(Xi().signature, map(parse, words)).with_shapes([5 + 1 / 3, 10 / 3, np.pi / 30])
     save(library, coefficients(library), tmp_path / "model.json", delay=0.1 / 3)
-    again, _, _, delay = load(tmp_path / "model.json")
+    again, _, _, delay, _ = load(tmp_path / "model.json")
     assert again.features == library.features and delay == 0.1 / 3
     numbers = [(shape.frequency, shape.fitted) for shape in again.shapes]
     assert numbers == [(5 + 1 / 3, 7.0), (10 / 3, 3.0), (np.pi / 30, 0.1)]
@@ -271,3 +271,46 @@ def test_what_is_known_of_the_equations_comes_back(tmp_path):
 def test_a_file_without_a_word_of_constraints_has_none(written):
     back = load(written)[2]
     assert bool(back.free.all()) and not bool(back.offset.any())
+
+
+def known_coefficients(columns: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    rng = np.random.default_rng(3)
+    factor = rng.normal(size=(4, columns)) * np.array([[1e-9], [3.0], [1e6], [0.02]])
+    return torch.tensor([2, 5, 2, 7]), torch.tensor([0, 0, 3, 3]), torch.from_numpy(factor)
+
+
+@pytest.mark.parametrize("columns", [15, 4, 2])
+def test_the_covariance_of_coefficients_survives_its_file(tmp_path, columns):
+    library, known = build_library("paper_table", Xi().signature), known_coefficients(columns)
+    save(library, torch.ones(27, 6, dtype=torch.float64), tmp_path / "model.json", covariance=known)
+    features, states, factor = load(tmp_path / "model.json")[4]
+    assert torch.equal(features, known[0]) and torch.equal(states, known[1])
+    size = known[2].norm(dim=-1)
+    wanted = known[2] @ known[2].mT / size / size.unsqueeze(-1)
+    np.testing.assert_allclose(factor @ factor.mT / size / size.unsqueeze(-1), wanted, atol=1e-13)
+    told = json.loads((tmp_path / "model.json").read_text())["uncertainty"]["standard_errors"]
+    assert told["alpha_a"][library.names[5]] == pytest.approx(float(size[1])) and told["alpha_p"] == {}
+
+
+def test_a_file_of_before_tells_no_covariance(written):
+    assert "uncertainty" not in json.loads(written.read_text()) and load(written)[4] is None
+
+
+@pytest.mark.parametrize(
+    "spoilt",
+    [
+        {"standard_errors": {}},
+        {"standard_errors": {"alpha_a": {"1": -1.0}}, "correlation_factor": {"alpha_a": {"1": "1"}}},
+        {"standard_errors": {"alpha_a": {"1": 1.0}}, "correlation_factor": {"alpha_a": {"1": ""}}},
+        {"standard_errors": {"alpha_a": {"1": 1.0}}, "correlation_factor": {"alpha_a": {"1": "1 nan"}}},
+        {"standard_errors": {"alpha_a": {"1": 1.0}}, "correlation_factor": {"alpha_a": {"1": "one"}}},
+        [1.0],
+    ],
+)
+def test_a_covariance_that_is_damaged_is_refused(written, spoilt):
+    data = json.loads(written.read_text())
+    if isinstance(spoilt, dict):
+        spoilt = {what: {s: {} for s in data["coefficients"]} | words for what, words in spoilt.items()}
+    written.write_text(json.dumps({**data, "uncertainty": spoilt}))
+    with pytest.raises(ValueError, match="damaged"):
+        load(written)

@@ -12,7 +12,15 @@ from dynasindy.systems.base import Signature
 from dynasindy.world_models.libraries.features import CONSTANT, of, variable
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.models.sindy import SindyModel
-from dynasindy.world_models.writers.tables import equations, equations_to_latex, to_csv, to_latex, to_text
+from dynasindy.world_models.writers.tables import (
+    equations,
+    equations_to_latex,
+    plus_minus,
+    to_csv,
+    to_latex,
+    to_text,
+    with_errors,
+)
 
 SIGNATURE = Signature(("alpha_p", "b"), ("rad", "m"), ("u",), (1.0, 1.0))
 LIBRARY = Library(SIGNATURE, [CONSTANT, variable("b"), variable("u", 2) * of("sin", "alpha_p"), of("cos", "alpha_p")])
@@ -133,3 +141,52 @@ def test_equations_as_latex_break_after_three_terms():
         r"    \dot{y} &= 0",
         r"\end{align*}",
     ]
+
+
+def test_a_difference_equation_is_written_as_what_a_state_is_next():
+    """p[k+1] = p + 0.5 (2 v - 0.2 u) and v[k+1] = v + 0.5 (-2 v + 3 p^2), whose own v is gone."""
+    signature = Signature(("p", "v"), ("m", "m/s"), ("u",), (1.0, 1.0))
+    p, v = variable("p"), variable("v")
+    library = Library(signature, [v, variable("u"), p * p], step=0.5)
+    xi = torch.tensor([[2.0, -2.0 + 1e-13], [-0.2, 0.0], [0.0, 3.0]], dtype=torch.float64)
+    assert equations(library, xi) == ["p[k+1] = p + v - 0.1 u", "v[k+1] = 1.5 p^2"]
+    text = to_text(library, xi, active_only=True).splitlines()
+    assert text[0].split() == ["function", "p[k+1]", "v[k+1]"] and [line.split()[0] for line in text[1:]] == [
+        "p", "v", "u", "p^2",
+    ]  # fmt: skip
+    assert "{p}[k+1] &= p + v - 0.1 \\, u" in equations_to_latex(library, xi)
+    assert "${v}[k+1]$" in to_latex(library, xi)
+    rows = list(csv.reader(io.StringIO(to_csv(library, xi))))
+    assert rows[0] == ["function", "p[k+1] [m]", "v[k+1] [m/s]"] and ["p", "1.0", "0.0"] in rows
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "written"),
+    [
+        (1.23412, 0.00499, "1.2341 ± 0.0050"),
+        (-9.8137, 0.0996, "-9.81 ± 0.10"),
+        (314.2, 12.3, "314 ± 12"),
+        (0.0, 0.25, "0.00 ± 0.25"),
+        (3.1e-7, 2e-8, "(3.10 ± 0.20)e-07"),
+        (-2.5e8, 1e7, "(-2.50 ± 0.10)e+08"),
+        (0.02, 31.0, "0 ± 31"),
+    ],
+)
+def test_an_error_has_two_digits_and_its_number_as_many_places(value, error, written):
+    assert plus_minus(value, error) == written
+
+
+def test_each_coefficient_that_was_fitted_has_a_line_with_its_error():
+    signature = Signature(("p", "v"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
+    library = Library(signature, [CONSTANT, variable("v"), of("sin", "p")])
+    xi = torch.tensor([[0.0, 0.0], [1.0, -0.5], [0.0, -9.81]], dtype=torch.float64)
+    errors = torch.tensor([[0.0, 0.0], [0.0, 0.01], [0.0, 0.03]], dtype=torch.float64)
+    assert with_errors(library, xi, errors) == ["v'  v       -0.500 ± 0.010", "v'  sin(p)  -9.810 ± 0.030"]
+
+
+def test_a_coefficient_of_a_difference_equation_has_the_error_of_its_right_side():
+    """v[k+1] = v + 0.5 (-0.5 v + 3 u): half of what the rates have."""
+    signature = Signature(("v",), ("m/s",), ("u",), (1.0,))
+    library = Library(signature, [variable("u"), variable("v")], step=0.5)
+    xi, errors = (torch.tensor(values, dtype=torch.float64).unsqueeze(-1) for values in ([3.0, -0.5], [0.02, 0.04]))
+    assert with_errors(library, xi, errors) == ["v[k+1]  v  0.750 ± 0.020", "v[k+1]  u  1.500 ± 0.010"]

@@ -1,0 +1,84 @@
+"""How a system moves on: a differential equation by Runge-Kutta steps, a difference equation by steps of its own.
+
+| equation     | form                                | a step of h [s]                                  |
+| ------------ | ----------------------------------- | ------------------------------------------------ |
+| differential | dx/dt = f(x, u)                     | the classical Runge-Kutta method of fourth order |
+| difference   | x[k+1] = x[k] + h f(x[k], u[k])     | the equation itself; h is a part of it           |
+
+A system says which one it is by its attribute `step`: None, or the step of its difference equation [s]. So f is a rate
+of change in both, and what is scaled by rates serves both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from torch import Tensor
+
+VectorField = Callable[[Tensor, Tensor], Tensor]
+UNTOLD = 0.0
+"""The step of a difference equation that is not fitted yet: any."""
+ALIKE = 1e-6
+"""Part of a time by which it may differ from whole steps."""
+
+
+class Steps(NamedTuple):
+    """Hold the steps by which a time is passed.
+
+    Attributes:
+        h: length of each [s].
+        number: how many there are.
+        difference: whether they are those of a difference equation.
+    """
+
+    h: float
+    number: int
+    difference: bool
+
+
+class Rates:
+    """A function that computes rates of change, with the step of the difference equation that it belongs to.
+
+    Args:
+        f: `(x, u) -> dx`.
+        step: of that equation [s]; None where it belongs to a differential equation.
+    """
+
+    def __init__(self, f: VectorField, step: float | None) -> None:
+        self.f, self.step = f, step
+
+    def __call__(self, x: Tensor, u: Tensor) -> Tensor:
+        """Compute rates of change, `(*batch, n_x)`."""
+        return self.f(x, u)
+
+
+def step_of(f: object) -> float | None:
+    """Return the step of a difference equation [s]; None of a differential equation, and of any function."""
+    step: float | None = getattr(f, "step", None)
+    return step
+
+
+def steps_of(step: float | None, seconds: float, substeps: int) -> Steps:
+    """Return the steps by which a system passes a time.
+
+    Args:
+        step: of its difference equation [s]; None of a differential equation.
+        seconds: the time [s].
+        substeps: Runge-Kutta steps in it, of a differential equation.
+
+    Raises:
+        ValueError: the time is not made of whole steps of the difference equation.
+    """
+    if step is None:
+        return Steps(seconds / substeps, substeps, False)
+    if step == UNTOLD:
+        return Steps(seconds, 1, True)
+    count = round(seconds / step)
+    if count < 1 or abs(count * step - seconds) > ALIKE * seconds:
+        raise ValueError(
+            f"the model is a difference equation with a step of {step:g} s and cannot move by {seconds:g} s; allowed "
+            f"are whole steps: give env.dt={step:g} or a multiple of it, or fit the model to data sampled every "
+            f"{seconds:g} s"
+        )
+    return Steps(step, count, True)

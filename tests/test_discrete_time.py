@@ -1,0 +1,105 @@
+"""From samples of what moves in steps to equations in discrete time, and from these to a controller."""
+
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+
+import dynasindy
+from dynasindy.control import load, save
+from dynasindy.systems import Signature
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import Refinement, Regression, SindyModel
+
+DT = 0.25
+LIBRARY = ["1", "p", "v", "force", "cos(3 p)", "sin(3 p)", "v cos(3 p)"]
+
+
+def following(a, b, u):
+    """a+ = -0.6 a + 0.3 u + 0.2 b^2, b+ = 0.5 b - 0.4 a."""
+    return -0.6 * a + 0.3 * u + 0.2 * b * b, 0.5 * b - 0.4 * a
+
+
+def logged(folder, noise=0.0):
+    """Write a log of the map under inputs that change every third step."""
+    rng, (a, b), u, rows = np.random.default_rng(0), (0.0, 0.0), 0.0, ["time,a,b,u"]
+    for k in range(500):
+        u = rng.uniform(-1, 1) if k % 3 == 0 else u
+        seen = np.array([a, b]) + noise * rng.standard_normal(2)
+        rows.append(f"{DT * k},{seen[0]!r},{seen[1]!r},{u!r}".replace("np.float64(", "").replace(")", ""))
+        a, b = following(a, b, u)
+    (folder / "log.csv").write_text("\n".join(rows) + "\n")
+    return dynasindy.read(folder / "log.csv")
+
+
+def flown(controller, target, seen=lambda a, b: [a, b]):
+    """What the map does under a controller from rest, the last of forty steps."""
+    a = b = 0.0
+    controller.reset()
+    for _ in range(40):
+        a, b = following(a, b, float(controller.act(seen(a, b), [target])[0]))
+    return a
+
+
+def test_a_log_of_a_map_that_no_differential_equation_is_leads_to_a_controller_of_it(tmp_path):
+    log = logged(tmp_path)
+    model = dynasindy.identify(log, "polynomial", time="discrete")
+    assert model.equations() == ["a[k+1] = -0.6 a + 0.3 u + 0.2 b^2", "b[k+1] = -0.4 a + 0.5 b"]
+    controller = dynasindy.plan(model, {"a": (-0.1, 0.1)}, log=log)
+    assert controller.dt == DT and controller.observer is None  # what is exact needs none, however it jumps
+    prediction = dynasindy.foretell(controller, model, log)
+    assert prediction.controlled
+    for target in (-0.08, 0.0, 0.08):
+        assert flown(controller, target) == pytest.approx(target, abs=0.004)  # 2 % of the range
+    with pytest.raises(ValueError, match=r"a step of 0\.25 s and cannot move by 0\.1 s"):
+        dynasindy.plan(model, {"a": (-0.1, 0.1)}, dt=0.1)
+    assert dynasindy.plan(model, {"a": (-0.1, 0.1)}, updates=1).dt == DT
+
+
+def test_a_controller_with_an_observer_in_discrete_time_is_the_same_out_of_its_file(tmp_path):
+    log = logged(tmp_path, noise=0.02)
+    model = dynasindy.identify(log, "polynomial", time="discrete")
+    controller = dynasindy.plan(model, {"a": (-0.1, 0.1)}, log=log, updates=20)
+    noise = controller.observer.variance[:2].sqrt()
+    assert noise.tolist() == pytest.approx([0.02, 0.02], rel=0.2)
+    save(controller, tmp_path / "controller.json")
+    read, rng = load(tmp_path / "controller.json"), np.random.default_rng(1)
+    assert read.observer.model.step == DT
+    for _ in range(30):
+        y = 0.1 * rng.standard_normal(2)
+        assert read.act(y, [0.05]) == pytest.approx(controller.act(y, [0.05]), abs=1e-6)
+
+
+def driven(steps, seed):
+    """States and inputs of Gymnasium's car, pushed at random in each step, without those at an end of its ranges."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        env = gymnasium.make("MountainCarContinuous-v0")
+    rng, parts, push = np.random.default_rng(seed), [], np.zeros(1)
+    seen, _ = env.reset(seed=seed)
+    for k in range(steps):
+        push = rng.uniform(-1, 1, 1) if k % 5 == 0 else push
+        after, _, ended, cut, _ = env.step(push.astype(np.float32))
+        parts.append((*env.unwrapped.state, *push, *seen))
+        seen = after
+        if ended or cut:
+            seen, _ = env.reset()
+    whole = torch.tensor(np.array(parts), dtype=torch.float64)
+    x_next, u, x = whole.split([2, 1, 2], -1)
+    free = (x_next[:, 0] > -1.2) & (x_next[:, 1] != 0)
+    data = Transitions(x, u, x_next, 1.0, torch.arange(len(x)))
+    return data.select(free)
+
+
+def test_gymnasium_s_car_is_found_as_its_source_has_it():
+    """v += 0.0015 force - 0.0025 cos(3 p); p += v, the new one: gymnasium/envs/classic_control."""
+    signature = Signature(("p", "v"), ("-", "-"), ("force",), (1.2, 0.07))
+    model = SindyModel(signature, LIBRARY, Regression("bic"), Refinement("one_step"), time="discrete")
+    model.fit(driven(600, 3))
+    pushes = " + 0.0015 force - 0.0025 cos(3 p)"
+    assert model.equations(3) == [f"p[k+1] = p + v{pushes}", f"v[k+1] = v{pushes}"]
+    continuous = SindyModel(signature, LIBRARY, Regression("bic"), Refinement("one_step"))
+    continuous.fit(driven(600, 3))
+    assert int((continuous.coefficients != 0).sum()) > int((model.coefficients != 0).sum())
