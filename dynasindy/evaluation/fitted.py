@@ -32,6 +32,8 @@ FAILURES = ArithmeticError, ValueError, RuntimeError
 """What a search or a fit raises where numbers run away, or where there are too few samples."""
 
 
+FINEST = 1e-5
+"""Error that is as good as none, whatever a sensor resolves [ranges of the state]."""
 ROUGHLY = 1.1
 """Ratio of errors of a state up to which they count as the same."""
 STRAIGHT = (
@@ -176,9 +178,9 @@ def _as_good(before: Forecasts, after: Forecasts, signature: Signature) -> bool:
 def _ratios(before: Forecasts, after: Forecasts, signature: Signature) -> Tensor:
     """Return the logarithm of how large errors are by what they were, `(horizons, n_x)`, NaN where nothing was seen.
 
-    An error counts as what the sensor resolves at least, and as what has run away at most.
+    An error counts as what the sensor resolves at least, and as what has run away at most; exact logs resolve anything.
     """
     most = LOST * torch.tensor(signature.x_scale, dtype=before.model.dtype)[: before.model.shape[1]]
-    least = torch.minimum(before.resolution.nan_to_num(nan=0.0).to(most), most).clamp_min(1e-300)
+    least = before.resolution.nan_to_num(nan=0.0).to(most).clamp(FINEST / LOST * most, most)
     ours, theirs = (f.model[:, : len(most)].clamp(least, most) for f in (after, before))
     return torch.where(before.model.isnan(), math.nan, (ours / theirs).log())

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from dynasindy.durations import MANY
 from dynasindy.evaluation.linear import LinearModel
-from dynasindy.evaluation.symptoms import resolution, samples_of
+from dynasindy.evaluation.symptoms import resolutions
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.refinement.delay import delayed
@@ -113,7 +113,7 @@ def forecast(
         ours,
         simple,
         last,
-        torch.tensor([resolution(column) for column in samples_of(training)]),
+        resolutions(training),
         linear.order,
     )
 
