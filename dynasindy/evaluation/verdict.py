@@ -27,6 +27,8 @@ BEHIND = 0.5
 """Part of a model's error that a linear model on past samples may have, below which something is missing."""
 SMALL = 1e-3
 """Error of a model that is small enough, whatever others make of it [ranges of the state]."""
+FINEST = 1e-6
+"""Part of the range of a state below which what a sensor resolves is no noise."""
 ROUNDED = 1e-5
 """Part of an input by which numbers of 32 bits may go beyond an end."""
 ROOM = 0.05
@@ -49,6 +51,7 @@ def table(forecasts: Forecasts, signature: Signature) -> list[str]:
         "last value held": forecasts.held,
     }
     wide, heads = max(map(len, kinds)) + 2, [in_words(horizon) for horizon in forecasts.horizons]
+    fine = (forecasts.resolution < FINEST * torch.tensor(signature.x_scale)).tolist()
     lines = [
         f"RMS error of predictions that begin at {forecasts.starts} samples which the fit did not see, over the first",
         f"  {'':<{wide + 2}}{''.join(f'{head:>11}' for head in heads)}",
@@ -56,7 +59,12 @@ def table(forecasts: Forecasts, signature: Signature) -> list[str]:
     for i, (name, unit) in enumerate(zip(signature.state_names, signature.state_units, strict=True)):
         if bool(forecasts.held[:, i].isnan().all()):
             continue
-        lines.append(f"  {name} [{unit}], the sensor resolves {_short(float(forecasts.resolution[i]))}")
+        told = (
+            "whose sensor shows no noise"
+            if fine[i]
+            else f"the sensor resolves {_short(float(forecasts.resolution[i]))}"
+        )
+        lines.append(f"  {name} [{unit}], {told}")
         most = LOST * signature.x_scale[i]
         for kind, found in kinds.items():
             errors = [float(found[k, i]) for k in range(len(forecasts.horizons))]
@@ -67,28 +75,36 @@ def table(forecasts: Forecasts, signature: Signature) -> list[str]:
 
 def judge(forecasts: Forecasts, signature: Signature) -> list[str]:
     """Say whether the model predicts, over the time in which the slowest state changes, and whether it is needed."""
+    doubtful = doubts(forecasts, signature)
     if short := shortcoming(forecasts, signature):
-        return [f"this model does not predict: {short}"]
+        return [f"this model does not predict: {short}", *doubtful]
     k = forecasts.middle
     ours, simple, seen = forecasts.model[k], forecasts.linear[k], _seen(forecasts, signature)
     names, ahead = signature.state_names, in_words(forecasts.horizons[k])
     fine = _fine(forecasts, seen)
     near = f", {_listed(names, fine)} to what the sensors resolve" if fine else ""
-    if doubtful := doubts(forecasts, signature):
+    if doubtful:
         return [f"this model is better than the last value held for {ahead}, but it lacks something", *doubtful]
-    lines = [f"this model predicts {ahead} ahead{near}"]
     large = [i for i in seen if i not in fine and float(ours[i]) > SMALL * signature.x_scale[i]]
     if behind := [i for i in large if float(simple[i]) < 0.9 * float(ours[i])]:
-        lines.append(
-            f"a linear model on past samples predicts {_listed(names, behind)} better: a function is missing, or a "
-            "state that nobody measured"
+        misses = ", ".join(
+            f"{names[i]} by {_short(float(simple[i]))} {signature.state_units[i]} instead of {_short(float(ours[i]))}"
+            for i in behind
         )
-    return lines
+        return [
+            f"this model predicts {ahead} ahead{near}, but a linear model on past samples predicts better, as it "
+            f"misses {misses}: a function is missing, or a state that nobody measured"
+        ]
+    return [f"this model predicts {ahead} ahead{near}"]
 
 
 def doubts(forecasts: Forecasts, signature: Signature) -> list[str]:
-    """Say which states a linear model on past samples predicts far better: what it knows of the past, a state lacks."""
+    """Say which states a linear model on past samples predicts far better: what it knows of the past, a state lacks.
+
+    One that is no better than the last value held knows nothing.
+    """
     lines, (horizons, n_x), large = [], forecasts.model.shape, unresolved(forecasts, signature)
+    large = large & (forecasts.linear < forecasts.held)
     for i in range(n_x):
         ours, simple, known = forecasts.model[:, i], forecasts.linear[:, i], large[:, i]
         worse = [k for k in range(horizons) if bool(known[k]) and float(simple[k]) < BEHIND * float(ours[k])]

@@ -62,13 +62,25 @@ def test_the_horizons_of_a_slow_plant_are_told_in_hours():
 
 
 def test_a_linear_model_that_is_better_is_said_to_be():
-    assert judge(forecasts(0.04, linear=0.03), SIGNATURE)[1].startswith(
-        "a linear model on past samples predicts q better"
-    )
+    (said,) = judge(forecasts(0.04, linear=0.03), SIGNATURE)
+    assert said.startswith("this model predicts 2 s ahead, w to what the sensors resolve, but a linear model on past ")
+    assert "better, as it misses q by 0.03 rad instead of 0.04: a function is missing" in said
     assert len(judge(forecasts(0.04, linear=0.039), SIGNATURE)) == 1
     lacking, why = judge(forecasts(0.04, linear=0.01), SIGNATURE)
     assert lacking == "this model is better than the last value held for 2 s, but it lacks something"
     assert why.startswith("a linear model on past samples predicts q 2 s ahead to 0.01 rad, this one to 0.04 rad")
+
+
+@pytest.mark.parametrize("q", [0.06, math.inf])
+def test_what_a_linear_model_knows_better_is_said_of_the_worst_models_too(q):
+    short, why = judge(forecasts(q, linear=0.02), SIGNATURE)
+    assert short.startswith("this model does not predict: ")
+    assert why.startswith("a linear model on past samples predicts q 2 s ahead to 0.02 rad, this one ")
+
+
+def test_a_sensor_without_noise_is_said_to_be_one():
+    found = replace(forecasts(0.002), resolution=torch.tensor([1e-9, math.nan, 21.0]))
+    assert table(found, SIGNATURE)[2] == "  q [rad], whose sensor shows no noise"
 
 
 def test_the_table_and_the_file_hold_measured_states_alone():
