@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from dynasindy.evaluation.equations import hidden_states
 from dynasindy.evaluation.horizons import Forecasts, forecast
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import LOST, unresolved
@@ -42,8 +43,9 @@ STRAIGHT = (
 )
 """What is said of a fit without functions that bend."""
 IN_VAIN = (
-    "the equations miss the log by more than its sensors explain, so a state that no sensor sees was looked for, one "
-    "that follows an input or a measured state; none was found that predicts the kept part of the log far better"
+    "the equations miss the log by more than its sensors explain, so {} that no sensor sees was looked for, one that "
+    "follows an input or a measured state; none was found that predicts the kept part of the log far better. A hidden "
+    "state that swings by itself, as the far end of a soft shaft does, is not looked for: if there is one, measure it"
 )
 """What is said of a search that has found nothing."""
 
@@ -104,7 +106,8 @@ def _fitted(model: SindyModel, source: Source) -> Fitted:
             after = _forecast(found) if found.follower else None
             if after is not None and _better(before, after, model.signature):
                 return _straighter(found, after)
-        plain = replace(plain, sought=IN_VAIN)
+        named = hidden_states(model, source.training)
+        plain = replace(plain, sought=IN_VAIN.format("another state" if named else "a state"))
     return _straighter(plain, before)
 
 

@@ -19,6 +19,7 @@ from dynasindy.data.table import all_headings, split_unit
 from dynasindy.data.units import as_words, with_units
 from dynasindy.data.unnamed import counted
 from dynasindy.evaluation import verdict
+from dynasindy.evaluation.equations import found_in_model, idle
 from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.horizons import Forecasts, begun, forecast
 from dynasindy.evaluation.quiet import heard, quiet_states, too_quiet
@@ -257,7 +258,7 @@ def _actuators(model: SindyModel, data: Transitions) -> Found:
 def to_words(found: Identified, source: Source) -> str:
     """Write equations, fit, identifiability, what the data show, errors, notes and a verdict for a reader."""
     signature, shown = source.signature, found.forecasts
-    seen = [*verdict.found_in_model(found.model), *(verdict.found_in_data(source.training, signature))]
+    seen = [*found_in_model(found.model), *(verdict.found_in_data(source.training, signature))]
     if found.found is not None and found.found.actuator:
         seen.append(f"{found.found.words}; {BEHIND} has it")
     lines = [
@@ -266,6 +267,7 @@ def to_words(found: Identified, source: Source) -> str:
         found.report.to_text(),
         *(f"found: {line}" for line in seen),
         *found.hidden,
+        *idle(found.model, source.training),
         "",
     ]
     if shown is not None:

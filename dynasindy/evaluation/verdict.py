@@ -16,8 +16,6 @@ from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.libraries.features import Factor, Feature
-from dynasindy.world_models.libraries.functions import QUOTIENTS
-from dynasindy.world_models.refinement.measured import rates_known
 
 RESOLVED = 2.0
 """Error up to which a prediction is as good as a sensor can tell [what the sensor resolves]."""
@@ -279,23 +277,6 @@ def _fine(forecasts: Forecasts, seen: Sequence[int]) -> list[int]:
     return [i for i in seen if float(ours[i]) <= RESOLVED * float(forecasts.resolution[i])]
 
 
-def found_in_model(model: SindyModel) -> list[str]:
-    """Say what of delay, dry friction and springs is in the equations."""
-    names, lines = model.signature.state_names, []
-    if model.delay:
-        late = f"{1e3 * model.delay:.3g} ms" if model.delay < 1 else in_words(model.delay)
-        lines.append(f"the inputs act {late} late")
-    of_rate = rates_known(model.library, model.constraints)
-    for i in range(len(names)):
-        used = model.coefficients[:, i].nonzero().flatten().tolist()
-        terms = [model.library.features[k] for k in used]
-        if any(_is_dry(model.library.features[k], names[i]) and model.coefficients[k, i] < 0 for k in used):
-            lines.append(f"{names[i]}' has dry friction")
-        if i in of_rate and any(_is_spring(f, names[of_rate[i]]) for f in terms):
-            lines.append(f"{names[i]}' has a spring in {names[of_rate[i]]}")
-    return lines
-
-
 def found_in_data(data: Transitions, signature: Signature) -> list[str]:
     """Say what the sensors and the inputs of a log show: steps, saturation, a controller."""
     lines = []
@@ -313,18 +294,6 @@ def found_in_data(data: Transitions, signature: Signature) -> list[str]:
     if driven := [name for name, told in zip(signature.input_names, closed_loop(data), strict=True) if told]:
         lines.append(f"a controller made {' and '.join(driven)} out of the measured states (closed loop)")
     return lines
-
-
-def _is_dry(feature: Feature, rate: str) -> bool:
-    """Tell what opposes a rate alike at any speed; of the other sign it would drive."""
-    return any(factor.function == "tanh" and rate in factor.variables for factor in feature.factors)
-
-
-def _is_spring(feature: Feature, angle: str) -> bool:
-    """Tell the angle itself, whatever inertia it is divided by."""
-    return any(f.function == "id" and f.power == 1 and f.variables == (angle,) for f in feature.factors) and all(
-        f.function in ("id", *QUOTIENTS) and (f.function != "id" or f.variables == (angle,)) for f in feature.factors
-    )
 
 
 def _listed(names: Sequence[str], places: Sequence[int]) -> str:

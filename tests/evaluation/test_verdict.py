@@ -13,7 +13,6 @@ from dynasindy.evaluation.verdict import (
     doubts,
     errors,
     found_in_data,
-    found_in_model,
     judge,
     known_ranges,
     table,
@@ -21,7 +20,7 @@ from dynasindy.evaluation.verdict import (
     unmoved,
     unresolved,
 )
-from dynasindy.systems import Pendulum, Tras
+from dynasindy.systems import Pendulum
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
@@ -107,22 +106,6 @@ def test_an_error_beyond_ten_ranges_has_run_away_and_the_table_fits_a_page():
         found, horizons=(0.1, 0.2, 0.5, 1.0, 2.0), **dict.fromkeys(("model", "linear", "held"), torch.ones(5, 3))
     )
     assert max(map(len, table(five, SIGNATURE))) <= 100
-
-
-def test_delay_friction_and_springs_of_a_model_are_said_in_words():
-    model = SindyModel(Tras().signature, "rotor_rig", known={"alpha_a": "Omega_a", "alpha_p": "Omega_p"})
-    assert found_in_model(model) == []
-    coefficients, model.delay = model.coefficients.clone(), 0.0123
-    rates = {name: model.signature.state_index(name) for name in ("Omega_a", "Omega_p")}
-    for name, state in (("alpha_a /(1 + 3 cos(alpha_p)^2)", "Omega_a"), ("tanh(10 Omega_p)", "Omega_p")):
-        coefficients[model.library.index(name), rates[state]] = -1.0
-    model.set_coefficients(coefficients)
-    expected = ["the inputs act 12.3 ms late", "Omega_a' has a spring in alpha_a", "Omega_p' has dry friction"]
-    assert found_in_model(model) == expected
-    # What drives a rate the more, the faster it is, is no friction.
-    coefficients[model.library.index("tanh(10 Omega_p)"), rates["Omega_p"]] = 1.0
-    model.set_coefficients(coefficients)
-    assert found_in_model(model) == expected[:2]
 
 
 def test_a_linear_model_that_knows_the_past_far_better_raises_doubts():

@@ -315,7 +315,12 @@ class Refinement:
         return fitted[:2], delay, _shortened(fitted.window, descent.window)
 
     def _fine(self, delay: float, found: Model, free: Tensor, recording: Recording, descent: Descent) -> float:
-        """Return the delay in fractions of a sample that a few steps of the fit to trajectories find [s]."""
+        """Return the delay in fractions of a sample that a few steps of the fit to trajectories find [s].
+
+        Equations without functions tell none.
+        """
+        if not bool(found[1].any()):
+            return delay
         tell("fit", words=f"trying delays of the inputs up to {self._longest:g} s")
         few, data = replace(descent, max_rounds=STEPS), recording.data
 

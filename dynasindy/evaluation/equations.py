@@ -1,0 +1,74 @@
+"""What fitted equations hold, in the words of an engineer: delay, dry friction, springs, states that take no part."""
+
+from __future__ import annotations
+
+from dynasindy.durations import in_words
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import SindyModel
+from dynasindy.world_models.libraries.features import Feature
+from dynasindy.world_models.libraries.functions import QUOTIENTS
+from dynasindy.world_models.refinement.measured import rates_known
+
+
+def found_in_model(model: SindyModel) -> list[str]:
+    """Say what of delay, dry friction and springs is in the equations."""
+    names, lines = model.signature.state_names, []
+    if model.delay:
+        late = f"{1e3 * model.delay:.3g} ms" if model.delay < 1 else in_words(model.delay)
+        lines.append(f"the inputs act {late} late")
+    of_rate = rates_known(model.library, model.constraints)
+    for i in range(len(names)):
+        used = model.coefficients[:, i].nonzero().flatten().tolist()
+        terms = [model.library.features[k] for k in used]
+        if any(_is_dry(model.library.features[k], names[i]) and model.coefficients[k, i] < 0 for k in used):
+            lines.append(f"{names[i]}' has dry friction")
+        if i in of_rate and any(_is_spring(f, names[of_rate[i]]) for f in terms):
+            lines.append(f"{names[i]}' has a spring in {names[of_rate[i]]}")
+    return lines
+
+
+def hidden_states(model: SindyModel, data: Transitions) -> list[str]:
+    """Return the states that no sensor sees in any form: no rates of measured states, and none that only follow.
+
+    Args:
+        model: the model.
+        data: the log, NaN where a state was not measured.
+    """
+    rates, unseen = rates_known(model.library, model.constraints), data.x.isnan().all(0).tolist()
+    names = model.signature.state_names
+    alone = [i for i, blind in enumerate(unseen) if blind and (i not in rates or unseen[rates[i]])]
+    return [names[i] for i in alone if names[i] not in model.followed]
+
+
+def idle(model: SindyModel, data: Transitions) -> list[str]:
+    """Say which hidden states stand in no equation, and how to give a first guess of their equations, in a line.
+
+    Args:
+        model: a fitted model.
+        data: the log, NaN where a state was not measured.
+    """
+    names, inputs = model.signature.state_names, model.signature.input_names
+    used = [f for f, own in zip(model.library.features, model.coefficients.any(-1).tolist(), strict=True) if own]
+    read = {name for feature in used for name in feature.variables}
+    still = [n for n in hidden_states(model, data) if n not in read and not model.coefficients[:, names.index(n)].any()]
+    if not still:
+        return []
+    seen = next((name for name, blind in zip(names, data.x.isnan().all(0).tolist(), strict=True) if not blind), "")
+    first = [*(f"{name}: {{{inputs[0]}: 0.1, {name}: -0.1}}" for name in still[:1]), f"{seen}: {{{still[0]}: 0.1}}"]
+    stands, needs = ("stands", "it needs") if len(still) == 1 else ("stand", "they need")
+    return [
+        f"hint: {' and '.join(still)} {stands} in no equation: no sensor sees what it does in any form, so {needs} a "
+        f"first guess of the equations, as in 'plant.initial={{{', '.join(first)}}}', with numbers of your plant"
+    ]
+
+
+def _is_dry(feature: Feature, rate: str) -> bool:
+    """Tell what opposes a rate alike at any speed; of the other sign it would drive."""
+    return any(factor.function == "tanh" and rate in factor.variables for factor in feature.factors)
+
+
+def _is_spring(feature: Feature, angle: str) -> bool:
+    """Tell the angle itself, whatever inertia it is divided by."""
+    return any(f.function == "id" and f.power == 1 and f.variables == (angle,) for f in feature.factors) and all(
+        f.function in ("id", *QUOTIENTS) and (f.function != "id" or f.variables == (angle,)) for f in feature.factors
+    )
