@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from torch import Tensor
+
 from dynasindy.durations import in_words
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
@@ -9,18 +11,31 @@ from dynasindy.world_models.libraries.features import Feature
 from dynasindy.world_models.libraries.functions import QUOTIENTS
 from dynasindy.world_models.refinement.measured import rates_known
 
+FULL = 5.0
+"""Widths of a function tanh(rate / width), at least, in the range of the rate, for it to be dry friction."""
+TOLD = 0.02
+"""Part of a function that the others of its equation leave over, above which the data tell its coefficient."""
 
-def found_in_model(model: SindyModel) -> list[str]:
-    """Say what of delay, dry friction and springs is in the equations."""
+
+def found_in_model(model: SindyModel, told: Tensor | None = None) -> list[str]:
+    """Say what of delay, dry friction and springs is in the equations.
+
+    Args:
+        model: a fitted model.
+        told: what the other functions of its equation leave over of each function, `(n_features, n_x)`, from
+            `FitReport.told_apart`; functions whose coefficients the data do not tell are no friction and no spring.
+    """
     names, lines = model.signature.state_names, []
     if model.delay:
         late = f"{1e3 * model.delay:.3g} ms" if model.delay < 1 else in_words(model.delay)
         lines.append(f"the inputs act {late} late")
     of_rate = rates_known(model.library, model.constraints)
     for i in range(len(names)):
-        used = model.coefficients[:, i].nonzero().flatten().tolist()
+        clear = model.coefficients[:, i] != 0
+        used = (clear if told is None else clear & (told[:, i] > TOLD)).nonzero().flatten().tolist()
         terms = [model.library.features[k] for k in used]
-        if any(_is_dry(model.library.features[k], names[i]) and model.coefficients[k, i] < 0 for k in used):
+        size = model.signature.x_scale[i]
+        if any(_is_dry(model.library.features[k], names[i], size) and model.coefficients[k, i] < 0 for k in used):
             lines.append(f"{names[i]}' has dry friction")
         if i in of_rate and any(_is_spring(f, names[of_rate[i]]) for f in terms):
             lines.append(f"{names[i]}' has a spring in {names[of_rate[i]]}")
@@ -62,9 +77,18 @@ def idle(model: SindyModel, data: Transitions) -> list[str]:
     ]
 
 
-def _is_dry(feature: Feature, rate: str) -> bool:
-    """Tell what opposes a rate alike at any speed; of the other sign it would drive."""
-    return any(factor.function == "tanh" and rate in factor.variables for factor in feature.factors)
+def _is_dry(feature: Feature, rate: str, size: float) -> bool:
+    """Tell what opposes a rate alike at any speed but the lowest; of the other sign it would drive.
+
+    Args:
+        feature: the function.
+        rate: name of the rate.
+        size: its range; a function that bends only there is a drag.
+    """
+    return any(
+        factor.function == "tanh" and rate in factor.variables and factor.frequency * size >= FULL
+        for factor in feature.factors
+    )
 
 
 def _is_spring(feature: Feature, angle: str) -> bool:

@@ -258,7 +258,10 @@ def _actuators(model: SindyModel, data: Transitions) -> Found:
 def to_words(found: Identified, source: Source) -> str:
     """Write equations, fit, identifiability, what the data show, errors, notes and a verdict for a reader."""
     signature, shown = source.signature, found.forecasts
-    seen = [*found_in_model(found.model), *(verdict.found_in_data(source.training, signature))]
+    seen = [
+        *found_in_model(found.model, found.report.told_apart()),
+        *(verdict.found_in_data(source.training, signature)),
+    ]
     if found.found is not None and found.found.actuator:
         seen.append(f"{found.found.words}; {BEHIND} has it")
     lines = [
@@ -274,7 +277,8 @@ def to_words(found: Identified, source: Source) -> str:
         lines += verdict.table(shown, signature)
     free = found.metrics["open_loop_nrmse"]
     lines.append(
-        "one prediction of all data that the fit did not see, relative to the standard deviation of each state"
+        f"one prediction of all data that the fit did not see{anew(source.validation)}, relative to the standard "
+        "deviation of each state"
     )
     lines += [f"  {state:<10} {_percent(error)}" for state, error in free.items()]
     unsought = (found.found.words,) if found.found is not None and not found.found.sought else ()
@@ -283,6 +287,14 @@ def to_words(found: Identified, source: Source) -> str:
         return "\n".join([*lines, "the validation data are too short to judge how far ahead the model predicts"])
     lines += verdict.judge(told, signature) if (told := found.heard()) is not None else []
     return "\n".join([*lines, *filter(None, [found.quiet])])
+
+
+def anew(data: Transitions) -> str:
+    """Say that a prediction of all data begins anew after gaps, and how often; empty where there is none."""
+    gaps = int(data.begins().sum()) - 1
+    if gaps < 1:
+        return ""
+    return ", begun anew after its gap" if gaps == 1 else f", begun anew after each of its {gaps} gaps"
 
 
 def _heading(name: str, given: object) -> str:

@@ -27,6 +27,16 @@ def test_delay_friction_and_springs_of_a_model_are_said_in_words():
     assert found_in_model(model) == expected[:2]
 
 
+def test_what_bends_at_all_speeds_is_no_friction_nor_is_what_the_data_do_not_tell():
+    """Of speeds up to 4 rad/s, tanh(v / 8) is a drag, and tanh(20 v) friction unless others make up for it."""
+    signature = Signature(("v",), ("rad/s",), ("u",), (4.0,))
+    for width, expected in ((0.125, []), (1.2, []), (1.3, ["v' has dry friction"]), (20.0, ["v' has dry friction"])):
+        model = SindyModel(signature, [f"tanh({width} v)", "u"])
+        model.set_coefficients(torch.tensor([[-3.0], [1.0]], dtype=torch.float64))
+        assert found_in_model(model) == found_in_model(model, torch.tensor([[0.5], [1.0]])) == expected
+        assert found_in_model(model, torch.tensor([[0.001], [1.0]])) == []
+
+
 def log_of(*columns: float) -> Transitions:
     """Return a log of such states, each of one value."""
     return Transitions.from_trajectory(torch.tensor([columns] * 9, dtype=torch.float64), torch.zeros(8, 1), 0.1)

@@ -10,7 +10,7 @@ import torch
 from dynasindy.data.simulated import record
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation import identification
-from dynasindy.evaluation.identification import Logged, identify, to_words, write
+from dynasindy.evaluation.identification import Logged, anew, identify, to_words, write
 from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Chirp, HeldRandom
 from dynasindy.systems import Diverged, Pendulum, Signature, Tras
@@ -279,3 +279,13 @@ def test_no_verdict_is_given_on_a_log_that_is_too_quiet_to_tell():
     assert "the log is too quiet to tell of angle, which moves by 4 steps of its sensor" in words
     assert "this model" not in words and not quiet.predicts
     assert "this model" in to_words(loud, loud.source) and not loud.quiet
+
+
+@pytest.mark.parametrize(
+    ("segments", "said"),
+    [([0] * 6, ""), ([0, 0, 1, 1, 1, 1], ", begun anew after its gap"), ([0, 1, 1, 2, 2, 2], " each of its 2 gaps")],
+)
+def test_a_prediction_of_data_with_gaps_is_said_to_begin_anew(segments, said):
+    data = Transitions.from_trajectory(torch.zeros(7, 1), torch.zeros(6, 1), 0.1)
+    told = anew(Transitions(data.x, data.u, data.x_next, data.dt, torch.tensor(segments)))
+    assert told.endswith(said) and bool(told) == bool(said)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import torch
 from torch import Tensor
 
 from dynasindy.world_models.libraries.library import Library
@@ -24,6 +25,8 @@ class FitReport:
         residual: unexplained part of each state's rate of change, 2-norm relative to the rate's.
         notes: sentences on what a reader would not expect.
         dt: time that a transition takes [s].
+        unmeasured: states whose rates of change were not measured, or are functions of what was not: of an estimate
+            that nobody measured a part that stays unexplained says nothing.
         in_pieces: whether simulations meet the log in pieces only, which begin anew: something is lacking.
     """
 
@@ -35,6 +38,7 @@ class FitReport:
     notes: tuple[str, ...] = ()
     dt: float | None = None
     in_pieces: bool = False
+    unmeasured: frozenset[str] = frozenset()
 
     @classmethod
     def of(
@@ -59,6 +63,19 @@ class FitReport:
             dt=dt,
         )
 
+    def told_apart(self) -> Tensor:
+        """Return the part of each function that the others of its equation leave over, 0 to 1, `(n_features, n_x)`.
+
+        Of a function of which they leave over next to nothing, the data do not tell the coefficient: large ones cancel.
+        """
+        _, coefficients, sums = self._source
+        scaled, parts = sums.theta(), torch.zeros_like(coefficients)
+        scaled = scaled / scaled.norm(dim=0).clamp_min(1e-300)
+        for i in range(coefficients.shape[1]):
+            active = coefficients[:, i].nonzero().flatten()
+            parts[active, i] = 1 / torch.linalg.pinv(scaled[:, active]).norm(dim=1).clamp_min(1.0)
+        return parts
+
     @cached_property
     def identifiability(self) -> Identifiability:
         """Judge what the samples can tell; computed when first asked for."""
@@ -69,7 +86,7 @@ class FitReport:
         each = f" of {self.dt:g} s" if self.dt else ""
         lines = [f"fit of {self.samples} transitions{each}, which took {self.seconds:.3g} s"]
         counts = {name: f"{count} term{'s' * (count != 1)}" for name, count in self.terms.items()}
-        lines += [
-            f"  {s}': {counts[s]}; {100 * r:.3g} % of it stays unexplained (RMS)" for s, r in self.residual.items()
-        ]
+        for state, part in self.residual.items():
+            told = "" if state in self.unmeasured else f"; {100 * part:.3g} % of it stays unexplained (RMS)"
+            lines.append(f"  {state}': {counts[state]}{told}")
         return "\n".join([*lines, *(f"note: {note}" for note in self.notes), self.identifiability.to_text()])

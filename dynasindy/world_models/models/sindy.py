@@ -241,7 +241,17 @@ class SindyModel(WorldModel):
         report = FitReport.of(self.library, self.coefficients, self.sums, seconds, notes, data.dt)
         # The sums may be of fewer rows than that, each of them the average of many transitions.
         samples = int(known_inputs(data, self.delay).sum()) + (earlier if self.sums is sums else 0)
-        return replace(report, samples=samples, in_pieces=in_pieces)
+        return replace(report, samples=samples, in_pieces=in_pieces, unmeasured=self._unmeasured(data))
+
+    def _unmeasured(self, data: Transitions) -> frozenset[str]:
+        """Return the states that no sensor saw, and those whose equations read one."""
+        names, blind = self.signature.state_names, data.x.isnan().all(0).tolist()
+        unseen = {name for name, never in zip(names, blind, strict=True) if never}
+        read = [
+            {v for k in column.nonzero().flatten().tolist() for v in self.library.features[k].variables}
+            for column in self.coefficients.unbind(-1)
+        ]
+        return frozenset(name for name, own in zip(names, read, strict=True) if name in unseen or own & unseen)
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
         """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`."""

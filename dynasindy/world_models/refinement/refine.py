@@ -263,9 +263,11 @@ class Refinement:
             if not math.isfinite(ratio[worst]):
                 why = "a fit of one simulation through all samples leaves no function"
             elif float(ratio[worst]) <= WORSE:
+                pieces = int(recording.data.begins().sum())
+                over = "of each of its stretches between gaps, " if pieces > 1 else ""
                 note = (
-                    "the model follows the log in one simulation from its first sample to its last: the error of "
-                    f"{name} is {times} that of simulations that begin anew every {descent.window} samples, which "
+                    f"the model follows the log in one simulation {over}from its first sample to its last: the error "
+                    f"of {name} is {times} that of simulations that begin anew every {descent.window} samples, which "
                     "noise of the sensors explains (error=simulation)"
                 )
                 return Refined(*found, delay, (note, *notes))
