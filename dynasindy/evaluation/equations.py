@@ -1,14 +1,17 @@
-"""What fitted equations hold, in the words of an engineer: delay, dry friction, springs, states that take no part."""
+"""What fitted equations hold, in the words of an engineer: delay, dry friction, springs, dead zones, idle states."""
 
 from __future__ import annotations
 
+import numpy as np
 from torch import Tensor
 
 from dynasindy.durations import in_words
+from dynasindy.evaluation.before_fit import known_word
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.libraries.features import Feature
 from dynasindy.world_models.libraries.functions import QUOTIENTS
+from dynasindy.world_models.models.bends import Bend, bends_in
 from dynasindy.world_models.refinement.measured import rates_known
 
 FULL = 5.0
@@ -18,7 +21,7 @@ TOLD = 0.02
 
 
 def found_in_model(model: SindyModel, told: Tensor | None = None) -> list[str]:
-    """Say what of delay, dry friction and springs is in the equations.
+    """Say what of delay, dry friction, springs, dead zones and saturations is in the equations.
 
     Args:
         model: a fitted model.
@@ -37,9 +40,43 @@ def found_in_model(model: SindyModel, told: Tensor | None = None) -> list[str]:
         size = model.signature.x_scale[i]
         if any(_is_dry(model.library.features[k], names[i], size) and model.coefficients[k, i] < 0 for k in used):
             lines.append(f"{names[i]}' has dry friction")
+        moved = [*model.signature.input_names, *model.followed]
+        lines += [said for name in moved if (said := bend_in_words(bends_in(model, i, name), model))]
         if i in of_rate and any(_is_spring(f, names[of_rate[i]]) for f in terms):
             lines.append(f"{names[i]}' has a spring in {names[of_rate[i]]}")
-    return lines
+    return [*dict.fromkeys(lines)]
+
+
+def bend_in_words(bend: Bend | None, model: SindyModel) -> str:
+    """Say what a dead zone or a saturation does, in the unit of its actuator; empty where there is none."""
+    if bend is None:
+        return ""
+    signature = model.signature
+    place = signature.input_names.index(model.followed.get(bend.input, bend.input))
+    ends = np.tile(np.array([[bend.low], [bend.high]]), signature.n_u)
+    low, high = signature.in_own_units(ends)[:, place].tolist()
+    unit = signature.input_units[place] if signature.input_units else "-"
+    told = [f"{end:.3g}{'' if unit == '-' else f' {unit}'}" for end in (low, high)]
+    if bend.kind == "dead zone":
+        return f"{bend.input} does nothing from {told[0]} to {told[1]}"
+    sides = [f"{side} {end}" for side, end in zip(("below", "above"), told, strict=True) if "inf" not in end]
+    return f"{bend.input} has no more effect {' and '.join(sides)}"
+
+
+def bend_hint(bend: Bend, model: SindyModel) -> str:
+    """Say which dead zone or saturation the equations seem to lack, and the words that fit one.
+
+    Args:
+        bend: what `missing_bend` found.
+        model: a fitted model.
+    """
+    names = model.signature.state_names
+    known = {names[i]: names[rate] for rate, i in rates_known(model.library, model.constraints).items()}
+    words = " ".join(["plant.library=dead_zone", *([f"'{known_word(known)}'"] if known else [])])
+    return (
+        f"hint: what the equations leave over looks like a {bend.kind}, as if {bend_in_words(bend, model)}, about: "
+        f"{words} fits such bends of the inputs beside linear functions"
+    )
 
 
 def hidden_states(model: SindyModel, data: Transitions) -> list[str]:

@@ -19,7 +19,7 @@ from dynasindy.data.table import all_headings, split_unit
 from dynasindy.data.units import as_words, with_units
 from dynasindy.data.unnamed import counted
 from dynasindy.evaluation import verdict
-from dynasindy.evaluation.equations import found_in_model, idle
+from dynasindy.evaluation.equations import bend_hint, found_in_model, idle
 from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.horizons import Forecasts, begun, forecast
 from dynasindy.evaluation.quiet import heard, quiet_states, too_quiet
@@ -30,6 +30,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell, telling
 from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.models.actuators import Found, behind, find_actuator
+from dynasindy.world_models.models.bends import Bend, missing_bend
 from dynasindy.world_models.models.prediction import nrmse, one_step_error, open_loop
 from dynasindy.world_models.refinement.delay import delayed
 from dynasindy.world_models.refinement.measured import rates_known
@@ -179,6 +180,7 @@ class Identified:
         forecasts: errors from many start times; None where the validation data are too short for them.
         found: what the training data tell of a rate limit or play of an input; None where it was not looked for.
         hidden: what came of the search for a state that no sensor sees, a line at most.
+        bend: a dead zone or a saturation of an input that the equations seem to lack; None where there is none.
     """
 
     model: SindyModel
@@ -189,6 +191,7 @@ class Identified:
     forecasts: Forecasts | None = None
     found: Found | None = None
     hidden: Sequence[str] = ()
+    bend: Bend | None = None
 
     @property
     def quiet(self) -> str:
@@ -243,7 +246,9 @@ def identify(
     forecasts = forecast(model, source.training, validation, horizons)
     if forecasts is not None:
         metrics |= verdict.errors(forecasts, source.signature)
-    return Identified(model, fit.report, predicted, metrics, source, forecasts, found, fit.hidden)
+    lacking = source.logged and forecasts is not None and bool(verdict.unresolved(forecasts, source.signature).any())
+    bend = missing_bend(model, source.training) if lacking else None
+    return Identified(model, fit.report, predicted, metrics, source, forecasts, found, fit.hidden, bend)
 
 
 def _actuators(model: SindyModel, data: Transitions) -> Found:
@@ -271,6 +276,7 @@ def to_words(found: Identified, source: Source) -> str:
         *(f"found: {line}" for line in seen),
         *found.hidden,
         *idle(found.model, source.training),
+        *([bend_hint(found.bend, found.model)] if found.bend else []),
         "",
     ]
     if shown is not None:

@@ -4,11 +4,12 @@ import math
 
 import torch
 
-from dynasindy.evaluation.equations import found_in_model, hidden_states, idle
+from dynasindy.evaluation.equations import bend_hint, found_in_model, hidden_states, idle
 from dynasindy.systems import Tras
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
+from dynasindy.world_models.models.bends import Bend
 
 
 def test_delay_friction_and_springs_of_a_model_are_said_in_words():
@@ -35,6 +36,27 @@ def test_what_bends_at_all_speeds_is_no_friction_nor_is_what_the_data_do_not_tel
         model.set_coefficients(torch.tensor([[-3.0], [1.0]], dtype=torch.float64))
         assert found_in_model(model) == found_in_model(model, torch.tensor([[0.5], [1.0]])) == expected
         assert found_in_model(model, torch.tensor([[0.001], [1.0]])) == []
+
+
+def test_dead_zones_and_saturations_are_said_in_the_unit_of_the_actuator():
+    """An input of 1 is 12 V: what is flat from -0.25 to 0.5 is so from -3 V to 6 V."""
+    volts = {"input_ends": ((-12.0, 12.0),), "input_units": ("V",)}
+    signature = Signature(("q", "v"), ("rad", "rad/s"), ("u",), (1.0, 4.0), **volts)
+    words = ["q", "v", "u", "max(0, u - 0.5)", "max(0, u - -0.25)"]
+    model = SindyModel(signature, words, known={"q": "v"})
+
+    def said(*of_u):
+        xi = model.coefficients.clone()
+        xi[2:, 1] = torch.tensor(of_u, dtype=torch.float64)
+        model.set_coefficients(xi)
+        return found_in_model(model)
+
+    assert said(20.0, 20.0, -20.0) == ["u does nothing from -3 V to 6 V"]
+    assert said(0.0, -20.0, 20.0) == ["u has no more effect below -3 V and above 6 V"]
+    assert said(20.0, -20.0, 0.0) == ["u has no more effect above 6 V"]
+    assert said(20.0, 5.0, -5.0) == []
+    hint = bend_hint(Bend("u", "dead zone", -0.25, 0.5), model)
+    assert "as if u does nothing from -3 V to 6 V" in hint and "plant.library=dead_zone 'plant.known={q: v}'" in hint
 
 
 def log_of(*columns: float) -> Transitions:
