@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from torch import Tensor
 
 from dynasindy.durations import in_words
 from dynasindy.evaluation.before_fit import known_word
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models import SindyModel
+from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.libraries.features import Feature
 from dynasindy.world_models.libraries.functions import QUOTIENTS
 from dynasindy.world_models.models.bends import Bend, bends_in
@@ -16,20 +15,24 @@ from dynasindy.world_models.refinement.measured import rates_known
 
 FULL = 5.0
 """Widths of a function tanh(rate / width), at least, in the range of the rate, for it to be dry friction."""
+SHORT = 0.5
+"""Delay that a poor fit does not tell from none [sampling times]."""
 TOLD = 0.02
 """Part of a function that the others of its equation leave over, above which the data tell its coefficient."""
 
 
-def found_in_model(model: SindyModel, told: Tensor | None = None) -> list[str]:
+def found_in_model(model: SindyModel, report: FitReport | None = None) -> list[str]:
     """Say what of delay, dry friction, springs, dead zones and saturations is in the equations.
 
     Args:
         model: a fitted model.
-        told: what the other functions of its equation leave over of each function, `(n_features, n_x)`, from
-            `FitReport.told_apart`; functions whose coefficients the data do not tell are no friction and no spring.
+        report: of its fit, which tells what the data do not: a delay that is the longest that was tried, or far less
+            than a sampling time where the fit is poor, is none, and functions whose coefficients the data do not tell
+            are no friction and no spring.
     """
     names, lines = model.signature.state_names, []
-    if model.delay:
+    told = None if report is None else report.told_apart()
+    if model.delay and (report is None or _sure(model.delay, report)):
         late = f"{1e3 * model.delay:.3g} ms" if model.delay < 1 else in_words(model.delay)
         lines.append(f"the inputs act {late} late")
     of_rate = rates_known(model.library, model.constraints)
@@ -112,6 +115,11 @@ def idle(model: SindyModel, data: Transitions) -> list[str]:
         f"hint: {' and '.join(still)} {stands} in no equation: no sensor sees what it does in any form, so {needs} a "
         f"first guess of the equations, as in 'plant.initial={{{', '.join(first)}}}', with numbers of your plant"
     ]
+
+
+def _sure(delay: float, report: FitReport) -> bool:
+    """Tell whether a delay of the inputs is one, and does not stand for what the equations lack."""
+    return not report.delay_at_end and not (report.in_pieces and delay < SHORT * (report.dt or 0.0))
 
 
 def _is_dry(feature: Feature, rate: str, size: float) -> bool:

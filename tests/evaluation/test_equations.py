@@ -1,15 +1,18 @@
 """Equations in words: delay, friction, springs, and states that take no part in them."""
 
 import math
+from dataclasses import replace
 
+import pytest
 import torch
 
 from dynasindy.evaluation.equations import bend_hint, found_in_model, hidden_states, idle
 from dynasindy.systems import Tras
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models import SindyModel
+from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.models.bends import Bend
+from dynasindy.world_models.regression.regression import RunningSums
 
 
 def test_delay_friction_and_springs_of_a_model_are_said_in_words():
@@ -34,8 +37,26 @@ def test_what_bends_at_all_speeds_is_no_friction_nor_is_what_the_data_do_not_tel
     for width, expected in ((0.125, []), (1.2, []), (1.3, ["v' has dry friction"]), (20.0, ["v' has dry friction"])):
         model = SindyModel(signature, [f"tanh({width} v)", "u"])
         model.set_coefficients(torch.tensor([[-3.0], [1.0]], dtype=torch.float64))
-        assert found_in_model(model) == found_in_model(model, torch.tensor([[0.5], [1.0]])) == expected
-        assert found_in_model(model, torch.tensor([[0.001], [1.0]])) == []
+        assert found_in_model(model) == found_in_model(model, report_of(model, 0.5)) == expected
+        assert found_in_model(model, report_of(model, 0.001)) == []
+
+
+@pytest.mark.parametrize(
+    ("doubts", "said"),
+    [
+        ({}, True),
+        ({"in_pieces": True}, False),
+        ({"delay_at_end": True}, False),
+        ({"in_pieces": True, "dt": 0.001}, True),
+    ],
+)
+def test_a_delay_is_told_unless_its_search_ended_there_or_a_poor_fit_cannot_tell_it_from_none(doubts, said):
+    """A delay of 2 ms is a fifth of a sample of 10 ms, and two of 1 ms."""
+    model = SindyModel(Signature(("v",), ("m/s",), ("u",), (4.0,)), ["v", "u"])
+    model.set_coefficients(torch.tensor([[-3.0], [1.0]], dtype=torch.float64))
+    model.delay = 0.002
+    found = found_in_model(model, replace(report_of(model, 0.5), **doubts))
+    assert found == (["the inputs act 2 ms late"] if said else [])
 
 
 def test_dead_zones_and_saturations_are_said_in_the_unit_of_the_actuator():
@@ -57,6 +78,14 @@ def test_dead_zones_and_saturations_are_said_in_the_unit_of_the_actuator():
     assert said(20.0, 5.0, -5.0) == []
     hint = bend_hint(Bend("u", "dead zone", -0.25, 0.5), model)
     assert "as if u does nothing from -3 V to 6 V" in hint and "plant.library=dead_zone 'plant.known={q: v}'" in hint
+
+
+def report_of(model: SindyModel, apart: float) -> FitReport:
+    """Return the report of a fit to two columns, with so small an angle between them, in samples of 10 ms."""
+    sums = RunningSums(2, 1)
+    columns = torch.tensor([[1.0, math.cos(math.asin(apart))], [0.0, apart]], dtype=torch.float64)
+    sums.add((columns, torch.zeros(2, 1, dtype=torch.float64)))
+    return FitReport.of(model.library, model.coefficients, sums, 0.0, dt=0.01)
 
 
 def log_of(*columns: float) -> Transitions:

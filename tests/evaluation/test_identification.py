@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -10,6 +11,7 @@ import torch
 from dynasindy.data.simulated import record
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation import identification
+from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.identification import Logged, anew, identify, to_words, write
 from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Chirp, HeldRandom
@@ -17,6 +19,8 @@ from dynasindy.systems import Diverged, Pendulum, Signature, Tras
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import hearing
 from dynasindy.world_models import Oracle, Refinement, Regression, SindyModel
+from dynasindy.world_models.models.actuators import Found
+from dynasindy.world_models.refinement.actuator import Actuator
 
 EXCITATION = partial(Chirp, duration=10.0, amplitude=0.6)
 
@@ -289,3 +293,28 @@ def test_a_prediction_of_data_with_gaps_is_said_to_begin_anew(segments, said):
     data = Transitions.from_trajectory(torch.zeros(7, 1), torch.zeros(6, 1), 0.1)
     told = anew(Transitions(data.x, data.u, data.x_next, data.dt, torch.tensor(segments)))
     assert told.endswith(said) and bool(told) == bool(said)
+
+
+@pytest.mark.parametrize("in_pieces", [False, True])
+def test_where_a_delay_may_stand_for_an_actuator_one_is_looked_for_without_it(in_pieces, monkeypatch):
+    source = Simulated(validation_seconds=2.0).load(Pendulum(), partial(Chirp, duration=3.0))
+    model = SindyModel(source.signature, ["theta", "Omega", "u", "sin(theta)"], Regression("bic"))
+
+    def late(given, data):
+        found = fitted(given, data)
+        given.delay = 0.05
+        return replace(found, report=replace(found.report, in_pieces=in_pieces))
+
+    def sought(given, data):
+        actuator = None if given.delay else Actuator(0, "rate limit", 1.5)
+        return Found(actuator, given.coefficients, 0.5, "u has a rate limit", given.library)
+
+    monkeypatch.setattr(identification, "fitted", late)
+    monkeypatch.setattr(identification, "find_actuator", sought)
+    found = identify(model, source)
+    assert found.model is model and model.delay == 0.05
+    if in_pieces:
+        assert found.acting is not None and found.acting.delay == 0.0 and found.found.actuator is not None
+        assert "found: u has a rate limit; model_with_actuator.json has it, with equations" in to_words(found, source)
+    else:
+        assert found.acting is None and found.found.actuator is None

@@ -9,6 +9,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.regression.identifiability import Identifiability
 from dynasindy.world_models.regression.regression import RunningSums
@@ -28,6 +29,7 @@ class FitReport:
         unmeasured: states whose rates of change were not measured, or are functions of what was not: of an estimate
             that nobody measured a part that stays unexplained says nothing.
         in_pieces: whether simulations meet the log in pieces only, which begin anew: something is lacking.
+        delay_at_end: whether the delay of the inputs is the longest that was tried.
     """
 
     samples: int
@@ -39,6 +41,7 @@ class FitReport:
     dt: float | None = None
     in_pieces: bool = False
     unmeasured: frozenset[str] = frozenset()
+    delay_at_end: bool = False
 
     @classmethod
     def of(
@@ -90,3 +93,20 @@ class FitReport:
             told = "" if state in self.unmeasured else f"; {100 * part:.3g} % of it stays unexplained (RMS)"
             lines.append(f"  {state}': {counts[state]}{told}")
         return "\n".join([*lines, *(f"note: {note}" for note in self.notes), self.identifiability.to_text()])
+
+
+def unmeasured(library: Library, coefficients: Tensor, data: Transitions) -> frozenset[str]:
+    """Return the states that no sensor saw, and those whose equations read one.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`.
+        data: the log, NaN where a state was not measured.
+    """
+    names, blind = library.signature.state_names, data.x.isnan().all(0).tolist()
+    unseen = {name for name, never in zip(names, blind, strict=True) if never}
+    read = [
+        {v for k in column.nonzero().flatten().tolist() for v in library.features[k].variables}
+        for column in coefficients.unbind(-1)
+    ]
+    return frozenset(name for name, own in zip(names, read, strict=True) if name in unseen or own & unseen)

@@ -30,7 +30,7 @@ from dynasindy.world_models.libraries import LibraryBuilder, build_library
 from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.models.base import WorldModel
-from dynasindy.world_models.models.report import FitReport
+from dynasindy.world_models.models.report import FitReport, unmeasured
 from dynasindy.world_models.refinement.delay import delayed, known_inputs
 from dynasindy.world_models.refinement.measured import at_rest, begun, followed, imagined, rates_known, reconstruct
 from dynasindy.world_models.refinement.quotient import one_quotient
@@ -234,24 +234,15 @@ class SindyModel(WorldModel):
         else:
             self.set_coefficients(first)
         self.delay = delay
-        notes, in_pieces = self._refine(data, guess, constraints, 0.0 if first is None else self.initial_delay)
+        notes, *doubts = self._refine(data, guess, constraints, 0.0 if first is None else self.initial_delay)
         if self.refinement is not None:
             notes += stayed(self.library, self.coefficients)
         seconds = time.perf_counter() - start
         report = FitReport.of(self.library, self.coefficients, self.sums, seconds, notes, data.dt)
         # The sums may be of fewer rows than that, each of them the average of many transitions.
         samples = int(known_inputs(data, self.delay).sum()) + (earlier if self.sums is sums else 0)
-        return replace(report, samples=samples, in_pieces=in_pieces, unmeasured=self._unmeasured(data))
-
-    def _unmeasured(self, data: Transitions) -> frozenset[str]:
-        """Return the states that no sensor saw, and those whose equations read one."""
-        names, blind = self.signature.state_names, data.x.isnan().all(0).tolist()
-        unseen = {name for name, never in zip(names, blind, strict=True) if never}
-        read = [
-            {v for k in column.nonzero().flatten().tolist() for v in self.library.features[k].variables}
-            for column in self.coefficients.unbind(-1)
-        ]
-        return frozenset(name for name, own in zip(names, read, strict=True) if name in unseen or own & unseen)
+        unseen = unmeasured(self.library, self.coefficients, data)
+        return replace(report, samples=samples, unmeasured=unseen, in_pieces=doubts[0], delay_at_end=doubts[1])
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
         """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`."""
@@ -342,10 +333,10 @@ class SindyModel(WorldModel):
 
     def _refine(
         self, data: Transitions, guess: Transitions, constraints: Constraints, late: float
-    ) -> tuple[list[str], bool]:
-        """Refine the coefficients; return what is to be said of it, and whether the log is met in pieces only."""
+    ) -> tuple[list[str], bool, bool]:
+        """Refine the coefficients; return notes, if the log is met in pieces, and if the delay is the longest tried."""
         if self.refinement is None:
-            return [], False
+            return [], False, False
         try:
             found = self.refinement.run(self.library, self.coefficients, constraints, data, guess, late)
         except RunsAway as error:
@@ -353,7 +344,7 @@ class SindyModel(WorldModel):
         refined = self._finite(found.coefficients, "refinement")
         if self.coefficients[constraints.free].any() and not refined[constraints.free].any():
             note = "the refinement dropped every function, so the fit before it stays; collect more or cleaner data"
-            return [note], False
+            return [note], False, False
         self.set_coefficients(refined)
         if found.library is not self.library or found.delay != self.delay:
             # The functions are others now, and so are the sums of their products.
@@ -362,12 +353,12 @@ class SindyModel(WorldModel):
             recording = Recording.of(data, guess, rates_known(self.library, self.constraints), self.delay)
             self.sums.add(self._rows(recording, self.delay))
         if self.refinement.method == "integral" or len(data) <= ENOUGH:
-            return list(found.notes), found.in_pieces
+            return list(found.notes), found.in_pieces, found.delay_at_end
         note = (
             f"functions were chosen on {ENOUGH} of {len(data)} rows, in {STRETCHES} stretches spread evenly over them; "
             "the coefficients were fitted on all rows"
         )
-        return [*found.notes, note], found.in_pieces
+        return [*found.notes, note], found.in_pieces, found.delay_at_end
 
     def _rows(self, recording: Recording, delay: float, library: Library | None = None) -> Rows:
         """Return averaged functions and rates of change, under inputs that act `delay` seconds later."""

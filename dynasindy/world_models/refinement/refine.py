@@ -71,6 +71,7 @@ class Refined(NamedTuple):
         delay: time between an input and its effect [s].
         notes: sentences on what was chosen, and by what.
         in_pieces: whether `auto` found that the log is met in pieces only, which begin anew: something is lacking.
+        delay_at_end: whether the delay is the longest that was tried.
     """
 
     library: Library
@@ -78,6 +79,7 @@ class Refined(NamedTuple):
     delay: float = 0.0
     notes: tuple[str, ...] = ()
     in_pieces: bool = False
+    delay_at_end: bool = False
 
 
 @dataclass(frozen=True)
@@ -193,12 +195,13 @@ class Refinement:
                 found = self._regressed(*found, constraints, recording.brief(self._longest).seen(delay))
             refined = self._by_trajectories(found, delay, constraints, recording)
         notes += refined.notes
-        if refined.delay and refined.delay > self._longest - 0.5 * data.dt:
+        at_end = bool(refined.delay) and refined.delay > self._longest - 0.5 * data.dt
+        if at_end:
             notes += (
                 f"the best delay of the inputs is the longest that was tried, {self._longest:g} s; it may be "
-                f"longer: give longest_delay={2 * self._longest:g}",
+                f"longer: give longest_delay={2 * self._longest:g}, or 0 where it stands for what the equations lack",
             )
-        return refined._replace(notes=notes)
+        return refined._replace(notes=notes, delay_at_end=at_end)
 
     def _rough(self, library: Library, coefficients: Tensor, constraints: Constraints, recording: Recording) -> float:
         """Return the delay of whole samples that a regression finds [s]; 0 where none is looked for."""
