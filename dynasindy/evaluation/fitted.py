@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from dynasindy.evaluation.equations import hidden_states
-from dynasindy.evaluation.horizons import Forecasts, forecast
+from dynasindy.evaluation.horizons import LOST, Forecasts, forecast
 from dynasindy.evaluation.source import Source
-from dynasindy.evaluation.verdict import LOST, unresolved
+from dynasindy.evaluation.verdict import unresolved
 from dynasindy.systems import Signature
 from dynasindy.told import tell, telling
 from dynasindy.world_models import FitReport, SindyModel

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.durations import in_words
-from dynasindy.evaluation.horizons import Forecasts
+from dynasindy.evaluation.horizons import LOST, Forecasts
 from dynasindy.evaluation.symptoms import closed_loop, samples_of, saturated, step_of
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -19,8 +19,6 @@ from dynasindy.world_models.libraries.features import Factor, Feature
 
 RESOLVED = 2.0
 """Error up to which a prediction is as good as a sensor can tell [what the sensor resolves]."""
-LOST = 10.0
-"""Error beyond which a prediction has run away [ranges of the state]."""
 BEHIND = 0.5
 """Part of a model's error that a linear model on past samples may have, below which something is missing."""
 SMALL = 1e-3
@@ -75,7 +73,7 @@ def judge(forecasts: Forecasts, signature: Signature) -> list[str]:
     """Say whether the model predicts, over the time in which the slowest state changes, and whether it is needed."""
     doubtful = doubts(forecasts, signature)
     if short := shortcoming(forecasts, signature):
-        return [f"this model does not predict: {short}", *doubtful]
+        return [f"this model does not predict: {short}", *_falls(forecasts, signature), *doubtful]
     k = forecasts.middle
     ours, simple, seen = forecasts.model[k], forecasts.linear[k], _seen(forecasts, signature)
     names, ahead = signature.state_names, in_words(forecasts.horizons[k])
@@ -94,6 +92,27 @@ def judge(forecasts: Forecasts, signature: Signature) -> list[str]:
             f"misses {misses}: a function is missing, or a state that nobody measured"
         ]
     return [f"this model predicts {ahead} ahead{near}"]
+
+
+def _falls(forecasts: Forecasts, signature: Signature) -> list[str]:
+    """Say that a plant seems to run away by itself, where a linear model does as well as this one, a line at most."""
+    most = LOST * torch.tensor(signature.x_scale, dtype=forecasts.model.dtype)
+    most = torch.maximum(most, forecasts.held)
+    ours, simple = ((kind > most).any(0) for kind in (forecasts.model, forecasts.linear))
+    falls = [name for name, lost in zip(signature.state_names, (ours & simple).tolist(), strict=True) if lost]
+    if not falls:
+        return []
+    fine = (forecasts.model <= HELPFUL * forecasts.held) | (forecasts.model <= RESOLVED * forecasts.resolution)
+    enough = (fine | forecasts.held.isnan()).all(1).tolist()
+    reached = enough.index(False) if False in enough else len(enough)
+    half = "half of the error of the last value held"
+    least = f"up to {in_words(forecasts.horizons[reached - 1])} ahead this model has at most {half}"
+    if not reached:
+        least = f"this model has more than {half} over any time"
+    return [
+        f"a linear model on past samples lets {' and '.join(falls)} run away, too: the plant seems to run away by "
+        f"itself, as a pole that falls, and no model predicts that for long without the controller; {least}"
+    ]
 
 
 def doubts(forecasts: Forecasts, signature: Signature) -> list[str]:

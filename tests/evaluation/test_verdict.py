@@ -77,6 +77,25 @@ def test_what_a_linear_model_knows_better_is_said_of_the_worst_models_too(q):
     assert why.startswith("a linear model on past samples predicts q 2 s ahead to 0.02 rad, this one ")
 
 
+@pytest.mark.parametrize(
+    ("first", "said"),
+    [
+        (0.01, "up to 0.2 s ahead this model has at most half of"),
+        (0.09, "this model has more than half of the error of the last"),
+    ],
+)
+def test_a_plant_that_runs_away_by_itself_is_said_to_where_a_linear_model_does_so_too(first, said):
+    """Of a range of 1 rad errors of more than 10 rad are lost; the last value held misses 0.1 rad."""
+    ours = torch.tensor([[first], [math.inf], [math.inf]])
+    found = replace(forecasts(0.002), model=ours, held=torch.full((3, 1), 0.1), resolution=torch.tensor([0.001]))
+    one = Signature(("q",), ("rad",), ("u",), (1.0,))
+    falling = judge(replace(found, linear=torch.tensor([[0.1], [1.0], [11.0]])), one)
+    assert falling[0].startswith("this model does not predict: within 2 s q runs away") and len(falling) == 2
+    assert falling[1].startswith("a linear model on past samples lets q run away, too") and said in falling[1]
+    staying = judge(replace(found, linear=torch.tensor([[0.1], [1.0], [9.0]])), one)
+    assert not any("by itself" in line for line in staying)
+
+
 def test_a_sensor_without_noise_is_said_to_be_one():
     found = replace(forecasts(0.002), resolution=torch.tensor([1e-9, math.nan, 21.0]))
     assert table(found, SIGNATURE)[2] == "  q [rad], whose sensor shows no noise"
