@@ -34,8 +34,9 @@ from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.models.actuators import Found, behind, find_actuator
 from dynasindy.world_models.models.bends import Bend, missing_bend
 from dynasindy.world_models.models.prediction import nrmse, one_step_error, open_loop
-from dynasindy.world_models.refinement.delay import delayed
+from dynasindy.world_models.refinement.delay import arrived, delayed
 from dynasindy.world_models.refinement.measured import rates_known
+from dynasindy.world_models.refinement.order import moving_on
 from dynasindy.world_models.writers.tables import to_csv, to_latex, to_text
 
 ExcitationBuilder = Callable[..., Excitation]
@@ -254,6 +255,8 @@ def identify(
     if forecasts is not None:
         metrics |= verdict.errors(forecasts, source.signature)
     lacking = source.logged and forecasts is not None and bool(verdict.unresolved(forecasts, source.signature).any())
+    # A bend would stand for a rate that is missing.
+    lacking = lacking and not moving_on(model.library, arrived(source.training, model.delay))
     bend = missing_bend(model, source.training) if lacking else None
     return Identified(model, fit.report, predicted, metrics, source, forecasts, found, fit.hidden, bend, acting)
 

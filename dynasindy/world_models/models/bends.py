@@ -28,6 +28,8 @@ HALF = 0.5
 """Part of the squared errors that bends may leave over."""
 PLACES = tuple(0.05 * k for k in range(2, 19))
 """Parts of the samples of an input below the bends that are tried."""
+NARROW = 0.1
+"""Part of the range of an input, at least, that a bend leaves between its ends: a jump is neither of the two."""
 LEVELS = 10
 """Values of an input from which on its bends can be told."""
 
@@ -135,7 +137,8 @@ def missing_bend(model: SindyModel, data: Transitions) -> Bend | None:
                     best = after, xi, [edge for edge, _ in pair]
             if best[0] < least * before:
                 slopes = torch.stack([best[1][0], best[1][-2], best[1][-1]]).cumsum(0).tolist()
-                if (bend := bend_of(name, best[2], slopes, ROUGHLY)) is not None:
+                bend = bend_of(name, best[2], slopes, ROUGHLY)
+                if bend is not None and best[2][-1] - best[2][0] >= NARROW * float(u.max() - u.min()):
                     found, least = bend, best[0] / before
     return found
 
