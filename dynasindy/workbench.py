@@ -37,7 +37,7 @@ from dynasindy.evaluation.period import as_planned, other_period, suited_period
 from dynasindy.evaluation.predicted import Prediction, predict
 from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
-from dynasindy.evaluation.symptoms import resolutions, samples_of, step_of
+from dynasindy.evaluation.symptoms import resolution, resolutions_by, samples_of, step_of
 from dynasindy.evaluation.targets import require_radians
 from dynasindy.evaluation.verdict import beyond, doubts, unlogged, unmoved
 from dynasindy.planning import GradientPlanning
@@ -338,8 +338,9 @@ def sensors_of(log: Source, model: SindyModel) -> Sensors | None:
     For exact states it is None, as no observer is needed, unless the model's inputs act late, which one makes up for.
     """
     data, names = log.training, log.signature.state_names
-    channels, exact = {}, True
-    for name, column, finest in zip(names, samples_of(data), resolutions(model, data), strict=True):
+    channels, exact, columns = {}, True, samples_of(data)
+    told = map(resolution, columns) if model.step is None else resolutions_by(model, data).tolist()
+    for name, column, finest in zip(names, columns, told, strict=True):
         step = step_of(column)
         seen = not math.isnan(finest)
         exact &= seen and finest < 1e-6 * model.signature.x_scale[names.index(name)]

@@ -89,6 +89,7 @@ def draw(found: "Identified", source: "Source", folder: Path, formats: list[str]
     import torch
 
     from dynasindy import viz
+    from dynasindy.evaluation.identification import anew
 
     training, validation = source.training, source.validation
     shown, against = ("log", "the log") if source.logged else ("plant", "the plant")
@@ -105,7 +106,7 @@ def draw(found: "Identified", source: "Source", folder: Path, formats: list[str]
             validation.x_next,
             found.predicted,
             source.signature,
-            f"Free-running prediction of data that the fit did not see, against {against}",
+            f"Free-running prediction of data that the fit did not see{anew(validation)}, against {against}",
             validation.segment,
             shown,
         ),

@@ -47,6 +47,7 @@ class Plant(TypedDict):
         high: Upper ends of the targets, one per output [unit of the output].
         library: Candidate functions of the model: a name, a builder, or functions in words.
         known: Equations that are known: the rate of the first state is the second one.
+        initial: First guess of the equations, by state and function, where no sensor sees a state in any form.
         libraries: The library for each source of the data, between which `library` chooses.
         amplitude: Half range of each input under the excitation [-].
         offset: Mean of each input under the excitation [-].
@@ -65,6 +66,7 @@ class Plant(TypedDict):
     low: list[float]
     high: list[float]
     known: dict[str, str] | None
+    initial: dict[str, dict[str, float]] | None
     libraries: dict[Literal["simulated", "logged"], str]
     amplitude: float | list[float]
     offset: float | list[float]

@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from dynasindy.evaluation.horizons import Forecasts, forecast
+from dynasindy.evaluation.equations import hidden_states
+from dynasindy.evaluation.horizons import LOST, Forecasts, forecast
 from dynasindy.evaluation.source import Source
-from dynasindy.evaluation.verdict import LOST, unresolved
+from dynasindy.evaluation.verdict import unresolved
 from dynasindy.systems import Signature
 from dynasindy.told import tell, telling
 from dynasindy.world_models import FitReport, SindyModel
@@ -32,6 +33,8 @@ FAILURES = ArithmeticError, ValueError, RuntimeError
 """What a search or a fit raises where numbers run away, or where there are too few samples."""
 
 
+FINEST = 1e-5
+"""Error that is as good as none, whatever a sensor resolves [ranges of the state]."""
 ROUGHLY = 1.1
 """Ratio of errors of a state up to which they count as the same."""
 STRAIGHT = (
@@ -40,8 +43,9 @@ STRAIGHT = (
 )
 """What is said of a fit without functions that bend."""
 IN_VAIN = (
-    "the equations miss the log by more than its sensors explain, so a state that no sensor sees was looked for, one "
-    "that follows an input or a measured state; none was found that predicts the kept part of the log far better"
+    "the equations miss the log by more than its sensors explain, so {} that no sensor sees was looked for, one that "
+    "follows an input or a measured state; none was found that predicts the kept part of the log far better. A hidden "
+    "state that swings by itself, as the far end of a soft shaft does, is not looked for: if there is one, measure it"
 )
 """What is said of a search that has found nothing."""
 
@@ -103,7 +107,8 @@ def _fitted(model: SindyModel, source: Source) -> Fitted:
             after = _forecast(found) if found.follower else None
             if after is not None and _better(before, after, model.signature):
                 return _straighter(found, after)
-        plain = replace(plain, sought=IN_VAIN)
+        named = hidden_states(model, source.training)
+        plain = replace(plain, sought=IN_VAIN.format("another state" if named else "a state"))
     return _straighter(plain, before)
 
 
@@ -177,9 +182,9 @@ def _as_good(before: Forecasts, after: Forecasts, signature: Signature) -> bool:
 def _ratios(before: Forecasts, after: Forecasts, signature: Signature) -> Tensor:
     """Return the logarithm of how large errors are by what they were, `(horizons, n_x)`, NaN where nothing was seen.
 
-    An error counts as what the sensor resolves at least, and as what has run away at most.
+    An error counts as what the sensor resolves at least, and as what has run away at most; exact logs resolve anything.
     """
     most = LOST * torch.tensor(signature.x_scale, dtype=before.model.dtype)[: before.model.shape[1]]
-    least = torch.minimum(before.resolution.nan_to_num(nan=0.0).to(most), most).clamp_min(1e-300)
+    least = before.resolution.nan_to_num(nan=0.0).to(most).clamp(FINEST / LOST * most, most)
     ours, theirs = (f.model[:, : len(most)].clamp(least, most) for f in (after, before))
     return torch.where(before.model.isnan(), math.nan, (ours / theirs).log())

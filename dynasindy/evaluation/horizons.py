@@ -21,7 +21,7 @@ from torch import Tensor
 
 from dynasindy.durations import MANY
 from dynasindy.evaluation.linear import LinearModel
-from dynasindy.evaluation.symptoms import resolutions
+from dynasindy.evaluation.symptoms import resolutions, resolutions_by
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.refinement.delay import delayed
@@ -33,6 +33,8 @@ SHORTEST_FIT, LONGEST_FIT = 10, 200
 """Samples before a start on which its states are estimated."""
 LONGEST_STEP, MOST_STEPS = 0.01, 20
 """Longest Runge-Kutta step [s], unless a sampling time would take more than so many."""
+LOST = 10.0
+"""Error beyond which a prediction has run away [ranges of the state]."""
 NUDGE = 1e-6
 """Step of the differences by which start states are fitted [ranges of the states]."""
 
@@ -79,8 +81,26 @@ def forecast(
         model: a fitted model.
         training: data that a linear model is fitted to.
         validation: data to judge on, NaN where a state was not measured.
-        horizons: times ahead [s]; from a tenth to three times the characteristic time of the data if omitted.
+        horizons: times ahead [s]; from a tenth to three times the characteristic time of the data if omitted, and
+            shorter ones where a model runs away over all of these.
     """
+    found = _forecast(model, training, validation, horizons)
+    if found is None or horizons or not _lost(found, model):
+        return found
+    sooner = _series(max(found.characteristic / 1000, validation.dt), 0.999 * found.horizons[0])
+    return _forecast(model, training, validation, [*sooner, *found.horizons]) if sooner else found
+
+
+def _lost(found: Forecasts, model: SindyModel) -> bool:
+    """Tell whether a model runs away over the shortest time that it is judged over."""
+    most = LOST * torch.tensor(model.signature.x_scale, dtype=found.model.dtype)
+    return bool((found.model[0] > most).any())
+
+
+def _forecast(
+    model: SindyModel, training: Transitions, validation: Transitions, horizons: Sequence[float] | None
+) -> Forecasts | None:
+    """Judge a model over given horizons, or those that the data ask for."""
     if not len(validation):
         return None
     time = characteristic(training)
@@ -113,7 +133,7 @@ def forecast(
         ours,
         simple,
         last,
-        torch.tensor(resolutions(model, training)),
+        resolutions(training) if model.step is None else resolutions_by(model, training),
         linear.order,
     )
 

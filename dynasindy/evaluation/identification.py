@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +21,8 @@ from dynasindy.data.table import all_headings, split_unit
 from dynasindy.data.units import as_words, with_units
 from dynasindy.data.unnamed import counted
 from dynasindy.evaluation import verdict
-from dynasindy.evaluation.fitted import fitted
+from dynasindy.evaluation.equations import bend_hint, found_in_model, idle
+from dynasindy.evaluation.fitted import FAILURES, fitted
 from dynasindy.evaluation.horizons import Forecasts, begun, forecast
 from dynasindy.evaluation.quiet import heard, quiet_states, too_quiet
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
@@ -29,9 +32,11 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell, telling
 from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.models.actuators import Found, behind, find_actuator
+from dynasindy.world_models.models.bends import Bend, missing_bend
 from dynasindy.world_models.models.prediction import nrmse, one_step_error, open_loop
-from dynasindy.world_models.refinement.delay import delayed
+from dynasindy.world_models.refinement.delay import arrived, delayed
 from dynasindy.world_models.refinement.measured import rates_known
+from dynasindy.world_models.refinement.order import moving_on
 from dynasindy.world_models.writers.tables import to_csv, to_latex, to_text, with_errors
 
 ExcitationBuilder = Callable[..., Excitation]
@@ -178,6 +183,8 @@ class Identified:
         forecasts: errors from many start times; None where the validation data are too short for them.
         found: what the training data tell of a rate limit or play of an input; None where it was not looked for.
         hidden: what came of the search for a state that no sensor sees, a line at most.
+        acting: the model whose equations stand behind the actuator that was found; `model` if it is None.
+        bend: a dead zone or a saturation of an input that the equations seem to lack; None where there is none.
     """
 
     model: SindyModel
@@ -188,6 +195,8 @@ class Identified:
     forecasts: Forecasts | None = None
     found: Found | None = None
     hidden: Sequence[str] = ()
+    bend: Bend | None = None
+    acting: SindyModel | None = None
 
     @property
     def quiet(self) -> str:
@@ -227,9 +236,12 @@ def identify(
             f"world_model is a {type(model).__name__}, which has no coefficients to identify; choose world_model=sindy "
             "or another that builds a SindyModel"
         )
+    bare, given = copy.deepcopy(model), source
     fit = fitted(model, source)
-    model, source = fit.model, fit.source
+    model, source, acting = fit.model, fit.source, None
     found = _actuators(model, source.training) if actuators else None
+    if found is not None and found.actuator is None and fit.report.in_pieces and (model.delay or fit.follower):
+        found, acting = _undelayed(bare, given.training, found)
     tell("prediction of the validation data")
     validation, names = source.validation, source.signature.state_names
     predicted = open_loop(model, begun(model, validation))
@@ -242,7 +254,11 @@ def identify(
     forecasts = forecast(model, source.training, validation, horizons)
     if forecasts is not None:
         metrics |= verdict.errors(forecasts, source.signature)
-    return Identified(model, fit.report, predicted, metrics, source, forecasts, found, fit.hidden)
+    lacking = source.logged and forecasts is not None and bool(verdict.unresolved(forecasts, source.signature).any())
+    # A bend would stand for a rate that is missing.
+    lacking = lacking and not moving_on(model.library, arrived(source.training, model.delay))
+    bend = missing_bend(model, source.training) if lacking else None
+    return Identified(model, fit.report, predicted, metrics, source, forecasts, found, fit.hidden, bend, acting)
 
 
 def _actuators(model: SindyModel, data: Transitions) -> Found:
@@ -254,12 +270,31 @@ def _actuators(model: SindyModel, data: Transitions) -> Found:
         return Found.none(model, " ".join(str(error).split()) or type(error).__name__)
 
 
+def _undelayed(bare: SindyModel, data: Transitions, before: Found) -> tuple[Found, SindyModel | None]:
+    """Look for actuators of equations that were fitted without a delay, and without a lag: these may stand for one.
+
+    Returns:
+        What was found, and the equations; what was found before and None where there is nothing new.
+    """
+    with suppress(*FAILURES):
+        bare.refinement = replace(bare.refinement, longest_delay=0.0) if bare.refinement else None
+        with telling("fit without a delay"):
+            bare.fit(data)
+        if (found := _actuators(bare, data)).actuator is not None:
+            return found, bare
+    return before, None
+
+
 def to_words(found: Identified, source: Source) -> str:
     """Write equations, fit, identifiability, what the data show, errors, notes and a verdict for a reader."""
     signature, shown = source.signature, found.forecasts
-    seen = [*verdict.found_in_model(found.model), *(verdict.found_in_data(source.training, signature))]
+    seen = [
+        *found_in_model(found.model, found.report),
+        *(verdict.found_in_data(source.training, signature)),
+    ]
     if found.found is not None and found.found.actuator:
-        seen.append(f"{found.found.words}; {BEHIND} has it")
+        alone = "" if found.acting is None else ", with equations of their own, as a delay or a lag may stand for it"
+        seen.append(f"{found.found.words}; {BEHIND} has it{alone}")
     lines = [
         *found.model.equations(),
         *_errors(found.model),
@@ -267,13 +302,16 @@ def to_words(found: Identified, source: Source) -> str:
         found.report.to_text(),
         *(f"found: {line}" for line in seen),
         *found.hidden,
+        *idle(found.model, source.training),
+        *([bend_hint(found.bend, found.model)] if found.bend else []),
         "",
     ]
     if shown is not None:
         lines += verdict.table(shown, signature)
     free = found.metrics["open_loop_nrmse"]
     lines.append(
-        "one prediction of all data that the fit did not see, relative to the standard deviation of each state"
+        f"one prediction of all data that the fit did not see{anew(source.validation)}, relative to the standard "
+        "deviation of each state"
     )
     lines += [f"  {state:<10} {_percent(error)}" for state, error in free.items()]
     unsought = (found.found.words,) if found.found is not None and not found.found.sought else ()
@@ -290,6 +328,14 @@ def _errors(model: SindyModel) -> list[str]:
         return []
     errors = model.covariance.table(model.coefficients.shape)
     return ["", "coefficients and their standard errors", *with_errors(model.library, model.coefficients, errors)]
+
+
+def anew(data: Transitions) -> str:
+    """Say that a prediction of all data begins anew after gaps, and how often; empty where there is none."""
+    gaps = int(data.begins().sum()) - 1
+    if gaps < 1:
+        return ""
+    return ", begun anew after its gap" if gaps == 1 else f", begun anew after each of its {gaps} gaps"
 
 
 def _heading(name: str, given: object) -> str:
@@ -318,7 +364,7 @@ def write(found: Identified, source: Source, folder: Path, before: Sequence[str]
     library, coefficients = found.model.library, found.model.coefficients
     found.model.save(folder / "model.json")
     if found.found is not None and found.found.actuator:
-        behind(found.model, found.found, source.training.dt).save(folder / BEHIND)
+        behind(found.acting or found.model, found.found, source.training.dt).save(folder / BEHIND)
     (folder / "metrics.json").write_text(json.dumps(found.metrics, indent=1) + "\n")
     (folder / "report.txt").write_text("\n".join([*before, to_words(found, source)]) + "\n")
     (folder / "coefficients.txt").write_text(to_text(library, coefficients) + "\n")

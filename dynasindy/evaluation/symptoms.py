@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,6 +15,7 @@ from dynasindy.world_models import SindyModel
 from dynasindy.world_models.refinement.delay import arrived
 from dynasindy.world_models.refinement.measured import best_length, filled, local_cubic
 from dynasindy.world_models.refinement.noisy import sensor_noise
+from dynasindy.world_models.regression.regression import least_squares
 
 Array = NDArray[np.float64]
 LAGS = 10
@@ -40,6 +42,12 @@ SEVERAL = 10
 """Values of a state that are few enough to be the steps of its sensor."""
 AGAIN = 5
 """Times that half of such values have to be read for them to be steps: samples of a smooth movement seldom repeat."""
+ORDERS = (1, 2, 4, 8)
+"""Past samples by which the next one is explained, to tell what of it is noise."""
+MOST_COLUMNS = 300
+"""Products of past samples up to which these explain the next one, too."""
+ROWS_EACH, MOST_ROWS = 5, 5000
+"""Rows per column below which what a regression leaves over tells nothing, and rows, about, that are looked at."""
 
 
 def samples_of(data: Transitions) -> list[Array]:
@@ -56,6 +64,53 @@ def all_samples_of(data: Transitions) -> list[Array]:
     return [column.numpy() for column in samples.unbind(-1)]
 
 
+def resolutions(data: Transitions) -> Tensor:
+    """Return what each sensor can tell, `(n_x,)`, NaN of a state that was not measured.
+
+    That is its step, where it reads in steps, and else its noise: what no local cubic follows, or, if that is less,
+    what no past samples explain. Between samples that are far apart a movement turns in ways that no cubic follows.
+
+    Args:
+        data: the recording.
+    """
+    found = []
+    for i, column in enumerate(samples_of(data)):
+        noise = float(np.fmin(_noise(column), _unforeseen(data, i)))
+        found.append(step_of(column, noise) or noise)
+    return torch.tensor(found)
+
+
+def _unforeseen(data: Transitions, i: int) -> float:
+    """Return the standard deviation of what past samples leave over of the next one of a state; NaN if none can tell.
+
+    Noise of a sensor is new in each sample, so that it stays in what is left over, whatever explains the rest.
+    """
+    whole, least = ~(data.x.isnan().any(0) | data.x_next.isnan().any(0)), float("nan")
+    target, state = data.x_next[:, i].double(), data.x[:, i].double()
+    both = torch.cat([data.x[:, whole].double(), data.u.double()], -1)
+    if not bool(whole[i]):
+        both = torch.cat([state.unsqueeze(-1), both], -1)
+    both = (both - both.nanmean(0)) / (both - both.nanmean(0)).square().nanmean(0).sqrt().clamp_min(1e-300)
+    for order in ORDERS:
+        if order >= len(data):
+            break
+        rows = torch.arange(order - 1, len(data))
+        rows = rows[data.segment[rows] == data.segment[rows - order + 1]]
+        past = both[rows.unsqueeze(-1) - torch.arange(order)].flatten(1)
+        known = (~(past.isnan().any(-1) | target[rows].isnan())).nonzero().flatten()
+        known = known[:: len(known) // MOST_ROWS + 1]
+        rows, past = rows[known], past[known]
+        columns = torch.cat([torch.ones(len(rows), 1, dtype=past.dtype), past], -1)
+        pairs = torch.triu_indices(columns.shape[1], columns.shape[1])
+        for trial in (columns, columns[:, pairs[0]] * columns[:, pairs[1]]):
+            n, p = trial.shape
+            if n < ROWS_EACH * p or p > MOST_COLUMNS:
+                continue
+            left = target[rows] - trial @ least_squares(trial, target[rows])
+            least = float(np.fmin(least, math.sqrt(float(left.square().sum()) / (n - p))))
+    return least
+
+
 def resolution(column: Array) -> float:
     """Return what a sensor can tell: its step where it reads in steps, else the standard deviation of its noise.
 
@@ -65,26 +120,24 @@ def resolution(column: Array) -> float:
     return step_of(column) or _noise(column)
 
 
-def resolutions(model: SindyModel, data: Transitions) -> list[float]:
-    """Return what the sensor of each state of a model can tell [its unit]; NaN of what was not measured.
+def resolutions_by(model: SindyModel, data: Transitions) -> Tensor:
+    """Return what sensors can tell by the errors of a difference equation, `(n_x,)`.
 
-    A difference equation may jump from sample to sample, which no cubic follows: its own errors tell the noise.
+    It may jump from sample to sample, which no cubic follows.
 
     Args:
-        model: a fitted model.
+        model: a fitted model in discrete time.
         data: the recording.
     """
-    if model.step is None:
-        return [resolution(column) for column in samples_of(data)]
-    noise, _ = sensor_noise(model.library, model.coefficients, arrived(data, model.delay))
-    return noise.sqrt().tolist()
+    return sensor_noise(model.library, model.coefficients, arrived(data, model.delay))[0].sqrt()
 
 
-def step_of(column: Array) -> float:
+def step_of(column: Array, noise: float | None = None) -> float:
     """Return the step in which a sensor reads, 0 where none is seen.
 
     Args:
         column: samples, `(n,)`; lost ones are NaN.
+        noise: its standard deviation, above which a step has to be; what no local cubic follows by default.
     """
     known = column[~np.isnan(column)]
     moves = np.abs(np.diff(known)) if len(known) else known
@@ -93,7 +146,8 @@ def step_of(column: Array) -> float:
         return 0.0
     step = float(moves.min())
     whole = np.abs(moves / step - np.round(moves / step)) < 0.01 * np.maximum(1, moves / step) ** 0.5
-    return step if whole.mean() > 0.99 and step > 1.5 * _noise(column) else 0.0
+    noise = _noise(column) if noise is None else noise
+    return step if whole.mean() > 0.99 and step > 1.5 * noise else 0.0
 
 
 def step_seen(column: Array) -> float:

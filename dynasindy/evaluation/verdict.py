@@ -10,23 +10,21 @@ import torch
 from torch import Tensor
 
 from dynasindy.durations import in_words
-from dynasindy.evaluation.horizons import Forecasts
+from dynasindy.evaluation.horizons import LOST, Forecasts
 from dynasindy.evaluation.symptoms import closed_loop, samples_of, saturated, step_of
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.libraries.features import Factor, Feature
-from dynasindy.world_models.libraries.functions import QUOTIENTS
-from dynasindy.world_models.refinement.measured import rates_known
 
 RESOLVED = 2.0
 """Error up to which a prediction is as good as a sensor can tell [what the sensor resolves]."""
-LOST = 10.0
-"""Error beyond which a prediction has run away [ranges of the state]."""
 BEHIND = 0.5
 """Part of a model's error that a linear model on past samples may have, below which something is missing."""
 SMALL = 1e-3
 """Error of a model that is small enough, whatever others make of it [ranges of the state]."""
+FINEST = 1e-6
+"""Part of the range of a state below which what a sensor resolves is no noise."""
 ROUNDED = 1e-5
 """Part of an input by which numbers of 32 bits may go beyond an end."""
 ROOM = 0.05
@@ -49,6 +47,7 @@ def table(forecasts: Forecasts, signature: Signature) -> list[str]:
         "last value held": forecasts.held,
     }
     wide, heads = max(map(len, kinds)) + 2, [in_words(horizon) for horizon in forecasts.horizons]
+    fine = (forecasts.resolution < FINEST * torch.tensor(signature.x_scale)).tolist()
     lines = [
         f"RMS error of predictions that begin at {forecasts.starts} samples which the fit did not see, over the first",
         f"  {'':<{wide + 2}}{''.join(f'{head:>11}' for head in heads)}",
@@ -56,7 +55,12 @@ def table(forecasts: Forecasts, signature: Signature) -> list[str]:
     for i, (name, unit) in enumerate(zip(signature.state_names, signature.state_units, strict=True)):
         if bool(forecasts.held[:, i].isnan().all()):
             continue
-        lines.append(f"  {name} [{unit}], the sensor resolves {_short(float(forecasts.resolution[i]))}")
+        told = (
+            "whose sensor shows no noise"
+            if fine[i]
+            else f"the sensor resolves {_short(float(forecasts.resolution[i]))}"
+        )
+        lines.append(f"  {name} [{unit}], {told}")
         most = LOST * signature.x_scale[i]
         for kind, found in kinds.items():
             errors = [float(found[k, i]) for k in range(len(forecasts.horizons))]
@@ -67,28 +71,57 @@ def table(forecasts: Forecasts, signature: Signature) -> list[str]:
 
 def judge(forecasts: Forecasts, signature: Signature) -> list[str]:
     """Say whether the model predicts, over the time in which the slowest state changes, and whether it is needed."""
+    doubtful = doubts(forecasts, signature)
     if short := shortcoming(forecasts, signature):
-        return [f"this model does not predict: {short}"]
+        return [f"this model does not predict: {short}", *_falls(forecasts, signature), *doubtful]
     k = forecasts.middle
     ours, simple, seen = forecasts.model[k], forecasts.linear[k], _seen(forecasts, signature)
     names, ahead = signature.state_names, in_words(forecasts.horizons[k])
     fine = _fine(forecasts, seen)
     near = f", {_listed(names, fine)} to what the sensors resolve" if fine else ""
-    if doubtful := doubts(forecasts, signature):
+    if doubtful:
         return [f"this model is better than the last value held for {ahead}, but it lacks something", *doubtful]
-    lines = [f"this model predicts {ahead} ahead{near}"]
     large = [i for i in seen if i not in fine and float(ours[i]) > SMALL * signature.x_scale[i]]
     if behind := [i for i in large if float(simple[i]) < 0.9 * float(ours[i])]:
-        lines.append(
-            f"a linear model on past samples predicts {_listed(names, behind)} better: a function is missing, or a "
-            "state that nobody measured"
+        misses = ", ".join(
+            f"{names[i]} by {_short(float(simple[i]))} {signature.state_units[i]} instead of {_short(float(ours[i]))}"
+            for i in behind
         )
-    return lines
+        return [
+            f"this model predicts {ahead} ahead{near}, but a linear model on past samples predicts better, as it "
+            f"misses {misses}: a function is missing, or a state that nobody measured"
+        ]
+    return [f"this model predicts {ahead} ahead{near}"]
+
+
+def _falls(forecasts: Forecasts, signature: Signature) -> list[str]:
+    """Say that a plant seems to run away by itself, where a linear model does as well as this one, a line at most."""
+    most = LOST * torch.tensor(signature.x_scale, dtype=forecasts.model.dtype)
+    most = torch.maximum(most, forecasts.held)
+    ours, simple = ((kind > most).any(0) for kind in (forecasts.model, forecasts.linear))
+    falls = [name for name, lost in zip(signature.state_names, (ours & simple).tolist(), strict=True) if lost]
+    if not falls:
+        return []
+    fine = (forecasts.model <= HELPFUL * forecasts.held) | (forecasts.model <= RESOLVED * forecasts.resolution)
+    enough = (fine | forecasts.held.isnan()).all(1).tolist()
+    reached = enough.index(False) if False in enough else len(enough)
+    half = "half of the error of the last value held"
+    least = f"up to {in_words(forecasts.horizons[reached - 1])} ahead this model has at most {half}"
+    if not reached:
+        least = f"this model has more than {half} over any time"
+    return [
+        f"a linear model on past samples lets {' and '.join(falls)} run away, too: the plant seems to run away by "
+        f"itself, as a pole that falls, and no model predicts that for long without the controller; {least}"
+    ]
 
 
 def doubts(forecasts: Forecasts, signature: Signature) -> list[str]:
-    """Say which states a linear model on past samples predicts far better: what it knows of the past, a state lacks."""
+    """Say which states a linear model on past samples predicts far better: what it knows of the past, a state lacks.
+
+    One that is no better than the last value held knows nothing.
+    """
     lines, (horizons, n_x), large = [], forecasts.model.shape, unresolved(forecasts, signature)
+    large = large & (forecasts.linear < forecasts.held)
     for i in range(n_x):
         ours, simple, known = forecasts.model[:, i], forecasts.linear[:, i], large[:, i]
         worse = [k for k in range(horizons) if bool(known[k]) and float(simple[k]) < BEHIND * float(ours[k])]
@@ -263,23 +296,6 @@ def _fine(forecasts: Forecasts, seen: Sequence[int]) -> list[int]:
     return [i for i in seen if float(ours[i]) <= RESOLVED * float(forecasts.resolution[i])]
 
 
-def found_in_model(model: SindyModel) -> list[str]:
-    """Say what of delay, dry friction and springs is in the equations."""
-    names, lines = model.signature.state_names, []
-    if model.delay:
-        late = f"{1e3 * model.delay:.3g} ms" if model.delay < 1 else in_words(model.delay)
-        lines.append(f"the inputs act {late} late")
-    of_rate = rates_known(model.library, model.constraints)
-    for i in range(len(names)):
-        used = model.coefficients[:, i].nonzero().flatten().tolist()
-        terms = [model.library.features[k] for k in used]
-        if any(_is_dry(model.library.features[k], names[i]) and model.coefficients[k, i] < 0 for k in used):
-            lines.append(f"{names[i]}' has dry friction")
-        if i in of_rate and any(_is_spring(f, names[of_rate[i]]) for f in terms):
-            lines.append(f"{names[i]}' has a spring in {names[of_rate[i]]}")
-    return lines
-
-
 def found_in_data(data: Transitions, signature: Signature) -> list[str]:
     """Say what the sensors and the inputs of a log show: steps, saturation, a controller."""
     lines = []
@@ -297,18 +313,6 @@ def found_in_data(data: Transitions, signature: Signature) -> list[str]:
     if driven := [name for name, told in zip(signature.input_names, closed_loop(data), strict=True) if told]:
         lines.append(f"a controller made {' and '.join(driven)} out of the measured states (closed loop)")
     return lines
-
-
-def _is_dry(feature: Feature, rate: str) -> bool:
-    """Tell what opposes a rate alike at any speed; of the other sign it would drive."""
-    return any(factor.function == "tanh" and rate in factor.variables for factor in feature.factors)
-
-
-def _is_spring(feature: Feature, angle: str) -> bool:
-    """Tell the angle itself, whatever inertia it is divided by."""
-    return any(f.function == "id" and f.power == 1 and f.variables == (angle,) for f in feature.factors) and all(
-        f.function in ("id", *QUOTIENTS) and (f.function != "id" or f.variables == (angle,)) for f in feature.factors
-    )
 
 
 def _listed(names: Sequence[str], places: Sequence[int]) -> str:

@@ -144,7 +144,7 @@ def test_uneven_samples_are_resampled_on_the_states_curve_with_inputs_held(tmp_p
 def test_gaps_split_the_recording(tmp_path):
     table = np.delete(log(), [40, 41, 42], 0)
     found = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS).read()
-    assert found.notes[1:] == ("1 gaps longer than 1.5 sampling times split the recording",)
+    assert found.notes[1:] == ("1 gap longer than 1.5 sampling times splits the recording",)
     assert len(found.transitions) == 75 and found.transitions.segment.bincount().tolist() == [39, 36]
 
 
@@ -363,7 +363,7 @@ def test_a_gap_is_more_than_one_and_a_half_sampling_times_and_jitter_up_to_two_p
     assert found.transitions.segment.unique().tolist() == [0]
     table[60:, 0] += 0.002  # one of 1.6 splits
     found = CsvLog(write(tmp_path / "gap.csv", table), STATES, INPUTS, dt=0.01).read()
-    assert found.notes[1:] == ("1 gaps longer than 1.5 sampling times split the recording",)
+    assert found.notes[1:] == ("1 gap longer than 1.5 sampling times splits the recording",)
     for share, even in ((0.019, True), (0.021, False)):
         table = log(120)
         table[60, 0] += share * 0.01

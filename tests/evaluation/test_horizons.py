@@ -101,6 +101,16 @@ def test_a_model_that_runs_away_has_an_infinite_error():
     assert found is not None and float(found.model[1, 0]) > 1e6
 
 
+def test_a_model_that_runs_away_at_once_is_judged_over_shorter_times_too():
+    """An error grows by e^8 in 0.04 s, the shortest time that is looked at otherwise, and by e^4 in a sample."""
+    model, (data, _) = oscillator(), recording(600)
+    usual = forecast(model, data, data)
+    model.set_coefficients(torch.tensor([[0.0, 4e4], [1.0, 0.0], [0.0, 1.0]]))
+    found = forecast(model, data, data)
+    assert usual is not None and found is not None
+    assert found.horizons == (0.02, *usual.horizons)
+
+
 def test_a_sine_changes_by_its_spread_in_a_sixth_of_its_period():
     t = DT * torch.arange(3001, dtype=torch.float64)
     x = torch.stack([torch.sin(t), torch.sin(7 * t)], -1)

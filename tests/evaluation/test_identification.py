@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -10,13 +11,16 @@ import torch
 from dynasindy.data.simulated import record
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation import identification
-from dynasindy.evaluation.identification import Logged, identify, to_words, write
+from dynasindy.evaluation.fitted import fitted
+from dynasindy.evaluation.identification import Logged, anew, identify, to_words, write
 from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Chirp, HeldRandom
 from dynasindy.systems import Diverged, Pendulum, Signature, Tras
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import hearing
 from dynasindy.world_models import Oracle, Refinement, Regression, SindyModel
+from dynasindy.world_models.models.actuators import Found
+from dynasindy.world_models.refinement.actuator import Actuator
 
 EXCITATION = partial(Chirp, duration=10.0, amplitude=0.6)
 
@@ -279,3 +283,38 @@ def test_no_verdict_is_given_on_a_log_that_is_too_quiet_to_tell():
     assert "the log is too quiet to tell of angle, which moves by 4 steps of its sensor" in words
     assert "this model" not in words and not quiet.predicts
     assert "this model" in to_words(loud, loud.source) and not loud.quiet
+
+
+@pytest.mark.parametrize(
+    ("segments", "said"),
+    [([0] * 6, ""), ([0, 0, 1, 1, 1, 1], ", begun anew after its gap"), ([0, 1, 1, 2, 2, 2], " each of its 2 gaps")],
+)
+def test_a_prediction_of_data_with_gaps_is_said_to_begin_anew(segments, said):
+    data = Transitions.from_trajectory(torch.zeros(7, 1), torch.zeros(6, 1), 0.1)
+    told = anew(Transitions(data.x, data.u, data.x_next, data.dt, torch.tensor(segments)))
+    assert told.endswith(said) and bool(told) == bool(said)
+
+
+@pytest.mark.parametrize("in_pieces", [False, True])
+def test_where_a_delay_may_stand_for_an_actuator_one_is_looked_for_without_it(in_pieces, monkeypatch):
+    source = Simulated(validation_seconds=2.0).load(Pendulum(), partial(Chirp, duration=3.0))
+    model = SindyModel(source.signature, ["theta", "Omega", "u", "sin(theta)"], Regression("bic"))
+
+    def late(given, data):
+        found = fitted(given, data)
+        given.delay = 0.05
+        return replace(found, report=replace(found.report, in_pieces=in_pieces))
+
+    def sought(given, data):
+        actuator = None if given.delay else Actuator(0, "rate limit", 1.5)
+        return Found(actuator, given.coefficients, 0.5, "u has a rate limit", given.library)
+
+    monkeypatch.setattr(identification, "fitted", late)
+    monkeypatch.setattr(identification, "find_actuator", sought)
+    found = identify(model, source)
+    assert found.model is model and model.delay == 0.05
+    if in_pieces:
+        assert found.acting is not None and found.acting.delay == 0.0 and found.found.actuator is not None
+        assert "found: u has a rate limit; model_with_actuator.json has it, with equations" in to_words(found, source)
+    else:
+        assert found.acting is None and found.found.actuator is None

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from dynasindy.evaluation import symptoms as module
-from dynasindy.evaluation.symptoms import closed_loop, resolution, resolutions, saturated, step_of
+from dynasindy.evaluation.symptoms import closed_loop, resolution, resolutions, resolutions_by, saturated, step_of
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
@@ -21,6 +21,31 @@ def test_the_step_of_an_encoder_is_found_and_exact_or_noisy_samples_have_none(st
     noisy = swing + 0.01 * np.random.default_rng(0).normal(size=3000)
     assert step_of(noisy) == 0.0 and resolution(noisy) == pytest.approx(0.01, rel=0.1)
     assert step_of(np.round(noisy, 6)) == 0.0  # six decimals of a file are no sensor's step
+
+
+@pytest.mark.parametrize("interval", [0.1, 0.5, 1.0])
+@pytest.mark.parametrize("noise", [0.0, 0.002])
+def test_what_a_plant_does_between_samples_that_are_far_apart_is_no_noise_of_its_sensor(interval, noise):
+    """x' = u + 0.4 u^2 - x under held inputs: x[k+1] = a x[k] + (1 - a) (u + 0.4 u^2), a = exp(-interval)."""
+    generator, left = np.random.default_rng(0), np.exp(-interval)
+    u, x = generator.uniform(-1, 1, 800), [0.0]
+    for held in u:
+        x.append(left * x[-1] + (1 - left) * (held + 0.4 * held**2))
+    read = np.array(x) + noise * generator.normal(size=801)
+    data = Transitions.from_trajectory(torch.tensor(read)[:, None], torch.tensor(u)[:, None], interval)
+    told = float(resolutions(data)[0])
+    assert resolution(read) > 0.02 * np.std(x)  # a cubic alone cannot follow what jumps with each input
+    # What is left over has the noise of this sample and, through `a`, that of the last one.
+    assert noise * 0.9 < told < noise * 1.1 * np.sqrt(1 + left**2) + 1e-9
+
+
+def test_noise_of_samples_that_are_close_is_what_no_cubic_follows_and_a_step_stays_a_step():
+    swing = np.sin(1.3 * T) + 0.4 * np.sin(0.37 * T)
+    noisy = swing + 0.01 * np.random.default_rng(0).normal(size=3000)
+    read = torch.tensor(np.stack([noisy, 0.02 * np.round(swing / 0.02), np.full(3000, np.nan)], -1))
+    told = resolutions(Transitions.from_trajectory(read, torch.zeros(2999, 1).double(), 0.01)).tolist()
+    assert told[0] == pytest.approx(resolution(noisy), rel=1e-6) and told[1] == pytest.approx(0.02, rel=1e-6)
+    assert np.isnan(told[2])
 
 
 def plant(control) -> Transitions:
@@ -77,10 +102,8 @@ def test_the_noise_of_what_jumps_is_told_by_a_difference_equation():
         x[k + 1] = -0.6 * x[k] + u[k]
     seen = torch.from_numpy(x + 0.02 * rng.standard_normal(n + 1)).unsqueeze(-1)
     data = Transitions.from_trajectory(seen, torch.from_numpy(u).unsqueeze(-1), 0.1)
-    found = []
-    for time in ("continuous", "discrete"):
-        model = SindyModel(Signature(("x",), ("-",), ("u",), (1.0,)), ["x", "u"], time=time)
-        model.library = model.library.with_step(0.1 if time == "discrete" else None)
-        model.set_coefficients(torch.tensor([[-16.0], [10.0]], dtype=torch.float64))
-        found += resolutions(model, data)
-    assert found[0] > 0.3 and found[1] == pytest.approx(0.02, rel=0.1)
+    model = SindyModel(Signature(("x",), ("-",), ("u",), (1.0,)), ["x", "u"], time="discrete")
+    model.library = model.library.with_step(0.1)
+    model.set_coefficients(torch.tensor([[-16.0], [10.0]], dtype=torch.float64))
+    assert resolution(seen[:, 0].numpy()) > 0.3
+    assert resolutions_by(model, data).tolist() == pytest.approx([0.02], rel=0.1)

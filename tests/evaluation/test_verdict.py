@@ -13,7 +13,6 @@ from dynasindy.evaluation.verdict import (
     doubts,
     errors,
     found_in_data,
-    found_in_model,
     judge,
     known_ranges,
     table,
@@ -21,7 +20,7 @@ from dynasindy.evaluation.verdict import (
     unmoved,
     unresolved,
 )
-from dynasindy.systems import Pendulum, Tras
+from dynasindy.systems import Pendulum
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
@@ -62,13 +61,44 @@ def test_the_horizons_of_a_slow_plant_are_told_in_hours():
 
 
 def test_a_linear_model_that_is_better_is_said_to_be():
-    assert judge(forecasts(0.04, linear=0.03), SIGNATURE)[1].startswith(
-        "a linear model on past samples predicts q better"
-    )
+    (said,) = judge(forecasts(0.04, linear=0.03), SIGNATURE)
+    assert said.startswith("this model predicts 2 s ahead, w to what the sensors resolve, but a linear model on past ")
+    assert "better, as it misses q by 0.03 rad instead of 0.04: a function is missing" in said
     assert len(judge(forecasts(0.04, linear=0.039), SIGNATURE)) == 1
     lacking, why = judge(forecasts(0.04, linear=0.01), SIGNATURE)
     assert lacking == "this model is better than the last value held for 2 s, but it lacks something"
     assert why.startswith("a linear model on past samples predicts q 2 s ahead to 0.01 rad, this one to 0.04 rad")
+
+
+@pytest.mark.parametrize("q", [0.06, math.inf])
+def test_what_a_linear_model_knows_better_is_said_of_the_worst_models_too(q):
+    short, why = judge(forecasts(q, linear=0.02), SIGNATURE)
+    assert short.startswith("this model does not predict: ")
+    assert why.startswith("a linear model on past samples predicts q 2 s ahead to 0.02 rad, this one ")
+
+
+@pytest.mark.parametrize(
+    ("first", "said"),
+    [
+        (0.01, "up to 0.2 s ahead this model has at most half of"),
+        (0.09, "this model has more than half of the error of the last"),
+    ],
+)
+def test_a_plant_that_runs_away_by_itself_is_said_to_where_a_linear_model_does_so_too(first, said):
+    """Of a range of 1 rad errors of more than 10 rad are lost; the last value held misses 0.1 rad."""
+    ours = torch.tensor([[first], [math.inf], [math.inf]])
+    found = replace(forecasts(0.002), model=ours, held=torch.full((3, 1), 0.1), resolution=torch.tensor([0.001]))
+    one = Signature(("q",), ("rad",), ("u",), (1.0,))
+    falling = judge(replace(found, linear=torch.tensor([[0.1], [1.0], [11.0]])), one)
+    assert falling[0].startswith("this model does not predict: within 2 s q runs away") and len(falling) == 2
+    assert falling[1].startswith("a linear model on past samples lets q run away, too") and said in falling[1]
+    staying = judge(replace(found, linear=torch.tensor([[0.1], [1.0], [9.0]])), one)
+    assert not any("by itself" in line for line in staying)
+
+
+def test_a_sensor_without_noise_is_said_to_be_one():
+    found = replace(forecasts(0.002), resolution=torch.tensor([1e-9, math.nan, 21.0]))
+    assert table(found, SIGNATURE)[2] == "  q [rad], whose sensor shows no noise"
 
 
 def test_the_table_and_the_file_hold_measured_states_alone():
@@ -95,22 +125,6 @@ def test_an_error_beyond_ten_ranges_has_run_away_and_the_table_fits_a_page():
         found, horizons=(0.1, 0.2, 0.5, 1.0, 2.0), **dict.fromkeys(("model", "linear", "held"), torch.ones(5, 3))
     )
     assert max(map(len, table(five, SIGNATURE))) <= 100
-
-
-def test_delay_friction_and_springs_of_a_model_are_said_in_words():
-    model = SindyModel(Tras().signature, "rotor_rig", known={"alpha_a": "Omega_a", "alpha_p": "Omega_p"})
-    assert found_in_model(model) == []
-    coefficients, model.delay = model.coefficients.clone(), 0.0123
-    rates = {name: model.signature.state_index(name) for name in ("Omega_a", "Omega_p")}
-    for name, state in (("alpha_a /(1 + 3 cos(alpha_p)^2)", "Omega_a"), ("tanh(10 Omega_p)", "Omega_p")):
-        coefficients[model.library.index(name), rates[state]] = -1.0
-    model.set_coefficients(coefficients)
-    expected = ["the inputs act 12.3 ms late", "Omega_a' has a spring in alpha_a", "Omega_p' has dry friction"]
-    assert found_in_model(model) == expected
-    # What drives a rate the more, the faster it is, is no friction.
-    coefficients[model.library.index("tanh(10 Omega_p)"), rates["Omega_p"]] = 1.0
-    model.set_coefficients(coefficients)
-    assert found_in_model(model) == expected[:2]
 
 
 def test_a_linear_model_that_knows_the_past_far_better_raises_doubts():

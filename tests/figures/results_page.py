@@ -62,7 +62,8 @@ def _margins() -> Iterator[Tie]:
         least = [f"{min(numbers(found, name)):g}" for name in ("gain", "phase_deg", "disk")]
         late = 1e3 * min(numbers(found, "delay_s"))
         draws, lost = (round(sum(numbers(found, name))) for name in ("draws", "unstable_draws"))
-        words = f"| {plant} | {planning} | {len(found)} | {{}} | {{}} % | {{}} | {{}} | {late:.0f} ms | {{}} | {lost} of {draws} |"
+        head, tail = f"| {plant} | {planning} | {len(found)}", f"{late:.0f} ms | {{}} | {lost} of {draws} |"
+        words = f"{head} | {{}} | {{}} % | {{}} | {{}} | {tail}"
         worst = f"{max(numbers(found, 'error_percent')):g}"
         yield Tie(PAGE, words, (f"{earned:.1f}", worst, *least))
 

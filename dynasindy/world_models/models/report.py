@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import torch
 from torch import Tensor
 
+from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.regression.covariance import Covariance
 from dynasindy.world_models.regression.identifiability import Identifiability
@@ -25,8 +27,11 @@ class FitReport:
         residual: unexplained part of each state's rate of change, 2-norm relative to the rate's.
         notes: sentences on what a reader would not expect.
         dt: time that a transition takes [s].
+        unmeasured: states whose rates of change were not measured, or are functions of what was not: of an estimate
+            that nobody measured a part that stays unexplained says nothing.
         in_pieces: whether simulations meet the log in pieces only, which begin anew: something is lacking.
         covariance: how well the coefficients are known; None where that is not told.
+        delay_at_end: whether the delay of the inputs is the longest that was tried.
     """
 
     samples: int
@@ -38,6 +43,8 @@ class FitReport:
     dt: float | None = None
     in_pieces: bool = False
     covariance: Covariance | None = None
+    unmeasured: frozenset[str] = frozenset()
+    delay_at_end: bool = False
 
     @classmethod
     def of(
@@ -61,6 +68,19 @@ class FitReport:
             notes=tuple(notes),
             dt=dt,
         )
+
+    def told_apart(self) -> Tensor:
+        """Return the part of each function that the others of its equation leave over, 0 to 1, `(n_features, n_x)`.
+
+        Of a function of which they leave over next to nothing, the data do not tell the coefficient: large ones cancel.
+        """
+        _, coefficients, sums = self._source
+        scaled, parts = sums.theta(), torch.zeros_like(coefficients)
+        scaled = scaled / scaled.norm(dim=0).clamp_min(1e-300)
+        for i in range(coefficients.shape[1]):
+            active = coefficients[:, i].nonzero().flatten()
+            parts[active, i] = 1 / torch.linalg.pinv(scaled[:, active]).norm(dim=1).clamp_min(1.0)
+        return parts
 
     @cached_property
     def identifiability(self) -> Identifiability:
@@ -89,9 +109,25 @@ class FitReport:
         lines = [f"fit of {self.samples} transitions{each}, which took {self.seconds:.3g} s"]
         counts = {name: f"{count} term{'s' * (count != 1)}" for name, count in self.terms.items()}
         moves = "'" if self._source[0].step is None else "[k+1] - {0}[k]"
-        lines += [
-            f"  {s}{moves.format(s)}: {counts[s]}; {100 * r:.3g} % of it stays unexplained (RMS)"
-            for s, r in self.residual.items()
-        ]
+        for state, part in self.residual.items():
+            missed = "" if state in self.unmeasured else f"; {100 * part:.3g} % of it stays unexplained (RMS)"
+            lines.append(f"  {state}{moves.format(state)}: {counts[state]}{missed}")
         told = [*filter(None, [self.known]), *(f"note: {note}" for note in self.notes)]
         return "\n".join([*lines, *told, self.identifiability.to_text()])
+
+
+def unmeasured(library: Library, coefficients: Tensor, data: Transitions) -> frozenset[str]:
+    """Return the states that no sensor saw, and those whose equations read one.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`.
+        data: the log, NaN where a state was not measured.
+    """
+    names, blind = library.signature.state_names, data.x.isnan().all(0).tolist()
+    unseen = {name for name, never in zip(names, blind, strict=True) if never}
+    read = [
+        {v for k in column.nonzero().flatten().tolist() for v in library.features[k].variables}
+        for column in coefficients.unbind(-1)
+    ]
+    return frozenset(name for name, own in zip(names, read, strict=True) if name in unseen or own & unseen)

@@ -33,7 +33,7 @@ from dynasindy.world_models.libraries import LibraryBuilder, build_library
 from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.models.base import WorldModel
-from dynasindy.world_models.models.report import FitReport
+from dynasindy.world_models.models.report import FitReport, unmeasured
 from dynasindy.world_models.refinement.delay import delayed, known_inputs
 from dynasindy.world_models.refinement.measured import at_rest, begun, followed, imagined, rates_known, reconstruct
 from dynasindy.world_models.refinement.quotient import one_quotient
@@ -256,14 +256,15 @@ class SindyModel(WorldModel):
         else:
             self.set_coefficients(first)
         self.delay = delay
-        notes, in_pieces = self._refine(data, guess, constraints, 0.0 if first is None else self.initial_delay)
+        notes, doubts = self._refine(data, guess, constraints, 0.0 if first is None else self.initial_delay)
         if self.refinement is not None:
             notes += stayed(self.library, self.coefficients)
         seconds = time.perf_counter() - start
         report = FitReport.of(self.library, self.coefficients, self.sums, seconds, notes, data.dt)
         # The sums may be of fewer rows than that, each of them the average of many transitions.
         samples = int(known_inputs(data, self.delay).sum()) + (earlier if self.sums is sums else 0)
-        return replace(report, samples=samples, in_pieces=in_pieces, covariance=self.covariance)
+        unseen = unmeasured(self.library, self.coefficients, data)
+        return replace(report, samples=samples, unmeasured=unseen, covariance=self.covariance, **doubts)
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
         """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`.
@@ -362,19 +363,20 @@ class SindyModel(WorldModel):
 
     def _refine(
         self, data: Transitions, guess: Transitions, constraints: Constraints, late: float
-    ) -> tuple[list[str], bool]:
-        """Refine the coefficients; return what is to be said of it, and whether the log is met in pieces only."""
+    ) -> tuple[list[str], dict[str, Any]]:
+        """Refine the coefficients, and return notes and what the report has to doubt, by the names of its fields."""
         if self.refinement is None:
-            return [], False
+            return [], {}
         try:
             found = self.refinement.run(self.library, self.coefficients, constraints, data, guess, late)
         except RunsAway as error:
             raise Diverged(f"model learning: {error}") from error
         refined = require_finite(found.coefficients, self.library, "refinement", self.sums.count)
         if self.coefficients[constraints.free].any() and not refined[constraints.free].any():
-            return ["the refinement dropped every function, so the fit before it stays; log cleaner data"], False
+            return ["the refinement dropped every function, so the fit before it stays; log longer or cleaner data"], {}
         self.set_coefficients(refined)
         self.covariance = found.covariance
+        doubts = {"in_pieces": found.in_pieces, "delay_at_end": found.delay_at_end}
         if found.library is not self.library or found.delay != self.delay:
             # The functions are others now, and so are the sums of their products.
             self.library, self.delay = found.library, found.delay
@@ -382,12 +384,11 @@ class SindyModel(WorldModel):
             recording = Recording.of(data, guess, rates_known(self.library, self.constraints), self.delay)
             self.sums.add(self._rows(recording, self.delay))
         if self.refinement.method == "integral" or len(data) <= ENOUGH:
-            return list(found.notes), found.in_pieces
-        note = (
-            f"functions were chosen on {ENOUGH} of {len(data)} rows, in {STRETCHES} stretches spread evenly over them; "
-            "the coefficients were fitted on all rows"
+            return list(found.notes), doubts
+        chosen = (
+            f"functions were chosen on {ENOUGH} of {len(data)} rows, in {STRETCHES} stretches spread evenly over them"
         )
-        return [*found.notes, note], found.in_pieces
+        return [*found.notes, f"{chosen}; the coefficients were fitted on all rows"], doubts
 
     def _rows(self, recording: Recording, delay: float, library: Library | None = None) -> Rows:
         """Return averaged functions and rates of change, under inputs that act `delay` seconds later."""

@@ -74,6 +74,7 @@ class Refined(NamedTuple):
         notes: sentences on what was chosen, and by what.
         in_pieces: whether `auto` found that the log is met in pieces only, which begin anew: something is lacking.
         covariance: how well the coefficients are known; None where that is not told.
+        delay_at_end: whether the delay is the longest that was tried.
     """
 
     library: Library
@@ -82,6 +83,7 @@ class Refined(NamedTuple):
     notes: tuple[str, ...] = ()
     in_pieces: bool = False
     covariance: Covariance | None = None
+    delay_at_end: bool = False
 
 
 @dataclass(frozen=True)
@@ -199,12 +201,13 @@ class Refinement:
                 found = self._regressed(*found, constraints, recording.brief(self._longest).seen(delay))
             refined = self._by_trajectories(found, delay, constraints, recording)
         notes += refined.notes
-        if refined.delay and refined.delay > self._longest - 0.5 * data.dt:
+        at_end = bool(refined.delay) and refined.delay > self._longest - 0.5 * data.dt
+        if at_end:
             notes += (
                 f"the best delay of the inputs is the longest that was tried, {self._longest:g} s; it may be "
-                f"longer: give longest_delay={2 * self._longest:g}",
+                f"longer: give longest_delay={2 * self._longest:g}, or 0 where it stands for what the equations lack",
             )
-        return refined._replace(notes=notes)
+        return refined._replace(notes=notes, delay_at_end=at_end)
 
     def _certainty(
         self, method: str, found: Model, constraints: Constraints, recording: Recording, delay: float
@@ -279,9 +282,11 @@ class Refinement:
             if not math.isfinite(ratio[worst]):
                 why = "a fit of one simulation through all samples leaves no function"
             elif float(ratio[worst]) <= WORSE:
+                pieces = int(recording.data.begins().sum())
+                over = "of each of its stretches between gaps, " if pieces > 1 else ""
                 note = (
-                    "the model follows the log in one simulation from its first sample to its last: the error of "
-                    f"{name} is {times} that of simulations that begin anew every {descent.window} samples, which "
+                    f"the model follows the log in one simulation {over}from its first sample to its last: the error "
+                    f"of {name} is {times} that of simulations that begin anew every {descent.window} samples, which "
                     "noise of the sensors explains (error=simulation)"
                 )
                 return found._replace(notes=(note, *found.notes))
@@ -332,7 +337,12 @@ class Refinement:
         return Refined(*fitted[:2], delay, notes, covariance=certainty(fitted.flow))
 
     def _fine(self, delay: float, found: Model, free: Tensor, recording: Recording, descent: Descent) -> float:
-        """Return the delay in fractions of a sample that a few steps of the fit to trajectories find [s]."""
+        """Return the delay in fractions of a sample that a few steps of the fit to trajectories find [s].
+
+        Equations without functions tell none.
+        """
+        if not bool(found[1].any()):
+            return delay
         tell("fit", words=f"trying delays of the inputs up to {self._longest:g} s")
         few, data = replace(descent, max_rounds=STEPS), recording.data
 

@@ -1,6 +1,7 @@
 """The sparse model finds the published table, equals PySINDy, and survives a file."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pysindy
@@ -328,6 +329,16 @@ def test_a_state_that_nobody_ever_measured_is_found_from_a_first_guess(noise, er
     model.fit(_tanks(noise))
     expected = {("h", "h"): -DRAIN, ("h", "u"): FLOW, ("l", "h"): THROUGH, ("l", "l"): -OUT}
     assert _found(model) == pytest.approx(expected, rel=error)
+
+
+def test_a_rate_that_was_not_measured_and_what_reads_a_hidden_state_have_no_unexplained_part():
+    """Of two tanks the upper is hidden: what the lower does is read off it, too. A state of its own was measured."""
+    signature = Signature(("h", "l", "t"), ("m", "m", "K"), ("u",), (1.0, 1.0, 1.0))
+    data = _tanks(1e-5)
+    own = torch.zeros_like(data.x[:, :1])
+    wide = replace(data, x=torch.cat([data.x, own], -1), x_next=torch.cat([data.x_next, own], -1))
+    model = SindyModel(signature, ["h", "l", "u"], initial={"h": {"h": -0.9, "u": 0.5}, "l": {"h": 0.7}})
+    assert model.fit(wide).unmeasured == {"h", "l"}
 
 
 def test_a_first_guess_is_the_model_before_its_refinement():

@@ -17,6 +17,7 @@ from dynasindy.world_models.refinement import refine
 from dynasindy.world_models.refinement.descent import Descent
 from dynasindy.world_models.refinement.measured import reconstruct
 from dynasindy.world_models.refinement.one_step import refine_one_step
+from dynasindy.world_models.refinement.recording import Recording
 from dynasindy.world_models.refinement.refine import METHODS, Refinement
 from dynasindy.world_models.refinement.shooting import RunsAway
 from dynasindy.world_models.refinement.trajectory import refine_trajectory
@@ -264,3 +265,9 @@ def test_a_delay_of_the_first_estimate_is_looked_for_though_no_regression_tells_
     found = refinement.run(LIBRARY, column(A, B, 0, 0), FREE, data, late=late * dt)
     assert found.delay == pytest.approx(late * dt, abs=dt)
     assert found.coefficients[:2, 0].tolist() == pytest.approx([A, B], rel=0.15)
+
+
+def test_a_model_without_functions_tells_no_delay():
+    data, none = recording(0.05), torch.zeros(4, 1, dtype=torch.float64)
+    settings, whole = Refinement("trajectory", longest_delay=0.2), Recording.of(data, data, {}, 0.2)
+    assert settings._fine(0.05, (LIBRARY, none), FREE.free, whole, Descent(20)) == 0.05

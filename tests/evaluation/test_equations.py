@@ -1,0 +1,116 @@
+"""Equations in words: delay, friction, springs, and states that take no part in them."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from dynasindy.evaluation.equations import bend_hint, found_in_model, hidden_states, idle
+from dynasindy.systems import Tras
+from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import FitReport, SindyModel
+from dynasindy.world_models.models.bends import Bend
+from dynasindy.world_models.regression.regression import RunningSums
+
+
+def test_delay_friction_and_springs_of_a_model_are_said_in_words():
+    model = SindyModel(Tras().signature, "rotor_rig", known={"alpha_a": "Omega_a", "alpha_p": "Omega_p"})
+    assert found_in_model(model) == []
+    coefficients, model.delay = model.coefficients.clone(), 0.0123
+    rates = {name: model.signature.state_index(name) for name in ("Omega_a", "Omega_p")}
+    for name, state in (("alpha_a /(1 + 3 cos(alpha_p)^2)", "Omega_a"), ("tanh(10 Omega_p)", "Omega_p")):
+        coefficients[model.library.index(name), rates[state]] = -1.0
+    model.set_coefficients(coefficients)
+    expected = ["the inputs act 12.3 ms late", "Omega_a' has a spring in alpha_a", "Omega_p' has dry friction"]
+    assert found_in_model(model) == expected
+    # What drives a rate the more, the faster it is, is no friction.
+    coefficients[model.library.index("tanh(10 Omega_p)"), rates["Omega_p"]] = 1.0
+    model.set_coefficients(coefficients)
+    assert found_in_model(model) == expected[:2]
+
+
+def test_what_bends_at_all_speeds_is_no_friction_nor_is_what_the_data_do_not_tell():
+    """Of speeds up to 4 rad/s, tanh(v / 8) is a drag, and tanh(20 v) friction unless others make up for it."""
+    signature = Signature(("v",), ("rad/s",), ("u",), (4.0,))
+    for width, expected in ((0.125, []), (1.2, []), (1.3, ["v' has dry friction"]), (20.0, ["v' has dry friction"])):
+        model = SindyModel(signature, [f"tanh({width} v)", "u"])
+        model.set_coefficients(torch.tensor([[-3.0], [1.0]], dtype=torch.float64))
+        assert found_in_model(model) == found_in_model(model, report_of(model, 0.5)) == expected
+        assert found_in_model(model, report_of(model, 0.001)) == []
+
+
+@pytest.mark.parametrize(
+    ("doubts", "said"),
+    [
+        ({}, True),
+        ({"in_pieces": True}, False),
+        ({"delay_at_end": True}, False),
+        ({"in_pieces": True, "dt": 0.001}, True),
+    ],
+)
+def test_a_delay_is_told_unless_its_search_ended_there_or_a_poor_fit_cannot_tell_it_from_none(doubts, said):
+    """A delay of 2 ms is a fifth of a sample of 10 ms, and two of 1 ms."""
+    model = SindyModel(Signature(("v",), ("m/s",), ("u",), (4.0,)), ["v", "u"])
+    model.set_coefficients(torch.tensor([[-3.0], [1.0]], dtype=torch.float64))
+    model.delay = 0.002
+    found = found_in_model(model, replace(report_of(model, 0.5), **doubts))
+    assert found == (["the inputs act 2 ms late"] if said else [])
+
+
+def test_dead_zones_and_saturations_are_said_in_the_unit_of_the_actuator():
+    """An input of 1 is 12 V: what is flat from -0.25 to 0.5 is so from -3 V to 6 V."""
+    volts = {"input_ends": ((-12.0, 12.0),), "input_units": ("V",)}
+    signature = Signature(("q", "v"), ("rad", "rad/s"), ("u",), (1.0, 4.0), **volts)
+    words = ["q", "v", "u", "max(0, u - 0.5)", "max(0, u - -0.25)"]
+    model = SindyModel(signature, words, known={"q": "v"})
+
+    def said(*of_u):
+        xi = model.coefficients.clone()
+        xi[2:, 1] = torch.tensor(of_u, dtype=torch.float64)
+        model.set_coefficients(xi)
+        return found_in_model(model)
+
+    assert said(20.0, 20.0, -20.0) == ["u does nothing from -3 V to 6 V"]
+    assert said(0.0, -20.0, 20.0) == ["u has no more effect below -3 V and above 6 V"]
+    assert said(20.0, -20.0, 0.0) == ["u has no more effect above 6 V"]
+    assert said(20.0, 5.0, -5.0) == []
+    hint = bend_hint(Bend("u", "dead zone", -0.25, 0.5), model)
+    assert "as if u does nothing from -3 V to 6 V" in hint and "plant.library=dead_zone 'plant.known={q: v}'" in hint
+
+
+def report_of(model: SindyModel, apart: float) -> FitReport:
+    """Return the report of a fit to two columns, with so small an angle between them, in samples of 10 ms."""
+    sums = RunningSums(2, 1)
+    columns = torch.tensor([[1.0, math.cos(math.asin(apart))], [0.0, apart]], dtype=torch.float64)
+    sums.add((columns, torch.zeros(2, 1, dtype=torch.float64)))
+    return FitReport.of(model.library, model.coefficients, sums, 0.0, dt=0.01)
+
+
+def log_of(*columns: float) -> Transitions:
+    """Return a log of such states, each of one value."""
+    return Transitions.from_trajectory(torch.tensor([columns] * 9, dtype=torch.float64), torch.zeros(8, 1), 0.1)
+
+
+def test_a_hidden_state_is_none_that_is_measured_through_its_rate_or_that_follows():
+    signature = Signature(("q", "w", "h", "u_lagging"), ("rad", "rad/s", "m", "1"), ("u",), (1.0,) * 4)
+    words = ["q", "w", "h", "u", "(u - u_lagging)"]
+    model = SindyModel(signature, words, known={"q": "w"}, allowed={"u_lagging": ["(u - u_lagging)"]})
+    assert hidden_states(model, log_of(1.0, math.nan, math.nan, math.nan)) == ["h"]
+    assert hidden_states(model, log_of(1.0, 1.0, 1.0, math.nan)) == []
+    assert hidden_states(model, log_of(math.nan, math.nan, 1.0, math.nan)) == ["q", "w"]
+
+
+def test_a_hidden_state_in_no_equation_is_said_to_need_a_first_guess_and_how_it_is_given():
+    signature = Signature(("upper", "lower"), ("m", "m"), ("u",), (1.0, 1.0))
+    model, log = SindyModel(signature, ["upper", "lower", "u"]), log_of(math.nan, 1.0)
+    (said,) = idle(model, log)
+    assert said.startswith("hint: upper stands in no equation")
+    assert "'plant.initial={upper: {u: 0.1, upper: -0.1}, lower: {upper: 0.1}}'" in said
+    assert idle(model, log_of(1.0, 1.0)) == []  # it was measured
+    for place in ((0, 1), (2, 0)):  # it moves the lower level, or is moved
+        coefficients = torch.zeros_like(model.coefficients)
+        coefficients[place] = 0.3
+        model.set_coefficients(coefficients)
+        assert idle(model, log) == []
