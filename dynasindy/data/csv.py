@@ -1,4 +1,7 @@
-"""Logged data from CSV files, of any plant, into transitions; nothing is lost without a word."""
+"""Logged data from CSV files, of any plant, into transitions; nothing is lost without a word.
+
+A row without a time or an input is skipped. One without a state stays, NaN there, for its inputs act all the same.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ from numpy.typing import NDArray
 from dynasindy.data.clock import CLOCK, clock_of, in_seconds, period_of
 from dynasindy.data.columns import Column, columns_of, require_names
 from dynasindy.data.ends import reaches, scaled
+from dynasindy.data.lost import holes, rates_beside
 from dynasindy.data.rates import turning
 from dynasindy.data.resampled import evened, stretches
 from dynasindy.data.table import MAP, Table, all_headings, read_table
@@ -33,7 +37,7 @@ class Recording:
     """Hold what a file gave.
 
     Attributes:
-        transitions: the samples, in unbroken segments.
+        transitions: the samples, in unbroken segments; NaN where a state was not measured.
         signature: names, units and ranges.
         notes: sentences on what was skipped, masked, resampled or reconstructed.
     """
@@ -67,7 +71,8 @@ class CsvLog:
         time: heading of the time column, with another unit than seconds as in `count [ms]`; `Time` or `t`, too, where
             nobody says one.
         dt: sampling time [s]; the median of the file by default. Where the time counts rows it is the time between two.
-        missing: whether rows with a value that is missing are skipped or the file is refused.
+        missing: whether a value that is missing is skipped, with its row if it is a time or an input, or the file is
+            refused.
         min_samples: fewest transitions that are worth a fit.
         into_range: whether inputs that go beyond [-1, 1], and whose ends were not given, are taken into it by the range
             that they have in the file.
@@ -111,7 +116,7 @@ class CsvLog:
         require_names([*states, *inputs], self.path)
         table = read_table(Path(self.path), names)
         notes += table.words
-        table = self._complete(table, notes)
+        table = self._complete(table, len(names) - len(inputs), notes)
         states = with_units(states, table.headings, True, rotors=False)
         inputs, converted = with_units(inputs, table.headings, False), len(notes) + 1
         t, said = in_seconds(self.path, table, clock, self.dt)
@@ -124,41 +129,66 @@ class CsvLog:
         u = scaled(u, found)
         dt = period_of(t) if self.dt is None else self.dt
         t, x, u, segment = evened(t, x, u, dt, notes)
+        free = ~holes(x, segment, notes)
         states = _decided(states, table.headings, x, segment, dt)
         notes[converted:converted] = conversions(states, table.headings)
-        free = ~_stuck(x, notes)
+        free &= ~_stuck(x, notes)
         full = _with_rates(x, states, segment, dt, notes)
-        seen = [bool(c.name or c.derivative_of) for c in states.values()]
-        known = np.isfinite(full[:, seen]).all(1)
-        if not known.all():
-            notes.append(
-                f"{int((~known).sum())} samples in stretches under {SMOOTH} samples have no rate; they were skipped"
-            )
-        data = _transitions(full, u, segment, free & known, dt)
-        if len(data) < self.min_samples:
-            raise ValueError(
-                f"{self.path} gives {len(data)} transitions; allowed are {self.min_samples} or more: log longer, or "
-                "check the notes on what was left out: " + ("; ".join(notes) or "nothing")
-            )
+        if any(c.derivative_of and not c.name for c in states.values()):
+            known = np.repeat(*np.array([[n >= SMOOTH, n] for n in _lengths(segment)]).T).astype(bool)
+            free &= known
+            if not known.all():
+                notes.append(
+                    f"{int((~known).sum())} samples in stretches under {SMOOTH} samples have no rate; they were skipped"
+                )
+        data = _transitions(full, u, segment, free, dt)
+        self._require_enough(data, [name for name, c in states.items() if c.name], list(states), notes)
         units = tuple(c.unit for c in states.values())
-        scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(np.nan_to_num(full[known])).max(0, initial=0.0))
+        scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(np.nan_to_num(full)).max(0, initial=0.0))
         ends = acting(found, [column.unit for column in inputs.values()])
         signature = Signature(tuple(states), units, tuple(inputs), scale, **ends)
         return Recording(data, signature, tuple(notes))
 
-    def _complete(self, table: Table, notes: list[str]) -> Table:
-        """Leave out rows with missing values, counted by column."""
+    def _complete(self, table: Table, states_end: int, notes: list[str]) -> Table:
+        """Leave out rows without time or an input, and put NaN for states that are missing, all counted by column."""
         bad = ~np.isfinite(table.values)
-        rows = bad.any(1)
-        if not rows.any():
+        lacking = np.asarray(bad.any(1))
+        if not lacking.any():
             return table
-        where = ", ".join(f"{n}: {int(k)}" for n, k in zip(table.headings, bad.sum(0), strict=True) if k)
-        first = int(table.lines[np.flatnonzero(rows)[0]])
-        message = f"{int(rows.sum())} of {len(table.lines)} rows have values that are missing or not finite ({where})"
-        if self.missing == "refuse":
-            raise ValueError(f"{self.path}: {message}, the first in line {first}; mend them or set missing=skip")
-        notes.append(f"{message}, the first in line {first}; they were skipped")
-        return Table(table.headings, table.values[~rows], table.lines[~rows])
+        needed = np.ones(len(table.headings), dtype=bool)
+        needed[1:states_end] = False
+        skipped = np.asarray(bad[:, needed].any(1))
+        said = "they were skipped", "the fit goes on without them, and with what else these rows hold"
+        for rows, columns, done in ((skipped, needed, said[0]), (lacking & ~skipped, ~needed, said[1])):
+            if not rows.any():
+                continue
+            counts = (bad & rows[:, None]).sum(0)
+            where = ", ".join(f"{n}: {int(k)}" for n, k in zip(table.headings, counts, strict=True) if k)
+            first = int(table.lines[np.flatnonzero(rows)[0]])
+            what = "values" if columns is needed else "states"
+            message = (
+                f"{int(rows.sum())} of {len(table.lines)} rows have {what} that are missing or not finite ({where})"
+            )
+            if self.missing == "refuse":
+                raise ValueError(f"{self.path}: {message}, the first in line {first}; mend them or set missing=skip")
+            notes.append(f"{message}, the first in line {first}; {done}")
+        values = np.where(bad, np.nan, table.values)
+        return Table(table.headings, values[~skipped], table.lines[~skipped])
+
+    def _require_enough(
+        self, data: Transitions, logged: Sequence[str], states: Sequence[str], notes: Sequence[str]
+    ) -> None:
+        """Refuse recordings of too few transitions, or with too few samples of a state that has a column."""
+        left_out = "log longer, or check the notes on what was left out: " + ("; ".join(notes) or "nothing")
+        if len(data) < self.min_samples:
+            raise ValueError(
+                f"{self.path} gives {len(data)} transitions; allowed are {self.min_samples} or more: {left_out}"
+            )
+        for name in logged:
+            if (count := int(data.x_next[:, states.index(name)].isfinite().sum())) < self.min_samples:
+                raise ValueError(
+                    f"{self.path} gives {count} samples of {name}; allowed are {self.min_samples} or more: {left_out}"
+                )
 
     def _check_time(self, t: Array, table: Table) -> None:
         steps = np.diff(t)
@@ -192,15 +222,17 @@ def _decided(
 def _stuck(x: dict[str, Array], notes: list[str]) -> NDArray[np.bool_]:
     """Find samples at which a state rests exactly at an end of its range for some time: a stop or a saturation."""
     mask = np.zeros(len(next(iter(x.values()))), dtype=bool)
-    for name, value in x.items():
-        if np.ptp(value) == 0:
+    for name, column in x.items():
+        rows = np.flatnonzero(np.isfinite(column))  # lost samples say nothing of a stop, and do not end it
+        value = column[rows]
+        if not len(value) or np.ptp(value) == 0:
             continue
         for end in (value.min(), value.max()):
             mine = np.zeros_like(mask)
             # The start of a recording at rest is no stop, unless the state rests there again.
             rests = [rest for rest in _rests(value, end) if rest.start == 0 or _is_met(value, rest)]
             for rest in rests if any(rest.start for rest in rests) else []:
-                mine[rest] = True
+                mine[rows[rest.start] : rows[rest.stop - 1] + 1] = True
             if mine.any():
                 notes.append(f"{int(mine.sum())} samples with {name} at {end:g}, a stop or saturation, were masked")
                 mask |= mine
@@ -244,11 +276,21 @@ def _with_rates(
             notes.append(f"{name} is seen by no sensor; it is estimated with the model")
             continue
         for rows in stretches(segment):
-            if len(rate[rows]) >= SMOOTH:
-                rate[rows] = savgol_filter(x[column.derivative_of][rows], SMOOTH, 3, deriv=1, delta=dt)
+            samples = x[column.derivative_of][rows]
+            if len(samples) < SMOOTH:
+                continue
+            whole = bool(np.isfinite(samples).all())
+            rate[rows] = (
+                savgol_filter(samples, SMOOTH, 3, deriv=1, delta=dt) if whole else rates_beside(samples, SMOOTH, dt)
+            )
         rate *= column.scale
         notes.append(f"{name} was reconstructed from {column.derivative_of}")
     return np.stack([full[name] for name in states], -1)
+
+
+def _lengths(segment: NDArray[np.int64]) -> list[int]:
+    """Return how many rows each segment has."""
+    return [rows.stop - rows.start for rows in stretches(segment)]
 
 
 def _transitions(x: Array, u: Array, segment: NDArray[np.int64], free: NDArray[np.bool_], dt: float) -> Transitions:

@@ -51,7 +51,7 @@ class Logged:
         inputs: column map of the inputs, likewise.
         time: heading of the time column [s].
         dt: sampling time [s]; the file's own by default.
-        missing: `skip` rows with missing values, or `refuse` the file.
+        missing: `skip` missing values, and rows without a time or an input, or `refuse` the file.
         known: equations that are known, by state. A state that is the rate of another one needs no column: one that
             has none is estimated with the model. Where no plant is named, it need not be named as a state either.
         validation_share: part of the transitions that is kept for validation.
@@ -233,10 +233,10 @@ def identify(
     tell("prediction of the validation data")
     validation, names = source.validation, source.signature.state_names
     predicted = open_loop(model, begun(model, validation))
-    missing = (validation.x.isnan() | validation.x_next.isnan()).any(0).tolist()
+    missing = validation.x_next.isnan().all(0).tolist()
     seen = [(name, i) for i, (name, gaps) in enumerate(zip(names, missing, strict=True)) if not gaps]
     errors = {"open_loop_nrmse": nrmse(predicted, validation)}
-    if not any(missing):
+    if not bool(validation.x.isnan().any()):
         errors["one_step_error"] = one_step_error(model, delayed(validation, model.delay))
     metrics = {what: {name: float(e[i]) for name, i in seen} for what, e in errors.items()}
     forecasts = forecast(model, source.training, validation, horizons)

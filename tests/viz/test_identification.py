@@ -205,6 +205,14 @@ def test_a_prediction_ends_where_it_is_lost() -> None:
     assert not np.isnan(drawn[1]).any()
 
 
+def test_lost_samples_of_a_log_end_no_prediction() -> None:
+    lost = STATES.copy()
+    lost[40:43, 0] = np.nan
+    axis = prediction(TIME, lost, STATES).axes[0]
+    assert np.isfinite(axis.lines[1].get_ydata()).all() and axis.get_title(loc="right").startswith("RMSE below 0.001 %")
+    assert axis.get_ylim() == prediction(TIME, STATES, STATES).axes[0].get_ylim()
+
+
 def test_a_log_in_volts_is_drawn_in_volts() -> None:
     volts = replace(Pendulum().signature, input_ends=((-12, 12),), input_limits=((0, 1),), input_units=("V",))
     u = np.linspace(0, 1, 100)[:, None]
