@@ -5,6 +5,7 @@ A row without a time or an input is skipped. One without a state stays, NaN ther
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +20,7 @@ from dynasindy.data.columns import Column, columns_of, require_names
 from dynasindy.data.ends import reaches, scaled
 from dynasindy.data.lost import holes, rates_beside
 from dynasindy.data.rates import turning
-from dynasindy.data.resampled import evened, stretches
+from dynasindy.data.resampled import EVEN, evened, stretches
 from dynasindy.data.table import MAP, Table, all_headings, read_table
 from dynasindy.data.units import conversions, undecided, with_units
 from dynasindy.durations import in_words
@@ -60,12 +61,28 @@ class Recording:
         return "\n".join(lines)
 
 
+@dataclass
+class _Part:
+    """Hold what one file gave: its headings, columns, times [s], states, inputs and notes."""
+
+    path: str
+    headings: Sequence[str]
+    states: dict[str, Column]
+    inputs: dict[str, Column]
+    t: Array
+    x: dict[str, Array]
+    u: Array
+    notes: list[str]
+    segment: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+
 @dataclass(frozen=True)
 class CsvLog:
     """Read a recording from a CSV file.
 
     Attributes:
-        path: the file, with a line of headings; separated by commas, semicolons or tabs.
+        path: the file, with a line of headings; separated by commas, semicolons or tabs. Several files with the same
+            columns are one recording.
         states: columns of the states, by name, in the order of x.
         inputs: columns of the inputs, by name, in the order of u.
         time: heading of the time column, with another unit than seconds as in `count [ms]`; `Time` or `t`, too, where
@@ -78,10 +95,10 @@ class CsvLog:
             that they have in the file.
 
     Raises:
-        ValueError: a word is not allowed, or neither states nor inputs are given.
+        ValueError: a word is not allowed, no path is given, or neither states nor inputs are.
     """
 
-    path: str
+    path: str | Sequence[str]
     states: Mapping[str, Column | Mapping[str, object] | str]
     inputs: Mapping[str, Column | Mapping[str, object] | str]
     time: str = CLOCK
@@ -95,44 +112,46 @@ class CsvLog:
             raise ValueError(f"csv got missing={self.missing!r}; allowed are skip, refuse: choose one")
         if self.dt is not None and not self.dt > 0:
             raise ValueError(f"csv got dt {self.dt} s; allowed is a positive time, or None for the file's own")
+        if not self.path:
+            raise ValueError("csv got no path; allowed is a CSV file, or a list of some")
         if not self.states or not self.inputs:
             raise ValueError("csv got no states or no inputs; allowed is one or more of each: name their columns")
 
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """Return the files."""
+        return (self.path,) if isinstance(self.path, str) else tuple(self.path)
+
     def read(self) -> Recording:
-        """Read the file.
+        """Read the file, or all files, each of which is segments of its own.
 
         Raises:
             FileNotFoundError: there is no such file.
             ValueError: a column is missing, a row has missing values and `missing` is refuse, time does not
                 increase, an input is constant or leaves its ends, a state has ends, one that is differentiated is not
-                logged, or there are too few samples.
+                logged, there are too few samples, or files differ in their units or sampling times.
         """
         states, inputs = columns_of(self.states), columns_of(self.inputs, may_be_rates=False)
         if bounded := [name for name, column in states.items() if column.low is not None]:
-            raise ValueError(f"{self.path}: state {bounded[0]} was given low and high, which inputs alone have: {MAP}")
-        notes: list[str] = []
-        clock = clock_of(all_headings(Path(self.path)), self.time)
-        names = [clock.heading, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
-        require_names([*states, *inputs], self.path)
-        table = read_table(Path(self.path), names)
-        notes += table.words
-        table = self._complete(table, len(names) - len(inputs), notes)
-        states = with_units(states, table.headings, True, rotors=False)
-        inputs, converted = with_units(inputs, table.headings, False), len(notes) + 1
-        t, said = in_seconds(self.path, table, clock, self.dt)
-        self._check_time(t, table)
-        notes.insert(0, said)
-        values = dict(zip(names[1:], table.values[:, 1:].T, strict=True))
-        x = {s: values[c.name] * c.scale for s, c in states.items() if c.name}
-        u = np.stack([values[c.name] * c.scale for c in inputs.values()], -1)
-        found = reaches(self.path, u, inputs, self.into_range, notes)
-        u = scaled(u, found)
-        dt = period_of(t) if self.dt is None else self.dt
-        t, x, u, segment = evened(t, x, u, dt, notes)
-        free = ~holes(x, segment, notes)
-        states = _decided(states, table.headings, x, segment, dt)
-        notes[converted:converted] = conversions(states, table.headings)
-        free &= ~_stuck(x, notes)
+            raise ValueError(f"{self}: state {bounded[0]} was given low and high, which inputs alone have: {MAP}")
+        require_names([*states, *inputs], str(self))
+        parts = [self._part(path, states, inputs) for path in self.paths]
+        notes, after = [note for part in parts for note in self._of(part)], list[str]()
+        states, inputs, headings, dt = parts[0].states, parts[0].inputs, parts[0].headings, _one_period(parts, self.dt)
+        found = reaches(str(self), np.concatenate([part.u for part in parts]), inputs, self.into_range, after)
+        for part in parts:
+            part.notes.clear()
+            part.t, part.x, part.u, part.segment = evened(part.t, part.x, scaled(part.u, found), dt, part.notes)
+        segment = _apart([part.segment for part in parts])
+        x = {name: np.concatenate([part.x[name] for part in parts]) for name in parts[0].x}
+        states = _decided(states, headings, x, segment, dt)
+        notes += conversions(states, headings)
+        free, ends = np.zeros(len(segment), dtype=bool), np.cumsum([0, *(len(part.t) for part in parts)])
+        for part, rows in zip(parts, itertools.starmap(slice, itertools.pairwise(ends)), strict=True):
+            mine = {name: column[rows] for name, column in x.items()}
+            out = holes(mine, part.segment, part.notes)
+            free[rows] = ~(out | _stuck(mine, part.notes))
+        notes += [*after, *(note for part in parts for note in self._of(part))]
         full = _with_rates(x, states, segment, dt, notes)
         if any(c.derivative_of and not c.name for c in states.values()):
             known = np.repeat(*np.array([[n >= SMOOTH, n] for n in _lengths(segment)]).T).astype(bool)
@@ -141,15 +160,40 @@ class CsvLog:
                 notes.append(
                     f"{int((~known).sum())} samples in stretches under {SMOOTH} samples have no rate; they were skipped"
                 )
-        data = _transitions(full, u, segment, free, dt)
+        data = _transitions(full, np.concatenate([part.u for part in parts]), segment, free, dt)
         self._require_enough(data, [name for name, c in states.items() if c.name], list(states), notes)
         units = tuple(c.unit for c in states.values())
         scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(np.nan_to_num(full)).max(0, initial=0.0))
-        ends = acting(found, [column.unit for column in inputs.values()])
-        signature = Signature(tuple(states), units, tuple(inputs), scale, **ends)
+        reach = acting(found, [column.unit for column in inputs.values()])
+        signature = Signature(tuple(states), units, tuple(inputs), scale, **reach)
         return Recording(data, signature, tuple(notes))
 
-    def _complete(self, table: Table, states_end: int, notes: list[str]) -> Table:
+    def __str__(self) -> str:
+        """Name the files."""
+        return ", ".join(self.paths)
+
+    def _of(self, part: _Part) -> list[str]:
+        """Return the notes on a file, which name it where there are others."""
+        return [f"{part.path}: {note}" for note in part.notes] if len(self.paths) > 1 else part.notes
+
+    def _part(self, path: str, states: dict[str, Column], inputs: dict[str, Column]) -> _Part:
+        """Read one file as it is: times, states in their units, and inputs in theirs."""
+        notes: list[str] = []
+        clock = clock_of(all_headings(Path(path)), self.time)
+        names = [clock.heading, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
+        table = read_table(Path(path), names)
+        notes += table.words
+        table = self._complete(path, table, len(names) - len(inputs), notes)
+        states = with_units(states, table.headings, True, rotors=False)
+        inputs = with_units(inputs, table.headings, False)
+        t, said = in_seconds(path, table, clock, self.dt)
+        self._check_time(path, t, table)
+        values = dict(zip(names[1:], table.values[:, 1:].T, strict=True))
+        x = {s: values[c.name] * c.scale for s, c in states.items() if c.name}
+        u = np.stack([values[c.name] * c.scale for c in inputs.values()], -1)
+        return _Part(path, table.headings, states, inputs, t, x, u, [said, *notes])
+
+    def _complete(self, path: str, table: Table, states_end: int, notes: list[str]) -> Table:
         """Leave out rows without time or an input, and put NaN for states that are missing, all counted by column."""
         bad = ~np.isfinite(table.values)
         lacking = np.asarray(bad.any(1))
@@ -170,7 +214,7 @@ class CsvLog:
                 f"{int(rows.sum())} of {len(table.lines)} rows have {what} that are missing or not finite ({where})"
             )
             if self.missing == "refuse":
-                raise ValueError(f"{self.path}: {message}, the first in line {first}; mend them or set missing=skip")
+                raise ValueError(f"{path}: {message}, the first in line {first}; mend them or set missing=skip")
             notes.append(f"{message}, the first in line {first}; {done}")
         values = np.where(bad, np.nan, table.values)
         return Table(table.headings, values[~skipped], table.lines[~skipped])
@@ -182,24 +226,49 @@ class CsvLog:
         left_out = "log longer, or check the notes on what was left out: " + ("; ".join(notes) or "nothing")
         if len(data) < self.min_samples:
             raise ValueError(
-                f"{self.path} gives {len(data)} transitions; allowed are {self.min_samples} or more: {left_out}"
+                f"{self} gives {len(data)} transitions; allowed are {self.min_samples} or more: {left_out}"
             )
         for name in logged:
             if (count := int(data.x_next[:, states.index(name)].isfinite().sum())) < self.min_samples:
                 raise ValueError(
-                    f"{self.path} gives {count} samples of {name}; allowed are {self.min_samples} or more: {left_out}"
+                    f"{self} gives {count} samples of {name}; allowed are {self.min_samples} or more: {left_out}"
                 )
 
-    def _check_time(self, t: Array, table: Table) -> None:
+    def _check_time(self, path: str, t: Array, table: Table) -> None:
         steps = np.diff(t)
         if len(t) < 2:
-            raise ValueError(f"{self.path} gives {len(t)} complete rows; allowed are {self.min_samples} or more")
+            raise ValueError(f"{path} gives {len(t)} complete rows; allowed are {self.min_samples} or more")
         if (steps <= 0).any():
             k = int(np.flatnonzero(steps <= 0)[0])
             raise ValueError(
-                f"{self.path}, line {table.lines[k + 1]}, column {table.headings[0]}: time does not increase, "
+                f"{path}, line {table.lines[k + 1]}, column {table.headings[0]}: time does not increase, "
                 f"{t[k + 1]:g} s follows {t[k]:g} s; allowed is increasing time: sort the rows or split the recordings"
             )
+
+
+def _one_period(parts: Sequence[_Part], dt: float | None) -> float:
+    """Return the sampling time of all files, and refuse files of which one could not be joined to the first."""
+    first, own = parts[0], [period_of(part.t) if dt is None else dt for part in parts]
+    for part, period in zip(parts, own, strict=True):
+        if abs(period - own[0]) > EVEN * own[0]:
+            raise ValueError(
+                f"{first.path} has a row every {own[0]:g} s and {part.path} every {period:g} s; allowed is one "
+                "sampling time: fit them one by one, or write them at one rate"
+            )
+        for mine, others in ((part.states, first.states), (part.inputs, first.inputs)):
+            for name, column in mine.items():
+                if column.unit != others[name].unit:
+                    raise ValueError(
+                        f"{name} is in {others[name].unit} in {first.path} and in {column.unit} in {part.path}; "
+                        "allowed is one unit: write the files in the same one"
+                    )
+    return own[0]
+
+
+def _apart(segments: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """Return the number of the segment of each row of all files, in which none is of two files."""
+    counts = np.cumsum([0, *(int(segment[-1]) + 1 for segment in segments)])
+    return np.concatenate([segment + count for segment, count in zip(segments, counts[:-1], strict=True)])
 
 
 def _decided(

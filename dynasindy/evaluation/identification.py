@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -44,7 +44,7 @@ class Logged:
     """Take data from a CSV file; the last part of it is kept for validation.
 
     Attributes:
-        path: the file.
+        path: the file, or a list of files with the same columns.
         states: column map of the states, see `CsvLog`; the heading, or heading, unit, scale, derivative_of. A list
             names columns as they are. Without either the names are those of the plant, or what the headings say where
             no plant is named.
@@ -60,7 +60,7 @@ class Logged:
         ValueError: there is no path, or the share is not between 0 and 1.
     """
 
-    path: str | None
+    path: str | list[str] | None
     states: dict[str, Any] | list[str] | None = None
     inputs: dict[str, Any] | list[str] | None = None
     time: str = "time"
@@ -72,6 +72,8 @@ class Logged:
     def __post_init__(self) -> None:
         if not self.path:
             raise ValueError("data=csv got no path; allowed is a CSV file: give data.path=log.csv")
+        if not isinstance(self.path, str) and len(set(self.path)) < len(self.path):
+            raise ValueError(f"data.path names a file twice: {', '.join(self.path)}; give each file once")
         if not 0 < self.validation_share < 1:
             raise ValueError(f"data=csv got validation_share {self.validation_share}; allowed is between 0 and 1")
         if self.dt is not None and not self.dt > 0:
@@ -97,7 +99,7 @@ class Logged:
         notes: list[str] = []
         states, inputs = self._columns(plant, notes)
         own = plant is None  # a plant that is named has inputs in [-1, 1], or says their ends
-        log = CsvLog(str(self.path), states, inputs, self.time, self.dt, self.missing, into_range=own)  # type: ignore[arg-type]
+        log = CsvLog(self._files, states, inputs, self.time, self.dt, self.missing, into_range=own)  # type: ignore[arg-type]
         recording = log.read()
         self._require_fit(recording, states)
         recording = replace(recording, notes=(*recording.notes, *notes))
@@ -116,14 +118,14 @@ class Logged:
             return self.time
         given = [each for each in (self.states, self.inputs) if each]
         named = [_heading(n, each[n] if isinstance(each, Mapping) else n) for each in given for n in each]
-        return counted(Path(str(self.path)), self.time, [split_unit(heading)[0] for heading in named])
+        return counted(Path(self._files[0]), self.time, [split_unit(heading)[0] for heading in named])
 
     def _columns(self, plant: Signature | None, notes: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
         if plant is None:
             return self._read_off(notes)
         both = self.states, self.inputs
         given = [{name: name for name in each} if isinstance(each, list) else each for each in both]
-        headings = all_headings(Path(str(self.path)))
+        headings = all_headings(Path(self._files[0]))
         names, rates = {split_unit(heading)[0] for heading in headings}, set((self.known or {}).values())
         states = given[0] or {
             n: Column("" if n in rates and n not in names else n, unit)
@@ -139,19 +141,41 @@ class Logged:
             return self._in_units(maps["states"]), maps["inputs"]
         inputs = [_heading(name, given) for name, given in maps["inputs"].items()] if "inputs" in maps else self.inputs
         listed = None if "states" in maps else self.states
-        states, found = infer(str(self.path), self.time, inputs or None, listed or None, notes, self.dt)
+        states, found = self._inferred(inputs or None, listed or None, notes)
         return self._in_units(maps.get("states", states)), maps.get("inputs", dict(found))
+
+    @property
+    def _files(self) -> list[str]:
+        """Return the paths of all files."""
+        return [self.path] if isinstance(self.path, str) else list(self.path or ())
+
+    def _inferred(
+        self, inputs: Collection[str] | None, states: Collection[str] | None, notes: list[str]
+    ) -> tuple[dict[str, Column], dict[str, Column]]:
+        """Return the columns of the file in which most of them move: what stands still in one may move in another."""
+        found, refused = [], []
+        for file in self._files:
+            told: list[str] = []
+            try:
+                found.append((*infer(file, self.time, inputs, states, told, self.dt), told))
+            except ValueError as error:
+                refused.append(error)
+        if not found:
+            raise refused[0]
+        best = max(found, key=lambda each: len(each[0]) + len(each[1]))
+        notes += best[2]
+        return best[:2]
 
     def _in_units(self, states: Mapping[str, Any]) -> dict[str, Any]:
         """Return columns in the units of their headings; known rates of angles in rad are in rad/s."""
-        headings = all_headings(Path(str(self.path)))
+        headings = all_headings(Path(self._files[0]))
         return dict(with_units(columns_of(states), headings, states=True, known=self.known, rotors=False))
 
     def _require_fit(self, recording: Recording, states: Mapping[str, Any]) -> None:
         """Refuse rates that are known and cannot be those of their states, with the setting that mends them."""
 
         def _mend(wrong: Mismatch) -> str:
-            headings, given = all_headings(Path(str(self.path))), columns_of(states)
+            headings, given = all_headings(Path(self._files[0])), columns_of(states)
             explicit = [n for n, c in given.items() if c != with_units({n: Column(c.name)}, headings, states=True)[n]]
             columns = with_units(given, headings, states=True)
             unit = unit_of_rate(recording.signature.state_units[recording.signature.state_index(wrong.state)])
@@ -162,7 +186,7 @@ class Logged:
         try:
             require_known(recording.transitions, recording.signature, self.known or {}, _mend)
         except ValueError as error:
-            raise ValueError(f"{self.path}: {error}") from None
+            raise ValueError(f"{', '.join(self._files)}: {error}") from None
 
 
 @dataclass(frozen=True)

@@ -504,3 +504,31 @@ def test_a_recording_says_what_it_holds_in_a_line(tmp_path):
     first, *notes = repr(recording).splitlines()
     assert first == "Recording of 198 rows, 1.98 s every 0.01 s in 2 stretches: states angle [rad]; inputs u_m"
     assert notes == [f"note: {note}" for note in recording.notes] and notes
+
+
+def test_several_files_are_one_recording_with_the_ends_of_all(tmp_path):
+    first, second = log(60), log(50)
+    first[:, 3], second[:, 3] = 5.0, np.where(np.arange(50) % 7 < 3, -20.0, 0.0)  # still in the first file
+    second[20, 1] = np.nan
+    paths = [write(tmp_path / "a.csv", first), write(tmp_path / "b.csv", second)]
+    found = CsvLog(paths, STATES, INPUTS, into_range=True).read()
+    data = found.transitions
+    assert data.segment.bincount().tolist() == [59, 49]
+    assert torch.equal(data.x[59:].nan_to_num(), torch.from_numpy(second[:-1, 1:3]).nan_to_num())
+    assert found.signature.in_own_units(data.u.numpy())[:, 0] == pytest.approx([*first[:-1, 3], *second[:-1, 3]])
+    assert data.u.min() == -1.0 and found.signature.input_ends == ((-20.0, 20.0),)
+    lost = [note for note in found.notes if "missing" in note]
+    assert len(lost) == 1 and lost[0].startswith(f"{paths[1]}: 1 of 50 rows")
+    assert "input u is constant at 5" in refusal(paths[:1])
+
+
+def test_files_that_do_not_fit_together_are_refused(tmp_path):
+    one = write(tmp_path / "a.csv", log())
+    slow = refusal([one, write(tmp_path / "slow.csv", log(dt=0.02))])
+    assert "a.csv has a row every 0.01 s" in slow and "slow.csv every 0.02 s; allowed is one sampling time" in slow
+    other = write(tmp_path / "b.csv", log(), ("time", "angle", "rate", "volt [mV]"))
+    assert "u is in - in" in (told := refusal([one, other])) and "in mV in" in told
+    lacking = write(tmp_path / "c.csv", log(), ("time", "angle", "speed", "volt"))
+    assert "c.csv has no column 'rate'" in refusal([one, lacking])
+    with pytest.raises(ValueError, match="csv got no path"):
+        CsvLog([], STATES, INPUTS)

@@ -4,6 +4,7 @@ import json
 import math
 from functools import partial
 
+import numpy as np
 import pytest
 import torch
 
@@ -279,3 +280,17 @@ def test_no_verdict_is_given_on_a_log_that_is_too_quiet_to_tell():
     assert "the log is too quiet to tell of angle, which moves by 4 steps of its sensor" in words
     assert "this model" not in words and not quiet.predicts
     assert "this model" in to_words(loud, loud.source) and not loud.quiet
+
+
+def test_several_logs_are_read_and_a_column_may_stand_still_in_one_of_them(tmp_path):
+    t = 0.01 * np.arange(100)
+    moving, still = np.stack([t, np.sin(t), np.sign(np.sin(9 * t + 0.1))], -1), np.stack([t, np.cos(t), 0 * t], -1)
+    for name, table in (("still", still), ("moving", moving)):
+        np.savetxt(tmp_path / f"{name}.csv", table, delimiter=",", header="time [s],way [m],u", comments="")
+    both = [str(tmp_path / f"{name}.csv") for name in ("still", "moving")]
+    found = Logged(both).recording(None)
+    assert found.signature.state_names == ("way",) and found.signature.input_names == ("u",)
+    assert found.transitions.segment.bincount().tolist() == [99, 99]
+    assert not any("left out" in note for note in found.notes)
+    with pytest.raises(ValueError, match="names a file twice"):
+        Logged([both[0], both[0]])
