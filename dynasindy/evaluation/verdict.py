@@ -263,12 +263,20 @@ def _fine(forecasts: Forecasts, seen: Sequence[int]) -> list[int]:
     return [i for i in seen if float(ours[i]) <= RESOLVED * float(forecasts.resolution[i])]
 
 
+def late(delay: float) -> str:
+    """Say how late the inputs act.
+
+    Args:
+        delay: Delay of the inputs [s].
+    """
+    return f"the inputs act {f'{1e3 * delay:.3g} ms' if delay < 1 else in_words(delay)} late"
+
+
 def found_in_model(model: SindyModel) -> list[str]:
     """Say what of delay, dry friction and springs is in the equations."""
     names, lines = model.signature.state_names, []
     if model.delay:
-        late = f"{1e3 * model.delay:.3g} ms" if model.delay < 1 else in_words(model.delay)
-        lines.append(f"the inputs act {late} late")
+        lines.append(late(model.delay))
     of_rate = rates_known(model.library, model.constraints)
     for i in range(len(names)):
         used = model.coefficients[:, i].nonzero().flatten().tolist()
