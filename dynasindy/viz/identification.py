@@ -142,14 +142,18 @@ def prediction(
     figure, axes, columns = _panels(names, signature.state_units, title)
     for i in range(len(names)):
         known = truths[~np.isnan(truths[:, i]), i]
-        wide = float(np.ptp(known)) if len(known) else 0.0
+        scale = signature.x_scale[i]  # all that is known of the range of a state that was not measured
+        if not len(known):
+            known = np.array([-scale, scale])
+        wide = float(np.ptp(known))
         ended = _until_lost(model[:, i], truths[:, i], wide)
         x, measured, free = (_broken(v, segment) for v in (seconds, truths[:, i], ended))
         axes[i].plot(x, measured, color=BLACK, linewidth=1.2, label=truth)
         axes[i].plot(x, free, color=RED, linestyle=":", linewidth=1.8, label="predicted")
         told = _fit(truths[:, i], model[:, i], f"{short(float(wide))} {signature.state_units[i]}, {whose}")
         axes[i].set_title(told, fontsize=8.5, loc="right")
-        if wide > 0:
+        away = np.isfinite(ended) & (np.abs(ended - np.clip(ended, known.min(), known.max())) > BEYOND * wide)
+        if wide > 0 and (away.any() or not np.isnan(truths[:, i]).all()):
             # A model that runs away must not flatten the plant's own curve.
             axes[i].set_ylim(known.min() - BEYOND * wide, known.max() + BEYOND * wide)
     _mark_gaps(axes[: len(names)], seconds, segment)
@@ -295,7 +299,8 @@ def _mark_gaps(axes: Sequence[Axes], seconds: Array, segment: ArrayLike | None) 
 def _until_lost(predicted: Array, real: Array, wide: float) -> Array:
     """Return a prediction up to where it is so far off that what follows would only streak the panel."""
     with np.errstate(invalid="ignore"):
-        lost = (np.abs(predicted - real) > LOST * wide) & (wide > 0) | ~np.isfinite(predicted)
+        off = np.abs(predicted if np.isnan(real).all() else predicted - real)
+        lost = (off > LOST * wide) & (wide > 0) | ~np.isfinite(predicted)
     return np.where(np.logical_or.accumulate(lost), np.nan, predicted)
 
 

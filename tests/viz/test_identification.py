@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynasindy.systems import Pendulum, Signature
+from dynasindy.systems import Pendulum, Signature, Tras
 from dynasindy.viz import coefficient_table, excitation, model_error, prediction, training_data
 from dynasindy.viz.identification import growing_error
 
@@ -37,6 +37,20 @@ def test_a_model_that_runs_away_is_said_and_does_not_flatten_the_plant() -> None
     figure = prediction(TIME, STATES, wild)
     assert figure.axes[0].get_ylim()[1] < 2
     assert figure.axes[1].get_title(loc="right") == "runs away"
+
+
+def test_a_state_that_nobody_measured_is_drawn_as_far_as_its_range() -> None:
+    unseen, wild = STATES.copy(), STATES.copy()
+    unseen[:, 2] = np.nan
+    scale = Tras().signature.x_scale[2]
+    wild[:, 2] = 0.1 * scale * np.sin(6 * TIME)
+    quiet = prediction(TIME, unseen, wild).axes[2]
+    assert quiet.get_ylim()[1] < 0.2 * scale  # what stays within its range fills the panel
+    wild[50:, 2] = 1e283
+    axis = prediction(TIME, unseen, wild).axes[2]
+    assert axis.get_ylim()[1] < 10 * scale and np.isnan(axis.lines[1].get_ydata()[50:]).all()
+    wild[50:, 2] = 15 * scale
+    assert prediction(TIME, unseen, wild).axes[2].get_ylim()[1] == pytest.approx(2.2 * scale)
 
 
 def test_training_data_and_excitation_draw_their_columns() -> None:
