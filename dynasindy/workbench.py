@@ -75,17 +75,17 @@ def _arguments_named() -> Iterator[None]:
 
 @_arguments_named()
 def read(
-    path: str | Path,
+    path: str | Path | Sequence[str | Path],
     states: Mapping[str, Any] | Sequence[str] | None = None,
     inputs: Mapping[str, Any] | Sequence[str] | None = None,
     time: str = "time",
     dt: float | None = None,
     validation_share: float = VALIDATION_SHARE,
 ) -> Source:
-    """Read a log of a plant from a CSV file; the last part of it is kept for `foretell`.
+    """Read a log of a plant from a CSV file, or from several; the last part of it is kept for `foretell`.
 
     Args:
-        path: The file, with a line of headings such as `angle [rad]`.
+        path: The file, with a line of headings such as `angle [rad]`; or a list of files with the same columns.
         states: Columns of the states by name: the heading, or keys of `dynasindy.data.columns.Column`; a list takes
             them as they are; all columns but time and inputs if omitted.
         inputs: Columns of the inputs, likewise; those that are called `u`, `u_...` or `input_...` if omitted.
@@ -104,7 +104,8 @@ def read(
     columns: list[dict[str, Any] | list[str] | None] = []
     for given in (states, inputs):
         columns.append(None if given is None else dict(given) if isinstance(given, Mapping) else list(given))
-    source = Source.of(Logged(str(path), columns[0], columns[1], time, dt).recording(None), validation_share)
+    files = str(path) if isinstance(path, str | Path) else list(map(str, path))
+    source = Source.of(Logged(files, columns[0], columns[1], time, dt).recording(None), validation_share)
     return replace(source, notes=tuple(map(as_arguments, source.notes)))
 
 

@@ -27,6 +27,11 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.told import tell
 
     torch.set_num_threads(cfg.threads)
+    if cfg.data.get("path") and cfg.get("sensors") is not None:
+        raise ValueError(
+            f"sensors={HydraConfig.get().runtime.choices.sensors} makes a simulated plant measured, and data.path is a "
+            "log, which holds what its sensors gave; leave sensors out"
+        )
     if (system := instantiate(cfg.system, _convert_="all")) is not None and not cfg.data.get("path"):
         # refuses functions before the plant moves
         instantiate(cfg.world_model, _convert_="all")(signature=system.signature)

@@ -140,7 +140,8 @@ def _stopped_in_words(kept: str) -> Iterator[None]:
 
 def _digests(cfg: DictConfig) -> dict[str, str]:
     """Return the SHA-256 of what is read: a log that was recorded anew has the same name."""
-    files = (cfg.model, OmegaConf.select(cfg, "data.path", default=None))
+    logs = OmegaConf.select(cfg, "data.path", default=None)
+    files = (cfg.model, *([logs] if isinstance(logs, str) else logs or ()))
     found = sorted(str(file) for file in files if file and Path(file).is_file())
     return {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in found}
 

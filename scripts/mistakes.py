@@ -88,13 +88,14 @@ def in_words(error: BaseException, config_name: str) -> str:
         return f"{several[1]} gives several values; {more}, or write '{key}=[{value}]' for a list"
     if text == "No trials are completed yet.":  # Optuna's
         return "no trial came to an end, so none of them is the best; error.txt in the folder of each says why"
-    misspelt = re.search(r"Could not override '([^']+)'", text)
+    misspelt = re.search(r"(Could not override|An item is already at) '([^']+)'", text)
     if not misspelt:
         return text
     try:
-        return _allowed_keys(misspelt[1], config_name)
+        return _allowed_keys(misspelt[2], config_name)
     except MENDABLE:  # another override is wrong too, or the key itself exists and what it holds cannot be extended
-        return f"{text}; replace the whole of a group's keys in a file of its own, as conf/ has them"
+        whole = "; replace the whole of a group's keys in a file of its own, as conf/ has them"
+        return text + whole * (misspelt[1] == "Could not override")
 
 
 def _missing_package(error: BaseException) -> str:
@@ -114,6 +115,8 @@ def _allowed_keys(key: str, config_name: str) -> str:
     others = [word for word in sys.argv[1:] if "=" in word and not word.lstrip("+~").startswith(f"{key}=")]
     with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
         node = hydra.compose(config_name, overrides=others)
+    if source := _taken_from(key, OmegaConf.to_container(node)):
+        return f"'{key}' follows another key; give {source} instead"
     given, parent = key.split("."), []
     for step in given[:-1]:
         if not (step in node and OmegaConf.is_dict(node[step])):
@@ -125,6 +128,18 @@ def _allowed_keys(key: str, config_name: str) -> str:
     if name in names:
         raise KeyError(name)
     return unknown(name, names, ".".join(parent))
+
+
+def _taken_from(key: str, node: object) -> str:
+    """Return the key that another one takes its value from, as `sensors.channels` does from `plant.sensors`, or ''."""
+    steps = key.split(".")
+    for place, step in enumerate(steps):
+        if not isinstance(node, dict) or step not in node:
+            return ""
+        node = node[step]
+        if isinstance(node, str) and (source := re.fullmatch(r"\$\{(?:oc\.select:)?([\w.]+)(,.*)?\}", node)):
+            return ".".join([source[1], *steps[place + 1 :]])
+    return ""
 
 
 def unknown(name: str, names: Iterable[str], where: str) -> str:

@@ -25,6 +25,7 @@ from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
 from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, Signature
+from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
 from dynasindy.told import hearing
 from dynasindy.workbench import foretell, sensors_of
@@ -338,6 +339,28 @@ def test_a_rate_that_a_log_lacks_is_added_and_estimated(exact):
         found = model(exact.training.x, exact.training.u)
     wanted = torch.stack([rate, 12 * u - 9.81 * theta.sin() - 0.5 * rate], 1)
     torch.testing.assert_close(found, wanted.double(), rtol=0, atol=1e-4)  # rad/s and rad/s^2, of 2 and 7
+
+
+def lossy(source, share, seed=0):
+    """Return a log of which this part of all samples was lost, each by itself."""
+    t = source.whole
+    x = torch.cat([t.x, t.x_next[-1:]])
+    x[torch.rand(x.shape, generator=torch.Generator().manual_seed(seed)) < share] = torch.nan
+    return Source.of(Recording(Transitions.from_trajectory(x, t.u, t.dt), source.signature))
+
+
+@pytest.mark.parametrize(("only", "share"), [(False, 0.02), (True, 0.1)], ids=["all states", "an angle alone"])
+def test_lost_samples_change_no_equation(exact, only, share):
+    """theta'' = 12 u - 9.81 sin(theta) - 0.5 theta', as the pendulum's constants say, where samples are missing."""
+    log = lossy(angle_alone(exact) if only else exact, share)
+    assert bool(log.training.x.isnan().any())
+    model = dynasindy.identify(log, known=None if only else {"theta": "Omega"}, tell=lambda line: None)
+    theta, rate, u = (exact.training.x[:, 0], exact.training.x[:, 1], exact.training.u[:, 0])
+    with torch.no_grad():
+        found = model(exact.training.x, exact.training.u)
+    wanted = torch.stack([rate, 12 * u - 9.81 * theta.sin() - 0.5 * rate], 1)
+    torch.testing.assert_close(found, wanted.double(), rtol=0, atol=1e-3)  # rad/s and rad/s^2, of 2 and 7
+    assert model.delay == pytest.approx(0.0, abs=1e-4)
 
 
 def test_a_warning_says_which_state_misses_its_rate_where_none_may_be_added(exact):

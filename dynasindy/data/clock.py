@@ -115,6 +115,15 @@ def is_counter(column: Array) -> bool:
     return len(column) > 1 and bool((np.diff(column) > 0).all() and (column == column.round()).all())
 
 
+def period_of(t: Array) -> float:
+    """Return the time between two rows, the median of all, as the decimal number that its digits can tell [s].
+
+    Args:
+        t: Time of each row, `(rows,)`, two or more [s].
+    """
+    return float(f"{np.median(np.diff(t)):.12g}")  # differences of decimals carry digits that nobody logged
+
+
 def in_seconds(path: str, table: Table, clock: Clock, dt: float | None) -> tuple[Array, str]:
     """Return the times of all rows [s], `(rows,)`, and the line that says which column they are and in which unit.
 
@@ -135,7 +144,7 @@ def in_seconds(path: str, table: Table, clock: Clock, dt: float | None) -> tuple
         t = values * (dt / float(np.median(np.diff(values))))
         return t, f"time is the column {name}, taken as a counter of rows: {dt:g} s between rows, as given by data.dt"
     how = "read as dates" if table.dated else f"in {clock.unit}" if clock.unit else "taken as seconds"
-    between = f": {float(np.median(np.diff(t))):.4g} s between rows" if len(t) > 1 else ""
+    between = f": {period_of(t):.4g} s between rows" if len(t) > 1 else ""
     told = f"time is the column {name}, {how}{between}"
     if not counts:
         return t, told

@@ -1,7 +1,11 @@
-"""Logged data from CSV files, of any plant, into transitions; nothing is lost without a word."""
+"""Logged data from CSV files, of any plant, into transitions; nothing is lost without a word.
+
+A row without a time or an input is skipped. One without a state stays, NaN there, for its inputs act all the same.
+"""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,11 +15,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from dynasindy.data.clock import CLOCK, clock_of, in_seconds
+from dynasindy.data.clock import CLOCK, clock_of, in_seconds, period_of
 from dynasindy.data.columns import Column, columns_of, require_names
 from dynasindy.data.ends import reaches, scaled
+from dynasindy.data.lost import holes, rates_beside
 from dynasindy.data.rates import turning
-from dynasindy.data.resampled import evened, stretches
+from dynasindy.data.resampled import EVEN, evened, stretches
 from dynasindy.data.table import MAP, Table, all_headings, read_table
 from dynasindy.data.units import conversions, undecided, with_units
 from dynasindy.durations import in_words
@@ -33,7 +38,7 @@ class Recording:
     """Hold what a file gave.
 
     Attributes:
-        transitions: the samples, in unbroken segments.
+        transitions: the samples, in unbroken segments; NaN where a state was not measured.
         signature: names, units and ranges.
         notes: sentences on what was skipped, masked, resampled or reconstructed.
     """
@@ -56,27 +61,44 @@ class Recording:
         return "\n".join(lines)
 
 
+@dataclass
+class _Part:
+    """Hold what one file gave: its headings, columns, times [s], states, inputs and notes."""
+
+    path: str
+    headings: Sequence[str]
+    states: dict[str, Column]
+    inputs: dict[str, Column]
+    t: Array
+    x: dict[str, Array]
+    u: Array
+    notes: list[str]
+    segment: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+
 @dataclass(frozen=True)
 class CsvLog:
     """Read a recording from a CSV file.
 
     Attributes:
-        path: the file, with a line of headings; separated by commas, semicolons or tabs.
+        path: the file, with a line of headings; separated by commas, semicolons or tabs. Several files with the same
+            columns are one recording.
         states: columns of the states, by name, in the order of x.
         inputs: columns of the inputs, by name, in the order of u.
         time: heading of the time column, with another unit than seconds as in `count [ms]`; `Time` or `t`, too, where
             nobody says one.
         dt: sampling time [s]; the median of the file by default. Where the time counts rows it is the time between two.
-        missing: whether rows with a value that is missing are skipped or the file is refused.
+        missing: whether a value that is missing is skipped, with its row if it is a time or an input, or the file is
+            refused.
         min_samples: fewest transitions that are worth a fit.
         into_range: whether inputs that go beyond [-1, 1], and whose ends were not given, are taken into it by the range
             that they have in the file.
 
     Raises:
-        ValueError: a word is not allowed, or neither states nor inputs are given.
+        ValueError: a word is not allowed, no path is given, or neither states nor inputs are.
     """
 
-    path: str
+    path: str | Sequence[str]
     states: Mapping[str, Column | Mapping[str, object] | str]
     inputs: Mapping[str, Column | Mapping[str, object] | str]
     time: str = CLOCK
@@ -90,86 +112,163 @@ class CsvLog:
             raise ValueError(f"csv got missing={self.missing!r}; allowed are skip, refuse: choose one")
         if self.dt is not None and not self.dt > 0:
             raise ValueError(f"csv got dt {self.dt} s; allowed is a positive time, or None for the file's own")
+        if not self.path:
+            raise ValueError("csv got no path; allowed is a CSV file, or a list of some")
         if not self.states or not self.inputs:
             raise ValueError("csv got no states or no inputs; allowed is one or more of each: name their columns")
 
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """Return the files."""
+        return (self.path,) if isinstance(self.path, str) else tuple(self.path)
+
     def read(self) -> Recording:
-        """Read the file.
+        """Read the file, or all files, each of which is segments of its own.
 
         Raises:
             FileNotFoundError: there is no such file.
             ValueError: a column is missing, a row has missing values and `missing` is refuse, time does not
                 increase, an input is constant or leaves its ends, a state has ends, one that is differentiated is not
-                logged, or there are too few samples.
+                logged, there are too few samples, or files differ in their units or sampling times.
         """
         states, inputs = columns_of(self.states), columns_of(self.inputs, may_be_rates=False)
         if bounded := [name for name, column in states.items() if column.low is not None]:
-            raise ValueError(f"{self.path}: state {bounded[0]} was given low and high, which inputs alone have: {MAP}")
+            raise ValueError(f"{self}: state {bounded[0]} was given low and high, which inputs alone have: {MAP}")
+        require_names([*states, *inputs], str(self))
+        parts = [self._part(path, states, inputs) for path in self.paths]
+        notes, after = [note for part in parts for note in self._of(part)], list[str]()
+        states, inputs, headings, dt = parts[0].states, parts[0].inputs, parts[0].headings, _one_period(parts, self.dt)
+        found = reaches(str(self), np.concatenate([part.u for part in parts]), inputs, self.into_range, after)
+        for part in parts:
+            part.notes.clear()
+            part.t, part.x, part.u, part.segment = evened(part.t, part.x, scaled(part.u, found), dt, part.notes)
+        segment = _apart([part.segment for part in parts])
+        x = {name: np.concatenate([part.x[name] for part in parts]) for name in parts[0].x}
+        states = _decided(states, headings, x, segment, dt)
+        notes += conversions(states, headings)
+        free, ends = np.zeros(len(segment), dtype=bool), np.cumsum([0, *(len(part.t) for part in parts)])
+        for part, rows in zip(parts, itertools.starmap(slice, itertools.pairwise(ends)), strict=True):
+            mine = {name: column[rows] for name, column in x.items()}
+            out = holes(mine, part.segment, part.notes)
+            free[rows] = ~(out | _stuck(mine, part.notes))
+        notes += [*after, *(note for part in parts for note in self._of(part))]
+        full = _with_rates(x, states, segment, dt, notes)
+        if any(c.derivative_of and not c.name for c in states.values()):
+            known = np.repeat(*np.array([[n >= SMOOTH, n] for n in _lengths(segment)]).T).astype(bool)
+            free &= known
+            if not known.all():
+                notes.append(
+                    f"{int((~known).sum())} samples in stretches under {SMOOTH} samples have no rate; they were skipped"
+                )
+        data = _transitions(full, np.concatenate([part.u for part in parts]), segment, free, dt)
+        self._require_enough(data, [name for name, c in states.items() if c.name], list(states), notes)
+        units = tuple(c.unit for c in states.values())
+        scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(np.nan_to_num(full)).max(0, initial=0.0))
+        reach = acting(found, [column.unit for column in inputs.values()])
+        signature = Signature(tuple(states), units, tuple(inputs), scale, **reach)
+        return Recording(data, signature, tuple(notes))
+
+    def __str__(self) -> str:
+        """Name the files."""
+        return ", ".join(self.paths)
+
+    def _of(self, part: _Part) -> list[str]:
+        """Return the notes on a file, which name it where there are others."""
+        return [f"{part.path}: {note}" for note in part.notes] if len(self.paths) > 1 else part.notes
+
+    def _part(self, path: str, states: dict[str, Column], inputs: dict[str, Column]) -> _Part:
+        """Read one file as it is: times, states in their units, and inputs in theirs."""
         notes: list[str] = []
-        clock = clock_of(all_headings(Path(self.path)), self.time)
+        clock = clock_of(all_headings(Path(path)), self.time)
         names = [clock.heading, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
-        require_names([*states, *inputs], self.path)
-        table = read_table(Path(self.path), names)
+        table = read_table(Path(path), names)
         notes += table.words
-        table = self._complete(table, notes)
+        table = self._complete(path, table, len(names) - len(inputs), notes)
         states = with_units(states, table.headings, True, rotors=False)
-        inputs, converted = with_units(inputs, table.headings, False), len(notes) + 1
-        t, said = in_seconds(self.path, table, clock, self.dt)
-        self._check_time(t, table)
-        notes.insert(0, said)
+        inputs = with_units(inputs, table.headings, False)
+        t, said = in_seconds(path, table, clock, self.dt)
+        self._check_time(path, t, table)
         values = dict(zip(names[1:], table.values[:, 1:].T, strict=True))
         x = {s: values[c.name] * c.scale for s, c in states.items() if c.name}
         u = np.stack([values[c.name] * c.scale for c in inputs.values()], -1)
-        found = reaches(self.path, u, inputs, self.into_range, notes)
-        u = scaled(u, found)
-        dt = float(np.median(np.diff(t))) if self.dt is None else self.dt
-        t, x, u, segment = evened(t, x, u, dt, notes)
-        states = _decided(states, table.headings, x, segment, dt)
-        notes[converted:converted] = conversions(states, table.headings)
-        free = ~_stuck(x, notes)
-        full = _with_rates(x, states, segment, dt, notes)
-        seen = [bool(c.name or c.derivative_of) for c in states.values()]
-        known = np.isfinite(full[:, seen]).all(1)
-        if not known.all():
-            notes.append(
-                f"{int((~known).sum())} samples in stretches under {SMOOTH} samples have no rate; they were skipped"
+        return _Part(path, table.headings, states, inputs, t, x, u, [said, *notes])
+
+    def _complete(self, path: str, table: Table, states_end: int, notes: list[str]) -> Table:
+        """Leave out rows without time or an input, and put NaN for states that are missing, all counted by column."""
+        bad = ~np.isfinite(table.values)
+        lacking = np.asarray(bad.any(1))
+        if not lacking.any():
+            return table
+        needed = np.ones(len(table.headings), dtype=bool)
+        needed[1:states_end] = False
+        skipped = np.asarray(bad[:, needed].any(1))
+        said = "they were skipped", "the fit goes on without them, and with what else these rows hold"
+        for rows, columns, done in ((skipped, needed, said[0]), (lacking & ~skipped, ~needed, said[1])):
+            if not rows.any():
+                continue
+            counts = (bad & rows[:, None]).sum(0)
+            where = ", ".join(f"{n}: {int(k)}" for n, k in zip(table.headings, counts, strict=True) if k)
+            first = int(table.lines[np.flatnonzero(rows)[0]])
+            what = "values" if columns is needed else "states"
+            message = (
+                f"{int(rows.sum())} of {len(table.lines)} rows have {what} that are missing or not finite ({where})"
             )
-        data = _transitions(full, u, segment, free & known, dt)
+            if self.missing == "refuse":
+                raise ValueError(f"{path}: {message}, the first in line {first}; mend them or set missing=skip")
+            notes.append(f"{message}, the first in line {first}; {done}")
+        values = np.where(bad, np.nan, table.values)
+        return Table(table.headings, values[~skipped], table.lines[~skipped])
+
+    def _require_enough(
+        self, data: Transitions, logged: Sequence[str], states: Sequence[str], notes: Sequence[str]
+    ) -> None:
+        """Refuse recordings of too few transitions, or with too few samples of a state that has a column."""
+        left_out = "log longer, or check the notes on what was left out: " + ("; ".join(notes) or "nothing")
         if len(data) < self.min_samples:
             raise ValueError(
-                f"{self.path} gives {len(data)} transitions; allowed are {self.min_samples} or more: log longer, or "
-                "check the notes on what was left out: " + ("; ".join(notes) or "nothing")
+                f"{self} gives {len(data)} transitions; allowed are {self.min_samples} or more: {left_out}"
             )
-        units = tuple(c.unit for c in states.values())
-        scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(np.nan_to_num(full[known])).max(0, initial=0.0))
-        ends = acting(found, [column.unit for column in inputs.values()])
-        signature = Signature(tuple(states), units, tuple(inputs), scale, **ends)
-        return Recording(data, signature, tuple(notes))
+        for name in logged:
+            if (count := int(data.x_next[:, states.index(name)].isfinite().sum())) < self.min_samples:
+                raise ValueError(
+                    f"{self} gives {count} samples of {name}; allowed are {self.min_samples} or more: {left_out}"
+                )
 
-    def _complete(self, table: Table, notes: list[str]) -> Table:
-        """Leave out rows with missing values, counted by column."""
-        bad = ~np.isfinite(table.values)
-        rows = bad.any(1)
-        if not rows.any():
-            return table
-        where = ", ".join(f"{n}: {int(k)}" for n, k in zip(table.headings, bad.sum(0), strict=True) if k)
-        first = int(table.lines[np.flatnonzero(rows)[0]])
-        message = f"{int(rows.sum())} of {len(table.lines)} rows have values that are missing or not finite ({where})"
-        if self.missing == "refuse":
-            raise ValueError(f"{self.path}: {message}, the first in line {first}; mend them or set missing=skip")
-        notes.append(f"{message}, the first in line {first}; they were skipped")
-        return Table(table.headings, table.values[~rows], table.lines[~rows])
-
-    def _check_time(self, t: Array, table: Table) -> None:
+    def _check_time(self, path: str, t: Array, table: Table) -> None:
         steps = np.diff(t)
         if len(t) < 2:
-            raise ValueError(f"{self.path} gives {len(t)} complete rows; allowed are {self.min_samples} or more")
+            raise ValueError(f"{path} gives {len(t)} complete rows; allowed are {self.min_samples} or more")
         if (steps <= 0).any():
             k = int(np.flatnonzero(steps <= 0)[0])
             raise ValueError(
-                f"{self.path}, line {table.lines[k + 1]}, column {table.headings[0]}: time does not increase, "
+                f"{path}, line {table.lines[k + 1]}, column {table.headings[0]}: time does not increase, "
                 f"{t[k + 1]:g} s follows {t[k]:g} s; allowed is increasing time: sort the rows or split the recordings"
             )
+
+
+def _one_period(parts: Sequence[_Part], dt: float | None) -> float:
+    """Return the sampling time of all files, and refuse files of which one could not be joined to the first."""
+    first, own = parts[0], [period_of(part.t) if dt is None else dt for part in parts]
+    for part, period in zip(parts, own, strict=True):
+        if abs(period - own[0]) > EVEN * own[0]:
+            raise ValueError(
+                f"{first.path} has a row every {own[0]:g} s and {part.path} every {period:g} s; allowed is one "
+                "sampling time: fit them one by one, or write them at one rate"
+            )
+        for mine, others in ((part.states, first.states), (part.inputs, first.inputs)):
+            for name, column in mine.items():
+                if column.unit != others[name].unit:
+                    raise ValueError(
+                        f"{name} is in {others[name].unit} in {first.path} and in {column.unit} in {part.path}; "
+                        "allowed is one unit: write the files in the same one"
+                    )
+    return own[0]
+
+
+def _apart(segments: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """Return the number of the segment of each row of all files, in which none is of two files."""
+    counts = np.cumsum([0, *(int(segment[-1]) + 1 for segment in segments)])
+    return np.concatenate([segment + count for segment, count in zip(segments, counts[:-1], strict=True)])
 
 
 def _decided(
@@ -192,15 +291,17 @@ def _decided(
 def _stuck(x: dict[str, Array], notes: list[str]) -> NDArray[np.bool_]:
     """Find samples at which a state rests exactly at an end of its range for some time: a stop or a saturation."""
     mask = np.zeros(len(next(iter(x.values()))), dtype=bool)
-    for name, value in x.items():
-        if np.ptp(value) == 0:
+    for name, column in x.items():
+        rows = np.flatnonzero(np.isfinite(column))  # lost samples say nothing of a stop, and do not end it
+        value = column[rows]
+        if not len(value) or np.ptp(value) == 0:
             continue
         for end in (value.min(), value.max()):
             mine = np.zeros_like(mask)
             # The start of a recording at rest is no stop, unless the state rests there again.
             rests = [rest for rest in _rests(value, end) if rest.start == 0 or _is_met(value, rest)]
             for rest in rests if any(rest.start for rest in rests) else []:
-                mine[rest] = True
+                mine[rows[rest.start] : rows[rest.stop - 1] + 1] = True
             if mine.any():
                 notes.append(f"{int(mine.sum())} samples with {name} at {end:g}, a stop or saturation, were masked")
                 mask |= mine
@@ -244,11 +345,21 @@ def _with_rates(
             notes.append(f"{name} is seen by no sensor; it is estimated with the model")
             continue
         for rows in stretches(segment):
-            if len(rate[rows]) >= SMOOTH:
-                rate[rows] = savgol_filter(x[column.derivative_of][rows], SMOOTH, 3, deriv=1, delta=dt)
+            samples = x[column.derivative_of][rows]
+            if len(samples) < SMOOTH:
+                continue
+            whole = bool(np.isfinite(samples).all())
+            rate[rows] = (
+                savgol_filter(samples, SMOOTH, 3, deriv=1, delta=dt) if whole else rates_beside(samples, SMOOTH, dt)
+            )
         rate *= column.scale
         notes.append(f"{name} was reconstructed from {column.derivative_of}")
     return np.stack([full[name] for name in states], -1)
+
+
+def _lengths(segment: NDArray[np.int64]) -> list[int]:
+    """Return how many rows each segment has."""
+    return [rows.stop - rows.start for rows in stretches(segment)]
 
 
 def _transitions(x: Array, u: Array, segment: NDArray[np.int64], free: NDArray[np.bool_], dt: float) -> Transitions:

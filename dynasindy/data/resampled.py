@@ -35,7 +35,7 @@ def evened(
 
     Args:
         t: Times of the samples [s], increasing, `(N,)`.
-        x: States by name, `(N,)` each.
+        x: States by name, `(N,)` each, NaN where one was not measured; so are even times next to such a sample.
         u: Inputs, held from each sample to the next, `(N, n_u)`.
         dt: Sampling time [s].
         notes: Sentences on what was read; those on what was done are added.
@@ -94,6 +94,12 @@ def _between_jumps(t: Array, x: Array, jumps: NDArray[np.bool_], grid: Array) ->
     """Return states at even times, `(n, n_x)`; `jumps` says at which samples but the first an input jumps."""
     from scipy.interpolate import CubicSpline  # half a second of imports that most logs do without
 
+    lost = ~np.isfinite(x)
+    if lost.any():
+        nearest = np.abs(grid[:, None] - t[_beside(t, grid)]).argmin(1)
+        near = np.take_along_axis(_beside(t, grid), nearest[:, None], 1)[:, 0]
+        columns = [_measured_between(t, column, jumps, grid) for column in x.T]
+        return np.where(lost[near], np.nan, np.stack(columns, -1))
     found = np.stack([np.interp(grid, t, column) for column in x.T], -1)
     edges = [0, *(np.flatnonzero(jumps) + 1).tolist(), len(t) - 1]
     for start, end in pairwise(edges):
@@ -101,6 +107,21 @@ def _between_jumps(t: Array, x: Array, jumps: NDArray[np.bool_], grid: Array) ->
             here = slice(*np.searchsorted(grid, (t[start], t[end] * (1 + 1e-12))))
             found[here] = CubicSpline(t[start : end + 1], x[start : end + 1])(grid[here])
     return found
+
+
+def _beside(t: Array, grid: Array) -> NDArray[np.int64]:
+    """Return the places of the samples before and after each even time, `(n, 2)`."""
+    after = np.clip(np.searchsorted(t, grid), 1, len(t) - 1)
+    return np.stack([after - 1, after], -1)
+
+
+def _measured_between(t: Array, column: Array, jumps: NDArray[np.bool_], grid: Array) -> Array:
+    """Return one state with lost samples at even times, `(n,)`, by those samples of it that there are."""
+    seen = np.isfinite(column)
+    if seen.sum() < FEWEST:
+        return np.full(len(grid), np.nan)
+    steps = np.concatenate([[0], np.cumsum(jumps)])  # jumps until each sample
+    return _between_jumps(t[seen], column[seen, None], np.diff(steps[seen]) > 0, grid)[:, 0]
 
 
 def _means(t: Array, u: Array, grid: Array, dt: float) -> Array:

@@ -29,6 +29,7 @@ from dynasindy.evaluation.files import whole, with_units, write_csv, write_json,
 from dynasindy.evaluation.held import WITHIN, Held, held
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, summarise
+from dynasindy.evaluation.equations import late
 from dynasindy.planning.rests import states_that_matter
 from dynasindy.tasks import Tracking
 from dynasindy.world_models import FitReport, SindyModel
@@ -123,7 +124,9 @@ class Recorder(Callback):
         """Write the excitation data, and what the fit says of itself and of them."""
         self.cost = cost
         if isinstance(report, FitReport):
-            write_text(self.folder / IDENTIFICATION, f"{report.to_text()}\n")
+            delay = getattr(self.parts.world_model, "delay", 0.0)
+            found = f"found: {late(delay)}\n" if delay else ""
+            write_text(self.folder / IDENTIFICATION, f"{report.to_text()}\n{found}")
         fine = "" if self.parts.sensing is not None else coarse(self.plant, excited)
         words = [restarts(self.parts, excited), fine, left_out(excited)]
         self.restarts = " ".join(filter(None, words))
@@ -190,6 +193,7 @@ class Recorder(Callback):
             "untrained": self.untrained,
             "drawn": asdict(shown),
             "equations": self.parts.world_model.equations(),
+            "delay": getattr(self.parts.world_model, "delay", 0.0),
         }
         if self.parts.sensing is not None:
             metrics["observer"] = self.parts.sensing.observer.state_dict()

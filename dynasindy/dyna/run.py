@@ -22,6 +22,7 @@ from dynasindy.evaluation.given import read_record
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.summary import to_text
+from dynasindy.evaluation.equations import late
 from dynasindy.systems import Diverged
 from dynasindy.terminal import Shown, width
 
@@ -218,6 +219,8 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
     """Return what a user reads at the end: equations, step tracking, cost, folder."""
     cost = metrics["cost"]
     lines = ["", "Identified equations", *(f"  {line}" for line in metrics["equations"]), ""]
+    if metrics.get("delay"):
+        lines[-1:] = [f"  {late(metrics['delay'])}", ""]
     if (file := folder / IDENTIFICATION).is_file():
         which = "What the excitation alone could tell, the first fit" if refitted(folder) else "What the fit could tell"
         lines[-1:] = [f"{which}: {file}", ""]
@@ -235,6 +238,7 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
         *([f"Reward: {metrics['reward']}"] if metrics.get("reward") else []),
         *_of_plant(metrics.get("planning") or ""),
         *([metrics["gate"]] if metrics.get("gate") else []),
+        *_of_observer(metrics.get("observer") or {}),
         metrics["verdict"]["sentence"],
         *([metrics["verdict"]["held"]] if metrics["verdict"].get("held") else []),
         *(
@@ -245,6 +249,16 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
         f"Run folder: {folder}",
     ]
     return "\n".join(lines)
+
+
+def _of_observer(observer: Mapping[str, Any]) -> list[str]:
+    """Say whether the observer's errors on the data are as large as its noise levels say."""
+    if (nis := observer.get("nis")) is None:
+        return []
+    return [
+        f"Observer: its normalised innovation squared is {nis:.2g}. It is 1 where measurements stray from what it "
+        "expects as far as its noise levels say, larger where they stray further."
+    ]
 
 
 def _of_plant(planning: str) -> list[str]:

@@ -21,6 +21,15 @@ TOLD = 0.02
 """Part of a function that the others of its equation leave over, above which the data tell its coefficient."""
 
 
+def late(delay: float) -> str:
+    """Say how late the inputs act.
+
+    Args:
+        delay: Delay of the inputs [s].
+    """
+    return f"the inputs act {f'{1e3 * delay:.3g} ms' if delay < 1 else in_words(delay)} late"
+
+
 def found_in_model(model: SindyModel, report: FitReport | None = None) -> list[str]:
     """Say what of delay, dry friction, springs, dead zones and saturations is in the equations.
 
@@ -33,8 +42,7 @@ def found_in_model(model: SindyModel, report: FitReport | None = None) -> list[s
     names, lines = model.signature.state_names, []
     told = None if report is None else report.told_apart()
     if model.delay and (report is None or _sure(model.delay, report)):
-        late = f"{1e3 * model.delay:.3g} ms" if model.delay < 1 else in_words(model.delay)
-        lines.append(f"the inputs act {late} late")
+        lines.append(late(model.delay))
     of_rate = rates_known(model.library, model.constraints)
     for i in range(len(names)):
         clear = model.coefficients[:, i] != 0

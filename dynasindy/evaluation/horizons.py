@@ -123,7 +123,8 @@ def _forecast(
     begin = estimate(model, late, starts - fit, fit)[1]
     predicted = _simulated(model, begin, late.u[later], validation.dt)
     linear = LinearModel.fit(training, steps[len(steps) // 2], fit)
-    held = validation.x[starts].unsqueeze(1).expand_as(real)
+    predicted = predicted.nan_to_num(math.inf, math.inf, -math.inf)
+    held = _last_seen(validation)[starts].unsqueeze(1).expand_as(real)
     both = (predicted, linear.predict(validation, starts, later), held)
     ours, simple, last = (_errors(guess, real, steps) for guess in both)
     return Forecasts(
@@ -238,10 +239,16 @@ def _simulated(model: SindyModel, x: Tensor, u: Tensor, dt: float) -> Tensor:
 
 
 def _errors(predicted: Tensor, real: Tensor, steps: Sequence[int]) -> Tensor:
-    """Return the root-mean-square error over each horizon, `(H, n_x)`."""
+    """Return the root-mean-square error over each horizon, `(H, n_x)`; what is NaN of either does not count."""
     squared = (predicted - real).square()
-    squared = torch.where(real.isnan(), math.nan, squared.nan_to_num(math.inf, math.inf))
     return torch.stack([squared[:, :k].nanmean((0, 1)).sqrt() for k in steps])
+
+
+def _last_seen(data: Transitions) -> Tensor:
+    """Return the last value of each state that was measured in its segment until each row, `(N, n_x)`."""
+    places, first = torch.arange(len(data)), torch.arange(len(data)) - _beside(data)[0]
+    last = torch.where(data.x.isnan(), -1, places.unsqueeze(-1)).cummax(0).values
+    return torch.where(last >= first.unsqueeze(-1), data.x.gather(0, last.clamp_min(0)), math.nan)
 
 
 def _beside(data: Transitions) -> tuple[Tensor, Tensor]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -49,14 +49,14 @@ class Logged:
     """Take data from a CSV file; the last part of it is kept for validation.
 
     Attributes:
-        path: the file.
+        path: the file, or a list of files with the same columns.
         states: column map of the states, see `CsvLog`; the heading, or heading, unit, scale, derivative_of. A list
             names columns as they are. Without either the names are those of the plant, or what the headings say where
             no plant is named.
         inputs: column map of the inputs, likewise.
         time: heading of the time column [s].
         dt: sampling time [s]; the file's own by default.
-        missing: `skip` rows with missing values, or `refuse` the file.
+        missing: `skip` missing values, and rows without a time or an input, or `refuse` the file.
         known: equations that are known, by state. A state that is the rate of another one needs no column: one that
             has none is estimated with the model. Where no plant is named, it need not be named as a state either.
         validation_share: part of the transitions that is kept for validation.
@@ -65,7 +65,7 @@ class Logged:
         ValueError: there is no path, or the share is not between 0 and 1.
     """
 
-    path: str | None
+    path: str | list[str] | None
     states: dict[str, Any] | list[str] | None = None
     inputs: dict[str, Any] | list[str] | None = None
     time: str = "time"
@@ -77,6 +77,8 @@ class Logged:
     def __post_init__(self) -> None:
         if not self.path:
             raise ValueError("data=csv got no path; allowed is a CSV file: give data.path=log.csv")
+        if not isinstance(self.path, str) and len(set(self.path)) < len(self.path):
+            raise ValueError(f"data.path names a file twice: {', '.join(self.path)}; give each file once")
         if not 0 < self.validation_share < 1:
             raise ValueError(f"data=csv got validation_share {self.validation_share}; allowed is between 0 and 1")
         if self.dt is not None and not self.dt > 0:
@@ -102,7 +104,7 @@ class Logged:
         notes: list[str] = []
         states, inputs = self._columns(plant, notes)
         own = plant is None  # a plant that is named has inputs in [-1, 1], or says their ends
-        log = CsvLog(str(self.path), states, inputs, self.time, self.dt, self.missing, into_range=own)  # type: ignore[arg-type]
+        log = CsvLog(self._files, states, inputs, self.time, self.dt, self.missing, into_range=own)  # type: ignore[arg-type]
         recording = log.read()
         self._require_fit(recording, states)
         recording = replace(recording, notes=(*recording.notes, *notes))
@@ -121,14 +123,14 @@ class Logged:
             return self.time
         given = [each for each in (self.states, self.inputs) if each]
         named = [_heading(n, each[n] if isinstance(each, Mapping) else n) for each in given for n in each]
-        return counted(Path(str(self.path)), self.time, [split_unit(heading)[0] for heading in named])
+        return counted(Path(self._files[0]), self.time, [split_unit(heading)[0] for heading in named])
 
     def _columns(self, plant: Signature | None, notes: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
         if plant is None:
             return self._read_off(notes)
         both = self.states, self.inputs
         given = [{name: name for name in each} if isinstance(each, list) else each for each in both]
-        headings = all_headings(Path(str(self.path)))
+        headings = all_headings(Path(self._files[0]))
         names, rates = {split_unit(heading)[0] for heading in headings}, set((self.known or {}).values())
         states = given[0] or {
             n: Column("" if n in rates and n not in names else n, unit)
@@ -144,19 +146,41 @@ class Logged:
             return self._in_units(maps["states"]), maps["inputs"]
         inputs = [_heading(name, given) for name, given in maps["inputs"].items()] if "inputs" in maps else self.inputs
         listed = None if "states" in maps else self.states
-        states, found = infer(str(self.path), self.time, inputs or None, listed or None, notes, self.dt)
+        states, found = self._inferred(inputs or None, listed or None, notes)
         return self._in_units(maps.get("states", states)), maps.get("inputs", dict(found))
+
+    @property
+    def _files(self) -> list[str]:
+        """Return the paths of all files."""
+        return [self.path] if isinstance(self.path, str) else list(self.path or ())
+
+    def _inferred(
+        self, inputs: Collection[str] | None, states: Collection[str] | None, notes: list[str]
+    ) -> tuple[dict[str, Column], dict[str, Column]]:
+        """Return the columns of the file in which most of them move: what stands still in one may move in another."""
+        found, refused = [], []
+        for file in self._files:
+            told: list[str] = []
+            try:
+                found.append((*infer(file, self.time, inputs, states, told, self.dt), told))
+            except ValueError as error:
+                refused.append(error)
+        if not found:
+            raise refused[0]
+        best = max(found, key=lambda each: len(each[0]) + len(each[1]))
+        notes += best[2]
+        return best[:2]
 
     def _in_units(self, states: Mapping[str, Any]) -> dict[str, Any]:
         """Return columns in the units of their headings; known rates of angles in rad are in rad/s."""
-        headings = all_headings(Path(str(self.path)))
+        headings = all_headings(Path(self._files[0]))
         return dict(with_units(columns_of(states), headings, states=True, known=self.known, rotors=False))
 
     def _require_fit(self, recording: Recording, states: Mapping[str, Any]) -> None:
         """Refuse rates that are known and cannot be those of their states, with the setting that mends them."""
 
         def _mend(wrong: Mismatch) -> str:
-            headings, given = all_headings(Path(str(self.path))), columns_of(states)
+            headings, given = all_headings(Path(self._files[0])), columns_of(states)
             explicit = [n for n, c in given.items() if c != with_units({n: Column(c.name)}, headings, states=True)[n]]
             columns = with_units(given, headings, states=True)
             unit = unit_of_rate(recording.signature.state_units[recording.signature.state_index(wrong.state)])
@@ -167,7 +191,7 @@ class Logged:
         try:
             require_known(recording.transitions, recording.signature, self.known or {}, _mend)
         except ValueError as error:
-            raise ValueError(f"{self.path}: {error}") from None
+            raise ValueError(f"{', '.join(self._files)}: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -245,10 +269,10 @@ def identify(
     tell("prediction of the validation data")
     validation, names = source.validation, source.signature.state_names
     predicted = open_loop(model, begun(model, validation))
-    missing = (validation.x.isnan() | validation.x_next.isnan()).any(0).tolist()
+    missing = validation.x_next.isnan().all(0).tolist()
     seen = [(name, i) for i, (name, gaps) in enumerate(zip(names, missing, strict=True)) if not gaps]
     errors = {"open_loop_nrmse": nrmse(predicted, validation)}
-    if not any(missing):
+    if not bool(validation.x.isnan().any()):
         errors["one_step_error"] = one_step_error(model, delayed(validation, model.delay))
     metrics = {what: {name: float(e[i]) for name, i in seen} for what, e in errors.items()}
     forecasts = forecast(model, source.training, validation, horizons)

@@ -26,7 +26,7 @@ class LinearModel:
 
     Attributes:
         order: past samples that it reads.
-        seen: states that were measured, bool `(n_x,)`.
+        seen: states that it reads and predicts, bool `(n_x,)`: those that were measured twice in a row.
         weights: of past outputs and inputs, newest first, and of one, `(order * (n_y + n_u) + 1, n_y)`.
     """
 
@@ -37,6 +37,8 @@ class LinearModel:
     @classmethod
     def fit(cls, data: Transitions, steps: int, most: int) -> LinearModel:
         """Fit the order that predicts the data themselves best, over as many steps.
+
+        Rows that read a lost sample are left out. Where too few are complete for any order, the model has no weights.
 
         Args:
             data: the recording, NaN where a state was not measured.
@@ -51,15 +53,18 @@ class LinearModel:
     @classmethod
     def _of_order(cls, data: Transitions, order: int) -> LinearModel | None:
         seen, rows = _seen(data), _rows(data, order)
-        columns = _regressors(data, rows, order, seen)
-        if len(rows) < 2 * columns.shape[1]:
+        columns, target = _regressors(data, rows, order, seen), data.x_next[rows][:, seen].double()
+        complete = ~(columns.isnan().any(-1) | target.isnan().any(-1))
+        columns, target = columns[complete], target[complete]
+        if not bool(seen.any()) or len(columns) < 2 * columns.shape[1]:
             return None
-        target = data.x_next[rows][:, seen].double()
         scale = columns.norm(dim=0).clamp_min(1e-300)
         return cls(order, seen, least_squares(columns / scale, target) / scale.unsqueeze(-1))
 
     def predict(self, data: Transitions, starts: Tensor, later: Tensor) -> Tensor:
-        """Predict from some rows on; NaN for states that were not measured, `(S, T, n_x)`.
+        """Predict from some rows on, `(S, T, n_x)`; infinite where it runs away.
+
+        States that were not measured are NaN, and all of them where one of the past samples was lost.
 
         Args:
             data: the recording.
@@ -73,11 +78,14 @@ class LinearModel:
         outputs = data.x[past][..., self.seen].double()
         inputs = torch.cat([data.u[past[:, 1:]].flip(1), data.u[later]], 1).double()
         one = torch.ones(len(starts), 1, dtype=torch.float64)
+        lost = outputs.isnan().flatten(1).any(-1)
         for k in range(later.shape[1]):
             recent = inputs[:, k : k + self.order].flip(1)
             after = torch.cat([outputs.flatten(1), recent.flatten(1), one], -1) @ self.weights
             predicted[:, k, self.seen] = after
             outputs = torch.cat([after.unsqueeze(1), outputs[:, :-1]], 1)
+        predicted[:, :, self.seen] = predicted[:, :, self.seen].nan_to_num(math.inf, math.inf, -math.inf)
+        predicted[lost] = math.nan
         return predicted
 
     def _error(self, data: Transitions, steps: int) -> float:
@@ -91,13 +99,14 @@ class LinearModel:
         later = (starts.unsqueeze(-1) + torch.arange(steps)).clamp_max(len(data) - 1)
         real = data.x_next[later]
         error = (self.predict(data, starts, later) - real)[..., self.seen].square().nanmean((0, 1))
-        spread = data.x_next[:, self.seen].double().var(0).clamp_min(1e-300)
+        off = (data.x_next - data.x_next.nanmean(0))[:, self.seen].double().square()
+        spread = (off.nansum(0) / ((~off.isnan()).sum(0) - 1).clamp_min(1)).clamp_min(1e-300)
         return float((error / spread).sum().nan_to_num(math.inf, math.inf))
 
 
 def _seen(data: Transitions) -> Tensor:
-    """Return which states were measured throughout, bool `(n_x,)`."""
-    return ~(data.x.isnan() | data.x_next.isnan()).any(0)
+    """Return which states were measured at both ends of an interval, bool `(n_x,)`: others have no such equation."""
+    return ~(data.x.isnan() | data.x_next.isnan()).all(0)
 
 
 def _rows(data: Transitions, order: int) -> Tensor:

@@ -195,7 +195,8 @@ def closed_loop(data: Transitions) -> list[bool]:
     changed = torch.zeros(len(data), dtype=torch.bool)
     changed[1:] = (data.u[1:] != data.u[:-1]).any(-1) & (data.segment[1:] == data.segment[:-1])
     u, x = data.u[changed].double(), data.x[changed].double()
-    x = x[:, ~x.isnan().any(0)]
+    columns = [torch.from_numpy(c) for c in map(filled, x.T.numpy()) if c is not None]
+    x = torch.stack(columns, -1) if columns else x[:, :0]
     n = len(u) - 1 - LAGS
     if n < 20 * LAGS or not x.shape[1]:
         return [False] * data.u.shape[1]

@@ -56,7 +56,7 @@ def targets_like(
         model: The equations; if omitted, nothing is known of what can be held.
         period: Control period [s], which tells how slow a plant is that does not rest.
     """
-    signature, seen = source.signature, ~source.training.x.isnan().any(0)
+    signature, seen = source.signature, ~source.training.x.isnan().all(0)
     wanted = [name for name, seen_ in zip(signature.state_names, seen.tolist(), strict=True) if seen_]
     first = [name for name in wanted if name not in rates] or wanted[:1]
     named = [str(name) for name in given.get("outputs") or ()]
@@ -86,7 +86,7 @@ def _usual(source: Source, name: str) -> tuple[float, float]:
     """Return the ends between which most samples of a state lie, around zero and a turn apart at most of an angle."""
     place = source.signature.state_index(name)
     column = source.training.x[:, place].double()
-    low, high = float(column.quantile(INNER)), float(column.quantile(1 - INNER))
+    low, high = float(column.nanquantile(INNER)), float(column.nanquantile(1 - INNER))
     half = 0.5 * turn_of(source.signature.state_units[place])
     if high - low <= 2 * half:
         return low, high

@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from typing import Annotated
 
 import torch
 from torch import Tensor
 
-from dynasindy.limits import Count
 from dynasindy.systems import Signature
+
+LONGEST = 10
+"""Longest delay [control periods]."""
+Periods = Annotated[int, range(LONGEST + 1), "control periods"]
 
 
 @dataclass(frozen=True)
@@ -63,9 +67,9 @@ class Sensors:
 
     channels: Mapping[str, Channel | Mapping[str, float]] | None
     rates: Mapping[str, str] | None = None
-    delay: Count = 0
+    delay: Periods = 0
     lost: float = 0.0
-    actuator_delay: Count = 0
+    actuator_delay: Periods = 0
     process_noise: float | None = None
     disturbance: bool = False
 
@@ -188,10 +192,6 @@ class Wired(Sensors):
     def truth(self, real: Tensor, estimated: Tensor) -> Tensor:
         """Return what was measured and, where nothing was, what is estimated."""
         return torch.where(real.isnan(), estimated.to(real), real)
-
-
-LONGEST = 10
-"""Longest delay [control periods]."""
 
 
 def _channel(name: str, given: object) -> Channel:

@@ -146,7 +146,11 @@ def prediction(
     names, whose = signature.state_names, "the real range" if truth == "real" else f"the {truth}'s range"
     figure, axes, columns = _panels(names, signature.state_units, title)
     for i in range(len(names)):
-        wide = truths[:, i].max() - truths[:, i].min()
+        known = truths[~np.isnan(truths[:, i]), i]
+        scale = signature.x_scale[i]  # all that is known of the range of a state that was not measured
+        if not len(known):
+            known = np.array([-scale, scale])
+        wide = float(np.ptp(known))
         ended = _until_lost(model[:, i], truths[:, i], wide)
         x, measured, free = (_broken(v, segment) for v in (seconds, truths[:, i], ended))
         axes[i].plot(x, measured, color=BLACK, linewidth=1.2, label=truth)
@@ -154,7 +158,7 @@ def prediction(
         told = _fit(truths[:, i], model[:, i], f"{short(float(wide))} {signature.state_units[i]}, {whose}")
         axes[i].set_title(told, fontsize=8.5, loc="right")
         if wide > 0:
-            axes[i].set_ylim(*_limits(truths[:, i], ended, wide))
+            axes[i].set_ylim(*_limits(known, ended, wide))
     _mark_gaps(axes[: len(names)], seconds, segment)
     _legend_below(figure, axes[0])
     _finish(axes, columns, seconds, segment)
@@ -309,7 +313,8 @@ def _mark_gaps(axes: Sequence[Axes], seconds: Array, segment: ArrayLike | None) 
 def _until_lost(predicted: Array, real: Array, wide: float) -> Array:
     """Return a prediction up to where it is so far off that what follows would only streak the panel."""
     with np.errstate(invalid="ignore"):
-        lost = ~(np.abs(predicted - real) <= LOST * wide) if wide > 0 else ~np.isfinite(predicted)
+        off = np.abs(predicted if np.isnan(real).all() else predicted - real)
+        lost = (off > LOST * wide) & (wide > 0) | ~np.isfinite(predicted)
     return np.where(np.logical_or.accumulate(lost), np.nan, predicted)
 
 
@@ -352,6 +357,8 @@ def _fit(real: Array, predicted: Array, whole: str) -> str:
         return "not measured"
     if not np.isfinite(predicted).all():
         return "runs away"
+    seen = ~np.isnan(real)
+    real, predicted = real[seen], predicted[seen]
     rmse, wide = float(np.sqrt(np.mean((real - predicted) ** 2))), float(np.ptp(real))
     if not wide > 0:
         return f"RMSE {rmse:.2g}"

@@ -3,10 +3,11 @@
 import math
 import shlex
 
+import numpy as np
 import pytest
 import yaml
 
-from dynasindy.data.clock import clock_of
+from dynasindy.data.clock import clock_of, period_of
 from dynasindy.evaluation.identification import Logged
 
 
@@ -16,6 +17,12 @@ def written(path, heading, times, separator=","):
     lines = [separator.join((str(t), f"{math.sin(0.03 * k)}", f"{k // 9 % 3 - 1}")) for k, t in rows]
     path.write_text("\n".join([separator.join((heading, "angle", "u")), *lines]))
     return str(path)
+
+
+def test_the_period_of_a_log_is_the_decimal_number_that_was_written():
+    t = np.array([float(f"{0.04 * k:.2f}") for k in range(300)])
+    assert np.median(np.diff(t)) != 0.04 and period_of(t) == 0.04
+    assert period_of(np.arange(9) / 3) == pytest.approx(1 / 3, rel=1e-11)  # and what is no such number stays what it is
 
 
 @pytest.mark.parametrize(("unit", "seconds"), [("s", 1), ("ms", 1e-3), ("\u00b5s", 1e-6), ("min", 60), ("h", 3600)])

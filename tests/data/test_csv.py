@@ -78,20 +78,24 @@ def test_an_empty_file_and_no_file_are_refused(tmp_path):
         CsvLog(str(tmp_path / "absent.csv"), STATES, INPUTS).read()
 
 
-def test_rows_with_missing_values_are_counted_and_skipped_or_the_file_is_refused(tmp_path):
+def test_rows_without_an_input_are_skipped_and_those_without_a_state_stay_or_the_file_is_refused(tmp_path):
     table = log()
     table[20, 1] = table[50, 3] = np.nan
     table[51, 3] = np.inf
     path = write(tmp_path / "log.csv", table)
     found = CsvLog(path, STATES, INPUTS).read()
-    counted = "3 of 80 rows have values that are missing or not finite (angle: 1, volt: 2)"
-    assert f"{counted}, the first in line 22; they were skipped" in found.notes
-    assert len(found.transitions) == 79 - 2 - 3  # a lost row costs the transitions before and after it
-    assert found.transitions.segment.unique().tolist() == [0, 1, 2]
-    assert bool(found.transitions.x.isfinite().all())
-    inside = found.transitions.segment[1:] == found.transitions.segment[:-1]
-    assert torch.equal(found.transitions.x[1:][inside], found.transitions.x_next[:-1][inside])
-    assert "the first in line 22; mend them or set missing=skip" in refusal(path, missing="refuse")
+    skipped = (
+        "2 of 80 rows have values that are missing or not finite (volt: 2), the first in line 52; they were skipped"
+    )
+    kept = "1 of 80 rows have states that are missing or not finite (angle: 1), the first in line 22; the fit goes on"
+    assert skipped in found.notes and any(note.startswith(kept) for note in found.notes)
+    data = found.transitions
+    assert len(data) == 79 - 3  # two rows in turn cost themselves and the transition before them
+    assert data.segment.unique().tolist() == [0, 1] and data.u[20, 0] == table[20, 3]
+    assert data.x.isnan().nonzero().tolist() == [[20, 0]] and data.x_next.isnan().nonzero().tolist() == [[19, 0]]
+    inside = data.segment[1:] == data.segment[:-1]
+    assert torch.equal(data.x[1:][inside].nan_to_num(), data.x_next[:-1][inside].nan_to_num())
+    assert "the first in line 52; mend them or set missing=skip" in refusal(path, missing="refuse")
 
 
 def test_text_and_short_rows_are_missing_values(tmp_path):
@@ -100,9 +104,49 @@ def test_text_and_short_rows_are_missing_values(tmp_path):
     lines = path.read_text().splitlines()
     lines[10], lines[30] = "0.09,off,1,1", "0.29"
     path.write_text("\n".join(lines))
-    (_, text, note, gaps) = CsvLog(str(path), STATES, INPUTS).read().notes
+    (_, text, short, state, gaps) = CsvLog(str(path), STATES, INPUTS).read().notes
     assert text == "line 11, column 'angle' holds 'off', which is no number; it counts as missing"
-    assert "2 of 80 rows" in note and "angle: 2, rate: 1, volt: 1" in note and "2 gaps" in gaps
+    assert "1 of 80 rows" in short and "(angle: 1, rate: 1, volt: 1)" in short and "1 gaps" in gaps
+    assert "1 of 80 rows" in state and "(angle: 1)" in state
+
+
+def test_a_sensor_that_is_read_every_fifth_row_keeps_all_rows(tmp_path):
+    table = log(300)
+    table[np.arange(300) % 5 > 0, 1] = np.nan
+    data = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS).read().transitions
+    assert len(data) == 299 and data.segment.unique().tolist() == [0]
+    assert torch.equal(data.x[:, 1], torch.from_numpy(table[:-1, 2]))
+    assert data.x[:, 0].isfinite().nonzero().flatten().tolist() == list(range(0, 299, 5))
+
+
+def test_a_state_with_too_few_samples_is_refused(tmp_path):
+    table = log(200)
+    table[np.arange(200) % 5 > 0, 1] = np.nan
+    assert "39 samples of q; allowed are 50 or more" in refusal(write(tmp_path / "l.csv", table), min_samples=50)
+
+
+def test_a_rate_beside_lost_samples_is_that_of_the_others(tmp_path):
+    """Of a cubic a local cubic is exact, whichever five samples it has."""
+    t = 0.01 * np.arange(100)
+    table = np.stack([t, 1 + 2 * t - 3 * t**2 + 4 * t**3, np.sign(np.sin(40 * t + 0.1))], -1)
+    table[[0, 30, 32, 98], 1] = np.nan
+    states = {"q": "angle", "v": {"derivative_of": "q"}}
+    data = CsvLog(write(tmp_path / "l.csv", table, ("time", "angle", "volt")), states, INPUTS).read().transitions
+    times = t[1 : 1 + len(data)]  # nothing was measured in the first row
+    assert np.allclose(data.x[:, 1], 2 - 6 * times + 12 * times**2, atol=1e-6)
+
+
+def test_uneven_samples_with_lost_ones_are_resampled_by_the_others(tmp_path):
+    rng = np.random.default_rng(0)
+    t = 0.01 * np.arange(400) + 0.002 * rng.uniform(-1, 1, 400)
+    table = np.stack([t, np.sin(3 * t), 3 * np.cos(3 * t), np.where(t < 1.0, -1.0, 1.0)], -1)
+    lost = rng.random(400) < 0.1
+    table[lost, 1] = np.nan
+    data = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS, dt=0.01).read().transitions
+    grid = t[0] + 0.01 * np.arange(len(data))
+    seen = data.x[:, 0].isfinite().numpy()
+    assert len(data) >= 395 and 0.05 < 1 - seen.mean() < 0.15 and bool(data.x[:, 1].isfinite().all())
+    assert np.allclose(data.x[seen, 0], np.sin(3 * grid[seen]), atol=1e-5)
 
 
 def test_time_that_does_not_increase_is_refused_at_its_row(tmp_path):
@@ -122,7 +166,7 @@ def test_a_constant_input_is_refused_by_its_name(tmp_path):
 
 def test_too_few_samples_are_refused_with_what_was_left_out(tmp_path):
     table = log(52)
-    table[10, 1] = np.nan
+    table[10, 3] = np.nan
     said = refusal(write(tmp_path / "log.csv", table))
     assert "gives 49 transitions; allowed are 50 or more" in said and "1 of 52 rows" in said
     assert len(CsvLog(write(tmp_path / "enough.csv", log(51)), STATES, INPUTS).read().transitions) == 50
@@ -460,3 +504,31 @@ def test_a_recording_says_what_it_holds_in_a_line(tmp_path):
     first, *notes = repr(recording).splitlines()
     assert first == "Recording of 198 rows, 1.98 s every 0.01 s in 2 stretches: states angle [rad]; inputs u_m"
     assert notes == [f"note: {note}" for note in recording.notes] and notes
+
+
+def test_several_files_are_one_recording_with_the_ends_of_all(tmp_path):
+    first, second = log(60), log(50)
+    first[:, 3], second[:, 3] = 5.0, np.where(np.arange(50) % 7 < 3, -20.0, 0.0)  # still in the first file
+    second[20, 1] = np.nan
+    paths = [write(tmp_path / "a.csv", first), write(tmp_path / "b.csv", second)]
+    found = CsvLog(paths, STATES, INPUTS, into_range=True).read()
+    data = found.transitions
+    assert data.segment.bincount().tolist() == [59, 49]
+    assert torch.equal(data.x[59:].nan_to_num(), torch.from_numpy(second[:-1, 1:3]).nan_to_num())
+    assert found.signature.in_own_units(data.u.numpy())[:, 0] == pytest.approx([*first[:-1, 3], *second[:-1, 3]])
+    assert data.u.min() == -1.0 and found.signature.input_ends == ((-20.0, 20.0),)
+    lost = [note for note in found.notes if "missing" in note]
+    assert len(lost) == 1 and lost[0].startswith(f"{paths[1]}: 1 of 50 rows")
+    assert "input u is constant at 5" in refusal(paths[:1])
+
+
+def test_files_that_do_not_fit_together_are_refused(tmp_path):
+    one = write(tmp_path / "a.csv", log())
+    slow = refusal([one, write(tmp_path / "slow.csv", log(dt=0.02))])
+    assert "a.csv has a row every 0.01 s" in slow and "slow.csv every 0.02 s; allowed is one sampling time" in slow
+    other = write(tmp_path / "b.csv", log(), ("time", "angle", "rate", "volt [mV]"))
+    assert "u is in - in" in (told := refusal([one, other])) and "in mV in" in told
+    lacking = write(tmp_path / "c.csv", log(), ("time", "angle", "speed", "volt"))
+    assert "c.csv has no column 'rate'" in refusal([one, lacking])
+    with pytest.raises(ValueError, match="csv got no path"):
+        CsvLog([], STATES, INPUTS)

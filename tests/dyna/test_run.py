@@ -201,6 +201,8 @@ def test_the_report_says_equations_metrics_costs_and_folder(tmp_path):
         {
             "cost": cost,
             "equations": ["Omega_p' = -0.414 Omega_p"],
+            "delay": 0.05006,
+            "observer": {"nis": 1.274},
             "scenario": "step",
             "evaluation": evaluation,
             "untrained": {"return": -99.0},
@@ -217,6 +219,8 @@ def test_the_report_says_equations_metrics_costs_and_folder(tmp_path):
         "Omega_p' = -0.414 Omega_p",
         "-99.0",
         "-12",
+        "the inputs act 50.1 ms late",
+        "normalised innovation squared is 1.3.",
         "moved for 30 s to learn, which are 600 control periods",
         "imagined 8000 periods",
         "25600 periods more",
@@ -251,6 +255,7 @@ def test_only_a_fit_with_others_after_it_is_called_the_first(tmp_path, head, wor
         tmp_path,
     )
     assert f"{words}{tmp_path / 'identification.txt'}" in told.splitlines()
+    assert "the inputs act" not in told and "Observer" not in told
 
 
 @pytest.mark.parametrize("name", ["replay", "gradient", "both"])

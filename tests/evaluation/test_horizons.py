@@ -94,6 +94,16 @@ def test_the_error_of_the_last_value_held_on_a_random_walk_is_that_of_its_steps(
         assert float(found.held[k, 0]) == pytest.approx(math.sqrt((n + 1) / 2), rel=0.15)
 
 
+def test_lost_samples_do_not_count_and_the_last_measured_value_is_held():
+    """Of a straight line of slope one every third sample is measured, so the next one is always three steps on."""
+    line = DT * torch.arange(3001, dtype=torch.float64)
+    line[torch.arange(3001) % 3 > 0] = math.nan
+    data = Transitions.from_trajectory(torch.stack([line, line * math.nan], -1), torch.zeros(3000, 1), DT)
+    found = forecast(oscillator(), data, data, [3 * DT])
+    assert found is not None and bool(found.linear.isnan().all()) and bool(found.model.isfinite()[:, 0].all())
+    assert float(found.held[0, 0]) == pytest.approx(3 * DT)
+
+
 def test_a_model_that_runs_away_has_an_infinite_error():
     model, (data, _) = oscillator(), recording(600)
     model.set_coefficients(torch.tensor([[0.0, 4e4], [1.0, 0.0], [0.0, 1.0]]))

@@ -5,6 +5,7 @@ import math
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
 import pytest
 import torch
 
@@ -318,3 +319,17 @@ def test_where_a_delay_may_stand_for_an_actuator_one_is_looked_for_without_it(in
         assert "found: u has a rate limit; model_with_actuator.json has it, with equations" in to_words(found, source)
     else:
         assert found.acting is None and found.found.actuator is None
+
+
+def test_several_logs_are_read_and_a_column_may_stand_still_in_one_of_them(tmp_path):
+    t = 0.01 * np.arange(100)
+    moving, still = np.stack([t, np.sin(t), np.sign(np.sin(9 * t + 0.1))], -1), np.stack([t, np.cos(t), 0 * t], -1)
+    for name, table in (("still", still), ("moving", moving)):
+        np.savetxt(tmp_path / f"{name}.csv", table, delimiter=",", header="time [s],way [m],u", comments="")
+    both = [str(tmp_path / f"{name}.csv") for name in ("still", "moving")]
+    found = Logged(both).recording(None)
+    assert found.signature.state_names == ("way",) and found.signature.input_names == ("u",)
+    assert found.transitions.segment.bincount().tolist() == [99, 99]
+    assert not any("left out" in note for note in found.notes)
+    with pytest.raises(ValueError, match="names a file twice"):
+        Logged([both[0], both[0]])

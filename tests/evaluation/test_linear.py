@@ -52,3 +52,34 @@ def test_orders_are_compared_over_all_stretches_that_are_long_enough():
     zero = LinearModel(2, torch.tensor([True, False]), torch.zeros(5, 1, dtype=torch.float64))
     expected = sum(misses) / len(misses) / float(data.x_next[:, 0].var())
     assert len(misses) == 5 * (7 + 15) and zero._error(data, 5) == pytest.approx(expected)
+
+
+def lossy(share: float = 0.1) -> Transitions:
+    """The recurrence, of which some samples of y were lost."""
+    data, lost = recording(), torch.from_numpy(np.random.default_rng(1).random(301) < share)
+    x = torch.cat([data.x, data.x_next[-1:]])
+    x[lost, 0] = torch.nan
+    return Transitions.from_trajectory(x, data.u, data.dt)
+
+
+def test_lost_samples_cost_their_rows_and_nothing_else():
+    data = lossy()
+    model = LinearModel.fit(data, 10, 2)
+    assert model.order == 2 and model.seen.tolist() == [True, False]
+    assert model.weights.flatten().tolist() == pytest.approx([1.2, -0.5, 0.7, -0.2, 0.1], abs=1e-9)
+    starts = torch.arange(5, 200)
+    predicted = model.predict(data, starts, starts.unsqueeze(-1) + torch.arange(10))[..., 0]
+    lost = (data.x[starts, 0].isnan() | data.x[starts - 1, 0].isnan()).numpy()
+    real = recording().x_next[starts.unsqueeze(-1) + torch.arange(10), 0]
+    assert lost.any() and bool(predicted[torch.from_numpy(lost)].isnan().all())
+    assert torch.allclose(predicted[torch.from_numpy(~lost)], real[torch.from_numpy(~lost)], atol=1e-6)
+
+
+def test_without_a_complete_row_there_is_no_linear_model():
+    data = recording()
+    every = torch.cat([data.x, data.x_next[-1:]])
+    every[1::2] = torch.nan  # of no interval both ends were measured
+    model = LinearModel.fit(Transitions.from_trajectory(every, data.u, data.dt), 10, 4)
+    starts = torch.tensor([20])
+    assert not len(model.weights) and not bool(model.seen.any())
+    assert bool(model.predict(data, starts, starts.unsqueeze(-1) + torch.arange(3)).isnan().all())

@@ -70,6 +70,13 @@ def test_a_controller_is_seen_and_held_random_inputs_are_none():
     assert closed_loop(plant(lambda k, y, old, g: np.sin(2 * T[k]))) == [False]
 
 
+def test_lost_samples_do_not_hide_a_controller():
+    reference = np.repeat(np.random.default_rng(2).uniform(-1, 1, 10), 300)
+    loop = plant(lambda k, y, old, g: 2 * (reference[k] - y[0]) - 0.3 * y[1])
+    loop.x[np.random.default_rng(4).random(len(loop)) < 0.02] = torch.nan
+    assert closed_loop(loop) == [True]
+
+
 def test_an_input_that_comes_to_an_end_of_its_range_again_and_again_is_saturated_and_one_of_two_levels_is_not():
     x = torch.zeros(3001, 1)
     clipped = torch.tensor(np.clip(2 * np.sin(3 * T), -1, 1))[:, None]

@@ -28,6 +28,13 @@ def _run(folder: Path, *words: str) -> subprocess.CompletedProcess:
     )
 
 
+def test_sensors_of_a_log_are_refused(tmp_path):
+    (tmp_path / "log.csv").write_text("time [s],y,u\n0,1,0\n")
+    done = _run(tmp_path / "run", "data=csv", f"data.path={tmp_path / 'log.csv'}", "sensors=bench")
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert "sensors=bench makes a simulated plant measured, and data.path is a log" in done.stderr
+
+
 def test_the_pendulum_is_identified_and_everything_written(tmp_path):
     done = _run(tmp_path / "run", "system=pendulum", "excitation.duration=5", "data.validation_seconds=2")
     assert done.returncode == 0, done.stderr

@@ -208,6 +208,21 @@ def test_packages_that_are_not_installed_come_with_a_command():
     assert "pip install 'dynasindy[sweep]', or choose hydra/launcher=basic" in in_words(launcher, "ablation")
 
 
+@pytest.mark.parametrize("word", ["sensors.channels.alpha_a.resolution=5", "+sensors.channels.alpha_a.resolution=5"])
+def test_a_key_that_follows_another_one_names_it(word):
+    others = ["system=tras", "sensors=bench"]
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        with pytest.raises(Exception, match=r"Could not") as error:
+            compose("train", [*others, word])
+        good = compose("train", [*others, "plant.sensors.alpha_a.resolution=5"])
+    assert good.sensors.channels.alpha_a.resolution == 5
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", ["train.py", *others, word])
+        line = in_words(error.value, "train")
+    key = word.lstrip("+").partition("=")[0]
+    assert line == f"'{key}' follows another key; give plant.sensors.alpha_a.resolution instead"
+
+
 GROUPS = sorted({file.parent.relative_to(CONF).as_posix() for file in CONF.glob("*/**/*.yaml")})
 
 

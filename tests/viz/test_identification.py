@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynasindy.systems import Pendulum, Signature
+from dynasindy.systems import Pendulum, Signature, Tras
 from dynasindy.viz import coefficient_table, excitation, model_error, prediction, training_data
 from dynasindy.viz.identification import growing_error
 
@@ -43,6 +43,20 @@ def test_a_model_that_runs_away_is_said_and_does_not_flatten_the_plant() -> None
     figure = prediction(TIME, STATES, wild)
     assert figure.axes[0].get_ylim()[1] < 2
     assert figure.axes[1].get_title(loc="right") == "runs away"
+
+
+def test_a_state_that_nobody_measured_is_drawn_as_far_as_its_range() -> None:
+    unseen, wild = STATES.copy(), STATES.copy()
+    unseen[:, 2] = np.nan
+    scale = Tras().signature.x_scale[2]
+    wild[:, 2] = 0.1 * scale * np.sin(6 * TIME)
+    quiet = prediction(TIME, unseen, wild).axes[2]
+    assert quiet.get_ylim()[1] < 0.2 * scale  # what stays within its range fills the panel
+    wild[50:, 2] = 1e283
+    axis = prediction(TIME, unseen, wild).axes[2]
+    assert axis.get_ylim()[1] < 10 * scale and np.isnan(axis.lines[1].get_ydata()[50:]).all()
+    wild[50:, 2] = 15 * scale
+    assert prediction(TIME, unseen, wild).axes[2].get_ylim()[1] == pytest.approx(2.2 * scale)
 
 
 def test_training_data_and_excitation_draw_their_columns() -> None:
@@ -209,6 +223,14 @@ def test_a_prediction_ends_where_it_is_lost() -> None:
     drawn = [axis.lines[1].get_ydata() for axis in prediction(TIME, STATES, wild).axes]
     assert np.isnan(drawn[0]).tolist() == [False] * 60 + [True] * 40
     assert not np.isnan(drawn[1]).any()
+
+
+def test_lost_samples_of_a_log_end_no_prediction() -> None:
+    lost = STATES.copy()
+    lost[40:43, 0] = np.nan
+    axis = prediction(TIME, lost, STATES).axes[0]
+    assert np.isfinite(axis.lines[1].get_ydata()).all() and axis.get_title(loc="right").startswith("RMSE below 0.001 %")
+    assert axis.get_ylim() == prediction(TIME, STATES, STATES).axes[0].get_ylim()
 
 
 def test_a_log_in_volts_is_drawn_in_volts() -> None:

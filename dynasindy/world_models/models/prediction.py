@@ -38,6 +38,12 @@ def open_loop(model: System, data: Transitions, substeps: int = 1) -> Tensor:
 
 
 def nrmse(predicted: Tensor, data: Transitions) -> Tensor:
-    """Return the root-mean-square error of each state relative to its standard deviation, `(n_x,)`."""
-    error = (predicted - data.x_next).square().mean(0).sqrt() / data.x_next.std(0).clamp_min(1e-300)
-    return error.nan_to_num(torch.inf, torch.inf)
+    """Return the root-mean-square error of each state relative to its standard deviation, `(n_x,)`.
+
+    Samples that were lost do not count; the error of a state that was never measured is infinite.
+    """
+    seen = ~data.x_next.isnan()
+    count = seen.sum(0)
+    error = torch.where(seen, (predicted - data.x_next).square(), 0.0).sum(0) / count
+    off = torch.where(seen, (data.x_next - data.x_next.nanmean(0)).square(), 0.0).sum(0) / (count - 1)
+    return (error.sqrt() / off.sqrt().clamp_min(1e-300)).nan_to_num(torch.inf, torch.inf)

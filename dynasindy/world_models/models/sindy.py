@@ -95,8 +95,7 @@ class SindyModel(WorldModel):
         super().__init__(signature)
         self.machine_code = machine_code
         self.library = timed(build_library(library, signature), time)
-        self.regression = regression or Regression()
-        self.refinement = refinement
+        self.regression, self.refinement = regression or Regression(), refinement
         self.constraints = Constraints.build(self.library, known or {}, allowed or {}, fixed or {})
         self.initial = None if initial is None else Constraints.build(self.library, {}, {}, initial).offset
         self.initial_delay = 0.0  # of the inputs in that guess [s]

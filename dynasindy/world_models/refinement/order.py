@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import torch
 from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries import polynomial
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.measured import best_length, local_cubic
+from dynasindy.world_models.refinement.measured import best_length, filled, has_gaps, local_cubic
 
 CLEAR = 20.0
 """Movement over a step that is looked at [deviation of what no local cubic follows]."""
@@ -36,10 +39,10 @@ def moving_on(library: Library, data: Transitions) -> list[str]:
 
     Args:
         library: candidate functions.
-        data: the recording; one with a state that was not measured is not judged, and none by a difference equation, as
-            what it lacks is no rate.
+        data: the recording; one with a state that was never measured is not judged, and none by a difference equation,
+            as what it lacks is no rate. Rows that lack a sample are left out.
     """
-    if library.step is not None or len(data) < WINDOW or bool(data.x.isnan().any() | data.x_next.isnan().any()):
+    if library.step is not None or len(data) < WINDOW or bool(data.x.isnan().all(0).any()):
         return []
     data, signature = data.to(torch.float64), library.signature
     smooth = polynomial(signature, 3 if signature.n_x + signature.n_u <= CUBIC else 2)
@@ -50,6 +53,7 @@ def moving_on(library: Library, data: Transitions) -> list[str]:
 
 def _rates(data: Transitions) -> set[int]:
     """Return the states that are rates of others: their integrals by the trapezoidal rule are what others move by."""
+    data = _bridged(data)
     rows = torch.arange(len(data) - WINDOW + 1)
     last = rows + WINDOW - 1
     rows, last = (k[data.segment[rows] == data.segment[last]] for k in (rows, last))
@@ -57,6 +61,19 @@ def _rates(data: Transitions) -> set[int]:
     sums = torch.cat([torch.zeros_like(data.x[:1]), (0.5 * data.dt * (data.x + data.x_next)).cumsum(0)])
     left = (moved.unsqueeze(-1) - (sums[last + 1] - sums[rows]).unsqueeze(-2)).square().sum(0)  # (state, rate)
     return set((left < ALIKE * moved.square().sum(0).unsqueeze(-1)).nonzero()[:, 1].tolist())
+
+
+def _bridged(data: Transitions) -> Transitions:
+    """Return a recording with straight lines over lost samples, zero where a segment has none of a state."""
+    if not bool(has_gaps(data)):
+        return data
+    x, x_next = torch.zeros_like(data.x), torch.zeros_like(data.x)
+    for segment in data.segment.unique_consecutive().tolist():
+        rows = (data.segment == segment).nonzero().flatten()
+        for i, column in enumerate(torch.cat([data.x[rows[:1]], data.x_next[rows]]).unbind(-1)):
+            if (whole := filled(column.numpy())) is not None:
+                x[rows, i], x_next[rows, i] = torch.from_numpy(whole[:-1]), torch.from_numpy(whole[1:])
+    return replace(data, x=x, x_next=x_next)
 
 
 def _moves_on(library: Library, data: Transitions, i: int) -> bool:
@@ -82,16 +99,24 @@ def _moves_on(library: Library, data: Transitions, i: int) -> bool:
 
 
 def _steps(data: Transitions, i: int) -> tuple[Tensor, int] | None:
-    """Return rows with a step before and after them in their segment, and its length in samples; None if too few."""
+    """Return rows with a step before and after them in their segment, and its length in samples; None if too few.
+
+    All states are there at a row, and the one that is looked at at both ends of the steps, too.
+    """
     labels, counts = data.segment.unique_consecutive(return_counts=True)
-    longest = data.x[data.segment == labels[int(counts.argmax())], i].numpy()
-    if len(longest) < 8:
+    samples = data.x[data.segment == labels[int(counts.argmax())], i].numpy()
+    longest, there = filled(samples), np.flatnonzero(~np.isnan(samples))
+    if longest is None or len(there) < 8:
         return None
+    complete, seen = ~data.x.isnan().any(-1), ~data.x[:, i].isnan()
     noise = float(torch.from_numpy(longest - local_cubic(longest, best_length(longest), 1.0, 0)).square().mean().sqrt())
-    length = 1
+    length = max(1, round(float(np.median(np.diff(there)))))  # of a sensor that is read every fifth row, five
     while 8 * length < len(longest):
         rows = torch.arange(length, len(data) - length)
         rows = rows[data.segment[rows - length] == data.segment[rows + length]]
+        rows = rows[complete[rows] & seen[rows - length] & seen[rows + length]]
+        if not len(rows):
+            return None
         rows = rows[:: max(1, len(rows) // ROWS)]
         if float((data.x[rows + length, i] - data.x[rows, i]).square().mean().sqrt()) > CLEAR * noise:
             return rows, length

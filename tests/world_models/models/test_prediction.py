@@ -79,6 +79,13 @@ def test_relative_errors_are_those_of_the_formula():
     assert error.tolist() == [0.5, 0.0]  # 1, 2, 3 deviate by 1
 
 
+def test_lost_samples_do_not_count_in_relative_errors():
+    x = torch.tensor([[0.0, 1.0], [1.0, 1.0], [math.nan, 1.0], [2.0, 1.0], [3.0, 1.0]], dtype=torch.float64)
+    x[:, 1] = math.nan
+    data = Transitions.from_trajectory(x, torch.zeros(4, 1), 0.1)
+    assert nrmse(x[1:].nan_to_num() + 0.5, data).tolist() == [0.5, math.inf]
+
+
 def test_a_prediction_that_overflows_has_an_infinite_error():
     data = recording(n=60)
     predicted = open_loop(Explosion(MATRIX), data)

@@ -102,3 +102,17 @@ def test_without_a_time_a_delay_beyond_two_control_periods_is_found_where_a_regr
 
 def test_a_recording_of_a_few_samples_is_not_judged():
     assert moving_on(polynomial(ONE), recorded(swing, 2, [0]).select(torch.arange(N - 1) < 7)) == []
+
+
+def lossy(data: Transitions, kept: np.ndarray, column: int = 0) -> Transitions:
+    """Lose the samples of a state that are not kept, bool `(N + 1,)`."""
+    x = torch.cat([data.x, data.x_next[-1:]])
+    x[torch.from_numpy(~kept), column] = torch.nan
+    return Transitions.from_trajectory(x, data.u, data.dt)
+
+
+@pytest.mark.parametrize("kept", [np.random.default_rng(1).random(N) > 0.1, np.arange(N) % 3 == 0])
+def test_lost_samples_hide_neither_a_missing_rate_nor_one_that_is_there(kept):
+    assert moving_on(polynomial(ONE), lossy(recorded(swing, 2, [0]), kept)) == ["y"]
+    assert moving_on(polynomial(TWO), lossy(recorded(swing, 2, [0, 1]), kept)) == []
+    assert moving_on(polynomial(ONE), lossy(recorded(lag, 1, [0]), kept)) == []
