@@ -25,11 +25,11 @@ from dynasindy.dyna.excite import coarse, left_out, restarts
 from dynasindy.dyna.parts import Parts
 from dynasindy.dyna.verdict import distrusted, judge
 from dynasindy.evaluation.drawn import drawn
+from dynasindy.evaluation.equations import late
 from dynasindy.evaluation.files import whole, with_units, write_csv, write_json, write_text
 from dynasindy.evaluation.held import WITHIN, Held, held
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, summarise
-from dynasindy.evaluation.equations import late
 from dynasindy.planning.rests import states_that_matter
 from dynasindy.tasks import Tracking
 from dynasindy.world_models import FitReport, SindyModel

@@ -17,12 +17,12 @@ from dynasindy.dyna.loop import train
 from dynasindy.dyna.progress import Progress
 from dynasindy.dyna.recorder import IDENTIFICATION, Recorder, refitted
 from dynasindy.dyna.stopped import Stopped
+from dynasindy.evaluation.equations import late
 from dynasindy.evaluation.files import write_json, write_text
 from dynasindy.evaluation.given import read_record
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.summary import to_text
-from dynasindy.evaluation.equations import late
 from dynasindy.systems import Diverged
 from dynasindy.terminal import Shown, width
 
