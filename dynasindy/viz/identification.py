@@ -152,12 +152,13 @@ def prediction(
             known = np.array([-scale, scale])
         wide = float(np.ptp(known))
         ended = _until_lost(model[:, i], truths[:, i], wide)
-        x, measured, free = (_broken(v, segment) for v in (seconds, truths[:, i], ended))
-        axes[i].plot(x, measured, color=BLACK, linewidth=1.2, label=truth)
+        x, seen, free = (_broken(v, segment) for v in (seconds, truths[:, i], ended))
+        axes[i].plot(x, seen, color=BLACK, linewidth=1.2, label=truth)
         axes[i].plot(x, free, color=RED, linestyle=":", linewidth=1.8, label="predicted")
         told = _fit(truths[:, i], model[:, i], f"{short(float(wide))} {signature.state_units[i]}, {whose}")
         axes[i].set_title(told, fontsize=8.5, loc="right")
-        if wide > 0:
+        measured = not np.isnan(truths[:, i]).all()
+        if wide > 0 and (measured or bool((np.abs(np.nan_to_num(ended)) > scale).any())):
             axes[i].set_ylim(*_limits(known, ended, wide))
     _mark_gaps(axes[: len(names)], seconds, segment)
     _legend_below(figure, axes[0])

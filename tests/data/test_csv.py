@@ -106,7 +106,7 @@ def test_text_and_short_rows_are_missing_values(tmp_path):
     path.write_text("\n".join(lines))
     (_, text, short, state, gaps) = CsvLog(str(path), STATES, INPUTS).read().notes
     assert text == "line 11, column 'angle' holds 'off', which is no number; it counts as missing"
-    assert "1 of 80 rows" in short and "(angle: 1, rate: 1, volt: 1)" in short and "1 gaps" in gaps
+    assert "1 of 80 rows" in short and "(angle: 1, rate: 1, volt: 1)" in short and "1 gap longer" in gaps
     assert "1 of 80 rows" in state and "(angle: 1)" in state
 
 
