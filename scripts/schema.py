@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, TypedDict, get_args, get_type_hints
 from annotations import fit, made, words
 from mistakes import unknown
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import InterpolationKeyError, InterpolationToMissingValueError
+from omegaconf.errors import InterpolationKeyError, InterpolationResolutionError, InterpolationToMissingValueError
 
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.simulated import Simulated
@@ -180,6 +180,16 @@ def check(cfg: DictConfig, file: str = "") -> None:
         raise ValueError(
             f"{key} is not given, which {error.full_key} is taken from; add it to the plant's file, as those of "
             "docs/examples/conf/system have it"
+        ) from error
+    except InterpolationResolutionError as error:
+        if not any(words in str(error) for words in ("is not an int", "is not a container")):
+            raise
+        taken: Any = OmegaConf.to_container(cfg, resolve=False)
+        for part in str(error.full_key).split("."):
+            taken = taken[part]
+        raise ValueError(
+            f"{error.full_key} is taken from {str(taken).strip('${}')}, where a list or a single value stands for the "
+            "group of keys; give the keys as conf/ does"
         ) from error
     found: dict[str, Any] = {}
     try:

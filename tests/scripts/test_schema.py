@@ -247,3 +247,10 @@ def test_a_value_in_place_of_a_group_costs_one_line():
         compose("identify", ["system=pendulum", "plant.library=[u]"])
     line = in_words(error.value, "identify")
     assert line.startswith("'plant.library=[u]' gives a group of keys where one value is wanted, or one value where a")
+
+
+@pytest.mark.parametrize("instead", [[], 3, None, "step"])
+def test_what_takes_a_value_from_a_group_that_is_none_names_both(instead):
+    cfg = OmegaConf.create({"task": instead, "scenario": {"reference": {"max_steps": "${task.max_steps}"}}})
+    with pytest.raises(ValueError, match=r"^scenario\.reference\.max_steps is taken from task\.max_steps, where a"):
+        check(cfg)
