@@ -121,7 +121,9 @@ def starts(network: Network, env: ControlEnv, rows: Rows, rng: torch.Generator, 
     task, batch = env.task, torch.Size((STARTS,))
     nothing, zero = torch.zeros(STARTS, env.system.signature.n_u), torch.zeros(STARTS, 1)
     x, params = task.initial_state(batch, rng).float(), task.sample(batch, rng)
-    begun = replace(rows, x=x, held=nothing, params=params, t=zero, kept=False)
+    begun = replace(
+        rows, x=x, held=nothing, params=params, t=zero, kept=False, late=None
+    )  # ways are those of the model
     flown = imagine(env, env.system, network, begun, periods, rng)
     moment = torch.randint(periods + 1, (STARTS,), generator=rng)
     moment[::2] = 0

@@ -25,7 +25,7 @@ class Variation:
         parameters: Half range of a factor on each rate of change and on each input, e.g. 0.1 for +-10 %.
         disturbance: Half range of a constant added to each rate of change, in ranges of the state per second.
         noise: Standard deviation of the measurement noise of each state [its unit]; none if empty.
-        late: Most by which inputs reach the plant late, in control periods, up to 1, in one episode of two.
+        late: Most by which inputs reach the plant late, in control periods, up to 1, in one episode of two; true is 1.
         members: Fits to resampled blocks of the data, of which each imagined plant is one; the model itself if 0.
 
     Raises:
@@ -35,7 +35,7 @@ class Variation:
     parameters: float = 0.0
     disturbance: float = 0.0
     noise: Sequence[float] = ()
-    late: float = 0.0
+    late: float | bool = 0.0
     members: Count = 0
 
     def __post_init__(self) -> None:
@@ -43,9 +43,8 @@ class Variation:
         # Asked so that NaN, which compares false with everything, fails.
         if not all(0 <= number < math.inf for number in numbers) or self.parameters >= 1 or self.late > 1:
             raise ValueError(
-                "a variation needs finite numbers, 0 <= parameters < 1, 0 <= late <= 1, disturbance, noise and "
-                f"members >= 0, got "
-                f"{self}; mend planning.variation"
+                "a variation needs finite numbers, 0 <= parameters < 1, 0 <= late <= 1, disturbance, noise and members "
+                f">= 0, got {self}; mend planning.variation"
             )
 
     @property

@@ -123,6 +123,13 @@ def test_half_of_the_ways_begin_where_episodes_do_and_the_others_on_their_way():
     assert torch.equal(begun.reach, rows.reach)
 
 
+def test_ways_are_those_of_inputs_in_time_whatever_episodes_are_tested_with():
+    env, rows = setting()
+    rows.late = torch.ones(1, 1)
+    begun = starts(lazy(), env, rows, torch.Generator().manual_seed(0), PERIODS)
+    assert begun.late is None and len(better(lazy(), env, begun, torch.Generator().manual_seed(0), 2).times) == 3
+
+
 def test_what_comes_after_divergence_earns_as_little_as_the_worst_before():
     env, rows = setting()
     rows = Rows(torch.tensor([[0.95], [0.0]]), torch.zeros(2, 1), torch.zeros(2, 0), torch.zeros(2, 1))
