@@ -344,20 +344,20 @@ class SindyModel(WorldModel):
 
     def _checked(self, transitions: Transitions) -> Transitions:
         """Return transitions as they are fitted, from which a difference equation takes its step."""
-        data = transitions.to(torch.float64)
-        shape = (data.x.shape[1], data.u.shape[1])
+        data, shape = transitions.to(torch.float64), (transitions.x.shape[1], transitions.u.shape[1])
         if shape != (self.signature.n_x, self.signature.n_u):
             raise ValueError(
                 f"fit got {shape[0]} states and {shape[1]} inputs; allowed are {self.signature.n_x} and "
                 f"{self.signature.n_u}, as in the signature: check the columns"
             )
+        library, data = (self.library, data) if self.step is None else stepwise(self.library, data)
         if len(data) + self.sums.count < len(self.library):
+            kind = "samples" if self.step is None else "whole steps without gaps"
             raise ValueError(
-                f"fit got {len(data) + self.sums.count} samples; allowed are {len(self.library)} or more, one per "
+                f"fit got {len(data) + self.sums.count} {kind}; allowed are {len(self.library)} or more, one per "
                 "function: collect more data or choose a smaller library"
             )
-        if self.step is not None:
-            self.library, data = stepwise(self.library, data)
+        self.library = library
         return data
 
     def _refine(
