@@ -1,6 +1,7 @@
 """From samples of what moves in steps to equations in discrete time, and from these to a controller."""
 
 import warnings
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -32,6 +33,41 @@ def logged(folder, noise=0.0):
         a, b = following(a, b, u)
     (folder / "log.csv").write_text("\n".join(rows) + "\n")
     return dynasindy.read(folder / "log.csv")
+
+
+def steps_of_the_map(n):
+    """The map from random states under random inputs, n of its steps."""
+    x, u = torch.rand(n, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64), torch.ones(n, 1).double()
+    x_next = torch.stack(following(x[:, 0], x[:, 1], u[:, 0]), -1)
+    return Transitions(x, u, x_next, DT, torch.arange(n))
+
+
+@pytest.mark.parametrize("method", ["fit", "update"])
+def test_a_fit_that_fails_leaves_the_model_as_it_was(method):
+    model = SindyModel(Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 1.0)), ["a", "b", "u", "b^2"], time="discrete")
+    with pytest.raises(ValueError, match="3 whole steps"):
+        model.fit(steps_of_the_map(3))
+    assert model.step == 0.0  # so the step is still that of the first data
+    model.fit(steps_of_the_map(40))
+    data = steps_of_the_map(30)
+    before, r = (model.equations(), model.step, model.sums.count, model.covariance), model.sums.r.clone()
+    moved = model.predict(data.x, data.u, DT)
+    with pytest.raises(ValueError, match=r"1 of 30 samples give functions that are not finite"):
+        getattr(model, method)(replace(data, u=data.u.index_fill(0, torch.tensor(2), torch.inf)))
+    assert (model.equations(), model.step, model.sums.count, model.covariance) == before and model.step == DT
+    assert torch.equal(model.sums.r, r) and torch.equal(model.predict(data.x, data.u, DT), moved)
+
+
+@pytest.mark.parametrize("gaps", [True, False])
+def test_samples_are_counted_when_those_that_tell_nothing_are_left_out(gaps):
+    model = SindyModel(Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 1.0)), ["a", "b", "u", "b^2"], time="discrete")
+    data = steps_of_the_map(12)
+    if gaps:
+        data.x[3:, 1] = torch.nan
+    else:
+        data = replace(data, segment=torch.arange(12) // 4, substeps=4)
+    with pytest.raises(ValueError, match="3 whole steps without gaps; allowed are 4 or more"):
+        model.fit(data)
 
 
 def flown(controller, target, seen=lambda a, b: [a, b]):

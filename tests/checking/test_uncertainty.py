@@ -8,6 +8,9 @@ import torch
 
 from dynasindy.checking.linear import rest
 from dynasindy.checking.uncertainty import Spread, spread, variants
+from dynasindy.systems import Signature
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import Refinement, SindyModel
 from dynasindy.world_models.regression.covariance import Covariance
 
 
@@ -37,6 +40,19 @@ def test_draws_spread_and_go_together_as_the_covariance_of_the_fit_says(carts):
     assert drawn[:, 0].std(0).max() == drawn[:, :, 0].std(0).max() == 0  # what is known, and what was not fitted
     assert found.how == "from the covariance of the fit, with standard errors of 10 to 20 %"
     np.testing.assert_allclose(found.coefficients[4000, :, 1] / model.coefficients[:, 1], [1.2, 1, 1])
+
+
+@pytest.mark.parametrize("method", [None, "integral", "trajectory", "one_step"])
+def test_equations_that_are_all_given_have_no_uncertainty(method):
+    u = torch.rand(200, 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    x = torch.cat([u[:1] * 0, (0.1 * u).cumsum(0)])
+    data = Transitions(x[:-1], u, x[1:], 0.1, torch.zeros(200, dtype=torch.long))
+    refinement = None if method is None else Refinement(method)
+    plant = Signature(("a",), ("-",), ("u",), (1.0,))
+    model = SindyModel(plant, ["a", "u"], known={"a": "u"}, refinement=refinement)
+    for learn in (model.fit, model.update):
+        assert learn(data).known == "" and model.covariance is None and model.equations() == ["a' = u"]
+        assert torch.equal(variants(model, 3, seed=0).coefficients, model.coefficients.expand(3, 2, 1))
 
 
 def test_error_and_eigenvalues_with_other_plants_are_those_of_paper(loops, carts):

@@ -3,11 +3,38 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 from dynasindy.systems.base import System
 from dynasindy.systems.transitions import Transitions
+
+Given, Returned = ParamSpec("Given"), TypeVar("Returned")
+
+
+def whole(*names: str) -> Callable[[Callable[Given, Returned]], Callable[Given, Returned]]:
+    """Return a decorator of methods that succeed as a whole: where one raises, named attributes are as before it.
+
+    Args:
+        names: attributes that the method replaces by others. What it changes inside of them stays changed.
+    """
+
+    def _of(method: Callable[Given, Returned]) -> Callable[Given, Returned]:
+        @wraps(method)
+        def _called(*args: Given.args, **kwargs: Given.kwargs) -> Returned:
+            before = {name: getattr(args[0], name) for name in names}
+            try:
+                return method(*args, **kwargs)
+            except BaseException:
+                for name, value in before.items():
+                    setattr(args[0], name, value)
+                raise
+
+        return _called
+
+    return _of
 
 
 class WorldModel(System):

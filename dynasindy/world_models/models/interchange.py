@@ -75,8 +75,16 @@ def from_pysindy(theirs: Any, signature: Signature) -> SindyModel:
         signature: states and inputs, in the order of PySINDy's columns.
 
     Raises:
-        ValueError: a function's name cannot be read, or the numbers of states differ.
+        ValueError: a function's name cannot be read, the numbers of states differ, or the model is one in discrete
+            time.
     """
+    import pysindy
+
+    if isinstance(theirs, pysindy.DiscreteSINDy):
+        raise ValueError(
+            "from_pysindy got a model in discrete time, a DiscreteSINDy; allowed are differential equations, a SINDy: "
+            "fit a SindyModel with time='discrete' to the data"
+        )
     coefficients = torch.from_numpy(np.asarray(theirs.coefficients(), dtype=np.float64)).mT.contiguous()
     if coefficients.shape[1] != signature.n_x:
         raise ValueError(

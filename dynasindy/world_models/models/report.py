@@ -91,7 +91,7 @@ class FitReport:
     @property
     def known(self) -> str:
         """Say how well the coefficients are known; nothing where that is not told."""
-        if self.covariance is None or not len(self.covariance.errors):
+        if self.covariance is None:
             return ""
         library, xi, _ = self._source
         shares = 100 * self.covariance.shares(xi)

@@ -32,7 +32,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries import LibraryBuilder, build_library
 from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.models.base import WorldModel
+from dynasindy.world_models.models.base import WorldModel, whole
 from dynasindy.world_models.models.report import FitReport, unmeasured
 from dynasindy.world_models.refinement.delay import delayed, known_inputs
 from dynasindy.world_models.refinement.measured import at_rest, begun, followed, imagined, rates_known, reconstruct
@@ -103,7 +103,7 @@ class SindyModel(WorldModel):
         self.register_buffer("coefficients", self.constraints.offset.clone())
         self.covariance: Covariance | None = None
         self._field: Field | None = None
-        self._field_of: tuple[Tensor, int] | None = None
+        self._field_of: tuple[Tensor, int, Library] | None = None
 
     @property
     def step(self) -> float | None:
@@ -134,12 +134,13 @@ class SindyModel(WorldModel):
 
     def _written(self) -> Field:
         """Return the equations as torch code, written anew where they have changed."""
-        made_of, version = self._field_of or (None, 0)
+        made_of, version, library = self._field_of or (None, 0, None)
+        anew = made_of is not self.coefficients or version != self.coefficients._version or library is not self.library
         # The tensor itself is compared and so kept alive: its id may be that of a later one once it is gone.
-        if self._field is None or made_of is not self.coefficients or version != self.coefficients._version:
+        if self._field is None or anew:
             self._field = generate(self.library, self.coefficients.cpu())
             self._machines.clear()
-            self._field_of = self.coefficients, self.coefficients._version
+            self._field_of = self.coefficients, self.coefficients._version, self.library
         return self._field
 
     def __getstate__(self) -> dict[str, object]:
@@ -194,12 +195,11 @@ class SindyModel(WorldModel):
             What was found and how well it fits.
 
         Raises:
-            ValueError: there are fewer samples than functions.
-            ValueError: a sample is not finite.
+            ValueError: there are fewer samples than functions, or a sample is not finite; the model stays as it was.
             Diverged: a coefficient is not finite; the model stays as it was.
         """
-        self.library = self.library.with_step(None if self.step is None else UNTOLD)
-        return self._identify(transitions, RunningSums(len(self.library), self.signature.n_x), 0.0)
+        library = self.library.with_step(None if self.step is None else UNTOLD)
+        return self._identify(transitions, RunningSums(len(library), self.signature.n_x), 0.0, library)
 
     def update(self, transitions: Transitions) -> FitReport:
         """Identify the model anew from all earlier data and new transitions, at the cost of the new ones.
@@ -208,11 +208,10 @@ class SindyModel(WorldModel):
         of the inputs, what was summed of earlier data is of other functions, and left out.
 
         Raises:
-            ValueError: there are fewer samples than functions.
-            ValueError: a sample is not finite, or the sampling time is not the step of a difference equation.
+            ValueError: samples are too few, not finite, or not a step of the equation apart; the model stays as it was.
             Diverged: a coefficient is not finite; the model stays as it was.
         """
-        return self._identify(transitions, self.sums, self.delay)
+        return self._identify(transitions, self.sums.copy(), self.delay, self.library)
 
     @property
     def additive(self) -> bool:
@@ -231,9 +230,10 @@ class SindyModel(WorldModel):
         guess = at_rest(reconstruct(data, rates), self.followers)
         self.sums.add(self._rows(Recording.of(data, guess, rates, self.delay), self.delay))
 
-    def _identify(self, transitions: Transitions, sums: RunningSums, delay: float) -> FitReport:
+    @whole("library", "sums", "delay", "coefficients", "covariance")
+    def _identify(self, transitions: Transitions, sums: RunningSums, delay: float, library: Library) -> FitReport:
         """Fit to the sums of earlier data and to new transitions, whose inputs act `delay` seconds later."""
-        start, self.sums, earlier = time.perf_counter(), sums, sums.count
+        start, self.sums, earlier, self.library = time.perf_counter(), sums, sums.count, library
         data = self._checked(transitions)
         rates, first = rates_known(self.library, self.constraints), None
         guess = at_rest(reconstruct(data, rates), self.followers)
@@ -344,20 +344,20 @@ class SindyModel(WorldModel):
 
     def _checked(self, transitions: Transitions) -> Transitions:
         """Return transitions as they are fitted, from which a difference equation takes its step."""
-        data = transitions.to(torch.float64)
-        shape = (data.x.shape[1], data.u.shape[1])
+        data, shape = transitions.to(torch.float64), (transitions.x.shape[1], transitions.u.shape[1])
         if shape != (self.signature.n_x, self.signature.n_u):
             raise ValueError(
                 f"fit got {shape[0]} states and {shape[1]} inputs; allowed are {self.signature.n_x} and "
                 f"{self.signature.n_u}, as in the signature: check the columns"
             )
+        library, data = (self.library, data) if self.step is None else stepwise(self.library, data)
         if len(data) + self.sums.count < len(self.library):
+            kind = "samples" if self.step is None else "whole steps without gaps"
             raise ValueError(
-                f"fit got {len(data) + self.sums.count} samples; allowed are {len(self.library)} or more, one per "
+                f"fit got {len(data) + self.sums.count} {kind}; allowed are {len(self.library)} or more, one per "
                 "function: collect more data or choose a smaller library"
             )
-        if self.step is not None:
-            self.library, data = stepwise(self.library, data)
+        self.library = library
         return data
 
     def _refine(

@@ -112,7 +112,7 @@ def _descend(
 def certainty(library: Library, xi: Tensor, free: Tensor, data: Transitions, tolerance: float) -> Covariance | None:
     """Return the covariance of the coefficients of least one-step error, numbers inside functions unknown as well.
 
-    It is None where a number in it is not finite.
+    It is None where nothing was estimated, or a number in it is not finite.
 
     Args:
         library: candidate functions.
@@ -151,7 +151,7 @@ def linear_model(
     predicted, s = propagator.advance(data.x, start, data.u, data.dt, steps_in(data, library, xi))
     error, jacobian = data.x_next - predicted, s[:, :, xi.shape[1] :]
     weight = 1 / torch.maximum(error.square().mean(0).sqrt(), floor).clamp_min(1e-300)
-    rows = (jacobian * weight.unsqueeze(-1)).reshape(-1, jacobian.shape[-1])
+    rows = (jacobian * weight.unsqueeze(-1)).flatten(0, 1)
     scale = rows.norm(dim=0).clamp_min(1e-300)
     coefficients = rows[:, rows.shape[1] - len(parameters) :]
     target = (error * weight).reshape(-1, 1) + coefficients @ parameters.read(xi).unsqueeze(-1)

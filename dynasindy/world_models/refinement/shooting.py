@@ -81,7 +81,7 @@ def linearise(flow: Flow, sigma: Tensor | None = None) -> Linearised:
 def certainty(flow: Flow) -> Covariance | None:
     """Return the covariance of the coefficients of trajectories that fit best, starts and shapes unknown as well.
 
-    It is None where the model runs away.
+    It is None where nothing is estimated, or the model runs away.
 
     Args:
         flow: the trajectories.

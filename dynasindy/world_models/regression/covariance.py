@@ -42,8 +42,10 @@ class Covariance(NamedTuple):
     factor: Tensor
 
     @classmethod
-    def of(cls, parameters: Parameters, factor: Tensor) -> Covariance:
-        """Return the covariance of named coefficients."""
+    def of(cls, parameters: Parameters, factor: Tensor) -> Covariance | None:
+        """Return the covariance of named coefficients; None where there are none, as of equations that are given."""
+        if not len(parameters):
+            return None
         return cls(parameters.features, parameters.states, factor)
 
     @property
@@ -81,8 +83,10 @@ class Covariance(NamedTuple):
         return drawn
 
 
-def of_sums(coefficients: Tensor, free: Tensor, sums: RunningSums) -> Covariance:
+def of_sums(coefficients: Tensor, free: Tensor, sums: RunningSums) -> Covariance | None:
     """Return the covariance of a regression of which only sums over its samples are known, independent errors assumed.
+
+    It is None where nothing was fitted.
 
     Args:
         coefficients: Xi of the fit, `(n_features, n_x)`.
@@ -102,7 +106,7 @@ def of_sums(coefficients: Tensor, free: Tensor, sums: RunningSums) -> Covariance
 
 
 def of_rates(coefficients: Tensor, free: Tensor, theta: Tensor, dx: Tensor) -> Covariance | None:
-    """Return the covariance of a regression of rates of change; None where a number in it is not finite.
+    """Return the covariance of a regression of rates of change; None where nothing was fitted, or one is not finite.
 
     Args:
         coefficients: Xi of the fit, `(n_features, n_x)`.

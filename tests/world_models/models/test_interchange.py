@@ -49,6 +49,13 @@ def test_a_polynomial_and_fourier_model_of_pysindy_is_read():
     assert np.allclose(ours(torch.from_numpy(x), torch.from_numpy(u)).numpy(), dx, atol=1e-8)
 
 
+def test_a_model_of_pysindy_in_discrete_time_is_refused():
+    x = np.cumprod(np.full((30, 1), 0.9), 0)
+    theirs = pysindy.DiscreteSINDy(feature_library=pysindy.PolynomialLibrary(1)).fit(x, t=1)
+    with pytest.raises(ValueError, match="got a model in discrete time, a DiscreteSINDy; allowed are differential"):
+        from_pysindy(theirs, Signature(("a",), ("-",), (), (1.0,)))
+
+
 def test_sympy_evaluates_to_the_same_numbers():
     sympy = pytest.importorskip("sympy")
     model = _model()
