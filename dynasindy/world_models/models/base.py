@@ -11,7 +11,8 @@ from typing import Any, ParamSpec, TypeVar
 from dynasindy.systems.base import System
 from dynasindy.systems.transitions import Transitions
 
-Given, Returned = ParamSpec("Given"), TypeVar("Returned")
+Given = ParamSpec("Given")
+Returned = TypeVar("Returned")
 
 
 def whole(*names: str) -> Callable[[Callable[Given, Returned]], Callable[Given, Returned]]:
