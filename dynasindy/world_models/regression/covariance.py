@@ -106,7 +106,9 @@ def of_sums(coefficients: Tensor, free: Tensor, sums: RunningSums) -> Covariance
 
 
 def of_rates(coefficients: Tensor, free: Tensor, theta: Tensor, dx: Tensor) -> Covariance | None:
-    """Return the covariance of a regression of rates of change; None where nothing was fitted, or one is not finite.
+    """Return the covariance of a regression of rates of change.
+
+    It is None where nothing was fitted, or a number in it is not finite.
 
     Args:
         coefficients: Xi of the fit, `(n_features, n_x)`.

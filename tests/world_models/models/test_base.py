@@ -3,6 +3,7 @@ import torch
 
 from dynasindy.systems import Tras
 from dynasindy.world_models import Oracle, SindyModel, WorldModel
+from dynasindy.world_models.models.base import whole
 
 
 def test_a_model_that_cannot_be_fitted_is_abstract():
@@ -19,3 +20,21 @@ def test_every_model_is_a_system_with_the_plants_signature(make, tmp_path):
     assert len(model.equations()) == 6
     model.save(tmp_path / "model.json")
     assert (tmp_path / "model.json").read_text().startswith("{")
+
+
+def test_a_method_that_raises_leaves_what_is_named_as_it_was():
+    class Sum:
+        total, calls = 0, 0
+
+        @whole("total")
+        def add(self, *numbers):
+            self.calls += 1
+            for number in numbers:
+                self.total += number
+            return self.total
+
+    one = Sum()
+    assert one.add(1, 2) == one.total == 3
+    with pytest.raises(TypeError):
+        one.add(4, "five")
+    assert (one.total, one.calls) == (3, 2)
