@@ -4,6 +4,15 @@ import re
 import textwrap
 from collections.abc import Iterator, Sequence
 
+RULE = re.compile(r"\|(?:\s*:?-+:?\s*\|)+\s*")
+
+
+def is_table(lines: Sequence[str]) -> bool:
+    """Return whether lines are a table in Markdown: names, a rule, and rows with as many cells as there are names."""
+    if len(lines) < 3 or not RULE.fullmatch(lines[1]):
+        return False
+    return len({len(_cells(line)) for line in lines}) == 1
+
 
 def narrowed(lines: Sequence[str], columns: int) -> list[str]:
     """Return a table in lines that fit.
@@ -12,7 +21,7 @@ def narrowed(lines: Sequence[str], columns: int) -> list[str]:
     side as fit; those of the other rows follow below.
 
     Args:
-        lines: Those of the table in Markdown: names, a rule, rows.
+        lines: Those of the table in Markdown: names, a rule, rows; see `is_table`.
         columns: Columns of the terminal.
     """
     if max(map(len, lines)) <= columns:

@@ -19,7 +19,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, TextIO, cast
 
 from dynasindy.durations import in_words
-from dynasindy.narrow import narrowed
+from dynasindy.narrow import is_table, narrowed
 from dynasindy.told import Told, hearing
 
 if TYPE_CHECKING:
@@ -319,9 +319,10 @@ def fitted(text: str, columns: int) -> str:
     wide is turned.
     """
     found: list[str] = []
-    for is_table, several in groupby(text.split("\n"), lambda line: line.startswith("| ")):
+    for _, several in groupby(text.split("\n"), lambda line: line.startswith("| ")):
         lines = [*several]
-        found += narrowed(lines, columns) if is_table else [part for line in lines for part in _broken(line, columns)]
+        turned = is_table(lines)  # a lone line may begin with a bar as well
+        found += narrowed(lines, columns) if turned else [part for line in lines for part in _broken(line, columns)]
     return "\n".join(found)
 
 
@@ -334,7 +335,7 @@ def _broken(whole: str, columns: int) -> list[str]:
         begin = f"{start}{REMARK}"
         below = textwrap.wrap(comment, columns, initial_indent=begin, subsequent_indent=begin, break_long_words=False)
         return [command, *below] if sign else [whole]
-    equation = re.match(r"\s*\S+' = ", whole)
+    equation = re.match(r"\s*\S+(?:'|\[k\+1\]) = ", whole)
     if equation is None:
         return textwrap.wrap(whole, columns, subsequent_indent=start, break_long_words=False, break_on_hyphens=False)
     return _equation(whole, columns, " " * min(len(equation[0]), columns // 3))

@@ -2,7 +2,7 @@
 
 import pytest
 
-from dynasindy.narrow import narrowed
+from dynasindy.narrow import is_table, narrowed
 
 TABLE = [
     "| setting | seeds | return | commit |",
@@ -43,3 +43,8 @@ def test_no_line_is_longer_than_the_terminal_and_no_cell_is_lost(columns):
 
 def test_a_table_without_rows_is_its_names():
     assert narrowed(TABLE[:2], 12) == ["setting", "seeds", "return", "commit"]
+
+
+def test_a_table_has_a_rule_in_its_second_line_and_rows_as_long_as_its_names():
+    assert is_table(TABLE) and is_table(TABLE[:3])
+    assert not any(map(is_table, ([], TABLE[:1], TABLE[:2], TABLE[2:], [*TABLE, "| one cell |"])))

@@ -333,6 +333,13 @@ def test_a_table_that_is_too_wide_is_turned_and_what_stands_around_it_is_not():
     assert fitted(text, 15).splitlines() == ["Level: 0.05", "setting  direct", "seeds    3", "Tables: x"]
 
 
+def test_a_wide_line_that_begins_with_a_bar_is_no_table():
+    line = "| a sentence that begins with a bar"
+    assert fitted(line, 20).splitlines() == ["| a sentence that", "begins with a bar"]
+    ragged = "| setting | seeds |\n| --- | --- |\n| direct and more |"
+    assert fitted(ragged, 15).split() == ragged.split()  # nothing is lost of what is no table either
+
+
 def test_equations_end_between_terms_and_sentences_between_words():
     text = "  x' = 1.5 a - 2 sin(b + c) d + 1e-06 e^2\nOne sentence that is long\nshort"
     assert fitted(text, 20).splitlines() == [
@@ -346,6 +353,15 @@ def test_equations_end_between_terms_and_sentences_between_words():
     ]
     assert fitted(text, 30).splitlines()[:2] == ["  x' = 1.5 a - 2 sin(b + c) d", "       + 1e-06 e^2"]
     assert all(len(line) <= 30 for line in fitted(text, 30).splitlines())
+
+
+def test_equations_in_discrete_time_end_between_terms_too():
+    text = "p_long_name[k+1] = 0.5 p_long_name + v_long - 0.0025 sin(3 p_long_name) + 0.1 cos(3 p_long_name)"
+    assert fitted(text, 50).splitlines() == [
+        "p_long_name[k+1] = 0.5 p_long_name + v_long",
+        " " * 16 + "- 0.0025 sin(3 p_long_name)",
+        " " * 16 + "+ 0.1 cos(3 p_long_name)",
+    ]
 
 
 def test_a_text_is_whole_in_a_file_and_within_the_width_of_a_terminal(capsys, monkeypatch):

@@ -11,6 +11,7 @@ from dynasindy.checking.linear import Rest, rest
 from dynasindy.checking.loop import Loop
 from dynasindy.told import counted
 from dynasindy.world_models import SindyModel
+from dynasindy.world_models.writers.tables import change_of
 
 SHARE = 0.2
 """By how much a coefficient is moved, as a share of itself."""
@@ -71,7 +72,8 @@ def variants(model: SindyModel, draws: int, seed: int) -> Variants:
             changed = xi.clone()
             changed[k, i] *= 1 + sign * SHARE
             moved.append(changed)
-            labels.append(f"{model.library.names[k]} in {model.signature.state_names[i]}' {100 * sign * SHARE:+.0f} %")
+            place = change_of(model.library, model.signature.state_names[i])
+            labels.append(f"{model.library.names[k]} in {place} {100 * sign * SHARE:+.0f} %")
     return Variants(labels, torch.cat([drawn, *(one.unsqueeze(0) for one in moved)]), draws, how)
 
 

@@ -54,9 +54,35 @@ class Rates:
 
 
 def step_of(f: object) -> float | None:
-    """Return the step of a difference equation [s]; None of a differential equation, and of any function."""
-    step: float | None = getattr(f, "step", None)
-    return step
+    """Return the step of a difference equation [s]; None of a differential equation, and of any function.
+
+    Raises:
+        TypeError: its attribute `step` is something else.
+    """
+    return require_step(getattr(f, "step", None), type(f).__name__)
+
+
+def require_step(step: object, name: str) -> float | None:
+    """Return what is a step [s] or None.
+
+    Args:
+        step: what is an attribute `step`.
+        name: the class that it is of.
+
+    Raises:
+        TypeError: it is neither.
+    """
+    if step is None or (isinstance(step, int | float) and not isinstance(step, bool)):
+        return step
+    raise TypeError(taken(name, f"a {type(step).__name__}"))
+
+
+def taken(name: str, own: str) -> str:
+    """Say that a class gives the word `step` another meaning."""
+    return (
+        f"system {name} has a 'step' of its own, {own}; step is a word of System: it is the step of a difference "
+        "equation [s], and None of a plant dx/dt = f(x, u): name yours otherwise"
+    )
 
 
 def steps_of(step: float | None, seconds: float, substeps: int) -> Steps:

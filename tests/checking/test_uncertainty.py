@@ -28,6 +28,13 @@ def test_each_coefficient_of_the_data_is_moved_and_no_other(carts):
     np.testing.assert_array_equal(found.coefficients[:4, :, 0], model.coefficients[:, 0].expand(4, -1))
 
 
+def test_a_coefficient_of_a_difference_equation_is_one_of_the_change_of_its_state(carts):
+    model = carts(friction=0.5, spring=2.0)
+    model.library = model.library.with_step(0.1)
+    found = variants(model, 0, 0)
+    assert found.labels == [f"{f} in the change of v {s}20 %" for f in ("force", "v", "p") for s in "+-"]
+
+
 def test_draws_spread_and_go_together_as_the_covariance_of_the_fit_says(carts):
     model = carts(friction=0.5, spring=2.0)
     assert variants(model, 1, 1).how == "each within 5 % of itself, as the model tells no standard errors"

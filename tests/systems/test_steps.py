@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from dynasindy.systems import Pendulum
+from dynasindy.systems import Pendulum, Signature, System
 from dynasindy.systems.steps import UNTOLD, Rates, step_of, steps_of
 
 
@@ -34,3 +34,48 @@ def test_a_function_is_of_a_difference_equation_where_it_says_so():
     assert step_of(field) is None and step_of(Pendulum()) is None
     rates = Rates(field, 0.2)
     assert step_of(rates) == 0.2 and float(rates(torch.tensor(3.0), torch.zeros(1))) == 6.0
+
+
+class Tank(System):
+    """A tank, whose class may give `step` a meaning of its own."""
+
+    def __init__(self, own=None):
+        super().__init__(Signature(("h",), ("m",), ("pump",), (1.0,)))
+        if own is not None:
+            self.step = own
+
+    def forward(self, x, u):
+        return u - x
+
+
+class Sampled(Tank):
+    step = 0.1
+
+
+class Method(Tank):
+    def step(self):
+        return 1.0
+
+
+@pytest.mark.parametrize(
+    ("build", "own"),
+    [
+        (Method, "Method has a 'step' of its own, a function"),
+        (lambda: Tank(0.1), "Tank has a 'step' of its own, a float"),
+        (lambda: Tank(torch.nn.Linear(1, 1)), "Tank has a 'step' of its own, a Linear"),
+    ],
+)
+def test_a_plant_with_another_step_is_told_that_the_word_is_taken(build, own):
+    with pytest.raises(TypeError, match=f"system {own}; step is a word of System: .* name yours otherwise") as error:
+        build()
+    assert "\n" not in str(error.value)
+
+
+def test_a_plant_is_a_difference_equation_where_its_class_has_a_number():
+    assert step_of(Sampled()) == 0.1 and step_of(Tank()) is None
+
+
+@pytest.mark.parametrize("step", [True, "0.1", lambda: 0.1])
+def test_what_is_no_number_is_no_step(step):
+    with pytest.raises(TypeError, match="step is a word of System"):
+        step_of(Rates(Tank(), step))

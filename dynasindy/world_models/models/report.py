@@ -14,6 +14,7 @@ from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.regression.covariance import Covariance
 from dynasindy.world_models.regression.identifiability import Identifiability
 from dynasindy.world_models.regression.regression import RunningSums
+from dynasindy.world_models.writers.tables import change_of
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ class FitReport:
         shares = 100 * self.covariance.shares(xi)
         worst = int(shares.argmax())
         feature, state = int(self.covariance.features[worst]), int(self.covariance.states[worst])
-        place = f"that of {library.names[feature]} in {library.signature.state_names[state]}'"
+        place = f"that of {library.names[feature]} in {change_of(library, library.signature.state_names[state])}"
         return (
             f"coefficients are known within {float(shares.median()):.2g} % of themselves in the median, and {place}, "
             f"the least of all, within {float(shares[worst]):.2g} % (standard errors)"

@@ -58,6 +58,11 @@ def moved_on(library: Library, state: str) -> str:
     return f"{state}'" if library.step is None else f"{state}[k+1]"
 
 
+def change_of(library: Library, state: str) -> str:
+    """Return what the coefficients of a state are those of: its rate, or its change in a step of the equation."""
+    return moved_on(library, state) if library.step is None else f"the change of {state}"
+
+
 def mapping(library: Library, coefficients: Tensor) -> tuple[Library, Tensor]:
     """Return what stands on the right of the equations: of a difference equation x[k] + step Xi' Theta, as one sum.
 

@@ -77,6 +77,14 @@ def test_the_text_says_how_well_coefficients_are_known():
     ) in replace(found, covariance=known).to_text().splitlines()
 
 
+def test_coefficients_of_a_difference_equation_are_those_of_the_change_in_a_step():
+    found, sums = report(rows())
+    stepped = FitReport.of(LIBRARY.with_step(0.01), XI, sums, 0.25, dt=0.01)
+    known = Covariance(torch.tensor([2]), torch.tensor([1]), torch.diag(torch.tensor([0.25])).double())
+    assert "that of u in the change of b, the least" in replace(stepped, covariance=known).known
+    assert "that of u in b', the least" in replace(found, covariance=known).known
+
+
 def test_what_the_others_of_an_equation_leave_over_of_a_function_is_the_sine_of_the_angle_between_them():
     """Columns at an angle of 0.01 rad leave a hundredth over of each other; one at a right angle is all its own."""
     angle, rest = 0.01, torch.zeros(9, 2, dtype=torch.float64)
