@@ -72,8 +72,8 @@ def variants(model: SindyModel, draws: int, seed: int) -> Variants:
             changed = xi.clone()
             changed[k, i] *= 1 + sign * SHARE
             moved.append(changed)
-            place = change_of(model.library, model.signature.state_names[i])
-            labels.append(f"{model.library.names[k]} in {place} {100 * sign * SHARE:+.0f} %")
+            where = change_of(model.library, model.signature.state_names[i])
+            labels.append(f"{model.library.names[k]} in {where} {100 * sign * SHARE:+.0f} %")
     return Variants(labels, torch.cat([drawn, *(one.unsqueeze(0) for one in moved)]), draws, how)
 
 
