@@ -12,7 +12,7 @@ from dynasindy.told import tell
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement.flow import MOST_STEPS, turn_of
 from dynasindy.world_models.refinement.windows import ENOUGH, spread
-from dynasindy.world_models.regression.covariance import Covariance, moved
+from dynasindy.world_models.regression.covariance import Covariance, jackknife
 from dynasindy.world_models.regression.regression import least_squares
 from dynasindy.world_models.regression.selection import reconsider, walk_down
 from dynasindy.world_models.regression.sensitivity import Parameters, Propagator
@@ -126,7 +126,7 @@ def certainty(library: Library, xi: Tensor, free: Tensor, data: Transitions, tol
     rows, target, scale = linear_model(library, xi, parameters, data, floor)
     n_shapes = len(library.shapes)
     errors = target - rows[:, n_shapes:] @ (parameters.read(xi) * scale[n_shapes:]).unsqueeze(-1)
-    factor = moved(torch.cat([rows, errors], -1).unflatten(0, (len(data), -1)))
+    factor = jackknife(torch.cat([rows, errors], -1).unflatten(0, (len(data), -1)))
     return None if factor is None else Covariance.of(parameters, (factor / scale.unsqueeze(-1))[n_shapes:])
 
 

@@ -20,7 +20,7 @@ from dynasindy.world_models.refinement.coloured import remaining
 from dynasindy.world_models.refinement.flow import EXACT, Estimate, Flow, white
 from dynasindy.world_models.refinement.pushes import Noise, estimated, whiten
 from dynasindy.world_models.refinement.windows import Windows
-from dynasindy.world_models.regression.covariance import STRETCHES, Covariance, moved
+from dynasindy.world_models.regression.covariance import STRETCHES, Covariance, jackknife
 from dynasindy.world_models.regression.sensitivity import Parameters
 
 LARGEST = 500.0
@@ -94,7 +94,7 @@ def certainty(flow: Flow) -> Covariance | None:
     always = rows[count:] if count < len(rows) else None
     # Errors within a window have its start in common, so it is left out as a whole where there are enough of them.
     parts = len(windows) if len(windows) >= STRETCHES else len(windows) * samples
-    factor = moved(rows[:count].unflatten(0, (parts, -1)), always)
+    factor = jackknife(rows[:count].unflatten(0, (parts, -1)), always)
     if factor is None:
         return None
     return Covariance.of(flow.parameters, factor[len(factor) - len(flow.parameters) :])

@@ -120,14 +120,14 @@ def of_rates(coefficients: Tensor, free: Tensor, theta: Tensor, dx: Tensor) -> C
     errors, factors = dx - theta @ coefficients, []
     for state in range(coefficients.shape[1]):
         active = parameters.features[parameters.states == state]
-        factor = moved(torch.cat([theta[:, active], errors[:, state : state + 1]], -1).unsqueeze(1))
+        factor = jackknife(torch.cat([theta[:, active], errors[:, state : state + 1]], -1).unsqueeze(1))
         if factor is None:
             return None
         factors.append(factor)
     return Covariance.of(parameters, torch.cat(factors))
 
 
-def moved(rows: Tensor, always: Tensor | None = None, stretches: int = STRETCHES) -> Tensor | None:
+def jackknife(rows: Tensor, always: Tensor | None = None, stretches: int = STRETCHES) -> Tensor | None:
     """Return how unknowns move when each stretch of the data is left out, as a factor of their covariance.
 
     Args:
