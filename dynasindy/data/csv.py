@@ -135,31 +135,25 @@ class CsvLog:
         if bounded := [name for name, column in states.items() if column.low is not None]:
             raise ValueError(f"{self}: state {bounded[0]} was given low and high, which inputs alone have: {MAP}")
         require_names([*states, *inputs], str(self))
-        parts = [self._part(path, states, inputs) for path in self.paths]
+        return self._joined([self._part(path, states, inputs) for path in self.paths])
+
+    def _joined(self, parts: Sequence[_Part]) -> Recording:
+        """Return what the files gave as one recording."""
         notes, after = [note for part in parts for note in self._of(part)], list[str]()
-        states, inputs, headings, dt = parts[0].states, parts[0].inputs, parts[0].headings, _one_period(parts, self.dt)
+        inputs, headings, dt = parts[0].inputs, parts[0].headings, _one_period(parts, self.dt)
         found = reaches(str(self), np.concatenate([part.u for part in parts]), inputs, self.into_range, after)
         for part in parts:
             part.notes.clear()
             part.t, part.x, part.u, part.segment = evened(part.t, part.x, scaled(part.u, found), dt, part.notes)
         segment = _apart([part.segment for part in parts])
         x = {name: np.concatenate([part.x[name] for part in parts]) for name in parts[0].x}
-        states = _decided(states, headings, x, segment, dt)
+        states = _decided(parts[0].states, headings, x, segment, dt)
         notes += conversions(states, headings)
-        free, ends = np.zeros(len(segment), dtype=bool), np.cumsum([0, *(len(part.t) for part in parts)])
-        for part, rows in zip(parts, itertools.starmap(slice, itertools.pairwise(ends)), strict=True):
-            mine = {name: column[rows] for name, column in x.items()}
-            out = holes(mine, part.segment, part.notes)
-            free[rows] = ~(out | _stuck(mine, part.notes))
+        free = _free(x, parts)
         notes += [*after, *(note for part in parts for note in self._of(part))]
         full = _with_rates(x, states, segment, dt, notes)
         if any(c.derivative_of and not c.name for c in states.values()):
-            known = np.repeat(*np.array([[n >= SMOOTH, n] for n in _lengths(segment)]).T).astype(bool)
-            free &= known
-            if not known.all():
-                notes.append(
-                    f"{int((~known).sum())} samples in stretches under {SMOOTH} samples have no rate; they were skipped"
-                )
+            free &= _smoothable(segment, notes)
         data = _transitions(full, np.concatenate([part.u for part in parts]), segment, free, dt)
         self._require_enough(data, [name for name, c in states.items() if c.name], list(states), notes)
         units = tuple(c.unit for c in states.values())
@@ -271,6 +265,15 @@ def _apart(segments: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
     return np.concatenate([segment + count for segment, count in zip(segments, counts[:-1], strict=True)])
 
 
+def _free(x: Mapping[str, Array], parts: Sequence[_Part]) -> NDArray[np.bool_]:
+    """Tell which rows of all files lie in no hole of their own one, and at no stop, `(N,)`; each file notes its own."""
+    free, ends = [], np.cumsum([0, *(len(part.t) for part in parts)])
+    for part, (first, last) in zip(parts, itertools.pairwise(ends), strict=True):
+        mine = {name: column[first:last] for name, column in x.items()}
+        free.append(~(holes(mine, part.segment, part.notes) | _stuck(mine, part.notes)))
+    return np.concatenate(free)
+
+
 def _decided(
     states: dict[str, Column], headings: Sequence[str], x: dict[str, Array], segment: NDArray[np.int64], dt: float
 ) -> dict[str, Column]:
@@ -357,9 +360,14 @@ def _with_rates(
     return np.stack([full[name] for name in states], -1)
 
 
-def _lengths(segment: NDArray[np.int64]) -> list[int]:
-    """Return how many rows each segment has."""
-    return [rows.stop - rows.start for rows in stretches(segment)]
+def _smoothable(segment: NDArray[np.int64], notes: list[str]) -> NDArray[np.bool_]:
+    """Tell which rows lie in segments that are long enough for the rate of a state, `(N,)`."""
+    long = np.bincount(segment)[segment] >= SMOOTH
+    if not long.all():
+        notes.append(
+            f"{int((~long).sum())} samples in stretches under {SMOOTH} samples have no rate; they were skipped"
+        )
+    return np.asarray(long)
 
 
 def _transitions(x: Array, u: Array, segment: NDArray[np.int64], free: NDArray[np.bool_], dt: float) -> Transitions:

@@ -46,12 +46,8 @@ def evened(
     breaks = np.diff(t) > GAP * dt
     if breaks.any():
         count = int(breaks.sum())
-        gaps = (
-            "1 gap longer than 1.5 sampling times splits"
-            if count == 1
-            else (f"{count} gaps longer than 1.5 sampling times split")
-        )
-        notes.append(f"{gaps} the recording")
+        gaps, split = ("gap", "splits") if count == 1 else ("gaps", "split")
+        notes.append(f"{count} {gaps} longer than 1.5 sampling times {split} the recording")
     segment = np.concatenate([[0], np.cumsum(breaks)])
     uneven = np.abs(np.diff(t)[~breaks] - dt) > EVEN * dt
     if not uneven.any():
