@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.models.prediction import variance
 from dynasindy.world_models.regression.regression import least_squares
 
 ORDERS = (1, 2, 4, 8, 16)
@@ -99,8 +100,7 @@ class LinearModel:
         later = (starts.unsqueeze(-1) + torch.arange(steps)).clamp_max(len(data) - 1)
         real = data.x_next[later]
         error = (self.predict(data, starts, later) - real)[..., self.seen].square().nanmean((0, 1))
-        off = (data.x_next - data.x_next.nanmean(0))[:, self.seen].double().square()
-        spread = (off.nansum(0) / ((~off.isnan()).sum(0) - 1).clamp_min(1)).clamp_min(1e-300)
+        spread = variance(data.x_next[:, self.seen].double()).clamp_min(1e-300)
         return float((error / spread).sum().nan_to_num(math.inf, math.inf))
 
 

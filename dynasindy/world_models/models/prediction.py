@@ -42,8 +42,11 @@ def nrmse(predicted: Tensor, data: Transitions) -> Tensor:
 
     Samples that were lost do not count; the error of a state that was never measured is infinite.
     """
-    seen = ~data.x_next.isnan()
-    count = seen.sum(0)
-    error = torch.where(seen, (predicted - data.x_next).square(), 0.0).sum(0) / count
-    off = torch.where(seen, (data.x_next - data.x_next.nanmean(0)).square(), 0.0).sum(0) / (count - 1)
-    return (error.sqrt() / off.sqrt().clamp_min(1e-300)).nan_to_num(torch.inf, torch.inf)
+    squares = (predicted - data.x_next).square().nan_to_num(torch.inf, torch.inf)
+    error = torch.where(data.x_next.isnan(), torch.nan, squares).nanmean(0)
+    return (error.sqrt() / variance(data.x_next).sqrt().clamp_min(1e-300)).nan_to_num(torch.inf, torch.inf)
+
+
+def variance(x: Tensor) -> Tensor:
+    """Return the variance of each column of `(N, n)` over samples that are not NaN, `(n,)`; NaN of fewer than two."""
+    return (x - x.nanmean(0)).square().nansum(0) / ((~x.isnan()).sum(0) - 1)

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
-from dynasindy.world_models.models.prediction import nrmse, one_step_error, open_loop
+from dynasindy.world_models.models.prediction import nrmse, one_step_error, open_loop, variance
 
 MATRIX = np.array([[0.0, 1.0], [-4.0, -0.4]])
 
@@ -134,3 +134,11 @@ def test_substeps_of_both_errors_approach_scipy():
     coarse, fine = (one_step_error(model, data, substeps=n) for n in (1, 2))
     assert float((coarse / fine).min()) > 7 and float(one_step_error(model, data, substeps=30).max()) < 1e-6
     assert float(nrmse(open_loop(model, data, substeps=30), data).max()) < 1e-5
+
+
+def test_a_variance_is_that_of_the_samples_that_there_are():
+    x = np.random.default_rng(0).normal(size=(20, 3)) * [1.0, 3.0, 0.1]
+    x[[3, 7], 0], x[1:, 1] = np.nan, np.nan
+    found = variance(torch.from_numpy(x)).numpy()
+    np.testing.assert_allclose(found[[0, 2]], np.nanvar(x[:, [0, 2]], 0, ddof=1), rtol=1e-12)
+    assert np.isnan(found[1])  # a single sample has none
