@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal
@@ -15,7 +15,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.features import CONSTANT, of, variable
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.models.sindy import SindyModel
-from dynasindy.world_models.refinement.measured import at_rest, rates_known, reconstruct
+from dynasindy.world_models.refinement.measured import Seen, at_rest, rates_known, reconstruct
 from dynasindy.world_models.refinement.recording import Recording
 from dynasindy.world_models.regression.regression import least_squares
 from dynasindy.world_models.writers.fast_field import generate
@@ -120,27 +120,41 @@ def missing_bend(model: SindyModel, data: Transitions) -> Bend | None:
         edges = sorted({*torch.quantile(u, torch.tensor(PLACES, dtype=u.dtype)).tolist()})
         if len(u.unique()) < LEVELS or len(edges) < 2 or name in model.followed.values():
             continue
-        straight, bent = [CONSTANT, variable(name)], [of("hinge", name, frequency=edge) for edge in edges]
-        library = Library(model.signature, [*straight, *bent, *model.library.features])
-        places = {feature.key: k for k, feature in enumerate(library.features)}
-        theta, dx = seen.rows(library, generate(model.library, model.coefficients))
-        for column, target in zip(model.coefficients.unbind(-1), dx.unbind(-1), strict=True):
-            own = [model.library.features[k].key for k in column.nonzero().flatten().tolist()]
-            if variable(name).key not in own:
-                continue
-            base = theta[:, [places[key] for key in dict.fromkeys([variable(name).key, CONSTANT.key, *own])]]
-            before, best = _left(base, target)[0], (math.inf, torch.zeros(0), edges)
-            for pair in combinations(zip(edges, bent, strict=True), 2):
-                more = theta[:, [places[feature.key] for _, feature in pair]]
-                after, xi = _left(torch.cat([base, more], -1), target)
-                if after < best[0]:
-                    best = after, xi, [edge for edge, _ in pair]
-            if best[0] < least * before:
-                slopes = torch.stack([best[1][0], best[1][-2], best[1][-1]]).cumsum(0).tolist()
-                bend = bend_of(name, best[2], slopes, ROUGHLY)
-                if bend is not None and best[2][-1] - best[2][0] >= NARROW * float(u.max() - u.min()):
-                    found, least = bend, best[0] / before
+        for part, ends, slopes in _bent(model, seen, name, edges):
+            bend = bend_of(name, ends, slopes, ROUGHLY)
+            if part < least and bend is not None and ends[-1] - ends[0] >= NARROW * float(u.max() - u.min()):
+                found, least = bend, part
     return found
+
+
+def _bent(
+    model: SindyModel, seen: Seen, name: str, edges: Sequence[float]
+) -> Iterator[tuple[float, Sequence[float], list[float]]]:
+    """Yield, of each equation that reads an input, what its two best bends leave over, where they are, and slopes.
+
+    Args:
+        model: a fitted model.
+        seen: the log, as regressions read it.
+        name: the input.
+        edges: places of bends that are tried.
+    """
+    straight, bent = [CONSTANT, variable(name)], [of("hinge", name, frequency=edge) for edge in edges]
+    library = Library(model.signature, [*straight, *bent, *model.library.features])
+    places = {feature.key: k for k, feature in enumerate(library.features)}
+    theta, dx = seen.rows(library, generate(model.library, model.coefficients))
+    for column, target in zip(model.coefficients.unbind(-1), dx.unbind(-1), strict=True):
+        own = [model.library.features[k].key for k in column.nonzero().flatten().tolist()]
+        if variable(name).key not in own:
+            continue
+        base = theta[:, [places[key] for key in dict.fromkeys([variable(name).key, CONSTANT.key, *own])]]
+        tried = []
+        for pair in combinations(zip(edges, bent, strict=True), 2):
+            more = theta[:, [places[feature.key] for _, feature in pair]]
+            tried.append((*_left(torch.cat([base, more], -1), target), [edge for edge, _ in pair]))
+        after, xi, ends = min(tried, key=lambda trial: (math.isnan(trial[0]), trial[0]))
+        before = _left(base, target)[0]
+        if before > 0:
+            yield after / before, ends, torch.stack([xi[0], xi[-2], xi[-1]]).cumsum(0).tolist()
 
 
 def _left(columns: Tensor, target: Tensor) -> tuple[float, Tensor]:
