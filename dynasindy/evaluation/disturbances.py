@@ -18,7 +18,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count
 from dynasindy.sensing import Channel, Sensors
 from dynasindy.sensing.offset import Policy
-from dynasindy.systems import Signature, System
+from dynasindy.systems import Altered, Signature, System
 
 SHARE = 1e-3
 """Noise of a state of whose sensor nothing is known [ranges of the state]."""
@@ -32,7 +32,7 @@ class Told(Protocol):
         """Say what disturbs, by how much and in which units."""
 
 
-class Pushed(System):
+class Pushed(Altered):
     """A plant under a constant push, such as wind on the beam: dx/dt = f(x, u) + push.
 
     Args:
@@ -46,15 +46,9 @@ class Pushed(System):
     push: Tensor
 
     def __init__(self, system: System, push: Mapping[str, float]) -> None:
-        super().__init__(system.signature, system.stops)
+        super().__init__(system)
         _require_names(system.signature, push, "push")
-        self.system = system
         self.register_buffer("push", _by_name(system.signature, push, 0.0))
-
-    @property
-    def step(self) -> float | None:
-        """Step of the difference equation that it is [s]; None of a differential equation."""
-        return self.system.step
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
@@ -68,7 +62,7 @@ class Pushed(System):
         return f"pushed by {_listed(f'{value:g} {unit} on {name}' for name, value, unit in rows if value)}"
 
 
-class Detuned(System):
+class Detuned(Altered):
     """A plant with other parameters: dx/dt = gain * f(x, input_gain * u).
 
     A gain of 0.9 on a rate is a moment of inertia 11 % larger, an input gain of 0.9 an amplifier 10 % weaker.
@@ -86,20 +80,14 @@ class Detuned(System):
     input_gain: Tensor
 
     def __init__(self, system: System, gain: Mapping[str, float], input_gain: Sequence[float] | None = None) -> None:
-        super().__init__(system.signature, system.stops)
+        super().__init__(system)
         _require_names(system.signature, gain, "gain")
         n_u = system.signature.n_u
         input_gain = [1.0] * n_u if input_gain is None else list(input_gain)
         if len(input_gain) != n_u:
             raise ValueError(f"input_gain has {len(input_gain)} numbers, the plant {n_u} inputs; give one each")
-        self.system = system
         self.register_buffer("gain", _by_name(system.signature, gain, 1.0))
         self.register_buffer("input_gain", torch.tensor(input_gain, dtype=torch.float64))
-
-    @property
-    def step(self) -> float | None:
-        """Step of the difference equation that it is [s]; None of a differential equation."""
-        return self.system.step
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.limits import Count
-from dynasindy.systems import System
+from dynasindy.systems import Altered, System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.models.ensemble import bag
@@ -116,7 +116,7 @@ class Members(System):
         return torch.cat([model(*share) for model, share in zip(self.models, shares)], -2)
 
 
-class Varied(System):
+class Varied(Altered):
     """A system in as many versions as there are rows: dx = (1 + g) f(x, (1 + h) u) + d.
 
     States whose rate is another state (angles) keep their equation.
@@ -128,8 +128,8 @@ class Varied(System):
     """
 
     def __init__(self, system: System, variation: Variation, rows: int) -> None:
-        super().__init__(system.signature, system.stops)
-        self.system, self.variation = system, variation
+        super().__init__(system)
+        self.variation = variation
         n_x, n_u = system.signature.n_x, system.signature.n_u
         self.gain, self.drift, self.input_gain = torch.ones(rows, n_x), torch.zeros(rows, n_x), torch.ones(rows, n_u)
         self.moved = self._moved()
@@ -144,11 +144,6 @@ class Varied(System):
         ):
             fresh = centre + reach * (2 * torch.rand(tensor.shape, generator=rng) - 1)
             tensor[new] = fresh[new]
-
-    @property
-    def step(self) -> float | None:
-        """Step of the difference equation that it is [s]; None of a differential equation."""
-        return self.system.step
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, rows, n_x)`, of states `(*batch, rows, n_x)` under inputs `(*batch, rows, n_u)`."""

@@ -1,6 +1,6 @@
 """What moves, in SI units."""
 
-from dynasindy.systems.base import Signature, System
+from dynasindy.systems.base import Altered, Signature, System
 from dynasindy.systems.diverged import Diverged
 from dynasindy.systems.integrators import integrate, moved, rk4, steps_needed
 from dynasindy.systems.pendulum import Pendulum
@@ -11,6 +11,7 @@ from dynasindy.systems.unknown import Unknown
 from dynasindy.systems.xi import Xi
 
 __all__ = [
+    "Altered",
     "Diverged",
     "Pendulum",
     "Signature",

@@ -268,3 +268,20 @@ class System(nn.Module, ABC):
     def __getstate__(self) -> dict[str, object]:
         """Leave machine code out of copies and pickles; it is made again when needed."""
         return {**self.__dict__, "_machines": {}}
+
+
+class Altered(System):
+    """A system made of another one, `system`, with its states, inputs and stops, that moves in steps where that does.
+
+    Args:
+        system: The other one.
+    """
+
+    def __init__(self, system: System) -> None:
+        super().__init__(system.signature, system.stops)
+        self.system = system
+
+    @property
+    def step(self) -> float | None:
+        """Step of the difference equation that it is [s]; None of a differential equation."""
+        return self.system.step

@@ -2,11 +2,12 @@
 
 import pytest
 import torch
+from alternating import Alternating
 from tensordict import TensorDict, TensorDictBase
 
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.disturbances import DelayedActuator, Detuned, Pushed, SensorNoise
-from dynasindy.systems import Pendulum, Tras, Xi
+from dynasindy.systems import Pendulum, Tras, Xi, integrate
 from dynasindy.tasks import Step, Tracking, Wave
 
 X = torch.rand(4, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
@@ -141,3 +142,13 @@ def test_a_disturbance_of_another_plant_says_what_it_needs(disturb) -> None:
     )
     with pytest.raises(ValueError, match=message):
         disturb(Pendulum())
+
+
+def test_a_plant_in_discrete_time_is_pushed_and_detuned_in_its_steps():
+    """x+ = x + h (gain f + push) of f = (-1.6 x + u) / h: with a gain of 0.5 and a push of 0.2 from 1 under 0.1."""
+    x, u = torch.tensor([[1.0]], dtype=torch.float64), torch.tensor([[0.1]], dtype=torch.float64)
+    for plant, end in (
+        (Detuned(Alternating(), {"x": 0.5}), 1.0 + 0.5 * (-1.6 + 0.1)),
+        (Pushed(Alternating(), {"x": 0.2}), -0.6 + 0.1 + 0.5 * 0.2),
+    ):
+        assert float(integrate(plant, x, u, 0.5, 1)[0][..., -1, :]) == pytest.approx(end, rel=1e-12)

@@ -1,6 +1,8 @@
 import pytest
+import torch
+from alternating import Alternating
 
-from dynasindy.systems import Signature, Tras
+from dynasindy.systems import Altered, Signature, Tras, integrate
 
 
 def test_states_are_found_by_name():
@@ -93,3 +95,18 @@ def test_a_state_more_stands_behind_the_others_and_all_else_stays():
     )
     with pytest.raises(ValueError, match="names must differ"):
         volts.with_state("q", "rad")
+
+
+class Stronger(Altered):
+    """One whose input is twice as strong."""
+
+    def forward(self, x, u):
+        return self.system(x, 2 * u)
+
+
+def test_what_is_made_of_a_system_that_moves_in_steps_moves_in_its_steps():
+    """Runge-Kutta steps of the same rates would end elsewhere, as no differential equation alternates."""
+    x, u = torch.tensor([[1.0]], dtype=torch.float64), torch.tensor([[0.1]], dtype=torch.float64)
+    moved = integrate(Stronger(Alternating()), x, u, 1.0, 1)[0]
+    assert float(moved[..., -1, :]) == pytest.approx(-0.6 * (-0.6 * 1.0 + 0.2) + 0.2, rel=1e-12)
+    assert Altered.step.fget(Stronger(Tras())) is None
