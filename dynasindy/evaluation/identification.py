@@ -312,10 +312,7 @@ def _undelayed(bare: SindyModel, data: Transitions, before: Found) -> tuple[Foun
 def to_words(found: Identified, source: Source) -> str:
     """Write equations, fit, identifiability, what the data show, errors, notes and a verdict for a reader."""
     signature, shown = source.signature, found.forecasts
-    seen = [
-        *found_in_model(found.model, found.report),
-        *(verdict.found_in_data(source.training, signature)),
-    ]
+    seen = [*found_in_model(found.model, found.report), *verdict.found_in_data(source.training, signature)]
     if found.found is not None and found.found.actuator:
         alone = "" if found.acting is None else ", with equations of their own, as a delay or a lag may stand for it"
         seen.append(f"{found.found.words}; {BEHIND} has it{alone}")

@@ -121,9 +121,8 @@ def starts(network: Network, env: ControlEnv, rows: Rows, rng: torch.Generator, 
     task, batch = env.task, torch.Size((STARTS,))
     nothing, zero = torch.zeros(STARTS, env.system.signature.n_u), torch.zeros(STARTS, 1)
     x, params = task.initial_state(batch, rng).float(), task.sample(batch, rng)
-    begun = replace(
-        rows, x=x, held=nothing, params=params, t=zero, kept=False, late=None
-    )  # ways are those of the model
+    # A way is timed for inputs that act at once, as those of the model do.
+    begun = replace(rows, x=x, held=nothing, params=params, t=zero, kept=False, late=None)
     flown = imagine(env, env.system, network, begun, periods, rng)
     moment = torch.randint(periods + 1, (STARTS,), generator=rng)
     moment[::2] = 0

@@ -36,7 +36,11 @@ def stepwise(library: Library, data: Transitions) -> tuple[Library, Transitions]
 
 
 def _by_period(data: Transitions) -> Transitions:
-    """Return a recording without the samples within its control periods, of which the equation says nothing."""
+    """Return a recording without the samples within its control periods, of which the equation says nothing.
+
+    Raises:
+        ValueError: They are not whole control periods.
+    """
     n = data.substeps
     if n == 1:
         return data
