@@ -118,6 +118,7 @@ class Case:
         integral: Evaluate with integral action, too.
         unseen: Evaluate in situations that nothing was tuned on.
         variation: How imagined plants stray.
+        margin: By what share inputs of imagined episodes are weaker or stronger, at most; None for the default.
         updates: Gradient updates of the first planning phase.
         terminal_updates: Critic updates per window, for a value of what follows it.
         width: Error at which the imagined cost turns linear [rad].
@@ -135,6 +136,7 @@ class Case:
     integral: bool = False
     unseen: bool = False
     variation: Variation = field(default_factory=Variation)
+    margin: float | None = None
     updates: int = 200
     terminal_updates: int = 0
     width: float = 0.02
@@ -144,6 +146,7 @@ class Case:
 
 CASES = {
     "step": Case(episodes=1),
+    "nominal": Case(episodes=1, variation=Variation(late=0.0), margin=0.0),  # planned on the model as it is
     "small": Case(hidden=(64, 64)),
     "oracle": Case(oracle=True),
     "terminal": Case(terminal_updates=4),
@@ -156,7 +159,6 @@ CASES = {
     "bench": Case(sensors=BENCH, longest_delay=None),
     "bench_delay": Case(sensors=replace(BENCH, actuator_delay=1), longest_delay=None),
     "late": Case(late=1),
-    "late_robust": Case(late=1, variation=Variation(late=True)),
     "detuned": Case(detuned=True, integral=True, plants=("tras",)),
     "detuned_robust": Case(detuned=True, integral=True, variation=Variation(parameters=0.1), plants=("tras",)),
     "friction": Case(episodes=5, integral=True, plants=("trms33",)),
@@ -232,7 +234,7 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
 
 
 def _planning(case: Case) -> dict[str, Any]:
-    return {name: getattr(case, name) for name in ("variation", "updates", "terminal_updates", "width")}
+    return {name: getattr(case, name) for name in ("variation", "margin", "updates", "terminal_updates", "width")}
 
 
 def sparse_model(library: str, case: Case, signature: Any) -> SindyModel:

@@ -1,4 +1,4 @@
-"""How much a controller bears: margins and worst cases of default plans beside robust ones, and what these cost.
+"""How much a controller bears: margins and worst cases of default plans beside those made for the model alone.
 
 Each controller is trained by `train.py` and checked by `check.py` as a user calls them; what it earns and how far it
 ends from its targets is measured on the plant itself.
@@ -20,7 +20,7 @@ from dynasindy.evaluation.rows import Row
 
 PLANTS = ("tras", "xi", "tanks", "four_tanks", "springs", "reactor", "ship", "van_der_pol")
 """Plants of the package, and some of docs/examples."""
-PLANNING = ("gradient", "robust")
+PLANNING = ("nominal", "gradient")
 COLUMNS = (
     *("plant", "planning", "seed", "verdict", "return", "error_percent", "worst_percent"),
     *("gain", "phase_deg", "delay_s", "disk", "targets", "unstable_targets", "draws", "unstable_draws", "weak"),

@@ -63,8 +63,8 @@ class GradientPlanning(Planner):
         width: Error at which the imagined cost turns from quadratic to linear [target ranges]; None plans on the
             task's own reward, as does a task without references.
         held: Whether the policy begins as a linear-quadratic regulator of the model, where that earns more.
-        margin: By what share inputs are weaker or stronger than in the model, at most, in imagined episodes, see
-            `dynasindy.planning.margin`.
+        margin: By what share inputs are weaker or stronger than in the model, at most, in imagined episodes; None for
+            0.3, and for none where ways from afar are imitated. See `dynasindy.planning.margin`.
         real_starts: Share of imagined episodes that begin at real states.
         jumps: Share that begin where the last episode ended, so that the reference jumps; the rest begin as the
             task does.
@@ -74,7 +74,8 @@ class GradientPlanning(Planner):
         terminal_updates: Critic updates per window; the critics then value what follows a window. 0 for no such value.
         searches: Most searches for ways that earn more than the policy's, after the updates of a phase, where the task
             tracks no reference.
-        variation: How imagined plants stray from the model; none by default.
+        variation: How imagined plants stray from the model; by default inputs are a control period late in
+            one episode of two.
         others: Other models of the same plant, each of which moves as many imagined episodes as the model.
         every: Episodes between two planning phases.
         seed: Seed of references, starts and variations.
@@ -177,7 +178,8 @@ class GradientPlanning(Planner):
         if (margin := Margin.of(self.env, rests, 0.0 if pace.afar else pace.margin)) is not None:
             episodes.vary(margin)
             self.held_out.strength = margin.ends(self.held_out.params)
-            best = self.test()
+            if best > -math.inf:
+                best = self.test()
         optimizer = _optimizer(self.network, lr)
         best_weights, failures, done, made = self._weights(), 0, 0, 0
         for done in range(1, updates + 1):

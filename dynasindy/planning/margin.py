@@ -1,4 +1,4 @@
-"""Inputs that are weaker or stronger than in the model, imagined on a plant that has to be held.
+"""Inputs that are weaker or stronger than in the model, imagined.
 
 A policy that is planned on one model alone may use all that inputs can do, and hold the model by a hair's breadth: the
 plant, whose inputs are a few hundredths weaker, is lost then. A gain margin is what is asked of any controller:

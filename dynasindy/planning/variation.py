@@ -19,7 +19,7 @@ from dynasindy.world_models.models.ensemble import bag
 
 @dataclass(frozen=True)
 class Variation:
-    """How far imagined plants stray from the model; every number is zero by default.
+    """How far imagined plants stray from the model; by default inputs are late, and every other number is zero.
 
     Attributes:
         parameters: Half range of a factor on each rate of change and on each input, e.g. 0.1 for +-10 %.
@@ -35,7 +35,7 @@ class Variation:
     parameters: float = 0.0
     disturbance: float = 0.0
     noise: Sequence[float] = ()
-    late: float | bool = 0.0
+    late: float | bool = 1.0
     members: Count = 0
 
     def __post_init__(self) -> None:

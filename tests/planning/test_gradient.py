@@ -257,7 +257,8 @@ def test_patience_counts_failures_in_a_row(planned):
 
 def test_a_plant_that_is_lost_is_won_back_from_the_best_policy_in_shorter_steps(setting, small):
     env, agent, replay = setting()
-    planner = GradientPlanning(env, agent, replay, **(small | {"updates": 6, "check_every": 2}), held=True, lr=0.5)
+    settings = small | {"updates": 6, "check_every": 2, "held": True, "margin": 0.0}
+    planner = GradientPlanning(env, agent, replay, **settings, lr=0.5)
     # Six regulators and the untrained policy, the imitation, then a policy that has lost the plant, a worse and a
     # better one.
     scores, rates, seen = iter([-9.0, *6 * [-2.0], -1.0, -2.1, -1.9, -0.5]), [], []
@@ -283,7 +284,7 @@ def test_a_plant_that_is_lost_is_won_back_from_the_best_policy_in_shorter_steps(
 def test_a_plant_is_lost_by_what_its_score_falls_and_not_by_its_sign(setting, best, then, back, small):
     env, agent, replay = setting()
     settings = small | {"updates": 4, "check_every": 2, "patience": 1}
-    planner = GradientPlanning(env, agent, replay, **settings, held=True, lr=0.5)
+    planner = GradientPlanning(env, agent, replay, **settings, held=True, margin=0.0, lr=0.5)
     scores = iter([-9.0, *6 * [-2.0], best, then, then])
     planner._update = lambda *_: True
     planner.test = lambda network=None: next(scores)
@@ -294,13 +295,23 @@ def test_a_plant_is_lost_by_what_its_score_falls_and_not_by_its_sign(setting, be
 
 def test_the_held_out_score_is_the_mean_reward_over_whole_episodes_from_rest(setting, small):
     env, agent, replay = setting(max_steps=12)
-    planner = GradientPlanning(env, agent, replay, width=None, **small)
+    planner = GradientPlanning(env, agent, replay, width=None, variation=Variation(late=0.0), **small)
     params = env.task.sample(torch.Size((64,)), torch.Generator().manual_seed(1))  # the seed of the planner and one
     start = env.start_from(torch.zeros(64, 6))
     start["task_params"] = params
     start["observation"] = env.task.observation(torch.zeros(64, 6), params, torch.zeros(64, 1))
     imagined = planner.env.rollout(12, agent.policy, auto_reset=False, tensordict=start)
     assert planner.test() == pytest.approx(imagined["next", "reward"].mean().item(), rel=1e-4)
+
+
+def test_by_default_inputs_are_up_to_30_percent_weaker_or_stronger_and_late_in_one_episode_of_two(planned):
+    planner = planned(updates=1)
+    planner.plan()
+    rows = planner.held_out
+    assert rows.strength.factor.unique().tolist() == pytest.approx([0.7, 1.0, 1.3])
+    # Each strength is tested in time and a control period late.
+    tested = torch.cat([rows.strength.factor[:, :1], rows.late], -1)
+    assert len(tested.unique(dim=0)) == 6 and rows.late.unique().tolist() == [0.0, 1.0]
 
 
 def test_a_row_that_diverged_scores_like_the_worst_before_it(planned):

@@ -139,7 +139,8 @@ def test_one_episode_of_two_is_late_by_as_much_as_may_be():
     drawn = Variation(late=0.7).delays(4000, torch.Generator().manual_seed(0))
     assert drawn.shape == (4000, 1) and sorted(drawn.unique().tolist()) == pytest.approx([0.0, 0.7])
     assert float((drawn > 0).float().mean()) == pytest.approx(0.5, abs=0.03)  # of 4000 throws of a coin
-    assert Variation().delays(5, torch.Generator()) is None and Variation().ends(5) is None
+    never = Variation(late=0.0)
+    assert never.delays(5, torch.Generator()) is None and never.ends(5) is None
     assert Variation(late=True).ends(8).flatten().tolist() == [0, 0, 0, 1, 1, 1, 0, 0]
 
 
