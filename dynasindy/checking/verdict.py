@@ -69,17 +69,17 @@ class Finding:
         return f"WEAK {self.name}: {self.words}{'. ' * bool(mend)}{mend}"
 
 
-ROBUST = "Try planning=robust, which trains with inputs that are weaker, stronger or a control period late"
 GENTLE = "Where plant.rates names rates, try task.reward.rate_weight=10, by which quick movements cost more than by 0.1"
+CAREFUL = f"{GENTLE}, or planning.margin=0.5 with planning.variation.parameters=0.2, by which training varies the plant"
 VARIED = (
     "The size of these changes is fixed, so longer data do not help. Where a plant is not stable, try "
-    "planning=robust, or planning.variation.parameters=0.2, by which training varies the plant by up to that share; "
+    "planning.variation.parameters=0.2, by which training varies the plant by up to that share; "
     "where only the steady error is too large, give the controller integral action, as docs/check.md shows"
 )
 REMEDIES = {
     "stability": "To mend it, narrow the targets, or excite the plant near these targets and train anew",
     **dict.fromkeys(
-        ("gain margin", "gain reduction", "phase margin", "delay margin", "disk margin", "large movements"), ROBUST
+        ("gain margin", "gain reduction", "phase margin", "delay margin", "disk margin", "large movements"), CAREFUL
     ),
     "noise": f"{GENTLE}, or mend the sensor",
     "steady error": "See steps.png. If outputs still move at its end, give a longer flight by seconds=; if they rest "

@@ -119,7 +119,8 @@ def _straighter(found: Fitted, before: Forecasts) -> Fitted:
     same. Products and squares then come in that make up for a shape of the motion, and turn up as bent characteristics
     beyond the log. They are judged by what they are worth on other samples: nothing, where nothing bends.
     """
-    model = _straight(found.model) if found.report.in_pieces else None
+    lasting = found.report.in_pieces or bool(unresolved(before, found.model.signature).any())
+    model = _straight(found.model) if lasting else None
     if model is None:
         return found
     with suppress(*FAILURES), telling("fit without functions that bend"):
@@ -134,7 +135,10 @@ def _straighter(found: Fitted, before: Forecasts) -> Fitted:
 
 
 def _straight(model: SindyModel) -> SindyModel | None:
-    """Return a model that may have no products and squares, not fitted yet; None if it has other functions, or none."""
+    """Return a model that may have no products and squares, not fitted yet; None if it has other functions, or none.
+
+    It begins at the first guess that was given, as of a state that no sensor sees, or else at what was fitted.
+    """
     factors = [feature.factors for feature in model.library.features]
     plain = torch.tensor([all(f.function in PLAIN for f in own) for own in factors])
     straight = torch.tensor([len(own) <= 1 and all(f.power == 1 for f in own) for own in factors])
@@ -143,7 +147,9 @@ def _straight(model: SindyModel) -> SindyModel | None:
         return None
     bare, keep = copy.deepcopy(model), (plain & straight).unsqueeze(-1)
     bare.constraints = replace(model.constraints, free=model.constraints.free & keep)
-    bare.initial, bare.initial_delay = torch.where(keep, model.coefficients, 0.0), model.delay
+    first = model.coefficients if model.initial is None else model.initial
+    bare.initial = torch.where(keep, first, 0.0)
+    bare.initial_delay = model.delay if model.initial is None else model.initial_delay
     return bare
 
 
@@ -152,10 +158,16 @@ def _forecast(found: Fitted) -> Forecasts | None:
 
 
 def _wider(model: SindyModel, source: Source) -> Iterator[Fitted]:
-    """Yield fits with one state more, those first that regressions prefer; a fit that fails is left out."""
+    """Yield fits with one state more, those first that regressions prefer; a fit that fails is left out.
+
+    Products and squares may bend to what the followed signal alone explained, so each is fitted without them, too.
+    """
     with suppress(*FAILURES):
         for trial in trials(model, source.training)[:MOST]:
             if (found := _with(trial, source)) is not None:
+                yield found
+            bare = _straight(trial.model)
+            if bare is not None and (found := _with(replace(trial, model=bare), source)) is not None:
                 yield found
 
 

@@ -28,13 +28,15 @@ from dynasindy.world_models.refinement.delay import delayed
 from dynasindy.world_models.refinement.measured import at_rest, rates_known, reconstruct
 
 STARTS = 200
-"""Start times, at most."""
+"""Start times, at most, those on which the samples before a start are chosen likewise."""
 SHORTEST_FIT, LONGEST_FIT = 10, 200
-"""Samples before a start on which its states are estimated."""
+"""Samples before a start on which its states are estimated, at least and at most."""
 LONGEST_STEP, MOST_STEPS = 0.01, 20
 """Longest Runge-Kutta step [s], unless a sampling time would take more than so many."""
 LOST = 10.0
 """Error beyond which a prediction has run away [ranges of the state]."""
+FINEST = 1e-9
+"""Error that is as good as none where lengths are compared [`LOST`]."""
 NUDGE = 1e-6
 """Step of the differences by which start states are fitted [ranges of the states]."""
 
@@ -113,17 +115,13 @@ def _forecast(
     steps = [k for k in steps if 1 <= k <= reach]
     if not steps:
         return None
-    rows = ((back >= fit) & (ahead >= steps[0])).nonzero().flatten()
-    starts = rows[torch.linspace(0, len(rows) - 1, min(STARTS, len(rows))).round().long().unique()]
+    starts = _starts(back, ahead, fit, steps[0])
     later = starts.unsqueeze(-1) + torch.arange(steps[-1])
-    inside = torch.arange(steps[-1]) < ahead[starts].unsqueeze(-1)
+    real = _real(validation, starts, later, ahead)
     later = later.clamp_max(len(validation) - 1)
-    real = torch.where(inside.unsqueeze(-1), validation.x_next[later], math.nan)
-    late = delayed(validation, model.delay)
-    begin = estimate(model, late, starts - fit, fit)[1]
-    predicted = _simulated(model, begin, late.u[later], validation.dt)
+    length = _length(model, training, fit, steps[: len(steps) // 2 + 1])
+    predicted = _predicted(model, validation, starts, later, length)
     linear = LinearModel.fit(training, steps[len(steps) // 2], fit)
-    predicted = predicted.nan_to_num(math.inf, math.inf, -math.inf)
     held = _last_seen(validation)[starts].unsqueeze(1).expand_as(real)
     both = (predicted, linear.predict(validation, starts, later), held)
     ours, simple, last = (_errors(guess, real, steps) for guess in both)
@@ -137,6 +135,59 @@ def _forecast(
         resolutions(training) if model.step is None else resolutions_by(model, training),
         linear.order,
     )
+
+
+def _length(model: SindyModel, data: Transitions, longest: int, steps: Sequence[int]) -> int:
+    """Return on how many samples before a start its states are estimated so that predictions are best.
+
+    The more there are, the more of the noise is averaged; but the longer too what the model lacks, what pushes the
+    plant and what grows in an unstable one spoil the estimate. It is doubled as long as that helps, on the data of the
+    fit.
+
+    Args:
+        model: a fitted model.
+        data: what it was fitted to.
+        longest: most samples.
+        steps: horizons over which predictions are to be good [samples].
+    """
+    lengths = [longest >> k for k in range(longest.bit_length()) if not k or longest >> k >= SHORTEST_FIT]
+    back, ahead = _beside(data)
+    starts = _starts(back, ahead, longest, steps[0])
+    if len(lengths) < 2 or not len(starts):
+        return longest
+    later = starts.unsqueeze(-1) + torch.arange(steps[-1])
+    real = _real(data, starts, later, ahead)
+    most = LOST * torch.tensor(model.signature.x_scale, dtype=torch.float64)
+
+    def _cost(length: int) -> float:
+        predicted = _predicted(model, data, starts, later.clamp_max(len(data) - 1), length)
+        return float(_errors(predicted, real, steps).clamp(FINEST * most, most).log().nanmean())
+
+    best, least = longest, math.inf
+    for length in reversed(lengths):
+        if not (cost := _cost(length)) < least:
+            break
+        best, least = length, cost
+    return best
+
+
+def _starts(back: Tensor, ahead: Tensor, before: int, after: int) -> Tensor:
+    """Return rows with so many rows before and after them in their segments, evenly spread, `STARTS` at most."""
+    rows = ((back >= before) & (ahead >= after)).nonzero().flatten()
+    return rows[torch.linspace(0, len(rows) - 1, min(STARTS, len(rows))).round().long().unique()]
+
+
+def _predicted(model: SindyModel, data: Transitions, starts: Tensor, later: Tensor, length: int) -> Tensor:
+    """Return what a model predicts for some rows after each start, `(S, T, n_x)`, infinite where it runs away."""
+    late = delayed(data, model.delay)
+    begin = estimate(model, late, starts - length, length)[1]
+    return _simulated(model, begin, late.u[later], data.dt).nan_to_num(math.inf, math.inf, -math.inf)
+
+
+def _real(data: Transitions, starts: Tensor, later: Tensor, ahead: Tensor) -> Tensor:
+    """Return what was measured after each start, `(S, T, n_x)`, NaN where nothing was, or beyond its segment."""
+    inside = torch.arange(later.shape[1]) < ahead[starts].unsqueeze(-1)
+    return torch.where(inside.unsqueeze(-1), data.x_next[later.clamp_max(len(data) - 1)], math.nan)
 
 
 def _reach(back: Tensor, ahead: Tensor, fit: int) -> int:

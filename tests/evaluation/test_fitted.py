@@ -162,7 +162,36 @@ def test_what_bends_for_nothing_is_left_out_of_a_fit_in_pieces(bend, straight):
         assert kept[names.index("u")] == pytest.approx(2.0, rel=0.05)
         assert kept[names.index("y")] == pytest.approx(-0.5, rel=0.05)
         explained = replace(found, report=replace(found.report, in_pieces=False))
-        assert module._straighter(explained, before) is explained
+        assert (
+            module._straighter(explained, replace(before, model=before.resolution.expand_as(before.model))) is explained
+        )
+        assert module._straighter(explained, before) is not explained  # the last part of the log is missed
+
+
+def test_a_state_that_follows_is_fitted_without_products_and_squares_too():
+    """Of y' = 2 a - y / 2, a' = (u - a) / 1.5 nothing bends."""
+    signature = Signature(("y", "a"), ("m", "1"), ("u",), (3.0, 1.0))
+
+    class Lagging(System):
+        def forward(self, x, u):
+            y, a = x.unbind(-1)
+            return torch.stack([2 * a - 0.5 * y, (u[..., 0] - a) / 1.5], -1)
+
+    u = Multisine(1, duration=40, dt=0.1, amplitude=[0.5], seed=0).samples(0.1)
+    data = record(Lagging(signature), u, 0.1)
+    seen = replace(data, x=data.x[:, :1], x_next=data.x_next[:, :1])
+    log = Source(Signature(("y",), ("m",), ("u",), (3.0,)), seen, seen, logged=True)
+    model = SindyModel(log.signature, "polynomial", Regression("bic"))
+    model.fit(log.training)
+    bent, straight = list(module._wider(model, log))[:2]
+    assert bent.model.library.names == straight.model.library.names
+    found = dict(zip(straight.model.library.names, straight.model.coefficients[:, 0].tolist(), strict=True))
+    wanted = dict.fromkeys(found, 0.0) | {"u_lagging": 2.0, "y": -0.5}
+    assert found == pytest.approx(wanted, rel=0.01, abs=0.01)
+    assert straight.follower == "u acts through a lag of 1.5 s, a state that no sensor sees"
+    free = bent.model.constraints.free & ~straight.model.constraints.free
+    bends = {name for name, lost in zip(bent.model.library.names, free.any(-1).tolist(), strict=True) if lost}
+    assert bends == {"y^2", "y u_lagging", "u_lagging^2"}
 
 
 def bowl(words=("1", "y", "u", "y^2")):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.evaluation.horizons import characteristic, estimate, forecast
+from dynasindy.evaluation.horizons import _length, characteristic, estimate, forecast
 from dynasindy.evaluation.linear import LinearModel
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -149,3 +149,20 @@ def test_starts_are_estimated_from_fewer_samples_where_the_data_are_short():
 def test_too_short_validation_data_are_not_judged():
     data, _ = recording(300)
     assert forecast(oscillator(), data, data.select(torch.arange(300) < 8), [5.0]) is None
+
+
+@pytest.mark.parametrize("pushed", [True, False])
+def test_starts_are_estimated_on_as_many_samples_as_predict_best(pushed):
+    """What walks at random is where it was last, what stands still is at the mean of all noisy samples.
+
+    The mean of n samples of a walk is about the root of n / 3 steps from where it goes next: 13 samples miss it by two
+    steps, 200 by eight.
+    """
+    x = np.random.default_rng(0).normal(size=(6001, 1))
+    x = torch.from_numpy(x.cumsum(0) if pushed else x)
+    data = Transitions.from_trajectory(x, torch.zeros(6000, 1).double(), DT)
+    model = SindyModel(Signature(("x",), ("m",), ("u",), (10.0,)), ["1"])
+    model.set_coefficients(torch.zeros(1, 1))
+    assert _length(model, data, 200, [1]) == (12 if pushed else 200)
+    if pushed:
+        assert float(forecast(model, data, data, [DT, 400 * DT]).model[0]) < 3
