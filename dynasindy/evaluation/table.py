@@ -27,7 +27,10 @@ SWEEP = (
     "RMSE, per axis{}",
     "wall time of a run [s]",
 )
-OVER_SEEDS = "Interquartile mean over seeds [95 % bootstrap interval]; where there are fewer than three seeds, the value of each."
+OVER_SEEDS = (
+    "Interquartile mean over seeds [95 % bootstrap interval]; where there are fewer than three seeds, the value of "
+    "each."
+)
 """What the figures of `over_seeds` are."""
 ORDER, AXES = "Values of single seeds stand in the order of the seeds.", "A slash parts the axes."
 """How a cell with several values is read."""
