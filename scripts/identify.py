@@ -8,7 +8,7 @@ from command import command
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from loaded import loaded
-from next_steps import listed, planning, with_plant, with_rates
+from next_steps import listed, planning, with_ends, with_plant, with_rates
 from omegaconf import DictConfig, OmegaConf
 
 if TYPE_CHECKING:
@@ -46,11 +46,9 @@ def main(cfg: DictConfig) -> None:
     source = found.source
     write(found, source, folder, told)
     draw(found, source, folder, list(cfg.formats))
-    say(
-        to_words(found, source),
-        f"written to {folder}",
-        listed(following(cfg, found, known, before.lacking.shown if found.predicts else before.lacking.with_angles)),
-    )
+    steps = [following(cfg, found, known, before.lacking.shown if found.predicts else before.lacking.with_angles)]
+    steps += [with_ends(HydraConfig.get().overrides.task, source.ends)] if source.ends else []
+    say(to_words(found, source), f"written to {folder}", listed(*steps))
 
 
 def following(cfg: DictConfig, found: "Identified", known: Sequence[str], rates: Mapping[str, str]) -> str:

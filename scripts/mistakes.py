@@ -1,10 +1,11 @@
 """A user's mistake in one line: what was given, what is allowed, what to do."""
 
+import argparse
 import errno
 import os
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -12,8 +13,9 @@ os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors reach us instead of Hyd
 
 import hydra
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 CONF = Path(__file__).resolve().parents[1] / "conf"
@@ -29,6 +31,8 @@ EXTRAS = {
     "tensorboard": "tensorboard",
 }
 """Optional packages by the first word of a launcher, sweeper or module, and the extra of ours that installs them."""
+MISSPELT = r"(Could not override|An item is already at) '([^']+)'"
+"""What Hydra says of a key that is misspelt, or given with a + and there."""
 SWEEPING = ("train", "ablation")
 """Commands of which a sweep makes several jobs."""
 CAUSES = {
@@ -82,20 +86,20 @@ def in_words(error: BaseException, config_name: str) -> str:
             f"'{merged[1]}' gives a group of keys where one value is wanted, or one value where a group of keys "
             "stands; give it in a file of its own, as conf/ has it"
         )
-    if several := re.match(r"Ambiguous value for argument '(.+?)' 1\. ", text):
+    several = re.match(r"Ambiguous value for argument '(.+?)' 1\. ", text)
+    misspelt = re.search(MISSPELT, text)
+    # Hydra says first that there are several values, which is no mistake in a command that sweeps.
+    if (several or misspelt) and (wrong := _wrong_word(config_name)):
+        return wrong
+    if several:
         key, _, value = several[1].partition("=")
         more = "add -m for a job with each of them" if config_name in SWEEPING else "give one of them"
         return f"{several[1]} gives several values; {more}, or write '{key}=[{value}]' for a list"
     if text == "No trials are completed yet.":  # Optuna's
         return "no trial came to an end, so none of them is the best; error.txt in the folder of each says why"
-    misspelt = re.search(r"(Could not override|An item is already at) '([^']+)'", text)
-    if not misspelt:
-        return text
-    try:
-        return _allowed_keys(misspelt[2], config_name)
-    except MENDABLE:  # another override is wrong too, or the key itself exists and what it holds cannot be extended
-        whole = "; replace the whole of a group's keys in a file of its own, as conf/ has them"
-        return text + whole * (misspelt[1] == "Could not override")
+    # Where the key itself exists, what it holds cannot be extended.
+    whole = "; replace the whole of a group's keys in a file of its own, as conf/ has them"
+    return text + whole * bool(misspelt and misspelt[1] == "Could not override")
 
 
 def _missing_package(error: BaseException) -> str:
@@ -109,12 +113,47 @@ def _missing_package(error: BaseException) -> str:
     return f"{wanted} is not installed; install it by pip install 'dynasindy[{EXTRAS[name]}]'{instead}"
 
 
-def _allowed_keys(key: str, config_name: str) -> str:
-    """Return which keys stand where a misspelt one was given."""
-    GlobalHydra.instance().clear()
-    others = [word for word in sys.argv[1:] if "=" in word and not word.lstrip("+~").startswith(f"{key}=")]
-    with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
-        node = hydra.compose(config_name, overrides=others)
+def _wrong_word(config_name: str) -> str:
+    """Return what is wrong with the words of the command, '' if nothing is found.
+
+    Of a word that gives several values the first is looked at. Of several keys that are misspelt the first is told.
+    """
+    words, first = _first_values(sys.argv[1:]), ""
+    while True:
+        GlobalHydra.instance().clear()
+        try:
+            with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
+                node = hydra.compose(config_name, overrides=words)
+        except MENDABLE as error:
+            if not (misspelt := re.search(MISSPELT, str(error))):
+                return "" if first else in_words(error, config_name)
+            others = [word for word in words if not word.lstrip("+~").startswith(f"{misspelt[2]}=")]
+            if others == words:
+                return ""
+            words, first = others, first or misspelt[2]
+        else:
+            return _allowed_keys(first, node) if first else ""
+
+
+def _first_values(arguments: Sequence[str]) -> list[str]:
+    """Return the settings among the arguments of a command, each with the first of its values."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--config-dir", "-cd")
+    own, rest = parser.parse_known_args(arguments)
+    found = [f"hydra.searchpath=[file://{Path(own.config_dir).absolute()}]"] if own.config_dir else []
+    for word in rest:
+        if word.startswith("-") or not ("=" in word or word.startswith("~")):
+            continue
+        override = OverridesParser.create().parse_override(word)
+        if not override.is_sweep_override():
+            found.append(word)
+        elif override.is_choice_sweep() or override.is_range_sweep():  # others have no first value
+            found.append(f"{override.get_key_element()}={next(override.sweep_string_iterator())}")
+    return found
+
+
+def _allowed_keys(key: str, node: DictConfig) -> str:
+    """Return which keys stand where a misspelt one was given, '' if it exists."""
     if source := _taken_from(key, OmegaConf.to_container(node)):
         return f"'{key}' follows another key; give {source} instead"
     given, parent = key.split("."), []
@@ -125,9 +164,7 @@ def _allowed_keys(key: str, config_name: str) -> str:
         parent.append(step)
     name = ".".join(given[len(parent) :])
     names = sorted(str(k) for k in node if not str(k).startswith("_"))
-    if name in names:
-        raise KeyError(name)
-    return unknown(name, names, ".".join(parent))
+    return "" if name in names else unknown(name, names, ".".join(parent))
 
 
 def _taken_from(key: str, node: object) -> str:

@@ -119,6 +119,18 @@ def with_rates(words: Sequence[str], known: str) -> str:
     return _command("identify", [*_without(words, ("folder", "hydra", "plant.known")), known])
 
 
+def with_ends(words: Sequence[str], ends: str) -> str:
+    """Return the command that identifies the same log again, with the ends of its actuators, which are to be corrected.
+
+    Args:
+        words: What the user gave.
+        ends: The word that gives the ends as the log shows them, quoted for a shell.
+    """
+    kept = _without(words, ("folder", "hydra", "data.inputs"))
+    asked = "are these the ends of the actuators? They are guessed from the log; put in the true ones"
+    return f"{_command('identify', [*kept, *shlex.split(ends)])}  # {asked}"
+
+
 def _without(words: Sequence[str], keys: Sequence[str]) -> list[str]:
     """Return the words that give no such key, nor one of such a group."""
     given = {word: word.lstrip("+~").partition("=")[0] for word in words}

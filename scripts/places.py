@@ -11,7 +11,7 @@ SWEEPING = ("-m", "--multirun")
 
 
 def complete(words: list[str]) -> None:
-    """Append to a command line, in place, what it implies: the folder that Hydra is to use, and the plant of a model.
+    """Add to a command line, in place, what it implies: the folder that Hydra is to use, and the plant of a model.
 
     The same sweep has the same folder, so that the same command goes on with it; a resumed run keeps its own. A model
     that is given without data and without a plant, `model=model.json`, stands in the place of a log's.
@@ -21,16 +21,22 @@ def complete(words: list[str]) -> None:
     """
     given = dict(word.split("=", 1) for word in words[1:] if "=" in word)
     if given.get("model", "null") not in ("null", "") and not {"data", "system", "resume"} & set(given):
-        words.append("system=logged")
+        _add(words, "system=logged")
     folder = given.get("resume", "null").strip("'\"")
     if folder not in ("null", ""):
         if not (Path(folder) / "config.yaml").is_file():
             raise FileNotFoundError(
                 f"resume={folder} is no run folder, it has no config.yaml; give the folder that train.py printed"
             )
-        words.append(f"hydra.run.dir={_quoted(folder)}")
+        _add(words, f"hydra.run.dir={_quoted(folder)}")
     elif any(word in SWEEPING for word in words) and "hydra.sweep.dir" not in given:
-        words.append(f"hydra.sweep.dir={_quoted('runs/' + name(words[1:]))}")
+        _add(words, f"hydra.sweep.dir={_quoted('runs/' + name(words[1:]))}")
+
+
+def _add(words: list[str], setting: str) -> None:
+    """Add a setting behind the last one: Hydra reads none that an option, as --config-dir, parts from the others."""
+    given = [place for place, word in enumerate(words) if place and "=" in word and not word.startswith("-")]
+    words.insert(given[-1] + 1 if given else len(words), setting)
 
 
 def require_writable(path: Path) -> None:

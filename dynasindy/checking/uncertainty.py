@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -17,8 +18,27 @@ SHARE = 0.2
 """By how much a coefficient is moved, as a share of itself."""
 DRAWN = 0.05
 """Largest share by which coefficients are drawn at random where the model does not tell how well it knows them."""
-WITHIN = f"each within {100 * DRAWN:g} % of itself, as the model tells no standard errors"
-"""How coefficients were drawn by that share, in words."""
+
+
+class Drawing(NamedTuple):
+    """Say how coefficients were drawn.
+
+    Attributes:
+        by: by how much, in a few words, as for the legend of a figure.
+        more: what is to be said of it beside.
+    """
+
+    by: str
+    more: str
+
+    @property
+    def words(self) -> str:
+        """All of it."""
+        return f"{self.by}, {self.more}"
+
+
+WITHIN = Drawing(f"each within {100 * DRAWN:g} % of itself", "as the model tells no standard errors")
+"""How they were drawn by that share."""
 
 
 @dataclass(frozen=True)
@@ -29,13 +49,13 @@ class Variants:
         labels: What is changed in each.
         coefficients: Xi of each, `(n, n_features, n_x)`.
         draws: How many of them, the first ones, are drawn at random.
-        how: By how much these are drawn, in words.
+        how: By how much these are drawn.
     """
 
     labels: list[str]
     coefficients: Tensor
     draws: int
-    how: str = WITHIN
+    how: Drawing = WITHIN
 
 
 def uncertain(model: SindyModel) -> list[tuple[int, int]]:
@@ -65,7 +85,8 @@ def variants(model: SindyModel, draws: int, seed: int) -> Variants:
     else:
         drawn = model.covariance.draw(xi, draws, generator)
         shares = 100 * model.covariance.shares(xi)
-        how = f"from the covariance of the fit, with standard errors of {shares.min():.2g} to {shares.max():.2g} %"
+        errors = f"with standard errors of {shares.min():.2g} to {shares.max():.2g} %"
+        how = Drawing("from the covariance of the fit", errors)
     moved, labels = [], [f"draw {k + 1}" for k in range(draws)]
     for k, i in found:
         for sign in (1, -1):
@@ -86,14 +107,14 @@ class Spread:
         radius: Spectral radius, `(n_targets, n)`, infinite where no point of rest was found.
         error: Steady error of the outputs, `(n_targets, n, n_r)`, infinite where they run away.
         draws: How many, the first ones, are drawn at random.
-        how: By how much these are drawn, in words.
+        how: By how much these are drawn.
     """
 
     labels: list[str]
     radius: Tensor
     error: Tensor
     draws: int
-    how: str = WITHIN
+    how: Drawing = WITHIN
 
     @property
     def worst(self) -> Tensor:

@@ -322,7 +322,7 @@ def _changes(found: Check, limits: Thresholds) -> list[Finding]:
     others, lines = found.spread, []
     for name, rows, words in (
         ("one coefficient", slice(others.draws, None), f"each coefficient by {100 * SHARE:.0f} % of itself"),
-        ("all coefficients", slice(0, others.draws), f"{others.draws} draws of all coefficients, {others.how}"),
+        ("all coefficients", slice(0, others.draws), f"{others.draws} draws of all coefficients, {others.how.words}"),
     ):
         radius, labels = others.worst[rows], others.labels[rows]
         if not len(labels) or not len(others.radius):

@@ -41,11 +41,13 @@ class Recording:
         transitions: the samples, in unbroken segments; NaN where a state was not measured.
         signature: names, units and ranges.
         notes: sentences on what was skipped, masked, resampled or reconstructed.
+        ends: words that give the ends of the actuators where these are guessed from the file, else empty.
     """
 
     transitions: Transitions
     signature: Signature
     notes: tuple[str, ...] = field(default=())
+    ends: str = ""
 
     def __repr__(self) -> str:
         """Say in a line or two what it holds."""
@@ -141,7 +143,7 @@ class CsvLog:
         """Return what the files gave as one recording."""
         notes, after = [note for part in parts for note in self._of(part)], list[str]()
         inputs, headings, dt = parts[0].inputs, parts[0].headings, _one_period(parts, self.dt)
-        found = reaches(str(self), np.concatenate([part.u for part in parts]), inputs, self.into_range, after)
+        found, ends = reaches(str(self), np.concatenate([part.u for part in parts]), inputs, self.into_range, after)
         for part in parts:
             part.notes.clear()
             part.t, part.x, part.u, part.segment = evened(part.t, part.x, scaled(part.u, found), dt, part.notes)
@@ -160,7 +162,7 @@ class CsvLog:
         scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(np.nan_to_num(full)).max(0, initial=0.0))
         reach = acting(found, [column.unit for column in inputs.values()])
         signature = Signature(tuple(states), units, tuple(inputs), scale, **reach)
-        return Recording(data, signature, tuple(notes))
+        return Recording(data, signature, tuple(notes), ends)
 
     def __str__(self) -> str:
         """Name the files."""

@@ -26,8 +26,12 @@ WIDE = 20.0
 """Range of an actuator, as a multiple of that in its log, from which on a note asks whether it is the right one."""
 
 
-def reaches(path: str, u: Array, inputs: Mapping[str, Column], into_range: bool, notes: list[str]) -> list[Reach]:
+def reaches(
+    path: str, u: Array, inputs: Mapping[str, Column], into_range: bool, notes: list[str]
+) -> tuple[list[Reach], str]:
     """Return what each input reaches and what becomes 0 and 1 of it, and note it.
+
+    Beside it stand the words that give these ends, empty where nobody has to say whether they are right.
 
     Args:
         path: The file, for messages.
@@ -40,6 +44,7 @@ def reaches(path: str, u: Array, inputs: Mapping[str, Column], into_range: bool,
         ValueError: An input is constant, or goes beyond the ends that were given; -1 and 1 keep it as it is.
     """
     found: dict[str, Reach] = {}
+    sided: dict[str, Reach] = {}
     for (name, given), column in zip(inputs.items(), u.T, strict=True):
         if np.ptp(column) == 0:
             raise ValueError(
@@ -58,18 +63,21 @@ def reaches(path: str, u: Array, inputs: Mapping[str, Column], into_range: bool,
                 "the model holds for these numbers, or give its ends, low and high, in data.inputs"
             )
         elif found[name] == PLAIN and into_range and given.low is None and column.min() * column.max() >= 0:
-            ends = Reach.of(0.0, 1.0) if column.max() > 0 else Reach.of(-1.0, 0.0)
-            notes.append(
-                f"input {name} goes from {column.min():g} to {column.max():g}; its actuator is taken to reach from -1 "
-                f"to 1. If it does not, as a valve from 0 to 1, say so: {_words({name: given}, {name: ends})}"
-            )
+            sided[name] = Reach.of(0.0, 1.0) if column.max() > 0 else Reach.of(-1.0, 0.0)
+    words = _words(inputs, found | sided)
+    notes += [
+        f"input {name} goes from {column.min():g} to {column.max():g}; its actuator is taken to reach from -1 to 1. If "
+        f"it does not, as a valve from 0 to 1, say so: {words}"
+        for name, column in zip(inputs, u.T, strict=True)
+        if name in sided
+    ]
     notes += [_told(name, inputs[name], reach) for name, reach in found.items() if reach != PLAIN]
-    if any(reach != PLAIN and inputs[name].low is None for name, reach in found.items()):
+    if of_log := any(reach != PLAIN and inputs[name].low is None for name, reach in found.items()):
         notes.append(
             "these are the ends of the log; if an actuator goes further, give its own, and low: -1, high: 1 keeps the "
-            f"numbers as they are: {_words(inputs, found)}"
+            f"numbers as they are: {words}"
         )
-    return list(found.values())
+    return list(found.values()), words if sided or of_log else ""
 
 
 def with_ends(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 import shutil
 import time
@@ -280,9 +281,9 @@ class Recorder(Callback):
 
     def _say_which_fit(self) -> None:
         """Say above the report of the first fit that others came after it; a run without them has one model only."""
-        path = self.folder / IDENTIFICATION
-        if path.is_file() and not refitted(self.folder):
-            write_text(path, f"{FIRST}\n{path.read_text()}")
+        path, head = self.folder / IDENTIFICATION, f"{FIRST}\n"
+        if path.is_file():  # it may have the line: of an earlier episode, or of a process that was killed
+            write_text(path, head + path.read_text().removeprefix(head))
 
     def _log_decision(self, episode: Episode) -> None:
         """Append to `gate.csv`: what the gate saw and decided, and what became of the refit."""
@@ -367,5 +368,9 @@ def _headline(summary: Summary) -> Summary:
 
 
 def refitted(folder: Path) -> bool:
-    """Tell whether the report of the fit in a run folder is one of several: whether the model was fitted again."""
-    return (folder / IDENTIFICATION).read_text().startswith(FIRST)
+    """Tell whether the model of a run was fitted again after its excitation, by what `gate.csv` has of each refit."""
+    file = folder / "gate.csv"
+    if not file.is_file():
+        return False
+    with file.open(newline="") as rows:
+        return any(row.get("refit_kept") for row in csv.DictReader(rows))

@@ -18,7 +18,7 @@ from typing import Any
 
 from dynasindy.evaluation.files import whole, write_text
 from dynasindy.evaluation.given import DamagedFileError, read_cells, read_record, understood
-from dynasindy.evaluation.table import markdown, over_seeds, overrides
+from dynasindy.evaluation.table import OVER_SEEDS, markdown, over_seeds, overrides
 
 Row = dict[str, str | float | None]
 KEY = ("system", "experiment", "setting")
@@ -160,8 +160,7 @@ def to_markdown(rows: Iterable[Row], level: Level) -> str:
     lines = [
         f"Level: mean abs steady-state error of every axis at or under {least} in {level.consecutive} "
         "evaluations in a row.",
-        "Interquartile mean over seeds [95 % bootstrap interval]; where there are fewer than three seeds, the value of "
-        "each.",
+        OVER_SEEDS,
         "The excitation counts as real experience, and evaluations do not.",
         "Steady-state error: the worse axis after the last episode. Area: the mean evaluated return.",
         "",

@@ -194,6 +194,10 @@ class Logged:
             raise ValueError(f"{', '.join(self._files)}: {error}") from None
 
 
+UNKNOWN = "the refinement, which tells them, found no equations, or ones that run away from the data"
+"""Why coefficients that were fitted may have none."""
+
+
 @dataclass(frozen=True)
 class Identified:
     """Hold a fitted model and its figures.
@@ -344,9 +348,10 @@ def to_words(found: Identified, source: Source) -> str:
 
 
 def _errors(model: SindyModel) -> list[str]:
-    """Return a line for each coefficient with its standard error, below a heading; none where they are not known."""
+    """Return a line for each coefficient with its standard error, below a heading, or why there is no such error."""
     if model.covariance is None:
-        return []
+        fitted = bool((model.constraints.free & (model.coefficients != 0)).any())
+        return ["", f"coefficients have no standard errors (±): {UNKNOWN if fitted else 'none of them was fitted'}"]
     errors = model.covariance.table(model.coefficients.shape)
     return ["", "coefficients and their standard errors", *with_errors(model.library, model.coefficients, errors)]
 

@@ -34,6 +34,7 @@ class Source:
         validation: transitions that the fit does not see; there may be none.
         notes: sentences on how the data came about.
         logged: whether they are a log, so that nothing is known of the plant but what was measured.
+        ends: words that give the ends of the actuators where these are guessed from a log, else empty.
     """
 
     signature: Signature
@@ -41,6 +42,7 @@ class Source:
     validation: Transitions
     notes: tuple[str, ...] = ()
     logged: bool = False
+    ends: str = ""
 
     @classmethod
     def of(cls, log: Recording, share: float = VALIDATION_SHARE) -> Source:
@@ -57,7 +59,7 @@ class Source:
             raise ValueError(f"validation_share is {share}; allowed is 0 to below 1, such as {VALIDATION_SHARE}")
         data = log.transitions
         early = torch.arange(len(data)) < int(len(data) * (1 - share))
-        return cls(log.signature, data.select(early), data.select(~early), log.notes, True)
+        return cls(log.signature, data.select(early), data.select(~early), log.notes, True, log.ends)
 
     @property
     def whole(self) -> Transitions:

@@ -25,12 +25,19 @@ SWEEP = (
     "return, trained",
     "steady-state error, per axis{}",
     "RMSE, per axis{}",
-    "wall time [s]",
+    "wall time of a run [s]",
 )
+OVER_SEEDS = (
+    "Interquartile mean over seeds [95 % bootstrap interval]; where there are fewer than three seeds, the value of "
+    "each."
+)
+"""What the figures of `over_seeds` are."""
+ORDER, AXES = "Values of single seeds stand in the order of the seeds.", "A slash parts the axes."
+"""How a cell with several values is read."""
 
 
 def sweep_table(folder: Path) -> str:
-    """Return a Markdown table of a sweep, a row per setting, over its seeds.
+    """Return a Markdown table of a sweep, a row per setting, over its seeds, below lines that say what its figures are.
 
     Args:
         folder: Folder of the sweep, whose runs are named `number_key-value__key-value` by Hydra; or of an ablation or a
@@ -53,10 +60,17 @@ def sweep_table(folder: Path) -> str:
     with understood(folder):  # whose runs may not have the same figures
         units = {_units(run) for runs in groups.values() for run in runs}
         shared = units.pop() if len(units) == 1 else ""  # plants may differ in them
-        return markdown(
+        table = markdown(
             [head.format(shared) for head in SWEEP],
-            [_row(setting, runs, not shared) for setting, runs in sorted(groups.items())],
+            [_row(setting, _in_order(runs), not shared) for setting, runs in sorted(groups.items())],
         )
+        several = any(len(_of_axes(run, "rmse")) > 1 for runs in groups.values() for run in runs)
+        return "\n".join([OVER_SEEDS, f"{ORDER} {AXES}" if several else ORDER, "", table])
+
+
+def _in_order(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the runs of a setting in the order of their seeds; by their folders, the tenth job is before the ninth."""
+    return sorted(runs, key=lambda run: run.get("seed") or 0)
 
 
 def _setting(place: Path) -> str:
@@ -124,8 +138,13 @@ def _units(run: Mapping[str, Any]) -> str:
 
 
 def _axes(runs: Sequence[dict[str, Any]], metric: str) -> str:
-    names = [key for key in runs[0]["evaluation"] if key.startswith(f"{metric}/")]
+    names = _of_axes(runs[0], metric)
     return " / ".join(_finite([run["evaluation"][name] for run in runs]) for name in names)
+
+
+def _of_axes(run: Mapping[str, Any], metric: str) -> list[str]:
+    """Return the names of a metric in an evaluation, one per axis."""
+    return [key for key in run["evaluation"] if key.startswith(f"{metric}/")]
 
 
 def _finite(values: Sequence[float | None]) -> str:

@@ -60,17 +60,17 @@ class SimulatedRig:
         dt: Control period [s].
         sensors: What is measured, and how many periods late an input acts; all states as they are if omitted.
         safe: Safe input, `(n_u,)`; zeros if omitted.
-        port: Port to listen on; 0 takes a free one.
         seed: Seed of the sensors' noise.
-        lockstep: Wait so long for the answer to each sample instead of keeping a clock [s]: for tests, in which a busy
-            computer is no fault of the flight; 0 keeps the clock.
         faults: What goes wrong from which sample on: silent (no samples), old (the same again), garbage, nan, range (a
             state of 1e9), gone (the socket is closed).
         start: State in which the plant begins, `(n_x,)`; zeros if omitted.
 
+    Attributes:
+        port: Free port on which it listens.
+        record: What it saw and did.
+
     Raises:
         ValueError: A fault is unknown.
-        OSError: The port is taken.
     """
 
     def __init__(
@@ -79,31 +79,31 @@ class SimulatedRig:
         dt: float = 0.05,
         sensors: Sensors | None = None,
         safe: Array | None = None,
-        port: int = 0,
         seed: int = 0,
-        lockstep: float = 0.0,
         faults: Mapping[str, int] | None = None,
         start: Array | None = None,
     ) -> None:
         if unknown := [name for name in faults or {} if name not in FAULTS]:
             raise ValueError(f"fault '{unknown[0]}' is unknown; use some of {', '.join(FAULTS)}")
-        self.system, self.dt, self.sensors, self.lockstep = system, dt, sensors, lockstep
+        self.system, self.dt, self.sensors = system, dt, sensors
         self.safe = np.zeros(system.signature.n_u) if safe is None else np.asarray(safe, dtype=np.float64)
         begin = np.zeros(system.signature.n_x) if start is None else np.asarray(start, dtype=np.float64)
         self.start = torch.from_numpy(begin)
         self.faults, self.rng = dict(faults or {}), torch.Generator().manual_seed(seed)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind(("127.0.0.1", port))
+        self._socket.bind(("127.0.0.1", 0))
         self.port: int = self._socket.getsockname()[1]
         self.record = Record()
         # The first period makes machine code of the plant, which would take longer than a control period.
         self._moved(self.start, self.safe)
 
-    def serve(self, periods: int) -> Record:
+    def serve(self, periods: int, lockstep: float = 0.0) -> Record:
         """Wait for a caller, then run so many periods.
 
         Args:
             periods: How many.
+            lockstep: Wait so long for the answer to each sample instead of keeping a clock [s]: for tests, in which a
+                busy computer is no fault of the flight; 0 keeps the clock.
 
         Returns:
             What it saw and did.
@@ -116,7 +116,7 @@ class SimulatedRig:
         for k in range(periods):
             if not self._send(k, x, caller):
                 break
-            found = self._inputs(k, begun + (k + 1) * self.dt)
+            found = self._inputs(k, begun + (k + 1) * self.dt, lockstep)
             missed = 0 if found is not None else missed + 1
             u = found if found is not None else u if missed <= BRIDGED else self.safe
             if periods < FOREVER:
@@ -152,12 +152,12 @@ class SimulatedRig:
             self._socket.sendto(datagram, caller)
         return True
 
-    def _inputs(self, k: int, end: float) -> Array | None:
+    def _inputs(self, k: int, end: float, lockstep: float) -> Array | None:
         """Return the newest inputs that arrive before a period is over; the safe ones if those are asked for."""
         found: Array | None = None
         quiet = any(self._wrong(name, k) for name in FAULTS)
         while True:
-            left = end - time.monotonic() if not self.lockstep else 2 * self.dt if quiet else self.lockstep
+            left = end - time.monotonic() if not lockstep else 2 * self.dt if quiet else lockstep
             if left <= 0:
                 return found
             self._socket.settimeout(left)
@@ -169,7 +169,7 @@ class SimulatedRig:
                 return found
             if answer is not None:
                 found = self.safe if answer[0] == REST else answer[1]
-                if self.lockstep:
+                if lockstep:
                     return found
 
 

@@ -120,7 +120,7 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
         [(names[i], units[i], r, limits.error * ranges[i]) for i, r in zip(outputs, targets, strict=True)],
         signature,
         f"Step from {found.beginning(symbol)} to {_target(found, far)}, the farthest target",
-        f"coefficients {found.spread.how.partition(',')[0]}",
+        f"coefficients {found.spread.how.by}",
     )
 
 

@@ -12,7 +12,7 @@ Place = tuple[float, float]
 WIDTH, HEIGHT = 2.1, 0.9
 BOXES: Mapping[str, tuple[Place, str, str]] = {
     "plant": ((0.0, 2.2), "plant\ndx/dt = f(x, u)", BLACK),
-    "agent": ((8.4, 2.2), "TD3\nactor, two critics", BLUE),
+    "agent": ((8.4, 2.2), "agent: the actor;\nTD3 adds two critics", BLUE),
     "real": ((4.2, 2.2), "replay.real\nreal transitions", GREY),
     "model": ((0.0, 0.0), "SINDy model\ndx/dt = $\\Xi^T\\Theta(x, u)$", RED),
     "gate": ((2.8, 0.0), "gate\nis it trusted?", ORANGE),
@@ -23,8 +23,8 @@ BOXES: Mapping[str, tuple[Place, str, str]] = {
 
 
 @styled
-def framework(title: str = "Dyna-style SINDy-TD3") -> Figure:
-    """Draw the phases of Algorithm 1 between plant, model, replay and agent."""
+def framework(title: str = "Dyna-style SINDy, with TD3 or by gradient") -> Figure:
+    """Draw the phases of Algorithm 1 between plant, model, replay and agent, and both ways to learn the policy."""
     figure, (axis,) = panels(1, 1, (9.0, 3.9), title)
     axis.set(xlim=(-1.3, 9.7), ylim=(-0.7, 3.9))
     axis.axis("off")
@@ -36,8 +36,9 @@ def framework(title: str = "Dyna-style SINDy-TD3") -> Figure:
         axis.add_patch(box)
         axis.text(x, y, words, ha="center", va="center", fontsize=8.5)
     _arrow(axis, (1.05, 2.2), (3.15, 2.2), "real interaction")
-    _arrow(axis, (5.25, 2.2), (7.35, 2.2), "policy learning")
-    _arrow(axis, (8.4, 0.45), (8.4, 1.75), "policy learning", side=(0.08, 0.0))
+    _arrow(axis, (5.25, 2.2), (7.35, 2.2), "policy learning, by TD3")
+    _arrow(axis, (8.4, 0.45), (8.4, 1.75), "by TD3", side=(0.08, 0.0))
+    _arrow(axis, (6.6, 0.45), (8.0, 1.75), "or by gradient", side=(0.04, -0.24))
     _arrow(axis, (0.0, 1.75), (0.0, 0.45), "model learning", side=(0.08, 0.0))
     _arrow(axis, (1.05, 0.0), (1.75, 0.0))
     _arrow(axis, (3.85, 0.0), (4.55, 0.0))

@@ -14,14 +14,14 @@ class Here:
     """The far end in a thread, in lockstep, so that a busy computer is no fault."""
 
     def begin(self, periods, **settings):
-        server = SimulatedRig(**settings, lockstep=2.0)
+        server = SimulatedRig(**settings)
         self.record = Record()
         self.thread = threading.Thread(target=self._serve, args=(server, periods))
         self.thread.start()
         return server.port
 
     def _serve(self, server, periods):
-        self.record = server.serve(periods)
+        self.record = server.serve(periods, lockstep=2.0)
 
     def end(self):
         self.thread.join()

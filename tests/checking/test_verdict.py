@@ -14,6 +14,7 @@ from dynasindy.checking.check import Settings, check
 from dynasindy.checking.flights import Flights
 from dynasindy.checking.flown import Flown
 from dynasindy.checking.margins import Margins
+from dynasindy.checking.uncertainty import Drawing
 from dynasindy.checking.verdict import Finding, Thresholds, in_short, lost, verdict
 
 SMALL = Settings((-0.4,), (0.4,), points=2, seconds=8.0, grid=3, draws=2)
@@ -140,9 +141,9 @@ def test_a_coefficient_that_makes_it_unstable_is_named(loops, carts, law):
 def test_draws_are_told_with_their_size_and_weak_coefficients_are_not_blamed_on_the_data(good):
     words = by_name(good)["all coefficients"].words
     assert words.startswith("2 draws of all coefficients, each within 5 % of itself, as the model tells no")
-    spread = replace(good.spread, how="by their standard errors")
+    spread = replace(good.spread, how=Drawing("by their standard errors", "all at a time"))
     assert (
-        "coefficients, by their standard errors, where"
+        "coefficients, by their standard errors, all at a time, where"
         in by_name(replace(good, spread=spread))["all coefficients"].words
     )
     for name in ("one coefficient", "all coefficients"):

@@ -102,12 +102,13 @@ def test_a_log_alone_tells_the_range_that_an_input_used(tmp_path, low, high, res
     assert rest + one * found.transitions.u[:, 0].numpy() == pytest.approx(values[:-1])
     limits = (found.signature.input_limits or ((-1, 1),))[0]
     assert [rest + one * limit for limit in limits] == pytest.approx(reach)
-    (word,) = shlex.split(found.notes[2].rpartition("as they are: ")[2])
+    assert found.notes[2].rpartition("as they are: ")[2] == found.ends
+    (word,) = shlex.split(found.ends)
     given = yaml.safe_load(word.removeprefix("data.inputs="))
     # An actuator that rests at zero reaches zero, whether the log has tried it or not.
     assert (given["valve"]["low"], given["valve"]["high"]) == (min(*reach, rest), max(*reach, rest))
     again = Logged(path, inputs=given).recording(None)
-    assert again.signature.input_ends == found.signature.input_ends
+    assert again.signature.input_ends == found.signature.input_ends and again.ends == ""
     assert torch.equal(again.transitions.u, found.transitions.u)
 
 
@@ -125,6 +126,7 @@ def test_an_input_within_one_that_never_leaves_one_side_is_asked_about(tmp_path,
     assert found.signature.input_ends == () == found.signature.input_limits
     (_, note) = found.notes
     assert f"'data.inputs={{valve: {{name: valve, {ends}}}}}'" in note and "from -1 to 1" in note
+    assert note.endswith(f"say so: {found.ends}")
 
 
 def test_ends_far_wider_than_the_log_are_asked_about(tmp_path):

@@ -11,7 +11,6 @@ from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.parts import Settings
-from dynasindy.dyna.recorder import FIRST
 from dynasindy.dyna.run import Evaluating, Provenance, Saving, report, run
 from dynasindy.dyna.stopped import Stopped
 from dynasindy.envs import ControlEnv
@@ -237,11 +236,18 @@ def test_the_report_says_equations_metrics_costs_and_folder(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("head", "words"),
-    [("", "What the fit could tell: "), (f"{FIRST}\n", "What the excitation alone could tell, the first fit: ")],
+    ("kept", "words"),
+    [
+        (None, "What the fit could tell: "),
+        ("", "What the fit could tell: "),
+        ("1.0", "What the excitation alone could tell, the first fit: "),
+        ("0.0", "What the excitation alone could tell, the first fit: "),
+    ],
 )
-def test_only_a_fit_with_others_after_it_is_called_the_first(tmp_path, head, words):
-    (tmp_path / "identification.txt").write_text(f"{head}drag: well known\n")
+def test_only_a_fit_with_others_after_it_is_called_the_first(tmp_path, kept, words):
+    (tmp_path / "identification.txt").write_text("drag: well known\n")
+    if kept is not None:
+        (tmp_path / "gate.csv").write_text(f"episode,refit_kept,open\n1,,1\n2,{kept},1\n")
     cost = dict.fromkeys(("real_steps", "plant_seconds", "imagined_transitions", "updates", "wall_seconds"), 1)
     told = report(
         {

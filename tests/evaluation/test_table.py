@@ -15,12 +15,18 @@ def write(folder, name, trained, **more):
     )
 
 
+def rows_of(folder):
+    """Return the rows of the table of a sweep, without what stands above them."""
+    lines = sweep_table(folder).splitlines()
+    return lines[lines.index("") + 3 :]
+
+
 def test_seeds_are_joined_and_settings_are_not(tmp_path):
     # The interquartile mean of 1, 2, 3, 100 is that of 2 and 3.
     for seed, trained in enumerate((1.0, 2.0, 3.0, 100.0)):
         write(tmp_path, f"{seed}_planning-dyna__seed-{seed}", trained)
     write(tmp_path, "4_planning-none__seed-0", -50.0)
-    dyna, none = sweep_table(tmp_path).splitlines()[2:]
+    dyna, none = rows_of(tmp_path)
     assert dyna.startswith("| `planning=dyna` | 4 | 600 (30 s) | -9 [-9, -9] |") and "| 2.5 [" in dyna
     assert none.startswith("| `planning=none` | 1 |") and "| -50 |" in none
 
@@ -36,7 +42,7 @@ def test_seeds_are_joined_and_settings_are_not(tmp_path):
 def test_the_runs_of_an_ablation_are_found_from_each_of_its_folders(tmp_path, part, settings):
     for place in ("direct/seed_0", "direct/seed_1", "rollouts_0/seed_0", "direct/agent.critics-1/seed_3"):
         write(tmp_path / "xi" / "smoke", place, 1.0)
-    rows = [row.split(" | ") for row in sweep_table(tmp_path / part).splitlines()[2:]]
+    rows = [row.split(" | ") for row in rows_of(tmp_path / part)]
     assert {row[0] for row in rows} == {f"| `{setting}`" for setting in settings}
     assert sum(int(row[1]) for row in rows) == (4 if "direct" not in part else 3)
 
@@ -44,15 +50,23 @@ def test_the_runs_of_an_ablation_are_found_from_each_of_its_folders(tmp_path, pa
 def test_units_that_plants_do_not_share_stand_in_the_cells(tmp_path):
     write(tmp_path, "0_system-tank__seed-0", 1.0, units={"h": "m"})
     write(tmp_path, "1_system-xi__seed-0", 1.0, units={"alpha_a": "rad"})
-    head, _, tank, xi = sweep_table(tmp_path).splitlines()
+    _, order, gap, head, _, tank, xi = sweep_table(tmp_path).splitlines()
+    assert order == "Values of single seeds stand in the order of the seeds." and gap == ""
     assert "| steady-state error, per axis | RMSE, per axis |" in head
     assert "| 0.01 [m] | 0.02 [m] |" in tank and "| 0.01 [rad] | 0.02 [rad] |" in xi
+
+
+def test_the_figures_of_two_seeds_stand_in_the_order_of_the_seeds_and_not_of_the_jobs(tmp_path):
+    for job, seed, trained in ((9, 0, 3.0), (10, 1, 7.0)):
+        write(tmp_path, f"{job}_planning-dyna__seed-{seed}", trained, seed=seed)
+    (row,) = rows_of(tmp_path)
+    assert "| 3, 7 |" in row
 
 
 def test_a_run_without_a_finite_figure_is_counted_and_not_left_out(tmp_path):
     write(tmp_path, "0_planning-dyna__seed-0", 1.0)
     write(tmp_path, "1_planning-dyna__seed-1", None)
-    (row,) = sweep_table(tmp_path).splitlines()[2:]
+    (row,) = rows_of(tmp_path)
     assert "| not finite in 1 of 2 |" in row
 
 
@@ -106,7 +120,9 @@ def test_each_cell_of_a_sweep_is_that_of_its_column(tmp_path):
         cost = {"real_steps": 1800, "plant_seconds": 90.0, "wall_seconds": 11.0}
         record = {"cost": cost, "untrained": {"return": -9.0}, "evaluation": {"return": 4.0, **errors}}
         (run / "metrics.json").write_text(json.dumps(record))
-    head, _, row = sweep_table(tmp_path).splitlines()
+    seeds, axes, _, head, _, row = sweep_table(tmp_path).splitlines()
+    assert seeds.endswith("; where there are fewer than three seeds, the value of each.")
+    assert axes == "Values of single seeds stand in the order of the seeds. A slash parts the axes."
     cells = dict(zip(head.strip("| ").split(" | "), row.strip("| ").split(" | "), strict=True))
     assert cells.pop("steady-state error, per axis [rad]") == "0.1, 1.1 / 0.3, 0.3"
     assert cells == {
@@ -116,5 +132,5 @@ def test_each_cell_of_a_sweep_is_that_of_its_column(tmp_path):
         "return, untrained": "-9, -9",
         "return, trained": "4, 4",
         "RMSE, per axis [rad]": "0.5, 0.5 / 0.7, 0.7",
-        "wall time [s]": "11, 11",
+        "wall time of a run [s]": "11, 11",
     }

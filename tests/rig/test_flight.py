@@ -40,8 +40,8 @@ def swing(y, t):
 
 def flown(tmp_path, act=swing, periods=12, guard=PATIENT, served=None, **settings):
     """Fly, and return what came of it and what the rig saw."""
-    server = SimulatedRig(Pendulum(), 0.05, safe=SAFE, lockstep=10.0, **settings)
-    thread = threading.Thread(target=server.serve, args=(served or periods + 1,))
+    server = SimulatedRig(Pendulum(), 0.05, safe=SAFE, **settings)
+    thread = threading.Thread(target=server.serve, args=(served or periods + 1, 10.0))
     thread.start()
     rig = UdpRig(2, 1, port=server.port)
     try:
@@ -79,8 +79,8 @@ def test_the_log_is_read_back_by_identification(tmp_path):
 
 def test_a_state_without_a_sensor_has_no_column(tmp_path):
     sensors = Sensors({"theta": {"resolution": 0.01}})
-    server = SimulatedRig(Pendulum(), 0.05, sensors, lockstep=10.0)
-    thread = threading.Thread(target=server.serve, args=(4,))
+    server = SimulatedRig(Pendulum(), 0.05, sensors)
+    thread = threading.Thread(target=server.serve, args=(4, 10.0))
     thread.start()
     rig, shown = UdpRig(2, 1, port=server.port), []
 
@@ -258,8 +258,8 @@ def test_ctrl_c_brings_the_rig_to_rest_and_goes_on(tmp_path):
             raise KeyboardInterrupt
         return swing(y, t)
 
-    server = SimulatedRig(Pendulum(), 0.05, safe=SAFE, lockstep=10.0)
-    thread = threading.Thread(target=server.serve, args=(6,))
+    server = SimulatedRig(Pendulum(), 0.05, safe=SAFE)
+    thread = threading.Thread(target=server.serve, args=(6, 10.0))
     thread.start()
     rig = UdpRig(2, 1, port=server.port)
     with pytest.raises(KeyboardInterrupt):

@@ -36,8 +36,8 @@ KNOWLEDGE = Knowledge(
 
 @pytest.fixture
 def session(tmp_path):
-    server = SimulatedRig(Pendulum(), 0.05, Sensors({"theta": {"resolution": COUNT}}), lockstep=10.0)
-    thread = threading.Thread(target=partial(server.serve, 10_000), daemon=True)
+    server = SimulatedRig(Pendulum(), 0.05, Sensors({"theta": {"resolution": COUNT}}))
+    thread = threading.Thread(target=partial(server.serve, 10_000, lockstep=10.0), daemon=True)
     thread.start()
     rig = UdpRig(2, 1, port=server.port)
     wiring = Wiring(Pendulum().signature, (True, False), 0.05)

@@ -128,8 +128,8 @@ def test_an_unknown_fault_is_refused():
 def test_a_command_reaches_the_plant_as_many_periods_late_as_its_sensors_say():
     """Omega' = 12 u: the rate begins to move after two periods, and not before."""
     late = Sensors({"theta": {}, "Omega": {}}, actuator_delay=2)
-    server = SimulatedRig(Pendulum(), 0.05, late, lockstep=10.0)
-    thread = threading.Thread(target=server.serve, args=(4,))
+    server = SimulatedRig(Pendulum(), 0.05, late)
+    thread = threading.Thread(target=server.serve, args=(4, 10.0))
     thread.start()
     caller = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     caller.connect(("127.0.0.1", server.port))

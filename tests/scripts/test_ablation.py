@@ -16,9 +16,13 @@ SMALL = (
 )  # fmt: skip
 
 
-def run(*overrides, cwd):
+def start(*overrides, cwd):
     command = [sys.executable, str(SCRIPT), *overrides]
-    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=600)
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=600)
+
+
+def run(*overrides, cwd):
+    done = start(*overrides, cwd=cwd)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -30,6 +34,32 @@ def jobs(folder):
 def rows(folder):
     with (folder / "results" / "ablation.csv").open() as file:
         return sorted((row["setting"].partition(",")[0], row["seed"]) for row in csv.DictReader(file))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            ["setting=direct,oracle", "planning.updatez=3", "planning.rollouts=0,400"],
+            "'updatez' does not exist in 'planning'; allowed are bounds, every, generations, horizon, recent_steps, "
+            "rollouts",
+        ),
+        (
+            ["planning.rolouts=0,400", "planning.updatez=3", "seed=0,1"],
+            "'rolouts' does not exist in 'planning'; allowed are bounds, every, generations, horizon, recent_steps, "
+            "rollouts; did you mean 'rollouts'?",
+        ),
+        (
+            ["experiment=nothing", "seed=0,1"],
+            "'nothing' does not exist in 'experiment'; allowed are dyna, gradient, gradient_smoke, paper, smoke, tune",
+        ),
+    ],
+)
+def test_of_a_mistake_beside_several_values_the_mistake_is_said(tmp_path, words, said):
+    done = start("system=tras", *words, cwd=tmp_path)
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr == f"error: {said}\n"
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow

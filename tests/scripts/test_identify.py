@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import torch
+import yaml
 
 from dynasindy.data.simulated import record
 from dynasindy.excitation import HeldRandom
@@ -118,6 +119,30 @@ def test_a_log_of_an_unknown_plant_needs_no_file_of_its_own(tmp_path):
     assert signature["state_names"] == ["position", "rate"] and signature["state_units"] == ["m", "m/s"]
     found = json.loads((tmp_path / "run/model.json").read_text())["coefficients"]["rate"]
     assert [found[name] for name in ("position", "rate", "u")] == pytest.approx([-4, -1, 3], rel=0.02)
+
+
+def test_ends_of_actuators_that_are_guessed_are_asked_about_until_they_are_given(tmp_path, write_log):
+    """A valve that was opened by 10 to 87 %, and a fan between 0.1 and 0.6 of what it can."""
+    share = torch.rand(60, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    share[7] = 1.0
+    u, level = (0.1 + share * torch.tensor([0.77, 0.5])).repeat_interleave(10, 0), [0.2]
+    for valve, fan in u[:-1].tolist():
+        level.append(level[-1] + 0.01 * (5 * valve - 7 * level[-1] - 2 * fan))
+    heads, x = ["level [m]", "u_valve [%]", "u_fan"], torch.tensor(level, dtype=torch.float64).unsqueeze(-1)
+    log = write_log(tmp_path / "log.csv", heads, x, u * torch.tensor([100.0, 1.0]))
+    first = _run(tmp_path / "first", "data=csv", f"data.path={log}", "longest_delay=0", "actuators=false")
+    plan, asks = first.stdout.partition("next:\n")[2].splitlines()
+    assert shlex.split(plan)[1] == "scripts/train.py"
+    assert asks.endswith("  # are these the ends of the actuators? They are guessed from the log; put in the true ones")
+    _, script, *words = shlex.split(asks, comments=True)
+    assert script == "scripts/identify.py" and words[:2] == ["data=csv", f"data.path={log}"]
+    assert yaml.safe_load(words[-1].removeprefix("data.inputs=")) == {
+        "u_valve": {"name": "u_valve", "low": 0, "high": 87},
+        "u_fan": {"name": "u_fan", "low": 0, "high": 1},
+    }
+    second = _run(tmp_path / "second", *words)
+    assert second.stdout.partition("next:\n")[2].count("\n") == 1, "they are given now"
+    assert words[-1] in shlex.split(second.stdout.partition("next:\n")[2], comments=True)
 
 
 def test_a_table_with_the_headings_of_a_run_is_a_log(tmp_path):

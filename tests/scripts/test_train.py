@@ -134,6 +134,17 @@ def test_what_is_for_a_sweep_says_how_to_ask_for_one(tmp_path, word, said):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("words", [["planning.lrr=3", "seed=0,1"], ["-m", "seed=0,1", "planning.lrr=3", "sead=1"]])
+def test_a_misspelt_key_is_said_before_that_there_are_several_values_and_before_the_next(tmp_path, words):
+    folder = tmp_path / "own" / "system"  # what the words name may lie in a folder of one's own
+    folder.mkdir(parents=True)
+    (folder / "mine.yaml").write_text((ROOT / "conf" / "system" / "tras.yaml").read_text())
+    done = run(*words, "system=mine", "--config-dir", str(folder.parent), cwd=tmp_path)
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.startswith("error: 'lrr' does not exist in 'planning'; allowed are check_every, every, held")
+    assert done.stderr.endswith("; did you mean 'lr'?\n") and done.stderr.count("\n") == 1
+
+
 @pytest.mark.slow
 def test_a_sweep_runs_a_job_for_each_setting(tmp_path):
     done = run(

@@ -38,6 +38,8 @@ def test_the_figures_of_a_check_name_their_targets():
         in told
     )
     assert figures["coefficients"].get_suptitle().endswith("at the worst of 3 targets")
+    legend = [text.get_text() for text in figures["steps"].axes[0].get_legend().get_texts()]
+    assert any(text.endswith("coefficients each within 5 % of itself") for text in legend)
 
 
 def test_targets_without_a_curve_are_named_with_the_reason():

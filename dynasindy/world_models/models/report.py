@@ -16,6 +16,11 @@ from dynasindy.world_models.regression.identifiability import Identifiability
 from dynasindy.world_models.regression.regression import RunningSums
 from dynasindy.world_models.writers.tables import change_of
 
+CHANGE = "the change over a step"
+"""What percentages of a difference equation are of."""
+EXACT = 1e-6
+"""Part of a rate of change that may stay unexplained where a fit is called exact; digits of the data end there."""
+
 
 @dataclass(frozen=True)
 class FitReport:
@@ -25,7 +30,8 @@ class FitReport:
         samples: number of transitions behind the fit.
         seconds: wall time [s].
         terms: number of non-zero coefficients of each equation.
-        residual: unexplained part of each state's rate of change, 2-norm relative to the rate's.
+        residual: unexplained part of each state's rate of change, 2-norm relative to the rate's; where single steps
+            were fitted, that of its change in a step.
         notes: sentences on what a reader would not expect.
         dt: time that a transition takes [s].
         unmeasured: states whose rates of change were not measured, or are functions of what was not: of an estimate
@@ -99,9 +105,10 @@ class FitReport:
         worst = int(shares.argmax())
         feature, state = int(self.covariance.features[worst]), int(self.covariance.states[worst])
         place = f"that of {library.names[feature]} in {change_of(library, library.signature.state_names[state])}"
+        whose = "" if library.step is None else f" of {CHANGE}"
         return (
-            f"coefficients are known within {float(shares.median()):.2g} % of themselves in the median, and {place}, "
-            f"the least of all, within {float(shares[worst]):.2g} % (standard errors)"
+            f"coefficients{whose} are known within {float(shares.median()):.2g} % of themselves in the median, and "
+            f"{place}, the least of all, within {float(shares[worst]):.2g} % (standard errors)"
         )
 
     def to_text(self) -> str:
@@ -109,9 +116,11 @@ class FitReport:
         each = f" of {self.dt:g} s" if self.dt else ""
         lines = [f"fit of {self.samples} transitions{each}, which took {self.seconds:.3g} s"]
         counts = {name: f"{count} term{'s' * (count != 1)}" for name, count in self.terms.items()}
-        moves = "'" if self._source[0].step is None else "[k+1] - {0}[k]"
+        moves, it = ("'", "it") if self._source[0].step is None else ("[k+1] - {0}[k]", f"it, {CHANGE},")
         for state, part in self.residual.items():
-            missed = "" if state in self.unmeasured else f"; {100 * part:.3g} % of it stays unexplained (RMS)"
+            left = f"{100 * part:.3g} % of {it} stays unexplained (RMS)"
+            left = left if part > EXACT else f"nothing of {it} stays unexplained"
+            missed = "" if state in self.unmeasured else f"; {left}"
             lines.append(f"  {state}{moves.format(state)}: {counts[state]}{missed}")
         told = [*filter(None, [self.known]), *(f"note: {note}" for note in self.notes)]
         return "\n".join([*lines, *told, self.identifiability.to_text()])

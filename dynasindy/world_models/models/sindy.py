@@ -375,7 +375,8 @@ class SindyModel(WorldModel):
             return ["the refinement dropped every function, so the fit before it stays; log longer or cleaner data"], {}
         self.set_coefficients(refined)
         self.covariance = found.covariance
-        doubts = {"in_pieces": found.in_pieces, "delay_at_end": found.delay_at_end}
+        doubts: dict[str, Any] = {"in_pieces": found.in_pieces, "delay_at_end": found.delay_at_end}
+        doubts |= {} if found.missed is None else {"residual": found.missed}
         if found.library is not self.library or found.delay != self.delay:
             # The functions are others now, and so are the sums of their products.
             self.library, self.delay = found.library, found.delay
@@ -384,10 +385,8 @@ class SindyModel(WorldModel):
             self.sums.add(self._rows(recording, self.delay))
         if self.refinement.method == "integral" or len(data) <= ENOUGH:
             return list(found.notes), doubts
-        chosen = (
-            f"functions were chosen on {ENOUGH} of {len(data)} rows, in {STRETCHES} stretches spread evenly over them"
-        )
-        return [*found.notes, f"{chosen}; the coefficients were fitted on all rows"], doubts
+        chosen = f"{ENOUGH} of {len(data)} rows, in {STRETCHES} stretches spread evenly over them"
+        return [*found.notes, f"functions were chosen on {chosen}; the coefficients were fitted on all rows"], doubts
 
     def _rows(self, recording: Recording, delay: float, library: Library | None = None) -> Rows:
         """Return averaged functions and rates of change, under inputs that act `delay` seconds later."""

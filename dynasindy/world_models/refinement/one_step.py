@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell
 from dynasindy.world_models.libraries.library import Library
@@ -16,6 +17,7 @@ from dynasindy.world_models.regression.covariance import Covariance, jackknife
 from dynasindy.world_models.regression.regression import least_squares
 from dynasindy.world_models.regression.selection import reconsider, walk_down
 from dynasindy.world_models.regression.sensitivity import Parameters, Propagator
+from dynasindy.world_models.writers.fast_field import generate
 
 LONGEST_STEP, MOST_TURNED, MOST = 0.005, 0.05, 200
 """Longest Runge-Kutta step [s] of a refinement: at rates of 10/s its relative error is below 1e-7. Intervals of more
@@ -128,6 +130,20 @@ def certainty(library: Library, xi: Tensor, free: Tensor, data: Transitions, tol
     errors = target - rows[:, n_shapes:] @ (parameters.read(xi) * scale[n_shapes:]).unsqueeze(-1)
     factor = jackknife(torch.cat([rows, errors], -1).unflatten(0, (len(data), -1)))
     return None if factor is None else Covariance.of(parameters, (factor / scale.unsqueeze(-1))[n_shapes:])
+
+
+def missed(library: Library, xi: Tensor, data: Transitions) -> dict[str, float]:
+    """Return the part of each state's change from sample to sample that a prediction of it misses (RMS).
+
+    Args:
+        library: candidate functions.
+        xi: coefficients, `(n_features, n_x)`.
+        data: transitions.
+    """
+    data = data.to(torch.float64)
+    predicted = moved(generate(library, xi), data.x, data.u, data.dt, steps_in(data, library, xi))
+    parts = (data.x_next - predicted).norm(dim=0) / (data.x_next - data.x).norm(dim=0).clamp_min(1e-300)
+    return dict(zip(library.signature.state_names, parts.tolist(), strict=True))
 
 
 def linear_model(

@@ -75,6 +75,7 @@ class Refined(NamedTuple):
         in_pieces: whether `auto` found that the log is met in pieces only, which begin anew: something is lacking.
         covariance: how well the coefficients are known; None where that is not told.
         delay_at_end: whether the delay is the longest that was tried.
+        missed: part of each state's change that predictions of single steps miss, where these were fitted.
     """
 
     library: Library
@@ -84,6 +85,7 @@ class Refined(NamedTuple):
     in_pieces: bool = False
     covariance: Covariance | None = None
     delay_at_end: bool = False
+    missed: dict[str, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -192,9 +194,12 @@ class Refinement:
         if not late and not bool(found[1].any()):  # no function is left to follow, step by step or further
             return Refined(*found, delay)
         method, noisy, notes = self._chosen(*found, data, recording.guessed(delay))
+        left = None
         if method == "one_step":
             found = refine_one_step(*found, constraints.free, recording.guessed(delay), self.tolerance)
-        refined = Refined(*found, delay, covariance=self._certainty(method, found, constraints, recording, delay))
+            left = one_step.missed(*found, recording.guessed(delay))
+        known = self._certainty(method, found, constraints, recording, delay)
+        refined = Refined(*found, delay, covariance=known, missed=left)
         if method == "trajectory":
             if noisy:
                 recording = recording.smoothed(library.step)

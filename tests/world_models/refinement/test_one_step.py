@@ -12,7 +12,7 @@ from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.features import CONSTANT, variable
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.one_step import certainty, linear_model, refine_one_step, steps_in
+from dynasindy.world_models.refinement.one_step import certainty, linear_model, missed, refine_one_step, steps_in
 from dynasindy.world_models.regression.sensitivity import Parameters
 
 SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
@@ -51,6 +51,15 @@ def test_intervals_are_divided_into_steps_of_five_milliseconds_at_most_but_long_
     assert steps(1.0, 1.5) == 30, "1.5 radians in steps of a twentieth"
     assert steps(60.0, 1.0) == 200, "60 radians, and no more steps than that"
     assert steps(0.1, 1000.0) == 20, "no shorter than five milliseconds"
+
+
+def test_the_part_of_the_changes_that_steps_miss_is_that_of_the_closed_form():
+    """y' = A y changes y by (exp(A dt) - 1) y over a step."""
+    x = torch.tensor([[0.3], [-1.0], [2.0]], dtype=torch.float64)
+    moved = Transitions(x, 0 * x, math.exp(A * DT) * x, DT, torch.zeros(3, dtype=torch.long))
+    wanted = (math.exp(1.1 * A * DT) - math.exp(A * DT)) / (math.exp(A * DT) - 1)
+    assert missed(LIBRARY, column(1.1 * A, 0.0, 0.0, 0.0), moved) == {"y": pytest.approx(wanted, rel=1e-6)}
+    assert missed(LIBRARY, column(A, 0.0, 0.0, 0.0), moved)["y"] < 1e-8
 
 
 def test_from_a_poor_first_model_the_plant_is_found_to_nine_digits():
