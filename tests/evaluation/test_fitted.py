@@ -162,9 +162,8 @@ def test_what_bends_for_nothing_is_left_out_of_a_fit_in_pieces(bend, straight):
         assert kept[names.index("u")] == pytest.approx(2.0, rel=0.05)
         assert kept[names.index("y")] == pytest.approx(-0.5, rel=0.05)
         explained = replace(found, report=replace(found.report, in_pieces=False))
-        assert (
-            module._straighter(explained, replace(before, model=before.resolution.expand_as(before.model))) is explained
-        )
+        good = replace(before, model=before.resolution.expand_as(before.model))
+        assert module._straighter(explained, good) is explained
         assert module._straighter(explained, before) is not explained  # the last part of the log is missed
 
 
@@ -181,7 +180,7 @@ def test_a_state_that_follows_is_fitted_without_products_and_squares_too():
     data = record(Lagging(signature), u, 0.1)
     seen = replace(data, x=data.x[:, :1], x_next=data.x_next[:, :1])
     log = Source(Signature(("y",), ("m",), ("u",), (3.0,)), seen, seen, logged=True)
-    model = SindyModel(log.signature, "polynomial", Regression("bic"))
+    model = SindyModel(log.signature, "polynomial", Regression("bic"), Refinement("trajectory"))
     model.fit(log.training)
     bent, straight = list(module._wider(model, log))[:2]
     assert bent.model.library.names == straight.model.library.names
