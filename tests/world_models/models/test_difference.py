@@ -156,6 +156,23 @@ def test_a_delay_behind_noise_that_nobody_states_is_found_without_smoothing_what
     assert right_sides(model)["a", "u"] == pytest.approx(0.3, abs=0.02)
 
 
+@pytest.mark.parametrize(("a", "late"), [(-0.6, 0), (0.97, 0), (0.97, 5), (0.97, 12), (0.5, 12)])
+def test_a_delay_that_noise_hides_from_single_steps_is_told_by_their_means(a, late):
+    """b[k+1] = a b[k] + (1 - a) u[k - late], inputs held for ten steps, behind noise of 5 %."""
+    rng = torch.Generator().manual_seed(4)
+    u = (2 * torch.rand(60, 1, generator=rng, dtype=torch.float64) - 1).repeat_interleave(10, 0)
+    b = [0.0]
+    for k in range(600):
+        b.append(a * b[-1] + (1 - a) * (float(u[k - late]) if k >= late else 0.0))
+    exact = torch.tensor(b, dtype=torch.float64).unsqueeze(-1)
+    data = data_of(exact, u, 0.05 * float(exact.std()), seed=2)
+    signature = Signature(("b",), ("-",), ("u",), (1.0,))
+    model = SindyModel(signature, ["b", "u"], Regression("bic"), Refinement(longest_delay=None), time="discrete")
+    model.fit(data)
+    assert model.delay == pytest.approx(late * DT, abs=1e-12)
+    assert 1 + DT * float(model.coefficients[0, 0]) == pytest.approx(a, abs=0.01)
+
+
 def test_lost_samples_are_left_out_and_a_state_that_was_never_measured_is_refused():
     data = data_of(*trajectory())
     x, x_next = data.x.clone(), data.x_next.clone()
