@@ -53,7 +53,7 @@ FARTHER = 2
 ALIKE = 0.01
 """Samples by which a delay may differ from a whole number and be taken for it."""
 SEVERAL = 10
-"""Steps of a difference equation over whose mean noisy samples are searched for a delay that single ones do not tell."""
+"""Steps of a difference equation over whose mean samples are searched for a delay that single ones do not tell."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
 ERRORS = ("auto", "simulation", "coloured", "prediction", "innovation")
 COMPARED = "the fit compares whole simulations with the log and not single steps, as {}"
@@ -255,14 +255,12 @@ class Refinement:
         least = max(PERIODS * data.substeps, math.floor(SOON / data.dt + 1e-9)) if noisy else 0
         recording = Recording.of(data, guess, rates, 0.0)
         farthest, best = reach(constraints.free, partial(_rows, read=recording), least)
-        if (noisy or found[0].step is not None) and not best and not bool(has_gaps(data)):
+        step = found[0].step
+        if (noisy or step is not None) and not best and not bool(has_gaps(data)):
             # Of single steps most may be noise, which no delay explains: their averages tell it. A difference equation
             # holds for means over its steps, whatever jumps between them.
-            if found[0].step is None:
-                farthest, best = reach(constraints.free, partial(_rows, read=recording.smoothed()), least)
-            else:
-                read = partial(_rows, read=recording, several=SEVERAL)
-                farthest, best = max((farthest, best), reach(constraints.free, read, least))
+            read, several = recording.smoothed(step), 1 if step is None else SEVERAL
+            farthest, best = reach(constraints.free, partial(_rows, read=read, several=several), least)
         return farthest * data.dt, best * data.dt
 
     def _by_trajectories(self, first: Model, rough: float, constraints: Constraints, recording: Recording) -> Refined:
