@@ -257,7 +257,7 @@ class Refinement:
         farthest, best = reach(constraints.free, partial(_rows, read=recording), least)
         step = found[0].step
         if (noisy or step is not None) and not best and not bool(has_gaps(data)):
-            # Of single steps most may be noise, which no delay explains: averages, or means over steps that jump, tell it.
+            # Most of single steps may be noise, which no delay explains: averages tell it, or means over jumps.
             read, several = recording.smoothed(step), 1 if step is None else SEVERAL
             farthest, best = reach(constraints.free, partial(_rows, read=read, several=several), least)
         return farthest * data.dt, best * data.dt
