@@ -58,6 +58,17 @@ def test_a_fit_that_fails_leaves_the_model_as_it_was(method):
     assert torch.equal(model.sums.r, r) and torch.equal(model.predict(data.x, data.u, DT), moved)
 
 
+def test_samples_that_are_refused_leave_a_model_without_a_step():
+    """What is added next may be of any other step."""
+    model = SindyModel(Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 1.0)), ["a", "b", "u", "b^2"], time="discrete")
+    data = steps_of_the_map(30)
+    with pytest.raises(ValueError, match=r"1 of 30 samples give functions that are not finite"):
+        model.absorb(replace(data, u=data.u.index_fill(0, torch.tensor(2), torch.inf)))
+    assert model.step == 0.0 and model.sums.count == 0
+    model.absorb(replace(data, dt=2 * DT))
+    assert model.step == 2 * DT and model.sums.count == 30
+
+
 @pytest.mark.parametrize("gaps", [True, False])
 def test_samples_are_counted_when_those_that_tell_nothing_are_left_out(gaps):
     model = SindyModel(Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 1.0)), ["a", "b", "u", "b^2"], time="discrete")

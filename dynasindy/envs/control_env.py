@@ -149,7 +149,7 @@ class ControlEnv(EnvBase):
                 moves in steps has another control period or samples within it.
         """
         if self.system.step is not None:
-            steps_of(self.system.step, self.dt, 1)
+            steps_of(self.system.step, self.dt, 1, f"the plant {type(self.system).__name__}")
             if self.substeps > 1:
                 raise ValueError(
                     f"env.substeps={self.substeps}: the plant moves in steps and has no samples within them; give 1"

@@ -85,13 +85,14 @@ def taken(name: str, own: str) -> str:
     )
 
 
-def steps_of(step: float | None, seconds: float, substeps: int) -> Steps:
+def steps_of(step: float | None, seconds: float, substeps: int, name: str = "the system") -> Steps:
     """Return the steps by which a system passes a time.
 
     Args:
         step: of its difference equation [s]; None of a differential equation.
         seconds: the time [s].
         substeps: Runge-Kutta steps in it, of a differential equation.
+        name: what moves, in words.
 
     Raises:
         ValueError: the time is not made of whole steps of the difference equation.
@@ -103,8 +104,8 @@ def steps_of(step: float | None, seconds: float, substeps: int) -> Steps:
     count = round(seconds / step)
     if count < 1 or abs(count * step - seconds) > ALIKE * seconds:
         raise ValueError(
-            f"the model is a difference equation with a step of {step:g} s and cannot move by {seconds:g} s; allowed "
-            f"are whole steps: give env.dt={step:g} or a multiple of it, or fit the model to data sampled every "
-            f"{seconds:g} s"
+            f"{name} is a difference equation with a step of {step:g} s and cannot move by {seconds:g} s; allowed are "
+            f"whole steps: give env.dt={step:g} or a multiple of it; one that is fitted to data sampled every "
+            f"{seconds:g} s can move by that"
         )
     return Steps(step, count, True)

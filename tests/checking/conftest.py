@@ -36,11 +36,11 @@ def task_of(signature=CART):
     return Tracking(signature, Step([[0.0]]), outputs, rates, TrackingReward((1.0,)), error_scale=0.7)
 
 
-def cart(delay=0.0, friction=0.0, spring=0.0):
-    """p' = v, v' = force - friction v - spring p."""
+def cart(delay=0.0, friction=0.0, spring=0.0, step=None):
+    """p' = v, v' = force - friction v - spring p; with a step [s] the difference equation of these changes."""
     model = SindyModel(CART, ["force", "v", "p"], known={"p": "v"})
     model.set_coefficients(torch.tensor([[0.0, 1.0], [1.0, -friction], [0.0, -spring]], dtype=torch.float64))
-    model.delay = delay
+    model.delay, model.library = delay, model.library.with_step(step)
     return model
 
 

@@ -4,6 +4,7 @@ The cart on a rail, v' = u under u = 2 (r - p) - k v, moves by 0.4 m.
 """
 
 import numpy as np
+import pytest
 import torch
 
 from dynasindy.checking.check import Settings, check
@@ -15,10 +16,13 @@ START = torch.tensor([[-0.2, 0.0], [0.2, 0.0]], dtype=torch.float64)
 TARGETS = -START[:, :1]
 
 
-def stable(k_p, k_v, gain=1.0, later=0, dt=0.1):
-    """Tell whether the sampled loop on a double integrator is stable, its input so many periods late."""
+def stable(k_p, k_v, gain=1.0, later=0, dt=0.1, lift=0.5):
+    """Tell whether the sampled loop on a double integrator is stable, its input so many periods late.
+
+    In a period an input lifts the place by `lift` dt^2: of the difference equation of the same changes by nothing.
+    """
     a = np.zeros((2 + later, 2 + later))
-    b = gain * np.array([dt**2 / 2, dt])
+    b = gain * np.array([lift * dt**2, dt])
     a[:2, :2] = [[1, dt], [0, 1]]
     law = np.array([-k_p, -k_v, *np.zeros(later)])
     if later:
@@ -38,6 +42,16 @@ def test_of_a_linear_loop_they_are_those_of_its_eigenvalues(law, loops):
     strong = flown(loops(law(2.0, 9.0)), START, TARGETS, 40.0)
     edge = next(g for g in np.arange(1.0, 4.0, 0.01) if not stable(2.0, 9.0, gain=g))
     assert edge - 0.135 <= strong.gain <= edge
+
+
+@pytest.mark.parametrize(("k_p", "k_v"), [(2.0, 1.5), (4.0, 2.5), (2.0, 9.0)])
+def test_a_difference_equation_bears_whole_periods_of_delay(law, loops, carts, k_p, k_v):
+    """Those with which its characteristic polynomial is stable: 4, 3 and 1 here, and not a part of one more."""
+    found = flown(loops(law(k_p, k_v), carts(step=0.1)), START, TARGETS, 60.0)
+    late = next(n for n in range(1, 20) if not stable(k_p, k_v, later=n, lift=0.0))
+    assert found.delay == late - 1
+    edge = next((g for g in np.arange(1.0, 4.0, 0.01) if not stable(k_p, k_v, g, lift=0.0)), 4.0)
+    assert edge - 0.135 <= found.gain <= edge
 
 
 def rough(loops, law):

@@ -7,6 +7,7 @@ from scipy.linalg import solve_discrete_are
 from scipy.signal import cont2discrete
 
 from dynasindy.checking.linear import Linear, covariance_at, guess, linearise, rest
+from dynasindy.checking.margins import margins
 
 A = np.array([[1.0, 0.1], [0.0, 1.0]])
 B = np.array([[0.005], [0.1]])
@@ -46,6 +47,20 @@ def test_a_loop_with_an_observer_has_the_eigenvalues_of_law_and_filter(loops):
     np.testing.assert_allclose(np.sort_complex(values[np.abs(values) > 1e-3]), expected, atol=1e-6)
     posterior = prior - gain * prior[:1]
     np.testing.assert_allclose(covariance_at(loop, found.z)[0], posterior, rtol=1e-5)
+
+
+@pytest.mark.parametrize("k_v", [2.5, 9.0, 20.15, 20.25])
+def test_a_difference_equation_is_stable_inside_the_unit_circle_and_has_the_margins_of_its_map(loops, carts, law, k_v):
+    """p += 0.1 v, v += 0.1 u under u = g (2 (r - p) - k v): z^2 - (2 - 0.1 g k) z + 1 - 0.1 g k + 0.02 g.
+
+    By Jury's criterion it is stable where 4 - 0.2 g k + 0.02 g > 0: until g = 4 / (0.2 k - 0.02), and k = 20.1.
+    """
+    linear = rest(loops(law(2.0, k_v), carts(step=0.1)), targets(0.0)).linear
+    expected = np.roots([1, -(2 - 0.1 * k_v), 1 - 0.1 * k_v + 0.02])
+    np.testing.assert_allclose(np.sort_complex(linear.eigenvalues[0]), np.sort_complex(expected), atol=1e-7)
+    assert (linear.radius[0] < 1) == (k_v < 20.1)
+    if k_v < 20.1:
+        assert margins(linear.row(0))[0].gain == pytest.approx(4 / (0.2 * k_v - 0.02), rel=1e-6)
 
 
 def test_a_late_input_is_another_state(loops, carts):

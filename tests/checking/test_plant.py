@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
@@ -28,3 +29,16 @@ def test_stops_hold(carts):
     plant = Plant(carts(), 0.1, 0.05, Stops((0,), (1,), (-1.0,), (0.5,)))
     x = plant.period(torch.tensor([[0.45, 2.0]], dtype=torch.float64), torch.zeros(1, 1, 1))
     assert x[0].tolist() == [0.5, 0.0]
+
+
+@pytest.mark.parametrize(("delay", "pending"), [(0.0, 0), (0.1, 1), (0.3, 2)])
+def test_a_difference_equation_moves_by_its_own_steps_however_long_those_of_the_plant_are(carts, delay, pending):
+    """p += 0.1 v, v += 0.1 (u - 0.5 v - 4 p), two of its steps in a period, inputs late by 0, 1 and 3 of them."""
+    plant = Plant(carts(delay, 0.5, 4.0, step=0.1), 0.2, 0.03)
+    assert plant.pending == pending
+    inputs, x = np.array([1.0, 2.0, 3.0])[-1 - pending :], np.array([0.3, -0.2])
+    found = plant.period(torch.from_numpy(x)[None], torch.from_numpy(inputs).reshape(1, -1, 1))
+    late = round(delay / 0.1)
+    for u in np.repeat(inputs, 2)[len(inputs) * 2 - 2 - late :][:2]:
+        x = np.array([[1.0, 0.1], [-0.4, 0.95]]) @ x + np.array([0.0, 0.1]) * u
+    assert found[0].tolist() == pytest.approx(x.tolist(), abs=1e-12)

@@ -318,5 +318,5 @@ def test_a_plant_that_moves_in_steps_has_periods_of_whole_steps_and_no_samples_w
     assert rollout["next", "state"].flatten().tolist() == pytest.approx([-0.1, 0.35])  # -0.5 x + u
     with pytest.raises(ValueError, match=r"env\.substeps=5: the plant moves in steps and has no samples within them"):
         ControlEnv(plant, task, 0.1, 5).check_plant()
-    with pytest.raises(ValueError, match=r"a step of 0\.1 s and cannot move by 0\.05 s"):
+    with pytest.raises(ValueError, match=r"the plant Alternating is a difference equation with a step of 0\.1 s and"):
         ControlEnv(plant, task, 0.05, 1).check_plant()

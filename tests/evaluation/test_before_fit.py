@@ -79,6 +79,8 @@ def test_an_angle_without_its_rate_in_rad_is_told_of_it(tmp_path):
     model = SindyModel(source.signature, "auto")
     lacking = rates_lacking(model, source)
     assert lacking.with_angles == {"theta": "theta_rate"} and not lacking.shown
+    steps = rates_lacking(SindyModel(source.signature, "auto", time="discrete"), source)
+    assert not steps.with_angles and not steps.shown  # a difference equation has no rates
     chosen = SindyModel(source.signature, ["theta", "Omega", "u"])
     assert not rates_lacking(chosen, source).with_angles
 

@@ -4,14 +4,16 @@ import math
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import torch
 
 from dynasindy.data.simulated import record
 from dynasindy.evaluation import fitted as module
 from dynasindy.evaluation.fitted import Fitted, fitted
-from dynasindy.evaluation.horizons import Forecasts
+from dynasindy.evaluation.horizons import Forecasts, forecast
 from dynasindy.evaluation.source import Source
+from dynasindy.evaluation.verdict import unresolved
 from dynasindy.excitation import Multisine
 from dynasindy.systems import Diverged, Pendulum, Signature, System
 from dynasindy.systems.transitions import Transitions
@@ -71,6 +73,22 @@ def test_no_lag_is_looked_for_while_a_rate_is_missing(source, model, monkeypatch
     monkeypatch.setattr(module, "trials", lambda *given: pytest.fail("a lag was looked for"))
     monkeypatch.setattr(module, "moving_on", lambda *given: ["theta"])
     assert fitted(model, source).model is model
+
+
+def test_no_lag_is_looked_for_in_a_difference_equation_that_misses_its_log():
+    """a[k+1] = 0.9 a + 0.1 u + 0.02 b with b[k+1] = 0.98 b + 0.2 u, which nobody measured."""
+    u, states = np.random.default_rng(0).uniform(-1, 1, 40).repeat(10), [np.zeros(2)]
+    for held in u:
+        states.append(np.array([[0.9, 0.02], [0.0, 0.98]]) @ states[-1] + np.array([0.1, 0.2]) * held)
+    seen = torch.from_numpy(np.stack(states)[:, :1].copy())
+    data, place = Transitions.from_trajectory(seen, torch.from_numpy(u).unsqueeze(-1), 0.5), torch.arange(400)
+    signature = Signature(("a",), ("-",), ("u",), (1.0,))
+    source = Source(signature, data.select(place < 300), data.select(place >= 300), logged=True)
+    model = SindyModel(signature, ["a", "u"], Regression("bic"), time="discrete")
+    found = fitted(model, source)
+    missed = forecast(model, source.training, source.validation)
+    assert bool(unresolved(missed, signature).any())  # so it would be looked for
+    assert found.hidden == [] and found.model is model
 
 
 def test_the_time_of_a_fit_holds_that_of_the_lag(source, model, monkeypatch):

@@ -78,6 +78,20 @@ def test_the_right_model_has_the_noise_for_its_error_over_all_horizons(delay):
         assert wrong is not None and float(wrong.model[1, 0]) > 0.03
 
 
+def test_what_sensors_can_tell_of_a_map_is_what_the_map_leaves_over():
+    """x[k+1] = 0.9 cos(4 x[k]) + 0.3 u[k] without noise: neither a cubic nor a square of past samples follows it."""
+    rng, x = np.random.default_rng(3), [0.0]
+    u = rng.uniform(-1, 1, 1200)
+    for held in u:
+        x.append(0.9 * math.cos(4 * x[-1]) + 0.3 * held)
+    data = Transitions.from_trajectory(torch.tensor(x, dtype=torch.float64)[:, None], torch.from_numpy(u)[:, None], 0.5)
+    model = SindyModel(Signature(("x",), ("-",), ("u",), (1.0,)), ["x", "cos(4 x)", "u"], time="discrete")
+    model.library = model.library.with_step(0.5)
+    model.set_coefficients(torch.tensor([[-1.0], [0.9], [0.3]], dtype=torch.float64) / 0.5)
+    told = forecast(model, data.select(torch.arange(1200) < 900), data.select(torch.arange(1200) >= 900))
+    assert float(told.resolution) < 1e-6
+
+
 def test_horizons_are_round_times_from_a_tenth_to_three_times_the_time_in_which_the_plant_changes():
     data, _ = recording()
     found = forecast(oscillator(), data, data)

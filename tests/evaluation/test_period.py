@@ -248,6 +248,39 @@ def test_a_plan_that_fails_is_told_which_period_to_try():
     assert 34.8 <= float(told.rpartition("dt=")[2]) <= 36
 
 
+def mapped(a, b, step):
+    """Return x[k+1] = a x[k] + b u[k] as a model; its sign changes from step to step where a < 0."""
+    model = SindyModel(Signature(("x",), ("-",), ("u",), (1.0,)), ["x", "u"], time="discrete")
+    model.library = model.library.with_step(step)
+    model.coefficients = torch.tensor([[a - 1], [b]], dtype=torch.float64) / step
+    return model
+
+
+def test_the_period_of_a_difference_equation_without_a_log_is_its_step():
+    model = mapped(-0.6, 1.0, 0.3)
+    found = suited_period(model, tracking(model, {"x": (-0.5, 0.5)}), None)
+    assert found.seconds == 0.3
+    assert found.why == "the control period is 0.3 s, the step of the model; env.dt chooses another one"
+
+
+def test_the_period_of_a_slow_difference_equation_is_as_many_steps_as_a_plan_needs_to_see_it_settle():
+    """x[k+1] = x[k] + (u - x) / 4000, every second: as slow as the tank of 4000 s above."""
+    model = mapped(1 - 1 / 4000, 1 / 4000, 1.0)
+    plain = logged(1.0, known(1.0, 0.1).signature)
+    split = {"training": plain.training, "validation": plain.validation}
+    first = {name: replace(data, x=data.x[:, :1], x_next=data.x_next[:, :1]) for name, data in split.items()}
+    log = replace(plain, signature=model.signature, **first)
+    found, wanted = suited_period(model, tracking(model, {"x": (-0.5, 0.5)}), log), SETTLED * 4000 / 80
+    assert wanted * 0.99 <= found.seconds < 1.03 * wanted + 1 and found.seconds == round(found.seconds)
+
+
+def test_no_other_period_is_told_for_a_difference_equation():
+    """It swings in 0.6 s, two of its steps; a period of a fifth of that is none that it has."""
+    model = mapped(-0.6, 1.0, 0.3)
+    task = tracking(model, {"x": (-0.5, 0.5)})
+    assert other_period(model, task, None, 0.3) == "" and other_period(model, task, None, 0.6) == ""
+
+
 def test_a_task_that_is_planned_for_twice_is_planned_for_once():
     """The commands ask with the task as it is given, and `plan` with the one that the log has made of it."""
     model = tank(4000)

@@ -32,7 +32,15 @@ def test_the_header_tells_the_size_of_the_state_and_the_places_of_names(pendulum
 
 @needs_compiler
 @pytest.mark.parametrize(
-    "settings", [{"integral": {}}, {"stops": False}, {"observer": False}, {"disturbance": False}], ids=str
+    "settings",
+    [
+        {"integral": {}},
+        {"stops": False},
+        {"observer": False},
+        {"disturbance": False},
+        {"step": 0.02, "delay": 0.06},
+    ],
+    ids=str,
 )
 def test_the_constants_and_the_stack_are_as_large_as_the_compiler_makes_them(pendulum, settings, tmp_path):
     sources = controller_sources(pendulum(**settings))
@@ -59,6 +67,8 @@ def test_the_constants_and_the_stack_are_as_large_as_the_compiler_makes_them(pen
     [
         # The prediction: f and p, three vectors; in `flow` three more; four values in the model.
         ({}, 8 * (2 * 9 + 3 * 3) + 2 * 96 + 8 * 3 * 3 + 2 * 96 + 8 * 4 + 96),
+        # The prediction by a difference equation has one vector in `flow`.
+        ({"difference": True}, 8 * (2 * 9 + 3 * 3) + 2 * 96 + 8 * 3 + 2 * 96 + 8 * 4 + 96),
         # The correction of 20 measured states: three matrices and two vectors.
         ({"n_x": 20, "n": 20, "m": 20}, 8 * (3 * 400 + 2 * 20) + 2 * 96),
         # Against a push by 20 inputs: slopes (2, 22), normal (22, 22), missing and z, three vectors of states.
@@ -106,6 +116,8 @@ static inline int isfinite(counted a) { return std::isfinite(a.v); }
         ("pendulum", {"integral": {"band": 9.0}}),
         ("pendulum", {"observer": False}),
         ("pendulum", {"delay": 0.0, "disturbance": False}),
+        ("pendulum", {"delay": 0.06, "step": 0.02}),
+        ("pendulum", {"delay": 0.0, "disturbance": False, "step": 0.04}),
         ("rotors", {"integral": {"band": 9.0}}),
     ],
     ids=str,

@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from alternating import Mapped
 
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
@@ -40,6 +41,18 @@ def setting():
         task = Tracking(plant.signature, RandomStep([-0.3, -0.3], [0.3, 0.3]), max_steps=max_steps)
         env = ControlEnv(plant, task)
         return env, TD3(task.n_o, 2, hidden=(32, 32), **agent), DynaReplay(1000, 16)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def mapped():
+    """Make an environment of x[k+1] = a x[k] + b u[k], by steps of 0.5 s, with targets to both sides of zero."""
+
+    def make(a, b, dt=0.5, box=0.5):
+        plant, ends = Mapped(a, b), {"low": [-box], "high": [box]}
+        task = Tracking(plant.signature, RandomStep(**ends), ["x"], [], TrackingReward([1.0]), **ends)
+        return ControlEnv(plant, task, dt, 1)
 
     return make
 

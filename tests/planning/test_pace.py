@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+from scipy.linalg import solve_discrete_are
 
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.pace import SUBSTEPS, PlanSettings, pace_of, rests_of, settles
@@ -200,6 +201,31 @@ def test_a_slow_wall_does_not_count_where_the_air_is_held(share):
     """As if the wall stood still: x' = u - 2 x at the least cost of 100 x^2 + u^2 has its pole at -sqrt(4 + 100)."""
     assert settling(Room(), 0.0, share) == pytest.approx(-math.log(share) / math.sqrt(104), abs=0.06)
     assert settling(Room(), 0.0, 1e-4) > 100  # the wall takes 500 s, and the air shows a little of it
+
+
+def test_the_fate_of_a_deviation_of_a_difference_equation_is_told_by_what_a_step_multiplies_it_by(mapped):
+    """By -0.6 every 0.5 s it is half after 0.68 s, by -1.5 it doubles every 0.85 s, and by -1.01 every 34.8 s."""
+    for a, b, told in (
+        (-0.6, 1.0, "the plant is stable, without control a deviation decays, at the slowest by half every 0.68 s;"),
+        (-1.5, 2.0, "the plant is unstable, without control a deviation doubles every 0.85 s;"),
+        (-1.01, 2.0, "the plant is unstable, without control a deviation doubles every 35 s;"),
+        (1.0, 1.0, "without control a deviation hardly changes in an episode;"),
+    ):
+        env = mapped(a, b)
+        found = pace_of(env, rests_of(env))
+        assert found.why.startswith(told) and found.held == (abs(a) > 1)
+        assert found.substeps == 1  # whose steps are its own, however fast it is
+
+
+def test_a_difference_equation_settles_as_its_regulated_map_does(mapped):
+    """x[k+1] = 0.6 x + 0.4 u under the least cost of 100 x^2, in ranges of 1.6, and u^2."""
+    env, a, b, q = mapped(0.6, 0.4, box=0.8), 0.6, 0.4, 100 / 1.6**2
+    p = float(solve_discrete_are([[a]], [[b]], [[q]], [[1.0]]).item())
+    left, periods = a / (1 + b**2 * p), 0
+    while left**periods > 0.01:
+        periods += 1
+    places = torch.zeros(3, 1), torch.zeros(3, 1)
+    assert settles(env, *places, 0.01) == pytest.approx(0.5 * periods)
 
 
 def test_it_does_not_matter_how_long_a_plant_takes_that_is_held_or_that_no_input_holds():

@@ -8,7 +8,8 @@ import pytest
 import torch
 from scipy.linalg import expm, solve_discrete_are
 
-from dynasindy.planning.regulator import Regulator, Weights, riccati
+from dynasindy.planning.pace import rests_of
+from dynasindy.planning.regulator import Regulator, Weights, regulated, riccati
 
 
 def test_the_gain_and_the_slowest_mode_are_those_of_the_riccati_equation(inverted):
@@ -82,6 +83,31 @@ def test_a_state_that_stays_for_ever_leaves_a_law_for_the_others():
     golden = (1 + math.sqrt(5)) / 2
     assert found is not None and abs(float(found.gain[0, 0])) < 1e-9
     assert float(found.gain[0, 1]) == pytest.approx(golden / (1 + golden), rel=2e-3)
+
+
+@pytest.mark.parametrize(("dt", "a", "b"), [(0.5, -0.6, 1.0), (1.0, 0.36, 0.4)])
+def test_a_difference_equation_is_regulated_as_the_map_that_it_is(mapped, dt, a, b):
+    """x[k+1] = -0.6 x[k] + u[k], every step of 0.5 s; two of its steps are 0.36 x + 0.4 u, which nothing alternates."""
+    env = mapped(-0.6, 1.0, dt)
+    law = Regulator.of(env, rests_of(env), Weights(outputs=2.0, inputs=3.0))
+    # p = q + a^2 p - (a b p)^2 / (r + b^2 p) with q = 2 over the square of a target range of 1, and r = 3.
+    half = (3 * (1 - a**2) - 2 * b**2) / (2 * b**2)
+    p = -half + math.sqrt(half**2 + 6 / b**2)
+    gain = a * b * p / (3 + b**2 * p)
+    assert float(law.gain) == pytest.approx(gain, rel=1e-4) and float(law.cost) == pytest.approx(p, rel=1e-4)
+    assert math.exp(-1 / law.slowest) == pytest.approx(abs(a - b * gain), rel=1e-4)
+
+
+def test_a_law_is_that_of_whole_steps_of_a_difference_equation():
+    rng = np.random.default_rng(0)
+    f, g = rng.standard_normal((3, 3)), rng.standard_normal((3, 2))
+    q, r = np.array([3.0, 0.5, 1.0]), 0.7
+    rates = torch.from_numpy((f - np.eye(3)) / 0.2), torch.from_numpy(g / 0.2)
+    found = regulated(*rates, 0.4, torch.from_numpy(q), r, 0.2)
+    a, b = f @ f, f @ g + g
+    p = solve_discrete_are(a, b, np.diag(q), r * np.eye(2))
+    np.testing.assert_allclose(found.cost, p, rtol=1e-8)
+    np.testing.assert_allclose(found.gain, np.linalg.solve(r * np.eye(2) + b.T @ p @ b, b.T @ p @ a), rtol=1e-8)
 
 
 def none_of(rests):

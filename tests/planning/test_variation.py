@@ -9,7 +9,7 @@ from dynasindy.data.simulated import record
 from dynasindy.excitation import HeldRandom
 from dynasindy.planning import Variation, Varied
 from dynasindy.planning.variation import Members
-from dynasindy.systems import Tras, Xi
+from dynasindy.systems import Signature, Tras, Xi, integrate
 from dynasindy.world_models import Oracle, Regression, SindyModel
 from dynasindy.world_models.models.ensemble import bag
 
@@ -72,6 +72,18 @@ def test_members_are_fits_to_resampled_data():
     fits = bag(model, data, 2).members
     assert not torch.equal(fits[0], fits[1])
     assert all(torch.equal(member.coefficients, fit) for member, fit in zip(members.models, fits))
+
+
+def test_members_of_a_difference_equation_move_by_its_steps():
+    """x[k+1] = a x[k] + u[k] with a of -0.6 and -0.4, each two rows, over two steps: a^2 x + (1 + a) u."""
+    models = []
+    for a in (-0.6, -0.4):
+        models.append(SindyModel(Signature(("x",), ("-",), ("u",), (1.0,)), ["x", "u"], time="discrete"))
+        models[-1].library = models[-1].library.with_step(0.5)
+        models[-1].set_coefficients(torch.tensor([[a - 1], [1.0]], dtype=torch.float64) / 0.5)
+    x, u = torch.tensor([[1.0], [-2.0]] * 2).double(), torch.tensor([[0.5], [0.0]] * 2).double()
+    found = integrate(Members(models), x, u, 1.0, 1)[0]
+    assert found.flatten().tolist() == pytest.approx([0.56, -0.72, 0.46, -0.32])
 
 
 def test_a_plant_that_was_not_fitted_has_no_members():

@@ -218,11 +218,12 @@ class SindyModel(WorldModel):
         """Whether `update` equals a fit to all data, as where nothing but coefficients of given functions is fitted."""
         return self.refinement is None and self.initial is None and not self.library.shapes
 
+    @whole("library")
     def absorb(self, transitions: Transitions) -> None:
         """Add transitions to the sums that the next `update` solves; the equations stay as they are.
 
         Raises:
-            ValueError: a sample is not finite, or has other numbers of states or inputs.
+            ValueError: a sample is not finite, or has other numbers of states or inputs; the model stays as it was.
         """
         if not len(transitions):
             return

@@ -130,6 +130,8 @@ def growth(flow: Flow, farthest: float = math.inf) -> tuple[float, Tensor]:
 def turn_of(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float) -> float:
     """Return the length of an interval by the time of the fastest motion of a model: its rate times `dt`.
 
+    A difference equation does not move within its steps, so that it is 0, however fast the equation is.
+
     Args:
         library: candidate functions.
         xi: coefficients, `(n_features, n_x)`.
@@ -137,7 +139,7 @@ def turn_of(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float) -> fl
         u: inputs there, `(N, n_u)`.
         dt: length of an interval [s].
     """
-    if not bool(xi.any()):
+    if library.step is not None or not bool(xi.any()):
         return 0.0
     slopes = Propagator(library, xi, Parameters.where(xi != 0)).slopes_by_state(x, u)
     rates = torch.linalg.eigvals(slopes[slopes.isfinite().all(-1).all(-1)]).abs().amax(-1)

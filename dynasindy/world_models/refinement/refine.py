@@ -33,7 +33,7 @@ from dynasindy.world_models.refinement.shapes import fit_shapes
 from dynasindy.world_models.refinement.shooting import RunsAway, certainty
 from dynasindy.world_models.refinement.trajectory import WORSE, Fitted, few_steps, refine_trajectory, strain
 from dynasindy.world_models.regression.covariance import Covariance, of_rates
-from dynasindy.world_models.regression.regression import Regression, Rows, RunningSums
+from dynasindy.world_models.regression.regression import Regression, Rows, RunningSums, means
 from dynasindy.world_models.writers.fast_field import generate
 
 AGAIN = 3
@@ -52,6 +52,8 @@ FARTHER = 2
 """Delays of a first estimate within which a delay is looked for."""
 ALIKE = 0.01
 """Samples by which a delay may differ from a whole number and be taken for it."""
+SEVERAL = 10
+"""Steps of a difference equation over whose mean samples are searched for a delay that single ones do not tell."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
 ERRORS = ("auto", "simulation", "coloured", "prediction", "innovation")
 COMPARED = "the fit compares whole simulations with the log and not single steps, as {}"
@@ -251,16 +253,18 @@ class Refinement:
         if not noisy and self.method == "auto":
             noisy = looks_noisy(*found, guess)
 
-        def _rows(late: int, farthest: int, read: Recording) -> Rows:
+        def _rows(late: int, farthest: int, read: Recording, several: int = 1) -> Rows:
             recording = replace(read, known=known_inputs(data, farthest * data.dt)).brief(farthest * data.dt)
-            return recording.seen(late * data.dt).rows(found[0], field)
+            return means(recording.seen(late * data.dt).rows(found[0], field), several)
 
         least = max(PERIODS * data.substeps, math.floor(SOON / data.dt + 1e-9)) if noisy else 0
         recording = Recording.of(data, guess, rates, 0.0)
         farthest, best = reach(constraints.free, partial(_rows, read=recording), least)
-        if noisy and not best and not bool(has_gaps(data)):
-            # Of single steps most may be noise, which no delay explains: their averages tell it.
-            farthest, best = reach(constraints.free, partial(_rows, read=recording.smoothed(found[0].step)), least)
+        step = found[0].step
+        if (noisy or step is not None) and not best and not bool(has_gaps(data)):
+            # Most of single steps may be noise, which no delay explains: averages tell it, or means over jumps.
+            read, several = recording.smoothed(step), 1 if step is None else SEVERAL
+            farthest, best = reach(constraints.free, partial(_rows, read=read, several=several), least)
         return farthest * data.dt, best * data.dt
 
     def _by_trajectories(self, first: Model, rough: float, constraints: Constraints, recording: Recording) -> Refined:

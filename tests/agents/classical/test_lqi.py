@@ -1,7 +1,10 @@
 """LQI: its gain against a Riccati recursion, its tracking against known figures, its integral."""
 
+import numpy as np
 import pytest
 import torch
+from alternating import Alternating
+from scipy.linalg import solve_discrete_are
 from tensordict import TensorDict
 
 from dynasindy.agents.classical import LQI, jacobians, zero_order_hold
@@ -40,6 +43,15 @@ def test_gain_solves_the_riccati_recursion():
         gain = torch.linalg.solve(r + g.T @ p @ g, g.T @ p @ f)
         p = q + f.T @ p @ (f - g @ gain)
     torch.testing.assert_close(controller.gain, gain, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize(("dt", "a", "b"), [(0.5, -0.6, 1.0), (1.0, 0.36, 0.4)])
+def test_the_gain_of_a_difference_equation_is_that_of_its_map(dt, a, b):
+    """x[k+1] = -0.6 x[k] + u[k], every step of 0.5 s, and two of its steps."""
+    controller = LQI(Alternating(), ("x",), dt, state_weights=(3.0,), integral_weights=(2.0,), input_weights=(1.5,))
+    f, g = np.array([[a, 0.0], [-dt, 1.0]]), np.array([[b], [0.0]])
+    p = solve_discrete_are(f, g, np.diag([3.0, 2.0]), [[1.5]])
+    np.testing.assert_allclose(controller.gain, np.linalg.solve(1.5 + g.T @ p @ g, g.T @ p @ f), rtol=1e-8)
 
 
 def test_the_defaults_weigh_angles_most_their_rates_little_and_rotors_not_at_all():

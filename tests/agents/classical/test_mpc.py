@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from alternating import Alternating
 from scipy.linalg import solve_discrete_are
 from scipy.signal import cont2discrete
 from tensordict import TensorDict
@@ -54,6 +55,17 @@ def test_without_limits_the_gain_is_that_of_the_riccati_equation(periods, change
     assert first == pytest.approx(-(gain @ [0.02, -0.05, 0.0]).item(), rel=1e-4)
     second = controller.act(x, REST, REST, LATER).item()
     assert second == pytest.approx(-(gain @ [0.02, -0.05, first]).item(), rel=1e-4)
+
+
+@pytest.mark.parametrize("periods", [1, 5])
+@pytest.mark.parametrize(("dt", "a", "b"), [(0.5, -0.6, 1.0), (1.0, 0.36, 0.4)])
+def test_the_gain_of_a_difference_equation_is_that_of_its_map(dt, a, b, periods):
+    """x[k+1] = -0.6 x[k] + u[k], every step of 0.5 s, and two of its steps: what a horizon leaves is in its cost."""
+    cost, horizon = Cost(2.0, 3.0, 0.0), Horizon((1,) * periods)
+    controller = MPC(Alternating(), ("x",), dt, cost, horizon, correction=0.0)
+    p = float(solve_discrete_are([[a]], [[b]], [[2.0]], [[3.0]]).item())
+    first = controller.act(row(0.1), REST, REST, FIRST).item()
+    assert first == pytest.approx(-0.1 * a * b * p / (3.0 + b**2 * p), rel=1e-4)
 
 
 def flown(system, model, targets, steps=300, **settings):

@@ -98,6 +98,16 @@ def test_a_recording_that_is_too_short_to_judge_is_not_looked_at():
     assert "the recording is too short" in find_actuator(_model(MOTOR, data), short).words
 
 
+def test_none_is_looked_for_in_a_difference_equation():
+    """Rate limits and play are told by what differential equations do within a sample."""
+    model = SindyModel(MOTOR, ["1", "w", "u"], Regression("bic"), time="discrete")
+    data = _log(MOTOR, "rate limit", 4.0)
+    model.fit(data)
+    found = find_actuator(model, data)
+    assert found.actuator is None and not found.sought
+    assert found.words.endswith("were not looked for: they are those of differential equations")
+
+
 @pytest.mark.parametrize(("plain_fails", "behind_fails"), [(True, False), (False, True)])
 def test_where_the_equations_or_those_behind_an_actuator_run_away_there_is_none(plain_fails, behind_fails, monkeypatch):
     data = _log(MOTOR, "rate limit", 1.5)

@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from alternating import Mapped
 
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -32,3 +33,11 @@ def test_a_level_is_where_its_balance_holds_it(drain, constant, second, near):
     data = Transitions.from_trajectory(states, inputs, 0.5)
     # What was not measured has no range, and its growth is no reason.
     assert stays_near(_model(drain, constant, second), data, torch.tensor([1.0, 1.0]).double()) is near
+
+
+@pytest.mark.parametrize(("a", "dt", "near"), [(-0.6, 0.5, True), (-1.5, 0.5, False), (-1.5, 1.0, False)])
+def test_a_difference_equation_stays_where_its_map_does(a, dt, near):
+    """x[k+1] = a x[k] + u[k]: by -1.5 it grows from step to step, where x' = (-2.5 x + u) / 0.5 would settle."""
+    states, inputs = torch.linspace(-1, 1, 41).double(), torch.linspace(-0.8, 0.8, 40).double()
+    data = Transitions.from_trajectory(states.unsqueeze(-1), inputs.unsqueeze(-1), dt)
+    assert stays_near(Mapped(a, 1.0), data, torch.tensor([0.5]).double()) is near

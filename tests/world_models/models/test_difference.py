@@ -134,6 +134,47 @@ def test_inputs_that_act_whole_steps_late_are_found():
     assert right_sides(model) == pytest.approx(TRUE, rel=1e-6)
 
 
+@pytest.mark.parametrize("method", ["integral", "one_step", "trajectory"])
+def test_inputs_that_seem_to_act_a_part_of_a_step_late_act_whole_steps_late(method):
+    """b[k+1] = 0.5 b[k] + 0.7 u[k-2] + 0.3 u[k-3]: by a mean of both inputs the delay would be 2.3 steps."""
+    u = (2 * torch.rand(400, 1, generator=torch.Generator().manual_seed(4), dtype=torch.float64) - 1).tolist()
+    b = [[0.1]]
+    for k in range(400):
+        late = 0.7 * u[k - 2][0] + 0.3 * u[k - 3][0] if k > 2 else 0.0
+        b.append([0.5 * b[-1][0] + late])
+    data = Transitions.from_trajectory(*(torch.tensor(rows, dtype=torch.float64) for rows in (b, u)), DT)
+    signature = Signature(("b",), ("-",), ("u",), (1.0,))
+    model = SindyModel(signature, ["b", "u"], Regression("bic"), Refinement(method, longest_delay=0.5), time="discrete")
+    model.fit(data)
+    assert model.delay == pytest.approx(2 * DT, abs=1e-12)
+
+
+@pytest.mark.parametrize("late", [0, 1, 3])
+def test_a_delay_behind_noise_that_nobody_states_is_found_without_smoothing_what_jumps(late):
+    model, _ = identified(data_of(*trajectory(600, late=late), noise=0.05, seed=0), longest_delay=None)
+    assert model.delay == pytest.approx(late * DT, abs=1e-12)
+    assert right_sides(model)["a", "u"] == pytest.approx(0.3, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("a", "late", "held"), [(-0.6, 0, 1), (-0.6, 0, 10), (0.97, 0, 10), (0.97, 5, 10), (0.97, 12, 10), (0.5, 12, 10)]
+)
+def test_a_delay_that_noise_hides_from_single_steps_is_told_by_their_means(a, late, held):
+    """b[k+1] = a b[k] + (1 - a) u[k - late], inputs held for one step or ten, behind noise of 5 %."""
+    rng = torch.Generator().manual_seed(4)
+    u = (2 * torch.rand(600 // held, 1, generator=rng, dtype=torch.float64) - 1).repeat_interleave(held, 0)
+    b = [0.0]
+    for k in range(600):
+        b.append(a * b[-1] + (1 - a) * (float(u[k - late]) if k >= late else 0.0))
+    exact = torch.tensor(b, dtype=torch.float64).unsqueeze(-1)
+    data = data_of(exact, u, 0.05 * float(exact.std()), seed=2)
+    signature = Signature(("b",), ("-",), ("u",), (1.0,))
+    model = SindyModel(signature, ["b", "u"], Regression("bic"), Refinement(longest_delay=None), time="discrete")
+    model.fit(data)
+    assert model.delay == pytest.approx(late * DT, abs=1e-12)
+    assert 1 + DT * float(model.coefficients[0, 0]) == pytest.approx(a, abs=0.01)
+
+
 def test_lost_samples_are_left_out_and_a_state_that_was_never_measured_is_refused():
     data = data_of(*trajectory())
     x, x_next = data.x.clone(), data.x_next.clone()

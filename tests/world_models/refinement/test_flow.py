@@ -67,6 +67,12 @@ def test_steps_follow_the_fastest_rate(a, dt, steps):
     assert substeps_for(turn_of(LIBRARY, column(float(a), 0.0, 5.0, 0.0), x, u, dt)) == steps
 
 
+def test_a_difference_equation_has_no_motion_within_its_steps_however_fast_it_is():
+    u = torch.zeros(1, 1).double()
+    assert substeps_for(turn_of(LIBRARY, column(-50.0, 0.0, 0.0, 0.0), column(1.0), u, 0.1)) == 10
+    assert turn_of(LIBRARY.with_step(0.1), column(-50.0, 0.0, 0.0, 0.0), column(1.0), u, 0.1) == 0.0
+
+
 def test_steps_follow_the_rates_where_the_states_are():
     # y' = -y^2 has the rate 2 |y|; an oscillator of 40 rad/s has imaginary ones.
     u = torch.zeros(1, 1).double()

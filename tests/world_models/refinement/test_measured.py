@@ -198,6 +198,20 @@ def test_a_hidden_state_is_led_by_the_states_that_were_measured():
     assert torch.equal(found.x[:, :2], guess.x[:, :2]) and torch.equal(found.x_next[:, :2], guess.x_next[:, :2])
 
 
+def test_a_hidden_state_of_a_difference_equation_is_led_by_where_each_step_begins():
+    """h[k+1] = -0.6 h[k] + 0.3 a[k] + 0.4 u[k], which no differential equation follows."""
+    rng = np.random.default_rng(1)
+    a, u = rng.normal(size=25), rng.normal(size=24)
+    data, guess = recording(a, 0 * a, lost(25), u=u), recording(a, 0 * a, 0 * a, u=u)
+    xi = torch.zeros(5, 3).double()
+    xi[[3, 1, 4], 2] = torch.tensor([-1.6, 0.3, 0.4], dtype=torch.float64) / DT
+    found = imagined(LIBRARY.with_step(DT), xi, data, guess, {})
+    h, expected = 0.0, []
+    for begin, held in zip(a[:-1], u, strict=True):
+        expected.append(h := -0.6 * h + 0.3 * begin + 0.4 * held)
+    np.testing.assert_allclose(found.x_next[:, 2], expected, atol=1e-12)
+
+
 def test_what_the_model_says_of_measured_states_does_not_lead():
     # h' = a, a recorded as a line, so h is its integral; the model's own a' = -3 would run elsewhere.
     t = DT * np.arange(40)

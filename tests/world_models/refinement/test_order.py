@@ -50,6 +50,11 @@ def test_an_angle_alone_misses_its_rate(noise):
     assert moving_on(polynomial(ONE), recorded(swing, 2, [0], noise=noise)) == ["y"]
 
 
+def test_a_difference_equation_misses_no_rate():
+    """What follows from an angle and the one before is a state more to it, and no rate."""
+    assert moving_on(polynomial(ONE).with_step(DT), recorded(swing, 2, [0])) == []
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.003])
 def test_an_angle_with_its_rate_misses_nothing(noise):
     assert moving_on(polynomial(TWO), recorded(swing, 2, [0, 1], noise=noise)) == []

@@ -248,6 +248,35 @@ def test_standard_errors_are_those_of_the_scatter_where_errors_last(joined):
     assert (textbook < 0.5).all()  # which takes every sample for a witness of its own
 
 
+@pytest.mark.parametrize("joined", [True, False])
+def test_a_window_is_left_out_of_standard_errors_as_a_whole(joined):
+    """Of twelve windows ten parts, the first two of them of two windows: least squares on closed forms without each.
+
+    Windows that join are one trajectory, whose measured start always counts; each of the others has a start of its own.
+    """
+    data = pushed(0, 240)
+    flow = refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), TWO, data, Descent(20, joined)).flow
+    starts = 1 if joined else 12
+    y, u = torch.cat([data.x[:1], data.x_next])[:, 0].numpy(), data.u[:, 0].numpy().reshape(starts, -1)
+    place = torch.cat([flow.estimate.nodes[:starts, 0], flow.estimate.xi[:2, 0]]).numpy()
+
+    def predicted(p):
+        return np.stack([motion(p[-2], p[-1], p[k], u[k]) for k in range(starts)])
+
+    measured = np.stack([y[k * u.shape[1] : (k + 1) * u.shape[1] + 1] for k in range(starts)])
+    slopes = [(predicted(place + by) - predicted(place - by)) / 2e-5 for by in 1e-5 * np.eye(len(place))]
+    rows = np.stack([*slopes, measured - predicted(place)], -1)
+    always = rows[:1, 0] if joined else np.zeros((1, len(place) + 1))
+    windows = np.split(rows[0, 1:], 12) if joined else list(rows)
+    parts = np.split(np.arange(12), [2, *range(4, 12)])
+    moved = []
+    for part in parts:
+        left = np.concatenate([always, *(window for k, window in enumerate(windows) if k not in part)])
+        moved.append(np.linalg.lstsq(left[:, :-1], left[:, -1], rcond=1e-12)[0][-2:])
+    wanted = np.sqrt(0.9 * len(parts) * np.var(moved, 0))
+    np.testing.assert_allclose(certainty(flow).errors, wanted, rtol=0.01)
+
+
 def test_a_single_window_still_tells_standard_errors():
     found = refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), TWO, pushed(0, 60), Descent(60))
     assert len(found.flow.windows) == 1 and (certainty(found.flow).errors > 0).all()

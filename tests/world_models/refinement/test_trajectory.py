@@ -331,3 +331,16 @@ def test_of_a_plant_that_falls_one_state_is_enough_as_its_trajectory_begins_anew
         for joined in (None, True)
     ]
     assert apart[0] < 0.2 < apart[1], apart
+
+
+def test_no_finer_steps_are_sought_for_a_difference_equation(monkeypatch):
+    """y[k+1] = -0.6 y[k] + 0.3 u[k] is found by its own steps, and not once more by others."""
+    monkeypatch.setattr(trajectory, "descend", lambda *given: pytest.fail("finer steps were sought"))
+    u, y = inputs(20), [Y0]
+    for held in u:
+        y.append(-0.6 * y[-1] + 0.3 * held)
+    data = Transitions.from_trajectory(torch.tensor(y, dtype=torch.float64)[:, None], torch.from_numpy(u)[:, None], DT)
+    first = column(-1.5 / DT, 0.2 / DT, 0.0, 0.0)
+    found = refine_trajectory(LIBRARY.with_step(DT), first, TWO, data, Descent(20))
+    assert found.flow.windows.substeps == 1
+    assert (DT * found.coefficients[:2, 0]).tolist() == pytest.approx([-1.6, 0.3], abs=1e-9)

@@ -16,6 +16,7 @@ from dynasindy.world_models.regression.regression import (
     eliminate,
     integral_form,
     least_squares,
+    means,
     simpson_form,
     stlsq,
 )
@@ -296,3 +297,11 @@ def test_simpson_s_rule_takes_its_middle_from_the_hermite_interpolant():
     middle = 1.5 + 0.8 / 8 * (10 - 20)
     assert theta.item() == pytest.approx(((1 + 3) + 4 * (middle**2 + 3) + (4 + 3)) / 6)
     assert dx.item() == pytest.approx(1 / 0.8)
+
+
+def test_means_are_those_of_rows_that_follow_each_other():
+    rows = torch.arange(12.0).reshape(6, 2), torch.arange(6.0).square().reshape(6, 1)
+    theta, dx = means(rows, 3)
+    assert theta.tolist() == [[2, 3], [4, 5], [6, 7], [8, 9]]
+    assert dx[:, 0].tolist() == pytest.approx([5 / 3, 14 / 3, 29 / 3, 50 / 3])
+    assert means(rows, 1) is rows and [len(part) for part in means(rows, 7)] == [0, 0]
