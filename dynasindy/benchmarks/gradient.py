@@ -119,7 +119,7 @@ class Case:
         unseen: Evaluate in situations that nothing was tuned on.
         variation: How imagined plants stray.
         margin: By what share inputs of imagined episodes are weaker or stronger, at most; None for the default.
-        updates: Gradient updates of the first planning phase.
+        updates: Gradient updates of the first planning phase; None for as many as suit the plant.
         terminal_updates: Critic updates per window, for a value of what follows it.
         width: Error at which the imagined cost turns linear [rad].
         hidden: Widths of the policy's hidden layers.
@@ -137,7 +137,7 @@ class Case:
     unseen: bool = False
     variation: Variation = field(default_factory=Variation)
     margin: float | None = None
-    updates: int = 200
+    updates: int | None = None
     terminal_updates: int = 0
     width: float = 0.02
     hidden: tuple[int, ...] = (128, 128)

@@ -76,7 +76,7 @@ class PlanSettings:
 
     window: int = 60
     lr: float = 1e-2
-    updates: int = 200
+    updates: int = 280
     patience: int = 3
     substeps: int = 1
     held: bool = False

@@ -35,7 +35,7 @@ def test_the_twin_rotor_keeps_the_settings_that_it_was_measured_with(plant):
     found = pace(
         plant(), low=(-0.5, -0.5), high=(0.5, 0.4), outputs=("alpha_a", "alpha_p"), rates=("Omega_a", "Omega_p")
     )
-    assert (found.window, found.lr, found.updates, found.patience, found.substeps) == (60, 1e-2, 200, 3, 1)
+    assert (found.window, found.lr, found.updates, found.patience, found.substeps) == (60, 1e-2, 280, 3, 1)
     assert not found.held
 
 
@@ -148,8 +148,8 @@ def test_targets_that_no_input_holds_are_told_beside_what_the_others_ask_for():
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({}, "window 60 periods, lr 0.01, 200 updates, patience 3, 1 step a period: as"),
-        ({"held": True, "substeps": 2}, "begun as a regulator, window 60 periods, lr 0.01, 200 updates, patience 3, 2"),
+        ({}, "window 60 periods, lr 0.01, 280 updates, patience 3, 1 step a period: as"),
+        ({"held": True, "substeps": 2}, "begun as a regulator, window 60 periods, lr 0.01, 280 updates, patience 3, 2"),
         ({"held": True, "afar": True}, "begun as ways from afar, found by search, window 60 periods"),
     ],
 )
