@@ -424,9 +424,6 @@ ZOO = "benchmark.md of rl-baselines3-zoo at 0088472"
 REACHED = "what had to be reached, fixed before the runs"
 UNTIED = [
     Untied(PAGE, "with 16 cores, Python 3.12 and torch 2.11", "versions"),
-    Untied(
-        PAGE, "but for .0002 rad at most: the largest after 10 s are...", "rows that were not kept; the page says so"
-    ),
     *(Untied(PAGE, f"{target} |", REACHED) for target in (" .004", " .002", ".02 within 3 episodes", ".02 (10 of 10)")),
     *(Untied(PAGE, f"{pair} (LQI) |", REACHED) for pair in (".003/.009", ".077/.110", ".001/.002", ".083/.102")),
     Untied(PAGE, "errors of at most .0004/.0005 rad over the last", "what the command prints; a flight in real time"),
@@ -448,9 +445,6 @@ UNTIED = [
     Untied(PAGE, "whose arm had moved by 0.4 rad", "a trial at 75e30a0 whose rows were not kept; the page says so"),
     Untied(PAGE, "missed targets of up to 1 rad by 10 % (one seed", "a trial at 75e30a0; the page says so"),
     Untied(PAGE, "holds that seed to 0.13 %", "a trial at 33bfb4b whose rows were not kept; the page says so"),
-    Untied(
-        PAGE, "delays of up to 0.1 s were looked for", "setting of dynasindy/benchmarks/gradient.py at these commits"
-    ),
     Untied(PAGE, "were looked for up to 0.1 s", "setting of conf/sensors/bench.yaml at 28ae258"),
     Untied(PAGE, "one target of the 64, the farthest", "a trial at a022ece whose row was not kept; the page says so"),
     Untied(PAGE, "with inputs weaker by 3 %", "a trial at a022ece whose row was not kept; the page says so"),
