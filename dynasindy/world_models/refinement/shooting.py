@@ -86,7 +86,7 @@ def certainty(flow: Flow) -> Covariance | None:
     Args:
         flow: the trajectories.
     """
-    if bool(flow.lost().any()):
+    if not len(flow.parameters) or bool(flow.lost().any()):
         return None
     rows, windows = _rows(flow, flow.sigma())[0], flow.windows
     samples = windows.length if bool(windows.joined.any()) else windows.length + 1
