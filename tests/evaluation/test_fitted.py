@@ -206,6 +206,7 @@ def test_a_state_that_follows_is_fitted_without_products_and_squares_too():
     wanted = dict.fromkeys(found, 0.0) | {"u_lagging": 2.0, "y": -0.5}
     assert found == pytest.approx(wanted, rel=0.01, abs=0.01)
     assert straight.follower == "u acts through a lag of 1.5 s, a state that no sensor sees"
+    assert module.STRAIGHT in straight.report.notes and module.STRAIGHT not in bent.report.notes
     free = bent.model.constraints.free & ~straight.model.constraints.free
     bends = {name for name, lost in zip(bent.model.library.names, free.any(-1).tolist(), strict=True) if lost}
     assert bends == {"y^2", "y u_lagging", "u_lagging^2"}
