@@ -246,6 +246,20 @@ def test_what_bends_is_left_out_only_where_no_error_is_larger_without(part, stra
         assert float(kept.model.coefficients[kept.model.library.index("y^2"), 0]) == 0.0
 
 
+def test_a_fit_without_what_bends_begins_where_the_one_with_it_ended_or_at_the_guess_that_was_given():
+    """A hidden state has no first guess but the one that was given; what was fitted with squares may have lost it."""
+    model = bowl().model
+    model.delay = 0.3
+    bend = model.library.index("y^2")
+    ended = model.coefficients.index_fill(0, torch.tensor(bend), 0.0)
+    bare = module._straight(model)
+    assert torch.equal(bare.initial, ended) and bare.initial_delay == 0.3 and bool(ended.any())
+    model.initial, model.initial_delay = torch.full_like(ended, 7.0), 0.2
+    bare = module._straight(model)
+    assert torch.equal(bare.initial, torch.full_like(ended, 7.0).index_fill(0, torch.tensor(bend), 0.0))
+    assert bare.initial_delay == 0.2
+
+
 @pytest.mark.parametrize(("friction", "straight"), [(0.0, True), (-0.4, False)])
 def test_a_model_with_functions_that_are_no_polynomials_keeps_its_squares(friction, straight, monkeypatch):
     """Dry friction is a function of its own, which a fit of straight functions alone would leave out."""
