@@ -70,7 +70,10 @@ class Finding:
 
 
 GENTLE = "Where plant.rates names rates, try task.reward.rate_weight=10, by which quick movements cost more than by 0.1"
-CAREFUL = f"{GENTLE}, or planning.margin=0.5 with planning.variation.parameters=0.2, by which training varies the plant"
+CAREFUL = (
+    f"{GENTLE}. On any plant, try planning.margin=0.5 with planning.variation.parameters=0.2, by which training varies "
+    "the plant more"
+)
 VARIED = (
     "The size of these changes is fixed, so longer data do not help. Where a plant is not stable, try "
     "planning.variation.parameters=0.2, by which training varies the plant by up to that share; "

@@ -130,8 +130,13 @@ def _straighter(found: Fitted, before: Forecasts) -> Fitted:
         straight = replace(found, model=model, report=report, follower=words)
         after = _forecast(straight) if bool(words) == bool(found.follower) else None
         if after is not None and _as_good(before, after, model.signature):
-            return replace(straight, report=replace(report, notes=(*report.notes, STRAIGHT)))
+            return _left_out(straight)
     return found
+
+
+def _left_out(found: Fitted) -> Fitted:
+    """Return the fit, whose report says that functions that bend were left out."""
+    return replace(found, report=replace(found.report, notes=(*found.report.notes, STRAIGHT)))
 
 
 def _straight(model: SindyModel) -> SindyModel | None:
@@ -160,7 +165,8 @@ def _forecast(found: Fitted) -> Forecasts | None:
 def _wider(model: SindyModel, source: Source) -> Iterator[Fitted]:
     """Yield fits with one state more, those first that regressions prefer; a fit that fails is left out.
 
-    Products and squares may bend to what the followed signal alone explained, so each is fitted without them, too.
+    Products and squares may bend to what the followed signal alone explained, so each is fitted without them, too. The
+    report of such a fit says so: it is taken where the one with them does not predict far better, and it does.
     """
     with suppress(*FAILURES):
         for trial in trials(model, source.training)[:MOST]:
@@ -168,7 +174,7 @@ def _wider(model: SindyModel, source: Source) -> Iterator[Fitted]:
                 yield found
             bare = _straight(trial.model)
             if bare is not None and (found := _with(replace(trial, model=bare), source)) is not None:
-                yield found
+                yield _left_out(found)
 
 
 def _with(trial: Trial, source: Source) -> Fitted | None:

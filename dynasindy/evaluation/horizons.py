@@ -28,7 +28,7 @@ from dynasindy.world_models.refinement.delay import delayed
 from dynasindy.world_models.refinement.measured import at_rest, rates_known, reconstruct
 
 STARTS = 200
-"""Start times, at most, those on which the samples before a start are chosen likewise."""
+"""Start times, at most; as many tell, on the data of the fit, on how many samples start states are best estimated."""
 SHORTEST_FIT, LONGEST_FIT = 10, 200
 """Samples before a start on which its states are estimated, at least and at most."""
 LONGEST_STEP, MOST_STEPS = 0.01, 20
@@ -36,7 +36,7 @@ LONGEST_STEP, MOST_STEPS = 0.01, 20
 LOST = 10.0
 """Error beyond which a prediction has run away [ranges of the state]."""
 FINEST = 1e-9
-"""Error that is as good as none where lengths are compared [`LOST`]."""
+"""Error that is as good as none where numbers of samples are compared [share of `LOST`]."""
 NUDGE = 1e-6
 """Step of the differences by which start states are fitted [ranges of the states]."""
 
@@ -138,11 +138,11 @@ def _forecast(
 
 
 def _length(model: SindyModel, data: Transitions, longest: int, steps: Sequence[int]) -> int:
-    """Return on how many samples before a start its states are estimated so that predictions are best.
+    """Return on how many samples before a start its states are to be estimated, so that predictions are best.
 
-    The more there are, the more of the noise is averaged; but the longer too what the model lacks, what pushes the
-    plant and what grows in an unstable one spoil the estimate. It is doubled as long as that helps, on the data of the
-    fit.
+    The more there are, the more of the noise is averaged. But what the model lacks, what pushes the plant and what
+    grows in an unstable one spoil an estimate the more, the longer it takes. The number is doubled as long as that
+    helps, on the data of the fit.
 
     Args:
         model: a fitted model.

@@ -63,8 +63,8 @@ class GradientPlanning(Planner):
         width: Error at which the imagined cost turns from quadratic to linear [target ranges]; None plans on the
             task's own reward, as does a task without references.
         held: Whether the policy begins as a linear-quadratic regulator of the model, where that earns more.
-        margin: By what share inputs are weaker or stronger than in the model, at most, in imagined episodes; None for
-            0.3, and for none where ways from afar are imitated. See `dynasindy.planning.margin`.
+        margin: By what share inputs are weaker or stronger than in the model, at most, in imagined episodes, see
+            `dynasindy.planning.margin`; None for 0.3. Where ways from afar are imitated, they are as in the model.
         real_starts: Share of imagined episodes that begin at real states.
         jumps: Share that begin where the last episode ended, so that the reference jumps; the rest begin as the
             task does.

@@ -8,11 +8,14 @@ plant, whose inputs are a few hundredths weaker, is lost then. A gain margin is 
 | factor | k      | input that acts = u_e + k (u - u_e), k between 1 - share and 1 + share |
 | rest   | u_e    | input that holds the reference in the model                      |
 
-What holds a plant at rest stays as it is, so that no policy has to be wrong there for some of the factors. Where an
-actuator reaches less than [-1, 1] to a side, as a pump that cannot draw, no strength takes an input beyond that.
+What holds a plant at rest stays as it is, so that no policy has to be wrong there for some of the factors. Where a
+reference moves, u_e is what would hold it at that moment. Where an actuator reaches less than [-1, 1] to a side, as a
+pump that cannot draw, no strength takes an input beyond that.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -49,15 +52,19 @@ class Margin:
 
     def draw(self, params: Tensor, rng: torch.Generator) -> Strength:
         """Return strengths between the ends, each input's its own, for episodes with task parameters `(rows, ...)`."""
-        rest = self._rest(params)
-        return Strength(1 + self.share * (2 * torch.rand(rest.shape, generator=rng) - 1), rest, self.limits)
+        rest = self._rest(params, torch.zeros(len(params), 1))
+        factor = 1 + self.share * (2 * torch.rand(rest.shape, generator=rng) - 1)
+        return Strength(factor, rest, self.limits, self._along(params))
 
     def ends(self, params: Tensor) -> Strength:
         """Return strengths to test a policy with: the weakest, that of the model, and the strongest, in turn."""
-        rest = self._rest(params)
+        rest = self._rest(params, torch.zeros(len(params), 1))
         turn = torch.arange(len(rest)).remainder(3).sub(1).unsqueeze(-1)
-        return Strength((1 + self.share * turn).expand_as(rest), rest, self.limits)
+        return Strength((1 + self.share * turn).expand_as(rest), rest, self.limits, self._along(params))
 
-    def _rest(self, params: Tensor) -> Tensor:
-        reference = self.task.reference(params, torch.zeros(len(params), 1))
-        return self.regulator.rest(reference.float())[1]
+    def _rest(self, params: Tensor, t: Tensor) -> Tensor:
+        return self.regulator.rest(self.task.reference(params, t).float())[1]
+
+    def _along(self, params: Tensor) -> Callable[[Tensor, Tensor], Tensor] | None:
+        """Return what holds references that move at a time; None where all of them stay."""
+        return self._rest if bool(params[..., 1].any()) else None  # amplitudes

@@ -51,7 +51,7 @@ STEP = 1.0
 """Largest product of a Runge-Kutta step and a mode's rate; the method itself is stable up to 2.8."""
 MARGIN = 0.3
 """Share by which inputs are weaker or stronger in imagined episodes. Fits to encoders miss the strength of inputs by
-some hundredths; policies that are planned with so much have the gain margin that is asked of any controller."""
+some hundredths; so much beside that gives controllers a gain margin."""
 NARROW = 0.25
 """Part of an input's range below which the task lets it use little."""
 SUBSTEPS = 10

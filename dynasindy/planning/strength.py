@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -14,13 +15,20 @@ class Strength:
 
     Attributes:
         factor: Of the inputs' distance from rest, `(rows, n_u)`.
-        rest: Inputs at rest, `(rows, n_u)`.
+        rest: Inputs at rest, `(rows, n_u)`; where references move, those at the start of the episode.
         limits: Least and largest input that acts, `(2, n_u)`, infinite where there is none; None for none at all.
+        along: Inputs at rest, `(rows, n_u)`, of task parameters `(rows, n_r, 5)` at times `(rows, 1)` [s], where
+            references move; None where none does.
     """
 
     factor: Tensor
     rest: Tensor
     limits: Tensor | None = None
+    along: Callable[[Tensor, Tensor], Tensor] | None = None
+
+    def at(self, params: Tensor, t: Tensor) -> Strength:
+        """Return the same about what holds references with parameters `(rows, n_r, 5)` at times `(rows, 1)` [s]."""
+        return self if self.along is None else replace(self, rest=self.along(params, t))
 
     def acting(self, u: Tensor) -> Tensor:
         """Return the inputs that act when `u` is commanded, `(rows, n_u)`."""
@@ -43,4 +51,4 @@ class Strength:
         factor, rest = (
             torch.where(mask, theirs, mine) for theirs, mine in ((fresh.factor, self.factor), (fresh.rest, self.rest))
         )
-        return replace(self, factor=factor, rest=rest)
+        return replace(self, factor=factor, rest=rest, along=self.along or fresh.along)

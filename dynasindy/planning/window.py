@@ -129,7 +129,7 @@ def imagine(
             u = traced.actions
         entering, held = u if rows.late is None else torch.lerp(u, held, rows.late), u
         if rows.strength is not None:
-            entering = rows.strength.acting(entering)
+            entering = rows.strength.at(rows.params, times[k]).acting(entering)
         samples, _ = integrate(system, x, entering, env.dt, env.substeps, env.stops)
         x = samples[..., -1, :]
         states.append(x)

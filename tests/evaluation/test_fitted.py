@@ -206,6 +206,7 @@ def test_a_state_that_follows_is_fitted_without_products_and_squares_too():
     wanted = dict.fromkeys(found, 0.0) | {"u_lagging": 2.0, "y": -0.5}
     assert found == pytest.approx(wanted, rel=0.01, abs=0.01)
     assert straight.follower == "u acts through a lag of 1.5 s, a state that no sensor sees"
+    assert module.STRAIGHT in straight.report.notes and module.STRAIGHT not in bent.report.notes
     free = bent.model.constraints.free & ~straight.model.constraints.free
     bends = {name for name, lost in zip(bent.model.library.names, free.any(-1).tolist(), strict=True) if lost}
     assert bends == {"y^2", "y u_lagging", "u_lagging^2"}
@@ -243,6 +244,20 @@ def test_what_bends_is_left_out_only_where_no_error_is_larger_without(part, stra
     assert (kept is not found) == straight
     if straight:
         assert float(kept.model.coefficients[kept.model.library.index("y^2"), 0]) == 0.0
+
+
+def test_a_fit_without_what_bends_begins_where_the_one_with_it_ended_or_at_the_guess_that_was_given():
+    """A hidden state has no first guess but the one that was given; what was fitted with squares may have lost it."""
+    model = bowl().model
+    model.delay = 0.3
+    bend = model.library.index("y^2")
+    ended = model.coefficients.index_fill(0, torch.tensor(bend), 0.0)
+    bare = module._straight(model)
+    assert torch.equal(bare.initial, ended) and bare.initial_delay == 0.3 and bool(ended.any())
+    model.initial, model.initial_delay = torch.full_like(ended, 7.0), 0.2
+    bare = module._straight(model)
+    assert torch.equal(bare.initial, torch.full_like(ended, 7.0).index_fill(0, torch.tensor(bend), 0.0))
+    assert bare.initial_delay == 0.2
 
 
 @pytest.mark.parametrize(("friction", "straight"), [(0.0, True), (-0.4, False)])

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from dynasindy.planning.margin import Margin
+from dynasindy.planning.window import Rows, imagine
 
 
 def params(*targets):
@@ -20,6 +21,26 @@ def test_inputs_at_rest_hold_the_target_whatever_their_strength(inverted):
     wanted = [-4.0 / 6.0 * math.sin(target) for target in (-0.3, 0.0, 0.25)]
     assert strength.rest.flatten().tolist() == pytest.approx(wanted, abs=1e-3)
     assert torch.equal(strength.acting(strength.rest), strength.rest)
+
+
+def test_what_holds_a_reference_that_jumps_holds_it_after_the_jump_too(inverted):
+    """A square wave of 0.2 rad that jumps down after 0.2 s, four periods, and a target that stays, in turn."""
+    env, rests = inverted()
+    moving = params(*[0.1] * 6)
+    moving[::2, :, 1:] = torch.tensor([0.2, 2.5, 0.0, 1.0])
+    strength = Margin.of(env, rests, 0.3).ends(moving)
+
+    def hold(observation):
+        """Return what holds the reference of this moment."""
+        return -4.0 / 6.0 * torch.sin(env.task.seen(observation)[1])
+
+    rows = Rows(torch.zeros(6, 2), torch.zeros(6, 1), moving, torch.zeros(6, 1), strength=strength)
+    flown = imagine(env, env.system, hold, rows, 8, torch.Generator())
+    targets = torch.tensor([0.3, 0.1] * 3).expand(8, 6).clone()
+    targets[4:, ::2] = -0.1
+    wanted = -4.0 / 6.0 * torch.sin(targets)
+    torch.testing.assert_close(flown.applied[..., 0], wanted, atol=1e-3, rtol=0)
+    assert Margin.of(env, rests, 0.3).ends(params(0.1, 0.2)).along is None
 
 
 def test_strengths_fill_the_share_evenly_and_go_no_further(inverted):

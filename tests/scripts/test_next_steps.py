@@ -118,6 +118,14 @@ def test_a_log_that_lacks_rates_is_identified_again_with_them(steps, monkeypatch
     assert shlex.split(line) == ["python", "scripts/identify.py", *expected]
 
 
+def test_ends_of_actuators_that_were_guessed_take_the_place_of_the_inputs_that_were_named(steps, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["scripts/identify.py"])
+    words = ["data=csv", "data.path=a.csv", "data.inputs=[valve]", "longest_delay=0", "folder=x"]
+    line = steps.with_ends(words, "'data.inputs={valve: {name: valve, low: 0, high: 87}}'")
+    expected = [*words[:2], "longest_delay=0", "data.inputs={valve: {name: valve, low: 0, high: 87}}"]
+    assert shlex.split(line, comments=True) == ["python", "scripts/identify.py", *expected]
+
+
 def test_the_command_that_builds_parts_of_the_user_s_own_names_their_packages(steps):
     evaluate, check = steps.following("a run", "evaluate", "check", trusting=("plugins=[wheel,mine]",)).splitlines()[1:]
     assert shlex.split(evaluate, comments=True)[-2:] == ["run=a run", "plugins=[wheel,mine]"]

@@ -119,7 +119,7 @@ class FitReport:
         moves, it = ("'", "it") if self._source[0].step is None else ("[k+1] - {0}[k]", f"it, {CHANGE},")
         for state, part in self.residual.items():
             left = f"{100 * part:.3g} % of {it} stays unexplained (RMS)"
-            left = left if part > EXACT else f"nothing of {it} stays unexplained"
+            left = f"nothing of {it} stays unexplained" if part <= EXACT else left  # what is not a number is not exact
             missed = "" if state in self.unmeasured else f"; {left}"
             lines.append(f"  {state}{moves.format(state)}: {counts[state]}{missed}")
         told = [*filter(None, [self.known]), *(f"note: {note}" for note in self.notes)]

@@ -256,7 +256,7 @@ class SindyModel(WorldModel):
         else:
             self.set_coefficients(first)
         self.delay = delay
-        notes, doubts = self._refine(data, guess, constraints, 0.0 if first is None else self.initial_delay)
+        notes, fields = self._refine(data, guess, constraints, 0.0 if first is None else self.initial_delay)
         if self.refinement is not None:
             notes += stayed(self.library, self.coefficients)
         seconds = time.perf_counter() - start
@@ -264,7 +264,7 @@ class SindyModel(WorldModel):
         # The sums may be of fewer rows than that, each of them the average of many transitions.
         samples = int(known_inputs(data, self.delay).sum()) + (earlier if self.sums is sums else 0)
         unseen = unmeasured(self.library, self.coefficients, data)
-        return replace(report, samples=samples, unmeasured=unseen, covariance=self.covariance, **doubts)
+        return replace(report, samples=samples, unmeasured=unseen, covariance=self.covariance, **fields)
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
         """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`.
@@ -364,7 +364,7 @@ class SindyModel(WorldModel):
     def _refine(
         self, data: Transitions, guess: Transitions, constraints: Constraints, late: float
     ) -> tuple[list[str], dict[str, Any]]:
-        """Refine the coefficients, and return notes and what the report has to doubt, by the names of its fields."""
+        """Refine the coefficients, and return notes and what the report takes from it, by the names of its fields."""
         if self.refinement is None:
             return [], {}
         try:
@@ -376,8 +376,8 @@ class SindyModel(WorldModel):
             return ["the refinement dropped every function, so the fit before it stays; log longer or cleaner data"], {}
         self.set_coefficients(refined)
         self.covariance = found.covariance
-        doubts: dict[str, Any] = {"in_pieces": found.in_pieces, "delay_at_end": found.delay_at_end}
-        doubts |= {} if found.missed is None else {"residual": found.missed}
+        fields: dict[str, Any] = {"in_pieces": found.in_pieces, "delay_at_end": found.delay_at_end}
+        fields |= {} if found.missed is None else {"residual": found.missed}
         if found.library is not self.library or found.delay != self.delay:
             # The functions are others now, and so are the sums of their products.
             self.library, self.delay = found.library, found.delay
@@ -385,9 +385,9 @@ class SindyModel(WorldModel):
             recording = Recording.of(data, guess, rates_known(self.library, self.constraints), self.delay)
             self.sums.add(self._rows(recording, self.delay))
         if self.refinement.method == "integral" or len(data) <= ENOUGH:
-            return list(found.notes), doubts
+            return list(found.notes), fields
         chosen = f"{ENOUGH} of {len(data)} rows, in {STRETCHES} stretches spread evenly over them"
-        return [*found.notes, f"functions were chosen on {chosen}; the coefficients were fitted on all rows"], doubts
+        return [*found.notes, f"functions were chosen on {chosen}; the coefficients were fitted on all rows"], fields
 
     def _rows(self, recording: Recording, delay: float, library: Library | None = None) -> Rows:
         """Return averaged functions and rates of change, under inputs that act `delay` seconds later."""

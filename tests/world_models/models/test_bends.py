@@ -38,6 +38,19 @@ def test_a_dead_zone_is_read_off_its_two_bends_unless_the_input_acts_in_products
     assert bends_in(model, 0, "u") == (None if product else Bend("u", "dead zone", -0.3, 0.2))
 
 
+def in_what_is_left_over(acts, noise=0.0):
+    """Return the bend that a straight fit lacks of v' = 3 f(u) - 2 v under held inputs, v measured with such noise."""
+    u = np.random.default_rng(0).uniform(-1, 1, 300).repeat(5)
+    v, left = [0.0], np.exp(-2 * 0.02)
+    for held in acts(u):
+        v.append(left * v[-1] + (1 - left) * 1.5 * held)
+    seen = np.array(v) + noise * np.random.default_rng(1).normal(size=len(v))
+    data = Transitions.from_trajectory(torch.from_numpy(seen)[:, None], torch.from_numpy(u)[:, None], 0.02)
+    model = SindyModel(SIGNATURE, ["1", "v", "u"], Regression("bic"))
+    model.fit(data)
+    return missing_bend(model, data)
+
+
 @pytest.mark.parametrize(
     ("acts", "kind", "ends"),
     [
@@ -48,15 +61,14 @@ def test_a_dead_zone_is_read_off_its_two_bends_unless_the_input_acts_in_products
     ],
 )
 def test_a_bend_that_the_library_lacks_is_found_in_what_is_left_over(acts, kind, ends):
-    """v' = 3 f(u) - 2 v under held inputs, exactly."""
-    u = np.random.default_rng(0).uniform(-1, 1, 300).repeat(5)
-    v, left = [0.0], np.exp(-2 * 0.02)
-    for held in acts(u):
-        v.append(left * v[-1] + (1 - left) * 1.5 * held)
-    data = Transitions.from_trajectory(torch.tensor(v)[:, None], torch.from_numpy(u)[:, None], 0.02)
-    model = SindyModel(SIGNATURE, ["1", "v", "u"], Regression("bic"))
-    model.fit(data)
-    found = missing_bend(model, data)
+    found = in_what_is_left_over(acts)
     assert (found is None) == (kind is None)
     if found is not None:
         assert found.kind == kind and (found.low, found.high) == pytest.approx(ends, abs=0.06)
+
+
+@pytest.mark.parametrize(("noise", "kind"), [(1e-4, "saturation"), (0.02, None)])
+def test_a_bend_has_to_halve_what_is_left_over(noise, kind):
+    """A saturation is clear behind a little noise; behind a lot of it it is the least of what is left over."""
+    found = in_what_is_left_over(lambda u: np.clip(u, -0.4, 0.5), noise)
+    assert (found and found.kind) == kind

@@ -51,6 +51,8 @@ def test_of_what_is_explained_to_the_digits_of_the_data_nothing_stays():
     a, b = report((theta, dx * torch.tensor([1.0, 1 + 1e-5])))[0].to_text().splitlines()[1:3]
     assert a == "  a': 1 term; nothing of it stays unexplained"
     assert b == "  b': 2 terms; 0.001 % of it stays unexplained (RMS)", "a part of 1e-5"
+    lost = replace(report((theta, dx))[0], residual={"a": float("nan")}).to_text()
+    assert "a': 1 term; nan % of it stays unexplained" in lost, "a prediction that overflows explains nothing"
 
 
 def test_later_samples_and_coefficients_do_not_change_a_report():

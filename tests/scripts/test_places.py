@@ -1,0 +1,44 @@
+"""What a command line implies is added where Hydra reads it: among the settings, whatever options stand behind them."""
+
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture
+def completed(monkeypatch):
+    """Return the words of a command with what they imply."""
+    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[2] / "scripts")
+    import places
+
+    def complete(*words):
+        line = ["scripts/train.py", *words]
+        places.complete(line)
+        return line[1:]
+
+    return complete
+
+
+@pytest.mark.parametrize("options", [[], ["--config-dir", "own"], ["--config-dir=own"], ["--config-dir", "own", "-v"]])
+def test_settings_that_are_implied_stand_behind_those_that_were_given(completed, options):
+    given = ["targets=[1]", "model=a.json"]
+    assert completed(*given, *options) == [*given, "system=logged", *options]
+
+
+def test_a_sweep_has_the_folder_of_its_settings_wherever_its_options_stand(completed):
+    *before, folder, option, own = completed("-m", "seed=0,1", "--config-dir", "own")
+    assert before == ["-m", "seed=0,1"] and [option, own] == ["--config-dir", "own"]
+    assert folder.startswith("hydra.sweep.dir='runs/seed-0-1_")
+    options = ["--config-dir", "own", "-m"]
+    assert completed("seed=0,1", *options) == ["seed=0,1", folder, *options]
+    assert completed("-m", "seed=0,2")[2] != folder
+    assert completed("-m")[1].startswith("hydra.sweep.dir=")
+    assert completed("-m", "seed=0,1", "hydra.sweep.dir=mine") == ["-m", "seed=0,1", "hydra.sweep.dir=mine"]
+
+
+def test_a_run_that_is_resumed_keeps_its_folder(completed, tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"is no run folder, it has no config\.yaml"):
+        completed(f"resume={tmp_path}")
+    (tmp_path / "config.yaml").touch()
+    line = completed(f"resume={tmp_path}", "--config-dir", "own")
+    assert line == [f"resume={tmp_path}", f"hydra.run.dir='{tmp_path}'", "--config-dir", "own"]
