@@ -75,9 +75,8 @@ CAREFUL = (
     "the plant more"
 )
 VARIED = (
-    "The size of these changes is fixed, so longer data do not help. Where a plant is not stable, try "
-    "planning.variation.parameters=0.2, by which training varies the plant by up to that share; "
-    "where only the steady error is too large, give the controller integral action, as docs/check.md shows"
+    "Where a plant is not stable, try planning.variation.parameters=0.2, by which training varies the plant by up to "
+    "that share; where only the steady error is too large, give the controller integral action, as docs/check.md shows"
 )
 REMEDIES = {
     "stability": "To mend it, narrow the targets, or excite the plant near these targets and train anew",
@@ -89,7 +88,8 @@ REMEDIES = {
     "beside their targets, narrow the targets",
     "slew": GENTLE,
     "saturation": "To mend it, narrow the targets, for these steps ask for more than the actuator has",
-    **dict.fromkeys(("one coefficient", "all coefficients"), VARIED),
+    "one coefficient": f"The size of these changes is fixed, so longer data do not help. {VARIED}",
+    "all coefficients": VARIED,
     "recovery": "Switch the controller on near the middle of the targets, or give plant.start the range from which it "
     "is to come back, and train anew",
 }

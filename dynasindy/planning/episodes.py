@@ -38,7 +38,6 @@ class Episodes:
         self.rows = references(planner.env, planner.rollouts, planner.rng)
         self.rows.kept = True
         self.rows.noise = planner.variation.deviations(planner.env.system.signature.n_x)
-        self.rows.late = planner.variation.delays(planner.rollouts, planner.rng)
         self.system: System = planner.env.system
         if planner.others:
             self.system = Members([self.system, *planner.others])
@@ -61,10 +60,13 @@ class Episodes:
         # A state that never moved says nothing of its range.
         self.rows.reach = torch.where(largest > 0, DIVERGED * largest, torch.inf)
 
-    def vary(self, margin: Margin) -> None:
-        """Let the inputs of every episode be of a strength of their own from now on."""
-        self.margin = margin
-        self.rows.strength = margin.draw(self.rows.params, self.planner.rng)
+    def vary(self, margin: Margin | None) -> None:
+        """Let the inputs of every episode be late, and of a strength of their own, from now on."""
+        planner, rows = self.planner, self.rows
+        rows.late = planner.variation.delays(planner.rollouts, planner.rng)
+        if margin is not None:
+            self.margin = margin
+            rows.strength = margin.draw(rows.params, planner.rng)
 
     def carry_on(self, x: Tensor, held: Tensor, alive: Tensor) -> None:
         """Go on from the end of a window; episodes that are over, or that diverged, begin anew."""

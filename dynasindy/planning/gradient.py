@@ -75,7 +75,7 @@ class GradientPlanning(Planner):
         searches: Most searches for ways that earn more than the policy's, after the updates of a phase, where the task
             tracks no reference.
         variation: How imagined plants stray from the model; by default inputs are a control period late in
-            one episode of two.
+            one episode of two. Where ways from afar are imitated, or the task tracks no reference, they never are.
         others: Other models of the same plant, each of which moves as many imagined episodes as the model.
         every: Episodes between two planning phases.
         seed: Seed of references, starts and variations.
@@ -144,7 +144,6 @@ class GradientPlanning(Planner):
         self.env.stops = env.stops
         self.terminal = self._terminal(terminal_updates)
         self.held_out = references(self.env, 64, torch.Generator().manual_seed(seed + 1))
-        self.held_out.late = self.variation.ends(64)
         self.log_dt, self.finest, self.phase = env.log_dt, env.substeps, 0
         self.pace = dataclasses.replace(PlanSettings(), **self.given)
 
@@ -163,7 +162,7 @@ class GradientPlanning(Planner):
         self.env.substeps = pace.substeps
         updates, lr = (pace.updates, pace.lr) if first else (self.more_updates, self.more_lr or 0.3 * pace.lr)
         episodes = Episodes(self)
-        self.held_out.reach, self.held_out.strength = episodes.rows.reach, None
+        self.held_out.reach, self.held_out.strength, self.held_out.late = episodes.rows.reach, None, None
         begun = Begun(-math.inf)
         if rests is not None and pace.held and (first or not arrives(self.network, self.env, rests, self.rng)):
             begun = hold(self.network, self.env, rests, self.test, self.rng)
@@ -174,12 +173,9 @@ class GradientPlanning(Planner):
         if begun.afar or was_afar:
             self.pace = pace = dataclasses.replace(pace, window=self.given.get("window", LONGEST), afar=True)
         best = begun.score
-        # A way from afar is timed for inputs as strong as the model's; weaker ones would take another way.
-        if (margin := Margin.of(self.env, rests, 0.0 if pace.afar else pace.margin)) is not None:
-            episodes.vary(margin)
-            self.held_out.strength = margin.ends(self.held_out.params)
-            if best > -math.inf:
-                best = self.test()
+        # A way from afar is timed for the inputs of the model; weaker or later ones would take another way.
+        if rests is not None and not pace.afar:
+            best = self._vary(episodes, Margin.of(self.env, rests, pace.margin), best)
         optimizer = _optimizer(self.network, lr)
         best_weights, failures, done, made = self._weights(), 0, 0, 0
         for done in range(1, updates + 1):
@@ -237,6 +233,15 @@ class GradientPlanning(Planner):
         flown = (lambda observation: task.limit(policy(observation))) if task.limited else policy
         whole = imagine(self.env, self.env.system, flown, rows, task.max_steps, self.rng)
         return rewards(self.env, rows, whole).mean().item()
+
+    def _vary(self, episodes: Episodes, margin: Margin | None, best: float) -> float:
+        """Let inputs differ from the model's from now on, and return the score of the best policy under such inputs."""
+        episodes.vary(margin)
+        self.held_out.late = self.variation.ends(len(self.held_out.x))
+        if margin is not None:
+            self.held_out.strength = margin.ends(self.held_out.params)
+        differ = margin is not None or self.held_out.late is not None
+        return self.test() if differ and best > -math.inf else best
 
     def _update(self, episodes: Episodes, optimizer: torch.optim.Adam) -> bool:
         """Take a gradient step, and return whether it was one: an explosion in the model is no direction."""

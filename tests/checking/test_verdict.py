@@ -149,6 +149,8 @@ def test_draws_are_told_with_their_size_and_weak_coefficients_are_not_blamed_on_
     for name in ("one coefficient", "all coefficients"):
         line = str(Finding(name, False, "b"))
         assert "planning.variation.parameters=" in line and "integral action" in line and "excite" not in line
+        # Draws from the covariance of a fit become narrower with more data, changes of a fixed size do not.
+        assert ("longer data do not help" in line) == (name == "one coefficient")
 
 
 def test_a_finding_is_a_line():

@@ -257,7 +257,8 @@ def test_patience_counts_failures_in_a_row(planned):
 
 def test_a_plant_that_is_lost_is_won_back_from_the_best_policy_in_shorter_steps(setting, small):
     env, agent, replay = setting()
-    settings = small | {"updates": 6, "check_every": 2, "held": True, "margin": 0.0}
+    never = Variation(late=0.0)
+    settings = small | {"updates": 6, "check_every": 2, "held": True, "margin": 0.0, "variation": never}
     planner = GradientPlanning(env, agent, replay, **settings, lr=0.5)
     # Six regulators and the untrained policy, the imitation, then a policy that has lost the plant, a worse and a
     # better one.
@@ -283,7 +284,7 @@ def test_a_plant_that_is_lost_is_won_back_from_the_best_policy_in_shorter_steps(
 )
 def test_a_plant_is_lost_by_what_its_score_falls_and_not_by_its_sign(setting, best, then, back, small):
     env, agent, replay = setting()
-    settings = small | {"updates": 4, "check_every": 2, "patience": 1}
+    settings = small | {"updates": 4, "check_every": 2, "patience": 1, "variation": Variation(late=0.0)}
     planner = GradientPlanning(env, agent, replay, **settings, held=True, margin=0.0, lr=0.5)
     scores = iter([-9.0, *6 * [-2.0], best, then, then])
     planner._update = lambda *_: True
@@ -295,7 +296,7 @@ def test_a_plant_is_lost_by_what_its_score_falls_and_not_by_its_sign(setting, be
 
 def test_the_held_out_score_is_the_mean_reward_over_whole_episodes_from_rest(setting, small):
     env, agent, replay = setting(max_steps=12)
-    planner = GradientPlanning(env, agent, replay, width=None, variation=Variation(late=0.0), **small)
+    planner = GradientPlanning(env, agent, replay, width=None, **small)
     params = env.task.sample(torch.Size((64,)), torch.Generator().manual_seed(1))  # the seed of the planner and one
     start = env.start_from(torch.zeros(64, 6))
     start["task_params"] = params
@@ -312,6 +313,17 @@ def test_by_default_inputs_are_up_to_30_percent_weaker_or_stronger_and_late_in_o
     # Each strength is tested in time and a control period late.
     tested = torch.cat([rows.strength.factor[:, :1], rows.late], -1)
     assert len(tested.unique(dim=0)) == 6 and rows.late.unique().tolist() == [0.0, 1.0]
+
+
+def test_a_way_from_afar_is_planned_with_the_inputs_of_the_model(setting, small, monkeypatch):
+    env, agent, replay = setting()
+    planner = GradientPlanning(env, agent, replay, **(small | {"updates": 1}), held=True, margin=0.3)
+    monkeypatch.setattr(gradient, "hold", lambda *given: gradient.Begun(-1.0, afar=True))
+    seen, update = [], planner._update
+    planner._update = lambda episodes, optimizer: (seen.append(episodes.rows), update(episodes, optimizer))[1]
+    planner.plan()
+    for rows in (*seen, planner.held_out):
+        assert rows.late is None and rows.strength is None
 
 
 def test_a_row_that_diverged_scores_like_the_worst_before_it(planned):

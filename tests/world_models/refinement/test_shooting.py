@@ -280,3 +280,9 @@ def test_a_window_is_left_out_of_standard_errors_as_a_whole(joined):
 def test_a_single_window_still_tells_standard_errors():
     found = refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), TWO, pushed(0, 60), Descent(60))
     assert len(found.flow.windows) == 1 and (certainty(found.flow).errors > 0).all()
+
+
+def test_a_fit_that_leaves_no_function_tells_no_standard_errors():
+    flow = refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), TWO, pushed(0, 60), Descent(60)).flow
+    none = replace(flow, parameters=flow.parameters.take(torch.tensor([], dtype=torch.long)))
+    assert certainty(none) is None
