@@ -51,6 +51,8 @@ def sweep_table(folder: Path) -> str:
         raise FileNotFoundError(f"{folder} is one run, not a sweep of runs; give the folder above it")
     groups: dict[str, list[dict[str, Any]]] = {}
     for file in sorted(folder.rglob("metrics.json")):
+        if (file.parent / "report.txt").is_file():  # a fit by identify.py, which flew nothing
+            continue
         setting = _setting(file.parent.relative_to(folder))
         with understood(file):
             _row(setting, [run := read_record(file)])

@@ -75,6 +75,15 @@ def test_a_folder_without_finished_runs_is_named(tmp_path):
         sweep_table(tmp_path)
 
 
+def test_a_fit_beside_the_runs_is_no_row(tmp_path):
+    write(tmp_path, "0_seed-0", 1.0)
+    fit = tmp_path / "identified"
+    fit.mkdir()
+    (fit / "metrics.json").write_text('{"open_loop_nrmse": {"h": 0.1}}')
+    (fit / "report.txt").write_text("h' = -h")
+    assert len(rows_of(tmp_path)) == 1
+
+
 def test_a_single_run_is_told_from_a_sweep(tmp_path):
     write(tmp_path, "0_seed-0", 1.0)
     with pytest.raises(FileNotFoundError, match="is one run, not a sweep of runs; give the folder above it"):
