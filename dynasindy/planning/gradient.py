@@ -162,7 +162,9 @@ class GradientPlanning(Planner):
         self.env.substeps = pace.substeps
         updates, lr = (pace.updates, pace.lr) if first else (self.more_updates, self.more_lr or 0.3 * pace.lr)
         episodes = Episodes(self)
-        self.held_out.reach, self.held_out.strength, self.held_out.late = episodes.rows.reach, None, None
+        rows, late = self.held_out, self.variation.ends(len(self.held_out.x))
+        # The regulator that a policy begins as has to hold the plant with late inputs, too.
+        rows.reach, rows.strength, rows.late = episodes.rows.reach, None, None if rests is None else late
         begun = Begun(-math.inf)
         if rests is not None and pace.held and (first or not arrives(self.network, self.env, rests, self.rng)):
             begun = hold(self.network, self.env, rests, self.test, self.rng)
@@ -174,8 +176,14 @@ class GradientPlanning(Planner):
             self.pace = pace = dataclasses.replace(pace, window=self.given.get("window", LONGEST), afar=True)
         best = begun.score
         # A way from afar is timed for the inputs of the model; weaker or later ones would take another way.
-        if rests is not None and not pace.afar:
-            best = self._vary(episodes, Margin.of(self.env, rests, pace.margin), best)
+        if pace.afar:
+            rows.late = None
+            best = self.test()
+        elif rests is not None:
+            episodes.vary(margin := Margin.of(self.env, rests, pace.margin))
+            if margin is not None:
+                rows.strength = margin.ends(rows.params)
+                best = self.test() if best > -math.inf else best
         optimizer = _optimizer(self.network, lr)
         best_weights, failures, done, made = self._weights(), 0, 0, 0
         for done in range(1, updates + 1):
@@ -233,15 +241,6 @@ class GradientPlanning(Planner):
         flown = (lambda observation: task.limit(policy(observation))) if task.limited else policy
         whole = imagine(self.env, self.env.system, flown, rows, task.max_steps, self.rng)
         return rewards(self.env, rows, whole).mean().item()
-
-    def _vary(self, episodes: Episodes, margin: Margin | None, best: float) -> float:
-        """Let inputs differ from the model's from now on, and return the score of the best policy under such inputs."""
-        episodes.vary(margin)
-        self.held_out.late = self.variation.ends(len(self.held_out.x))
-        if margin is not None:
-            self.held_out.strength = margin.ends(self.held_out.params)
-        differ = margin is not None or self.held_out.late is not None
-        return self.test() if differ and best > -math.inf else best
 
     def _update(self, episodes: Episodes, optimizer: torch.optim.Adam) -> bool:
         """Take a gradient step, and return whether it was one: an explosion in the model is no direction."""
