@@ -111,7 +111,7 @@ def short_of(config: DictConfig) -> tuple[DictConfig, ControlEnv]:
     return config, instantiate(config.env)(system=system, task=task)
 
 
-@pytest.mark.parametrize("run", ["tras_gradient", "xi_dyna_rollouts_800"])
+@pytest.mark.parametrize("run", ["tras_dyna_rollouts_800", "xi_dyna_rollouts_800"])
 def test_a_run_of_an_earlier_version_is_flown_in_the_waves_and_the_noise_of_the_paper(run: str, saved_run) -> None:
     config, env = short_of(saved_run.load_config(REPOSITORY / "docs" / "results" / "runs" / run))
     assert "signals" not in config.plant
@@ -143,9 +143,8 @@ def test_what_a_run_says_of_a_twin_rotor_counts_as_a_whole(saved_run) -> None:
 
 
 def test_a_rotor_of_ones_own_gets_nothing_of_the_packaged_ones(saved_run) -> None:
-    config, env = short_of(saved_run.load_config(REPOSITORY / "docs" / "results" / "runs" / "tras_gradient"))
+    config, env = short_of(saved_run.load_config(REPOSITORY / "docs" / "results" / "runs" / "tras_dyna_rollouts_800"))
     config.system = {"_target_": "my_rotor.Rotor"}  # which has the outputs of the packaged ones, and other states
-    del config.plant.sensors
     (noise,) = saved_run.load_scenario("noise", config, env).wrappers
     assert noise.keywords["std"] is None and noise.keywords["sensors"] is None
     assert saved_run.load_scenario("sine", config, env).length(env) == pytest.approx(1.5 * env.task.max_steps * env.dt)
