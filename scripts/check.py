@@ -22,6 +22,7 @@ def main(cfg: DictConfig) -> None:
 
     from dynasindy.checking import Loop, Plant, Settings, check, verdict
     from dynasindy.checking.check import record
+    from dynasindy.checking.findings import in_lines
     from dynasindy.checking.verdict import in_figures, in_short, lost
     from dynasindy.evaluation.files import add_to_record, write_json
     from dynasindy.export.write import Exported
@@ -52,7 +53,7 @@ def main(cfg: DictConfig) -> None:
         save(figure, folder / name)
     print(
         "What the model predicts; the plant itself was not asked.",
-        *findings,
+        *in_lines(findings),
         in_short(found, findings),
         f"Files: {folder}",
         sep="\n",

@@ -11,11 +11,12 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from dynasindy.checking.check import Settings, check
+from dynasindy.checking.findings import Finding
 from dynasindy.checking.flights import Flights
 from dynasindy.checking.flown import Flown
 from dynasindy.checking.margins import Margins
 from dynasindy.checking.uncertainty import Drawing
-from dynasindy.checking.verdict import Finding, Thresholds, in_short, lost, verdict
+from dynasindy.checking.verdict import Thresholds, in_short, lost, verdict
 
 SMALL = Settings((-0.4,), (0.4,), points=2, seconds=8.0, grid=3, draws=2)
 
@@ -151,10 +152,6 @@ def test_draws_are_told_with_their_size_and_weak_coefficients_are_not_blamed_on_
         assert "planning.variation.parameters=" in line and "integral action" in line and "excite" not in line
         # Draws from the covariance of a fit become narrower with more data, changes of a fixed size do not.
         assert ("longer data do not help" in line) == (name == "one coefficient")
-
-
-def test_a_finding_is_a_line():
-    assert str(Finding("a", True, "b")) == "ok   a: b" and str(Finding("a", False, "b")) == "WEAK a: b"
 
 
 def test_every_finding_that_may_be_weak_has_a_remedy_whose_settings_exist(good):

@@ -1,0 +1,64 @@
+"""A finding of a check, in words, and what may mend it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+GENTLE = "Where plant.rates names rates, try task.reward.rate_weight=10, by which quick movements cost more than by 0.1"
+CAREFUL = (
+    f"{GENTLE}. On any plant, try planning.margin=0.5 with planning.variation.parameters=0.2, by which training varies "
+    "the plant more"
+)
+VARIED = (
+    "Where a plant is not stable, try planning.variation.parameters=0.2, by which training varies the plant by up to "
+    "that share; where only the steady error is too large, give the controller integral action, as docs/check.md shows"
+)
+REMEDIES = {
+    "stability": "To mend it, narrow the targets, or excite the plant near these targets and train anew",
+    **dict.fromkeys(
+        ("gain margin", "gain reduction", "phase margin", "delay margin", "disk margin", "large movements"), CAREFUL
+    ),
+    "noise": f"{GENTLE}, or mend the sensor",
+    "steady error": "See steps.png. If outputs still move at its end, give a longer flight by seconds=; if they rest "
+    "beside their targets, narrow the targets",
+    "slew": GENTLE,
+    "saturation": "To mend it, narrow the targets, for these steps ask for more than the actuator has",
+    "one coefficient": f"The size of these changes is fixed, so longer data do not help. {VARIED}",
+    "all coefficients": VARIED,
+    "recovery": "Switch the controller on near the middle of the targets, or give plant.start the range from which it "
+    "is to come back, and train anew",
+}
+"""What may mend a finding that is weak, by its name."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One finding.
+
+    Attributes:
+        name: What it is about.
+        good: Whether it keeps its threshold.
+        words: The finding.
+    """
+
+    name: str
+    good: bool
+    words: str
+
+    def __str__(self) -> str:
+        """Return it as a line, where it is weak with what may mend it."""
+        if self.good:
+            return f"ok   {self.name}: {self.words}"
+        mend = REMEDIES.get(self.name, "")
+        return f"WEAK {self.name}: {self.words}{'. ' * bool(mend)}{mend}"
+
+
+def in_lines(findings: Sequence[Finding]) -> list[str]:
+    """Return a line per finding; what may mend several of them stands behind the first one that is weak."""
+    lines, said = [], set[str]()
+    for each in findings:
+        line, mend = str(each), "" if each.good else REMEDIES.get(each.name, "")
+        lines.append(line.removesuffix(f". {mend}") if mend in said else line)
+        said |= {mend} - {""}
+    return lines
