@@ -27,6 +27,7 @@ from dynasindy.planning.imitation import Begun, arrives, hold
 from dynasindy.planning.improve import Improved, improve, rewards
 from dynasindy.planning.margin import Margin
 from dynasindy.planning.pace import LONGEST, UNTOLD, PlanSettings, pace_of, rests_of
+from dynasindy.planning.rests import Rests
 from dynasindy.planning.terminal import TerminalValue
 from dynasindy.planning.trust import Bound
 from dynasindy.planning.variation import Variation
@@ -162,12 +163,11 @@ class GradientPlanning(Planner):
         self.env.substeps = pace.substeps
         updates, lr = (pace.updates, pace.lr) if first else (self.more_updates, self.more_lr or 0.3 * pace.lr)
         episodes = Episodes(self)
-        rows, late = self.held_out, self.variation.ends(len(self.held_out.x))
-        # The regulator that a policy begins as has to hold the plant with late inputs, too.
-        rows.reach, rows.strength, rows.late = episodes.rows.reach, None, None if rests is None else late
+        rows, late = self.held_out, None if rests is None else self.variation.ends(len(self.held_out.x))
+        rows.reach, rows.strength, rows.late = episodes.rows.reach, None, late
         begun = Begun(-math.inf)
         if rests is not None and pace.held and (first or not arrives(self.network, self.env, rests, self.rng)):
-            begun = hold(self.network, self.env, rests, self.test, self.rng)
+            begun = self._held(rests)
         elif rests is not None and pace.held:
             begun = Begun(self.test())  # a policy that holds the plant is given up for a better one only
         if begun.afar:
@@ -178,7 +178,7 @@ class GradientPlanning(Planner):
         # A way from afar is timed for the inputs of the model; weaker or later ones would take another way.
         if pace.afar:
             rows.late = None
-            best = self.test()
+            best = begun.score if begun.afar else self.test()
         elif rests is not None:
             episodes.vary(margin := Margin.of(self.env, rests, pace.margin))
             if margin is not None:
@@ -241,6 +241,21 @@ class GradientPlanning(Planner):
         flown = (lambda observation: task.limit(policy(observation))) if task.limited else policy
         whole = imagine(self.env, self.env.system, flown, rows, task.max_steps, self.rng)
         return rewards(self.env, rows, whole).mean().item()
+
+    def _held(self, rests: Rests) -> Begun:
+        """Let the policy begin as a law that holds the plant: a regulator that bears late inputs, or ways from afar.
+
+        Ways from afar are timed for the inputs of the model, and are asked for first.
+        """
+        late, before, drawn = self.held_out.late, self._weights(), self.rng.get_state()
+        self.held_out.late = None
+        begun = hold(self.network, self.env, rests, self.test, self.rng)
+        if begun.afar or late is None:
+            return begun
+        self.held_out.late = late
+        self.network.load_state_dict(before)
+        self.rng.set_state(drawn)
+        return hold(self.network, self.env, rests, self.test, self.rng)
 
     def _update(self, episodes: Episodes, optimizer: torch.optim.Adam) -> bool:
         """Take a gradient step, and return whether it was one: an explosion in the model is no direction."""

@@ -326,6 +326,24 @@ def test_a_way_from_afar_is_planned_with_the_inputs_of_the_model(setting, small,
         assert rows.late is None and rows.strength is None
 
 
+@pytest.mark.parametrize("afar", [False, True])
+def test_ways_from_afar_are_asked_for_in_time_and_regulators_hold_late_inputs(setting, small, monkeypatch, afar):
+    env, agent, replay = setting()
+    planner, asked = GradientPlanning(env, agent, replay, **(small | {"updates": 1}), held=True), []
+
+    def hold(network, env, rests, score, rng):
+        asked.append((planner.held_out.late is not None, weights(network), torch.rand(1, generator=rng).item()))
+        with torch.no_grad():
+            next(network.parameters()).add_(1.0)
+        return gradient.Begun(-1.0, afar=afar)
+
+    monkeypatch.setattr(gradient, "hold", hold)
+    planner.plan()
+    assert [late for late, *_ in asked] == ([False] if afar else [False, True])
+    # The second asks the same policy, with the same draws.
+    assert torch.equal(asked[0][1], asked[-1][1]) and asked[0][2] == asked[-1][2]
+
+
 def test_a_row_that_diverged_scores_like_the_worst_before_it(planned):
     planner = planned(width=None)
     with torch.no_grad():
