@@ -81,7 +81,8 @@ def test_a_log_gives_a_controller_and_a_prediction(log, tmp_path):
 @pytest.mark.parametrize(("plant", "promised"), [("arm", True), ("propeller", False)])
 def test_the_library_gives_the_verdict_of_the_command(plant, promised, tmp_path):
     """An arm that is held, and a propeller whose motor lags and which so short a plan does not hold."""
-    case, log, (given, seed) = CASES[plant], tmp_path / "log.csv", ({"updates": 20, "rollouts": 16}, 3)
+    updates = 80 if promised else 20
+    case, log, (given, seed) = CASES[plant], tmp_path / "log.csv", ({"updates": updates, "rollouts": 16}, 3)
     write_log(case, log, seed)
     settings = [f"planning.{key}={value}" for key, value in given.items()]
     words = [
