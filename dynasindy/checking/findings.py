@@ -46,19 +46,21 @@ class Finding:
     good: bool
     words: str
 
+    @property
+    def mend(self) -> str:
+        """What may mend it; empty where it is good, or nothing is known."""
+        return "" if self.good else REMEDIES.get(self.name, "")
+
     def __str__(self) -> str:
         """Return it as a line, where it is weak with what may mend it."""
-        if self.good:
-            return f"ok   {self.name}: {self.words}"
-        mend = REMEDIES.get(self.name, "")
-        return f"WEAK {self.name}: {self.words}{'. ' * bool(mend)}{mend}"
+        mark = "ok  " if self.good else "WEAK"
+        return f"{mark} {self.name}: {self.words}{'. ' * bool(self.mend)}{self.mend}"
 
 
 def in_lines(findings: Sequence[Finding]) -> list[str]:
     """Return a line per finding; what may mend several of them stands behind the first one that is weak."""
     lines, said = [], set[str]()
     for each in findings:
-        line, mend = str(each), "" if each.good else REMEDIES.get(each.name, "")
-        lines.append(line.removesuffix(f". {mend}") if mend in said else line)
-        said |= {mend} - {""}
+        lines.append(str(each).removesuffix(f". {each.mend}") if each.mend in said else str(each))
+        said.add(each.mend)
     return lines

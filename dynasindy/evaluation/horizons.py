@@ -35,7 +35,7 @@ LONGEST_STEP, MOST_STEPS = 0.01, 20
 """Longest Runge-Kutta step [s], unless a sampling time would take more than so many."""
 LOST = 10.0
 """Error beyond which a prediction has run away [ranges of the state]."""
-FINEST = 1e-9
+ALIKE = 1e-9
 """Error that is as good as none where numbers of samples are compared [share of `LOST`]."""
 NUDGE = 1e-6
 """Step of the differences by which start states are fitted [ranges of the states]."""
@@ -119,6 +119,7 @@ def _forecast(
     later = starts.unsqueeze(-1) + torch.arange(steps[-1])
     real = _real(validation, starts, later, ahead)
     later = later.clamp_max(len(validation) - 1)
+    # As for the linear model, the middle horizon counts: what is farther says little of where a prediction began.
     length = _length(model, training, fit, steps[: len(steps) // 2 + 1])
     predicted = _predicted(model, validation, starts, later, length)
     linear = LinearModel.fit(training, steps[len(steps) // 2], fit)
@@ -161,7 +162,7 @@ def _length(model: SindyModel, data: Transitions, longest: int, steps: Sequence[
 
     def _cost(length: int) -> float:
         predicted = _predicted(model, data, starts, later.clamp_max(len(data) - 1), length)
-        return float(_errors(predicted, real, steps).clamp(FINEST * most, most).log().nanmean())
+        return float(_errors(predicted, real, steps).clamp(ALIKE * most, most).log().nanmean())
 
     best, least = longest, math.inf
     for length in reversed(lengths):

@@ -61,7 +61,11 @@ class Episodes:
         self.rows.reach = torch.where(largest > 0, DIVERGED * largest, torch.inf)
 
     def vary(self, margin: Margin | None) -> None:
-        """Let the inputs of every episode be late, and of a strength of their own, from now on."""
+        """Let the inputs of every episode be late, and of a strength of their own, from now on.
+
+        Args:
+            margin: Draws the strengths; None leaves them those of the model.
+        """
         planner, rows = self.planner, self.rows
         rows.late = planner.variation.delays(planner.rollouts, planner.rng)
         if margin is not None:
