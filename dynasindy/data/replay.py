@@ -4,7 +4,7 @@ TorchRL's `ReplayBufferEnsemble` mixes in expectation only and cannot sample whi
 agent needs every batch to hold the share it was told, from the first batch before any planning.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import torch
@@ -246,6 +246,30 @@ class DynaReplay:
         """Draw which rows a batch holds: a storage and rows of it, `(k,)`, in the CPU's memory; the real ones first."""
         counts = zip((self.real, self.model), self.counts(), strict=True)
         return [(buffer, torch.randint(len(buffer), (k,), generator=self.generator)) for buffer, k in counts if k]
+
+    def draws(
+        self, batches: int, room: Callable[[tuple[int, int], torch.dtype], Tensor]
+    ) -> list[tuple[TensorDictReplayBuffer, Tensor]]:
+        """Draw which rows so many batches hold, as `draw` would one after the other.
+
+        Args:
+            batches: How many.
+            room: Returns room of a shape and a type in the CPU's memory.
+
+        Returns:
+            Storages and rows of them, `(batches, k)`, the real ones first.
+        """
+        counts = zip((self.real, self.model), self.counts(), strict=True)
+        found = [(buffer, room((batches, k), torch.int64)) for buffer, k in counts if k]
+        if len(found) == 1:
+            ((buffer, places),) = found
+            places.random_(len(buffer), generator=self.generator)
+            return found
+        sizes = [len(buffer) for buffer, _ in found]
+        for rows in zip(*(places.unbind() for _, places in found), strict=True):
+            for size, row in zip(sizes, rows, strict=True):
+                row.random_(size, generator=self.generator)
+        return found
 
     def columns(self, buffer: TensorDictReplayBuffer) -> list[Tensor]:
         """Return views of the columns of a storage to learn from, in the order of `LEARN_KEYS`."""

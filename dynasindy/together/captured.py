@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import torch
 
+KINDS = 64
+"""Kinds of steps that torch compiles before it gives up."""
 WARM_UP = 3
 """Calls before a step is captured, in which torch and its libraries take what they need of the GPU."""
 
@@ -32,3 +35,12 @@ def captured(step: Callable[[], None], device: torch.device, ready: Callable[[],
     with torch.cuda.graph(graph):
         step()
     return graph.replay
+
+
+def compiled(function: Callable[..., Any], device: torch.device) -> Callable[..., Any]:
+    """Return what computes the same as a function of tensors; on a GPU torch compiles it when it is first called."""
+    if device.type != "cuda":
+        return function
+    # Each kind of step is another function to us, and the same one with other sizes to torch.
+    torch._dynamo.config.recompile_limit = max(KINDS, torch._dynamo.config.recompile_limit)
+    return torch.compile(function, dynamic=False)
