@@ -165,7 +165,8 @@ class Learner:
         networks = self.critics.flat, self.target_critics.flat, self.target_actors.flat
         self._descend(0, self._of_critics(*networks, self.batches, self.place), self.critics)
         if actor:
-            self._descend(1, self._of_actors(self.actors.flat, self.critics.flat, self.batches, self.place), self.actors)
+            pair = self.actors.flat, self.critics.flat
+            self._descend(1, self._of_actors(*pair, self.batches, self.place), self.actors)
             if s.policy_average:
                 self.averages.flat.lerp_(self.actors.flat.detach(), s.policy_average)
         if targets:

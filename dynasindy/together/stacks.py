@@ -99,10 +99,9 @@ def through(layers: Sequence[Layer], x: Tensor, squash: bool, factors: torch.dty
             x = torch.addcmul(layer.shift.unsqueeze(1), F.layer_norm(x, x.shape[-1:]), layer.gain.unsqueeze(1))
         x = F.leaky_relu(x)
     x = x.to(last.weight.dtype)
-    if last.weight.shape[1] == 1:
-        x = (x * last.weight).sum(-1, keepdim=True)  # a product with a column is a sum, which joins the step before it
-    else:
-        x = torch.bmm(x, last.weight.mT)
+    # A product with a column is a sum, which a compiler joins to the step before it.
+    column = last.weight.shape[1] == 1
+    x = (x * last.weight).sum(-1, keepdim=True) if column else torch.bmm(x, last.weight.mT)
     x = x + last.bias.unsqueeze(1)
     return torch.tanh(x) if squash else x
 

@@ -48,6 +48,18 @@ def test_every_batch_holds_the_exact_real_share(real_ratio, expected):
         assert int((batch["next", "reward"] < 10_000).sum()) == expected
 
 
+@pytest.mark.parametrize("given", [{}, {"model": 0}, {"real": 0}, {"real_ratio": None}])
+def test_many_batches_drawn_at_once_are_those_of_one_after_the_other(given):
+    one, other = (filled(**given, seed=7) for _ in range(2))
+    found = one.draws(9, lambda shape, dtype: torch.full(shape, -1, dtype=dtype))
+    for batch in range(9):
+        for (buffer, places), (_, wanted) in zip(found, other.draw(), strict=True):
+            assert torch.equal(places[batch], wanted)
+            assert int(places.max()) < len(buffer)
+    assert [buffer for buffer, _ in found] == [buffer for buffer in (one.real, one.model) if len(buffer)]
+    assert torch.equal(one.generator.get_state(), other.generator.get_state())
+
+
 def test_without_a_ratio_the_share_is_that_of_a_single_buffer():
     assert filled(None, real=200, model=600).counts() == (12, 38)
 
