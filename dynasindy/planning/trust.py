@@ -69,14 +69,11 @@ def replay_error(
 
 def _replayed(model_env: ControlEnv, x: Tensor, params: Tensor, starts: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
     """Return what `together.replay` does, of this run alone."""
-    states, stopped = [x], []
-    for action in u:
-        samples, touched = model_env.advance(states[-1], action)
-        states.append(samples[..., -1, :])
-        stopped.append(touched)
-    before, following = torch.stack(states[:-1]), torch.stack(states[1:])
+    samples, touched = model_env.follow(x, u)
+    following = samples[..., -1, :]
+    before = torch.cat([x.unsqueeze(0), following[:-1]])
     t_next = (starts + torch.arange(1, len(u) + 1).unsqueeze(-1)).unsqueeze(-1) * model_env.dt
-    return following, model_env.task.earned(before, u, following, params, t_next.to(x), torch.stack(stopped))
+    return following, model_env.task.earned(before, u, following, params, t_next.to(x), touched)
 
 
 class Gate:

@@ -107,14 +107,37 @@ class Machine:
             IndexError: a stop is of a state that does not exist.
             ValueError: the period is not made of whole steps of a difference equation.
         """
+        samples, touched = self.flight(x, u.unsqueeze(0), dt, substeps, stops)
+        return samples.squeeze(0), touched.squeeze(0)
+
+    def flight(
+        self, x: Tensor, u: Tensor, dt: float, substeps: int, stops: Stops | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Advance states over control periods that follow each other, as `integrate` does again and again.
+
+        Args:
+            x: states at the start of the first period, `(*batch, n_x)`.
+            u: inputs held in each period, `(T, *batch, n_u)`.
+            dt: control period [s].
+            substeps: Runge-Kutta steps per period.
+            stops: mechanical stops, if any.
+
+        Returns:
+            The states after each step of each period, `(T, *batch, substeps, n_x)`, and whether a stop was touched in
+            it, bool `(T, *batch)`. Of a difference equation the steps are its own.
+
+        Raises:
+            IndexError: a stop is of a state that does not exist.
+            ValueError: the period is not made of whole steps of a difference equation.
+        """
         x, u, stops = x.contiguous(), u.contiguous(), stops or FREE
         length, count, _ = steps_of(self.step, dt, substeps)
-        samples = x.new_empty(*x.shape[:-1], count, self.n_x)
-        touched = torch.empty(x.shape[:-1], dtype=torch.bool)
+        samples = x.new_empty(*u.shape[:-1], count, self.n_x)
+        touched = torch.empty(u.shape[:-1], dtype=torch.bool)
         ends = self._places(stops.positions), self._places(stops.rates), self._reals(stops.low), self._reals(stops.high)
-        rows, h, n_stops = ctypes.c_long(touched.numel()), self._real(length), len(stops.positions)
-        into = _data(samples, touched)
-        self._code.advance(rows, *_data(x, u), self._constants, h, int(count), n_stops, *ends, *into)
+        periods, rows = ctypes.c_long(len(u)), ctypes.c_long(x.shape[:-1].numel())
+        h, n_stops, into = self._real(length), len(stops.positions), _data(samples, touched)
+        self._code.advance(periods, rows, *_data(x, u), self._constants, h, int(count), n_stops, *ends, *into)
         return samples, touched
 
     def sensitivities(self, x: Tensor, u: Tensor, dt: float, substeps: int) -> tuple[Tensor, Tensor]:

@@ -87,10 +87,13 @@ def replay(
 
     Returns:
         States at the ends of the periods, `(T, n, n_x)`, and what each period earns, `(T, n)`, in the CPU's memory;
-        None if this run goes by itself, or models of this kind are not moved together.
+        None if this run goes by itself, or models of this kind are not moved together, or the model has machine code,
+        which is through before thousands of small operations on a device have begun.
     """
     company = here()
     if company is None or not _flies(env) or not _stacks(env.system):
+        return None
+    if env.system.compiled(x, u[0].to(x)) is not None:
         return None
     start = TensorDict({"state": x, "task_params": params, "step_count": begun.unsqueeze(-1)}, [len(x)])
     start["observation"] = torch.zeros(len(x), env.task.n_o)  # nobody looks
