@@ -10,7 +10,8 @@ from __future__ import annotations
 import ctypes
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from importlib import resources
 
 import torch
@@ -77,7 +78,8 @@ class Machine:
         self.step = program.step
         self._real = ctypes.c_float if dtype == torch.float32 else ctypes.c_double
         self._constants = self._reals(program.constants)
-        source, single = _source(program, dtype == torch.float32), dtype == torch.float32
+        single = dtype == torch.float32
+        source = _source(replace(program, constants=()), single)
         self._code = load(source, ("advance", "sensitivities"), fast=single)
 
     def fits(self, x: Tensor, u: Tensor) -> bool:
@@ -168,6 +170,7 @@ class Machine:
         return (self._real * max(1, len(values)))(*values)
 
 
+@lru_cache(maxsize=128)
 def _source(program: Program, single: bool) -> str:
     """Return the C text of a program, its constants left out; every word of it is one that `Tangents` knows."""
     names = [f"x[{i}]" for i in range(program.n_x)] + [f"u[{j}]" for j in range(program.n_u)]

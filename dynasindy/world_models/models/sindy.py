@@ -47,7 +47,7 @@ from dynasindy.world_models.regression.covariance import Covariance, of_rates, o
 from dynasindy.world_models.regression.finite import require_finite
 from dynasindy.world_models.regression.regression import Regression, Rows, RunningSums, integral_form
 from dynasindy.world_models.regression.selection import DEPENDENT
-from dynasindy.world_models.writers.fast_field import Field, generate
+from dynasindy.world_models.writers.fast_field import Field, generate, refuse_not_finite
 from dynasindy.world_models.writers.files import Model as Read
 from dynasindy.world_models.writers.files import load, record, save, understand
 from dynasindy.world_models.writers.machine import machine
@@ -129,23 +129,30 @@ class SindyModel(WorldModel):
         """Return the model as machine code for such states and inputs, in the memory of the CPU."""
         if not self.machine_code or x.dtype not in PRECISIONS or type(self).forward is not SindyModel.forward:
             return None
-        self._written()
+        self._forget()
         return self._machine(x, u, lambda dtype: machine(self.library, self.coefficients, dtype))
 
     def _written(self) -> Field:
         """Return the equations as torch code, written anew where they have changed."""
-        made_of, version, library = self._field_of or (None, 0, None)
-        anew = made_of is not self.coefficients or version != self.coefficients._version or library is not self.library
-        # The tensor itself is compared and so kept alive: its id may be that of a later one once it is gone.
-        if self._field is None or anew:
+        self._forget()
+        if self._field is None:
             self._field = generate(self.library, self.coefficients.cpu())
-            self._machines.clear()
-            self._field_of = self.coefficients, self.coefficients._version, self.library
         return self._field
+
+    def _forget(self) -> None:
+        """Forget what was written of equations that have changed."""
+        made_of, version, library = self._field_of or (None, 0, None)
+        # The tensor itself is compared and so kept alive: its id may be that of a later one once it is gone.
+        if made_of is self.coefficients and version == self.coefficients._version and library is self.library:
+            return
+        self._field = None
+        self._machines.clear()
+        refuse_not_finite(self.library, self.coefficients)
+        self._field_of = self.coefficients, self.coefficients._version, self.library
 
     def __getstate__(self) -> dict[str, object]:
         """Leave generated code out of copies and pickles; it is written again when needed."""
-        return {**super().__getstate__(), "_field": None}
+        return {**super().__getstate__(), "_field": None, "_field_of": None}
 
     def get_extra_state(self) -> dict[str, object]:
         """Return what `state_dict` keeps besides the coefficients: the running sums, the fitted factors, the delay."""
@@ -160,7 +167,7 @@ class SindyModel(WorldModel):
         self.library, self.delay = self.library.with_shapes(state["shapes"]), state["delay"]
         self.library = self.library.with_step(state.get("step"))
         self.covariance = (known := state.get("covariance")) and Covariance(*known)  # not in older states
-        self._field = None
+        self._field_of = None
 
     def predict(self, x: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
         """Predict states one sampling time ahead, `(*batch, n_x)`, by `substeps` Runge-Kutta steps."""
