@@ -77,7 +77,9 @@ class Imagination(Transform):
         self.diverged = len(finite) - int(finite[:, 0].sum())
         kept, last = _kept(finite, rollout, self.masks)
         rollout["next", "truncated"] = rollout["next", "done"] = last.unsqueeze(-1)
-        return rollout.select(*LEARN_KEYS)[kept]
+        rows, kept = rollout.select(*LEARN_KEYS).reshape(-1), kept.flatten()
+        # Nearly always all are kept; and each column would look for itself which ones are.
+        return rows if bool(kept.all()) else rows[kept.nonzero().squeeze(-1)]
 
 
 def _finite(rollout: TensorDictBase) -> Tensor:
