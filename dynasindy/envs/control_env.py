@@ -155,6 +155,24 @@ class ControlEnv(EnvBase):
             return repeated(self.advance, x, u)
         return flight(self.system, x, u, self.dt, self.substeps, self.stops)
 
+    def judged(
+        self, x: Tensor, u: Tensor, moved: tuple[Tensor, Tensor], params: Tensor, begun: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return where control periods that follow each other end, `(T, n, n_x)`, and what each earns, `(T, n)`.
+
+        Args:
+            x: States at the start of the first period, `(n, n_x)`.
+            u: Inputs of each period, `(T, n, n_u)`.
+            moved: What `follow` returned.
+            params: What the rows track, `(n, *params_shape)`.
+            begun: Control periods since the start of the episode there, `(n,)`.
+        """
+        samples, touched = moved
+        following = samples[..., -1, :]
+        before = torch.cat([x.unsqueeze(0), following[:-1]])
+        t_next = (begun + torch.arange(1, len(u) + 1).unsqueeze(-1)).unsqueeze(-1) * self.dt
+        return following, self.task.earned(before, u, following, params, t_next.to(x), touched)
+
     def check_plant(self) -> None:
         """Refuse a plant that is none, and warn where its rates of change are not finite; of a model the gate tells.
 

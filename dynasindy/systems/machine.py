@@ -31,6 +31,8 @@ SINGLE = {
     "fabs": "magnitude",
 }
 """Names in `c/period.c`, in single precision, of what formulas call by other names."""
+WIDTH = 32
+"""Rows that are handled at once, of which rollouts have hundreds."""
 MANY = 512
 """Derivatives of so many states by state and input are handled for several rows at once; of more, they would fill the
 stack of a thread."""
@@ -67,19 +69,20 @@ class Machine:
     Args:
         program: its formulas; programs that differ by their constants share their code.
         dtype: float32, fast for many rows, or float64, operation by operation as the formulas say.
+        width: rows that are handled at once in float32; of fewer rows those that lack are computed, too.
 
     Raises:
         ValueError: a formula holds something that is none, or the compiler refuses the text.
         FileNotFoundError: there is no compiler.
     """
 
-    def __init__(self, program: Program, dtype: torch.dtype = torch.float32) -> None:
+    def __init__(self, program: Program, dtype: torch.dtype = torch.float32, width: int = WIDTH) -> None:
         self.n_x, self.n_u, self.dtype = program.n_x, program.n_u, dtype
         self.step = program.step
         self._real = ctypes.c_float if dtype == torch.float32 else ctypes.c_double
         self._constants = self._reals(program.constants)
         single = dtype == torch.float32
-        source = _source(replace(program, constants=()), single)
+        source = _source(replace(program, constants=()), width if single else 1, single)
         self._code = load(source, ("advance", "sensitivities"), fast=single)
 
     def fits(self, x: Tensor, u: Tensor) -> bool:
@@ -171,7 +174,7 @@ class Machine:
 
 
 @lru_cache(maxsize=128)
-def _source(program: Program, single: bool) -> str:
+def _source(program: Program, width: int, single: bool) -> str:
     """Return the C text of a program, its constants left out; every word of it is one that `Tangents` knows."""
     names = [f"x[{i}]" for i in range(program.n_x)] + [f"u[{j}]" for j in range(program.n_u)]
     tangents = Tangents({name: number for number, name in enumerate(names)})
@@ -186,7 +189,7 @@ def _source(program: Program, single: bool) -> str:
     words = {
         "real": "float" if single else "double",
         "single": int(single),
-        "width": 32 if single and program.n_x * (program.n_x + program.n_u) <= MANY else 1,
+        "width": width if program.n_x * (program.n_x + program.n_u) <= MANY else 1,
         "n_x": program.n_x,
         "n_u": program.n_u,
         "n_slopes": len(entries),
