@@ -9,7 +9,7 @@ from torch import Tensor
 from dynasindy.systems.transitions import Transitions
 
 
-def transitions(rows: TensorDictBase, log_dt: float) -> Transitions:
+def transitions(rows: TensorDictBase, log_dt: float, among: Tensor | None = None) -> Transitions:
     """Return the logged samples of real control periods as transitions, in float64.
 
     Of a plant behind sensors these are the measured samples, NaN where nothing was measured.
@@ -19,6 +19,7 @@ def transitions(rows: TensorDictBase, log_dt: float) -> Transitions:
         rows: Control periods `(T,)` in the order of time, with `state` or, behind sensors, `measurement`,
             `action`, ("next", "samples") and ("next", "at_stop").
         log_dt: Time between samples [s].
+        among: Which of the periods count, bool `(T,)`; all if omitted.
 
     Returns:
         Up to `T * substeps` transitions.
@@ -26,8 +27,9 @@ def transitions(rows: TensorDictBase, log_dt: float) -> Transitions:
     samples = rows["next", "samples"].double()
     start = rows["measurement"] if "measurement" in set(rows.keys()) else rows["state"]
     fine = Transitions.from_samples(start.double(), rows["action"].double(), samples, log_dt)
-    free = ~rows["next", "at_stop"].reshape(-1).repeat_interleave(samples.shape[-2])
-    return fine.select(free)
+    free = ~rows["next", "at_stop"].reshape(-1)
+    free = free if among is None else free & among
+    return fine.select(free.repeat_interleave(samples.shape[-2]))
 
 
 def measured(rows: TensorDictBase) -> tuple[Tensor, Tensor]:

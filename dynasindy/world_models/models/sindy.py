@@ -15,8 +15,9 @@ A difference equation has the functions where its steps begin, and its changes o
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -35,7 +36,7 @@ from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.models.base import WorldModel, whole
 from dynasindy.world_models.models.report import FitReport, unmeasured
 from dynasindy.world_models.refinement.delay import delayed, known_inputs
-from dynasindy.world_models.refinement.measured import at_rest, begun, followed, imagined, rates_known, reconstruct
+from dynasindy.world_models.refinement.measured import Seen, at_rest, begun, followed, imagined, rates_known, reconstruct
 from dynasindy.world_models.refinement.quotient import one_quotient
 from dynasindy.world_models.refinement.recording import Recording
 from dynasindy.world_models.refinement.refine import Refinement
@@ -52,6 +53,9 @@ from dynasindy.world_models.writers.files import Model as Read
 from dynasindy.world_models.writers.files import load, record, save, understand
 from dynasindy.world_models.writers.machine import machine
 from dynasindy.world_models.writers.tables import equations
+
+Told = Covariance | Callable[[], Covariance | None] | None
+"""The covariance of coefficients, what computes it, or None where nothing tells it."""
 
 
 class SindyModel(WorldModel):
@@ -101,7 +105,7 @@ class SindyModel(WorldModel):
         self.initial_delay = 0.0  # of the inputs in that guess [s]
         self.sums = RunningSums(len(self.library), signature.n_x)
         self.register_buffer("coefficients", self.constraints.offset.clone())
-        self.covariance: Covariance | None = None
+        self._covariance: Told = None
         self._field: Field | None = None
         self._field_of: tuple[Tensor, int, Library] | None = None
 
@@ -109,6 +113,17 @@ class SindyModel(WorldModel):
     def step(self) -> float | None:
         """Step of its difference equation [s], `UNTOLD` before a fit; None of a differential equation."""
         return self.library.step
+
+    @property
+    def covariance(self) -> Covariance | None:
+        """How well the coefficients are known; None where nothing tells. It is computed when first asked for."""
+        if callable(self._covariance):
+            self._covariance = self._covariance()
+        return self._covariance
+
+    @covariance.setter
+    def covariance(self, told: Told) -> None:
+        self._covariance = told
 
     @property
     def followed(self) -> dict[str, str]:
@@ -175,6 +190,20 @@ class SindyModel(WorldModel):
         self.library = self.library.with_step(state.get("step"))
         self.covariance = (known := state.get("covariance")) and Covariance(*known)  # not in older states
         self._field_of = None
+
+    def kept(self) -> Callable[[], object]:
+        """Return what takes the model back to what it has learnt so far when called."""
+        if type(self).get_extra_state is not SindyModel.get_extra_state:
+            return super().kept()
+        # A fit replaces these and changes nothing inside of them, but for the sums.
+        return partial(self._go_back, self.library, self.coefficients, self.sums.copy(), self.delay, self._covariance)
+
+    def _go_back(
+        self, library: Library, coefficients: Tensor, sums: RunningSums, delay: float, covariance: Told
+    ) -> None:
+        self.library, self.sums, self.delay = library, sums.copy(), delay
+        self.set_coefficients(coefficients)
+        self.covariance = covariance
 
     def predict(self, x: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
         """Predict states one sampling time ahead, `(*batch, n_x)`, by `substeps` Runge-Kutta steps."""
@@ -243,9 +272,9 @@ class SindyModel(WorldModel):
             return
         data, rates = self._checked(transitions), rates_known(self.library, self.constraints)
         guess = at_rest(reconstruct(data, rates), self.followers)
-        self.sums.add(self._rows(Recording.of(data, guess, rates, self.delay), self.delay))
+        self.sums.add(self._rows(Recording.of(data, guess, rates, self.delay).seen(self.delay)))
 
-    @whole("library", "sums", "delay", "coefficients", "covariance")
+    @whole("library", "sums", "delay", "coefficients", "_covariance")
     def _identify(self, transitions: Transitions, sums: RunningSums, delay: float, library: Library) -> FitReport:
         """Fit to the sums of earlier data and to new transitions, whose inputs act `delay` seconds later."""
         start, self.sums, earlier, self.library = time.perf_counter(), sums, sums.count, library
@@ -258,15 +287,16 @@ class SindyModel(WorldModel):
             late = imagined(self.library, first, data, late, rates)
             guess = replace(begun(self.library, first, late, self.followers), u=data.u)
         recording = Recording.of(data, guess, rates, delay)
-        rows = self._rows(recording, delay)
+        seen = recording.seen(delay)
+        rows = self._rows(seen)
         self.sums.add(rows)
-        free = one_quotient(self.library, self.constraints.free, lambda trial: self._rows(recording, delay, trial))
+        free = one_quotient(self.library, self.constraints.free, lambda trial: self._rows(seen, trial))
         constraints = replace(self.constraints, free=free)
         if first is None:
-            self._solve(self.sums, constraints, recording.seen(delay).dependent)
+            self._solve(self.sums, constraints, seen.dependent)
             if self.refinement is None:
-                known = self.coefficients, constraints.free
-                self.covariance = of_sums(*known, self.sums) if earlier else of_rates(*known, *rows)
+                known = self.coefficients.clone(), constraints.free
+                self.covariance = partial(of_sums, *known, self.sums.copy()) if earlier else of_rates(*known, *rows)
         else:
             self.set_coefficients(first)
         self.delay = delay
@@ -278,7 +308,7 @@ class SindyModel(WorldModel):
         # The sums may be of fewer rows than that, each of them the average of many transitions.
         samples = int(known_inputs(data, self.delay).sum()) + (earlier if self.sums is sums else 0)
         unseen = unmeasured(self.library, self.coefficients, data)
-        return replace(report, samples=samples, unmeasured=unseen, covariance=self.covariance, **fields)
+        return replace(report, samples=samples, unmeasured=unseen, told=self._covariance, **fields)
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
         """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`.
@@ -397,15 +427,15 @@ class SindyModel(WorldModel):
             self.library, self.delay = found.library, found.delay
             self.sums = RunningSums(len(self.library), self.signature.n_x)
             recording = Recording.of(data, guess, rates_known(self.library, self.constraints), self.delay)
-            self.sums.add(self._rows(recording, self.delay))
+            self.sums.add(self._rows(recording.seen(self.delay)))
         if self.refinement.method == "integral" or len(data) <= ENOUGH:
             return list(found.notes), fields
         chosen = f"{ENOUGH} of {len(data)} rows, in {STRETCHES} stretches spread evenly over them"
         return [*found.notes, f"functions were chosen on {chosen}; the coefficients were fitted on all rows"], fields
 
-    def _rows(self, recording: Recording, delay: float, library: Library | None = None) -> Rows:
-        """Return averaged functions and rates of change, under inputs that act `delay` seconds later."""
-        seen, library = recording.seen(delay), library or self.library
+    def _rows(self, seen: Seen, library: Library | None = None) -> Rows:
+        """Return averaged functions and rates of change of what regressions read."""
+        library = library or self.library
         return seen.rows(library, self) if seen.half else integral_form(library, seen.guess)
 
     def _solve(self, sums: RunningSums, constraints: Constraints, dependent: float = DEPENDENT) -> None:
