@@ -239,7 +239,7 @@ def test_large_numbers_whose_sum_is_none_are_finite():
     assert len(replay.model) == len(replay.real) == 2
     for wrong in (float("nan"), float("inf")):
         large["next", "observation"][1, 2] = wrong
-        with pytest.raises(ValueError, match="next.observation holds NaN or infinity"):
+        with pytest.raises(ValueError, match=r"next\.observation holds NaN or infinity"):
             replay.model.extend(large)
 
 

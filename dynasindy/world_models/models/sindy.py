@@ -24,19 +24,26 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from dynasindy.systems.base import PRECISIONS, Signature
+from dynasindy.systems.base import Signature
 from dynasindy.systems.diverged import Diverged
-from dynasindy.systems.integrators import moved
-from dynasindy.systems.machine import Machine
 from dynasindy.systems.steps import UNTOLD
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries import LibraryBuilder, build_library
 from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.models.base import WorldModel, whole
+from dynasindy.world_models.models.base import whole
 from dynasindy.world_models.models.report import FitReport, unmeasured
+from dynasindy.world_models.models.sparse import SparseModel
 from dynasindy.world_models.refinement.delay import delayed, known_inputs
-from dynasindy.world_models.refinement.measured import Seen, at_rest, begun, followed, imagined, rates_known, reconstruct
+from dynasindy.world_models.refinement.measured import (
+    Seen,
+    at_rest,
+    begun,
+    followed,
+    imagined,
+    rates_known,
+    reconstruct,
+)
 from dynasindy.world_models.refinement.quotient import one_quotient
 from dynasindy.world_models.refinement.recording import Recording
 from dynasindy.world_models.refinement.refine import Refinement
@@ -48,17 +55,15 @@ from dynasindy.world_models.regression.covariance import Covariance, of_rates, o
 from dynasindy.world_models.regression.finite import require_finite
 from dynasindy.world_models.regression.regression import Regression, Rows, RunningSums, integral_form
 from dynasindy.world_models.regression.selection import DEPENDENT
-from dynasindy.world_models.writers.fast_field import Field, generate, refuse_not_finite
 from dynasindy.world_models.writers.files import Model as Read
 from dynasindy.world_models.writers.files import load, record, save, understand
-from dynasindy.world_models.writers.machine import machine
 from dynasindy.world_models.writers.tables import equations
 
 Told = Covariance | Callable[[], Covariance | None] | None
 """The covariance of coefficients, what computes it, or None where nothing tells it."""
 
 
-class SindyModel(WorldModel):
+class SindyModel(SparseModel):
     """A vector field that is a sparse sum of candidate functions.
 
     Args:
@@ -81,8 +86,6 @@ class SindyModel(WorldModel):
         ValueError: a name of a state, an input or a function does not exist, or `time` is another word.
     """
 
-    coefficients: Tensor
-
     def __init__(
         self,
         signature: Signature,
@@ -96,23 +99,14 @@ class SindyModel(WorldModel):
         machine_code: bool = True,
         time: Literal["continuous", "discrete"] | None = None,
     ) -> None:
-        super().__init__(signature)
-        self.machine_code = machine_code
-        self.library = timed(build_library(library, signature), time)
+        super().__init__(signature, timed(build_library(library, signature), time), machine_code)
         self.regression, self.refinement = regression or Regression(), refinement
         self.constraints = Constraints.build(self.library, known or {}, allowed or {}, fixed or {})
         self.initial = None if initial is None else Constraints.build(self.library, {}, {}, initial).offset
         self.initial_delay = 0.0  # of the inputs in that guess [s]
         self.sums = RunningSums(len(self.library), signature.n_x)
-        self.register_buffer("coefficients", self.constraints.offset.clone())
+        self.coefficients = self.constraints.offset.clone()
         self._covariance: Told = None
-        self._field: Field | None = None
-        self._field_of: tuple[Tensor, int, Library] | None = None
-
-    @property
-    def step(self) -> float | None:
-        """Step of its difference equation [s], `UNTOLD` before a fit; None of a differential equation."""
-        return self.library.step
 
     @property
     def covariance(self) -> Covariance | None:
@@ -136,46 +130,6 @@ class SindyModel(WorldModel):
         names = self.signature.state_names
         return {names.index(name): names.index(s) for name, s in self.followed.items() if s in names}
 
-    def forward(self, x: Tensor, u: Tensor) -> Tensor:
-        """Compute dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
-        return self._written()(x, u)
-
-    def compiled(self, x: Tensor, u: Tensor, whole: bool = False) -> Machine | None:
-        """Return the model as machine code for such states and inputs, in the memory of the CPU.
-
-        Args:
-            x: States, `(*batch, n_x)`.
-            u: Inputs, `(*batch, n_u)`.
-            whole: Whether functions that no equation has are computed, too. One code then serves the models of many
-                runs, whatever functions each has; where one of them is infinite, the rates are no numbers.
-        """
-        if not self.machine_code or x.dtype not in PRECISIONS or type(self).forward is not SindyModel.forward:
-            return None
-        self._forget()
-        return self._machine(x, u, lambda dtype: machine(self.library, self.coefficients, dtype, whole), whole)
-
-    def _written(self) -> Field:
-        """Return the equations as torch code, written anew where they have changed."""
-        self._forget()
-        if self._field is None:
-            self._field = generate(self.library, self.coefficients.cpu())
-        return self._field
-
-    def _forget(self) -> None:
-        """Forget what was written of equations that have changed."""
-        made_of, version, library = self._field_of or (None, 0, None)
-        # The tensor itself is compared and so kept alive: its id may be that of a later one once it is gone.
-        if made_of is self.coefficients and version == self.coefficients._version and library is self.library:
-            return
-        self._field = None
-        self._machines.clear()
-        refuse_not_finite(self.library, self.coefficients)
-        self._field_of = self.coefficients, self.coefficients._version, self.library
-
-    def __getstate__(self) -> dict[str, object]:
-        """Leave generated code out of copies and pickles; it is written again when needed."""
-        return {**super().__getstate__(), "_field": None, "_field_of": None}
-
     def get_extra_state(self) -> dict[str, object]:
         """Return what `state_dict` keeps besides the coefficients: the running sums, the fitted factors, the delay."""
         shapes = [shape.frequency for shape in self.library.shapes]
@@ -196,7 +150,9 @@ class SindyModel(WorldModel):
         if type(self).get_extra_state is not SindyModel.get_extra_state:
             return super().kept()
         # A fit replaces these and changes nothing inside of them, but for the sums.
-        return partial(self._go_back, self.library, self.coefficients, self.sums.copy(), self.delay, self._covariance)
+        return partial(
+            self._go_back, self.library, self.coefficients.clone(), self.sums.copy(), self.delay, self._covariance
+        )
 
     def _go_back(
         self, library: Library, coefficients: Tensor, sums: RunningSums, delay: float, covariance: Told
@@ -204,29 +160,6 @@ class SindyModel(WorldModel):
         self.library, self.sums, self.delay = library, sums.copy(), delay
         self.set_coefficients(coefficients)
         self.covariance = covariance
-
-    def predict(self, x: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
-        """Predict states one sampling time ahead, `(*batch, n_x)`, by `substeps` Runge-Kutta steps."""
-        # State-major memory: every row of an elementwise operation is contiguous.
-        x, u = (t.movedim(-1, 0).contiguous().movedim(0, -1) for t in (x, u))
-        return moved(self, x, u, dt, substeps)
-
-    def simulate(self, x0: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
-        """Predict trajectories open loop.
-
-        Args:
-            x0: start states, `(*batch, n_x)`.
-            u: inputs held in each interval, `(*batch, T, n_u)`.
-            dt: sampling time [s].
-            substeps: Runge-Kutta steps per interval.
-
-        Returns:
-            States, `(*batch, T + 1, n_x)`, the start first.
-        """
-        states = [x0]
-        for held in u.unbind(-2):
-            states.append(self.predict(states[-1], held, dt, substeps))
-        return torch.stack(states, -2)
 
     def fit(self, transitions: Transitions) -> FitReport:
         """Identify the model from transitions alone, forgetting earlier data.

@@ -20,9 +20,7 @@ FEW = 8
 """Rows that are handled at once where there are few, as those of an episode and of its windows."""
 
 
-def machine(
-    library: Library, coefficients: Tensor, dtype: torch.dtype = torch.float32, whole: bool = False
-) -> Machine:
+def machine(library: Library, coefficients: Tensor, dtype: torch.dtype = torch.float32, whole: bool = False) -> Machine:
     """Return the sparse model dx/dt = Xi' Theta(x, u), compiled.
 
     Args:
