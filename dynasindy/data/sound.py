@@ -43,6 +43,16 @@ def sound(rows: TensorDictBase, keys: Collection[NestedKey]) -> bool:
     return not any(bool(unsound(key, rows).any()) for key in rest)
 
 
+def sound_rollout(rollout: TensorDictBase) -> bool:
+    """Return whether all that may go wrong in a rollout of any batch is finite."""
+    return sound(rollout, _suspects(rollout))
+
+
+def _suspects(rows: TensorDictBase) -> list[NestedKey]:
+    present = set(rows.keys(include_nested=True, leaves_only=True))
+    return [key for key, *_ in SUSPECTS if key in present]
+
+
 def unsound(key: NestedKey, rows: TensorDictBase) -> Tensor:
     """Return which numbers of a key are not finite; of what sensors measure, NaN says that nothing was measured."""
     values: Tensor = rows.get(key)
@@ -64,8 +74,7 @@ def require_finite(rows: TensorDictBase, where: str = "plant") -> None:
     Raises:
         Diverged: A number is not finite; the first one is told, with the state, the input and the period.
     """
-    present = rows.keys(include_nested=True, leaves_only=True)
-    suspects = [key for key, *_ in SUSPECTS if key in present]
+    suspects = _suspects(rows)
     if sound(rows, suspects):
         return
     bad = {key: unsound(key, rows).flatten(1).any(-1) for key in suspects}

@@ -92,6 +92,10 @@ def _kept(sound: Tensor, rollout: TensorDictBase, masks: Sequence[Mask]) -> tupl
     """Return which steps precede the cut and which of them is the last of its rollout, `(batch, horizon)` bool."""
     for mask in masks:
         sound = sound & mask(rollout)
+    if bool(sound.all()):
+        last = torch.zeros_like(sound)
+        last[:, -1] = True
+        return sound, last
     kept = sound.long().cumprod(-1).bool()
     after = torch.cat([kept[:, 1:], torch.zeros_like(kept[:, :1])], -1)
     return kept, kept & ~after
