@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from dynasindy.data.recording import measured, transitions
+from dynasindy.data.recording import Logged, measured, transitions
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.planning import ModelError, replay_error
 from dynasindy.systems import Diverged
@@ -137,11 +137,11 @@ def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
     held_out = torch.zeros(rollout.numel(), dtype=torch.bool)
     held_out[(starts.unsqueeze(-1) + torch.arange(length)).flatten()] = True
     adds, take_back = _adds(parts, settings), parts.world_model.kept()
-    log_dt = parts.model_env.log_dt
+    logged = Logged(rollout, parts.model_env.log_dt) if adds else None
     before, shown_for = replay_error(parts.model_env, rollout, starts, length), parts.world_model.delay
     report: object
     try:
-        report = _added(parts, transitions(rollout, log_dt, ~held_out)) if adds else fit(parts, settings, held_out)
+        report = fit(parts, settings, held_out) if logged is None else _added(parts, logged.transitions(~held_out))
         later = (parts.world_model.delay - shown_for) / parts.plant.dt
         after = replay_error(parts.model_env, _acting(rollout, later), starts, length)
         kept = after.state_error <= max(WORSE * before.state_error, NEGLIGIBLE)
@@ -151,8 +151,10 @@ def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
         take_back()
         if parts.plant.task.own:  # a reward is told by all data, whatever became of the model: the gate judges both
             before = replay_error(parts.model_env, rollout, starts, length)
-    if adds:  # the next refit reads what this one was tested by, and what one that was taken back was made of
-        parts.world_model.absorb(transitions(rollout, log_dt, held_out if kept else None))
+    if (
+        logged is not None
+    ):  # the next refit reads what this one was tested by, and what one that was taken back was made of
+        parts.world_model.absorb(logged.transitions(held_out if kept else None))
     _observe(parts, rollout)
     return Refit(report, before.state_error, after.state_error, kept, after if kept else before)
 

@@ -316,7 +316,7 @@ def _run(
         parts.append(part)
     tell(phase, total, total, "control periods")  # of the last step the environment tells no more
     trajectory: TensorDictBase = torch.cat(parts, -1) if len(parts) > 1 else parts[0]
-    if "measurement" in trajectory.keys() or not sound_rollout(trajectory):
+    if "measurement" in set(trajectory.keys()) or not sound_rollout(trajectory):
         in_time = trajectory.transpose(0, 1).reshape(-1)
         where = f"evaluation in scenario '{scenario.name}'"
         _require_fine(calm, in_time, where)

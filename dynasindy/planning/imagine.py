@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 
@@ -85,7 +86,11 @@ class Imagination(Transform):
 def _finite(rollout: TensorDictBase) -> Tensor:
     """Return which transitions are finite, `(batch, horizon)` bool."""
     following = rollout["next"]
-    return torch.cat([following["state"], following["observation"], following["reward"]], -1).isfinite().all(-1)
+    parts = [following[key] for key in ("state", "observation", "reward")]
+    # A sum is a pass over the numbers; of numbers that are finite it may be too large for one.
+    if math.isfinite(sum(part.sum() for part in parts)):
+        return torch.ones(rollout.batch_size, dtype=torch.bool, device=parts[0].device)
+    return torch.cat(parts, -1).isfinite().all(-1)
 
 
 def _kept(sound: Tensor, rollout: TensorDictBase, masks: Sequence[Mask]) -> tuple[Tensor, Tensor]:
