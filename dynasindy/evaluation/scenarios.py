@@ -19,7 +19,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.agents import Exploring
-from dynasindy.data.sound import require_finite
+from dynasindy.data.sound import require_finite, sound_rollout
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.control_env import FARTHEST
 from dynasindy.evaluation.disturbances import SensorNoise, Told
@@ -315,11 +315,12 @@ def _run(
         start = env.step_mdp(part[..., -1])
         parts.append(part)
     tell(phase, total, total, "control periods")  # of the last step the environment tells no more
-    trajectory: TensorDictBase = torch.cat(parts, -1)
-    in_time = trajectory.transpose(0, 1).reshape(-1)
-    where = f"evaluation in scenario '{scenario.name}'"
-    _require_fine(calm, in_time, where)
-    require_finite(in_time, where)
+    trajectory: TensorDictBase = torch.cat(parts, -1) if len(parts) > 1 else parts[0]
+    if "measurement" in set(trajectory.keys()) or not sound_rollout(trajectory):
+        in_time = trajectory.transpose(0, 1).reshape(-1)
+        where = f"evaluation in scenario '{scenario.name}'"
+        _require_fine(calm, in_time, where)
+        require_finite(in_time, where)
     return trajectory if sensing is None else unveiled(trajectory)
 
 

@@ -29,6 +29,7 @@ from dynasindy.agents import MLP, Exploring
 from dynasindy.envs import ControlEnv
 from dynasindy.systems import System
 from dynasindy.systems.integrators import sampled, stepped
+from dynasindy.systems.plain import plain
 from dynasindy.systems.steps import steps_of
 from dynasindy.together.alike import alike
 from dynasindy.together.captured import captured, compiled
@@ -90,6 +91,10 @@ def replay(
     company = here()
     if company is None or not _flies(env) or not _stacks(env.system):
         return None
+    x, u = x.to(env.float_type), u.to(env.float_type)
+    # The code of all functions serves all runs, and is through before a device has begun thousands of small operations.
+    if math.isinf(env.left_beyond) and plain(x, u) and (code := env.system.compiled(x, u[0], whole=True)) is not None:
+        return env.judged(x, u, code.flight(x, u, env.dt, env.substeps, env.stops), params.to(x), begun)
     start = TensorDict({"state": x, "task_params": params, "step_count": begun.unsqueeze(-1)}, [len(x)])
     start["observation"] = torch.zeros(len(x), env.task.n_o)  # nobody looks
     found = company.ask(Flight(env, None, u, start, len(u), what))

@@ -212,6 +212,49 @@ def test_rows_in_order_begin_with_the_oldest_also_after_the_ring_wrapped():
     assert replay.real_in_order()["next", "reward"].flatten().tolist() == [2, 3, 4, 5, 6]
 
 
+@pytest.mark.parametrize("written", [3, 5, 7, 10])
+def test_rows_as_stored_are_those_in_order(written):
+    replay = DynaReplay(5, 2, keys=LEARN_KEYS)
+    for number in range(written):
+        replay.extend_real(rows(1, number))
+    expected = [*range(written)][-5:]
+    assert replay.real_as_stored()["next", "reward"].flatten().tolist() == expected
+
+
+def test_the_largest_values_are_those_of_the_rows_that_are_there():
+    key = ("next", "reward")
+    replay, written = DynaReplay(5, 2, keys=LEARN_KEYS), [3.0, -7.0, 1.0, 2.0, 4.0, 0.5, 0.25, -6.0]
+    for number, value in enumerate(written):
+        replay.extend_real(rows(1, value))
+        there = written[: number + 1][-5:]
+        for _ in range(2):
+            assert replay.largest(key).tolist() == [max(map(abs, there))]
+    stored = replay.real_in_order()[-1:]
+    stored[key] = torch.tensor([[-9.0]])
+    replay.rewrite_newest(stored)
+    assert replay.largest(key).tolist() == [9.0]
+    other = DynaReplay(5, 2, keys=LEARN_KEYS)
+    other.extend_real(rows(1, 100.0))
+    assert other.largest(key).tolist() == [100.0]
+    other.load_state_dict(replay.state_dict())
+    assert other.largest(key).tolist() == [9.0]
+    other.keep(LEARN_KEYS)
+    other.extend_real(rows(2, -2.0))
+    assert other.largest(key).tolist() == [2.0]
+
+
+def test_large_numbers_whose_sum_is_none_are_finite():
+    replay = DynaReplay(5, 2, keys=LEARN_KEYS)
+    large = rows(2, 3e38)
+    replay.model.extend(large)
+    replay.extend_real(large.exclude("index"))
+    assert len(replay.model) == len(replay.real) == 2
+    for wrong in (float("nan"), float("inf")):
+        large["next", "observation"][1, 2] = wrong
+        with pytest.raises(ValueError, match=r"next\.observation holds NaN or infinity"):
+            replay.model.extend(large)
+
+
 @pytest.mark.parametrize("written", [4, 5, 7, 8])
 def test_the_newest_real_rows_are_replaced_in_the_order_of_time_also_across_the_end_of_the_ring(written):
     replay = DynaReplay(5, 2, 1.0, keys=LEARN_KEYS)
