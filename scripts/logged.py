@@ -164,9 +164,10 @@ def _ends_of_log(cfg: DictConfig, missing: Sequence[str]) -> str:
     ends = [logged_range(source, name) for name in cfg.plant.outputs]
     sides = {"low": [low for low, _ in ends], "high": [high for _, high in ends]}
     words = " ".join(f"plant.{side}=[{','.join(sides[side])}]" for side in missing)
+    outputs, share = ", ".join(cfg.plant.outputs), f"{100 * OUTER:g} %"
     return (
-        f"plant.{missing[0]} is not given; say within which targets {', '.join(cfg.plant.outputs)} is to be held. But "
-        f"for the lowest and the highest {100 * OUTER:g} % of its samples the log lies within {words}: give that, or less"
+        f"plant.{missing[0]} is not given; say within which targets {outputs} is to be held. But for the lowest and "
+        f"the highest {share} of its samples the log lies within {words}: give that, or less"
     )
 
 
