@@ -97,10 +97,8 @@ class SindyModel(WorldModel):
         self.library = timed(build_library(library, signature), time)
         self.regression, self.refinement = regression or Regression(), refinement
         self.constraints = Constraints.build(self.library, known or {}, allowed or {}, fixed or {})
-        self.initial = None
-        if initial is not None:
-            self.initial = Constraints.build(self.library, {}, {}, initial, "plant.initial").offset
-        self.initial_delay = 0.0  # of the inputs in that guess [s]
+        guess = Constraints.build(self.library, {}, {}, initial or {}, "plant.initial").offset
+        self.initial, self.initial_delay = None if initial is None else guess, 0.0  # of the inputs in that guess [s]
         self.sums = RunningSums(len(self.library), signature.n_x)
         self.register_buffer("coefficients", self.constraints.offset.clone())
         self.covariance: Covariance | None = None
