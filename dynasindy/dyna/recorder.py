@@ -30,7 +30,7 @@ from dynasindy.evaluation.equations import late
 from dynasindy.evaluation.files import whole, with_units, write_csv, write_json, write_text
 from dynasindy.evaluation.held import WITHIN, Held, held
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
-from dynasindy.evaluation.summary import Summary, summarise
+from dynasindy.evaluation.summary import Summary, beyond_targets, summarise
 from dynasindy.planning.rests import states_that_matter
 from dynasindy.tasks import Tracking
 from dynasindy.world_models import FitReport, SindyModel
@@ -183,6 +183,7 @@ class Recorder(Callback):
             "cost": self._spent(self.cost) | {"evaluation_steps": self.evaluation_steps},
             "scenario": final.scenario,
             "evaluation": summarise(final),
+            "beyond_targets": beyond_targets(final),
             "held": asdict(self._held(final)),
             "units": final.units,
             "ranges": dict(zip(final.units, final.boxes, strict=False)),

@@ -102,8 +102,8 @@ class SindyModel(SparseModel):
         super().__init__(signature, timed(build_library(library, signature), time), machine_code)
         self.regression, self.refinement = regression or Regression(), refinement
         self.constraints = Constraints.build(self.library, known or {}, allowed or {}, fixed or {})
-        self.initial = None if initial is None else Constraints.build(self.library, {}, {}, initial).offset
-        self.initial_delay = 0.0  # of the inputs in that guess [s]
+        guess = Constraints.build(self.library, {}, {}, initial or {}, "plant.initial").offset
+        self.initial, self.initial_delay = None if initial is None else guess, 0.0  # of the inputs in that guess [s]
         self.sums = RunningSums(len(self.library), signature.n_x)
         self.coefficients = self.constraints.offset.clone()
         self._covariance: Told = None
