@@ -153,7 +153,7 @@ class DynaReplay:
         self.real = self._buffer("real", capacity, keys)
         self.model = self._buffer("model", model_capacity, LEARN_KEYS)
         self._views: dict[str, tuple[int, list[Tensor]]] = {}
-        self._largest: dict[NestedKey, tuple[int, Tensor]] = {}
+        self._largest: dict[NestedKey, tuple[int, int, Tensor]] = {}
 
     def extend_real(self, rollout: TensorDictBase) -> None:
         """Store the rows of a real rollout `(*batch, steps)`, of which only the storage's keys are kept.
@@ -183,13 +183,16 @@ class DynaReplay:
 
     def largest(self, key: NestedKey) -> Tensor:
         """Return the largest absolute value of each column of a key in the real rows; of new rows these are read."""
-        count, found = self._largest.get(key, (0, None))
-        if _round(self.real) or len(self.real) < count:
-            count, found = 0, None  # rows are gone
-        if found is None or count < len(self.real):
-            newest: Tensor = self.real.storage.get(slice(count, len(self.real))).get(key).abs().amax(0)
-            found = newest if found is None else torch.maximum(found, newest)
-            self._largest[key] = len(self.real), found
+        count, version, found = self._largest.get(key, (0, -1, None))
+        writer = self.real.writer
+        assert isinstance(writer, CheckedWriter)
+        if found is not None and version == writer.version:
+            return found
+        if len(self.real) == self.real.storage.max_size:
+            count, found = 0, None  # rows may be gone
+        newest: Tensor = self.real.storage.get(slice(count, len(self.real))).get(key).abs().amax(0)
+        found = newest if found is None else torch.maximum(found, newest)
+        self._largest[key] = len(self.real), writer.version, found
         return found
 
     def keep(self, keys: Sequence[NestedKey]) -> None:

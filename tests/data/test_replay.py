@@ -243,6 +243,15 @@ def test_the_largest_values_are_those_of_the_rows_that_are_there():
     assert other.largest(key).tolist() == [2.0]
 
 
+def test_the_largest_values_are_those_that_are_there_also_when_the_ring_ends_where_it_began():
+    key = ("next", "reward")
+    replay = DynaReplay(4, 2, keys=LEARN_KEYS)
+    for value in (9.0, 8.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0):  # two of four rows at a time
+        replay.extend_real(torch.full_like(rows(2, value), value))
+        there = replay.real_in_order()[key]
+        assert replay.largest(key).tolist() == [float(there.max())]
+
+
 def test_large_numbers_whose_sum_is_none_are_finite():
     replay = DynaReplay(5, 2, keys=LEARN_KEYS)
     large = rows(2, 3e38)
