@@ -277,7 +277,9 @@ class Pilot:
         batch, shown = [*self.rows, self.steps], []
         for records in (root, after):
             found = {key: value.permute(1, 2, 0, *range(3, value.dim())) for key, value in records.items()}
-            shown.append({key: value.contiguous().to(place, non_blocking=True) for key, value in found.items()})
+            # Of one row, or one period, a view of this room would do, of which the next flight makes another one.
+            copies = {key: value.clone(memory_format=torch.contiguous_format) for key, value in found.items()}
+            shown.append({key: value.to(place, non_blocking=True) for key, value in copies.items()})
         if home and self.device.type == "cuda":
             torch.cuda.current_stream(self.device).synchronize()
 

@@ -64,6 +64,21 @@ def test_real_episodes_are_those_of_each_run_alone(plant, device):
     assert not torch.equal(found[0]["action"], found[1]["action"])
 
 
+@pytest.mark.parametrize(("rows", "steps"), [(1, 6), (3, 1)])
+def test_a_rollout_stays_as_it_is_when_the_next_one_is_flown(rows, steps):
+    place, mine = env(0), agent(0)
+
+    def _fly(size):
+        start = partial(place.start_from, size * torch.ones(rows, 6, dtype=torch.float64))
+        return fly(place, mine.explore_imagined, start, steps, "imagined")
+
+    with Company().alone():
+        first = _fly(0.1)
+        kept, second = first.clone(), _fly(0.3)
+    assert all(torch.equal(first[key], kept[key]) for key in first.keys(True, True))
+    assert not torch.equal(first["action"], second["action"])
+
+
 def test_noise_decays_with_real_steps_alone():
     def _fly(seed):
         mine, place = agent(seed), env(seed)
