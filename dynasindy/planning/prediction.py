@@ -39,7 +39,7 @@ class ModelPrediction(Transform):
             self._step(rollout, rollout["next"])
         else:
             rollout["next", "predicted_state"] = found[0].squeeze(0).to(x)
-            rollout["next", "predicted_reward"] = found[1].squeeze(0).unsqueeze(-1)
+            rollout["next", "predicted_reward"] = found[1].squeeze(0).unsqueeze(-1).float()
         return rollout
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
