@@ -97,6 +97,22 @@ def test_a_model_goes_back_to_all_that_it_had_learnt():
     _same(model.state_dict(), before)
 
 
+def test_a_model_of_a_users_class_goes_back_to_all_that_it_has_learnt():
+    class Biased(SindyModel):
+        def __init__(self):
+            super().__init__(Xi().signature)
+            self.register_buffer("bias", torch.zeros(6))
+
+    model = Biased()
+    model.fit(moved(1))
+    before, go_back = copy.deepcopy(model.state_dict()), model.kept()
+    model.update(moved(2))
+    model.bias += 1.0
+    go_back()
+    assert not model.bias.any()
+    _same(model.state_dict(), before)
+
+
 def test_errors_that_are_told_later_are_those_of_the_fit():
     model, first, second = SindyModel(Xi().signature), moved(1), moved(2)
     model.fit(first)
