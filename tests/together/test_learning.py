@@ -131,6 +131,19 @@ def test_an_agent_that_diverges_is_told_so_and_the_others_go_on():
     assert runs[0][0].updates == 5
 
 
+def test_a_weight_that_no_loss_reads_is_checked_as_that_of_an_agent_alone():
+    runs = [agent_and_replay(seed, policy_average=0.01) for seed in range(2)]
+    one, its = agent_and_replay(1, policy_average=0.01)
+    with torch.no_grad():
+        for agent in (runs[1][0], one):
+            agent.deployed.module.layers()[0].weight[0, 0] = torch.inf
+    with pytest.raises(Diverged, match="weights of") as alone:
+        learn(one, its, 5)
+    fine, lost = Company().run([partial(learn, *each, 5) for each in runs])
+    assert fine is None
+    assert isinstance(lost, Diverged) and str(lost) == str(alone.value)
+
+
 def test_learning_that_diverges_later_ends_at_the_update_at_which_it_does_alone():
     # The first steps of Adam are as long as the learning rate, so that the values overflow soon after the first one.
     one, its = agent_and_replay(0, critic_lr=1e9)
