@@ -151,9 +151,8 @@ def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
         take_back()
         if parts.plant.task.own:  # a reward is told by all data, whatever became of the model: the gate judges both
             before = replay_error(parts.model_env, rollout, starts, length)
-    if (
-        logged is not None
-    ):  # the next refit reads what this one was tested by, and what one that was taken back was made of
+    if logged is not None:
+        # The next refit reads what this one was tested by, and what one that was taken back was made of.
         parts.world_model.absorb(logged.transitions(held_out if kept else None))
     _observe(parts, rollout)
     return Refit(report, before.state_error, after.state_error, kept, after if kept else before)

@@ -309,8 +309,8 @@ static int multiply(const Halves *halves, int m, float *out)
     return count;
 }
 
-/* Of how many bfloat16 for each number products are best taken, if as many as `parts` are wanted; 0 for float32. Asks the
-   system for tiles, if there are any. By vectors, two parts would take longer than float32. */
+/* Of how many bfloat16 for each number products are best taken, if as many as `parts` are wanted; 0 for float32. Asks
+   the system for tiles, if there are any. By vectors, two parts would take longer than float32. */
 int halves(int parts)
 {
     allowed = ask_for_tiles();

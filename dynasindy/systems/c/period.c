@@ -1,5 +1,5 @@
-/* Control periods of a vector field, and the derivatives of one, for many rows at once. Generated code fills the gaps. A step
-   has four stages, those of Runge and Kutta, or the one of a difference equation. */
+/* Control periods of a vector field, and the derivatives of one, for many rows at once. Generated code fills the gaps.
+   A step has four stages, those of Runge and Kutta, or the one of a difference equation. */
 #include <math.h>
 
 typedef @real@ real;
@@ -76,8 +76,9 @@ static void gather(const real *from, long rows, long first, int n, real *to)
     }
 }
 
-/* The states after each of `steps` steps of h [s] of each of `periods`, under inputs of their own, and whether a stop was
-   touched; inputs and results are by period, then by row. At a stop a position is held and its outward rate is zero. */
+/* The states after each of `steps` steps of h [s] of each of `periods`, under inputs of their own, and whether a stop
+   was touched; inputs and results are by period, then by row. At a stop a position is held and its outward rate is
+   zero. */
 void advance(long periods, long rows, const real *x0, const real *u0, const real *k, real h, int steps, int n_stops,
              const int *position, const int *rate, const real *low, const real *high, real *out, unsigned char *touched)
 {
