@@ -51,7 +51,7 @@ def test_a_prediction_is_one_step_of_the_model_from_the_real_state_with_its_rewa
 
 
 def test_predictions_of_a_run_in_company_are_those_of_a_run_alone():
-    plant, model = Tras(), SindyModel(Tras().signature, "rotor")
+    plant, model = Tras(), SindyModel(Tras().signature)
     model.set_coefficients(1e-3 * torch.randn(model.coefficients.shape, generator=torch.Generator().manual_seed(1)))
     env = ControlEnv(plant, Tracking(plant.signature, Step([[0.1, 0.1]])), dtype=torch.float64)
     predicted = ModelPrediction(env.with_system(model, torch.float64))
