@@ -102,7 +102,7 @@ def test_all_quiet_kinds_of_exploration_are_quiet(quiet):
         assert not DecayingGaussian(sigma=1.0)(zeros(8))["action"].any()
 
 
-@pytest.mark.parametrize("shape", [(1, 2), (8, 2), (100, 3), (800, 2), (0, 2)])
+@pytest.mark.parametrize("shape", [(1, 2), (8, 2), (12, 2), (100, 3), (800, 2), (0, 2)])
 @pytest.mark.parametrize("decays", [False, True])
 def test_noise_drawn_ahead_is_that_of_so_many_calls(shape, decays):
     one, other = (DecayingGaussian(sigma=0.2, decay=0.3, minimum=0.05, seed=4) for _ in range(2))
@@ -115,7 +115,7 @@ def test_noise_drawn_ahead_is_that_of_so_many_calls(shape, decays):
     assert torch.equal(one.generator.get_state(), other.generator.get_state())
 
 
-@pytest.mark.parametrize("shape", [(6, 16, 2), (6, 5, 3), (6, 1)])
+@pytest.mark.parametrize("shape", [(6, 16, 2), (6, 12, 2), (6, 5, 3), (6, 1)])
 def test_many_draws_at_once_are_those_of_one_after_the_other(shape):
     one, other = (torch.Generator().manual_seed(2) for _ in range(2))
     rooms = torch.empty(shape)

@@ -207,11 +207,12 @@ def test_tasks_that_learn_what_a_plant_pays_fly_alone():
 @pytest.mark.parametrize("device", ["cpu", GPU])
 @pytest.mark.parametrize("windows", [None, torch.tensor([2, 5])])
 @pytest.mark.parametrize("machine_code", [False, pytest.param(True, marks=COMPILER)])
-def test_replays_of_models_are_those_of_each_run_alone(windows, device, machine_code):
+@pytest.mark.parametrize("stop", [{}, {"azimuth_stop": 1e-3}])
+def test_replays_of_models_are_those_of_each_run_alone(windows, device, machine_code, stop):
     """Those of models with machine code are not asked of the company, as the run is through with them sooner."""
 
     def _judge(seed):
-        place = env(seed)
+        place = env(seed, **stop)
         episode = place.rollout(12, agent(seed).explore)
         model_env = place.with_system(model(seed, machine_code), torch.float32)
         return replay_error(model_env, episode, windows, None if windows is None else 4)
