@@ -7,7 +7,7 @@ import pytest
 import torch
 from torchrl.envs import TransformedEnv
 
-from dynasindy.data.sound import require_finite
+from dynasindy.data.sound import require_finite, sound, sound_rollout
 from dynasindy.envs import ControlEnv
 from dynasindy.planning import ModelPrediction
 from dynasindy.systems import Diverged, Signature, System
@@ -70,6 +70,21 @@ def test_an_action_that_is_nowhere_is_not_laid_on_the_plant():
     rollout["next", "state"][7:] = math.nan
     with pytest.raises(Diverged, match="period 8 the policy's action"):
         require_finite(rollout)
+
+
+def test_sensors_may_miss_what_is_there_but_tell_nothing_infinite():
+    """NaN is what was not measured; infinity is no measurement, and may be all that is wrong in a rollout."""
+    rollout = flown(Mass())
+    rollout["measurement"] = torch.full_like(rollout["state"], math.nan)
+    rollout["next", "samples"][3, 1, 0] = math.nan
+    require_finite(rollout)
+    assert sound_rollout(rollout) and sound(rollout, ["measurement", "state"])
+    rollout["measurement"][5, 1] = math.inf
+    assert sound_rollout(rollout) and not sound(rollout, ["measurement", "state"])
+    rollout["next", "samples"][7, 0, 1] = -math.inf
+    with pytest.raises(Diverged, match="control period 8 the plant moves to"):
+        require_finite(rollout)
+    assert not sound_rollout(rollout)
 
 
 def test_a_model_that_is_nowhere_leaves_the_real_rollout_sound():
