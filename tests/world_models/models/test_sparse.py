@@ -11,6 +11,7 @@ from dynasindy.systems import Xi, integrate
 from dynasindy.systems.compiler import compiler
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
+from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.models import sparse
 from dynasindy.world_models.regression.covariance import of_sums
 from dynasindy.world_models.writers.fast_field import generate
@@ -95,6 +96,20 @@ def test_a_model_goes_back_to_all_that_it_had_learnt():
         model.absorb(first)  # leaves what is gone back to as it is
         go_back()
     _same(model.state_dict(), before)
+
+
+@pytest.mark.parametrize("machine_code", [False, True])
+def test_a_model_moves_by_its_library_as_it_is_now(machine_code):
+    """Of a difference equation a period of one step is a product, of a differential equation it is none."""
+    found, (x, u) = model(machine_code=machine_code), drawn()
+    for step in (None, 0.05, None):
+        found.library = found.library.with_step(step)
+        rates = found.library(x, u) @ found.coefficients
+        ends = integrate(found, x, u, 0.05, 1)[0][:, 0]
+        assert torch.allclose(ends, x + 0.05 * rates, rtol=1e-12, atol=1e-13) == (step is not None)
+    other = Library(found.signature, reversed(found.library.features))
+    found.library = other
+    torch.testing.assert_close(found(x, u), other(x, u) @ found.coefficients, rtol=1e-12, atol=1e-12)
 
 
 def test_a_model_of_a_users_class_goes_back_to_all_that_it_has_learnt():

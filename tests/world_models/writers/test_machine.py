@@ -172,7 +172,8 @@ def test_whole_models_fly_as_sparse_ones(rows):
     x, u = drawn(rows)
     held = u.expand(4, *u.shape)
     found, _ = model.compiled(x, u, whole=True).flight(x, held, 0.1, 2)
-    assert model.compiled(x, u, whole=True) is not model.compiled(x, u)
+    sparse = model.compiled(x, u)
+    assert model.compiled(x, u, whole=True) is not sparse and model.compiled(x, u) is sparse
     torch.testing.assert_close(found, model.compiled(x, u).flight(x, held, 0.1, 2)[0], rtol=1e-5, atol=1e-6)
 
 
