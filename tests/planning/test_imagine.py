@@ -6,7 +6,7 @@ from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
 from dynasindy.data import LEARN_KEYS
 from dynasindy.envs import ControlEnv
-from dynasindy.planning import Imagination
+from dynasindy.planning import Imagination, imagine
 from dynasindy.planning.bounds import Within
 from dynasindy.systems import System, Tras
 from dynasindy.tasks import Step, Tracking, Wave
@@ -129,3 +129,16 @@ def test_a_rollout_needs_a_period():
     with pytest.raises(ValueError, match=r"at least 1 control period, got 0; mend planning\.horizon"):
         Imagination(make_env(), POLICY, horizon=0)
     assert len(Imagination(make_env(), POLICY, horizon=1).imagine(torch.zeros(2, 6))) == 2
+
+
+@pytest.mark.parametrize("key", ["state", "observation", "reward"])
+@pytest.mark.parametrize("value", [torch.nan, -torch.inf])
+def test_a_transition_is_finite_where_all_of_its_numbers_are(key, value):
+    following = {"state": torch.zeros(3, 4, 6), "observation": torch.zeros(3, 4, 8), "reward": torch.zeros(3, 4, 1)}
+    rollout = TensorDict({"next": TensorDict(following, [3, 4])}, [3, 4])
+    assert imagine._finite(rollout).tolist() == 3 * [4 * [True]]
+    rollout["next", key][:2] = 3e38  # the sum of all is too large for float32
+    assert imagine._finite(rollout).tolist() == 3 * [4 * [True]]
+    rollout["next", key][1, 2, 0] = value
+    found = imagine._finite(rollout)
+    assert found.sum() == 11 and not found[1, 2]
