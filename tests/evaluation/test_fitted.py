@@ -173,7 +173,7 @@ def test_what_bends_for_nothing_is_left_out_of_a_fit_in_pieces(bend, straight):
     """The plant itself is straight, or its outflow grows with the square of its level."""
     found = tank(bend)
     names, before = found.model.library.names, module._forecast(found)
-    kept = module._straighter(found, before).model.coefficients[:, 0]
+    kept = module._straighter(found, before)[0].model.coefficients[:, 0]
     bent = {name for name, size in zip(names, kept.tolist(), strict=True) if size} & {"y^2", "y u", "u^2"}
     assert (bent == set()) == straight
     if straight:
@@ -181,8 +181,8 @@ def test_what_bends_for_nothing_is_left_out_of_a_fit_in_pieces(bend, straight):
         assert kept[names.index("y")] == pytest.approx(-0.5, rel=0.05)
         explained = replace(found, report=replace(found.report, in_pieces=False))
         good = replace(before, model=before.resolution.expand_as(before.model))
-        assert module._straighter(explained, good) is explained
-        assert module._straighter(explained, before) is not explained  # the last part of the log is missed
+        assert module._straighter(explained, good)[0] is explained
+        assert module._straighter(explained, before)[0] is not explained  # the last part of the log is missed
 
 
 def test_a_state_that_follows_is_fitted_without_products_and_squares_too():
@@ -200,7 +200,7 @@ def test_a_state_that_follows_is_fitted_without_products_and_squares_too():
     log = Source(Signature(("y",), ("m",), ("u",), (3.0,)), seen, seen, logged=True)
     model = SindyModel(log.signature, "polynomial", Regression("bic"), Refinement("trajectory"))
     model.fit(log.training)
-    bent, straight = list(module._wider(model, log))[:2]
+    bent, straight = list(module._wider(model, log, model.refinement))[:2]
     assert bent.model.library.names == straight.model.library.names
     found = dict(zip(straight.model.library.names, straight.model.coefficients[:, 0].tolist(), strict=True))
     wanted = dict.fromkeys(found, 0.0) | {"u_lagging": 2.0, "y": -0.5}
@@ -240,7 +240,7 @@ def of_one(error):
 def test_what_bends_is_left_out_only_where_no_error_is_larger_without(part, straight, monkeypatch):
     found = bowl()
     monkeypatch.setattr(module, "_forecast", lambda given: of_one(0.1 * part))
-    kept = module._straighter(found, of_one(0.1))
+    kept = module._straighter(found, of_one(0.1))[0]
     assert (kept is not found) == straight
     if straight:
         assert float(kept.model.coefficients[kept.model.library.index("y^2"), 0]) == 0.0
@@ -268,4 +268,4 @@ def test_a_model_with_functions_that_are_no_polynomials_keeps_its_squares(fricti
     xi[found.model.library.index("tanh(50 y)"), 0] = friction
     found.model.set_coefficients(xi)
     monkeypatch.setattr(module, "_forecast", lambda given: of_one(0.05))
-    assert (module._straighter(found, of_one(0.1)) is not found) == straight
+    assert (module._straighter(found, of_one(0.1))[0] is not found) == straight

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.refinement.refined import Refined
 from dynasindy.world_models.regression.covariance import Covariance
 from dynasindy.world_models.regression.identifiability import Identifiability
 from dynasindy.world_models.regression.regression import RunningSums
@@ -39,6 +40,7 @@ class FitReport:
         in_pieces: whether simulations meet the log in pieces only, which begin anew: something is lacking.
         covariance: how well the coefficients are known; None where that is not told.
         delay_at_end: whether the delay of the inputs is the longest that was tried.
+        aside: what the fit by one simulation through all samples found, where it was set aside for one in pieces.
     """
 
     samples: int
@@ -52,6 +54,7 @@ class FitReport:
     covariance: Covariance | None = None
     unmeasured: frozenset[str] = frozenset()
     delay_at_end: bool = False
+    aside: Refined | None = field(default=None, repr=False)
 
     @classmethod
     def of(

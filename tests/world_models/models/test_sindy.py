@@ -18,7 +18,7 @@ from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.libraries.features import CONSTANT, variable
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.models import sindy
-from dynasindy.world_models.refinement.refine import Refined
+from dynasindy.world_models.refinement.refined import Refined
 from dynasindy.world_models.writers.fast_field import generate
 
 # The paper, table "SINDY model Xi matrix": 19 coefficients.
