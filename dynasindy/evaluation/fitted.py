@@ -247,7 +247,15 @@ def _ratios(before: Forecasts, after: Forecasts, signature: Signature) -> Tensor
 
     An error counts as what the sensor resolves at least, and as what has run away at most; exact logs resolve anything.
     """
-    most = LOST * torch.tensor(signature.x_scale, dtype=before.model.dtype)[: before.model.shape[1]]
+    # A model that runs away is judged over shorter horizons as well, which the other is not.
+    (ours, theirs), n_x = _over_the_same(after, before), before.model.shape[1]
+    most = LOST * torch.tensor(signature.x_scale, dtype=theirs.dtype)[:n_x]
     least = before.resolution.nan_to_num(nan=0.0).to(most).clamp(FINEST / LOST * most, most)
-    ours, theirs = (f.model[:, : len(most)].clamp(least, most) for f in (after, before))
-    return torch.where(before.model.isnan(), math.nan, (ours / theirs).log())
+    ratios = ours[:, :n_x].clamp(least, most) / theirs.clamp(least, most)
+    return torch.where(theirs.isnan(), math.nan, ratios.log())
+
+
+def _over_the_same(*both: Forecasts) -> list[Tensor]:
+    """Return the errors of models over the horizons that all of them are judged over, `(horizons, n_x)` each."""
+    shared = set.intersection(*(set(one.horizons) for one in both))
+    return [one.model[[horizon in shared for horizon in one.horizons]] for one in both]

@@ -39,6 +39,7 @@ from dynasindy.world_models.refinement.measured import at_rest, begun, followed,
 from dynasindy.world_models.refinement.quotient import one_quotient
 from dynasindy.world_models.refinement.recording import Recording
 from dynasindy.world_models.refinement.refine import Refinement
+from dynasindy.world_models.refinement.scale import unscaled
 from dynasindy.world_models.refinement.shapes import stayed
 from dynasindy.world_models.refinement.shooting import RunsAway
 from dynasindy.world_models.refinement.stepwise import stepwise, timed
@@ -157,10 +158,9 @@ class SindyModel(WorldModel):
         """Restore what `get_extra_state` returned."""
         self.sums = RunningSums(len(self.library), self.signature.n_x)
         self.sums.r, self.sums.count = state["r"].clone(), state["count"]
-        self.library, self.delay = self.library.with_shapes(state["shapes"]), state["delay"]
-        self.library = self.library.with_step(state.get("step"))
+        self.library = self.library.with_shapes(state["shapes"]).with_step(state.get("step"))
         self.covariance = (known := state.get("covariance")) and Covariance(*known)  # not in older states
-        self._field = None
+        self.delay, self._field = state["delay"], None
 
     def predict(self, x: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
         """Predict states one sampling time ahead, `(*batch, n_x)`, by `substeps` Runge-Kutta steps."""
@@ -259,12 +259,12 @@ class SindyModel(WorldModel):
         notes, fields = self._refine(data, guess, constraints, 0.0 if first is None else self.initial_delay)
         if self.refinement is not None:
             notes += stayed(self.library, self.coefficients)
-        seconds = time.perf_counter() - start
-        report = FitReport.of(self.library, self.coefficients, self.sums, seconds, notes, data.dt)
+        of, seconds = (self.library, self.coefficients), time.perf_counter() - start
+        report = FitReport.of(*of, self.sums, seconds, notes, data.dt)
         # The sums may be of fewer rows than that, each of them the average of many transitions.
         samples = int(known_inputs(data, self.delay).sum()) + (earlier if self.sums is sums else 0)
-        unseen = unmeasured(self.library, self.coefficients, data)
-        return replace(report, samples=samples, unmeasured=unseen, covariance=self.covariance, **fields)
+        fields |= {"unmeasured": unmeasured(*of, data), "unscaled": unscaled(*of, constraints.free, data)}
+        return replace(report, samples=samples, covariance=self.covariance, **fields)
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
         """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`.
