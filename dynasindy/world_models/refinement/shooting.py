@@ -103,7 +103,7 @@ def certainty(flow: Flow) -> Covariance | None:
 
 def _rows(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
     """Return weighted rows `(M, F + P + 1)`, moves of the nodes, weighted errors, and the cost."""
-    rows, *others = (_joined if bool(flow.windows.joined.any()) else _alone)(flow, sigma)
+    rows, moves, errors, cost = (_joined if bool(flow.windows.joined.any()) else _alone)(flow, sigma)
     estimate, parameters, windows = flow.estimate, flow.parameters, flow.windows
     unseen = windows.first.isnan().all(0) & ~windows.mask.flatten(0, 1).any(0)
     if bool(unseen.any()):
@@ -111,7 +111,7 @@ def _rows(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
         exponents = free_scales(estimate.library, estimate.xi, may, unseen)[1]
         held = holding(exponents, estimate.xi, rows, (parameters.features, parameters.states))
         rows = torch.cat([rows, held])
-    return rows, *others
+    return rows, moves, errors, cost
 
 
 def _joined(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
