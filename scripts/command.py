@@ -329,6 +329,8 @@ def _mistakes_in_words(config_name: str) -> Iterator[None]:
         line = f"error: {in_words(error, config_name)}"
         with suppress(OSError):  # the disk may be what is wrong
             _leave_word(line)
+            if Sweep.running:
+                remove_jobless(Path(Sweep.running))
         if Sweep.running is None:
             SHOWN.close()  # so that the line is the last one
         print(line, file=sys.stderr)
@@ -375,6 +377,14 @@ def _leave_word(line: str) -> None:
         file.write_text(line + "\n")
     else:
         remove_empty(folder)
+
+
+def remove_jobless(folder: Path) -> None:
+    """Remove the folder of a sweep of which no job began: it holds nothing but the settings that Hydra wrote."""
+    with suppress(OSError):
+        if [file.name for file in folder.iterdir()] == ["multirun.yaml"]:
+            (folder / "multirun.yaml").unlink()
+    remove_empty(folder)
 
 
 def remove_empty(folder: Path) -> None:

@@ -16,7 +16,7 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.evaluation.files import save_evaluation
     from dynasindy.evaluation.given import own_folder
     from dynasindy.evaluation.scenarios import evaluate
-    from dynasindy.evaluation.summary import heading, summarise, to_text
+    from dynasindy.evaluation.summary import beyond_targets, heading, summarise, to_text
     from dynasindy.planning.integral import IntegralAction
     from dynasindy.terminal import say, width
     from dynasindy.viz.animation import animate
@@ -42,7 +42,8 @@ def main(cfg: DictConfig) -> None:
         draw_evaluation(result, out, name, cfg.formats)
         if cfg.animate:
             animate(result, out / f"{scenario.name}.{cfg.animation}")
-        say(to_text(summarise(result), heading(result), result.units, result.told_steady_seconds, width()), "")
+        table = to_text(summarise(result), heading(result), result.units, result.told_steady_seconds, width())
+        say(table, *beyond_targets(result), "")
     say(f"Figures, tables and trajectories: {out}")
 
 

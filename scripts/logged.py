@@ -25,7 +25,7 @@ from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.period import PERIOD, nearest_period, sampled_in_words, suited_period
 from dynasindy.evaluation.quiet import quiet_targets
 from dynasindy.evaluation.source import Source
-from dynasindy.evaluation.targets import in_words, require_radians
+from dynasindy.evaluation.targets import OUTER, in_words, logged_range, require_radians
 from dynasindy.planning import GradientPlanning
 from dynasindy.terminal import say
 from dynasindy.viz.controllers import named
@@ -158,6 +158,19 @@ def _finished(folder: Path, settings: str, read: Mapping[str, Any]) -> dict[str,
         return {"controlled": bool(found["controlled"]), "score": found["score"]}
 
 
+def _ends_of_log(cfg: DictConfig, missing: Sequence[str]) -> str:
+    """Say that ends of the targets are not given, and which the log has of the outputs, as words to copy."""
+    source, _ = loaded(cfg)
+    ends = [logged_range(source, name) for name in cfg.plant.outputs]
+    sides = {"low": [low for low, _ in ends], "high": [high for _, high in ends]}
+    words = " ".join(f"plant.{side}=[{','.join(sides[side])}]" for side in missing)
+    outputs, share = ", ".join(cfg.plant.outputs), f"{100 * OUTER:g} %"
+    return (
+        f"plant.{missing[0]} is not given; say within which targets {outputs} is to be held. But for the lowest and "
+        f"the highest {share} of its samples the log lies within {words}: give that, or less"
+    )
+
+
 def _required(cfg: DictConfig) -> dict[str, object]:
     """Return the settings of the planning, where the config says what is to be tracked and how to plan from a log."""
     if cfg.model is not None and cfg.get("data") is None and cfg.system is not None:
@@ -166,6 +179,8 @@ def _required(cfg: DictConfig) -> dict[str, object]:
             "plant.low and plant.high"
         )
     if missing := [name for name in ("outputs", "low", "high") if OmegaConf.is_missing(cfg.plant, name)]:
+        if cfg.get("data") is not None and "outputs" not in missing:
+            raise ValueError(_ends_of_log(cfg, missing))
         raise ValueError(
             f"plant.{missing[0]} is not given; say what is to be tracked, and within which targets, such as "
             "plant.outputs=[angle] plant.low=[-0.5] plant.high=[0.5]"

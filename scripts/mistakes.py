@@ -33,6 +33,34 @@ EXTRAS = {
 """Optional packages by the first word of a launcher, sweeper or module, and the extra of ours that installs them."""
 MISSPELT = r"(Could not override|An item is already at) '([^']+)'"
 """What Hydra says of a key that is misspelt, or given with a + and there."""
+MEANINGS = (
+    {"lr", "actor_lr", "critic_lr", "learning_rate", "learningrate", "step_size"},
+    {"episodes", "n_episodes", "num_episodes", "epochs"},
+    {"seed", "random_seed", "random_state", "rng"},
+    {"updates", "updates_per_step", "iterations", "n_iter", "gradient_steps", "utd_ratio"},
+    {"dt", "sample_time", "sampling_time", "time_step", "timestep", "control_period", "period"},
+    {"max_steps", "episode_length", "max_episode_steps"},
+    {"gamma", "discount", "discount_factor"},
+    {"tau", "polyak"},
+    {"hidden", "hidden_sizes", "hidden_layers", "layers", "net_arch"},
+    {"batch_size", "batch", "minibatch_size"},
+    {"capacity", "buffer_size", "replay_size"},
+    {"horizon", "window", "lookahead", "rollout_length"},
+    {"duration", "length", "excitation_length"},
+    {"threads", "n_jobs", "jobs", "workers", "num_workers", "cores"},
+    {"folder", "output_dir", "out", "output", "dir"},
+    {"device", "gpu", "cuda"},
+    {"low", "lower", "min"},
+    {"high", "upper", "max"},
+    {"threshold", "sparsity"},
+    {"max_grad_norm", "clip", "grad_clip", "gradient_clip"},
+    {"parameters", "uncertainty"},
+    {"outputs", "targets", "controlled"},
+    {"path", "file", "csv", "log"},
+)
+"""Names of settings that mean the same, in other tools or in ours."""
+HINTS = 3
+"""Settings that are offered at most in the place of one that does not exist."""
 SWEEPING = ("train", "ablation")
 """Commands of which a sweep makes several jobs."""
 CAUSES = {
@@ -157,6 +185,7 @@ def _allowed_keys(key: str, node: DictConfig) -> str:
     if source := _taken_from(key, OmegaConf.to_container(node)):
         return f"'{key}' follows another key; give {source} instead"
     given, parent = key.split("."), []
+    elsewhere = _keys(OmegaConf.to_container(node))
     for step in given[:-1]:
         if not (step in node and OmegaConf.is_dict(node[step])):
             break
@@ -164,7 +193,7 @@ def _allowed_keys(key: str, node: DictConfig) -> str:
         parent.append(step)
     name = ".".join(given[len(parent) :])
     names = sorted(str(k) for k in node if not str(k).startswith("_"))
-    return "" if name in names else unknown(name, names, ".".join(parent))
+    return "" if name in names else unknown(name, names, ".".join(parent), elsewhere)
 
 
 def _taken_from(key: str, node: object) -> str:
@@ -179,9 +208,44 @@ def _taken_from(key: str, node: object) -> str:
     return ""
 
 
-def unknown(name: str, names: Iterable[str], where: str) -> str:
-    """Return which names are allowed instead of one that does not exist in a group."""
-    guess = get_close_matches(name, names, 1)
-    hint = f"; did you mean '{guess[0]}'?" if guess else ""
+def _keys(node: object, parent: str = "") -> list[str]:
+    """Return all keys of a config with the groups that they stand in, the shallowest first."""
+    if not isinstance(node, dict):
+        return []
+    own = {f"{parent}{step}": child for step, child in node.items() if not str(step).startswith("_")}
+    deeper = [key for step, child in own.items() for key in _keys(child, f"{step}.")]
+    return sorted([*own, *deeper], key=lambda key: key.count("."))
+
+
+def meant(name: str, names: Iterable[str], elsewhere: Iterable[str] = ()) -> list[str]:
+    """Return what may be meant by a name that does not exist: what is written or means alike, or stands elsewhere.
+
+    Args:
+        name: The name, the last word of which counts.
+        names: Those that exist in its place.
+        elsewhere: All keys that exist, with their groups.
+    """
+    word = name.rpartition(".")[2].lower()
+    alike = set().union({word}, *(words for words in MEANINGS if word in words))
+    known = [*elsewhere]
+    same = [key for key in known if key.rpartition(".")[2] == word]
+    if found := [other for other in names if other in alike] or (not same and get_close_matches(name, names, 1)):
+        return found[:HINTS]
+    places = same or [key for key in known if key.rpartition(".")[2] in alike]
+    return [key for key in places if key.count(".") == places[0].count(".")][:HINTS]
+
+
+def unknown(name: str, names: Iterable[str], where: str, elsewhere: Iterable[str] = ()) -> str:
+    """Return which names are allowed instead of one that does not exist in a group.
+
+    Args:
+        name: The one that does not exist.
+        names: Those that are allowed.
+        where: The group.
+        elsewhere: All keys that exist, with their groups.
+    """
+    names = sorted(names)
+    guess = " or ".join(f"'{each}'" for each in meant(name, names, elsewhere))
+    hint = f"; did you mean {guess}?" if guess else ""
     place = f" in '{where}'" if where else ""
-    return f"'{name}' does not exist{place}; allowed are {', '.join(sorted(names))}{hint}"
+    return f"'{name}' does not exist{place}; allowed are {', '.join(names)}{hint}"

@@ -169,6 +169,11 @@ def check(cfg: DictConfig, file: str = "") -> None:
     Raises:
         ValueError: A value is not what its key allows, or an argument does not exist or is not given.
     """
+    if OmegaConf.is_dict(cfg) and isinstance(plant := cfg.get("plant"), str):
+        raise ValueError(
+            f"{file and f'{file}: '}plant={plant} is a name, and plant is the group of keys that say what is known of "
+            f"one, such as plant.low; a plant is chosen by system=NAME: did you mean system={plant}?"
+        )
     if not OmegaConf.is_dict(cfg) or not isinstance(cfg.get("plant", {}), DictConfig | dict):
         raise ValueError(f"{file or 'plant'} is no group of keys; give them as conf/ does")
     try:

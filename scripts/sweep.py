@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryFile
 
-from command import needs_score, remove_empty, swept
+from command import needs_score, number_of_jobs, remove_jobless, swept
 from hydra.experimental.callback import Callback
 from hydra.utils import instantiate
 from mistakes import MENDABLE, in_words
@@ -20,7 +20,7 @@ class Checking(Callback):
         try:
             _check(config.copy())
         except MENDABLE as error:
-            remove_empty(Path(config.hydra.sweep.dir))
+            remove_jobless(Path(config.hydra.sweep.dir))
             print(f"error: {in_words(error, config.hydra.job.config_name)}", file=sys.stderr)
             sys.exit(2)  # Hydra makes warnings of other exceptions
 
@@ -88,6 +88,10 @@ def _check(config: DictConfig) -> None:
         raise ValueError(
             "hydra/launcher=submitit_slurm found no srun; it needs a machine that submits to SLURM: choose "
             "hydra/launcher=joblib, or submitit_local"
+        )
+    if not needs_score(hydra) and not number_of_jobs(hydra):
+        raise ValueError(
+            "the sweep has no job, as a range in it is empty; give one with values, such as 'seed=range(0,5)'"
         )
     different = {word.lstrip("+~").partition(".")[0].partition("@")[0] for word in swept(hydra)}
     if needs_score(hydra) and not (different or any(map(hydra.sweeper.get, ("search_space", "custom_search_space")))):

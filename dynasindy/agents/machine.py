@@ -3,7 +3,7 @@
 At the sizes that control needs, a good half of an update is what torch does around its products. `c/td3.c` does the
 same arithmetic on the same tensors without it: weights, targets, the moments of Adam and the smoothing noise are
 torch's and stay where they are. A step equals that of `Steps` up to rounding. At lower precision than "highest" the
-products are taken by the tiles of the processor, where it has them (Intel AMX).
+products are taken in bfloat16, where the processor has that (Intel AMX, or AVX-512 BF16).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ LINE = 64
 """Bytes at whose multiples the room for a batch begins, as the widest numbers of a processor do."""
 PARTS = dict(zip(PRECISIONS, (0, 2, 1), strict=True))
 """How many numbers of bfloat16 stand for one of float32 in a product; 0 leaves it as it is."""
-FUNCTIONS = ("learn_values", "learn_policy", "descend", "room", "tiles")
+FUNCTIONS = ("learn_values", "learn_policy", "descend", "room", "halves")
 Pointers = ctypes.POINTER(ctypes.c_void_p)
 
 
@@ -80,7 +80,7 @@ class MachineSteps(Steps):
         critics: the optimiser of the critics.
         actor: the optimiser of the actor.
         bound: bound of each gradient's norm; 0 leaves gradients as they are.
-        precision: of the products, a key of `PARTS`; where the processor has no tiles, all are "highest".
+        precision: of the products, a key of `PARTS`; where the processor knows no bfloat16, all are "highest".
 
     Raises:
         FileNotFoundError: there is no compiler.
@@ -100,8 +100,7 @@ class MachineSteps(Steps):
         first, last = loss.actor_layers[0].weight, loss.critic_layers[-1].bias
         self.n_obs, self.n_u = first.shape[-1], loss.actor_layers[-1].bias.shape[-1]
         parts = PARTS[precision]
-        if parts and not self._code.tiles():  # asking has the system keep more room for each signal
-            parts = 0
+        parts = self._code.halves(parts) if parts else 0  # asking has the system keep more room for each signal
         sizes = self.n_obs, self.n_u, last.shape[0], parts
         self._agent = _Agent(*sizes, loss.discount, loss.policy_noise, loss.noise_clip, *map(_network, networks))
         self._actor_weights = _weights(actor, loss.actor_layers, gradients[0])

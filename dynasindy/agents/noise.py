@@ -8,6 +8,8 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequ
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, exploration_type
 
+AT_ONCE = 16
+"""Normal numbers that torch draws at once on the CPU."""
 _QUIET = (ExplorationType.DETERMINISTIC, ExplorationType.MEAN, ExplorationType.MODE)
 
 
@@ -80,12 +82,12 @@ class DecayingGaussian(TensorDictModuleBase):
             shape: Shape of the actions of a step, `(*batch, n_u)`.
             decays: Whether sigma decays with each step.
         """
-        drawn = torch.empty(steps, *shape)
-        for row in drawn:
-            torch.randn(shape, generator=self.generator, out=row)
-            row.mul_(self.sigma)
+        found, sigmas = torch.empty(steps, *shape), []
+        drawn(found, self.generator)
+        for _ in range(steps):
+            sigmas.append(self.sigma)
             self.sigma = max(self.minimum, self.sigma * (1.0 - self.decay)) if decays else self.sigma
-        return drawn
+        return found.mul_(torch.tensor(sigmas).view(-1, *[1] * len(shape)))
 
     def get_extra_state(self) -> dict[str, object]:
         """Return what `state_dict` keeps: the present sigma and the generator."""
@@ -97,6 +99,20 @@ class DecayingGaussian(TensorDictModuleBase):
         assert isinstance(state["generator"], Tensor)
         self.sigma = state["sigma"]
         self.generator.set_state(state["generator"])
+
+
+def drawn(rooms: Tensor, generator: torch.Generator) -> None:
+    """Fill rooms `(count, ...)` with standard normal numbers, as so many draws of one after the other would.
+
+    Args:
+        rooms: In the CPU's memory, in one piece.
+        generator: Source of the numbers.
+    """
+    if rooms.numel() and rooms[0].numel() % AT_ONCE == 0:  # draws that torch takes in whole groups join without a seam
+        rooms.normal_(generator=generator)
+        return
+    for room in rooms.unbind():
+        room.normal_(generator=generator)
 
 
 class Exploring(TensorDictSequential):

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dynasindy.checking.flights import Flights, Plane, fly, recovery
+from dynasindy.checking.flights import AWAY, Flights, Plane, fly, gone, recovery
 from dynasindy.checking.flown import Flown, flown, rubs
 from dynasindy.checking.linear import RESTS, Array, Rest, guess, rest
 from dynasindy.checking.loop import Loop
@@ -97,6 +97,7 @@ class Check:
         margins: Per target and input; none where the loop is not stable.
         noise: Per target, standard deviation of the inputs per unit of noise, `(n_u, n_x)`; none likewise.
         sensors: Standard deviation of the noise of each state's measurement, as the controller's file has it, `(n_x,)`.
+        resolution: Step between two values that each state's sensor can tell apart, likewise; 0 where none is known.
         steps: Flights from `begin` to each target.
         drawn: Flights from `begin` to the farthest target with each plant that was drawn.
         spread: What becomes of the loop with other plants, at the targets where it is stable with the model.
@@ -114,6 +115,7 @@ class Check:
     margins: list[list[Margins]]
     noise: list[Array | None]
     sensors: Array
+    resolution: Array
     steps: Flights
     drawn: Flights | None
     spread: Spread
@@ -135,6 +137,24 @@ class Check:
     def farthest(self) -> int:
         """Number of the target of `drawn`."""
         return _farthest(self.loop, self.targets, self.begin)
+
+    @property
+    def reach(self) -> Tensor:
+        """Distance from the target of `drawn` beyond which what ends there has run away, `(n_r,)` [of the outputs]."""
+        outputs = self.loop.task.outputs
+        low, high = (torch.tensor(ends, dtype=torch.float64) for ends in (self.settings.low, self.settings.high))
+        way = (self.targets[self.farthest] - self.begin[outputs]).abs()
+        extent = torch.maximum(high - low, way)
+        size = torch.tensor(self.loop.signature.x_scale, dtype=torch.float64)[outputs]
+        return AWAY * extent.where(extent > 0, size)
+
+    @property
+    def ran_away(self) -> int:
+        """How many of the flights in `drawn` run away."""
+        if self.drawn is None:
+            return 0
+        y = self.drawn.x[..., self.drawn.outputs]
+        return int(gone(y, self.targets[self.farthest], self.reach, self.loop.dt).sum())
 
     def beginning(self, written: Callable[[str], str] = str) -> str:
         """Return in words where steps begin; `written` says how the name of a state is written."""
@@ -182,6 +202,7 @@ def check(loop: Loop, settings: Settings) -> Check:
         [margins(row) if ok else [] for row, ok in zip(rows, stable, strict=True)],
         [noise_gain(row) if ok else None for row, ok in zip(rows, stable, strict=True)],
         _stated(loop),
+        _resolved(loop),
         steps,
         _drawn(loop, targets, others, seconds, begin),
         spread(loop, targets[good], found.select(good), others, seconds),
@@ -221,6 +242,12 @@ def _stated(loop: Loop) -> Array:
         return np.zeros(loop.signature.n_x)
     variance = loop.observer.sensors.variance(loop.signature)
     return variance.where(variance.isfinite(), 0.0).sqrt().numpy()
+
+
+def _resolved(loop: Loop) -> Array:
+    if loop.observer is None:
+        return np.zeros(loop.signature.n_x)
+    return loop.observer.sensors.resolution(loop.signature).numpy()
 
 
 def _flown(loop: Loop, targets: Tensor, z: Tensor, seconds: float, begin: Tensor) -> Flown | None:

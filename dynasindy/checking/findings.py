@@ -38,22 +38,27 @@ class Finding:
 
     Attributes:
         name: What it is about.
-        good: Whether it keeps its threshold.
+        good: Whether it keeps its threshold; None where that is not known.
         words: The finding.
     """
 
     name: str
-    good: bool
+    good: bool | None
     words: str
 
     @property
+    def weak(self) -> bool:
+        """Whether it does not keep its threshold."""
+        return self.good is False
+
+    @property
     def mend(self) -> str:
-        """What may mend it; empty where it is good, or nothing is known."""
-        return "" if self.good else REMEDIES.get(self.name, "")
+        """What may mend it; empty where it is not weak, or nothing is known."""
+        return "" if not self.weak else REMEDIES.get(self.name, "")
 
     def __str__(self) -> str:
         """Return it as a line, where it is weak with what may mend it."""
-        mark = "ok  " if self.good else "WEAK"
+        mark = "?   " if self.good is None else "WEAK" if self.weak else "ok  "
         return f"{mark} {self.name}: {self.words}{'. ' * bool(self.mend)}{self.mend}"
 
 

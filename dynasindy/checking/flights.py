@@ -16,6 +16,9 @@ FULL = 0.99
 TOLERANCE = 0.05
 """Distance of a plant which has come back from where the loop rests [ranges of the output]."""
 
+AWAY = 3.0
+"""Distance from the target beyond which what ends there has run away [target ranges, or ways to it if longer]."""
+
 
 @dataclass(frozen=True)
 class Flights:
@@ -60,6 +63,19 @@ class Flights:
         """Share of the control periods in which each input is at its limit, `(rows, n_u)`."""
         low, high = self.limits.to(self.u)
         return ((2 * self.u - low - high).abs() > FULL * (high - low)).double().mean(1)
+
+
+def gone(y: Tensor, r: Tensor, reach: Tensor, dt: float) -> Tensor:
+    """Return which flights have run away: they end out of reach of their target, or in no number, bool `(rows,)`.
+
+    Args:
+        y: Outputs, `(rows, T, n_r)`.
+        r: Their targets, `(n_r,)`.
+        reach: Distance of each output from its target beyond which it is out of reach, `(n_r,)`.
+        dt: Time between two samples [s].
+    """
+    end = y[:, -max(1, round(LAST / dt)) :]
+    return ~((end - r).abs() <= reach).all(-1).all(-1)
 
 
 def fly(loop: Loop, x: Tensor, r: Tensor, seconds: float, phase: str = "steps to the targets") -> Flights:

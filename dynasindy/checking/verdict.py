@@ -64,14 +64,17 @@ def in_short(found: Check, findings: Sequence[Finding], thresholds: Thresholds |
         thresholds: Those of the findings.
     """
     count, good = len(found.targets), int(found.stable.sum())
-    weak = [each.name for each in findings if not each.good]
+    weak = [each.name for each in findings if each.weak]
+    unknown = [each.name for each in findings if each.good is None]
     if left := int(lost(found, thresholds).sum()):
         return f"In short: NOT stable at {left} of {count} targets. Do not fly it as it is."
     rest = f"weak in {len(weak)} of {len(findings)} findings: {', '.join(weak)}" if weak else "no finding is weak"
+    rest += f"; not known: {', '.join(unknown)}" if unknown else ""
     if good < count:
         swing = f"at {count - good} it goes on swinging, by {_swing(found)[0]}"
         return f"In short: stable at {good} of {count} targets; {swing}; {rest}."
-    return f"In short: stable at all {count} targets, and {rest}."
+    whole = f"all {count} targets" if count > 1 else "the one target"
+    return f"In short: stable at {whole}, and {rest}."
 
 
 def in_figures(found: Check, findings: Sequence[Finding]) -> dict[str, Any]:
@@ -90,7 +93,8 @@ def in_figures(found: Check, findings: Sequence[Finding]) -> dict[str, Any]:
     return {
         "verdict": in_short(found, findings),
         "stable": bool(found.stable.all()),
-        "weak": [each.name for each in findings if not each.good],
+        "weak": [each.name for each in findings if each.weak],
+        "unknown": [each.name for each in findings if each.good is None],
         "margins": least,
         "recovered": {" and ".join(plane.names): plane.share for plane in found.planes},
         "low": list(found.settings.low),
@@ -110,15 +114,16 @@ def verdict(found: Check, thresholds: Thresholds | None = None) -> list[Finding]
 
 def _stability(found: Check, limits: Thresholds) -> Finding:
     count, good, dt = len(found.targets), int(found.stable.sum()), found.loop.dt
+    grid = f"{count} target{'s' * (count > 1)} of {' and '.join(found.loop.task.output_names)}"
     if good < count:
         bad = ~found.stable
         k = int(bad.nonzero()[0])
         restless = int((~found.rest.still).sum())
-        more = f"; at {restless} of them there is no rest" if restless else ""
+        more = f"; at {restless} of these targets there is no rest" if restless else ""
         _, error, output = _error(found, found.swings.error[bad])
         which = ("such as " if count - good > 1 else "") + _place(found, k)
         words = (
-            f"NOT stable at {count - good} of {count} targets, {which}{more}; flown there for "
+            f"NOT stable at {count - good} of {grid}, {which}{more}; flown there for "
             f"{in_words(found.swings.seconds)}, {_name(found, output)} ends within {error} of its target, and "
             f"{_circling(found)}; thresholds: spectral radius < 1 at all, swings of {100 * limits.swing:g} %"
         )
@@ -126,8 +131,13 @@ def _stability(found: Check, limits: Thresholds) -> Finding:
     k = int(np.argmax(found.rest.linear.radius))
     radius = float(found.rest.linear.radius[k])
     slowest = -dt / math.log(radius) if radius else 0.0
-    words = f"stable at all {count} targets; largest spectral radius {radius:.4f} at {_place(found, k)}"
-    return Finding("stability", True, f"{words}, a time constant of {in_words(slowest, digits=2)}; threshold: < 1")
+    words = (
+        f"stable at {'all ' * (count > 1)}{grid}; largest spectral radius {radius:.4f} at {_place(found, k)}: "
+        f"there the slowest part of plant and controller together dies out with a time constant of "
+        f"{in_words(slowest, digits=2)}, which is -dt / ln(radius) with the control period dt = "
+        f"{in_words(dt, digits=2)}; threshold: < 1"
+    )
+    return Finding("stability", True, words)
 
 
 def _circling(found: Check) -> str:
@@ -241,7 +251,11 @@ def _noise(found: Check, limits: Thresholds) -> Finding:
     worst = np.max(spreads, axis=0)
     i = int(worst.argmax())
     if not found.sensors.any():
-        return Finding("noise", True, "the file states no noise of sensors; check.json has what a unit of it would do")
+        words = (
+            "not known, as the controller's file states no noise of sensors; check.json has what a unit of it would "
+            "do, and a run with sensors=bench, or on a log, states it"
+        )
+        return Finding("noise", None, words)
     name = found.loop.signature.input_names[i]
     words = f"noise of the sensors moves {name} by {worst[i]:.3g} (standard deviation)"
     return Finding("noise", bool(worst[i] <= limits.noise), f"{words}; threshold: {limits.noise:g}")
@@ -256,8 +270,8 @@ def _flights(found: Check, limits: Thresholds) -> list[Finding]:
         Finding(
             "steady error",
             error <= limits.error,
-            f"in steps from {found.beginning()} at most {word} of {_name(found, output)}; "
-            f"threshold: {_allowed(found, limits, output)}",
+            f"in steps from {found.beginning()} at most {word} of {_name(found, output)}"
+            f"{_below(found, error, output)}; threshold: {_allowed(found, limits, output)}",
         ),
         Finding(
             "slew",
@@ -274,24 +288,41 @@ def _flights(found: Check, limits: Thresholds) -> list[Finding]:
 
 
 def _changes(found: Check, limits: Thresholds) -> list[Finding]:
-    others, lines = found.spread, []
+    others, lines, held = found.spread, [], len(found.spread.radius)
+    single = len(others.labels) - others.draws
+    moved = f"{single // 2} coefficient{'s' * (single > 2)}, {100 * SHARE:.0f} % up and down, one at a time"
+    where = f"at the {held} target{'s' * (held > 1)} where the model itself is stable"
     for name, rows, words in (
-        ("one coefficient", slice(others.draws, None), f"each coefficient by {100 * SHARE:.0f} % of itself"),
-        ("all coefficients", slice(0, others.draws), f"{others.draws} draws of all coefficients, {others.how.words}"),
+        ("one coefficient", slice(others.draws, None), f"{single} plants from {moved}"),
+        (
+            "all coefficients",
+            slice(0, others.draws),
+            f"{others.draws} plants with all coefficients drawn, {others.how.words}",
+        ),
     ):
         radius, labels = others.worst[rows], others.labels[rows]
-        if not len(labels) or not len(others.radius):
+        if not len(labels) or not held:
             continue
-        unstable, k = int((radius >= 1).sum()), int(radius.argmax())
-        error, word, output = _error(found, others.farthest[rows])
-        stays = "stable with all" if not unstable else f"NOT stable with {unstable} of {len(labels)}"
+        rests = radius < 1
+        unstable, k = int((~rests).sum()), int(radius.argmax())
+        stays = "stable with all" if not unstable else f"NOT stable with {unstable}"
         far = "no rest" if radius[k].isinf() else f"spectral radius {radius[k]:.4f}"
+        error, told, output = 0.0, "no steady error, as none comes to rest", 0
+        if unstable < len(labels):
+            error, word, output = _error(found, others.farthest[rows][rests])
+            told = f"steady error at most {word} of {_name(found, output)}{_below(found, error, output)}"
+            if unstable:
+                do, are = ("does", "is") if unstable == 1 else ("do", "are")
+                told += f", of which {unstable} of {len(labels)} {are} left out that {do} not come to rest"
+        away = found.ran_away if name == "all coefficients" else 0
+        if away:
+            told += f"; {away} run{'s' * (away == 1)} away in the step of steps.png"
         lines.append(
             Finding(
                 name,
-                not unstable and error <= limits.error,
-                f"{words}, where the model itself is stable: {stays}, worst {labels[k]} ({far}), steady error at most "
-                f"{word} of {_name(found, output)}; threshold: stable, {_allowed(found, limits, output)}",
+                not (unstable or away) and error <= limits.error,
+                f"{words}, {where}: {stays} of these {len(labels)} plants, worst {labels[k]} ({far}), {told}; "
+                f"threshold: stable, {_allowed(found, limits, output)}",
             )
         )
     return lines
@@ -300,14 +331,14 @@ def _changes(found: Check, limits: Thresholds) -> list[Finding]:
 def _recovery(found: Check, limits: Thresholds) -> Finding:
     shares = [plane.share for plane in found.planes]
     words = ", ".join(f"{100 * plane.share:.0f} % in {plane.names[0]} and {plane.names[1]}" for plane in found.planes)
-    least = min(shares)
-    _, left, output = _error(found, found.planes[0].steady_error.unsqueeze(0))
+    least, tried = min(shares), found.planes[0].back.numel()
+    error, left, output = _error(found, found.planes[0].steady_error.unsqueeze(0))
     return Finding(
         "recovery",
         least >= limits.recovered,
         f"comes back from errors of up to {found.settings.reach:g} times the typical size of each state: "
-        f"{words}; the error that stays where it rests is {left} of {_name(found, output)}; threshold: "
-        f"{100 * limits.recovered:.0f} %",
+        f"{words}, of {tried} errors in each such plane; the error that stays where it rests is {left} of "
+        f"{_name(found, output)}{_below(found, error, output)}; threshold: {100 * limits.recovered:.0f} %",
     )
 
 
@@ -319,6 +350,15 @@ def _error(found: Check, error: torch.Tensor) -> tuple[float, str, int]:
     value = float(error[:, i].amax())
     word = "no bound" if value == math.inf else f"{value:.3g} {signature.state_units[outputs[i]]}"
     return float(ranged[i]), word, i
+
+
+def _below(found: Check, error: float, output: int) -> str:
+    """Say that no measurement can show an error [typical sizes] of an output which its sensor does not resolve."""
+    signature, state = found.loop.signature, found.loop.task.outputs[output]
+    finest = float(found.resolution[state])
+    if error * signature.x_scale[state] >= finest:
+        return ""
+    return f" (the sensor cannot show it, which resolves {finest:.3g} {signature.state_units[state]})"
 
 
 def _sizes(found: Check) -> torch.Tensor:

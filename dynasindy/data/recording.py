@@ -23,11 +23,27 @@ def transitions(rows: TensorDictBase, log_dt: float) -> Transitions:
     Returns:
         Up to `T * substeps` transitions.
     """
-    samples = rows["next", "samples"].double()
-    start = rows["measurement"] if "measurement" in set(rows.keys()) else rows["state"]
-    fine = Transitions.from_samples(start.double(), rows["action"].double(), samples, log_dt)
-    free = ~rows["next", "at_stop"].reshape(-1).repeat_interleave(samples.shape[-2])
-    return fine.select(free)
+    return Logged(rows, log_dt).transitions()
+
+
+class Logged:
+    """Hold the logged samples of real control periods, of which some or others are read; see `transitions`.
+
+    Args:
+        rows: Control periods, `(T,)`.
+        log_dt: Time between samples [s].
+    """
+
+    def __init__(self, rows: TensorDictBase, log_dt: float) -> None:
+        samples = rows["next", "samples"].double()
+        start = rows["measurement"] if "measurement" in set(rows.keys()) else rows["state"]
+        self._fine = Transitions.from_samples(start.double(), rows["action"].double(), samples, log_dt)
+        self._free = ~rows["next", "at_stop"].reshape(-1)
+
+    def transitions(self, among: Tensor | None = None) -> Transitions:
+        """Return what `transitions` does, of the periods that `among`, bool `(T,)`, tells; of all if omitted."""
+        free = self._free if among is None else self._free & among
+        return self._fine.select(free.repeat_interleave(self._fine.substeps))
 
 
 def measured(rows: TensorDictBase) -> tuple[Tensor, Tensor]:

@@ -4,7 +4,7 @@ TorchRL's `ReplayBufferEnsemble` mixes in expectation only and cannot sample whi
 agent needs every batch to hold the share it was told, from the first batch before any planning.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import torch
@@ -13,7 +13,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer, TensorDictRoundRobinWriter
 
-from dynasindy.data.sound import require_finite, unsound
+from dynasindy.data.sound import require_finite, sound, unsound
 from dynasindy.limits import memory
 
 LEARN_KEYS: tuple[NestedKey, ...] = (
@@ -90,12 +90,12 @@ class CheckedWriter(TensorDictRoundRobinWriter):
                 f"The {self.name} storage takes exactly its {len(self.keys)} keys; "
                 f"missing: {_words(self.keys - given)}; not allowed: {_words(given - self.keys)}."
             )
-        for key in self.keys:
-            if unsound(key, data).any():
-                raise ValueError(
-                    f"The {self.name} storage takes finite rows; {_words([key])} holds NaN or infinity; "
-                    "leave such rows out."
-                )
+        if not sound(data, self.keys):
+            wrong = next(key for key in self.keys if unsound(key, data).any())
+            raise ValueError(
+                f"The {self.name} storage takes finite rows; {_words([wrong])} holds NaN or infinity; "
+                "leave such rows out."
+            )
         self.version += 1
 
 
@@ -153,6 +153,7 @@ class DynaReplay:
         self.real = self._buffer("real", capacity, keys)
         self.model = self._buffer("model", model_capacity, LEARN_KEYS)
         self._views: dict[str, tuple[int, list[Tensor]]] = {}
+        self._largest: dict[NestedKey, tuple[int, Tensor]] = {}
 
     def extend_real(self, rollout: TensorDictBase) -> None:
         """Store the rows of a real rollout `(*batch, steps)`, of which only the storage's keys are kept.
@@ -170,8 +171,26 @@ class DynaReplay:
         self.real.extend(rows)
 
     def real_in_order(self) -> TensorDict:
-        """Return the real rows, `(n,)`, the oldest first."""
+        """Return a copy of the real rows, `(n,)`, the oldest first."""
         return _in_order(self.real)
+
+    def real_as_stored(self) -> TensorDict:
+        """Return the real rows, `(n,)`, the oldest first, to be read before the next write.
+
+        They are a view of the storage, which may hold half a million rows, until the ring has come round.
+        """
+        return self.real_in_order() if _round(self.real) else self.real.storage.get(slice(0, len(self.real)))
+
+    def largest(self, key: NestedKey) -> Tensor:
+        """Return the largest absolute value of each column of a key in the real rows; of new rows these are read."""
+        count, found = self._largest.get(key, (0, None))
+        if _round(self.real) or len(self.real) < count:
+            count, found = 0, None  # rows are gone
+        if found is None or count < len(self.real):
+            newest: Tensor = self.real.storage.get(slice(count, len(self.real))).get(key).abs().amax(0)
+            found = newest if found is None else torch.maximum(found, newest)
+            self._largest[key] = len(self.real), found
+        return found
 
     def keep(self, keys: Sequence[NestedKey]) -> None:
         """Keep other keys of real rows from now on; the rows so far are forgotten.
@@ -181,6 +200,7 @@ class DynaReplay:
         """
         self.real = self._buffer("real", self.capacities[0], keys)
         self._views.clear()
+        self._largest.clear()
 
     def rewrite_newest(self, rows: TensorDictBase) -> None:
         """Replace the newest real rows, as by better estimates of their states.
@@ -198,6 +218,7 @@ class DynaReplay:
         places = (writer._cursor - len(rows) + torch.arange(len(rows))) % self.real.storage.max_size
         self.real.storage.set(places, rows, set_cursor=False)
         writer.version += 1
+        self._largest.clear()
 
     def keep_imagined(self, newest: int) -> None:
         """Evict all imagined rows but the `newest`.
@@ -247,6 +268,30 @@ class DynaReplay:
         counts = zip((self.real, self.model), self.counts(), strict=True)
         return [(buffer, torch.randint(len(buffer), (k,), generator=self.generator)) for buffer, k in counts if k]
 
+    def draws(
+        self, batches: int, room: Callable[[tuple[int, int], torch.dtype], Tensor]
+    ) -> list[tuple[TensorDictReplayBuffer, Tensor]]:
+        """Draw which rows so many batches hold, as `draw` would one after the other.
+
+        Args:
+            batches: How many.
+            room: Returns room of a shape and a type in the CPU's memory.
+
+        Returns:
+            Storages and rows of them, `(batches, k)`, the real ones first.
+        """
+        counts = zip((self.real, self.model), self.counts(), strict=True)
+        found = [(buffer, room((batches, k), torch.int64)) for buffer, k in counts if k]
+        if len(found) == 1:
+            ((buffer, places),) = found
+            places.random_(len(buffer), generator=self.generator)
+            return found
+        sizes = [len(buffer) for buffer, _ in found]
+        for rows in zip(*(places.unbind() for _, places in found), strict=True):
+            for size, row in zip(sizes, rows, strict=True):
+                row.random_(size, generator=self.generator)
+        return found
+
     def columns(self, buffer: TensorDictReplayBuffer) -> list[Tensor]:
         """Return views of the columns of a storage to learn from, in the order of `LEARN_KEYS`."""
         writer = buffer.writer
@@ -277,6 +322,7 @@ class DynaReplay:
                 buffer.storage.set(range(len(stored)), stored)
             buffer.writer.load_state_dict(state[name]["writer"])
         self._views.clear()
+        self._largest.clear()
 
     def _buffer(self, name: str, capacity: int, keys: Sequence[NestedKey]) -> TensorDictReplayBuffer:
         return TensorDictReplayBuffer(
@@ -301,13 +347,17 @@ class DynaReplay:
 
 def _in_order(buffer: TensorDictReplayBuffer) -> TensorDict:
     """Return a copy of the rows of a ring, the oldest first."""
-    writer = buffer.writer
-    assert isinstance(writer, CheckedWriter)
     rows: TensorDict = buffer.storage.get(slice(0, len(buffer)))
-    if len(buffer) < writer._storage.max_size or not writer._cursor:
+    if not _round(buffer):
         return rows.clone()
-    begun: TensorDict = torch.cat([rows[writer._cursor :], rows[: writer._cursor]])
+    cursor = buffer.writer._cursor
+    begun: TensorDict = torch.cat([rows[cursor:], rows[:cursor]])
     return begun
+
+
+def _round(buffer: TensorDictReplayBuffer) -> bool:
+    """Return whether the newest rows of a ring stand before the oldest ones."""
+    return len(buffer) == buffer.storage.max_size and bool(buffer.writer._cursor)
 
 
 def _bytes(rows: TensorDictBase) -> int:

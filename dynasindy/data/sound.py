@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Collection
+
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
@@ -25,11 +28,40 @@ SUSPECTS: tuple[tuple[NestedKey, str, NestedKey, str], ...] = (
 """What may go wrong within a control period, in the order of cause and effect: the number, what it follows from."""
 
 
+def sound(rows: TensorDictBase, keys: Collection[NestedKey]) -> bool:
+    """Return whether all numbers of some keys are finite, but for those that `unsound` leaves out."""
+    seen, rest = "measurement" in set(rows.keys()), []
+    total: Tensor | float = 0.0
+    for key in keys:
+        if _measured(key, seen):
+            rest.append(key)
+        elif (values := rows.get(key)).is_floating_point():
+            # A sum is a pass over the numbers; to ask them one by one takes several.
+            total = total + values.sum()
+    if not math.isfinite(total):  # a sum of numbers that are finite may be too large for one
+        rest = [*keys]
+    return not any(bool(unsound(key, rows).any()) for key in rest)
+
+
+def sound_rollout(rollout: TensorDictBase) -> bool:
+    """Return whether all that may go wrong in a rollout of any batch is finite."""
+    return sound(rollout, _suspects(rollout))
+
+
+def _suspects(rows: TensorDictBase) -> list[NestedKey]:
+    present = set(rows.keys(include_nested=True, leaves_only=True))
+    return [key for key, *_ in SUSPECTS if key in present]
+
+
 def unsound(key: NestedKey, rows: TensorDictBase) -> Tensor:
     """Return which numbers of a key are not finite; of what sensors measure, NaN says that nothing was measured."""
     values: Tensor = rows.get(key)
-    measured = key in ("measurement", ("next", "samples")) and "measurement" in set(rows.keys())
-    return values.isinf() if measured else ~values.isfinite()
+    return values.isinf() if _measured(key, "measurement" in set(rows.keys())) else ~values.isfinite()
+
+
+def _measured(key: NestedKey, seen: bool) -> bool:
+    """Return whether a key holds what sensors measure; `seen` says whether there are any."""
+    return seen and key in ("measurement", ("next", "samples"))
 
 
 def require_finite(rows: TensorDictBase, where: str = "plant") -> None:
@@ -42,8 +74,10 @@ def require_finite(rows: TensorDictBase, where: str = "plant") -> None:
     Raises:
         Diverged: A number is not finite; the first one is told, with the state, the input and the period.
     """
-    present = rows.keys(include_nested=True, leaves_only=True)
-    bad = {key: unsound(key, rows).flatten(1).any(-1) for key, *_ in SUSPECTS if key in present}
+    suspects = _suspects(rows)
+    if sound(rows, suspects):
+        return
+    bad = {key: unsound(key, rows).flatten(1).any(-1) for key in suspects}
     first = min((int(found.int().argmax()) for found in bad.values() if bool(found.any())), default=None)
     if first is None:
         return

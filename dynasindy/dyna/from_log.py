@@ -16,7 +16,7 @@ from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.predicted import Prediction
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source
-from dynasindy.evaluation.summary import heading, restless, summarise, to_text
+from dynasindy.evaluation.summary import beyond_targets, heading, restless, summarise, to_text
 from dynasindy.sensing import Sensors
 from dynasindy.tasks import Tracking
 from dynasindy.terminal import say, width
@@ -100,5 +100,5 @@ def report(model: SindyModel, prediction: Prediction) -> str:
         title = f"{heading(prediction.shown)}, {prediction.place}"
         shown = prediction.shown
         told = to_text(summarise(shown), title, shown.units, shown.told_steady_seconds, width())
-        lines += [told, *restless(shown), ""]
+        lines += [told, *beyond_targets(shown), *restless(shown), ""]
     return "\n".join([*lines, prediction.words()])

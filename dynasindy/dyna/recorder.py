@@ -30,7 +30,7 @@ from dynasindy.evaluation.equations import late
 from dynasindy.evaluation.files import whole, with_units, write_csv, write_json, write_text
 from dynasindy.evaluation.held import WITHIN, Held, held
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
-from dynasindy.evaluation.summary import Summary, summarise
+from dynasindy.evaluation.summary import Summary, beyond_targets, summarise
 from dynasindy.planning.rests import states_that_matter
 from dynasindy.tasks import Tracking
 from dynasindy.world_models import FitReport, SindyModel
@@ -100,6 +100,7 @@ class Recorder(Callback):
         self.decisions: list[list[float | None]] = []
         self.start, self.seconds_before = time.perf_counter(), 0.0
         self.written = -WRITTEN_EVERY
+        self.said = False  # above the report of the first fit, that others came after it
         self.cost, self.evaluation_steps = Cost(), 0
         self.restarts = ""
         self.untrained: Summary = {}
@@ -128,6 +129,7 @@ class Recorder(Callback):
             delay = getattr(self.parts.world_model, "delay", 0.0)
             found = f"found: {late(delay)}\n" if delay else ""
             write_text(self.folder / IDENTIFICATION, f"{report.to_text()}\n{found}")
+            self.said = False
         fine = "" if self.parts.sensing is not None else coarse(self.plant, excited)
         words = [restarts(self.parts, excited), fine, left_out(excited)]
         self.restarts = " ".join(filter(None, words))
@@ -181,6 +183,7 @@ class Recorder(Callback):
             "cost": self._spent(self.cost) | {"evaluation_steps": self.evaluation_steps},
             "scenario": final.scenario,
             "evaluation": summarise(final),
+            "beyond_targets": beyond_targets(final),
             "held": asdict(self._held(final)),
             "units": final.units,
             "ranges": dict(zip(final.units, final.boxes, strict=False)),
@@ -282,8 +285,11 @@ class Recorder(Callback):
     def _say_which_fit(self) -> None:
         """Say above the report of the first fit that others came after it; a run without them has one model only."""
         path, head = self.folder / IDENTIFICATION, f"{FIRST}\n"
-        if path.is_file():  # it may have the line: of an earlier episode, or of a process that was killed
-            write_text(path, head + path.read_text().removeprefix(head))
+        if self.said or not path.is_file():
+            return
+        self.said = True
+        if not (text := path.read_text()).startswith(head):  # it may have the line of a process that was killed
+            write_text(path, head + text)
 
     def _log_decision(self, episode: Episode) -> None:
         """Append to `gate.csv`: what the gate saw and decided, and what became of the refit."""

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from dynasindy.data.recording import measured, transitions
+from dynasindy.data.recording import Logged, measured, transitions
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.planning import ModelError, replay_error
 from dynasindy.systems import Diverged
+from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell
 from dynasindy.world_models import WorldModel
 
@@ -70,16 +71,15 @@ def fit(parts: Parts, settings: Settings, held_out: Tensor | None = None) -> obj
     return report
 
 
-def _added(parts: Parts, rows: TensorDictBase) -> object:
-    """Fit the world model to its earlier data and to new real steps, `(T,)`, and return its report.
+def _added(parts: Parts, data: Transitions) -> object:
+    """Fit the world model to its earlier data and to new transitions, and return its report.
 
     Raises:
         Diverged: What the model has learnt is not finite.
     """
     tell("fit")
-    data = transitions(rows, parts.model_env.log_dt)
     report = parts.world_model.update(data) if len(data) else None  # all of them may have touched a stop
-    _require_finite(parts.world_model, len(rows))
+    _require_finite(parts.world_model, math.ceil(len(data) / data.substeps))
     return report
 
 
@@ -92,8 +92,8 @@ def _adds(parts: Parts, settings: Settings) -> bool:
 
 
 def _require_finite(model: WorldModel, count: int) -> None:
-    for name, learnt in model.state_dict().items():
-        if isinstance(learnt, Tensor) and not bool(learnt.isfinite().all()):
+    for name, learnt in chain(model.named_parameters(), model.named_buffers()):
+        if not bool(learnt.isfinite().all()):
             raise Diverged(
                 f"model learning: the fit to {count} real steps left {name} that are not finite in "
                 f"{type(model).__name__}; choose a smaller library, or check what the plant logged"
@@ -119,8 +119,7 @@ def first_fit(parts: Parts, settings: Settings, newest: TensorDictBase) -> objec
 def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
     """Fit the world model anew, and go back to the earlier one if that predicts held-out windows better.
 
-    Neither model has seen the windows, which lie in the newest episode; the next refit reads them. What a
-    model has learnt is its `state_dict`.
+    Neither model has seen the windows, which lie in the newest episode; the next refit reads them.
 
     Args:
         parts: The model and the data, the episode among them.
@@ -137,22 +136,25 @@ def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
         return Refit(first_fit(parts, settings, rollout), torch.nan, torch.nan, True, unseen)
     held_out = torch.zeros(rollout.numel(), dtype=torch.bool)
     held_out[(starts.unsqueeze(-1) + torch.arange(length)).flatten()] = True
-    adds, earlier = _adds(parts, settings), copy.deepcopy(parts.world_model.state_dict())
+    adds, take_back = _adds(parts, settings), parts.world_model.kept()
+    logged = Logged(rollout, parts.model_env.log_dt) if adds else None
     before, shown_for = replay_error(parts.model_env, rollout, starts, length), parts.world_model.delay
     report: object
     try:
-        report = _added(parts, rollout[~held_out]) if adds else fit(parts, settings, held_out)
+        report = fit(parts, settings, held_out) if logged is None else _added(parts, logged.transitions(~held_out))
         later = (parts.world_model.delay - shown_for) / parts.plant.dt
         after = replay_error(parts.model_env, _acting(rollout, later), starts, length)
         kept = after.state_error <= max(WORSE * before.state_error, NEGLIGIBLE)
     except Diverged as lost:  # the worst of refits, and taken back like any other
         report, after, kept = lost, replace(before, reward_error=torch.inf, state_error=torch.inf), False
     if not kept:
-        parts.world_model.load_state_dict(earlier)
+        take_back()
         if parts.plant.task.own:  # a reward is told by all data, whatever became of the model: the gate judges both
             before = replay_error(parts.model_env, rollout, starts, length)
-    if adds:  # the next refit reads what this one was tested by, and what one that was taken back was made of
-        parts.world_model.absorb(transitions(rollout[held_out] if kept else rollout, parts.model_env.log_dt))
+    if (
+        logged is not None
+    ):  # the next refit reads what this one was tested by, and what one that was taken back was made of
+        parts.world_model.absorb(logged.transitions(held_out if kept else None))
     _observe(parts, rollout)
     return Refit(report, before.state_error, after.state_error, kept, after if kept else before)
 

@@ -229,6 +229,7 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
     steady = metrics.get("steady_seconds", 5.0)
     lines.append(to_text(metrics["evaluation"], title, metrics.get("units"), steady, width()))
     lines += [
+        *metrics.get("beyond_targets", []),
         "",
         f"Cost: the plant moved for {in_words(cost['plant_seconds'])} to learn, which are {cost['real_steps']} control "
         f"periods. The model imagined {cost['imagined_transitions']} periods, and the policy was updated "

@@ -12,7 +12,7 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from dynasindy.limits import Count, check_memory
-from dynasindy.systems import System, integrate
+from dynasindy.systems import System, flight, integrate, repeated
 from dynasindy.systems.sound import rates, require_plant, shapes
 from dynasindy.systems.steps import steps_of
 from dynasindy.tasks import Task, Tracking
@@ -140,6 +140,38 @@ class ControlEnv(EnvBase):
             Samples after each sub-step, `(*batch, substeps, n_x)`, and whether a stop was touched, `(*batch,)`.
         """
         return integrate(self.system, x, u, self.dt, self.substeps, self.stops)
+
+    def follow(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+        """Advance states by control periods that follow each other, as `advance` does again and again.
+
+        Args:
+            x: States, `(*batch, n_x)`.
+            u: Inputs of each period, `(T, *batch, n_u)`, in [-1, 1], of one period or more.
+
+        Returns:
+            Samples after each sub-step, `(T, *batch, substeps, n_x)`, and whether a stop was touched, `(T, *batch)`.
+        """
+        if type(self).advance is not ControlEnv.advance:
+            return repeated(self.advance, x, u)
+        return flight(self.system, x, u, self.dt, self.substeps, self.stops)
+
+    def judged(
+        self, x: Tensor, u: Tensor, moved: tuple[Tensor, Tensor], params: Tensor, begun: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return where control periods that follow each other end, `(T, n, n_x)`, and what each earns, `(T, n)`.
+
+        Args:
+            x: States at the start of the first period, `(n, n_x)`.
+            u: Inputs of each period, `(T, n, n_u)`.
+            moved: What `follow` returned.
+            params: What the rows track, `(n, *params_shape)`.
+            begun: Control periods since the start of the episode there, `(n,)`.
+        """
+        samples, touched = moved
+        following = samples[..., -1, :]
+        before = torch.cat([x.unsqueeze(0), following[:-1]])
+        t_next = (begun + torch.arange(1, len(u) + 1).unsqueeze(-1)).unsqueeze(-1) * self.dt
+        return following, self.task.earned(before, u, following, params, t_next.to(x), touched)
 
     def check_plant(self) -> None:
         """Refuse a plant that is none, and warn where its rates of change are not finite; of a model the gate tells.

@@ -14,8 +14,11 @@
 The first six are per tracked axis, the last two per input. Overshoot, rise and settling time belong to
 steps: they are NaN where the reference moves during the record or the step is smaller than `MIN_STEP` target ranges. A
 step that never rises or never settles has an infinite time, so that a failure is never averaged away. One that comes
-within 5 % later than the steady state begins has not settled.
+within 5 % later than the steady state begins has not settled. Where a disturbance begins later than the step, these
+three are of what lies before it: how a step settles says nothing of a gust.
 """
+
+import math
 
 import torch
 from torch import Tensor
@@ -55,7 +58,9 @@ def steady_seconds(dt: float, samples: int) -> float:
     return max(dt, min(max(STEADY_SECONDS, STEADY_PERIODS * dt), STEADY_SHARE * dt * samples))
 
 
-def tracking_metrics(time: Tensor, y: Tensor, r: Tensor, u: Tensor, boxes: Tensor | None = None) -> dict[str, Tensor]:
+def tracking_metrics(
+    time: Tensor, y: Tensor, r: Tensor, u: Tensor, boxes: Tensor | None = None, until: float = math.inf
+) -> dict[str, Tensor]:
     """Compute every metric of the module's table.
 
     Args:
@@ -64,6 +69,7 @@ def tracking_metrics(time: Tensor, y: Tensor, r: Tensor, u: Tensor, boxes: Tenso
         r: `(*batch, T, n_r)` references at the same times.
         u: `(*batch, T, n_u)` inputs held from each sample on, in [-1, 1].
         boxes: `(n_r,)` extents of the targets, of which a step is a share; one of each unit if omitted.
+        until: When a disturbance begins, before which steps are judged [s]; one from the start on is part of the step.
 
     Returns:
         `rmse` to `settling_time` of shape `(*batch, n_r)`, `control_*` of shape `(*batch, n_u)`.
@@ -74,13 +80,15 @@ def tracking_metrics(time: Tensor, y: Tensor, r: Tensor, u: Tensor, boxes: Tenso
     _check(time, y, r, u)
     error, dt = (y - r).abs(), time[1] - time[0]
     smallest = MIN_STEP * (torch.ones(y.shape[-1]) if boxes is None else boxes).to(y)
+    early = time < until if bool((time < until).sum() > 1) else torch.ones_like(time, dtype=torch.bool)
+    t, before, target = time[early], y[..., early, :], r[..., early, :]
     return {
         "rmse": error.square().mean(-2).sqrt(),
         "mean_abs_error": error.mean(-2),
         "steady_state_error": error[..., _steady(time), :].mean(-2),
-        "overshoot": overshoot(y, r, smallest),
-        "rise_time": rise_time(time, y, r, smallest=smallest),
-        "settling_time": settling_time(time, y, r, smallest=smallest),
+        "overshoot": overshoot(before, target, smallest),
+        "rise_time": rise_time(t, before, target, smallest=smallest),
+        "settling_time": settling_time(t, before, target, smallest=smallest),
         "control_effort": u.square().mean(-2),
         "control_variation": u.diff(dim=-2).abs().mean(-2) / dt,
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import torch
@@ -37,6 +37,8 @@ class Prediction:
         unheld: Which targets no input holds in the model of the plan; empty if all are held.
         seconds: Length of the flights [s]; None where it is not known.
         overshoot: Of each output, the median of a model's flights, of the worst model [% of the step].
+        resolved: Of each output, the step between two values that its sensor can tell apart, in target ranges, where
+            one is known.
         period: What speaks for another control period, and which to try; empty if nothing does.
     """
 
@@ -49,6 +51,7 @@ class Prediction:
     unheld: str = ""
     seconds: float | None = None
     overshoot: Mapping[str, float] = field(default_factory=dict)
+    resolved: Mapping[str, float] = field(default_factory=dict)
     period: str = ""
 
     def __repr__(self) -> str:
@@ -105,7 +108,10 @@ class Prediction:
             ends = f"{min(shares):.2g} to {max(shares):.2g} %"
             over = self.overshoot.get(name, 0.0)
             beyond = f", after it overshot by {over:.2g} % of the step" if over > OVERSHOT else ""
-            told.append(f"{name} {ends} {of_what(name, flown[0].turned)} on average, {worst:.2g} % at worst{beyond}")
+            step = 100 * self.resolved.get(name, 0.0)
+            hidden = f" (its sensor resolves {step:.2g} %, and cannot show what is less)" if min(shares) < step else ""
+            average = f"{name} {ends} {of_what(name, flown[0].turned)} on average{hidden}"
+            told.append(f"{average}, {worst:.2g} % at worst{beyond}")
         lost = [f"{n - len(flown)} of {n} models run away"] if len(flown) < n else []
         fates = {(name, name not in flight.swings) for flight in flown for name in flight.away}
         lost += sorted(f"{name}, which is not tracked, {_fate(away)}" for name, away in fates)
@@ -191,7 +197,16 @@ def predict(
             name: max(overshoot.get(name, 0.0), share) for name, share in zip(result.output_names, over, strict=True)
         }
     seconds = scenario.length(plan)
-    return Prediction(tuple(flights), shown, within=within, errors=tuple(errors), seconds=seconds, overshoot=overshoot)
+    found = Prediction(tuple(flights), shown, within=within, errors=tuple(errors), seconds=seconds, overshoot=overshoot)
+    return found if sensing is None or shown is None else replace(found, resolved=_resolved(shown, sensing))
+
+
+def _resolved(shown: Evaluation, sensing: Sensing) -> dict[str, float]:
+    """Return the step of the sensor of each output, in target ranges; none of a sensor of which none is known."""
+    steps = sensing.observer.sensors.resolution(shown.signature).tolist()
+    boxes = shown.boxes or (1.0,) * len(shown.columns)
+    pairs = zip(shown.output_names, shown.columns, boxes, strict=True)
+    return {name: steps[i] / box for name, i, box in pairs if steps[i] > 0}
 
 
 def _whole(result: Evaluation) -> float:

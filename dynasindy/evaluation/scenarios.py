@@ -19,7 +19,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.agents import Exploring
-from dynasindy.data.sound import require_finite
+from dynasindy.data.sound import require_finite, sound_rollout
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.control_env import FARTHEST
 from dynasindy.evaluation.disturbances import SensorNoise, Told
@@ -106,6 +106,7 @@ class Evaluation:
         disturbances: What disturbed it and by how much, in words.
         bounds: Lower and upper limit of each tracked state [its unit], infinite where there is none; empty if no task
             tells them.
+        ends: Lower and upper end of the targets of each tracked state [its unit]; empty if no task tells them.
     """
 
     scenario: str
@@ -118,6 +119,7 @@ class Evaluation:
     boxes: tuple[float, ...] = ()
     disturbances: tuple[str, ...] = ()
     bounds: tuple[tuple[float, float], ...] = ()
+    ends: tuple[tuple[float, float], ...] = ()
 
     @property
     def steady_seconds(self) -> float:
@@ -315,11 +317,12 @@ def _run(
         start = env.step_mdp(part[..., -1])
         parts.append(part)
     tell(phase, total, total, "control periods")  # of the last step the environment tells no more
-    trajectory: TensorDictBase = torch.cat(parts, -1)
-    in_time = trajectory.transpose(0, 1).reshape(-1)
-    where = f"evaluation in scenario '{scenario.name}'"
-    _require_fine(calm, in_time, where)
-    require_finite(in_time, where)
+    trajectory: TensorDictBase = torch.cat(parts, -1) if len(parts) > 1 else parts[0]
+    if "measurement" in set(trajectory.keys()) or not sound_rollout(trajectory):
+        in_time = trajectory.transpose(0, 1).reshape(-1)
+        where = f"evaluation in scenario '{scenario.name}'"
+        _require_fine(calm, in_time, where)
+        require_finite(in_time, where)
     return trajectory if sensing is None else unveiled(trajectory)
 
 
@@ -374,11 +377,12 @@ def _measure(env: ControlEnv, task: Task, scenario: Scenario, trajectory: Tensor
     # Of an angle no error is small beside many turns: one turn is the most that errors are a share of.
     turns = torch.tensor([turn_of(env.system.signature.state_units[i]) for i in outputs], dtype=torch.float64)
     boxes = task.boxes().minimum(turns) if isinstance(task, Tracking) else torch.ones(len(outputs))
-    metrics = tracking_metrics(time, y, r, u, boxes)
     windows = tuple((start, end) for start, end in scenario.windows or ()) if scenario.plant else ()
+    metrics = tracking_metrics(time, y, r, u, boxes, min((start for start, _ in windows), default=math.inf))
     limits = task.bounds[:, outputs].T.tolist() if isinstance(task, Tracking) else []
     bounds = tuple((low, high) for low, high in limits)
-    extents, signature = tuple(boxes.tolist()), env.system.signature
+    ends = tuple(zip(*task.ends, strict=True)) if isinstance(task, Tracking) and task.ends else ()
+    extents, signature, columns = tuple(boxes.tolist()), env.system.signature, tuple(outputs)
     return Evaluation(
-        scenario.name, signature, tuple(outputs), time, trajectory, metrics, windows, extents, bounds=bounds
+        scenario.name, signature, columns, time, trajectory, metrics, windows, extents, bounds=bounds, ends=ends
     )

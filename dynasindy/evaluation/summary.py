@@ -14,6 +14,8 @@ Summary = dict[str, float | None]
 RESTLESS = 0.02
 """Mean change of an input from one control period to the next, in the steady state, beyond which it is told [its range
 from -1 to 1 counts as 2]."""
+ROUNDING = 1e-4
+"""What a reference may lie beyond its ends by, as float32 rounds it [ranges of the targets]."""
 WORDS = {
     "rmse": "RMSE",
     "mean_abs_error": "mean abs error",
@@ -72,11 +74,35 @@ def restless(evaluation: Evaluation) -> list[str]:
     ]
 
 
+def beyond_targets(evaluation: Evaluation) -> list[str]:
+    """Say which references lie beyond the ends of the targets that were given for the plant."""
+    lines = []
+    for i, (low, high) in enumerate(evaluation.ends):
+        name, unit = evaluation.output_names[i], evaluation.units[evaluation.output_names[i]]
+        asked = evaluation.references[..., i]
+        least, most = float(asked.min()), float(asked.max())
+        room = ROUNDING * (high - low)
+        if least < low - room or most > high + room:
+            lines.append(
+                f"note: the references of {name} in scenario '{evaluation.scenario}' go from {least:.3g} to {most:.3g} "
+                f"{unit}, and its targets, plant.low and plant.high, from {low:.3g} to {high:.3g} {unit}; what "
+                "plant.signals says counts before these, and train.py plant.signals=null keeps within them"
+            )
+    return lines
+
+
 def heading(evaluation: Evaluation) -> str:
-    """Return what a table of an evaluation was measured on; errors and returns compare at equal lengths only."""
+    """Return what a table of an evaluation was measured on; errors and returns compare at equal lengths only.
+
+    It says what disturbs the plant and by how much, when it does, and that steps are judged before.
+    """
     what = "reference" if evaluation.columns else "episode"
     facts = [f"{len(evaluation.outputs)} {what}{'s' * (len(evaluation.outputs) > 1)}", in_words(evaluation.seconds)]
+    facts += evaluation.disturbances
     facts += [f"disturbed from {in_words(start, end)} to {in_words(end)}" for start, end in evaluation.windows]
+    first = min((start for start, _ in evaluation.windows), default=0.0)
+    if first > 0 and not bool(evaluation.metrics["settling_time"].isnan().all()):
+        facts.append(f"overshoot, rise and settling time from what lies before {in_words(first)}")
     return f"Scenario '{evaluation.scenario}' ({', '.join(facts)})"
 
 

@@ -18,6 +18,8 @@ from dynasindy.world_models import SindyModel
 
 INNER = 0.1
 """Part of the samples beyond either end of the targets: the plant was at all of them, for some time."""
+OUTER = 0.01
+"""Part of the samples beyond either end of the range that a log has of a state, a few wild ones apart."""
 DIGITS = 2
 """Digits of the extent of the targets that are kept."""
 DEGREE = math.pi / 180
@@ -124,6 +126,23 @@ def _held_within(
     return None
 
 
+def logged_range(source: Source, name: str) -> tuple[str, str]:
+    """Return the ends between which nearly all samples of a state lie, `OUTER` of them beyond each, as words to copy.
+
+    Args:
+        source: The log.
+        name: The state.
+
+    Raises:
+        ValueError: There is no such state, or the log has no sample of it.
+    """
+    column = source.training.x[:, source.signature.state_index(name)].double()
+    low, high = float(column.nanquantile(OUTER)), float(column.nanquantile(1 - OUTER))
+    if not math.isfinite(low + high):
+        raise ValueError(f"the log has no sample of {name}; choose an output that it has")
+    return _short(low, high - low, DIGITS + 1), _short(high, high - low, DIGITS + 1)
+
+
 def in_words(signature: Signature, targets: Mapping[str, Sequence[float]]) -> str:
     """Return in one line what is to be held, and in which units.
 
@@ -166,9 +185,9 @@ def require_radians(source: Source, targets: Mapping[str, Sequence[float]]) -> N
             )
 
 
-def _short(value: float, extent: float) -> str:
+def _short(value: float, extent: float, digits: int = DIGITS) -> str:
     """Return a number with as many digits as the extent of its targets asks for."""
     if not extent > 0:
-        return f"{value:.{DIGITS}g}"
-    places = DIGITS - 1 - math.floor(math.log10(extent))
+        return f"{value:.{digits}g}"
+    places = digits - 1 - math.floor(math.log10(extent))
     return f"{round(value, places):.{max(places, 0)}f}"

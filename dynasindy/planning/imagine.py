@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 
@@ -77,19 +78,29 @@ class Imagination(Transform):
         self.diverged = len(finite) - int(finite[:, 0].sum())
         kept, last = _kept(finite, rollout, self.masks)
         rollout["next", "truncated"] = rollout["next", "done"] = last.unsqueeze(-1)
-        return rollout.select(*LEARN_KEYS)[kept]
+        rows, kept = rollout.select(*LEARN_KEYS).reshape(-1), kept.flatten()
+        # Nearly always all are kept; and each column would look for itself which ones are.
+        return rows if bool(kept.all()) else rows[kept.nonzero().squeeze(-1)]
 
 
 def _finite(rollout: TensorDictBase) -> Tensor:
     """Return which transitions are finite, `(batch, horizon)` bool."""
     following = rollout["next"]
-    return torch.cat([following["state"], following["observation"], following["reward"]], -1).isfinite().all(-1)
+    parts = [following[key] for key in ("state", "observation", "reward")]
+    # A sum is a pass over the numbers; of numbers that are finite it may be too large for one.
+    if math.isfinite(sum(part.sum() for part in parts)):
+        return torch.ones(rollout.batch_size, dtype=torch.bool, device=parts[0].device)
+    return torch.cat(parts, -1).isfinite().all(-1)
 
 
 def _kept(sound: Tensor, rollout: TensorDictBase, masks: Sequence[Mask]) -> tuple[Tensor, Tensor]:
     """Return which steps precede the cut and which of them is the last of its rollout, `(batch, horizon)` bool."""
     for mask in masks:
         sound = sound & mask(rollout)
+    if bool(sound.all()):
+        last = torch.zeros_like(sound)
+        last[:, -1] = True
+        return sound, last
     kept = sound.long().cumprod(-1).bool()
     after = torch.cat([kept[:, 1:], torch.zeros_like(kept[:, :1])], -1)
     return kept, kept & ~after

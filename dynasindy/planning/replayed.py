@@ -111,11 +111,12 @@ class ImaginedReplay(Planner):
         tell("planning", words=f"{self.rollouts} imagined rollouts")
         if self.generations is not None:
             self.replay.keep_imagined(sum(self.made[max(0, len(self.made) + 1 - self.generations) :]))
-        real = self.replay.real_in_order()
+        real = self.replay.real_as_stored()
         recent = min(self.recent_steps or len(real), len(real))
         rows = len(real) - 1 - torch.randint(recent, (self.rollouts,), generator=self.generator)
         self.imagination.horizon = self.horizons(len(self.made))
-        self.imagination.masks = self.bounds.masks(self.env, real, self.generator)
+        largest = self.replay.largest(("next", "state"))
+        self.imagination.masks = self.bounds.masks(self.env, real, self.generator, largest)
         starts = TensorDict({"state": real["state"][rows]}, [self.rollouts])
         self.made.append(len(self.replay.model.extend(starts)))
         if self.imagination.diverged == self.rollouts:

@@ -55,9 +55,9 @@ def replay_error(
     u, x_real, reward_real = (episode[key].to(x) for key in ("action", ("next", "state"), ("next", "reward")))
     scale = torch.tensor(model_env.system.signature.x_scale, dtype=x.dtype)
     places = torch.arange(len(episode) if length is None else length).unsqueeze(-1) + starts
-    following, reward = replay(model_env, x, params, starts, u[places], "replay") or _replayed(
-        model_env, x, params, starts, u[places]
-    )
+    u = u[places]
+    found = replay(model_env, x, params, starts, u, "replay")
+    following, reward = found or model_env.judged(x, u, model_env.follow(x, u), params, starts)
     differences = (reward - reward_real[places].squeeze(-1)).abs() / model_env.task.unit
     squares = ((following - x_real[places]) / scale).square().mean(-1)
     errors = torch.stack([differences.mean(), squares.mean().sqrt()])
@@ -65,18 +65,6 @@ def replay_error(
     each = torch.stack([starts.to(x), differences.mean(0), squares.mean(0).sqrt()], -1)
     each = each.nan_to_num(nan=torch.inf, posinf=torch.inf)
     return ModelError(reward_error, state_error, following.transpose(0, 1).flatten(0, 1), each)
-
-
-def _replayed(model_env: ControlEnv, x: Tensor, params: Tensor, starts: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-    """Return what `together.replay` does, of this run alone."""
-    states, stopped = [x], []
-    for action in u:
-        samples, touched = model_env.advance(states[-1], action)
-        states.append(samples[..., -1, :])
-        stopped.append(touched)
-    before, following = torch.stack(states[:-1]), torch.stack(states[1:])
-    t_next = (starts + torch.arange(1, len(u) + 1).unsqueeze(-1)).unsqueeze(-1) * model_env.dt
-    return following, model_env.task.earned(before, u, following, params, t_next.to(x), torch.stack(stopped))
 
 
 class Gate:

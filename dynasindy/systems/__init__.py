@@ -2,7 +2,7 @@
 
 from dynasindy.systems.base import Altered, Signature, System
 from dynasindy.systems.diverged import Diverged
-from dynasindy.systems.integrators import integrate, moved, rk4, steps_needed
+from dynasindy.systems.integrators import flight, integrate, moved, repeated, rk4, steps_needed
 from dynasindy.systems.pendulum import Pendulum
 from dynasindy.systems.stops import Stops
 from dynasindy.systems.tras import Tras
@@ -21,8 +21,10 @@ __all__ = [
     "Trms33",
     "Unknown",
     "Xi",
+    "flight",
     "integrate",
     "moved",
+    "repeated",
     "rk4",
     "steps_needed",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -100,6 +101,51 @@ def integrate(
             touched = touched | stopped
         ends.append(x)
     return sampled(torch.stack(ends, -2), step_of(f), substeps), touched
+
+
+def flight(
+    f: VectorField, x: Tensor, u: Tensor, dt: float, substeps: int, stops: Stops | None = None
+) -> tuple[Tensor, Tensor]:
+    """Advance states over control periods that follow each other, as `integrate` does again and again.
+
+    A system that has machine code for states that carry no gradient moves through all of them at once.
+
+    Args:
+        f: Vector field, `(x, u) -> dx`; with an attribute `step` [s] that of a difference equation.
+        x: States at the start of the first period, `(*batch, n_x)`.
+        u: Inputs held over each period, `(T, *batch, n_u)`, of one period or more.
+        dt: Control period [s].
+        substeps: Number of Runge-Kutta steps in a period, at least 1.
+        stops: Mechanical stops, if any.
+
+    Returns:
+        The states after each sub-step, `(T, *batch, substeps, n_x)`, and whether a stop was touched in each period,
+        bool `(T, *batch)`.
+
+    Raises:
+        ValueError: The period is not made of whole steps of a difference equation.
+    """
+    if isinstance(f, System) and plain(x, u) and (code := f.compiled(x, u[0])) is not None:
+        samples, touched = code.flight(x, u, dt, substeps, stops)
+        return sampled(samples, f.step, substeps), touched
+    return repeated(lambda x, u: integrate(f, x, u, dt, substeps, stops), x, u)
+
+
+def repeated(advance: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]], x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+    """Advance states period by period, see `flight`.
+
+    Args:
+        advance: Return the samples of a period, `(*batch, substeps, n_x)`, and whether a stop was touched, `(*batch,)`.
+        x: States at the start of the first period, `(*batch, n_x)`.
+        u: Inputs held over each period, `(T, *batch, n_u)`, of one period or more.
+    """
+    samples, touched = [], []
+    for held in u:
+        moved_on, hit = advance(x, held)
+        x = moved_on[..., -1, :]
+        samples.append(moved_on)
+        touched.append(hit)
+    return torch.stack(samples), torch.stack(touched)
 
 
 def sampled(samples: Tensor, step: float | None, substeps: int) -> Tensor:

@@ -10,7 +10,8 @@ from __future__ import annotations
 import ctypes
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from importlib import resources
 
 import torch
@@ -30,6 +31,8 @@ SINGLE = {
     "fabs": "magnitude",
 }
 """Names in `c/period.c`, in single precision, of what formulas call by other names."""
+WIDTH = 32
+"""Rows that are handled at once, of which rollouts have hundreds."""
 MANY = 512
 """Derivatives of so many states by state and input are handled for several rows at once; of more, they would fill the
 stack of a thread."""
@@ -66,18 +69,20 @@ class Machine:
     Args:
         program: its formulas; programs that differ by their constants share their code.
         dtype: float32, fast for many rows, or float64, operation by operation as the formulas say.
+        width: rows that are handled at once in float32; of fewer rows those that lack are computed, too.
 
     Raises:
         ValueError: a formula holds something that is none, or the compiler refuses the text.
         FileNotFoundError: there is no compiler.
     """
 
-    def __init__(self, program: Program, dtype: torch.dtype = torch.float32) -> None:
+    def __init__(self, program: Program, dtype: torch.dtype = torch.float32, width: int = WIDTH) -> None:
         self.n_x, self.n_u, self.dtype = program.n_x, program.n_u, dtype
         self.step = program.step
         self._real = ctypes.c_float if dtype == torch.float32 else ctypes.c_double
         self._constants = self._reals(program.constants)
-        source, single = _source(program, dtype == torch.float32), dtype == torch.float32
+        single = dtype == torch.float32
+        source = _source(replace(program, constants=()), width if single else 1, single)
         self._code = load(source, ("advance", "sensitivities"), fast=single)
 
     def fits(self, x: Tensor, u: Tensor) -> bool:
@@ -107,14 +112,37 @@ class Machine:
             IndexError: a stop is of a state that does not exist.
             ValueError: the period is not made of whole steps of a difference equation.
         """
+        samples, touched = self.flight(x, u.unsqueeze(0), dt, substeps, stops)
+        return samples.squeeze(0), touched.squeeze(0)
+
+    def flight(
+        self, x: Tensor, u: Tensor, dt: float, substeps: int, stops: Stops | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Advance states over control periods that follow each other, as `integrate` does again and again.
+
+        Args:
+            x: states at the start of the first period, `(*batch, n_x)`.
+            u: inputs held in each period, `(T, *batch, n_u)`.
+            dt: control period [s].
+            substeps: Runge-Kutta steps per period.
+            stops: mechanical stops, if any.
+
+        Returns:
+            The states after each step of each period, `(T, *batch, substeps, n_x)`, and whether a stop was touched in
+            it, bool `(T, *batch)`. Of a difference equation the steps are its own.
+
+        Raises:
+            IndexError: a stop is of a state that does not exist.
+            ValueError: the period is not made of whole steps of a difference equation.
+        """
         x, u, stops = x.contiguous(), u.contiguous(), stops or FREE
         length, count, _ = steps_of(self.step, dt, substeps)
-        samples = x.new_empty(*x.shape[:-1], count, self.n_x)
-        touched = torch.empty(x.shape[:-1], dtype=torch.bool)
+        samples = x.new_empty(*u.shape[:-1], count, self.n_x)
+        touched = torch.empty(u.shape[:-1], dtype=torch.bool)
         ends = self._places(stops.positions), self._places(stops.rates), self._reals(stops.low), self._reals(stops.high)
-        rows, h, n_stops = ctypes.c_long(touched.numel()), self._real(length), len(stops.positions)
-        into = _data(samples, touched)
-        self._code.advance(rows, *_data(x, u), self._constants, h, int(count), n_stops, *ends, *into)
+        periods, rows = ctypes.c_long(len(u)), ctypes.c_long(x.shape[:-1].numel())
+        h, n_stops, into = self._real(length), len(stops.positions), _data(samples, touched)
+        self._code.advance(periods, rows, *_data(x, u), self._constants, h, int(count), n_stops, *ends, *into)
         return samples, touched
 
     def sensitivities(self, x: Tensor, u: Tensor, dt: float, substeps: int) -> tuple[Tensor, Tensor]:
@@ -145,7 +173,8 @@ class Machine:
         return (self._real * max(1, len(values)))(*values)
 
 
-def _source(program: Program, single: bool) -> str:
+@lru_cache(maxsize=128)
+def _source(program: Program, width: int, single: bool) -> str:
     """Return the C text of a program, its constants left out; every word of it is one that `Tangents` knows."""
     names = [f"x[{i}]" for i in range(program.n_x)] + [f"u[{j}]" for j in range(program.n_u)]
     tangents = Tangents({name: number for number, name in enumerate(names)})
@@ -160,7 +189,7 @@ def _source(program: Program, single: bool) -> str:
     words = {
         "real": "float" if single else "double",
         "single": int(single),
-        "width": 32 if single and program.n_x * (program.n_x + program.n_u) <= MANY else 1,
+        "width": width if program.n_x * (program.n_x + program.n_u) <= MANY else 1,
         "n_x": program.n_x,
         "n_u": program.n_u,
         "n_slopes": len(entries),

@@ -114,6 +114,8 @@ class Transitions:
 
     def select(self, mask: Tensor) -> Transitions:
         """Keep the rows where `mask` `(N,)` bool is true; a gap begins a new segment."""
+        if bool(mask.all()):
+            return self
         keep = mask.nonzero().squeeze(-1)
         segment = self.segment[keep]
         breaks = torch.zeros_like(keep)
@@ -126,6 +128,8 @@ class Transitions:
 
     def to(self, dtype: torch.dtype) -> Transitions:
         """Cast states and inputs."""
+        if self.x.dtype == self.u.dtype == self.x_next.dtype == dtype:
+            return self
         return replace(self, x=self.x.to(dtype), u=self.u.to(dtype), x_next=self.x_next.to(dtype))
 
 

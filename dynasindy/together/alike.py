@@ -13,8 +13,8 @@ from torch import Tensor
 
 PLAIN = (str, bytes, int, float, complex, bool, type(None), type, torch.dtype, torch.device)
 FUNCTIONS = (FunctionType, BuiltinFunctionType, MethodType)
-LEFT_OUT = ("_machines",)
-"""Attributes that follow from others: machine code."""
+LEFT_OUT = ("_machines", "_plan")
+"""Attributes that follow from others: machine code, and in which order a library is computed."""
 
 
 def alike(thing: object) -> Hashable:

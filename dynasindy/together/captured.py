@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
+from typing import Any
 
 import torch
+import torch._dynamo
+import torch._functorch.config
 
+KINDS = 64
+"""Kinds of steps that torch compiles before it gives up."""
 WARM_UP = 3
 """Calls before a step is captured, in which torch and its libraries take what they need of the GPU."""
 
@@ -32,3 +38,30 @@ def captured(step: Callable[[], None], device: torch.device, ready: Callable[[],
     with torch.cuda.graph(graph):
         step()
     return graph.replay
+
+
+def compiled(function: Callable[..., Any], device: torch.device) -> Callable[..., Any]:
+    """Return what computes the same as a function of tensors; on a GPU torch compiles it when it is first called.
+
+    Where torch cannot compile it, as without Triton, torch says so, and the function stays as it is.
+
+    Args:
+        function: Takes tensors, and may have derivatives.
+        device: Where they lie.
+    """
+    if device.type != "cuda":
+        return function
+    # Each kind of step is another function to us, and the same one with other sizes to torch.
+    torch._dynamo.config.recompile_limit = max(KINDS, torch._dynamo.config.recompile_limit)
+    made = torch.compile(function, dynamic=False)
+
+    @wraps(function)
+    def _called(*given: Any) -> Any:
+        # With derivatives compiled at once, nothing is left that could fail later.
+        with (
+            torch._dynamo.config.patch(suppress_errors=True),
+            torch._functorch.config.patch(force_non_lazy_backward_lowering=True),
+        ):
+            return made(*given)
+
+    return _called

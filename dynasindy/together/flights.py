@@ -26,20 +26,19 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 
 from dynasindy.agents import MLP, Exploring
-from dynasindy.agents.networks import Layer
 from dynasindy.envs import ControlEnv
 from dynasindy.systems import System
 from dynasindy.systems.integrators import sampled, stepped
+from dynasindy.systems.plain import plain
 from dynasindy.systems.steps import steps_of
 from dynasindy.together.alike import alike
-from dynasindy.together.captured import captured
+from dynasindy.together.captured import captured, compiled
 from dynasindy.together.company import Company, Work, here
+from dynasindy.together.stacks import Stack, through
 from dynasindy.world_models import SindyModel
 
 EPISODE = "real episode"
 """Name of the flights on the plant from which a run learns."""
-KINDS = 64
-"""Kinds of flights that torch compiles before it gives up."""
 Policy = Callable[[TensorDictBase], TensorDictBase]
 
 
@@ -67,9 +66,9 @@ def fly(
     if noise is not None:
         shape = torch.Size((*begun.batch_size, env.system.signature.n_u))
         drawn = noise.noise.ahead(steps, shape, noise.decays)
-    found = company.ask(Flight(env, network, drawn, begun, steps, what))
+    found = company.ask(Flight(env, network, drawn, begun, steps, what, home))
     assert isinstance(found, TensorDict)
-    return found.cpu() if home else found
+    return found
 
 
 def replay(
@@ -92,10 +91,14 @@ def replay(
     company = here()
     if company is None or not _flies(env) or not _stacks(env.system):
         return None
+    x, u = x.to(env.float_type), u.to(env.float_type)
+    # The code of all functions serves all runs, and is through before a device has begun thousands of small operations.
+    if math.isinf(env.left_beyond) and plain(x, u) and (code := env.system.compiled(x, u[0], whole=True)) is not None:
+        return env.judged(x, u, code.flight(x, u, env.dt, env.substeps, env.stops), params.to(x), begun)
     start = TensorDict({"state": x, "task_params": params, "step_count": begun.unsqueeze(-1)}, [len(x)])
     start["observation"] = torch.zeros(len(x), env.task.n_o)  # nobody looks
     found = company.ask(Flight(env, None, u, start, len(u), what))
-    following = found["next"].select("state", "reward").cpu()
+    following = found["next"]
     return following["state"].transpose(0, 1), following["reward"].squeeze(-1).transpose(0, 1)
 
 
@@ -121,6 +124,7 @@ class Flight(Work):
         start: What `env.start_from` returned, `(n,)`.
         steps: Control periods.
         what: What the flight is, in a word.
+        home: Whether the rollout is wanted in the CPU's memory.
     """
 
     env: ControlEnv
@@ -129,6 +133,7 @@ class Flight(Work):
     start: TensorDictBase
     steps: int
     what: str
+    home: bool = True
 
     @cached_property
     def kind(self) -> Hashable:
@@ -138,7 +143,7 @@ class Flight(Work):
         sizes = None if network is None else tuple(tuple(layer.weight.shape) for layer in network.layers())
         pace = env.dt, env.substeps, env.stops, env.left_beyond, env.float_type
         shapes = self.steps, tuple(self.start.batch_size), sizes, self.noise is None
-        return self.what, moved, alike(env.task), pace, shapes
+        return self.what, self.home, moved, alike(env.task), pace, shapes
 
     @property
     def waits(self) -> bool:
@@ -177,10 +182,8 @@ class Pilot:
         self.params = torch.zeros(runs, n, *task.params_shape, **kinds)
         self.count = torch.zeros(runs, n, 1, dtype=torch.int64, device=device)
         self.seen = torch.zeros(runs, n, task.n_o, device=device)
-        self.layers = [
-            Layer(*(None if part is None else torch.zeros(runs, *part.shape, device=device) for part in layer))  # type: ignore[arg-type]
-            for layer in (like.network.layers() if like.network is not None else [])
-        ]
+        self.policies = None if like.network is None else Stack(like.network.layers(), runs, device)
+        self.home = None if self.policies is None else self.policies.twin(torch.device("cpu"))
         shape = (like.steps, runs, n)
         self.noise = None if like.noise is None else torch.zeros(*shape, signature.n_u, device=device)
         self.place = torch.zeros(1, dtype=torch.int64, device=device)
@@ -188,31 +191,32 @@ class Pilot:
         self.samples = torch.zeros(*shape, like.env.substeps, signature.n_x, **kinds)
         self.touched = torch.zeros(*shape, dtype=torch.bool, device=device)
         self.observed = torch.zeros(*shape, task.n_o, device=device)
-        self._advance = _advancing(self.system, like.env, device)
+        self._advance = _advancing(self.system, like.env)
         self.period: Callable[[], None] | None = None
 
     @torch.no_grad()
     def fly(self, flights: Sequence[Flight]) -> list[TensorDict]:
         """Fly and return the rollout of each run, `(n, T)`."""
         if self.period is None:
-            self.period = captured(self._period, self.device, self.place.zero_)
+            self.period = captured(compiled(self._period, self.device), self.device, self.place.zero_)
         for r, flight in enumerate(flights):
             self._board(r, flight)
+        if self.policies is not None and self.home is not None:
+            self.policies.flat.copy_(self.home.flat)
         self.place.zero_()
         began = self.x.clone(), self.seen.clone(), self.count.clone()
         for _ in range(self.steps):
             self.period()
-        return self._landed(*began)
+        return self._landed(*began, home=flights[0].home)
 
     def _board(self, r: int, flight: Flight) -> None:
         for key, room in (("state", self.x), ("task_params", self.params), ("step_count", self.count)):
             room[r].copy_(flight.start[key].reshape(room[r].shape))
         self.seen[r].copy_(flight.start["observation"].reshape(self.seen[r].shape))
-        layers = [] if flight.network is None else flight.network.layers()
-        for place, layer in zip(self.layers, layers, strict=True):
-            for mine, theirs in zip(place, layer, strict=True):
-                if mine is not None and theirs is not None:
-                    mine[r].copy_(theirs.detach())
+        if self.home is not None and flight.network is not None:
+            theirs = [part.detach() for layer in flight.network.layers() for part in layer if part is not None]
+            mine = self.home.of(r, r + 1)
+            torch._foreach_copy_(mine, [part.view_as(room) for part, room in zip(theirs, mine, strict=True)])
         if self.noise is not None and flight.noise is not None:
             self.noise[:, r].copy_(flight.noise.reshape(self.noise[:, r].shape))
         if isinstance(self.system, Coefficients):
@@ -221,7 +225,9 @@ class Pilot:
     def _period(self) -> None:
         """Move all rows by one control period."""
         env = self.env
-        u = None if self.network is None else self.network.functional(self.layers, self.seen)
+        u = None
+        if self.policies is not None and self.network is not None:
+            u = through(self.policies.layers(), self.seen, self.network.squash)
         if self.noise is not None:
             added = self.noise.index_select(0, self.place).squeeze(0)
             u = added if u is None else (u + added).clamp(-1.0, 1.0)
@@ -243,8 +249,8 @@ class Pilot:
         self.seen.copy_(seen)
         self.place.add_(1)
 
-    def _landed(self, x: Tensor, seen: Tensor, count: Tensor) -> list[TensorDict]:
-        """Return the rollouts, given where they began."""
+    def _landed(self, x: Tensor, seen: Tensor, count: Tensor, home: bool) -> list[TensorDict]:
+        """Return the rollouts, given where they began, in the CPU's memory if they are wanted at home."""
         env, following = self.env, self.samples[..., -1, :]
         before = torch.cat([x.unsqueeze(0), following[:-1]])
         counts = count + torch.arange(self.steps + 1, device=self.device).view(-1, *[1] * count.dim())
@@ -267,17 +273,21 @@ class Pilot:
         root = {key: column[:-1] for key, column in columns.items()} | {"task_params": params, "action": self.actions}
         after = {key: column[1:] for key, column in columns.items()} | {"task_params": params}
         after["reward"] = reward.float().unsqueeze(-1)
-        return [self._of(r, root, after) for r in range(len(x))]
+        place = torch.device("cpu") if home else self.device
+        batch, shown = [*self.rows, self.steps], []
+        for records in (root, after):
+            found = {key: value.permute(1, 2, 0, *range(3, value.dim())) for key, value in records.items()}
+            shown.append({key: value.contiguous().to(place, non_blocking=True) for key, value in found.items()})
+        if home and self.device.type == "cuda":
+            torch.cuda.current_stream(self.device).synchronize()
 
-    def _of(self, r: int, root: dict[str, Tensor], after: dict[str, Tensor]) -> TensorDict:
-        """Return what one run did, time last."""
+        def _mine(r: int, records: dict[str, Tensor]) -> dict[str, Tensor]:
+            return {key: value[r].reshape(*batch, *value.shape[3:]) for key, value in records.items()}
 
-        def _mine(records: dict[str, Tensor]) -> dict[str, Tensor]:
-            rows = {key: value[:, r].transpose(0, 1).contiguous() for key, value in records.items()}
-            return {key: value.reshape(*self.rows, *value.shape[1:]) for key, value in rows.items()}
-
-        batch = [*self.rows, self.steps]
-        return TensorDict({**_mine(root), "next": TensorDict(_mine(after), batch)}, batch)
+        return [
+            TensorDict({**_mine(r, shown[0]), "next": TensorDict(_mine(r, shown[1]), batch)}, batch)
+            for r in range(len(x))
+        ]
 
 
 class Coefficients(System):
@@ -321,9 +331,7 @@ def _stacks(system: System) -> TypeGuard[SindyModel]:
     return isinstance(system, SindyModel) and type(system) is SindyModel and not system.library.shapes
 
 
-def _advancing(
-    system: System, env: ControlEnv, device: torch.device
-) -> Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]:
+def _advancing(system: System, env: ControlEnv) -> Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]:
     """Return what advances states by a control period, as `integrate` does, without a look at what they are."""
     stops, (h, count, difference) = env.stops, steps_of(system.step, env.dt, env.substeps)
 
@@ -331,16 +339,10 @@ def _advancing(
         x = stepped(system, x, u, h, difference)
         return (x, torch.zeros_like(x[..., 0], dtype=torch.bool)) if stops is None else stops.apply(x)
 
-    moved = _substep
-    if device.type == "cuda":
-        # Each kind of flight has a plant or a library of its own, in one function.
-        torch._dynamo.config.recompile_limit = max(KINDS, torch._dynamo.config.recompile_limit)
-        moved = torch.compile(_substep)
-
     def _advance(x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         samples, touches = [], []
         for _ in range(count):
-            x, touched = moved(x, u)
+            x, touched = _substep(x, u)
             samples.append(x)
             touches.append(touched)
         return sampled(torch.stack(samples, -2), system.step, env.substeps), torch.stack(touches).any(0)

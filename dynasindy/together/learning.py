@@ -9,12 +9,13 @@ alone. While a GPU is busy with some updates, the CPU draws those that follow.
 | R        |                  | runs                                             |
 | C        |                  | critics of a run                                 |
 | B        |                  | transitions of a batch                           |
-| networks | `(R, ...)`       | weights of the actors; of the critics `(R C, ...)` |
+| networks | `(numbers,)`     | weights, see `dynasindy.together.stacks`         |
 | batches  | `(U, R, B, ...)` | of U updates in a row                            |
 """
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass
@@ -24,18 +25,22 @@ from typing import Any
 import torch
 from torch import Tensor
 from torch.optim import Adam
-from torchrl.data import TensorDictReplayBuffer
 
 from dynasindy.agents import TD3
-from dynasindy.agents.networks import MLP, Layer
+from dynasindy.agents.networks import Layer
+from dynasindy.agents.noise import drawn
 from dynasindy.agents.steps import kept_by, products_in
 from dynasindy.data import DynaReplay
-from dynasindy.together.captured import captured
+from dynasindy.systems import Diverged
+from dynasindy.together.captured import captured, compiled
 from dynasindy.together.company import Company, Work, here
+from dynasindy.together.stacks import Stack, through
 from dynasindy.told import counted, tell
 
 CHUNK = 50
 """Updates whose batches lie on the device at a time."""
+_WEIGHTS = ("actors", "critics", "target_actors", "target_critics", "averages")
+"""Attributes of a `Learner` that hold networks."""
 
 
 def learn(agent: TD3, replay: DynaReplay, updates: int) -> None:
@@ -50,11 +55,11 @@ def learn(agent: TD3, replay: DynaReplay, updates: int) -> None:
         Diverged: A loss is not finite.
     """
     company = here()
-    if company is None:
-        for _ in counted("policy learning", range(updates), updates, "updates"):
-            agent.update(replay.sample())
-    elif updates:
-        company.ask(Learning(agent, replay, updates))
+    if company is not None and updates:
+        company.ask(Learning(agent, replay, updates))  # which checks all weights, too
+        return
+    for _ in counted("policy learning", range(updates), updates, "updates"):
+        agent.update(replay.sample())
     agent.check()
 
 
@@ -97,23 +102,30 @@ class Learner:
     """
 
     def __init__(self, like: TD3, runs: int, rows: int, device: torch.device) -> None:
-        self.runs, self.rows, self.device, self.settings, self.loss = runs, rows, device, like.settings, like.loss
+        self.runs, self.rows, self.device, self.settings = runs, rows, device, like.settings
         self.count = like.settings.critics
         n_obs, n_u = like.widths
-        self.actors, self.critics = self._networks(like.loss.actor_layers), self._networks(like.loss.critic_layers)
-        self.target_actors = self._networks(like.loss.actor_layers, learns=False)
-        self.target_critics = self._networks(like.loss.critic_layers, learns=False)
-        self.averages = self._networks(like.loss.actor_layers, learns=False)
+        self.actors = Stack(like.loss.actor_layers, runs, device)
+        self.critics = Stack(like.loss.critic_layers, runs * self.count, device)
+        self.target_actors, self.target_critics = self.actors.twin(), self.critics.twin()
+        self.averages = self.actors.twin()
         self.optimizers = [
             self._adam(self.critics, like.settings.critic_lr),
             self._adam(self.actors, like.settings.actor_lr),
         ]
+        self.kept = self._kept()
+        self.home = [stack.twin(torch.device("cpu")) for stack in self.kept]
         widths = {"observation": n_obs, "action": n_u, "next": n_obs, "reward": 1, "ended": 1, "noise": n_u}
         self.batches = {name: torch.zeros(CHUNK, runs, rows, width, device=device) for name, width in widths.items()}
         self.place = torch.zeros(1, dtype=torch.int64, device=device)
         self.losses = torch.zeros(2, CHUNK, runs, device=device)
         self.given: list[tuple[TD3, int, tuple[int, ...]]] = []
         self.steps: dict[tuple[bool, bool], Callable[[], None]] = {}
+        # A GPU takes factors of bfloat16 where it may, which it multiplies twice as fast and carries at half the cost.
+        low = device.type == "cuda" and like.settings.matmul_precision == "medium"
+        self.factors = torch.bfloat16 if low else None
+        self._of_critics = compiled(self._critic_losses, device)
+        self._of_actors = compiled(self._actor_losses, device)
 
     def learn(self, all_of_it: Sequence[Learning]) -> list[Exception | None]:
         """Take the updates of all runs, and return what each ended in, None for nothing."""
@@ -136,8 +148,9 @@ class Learner:
             for kind in chunk:
                 self.steps[kind]()
             losses.append(self.losses[:, : len(chunk)].clone().movedim(1, 0))
+        sound = torch.stack([stack.sound(self.runs) for stack in self.kept[: len(_WEIGHTS)]]).all(0)
         self._give(agents)
-        ends = self._ends(agents, torch.cat(losses).cpu(), kinds)
+        ends = self._ends(agents, torch.cat(losses).cpu(), kinds, sound.tolist())
         self.given = _state_of(agents)
         return ends
 
@@ -148,60 +161,64 @@ class Learner:
 
     def _update(self, actor: bool, targets: bool) -> None:
         """Take one update of all runs."""
-        batch = {name: column.index_select(0, self.place).squeeze(0) for name, column in self.batches.items()}
         s = self.settings
-        self._descend(0, self._critic_losses(batch), self.critics)
+        networks = self.critics.flat, self.target_critics.flat, self.target_actors.flat
+        self._descend(0, self._of_critics(*networks, self.batches, self.place), self.critics)
         if actor:
-            self._descend(1, self._actor_losses(batch), self.actors)
+            pair = self.actors.flat, self.critics.flat
+            self._descend(1, self._of_actors(*pair, self.batches, self.place), self.actors)
             if s.policy_average:
-                torch._foreach_lerp_(_flat(self.averages), [p.detach() for p in _flat(self.actors)], s.policy_average)
+                self.averages.flat.lerp_(self.actors.flat.detach(), s.policy_average)
         if targets:
-            moved = [*_flat(self.target_actors), *_flat(self.target_critics)]
-            to = [p.detach() for p in (*_flat(self.actors), *_flat(self.critics))]
-            torch._foreach_lerp_(moved, to, s.tau)
+            self.target_actors.flat.lerp_(self.actors.flat.detach(), s.tau)
+            self.target_critics.flat.lerp_(self.critics.flat.detach(), s.tau)
         for optimizer in self.optimizers if s.lr_decay else ():
             optimizer.param_groups[0]["lr"].mul_(1.0 - s.lr_decay)
         self.place.add_(1)
 
-    def _critic_losses(self, batch: dict[str, Tensor]) -> Tensor:
+    def _critic_losses(
+        self, critics: Tensor, target_critics: Tensor, target_actors: Tensor, batches: dict[str, Tensor], place: Tensor
+    ) -> Tensor:
         """Return sum_i mean (Q_i(s, a) - y)^2 of each run, `(R,)`, y = r + gamma min_i Q'_i(s', pi'(s') + noise)."""
-        s, actor, critic = self.settings, self.loss.actor, self.loss.critic
+        s = self.settings
+        batch = _batch(batches, place)
         with torch.no_grad():
             noise = (batch["noise"] * s.policy_noise).clamp(-s.noise_clip, s.noise_clip)
-            action = (actor.functional(self.target_actors, batch["next"]) + noise).clamp(-1.0, 1.0)
-            value = self._values(critic, self.target_critics, batch["next"], action).amin(1)
+            following = through(self.actors.layers(target_actors), batch["next"], True, self.factors)
+            action = (following + noise).clamp(-1.0, 1.0)
+            value = self._values(target_critics, batch["next"], action).amin(1)
             value = torch.where(batch["ended"].squeeze(-1) > 0, 0.0, value)
             target = value * s.gamma + batch["reward"].squeeze(-1)
-        value = self._values(critic, self.critics, batch["observation"], batch["action"])
+        value = self._values(critics, batch["observation"], batch["action"])
         return (value - target.unsqueeze(1)).square().mean(-1).sum(-1)
 
-    def _actor_losses(self, batch: dict[str, Tensor]) -> Tensor:
+    def _actor_losses(self, actors: Tensor, critics: Tensor, batches: dict[str, Tensor], place: Tensor) -> Tensor:
         """Return -mean Q_1(s, pi(s)) of each run, `(R,)`."""
-        action = self.loss.actor.functional(self.actors, batch["observation"])
+        seen = _batch(batches, place)["observation"]
+        action = through(self.actors.layers(actors), seen, True, self.factors)
         first = [
-            Layer(*(None if part is None else part.detach().unflatten(0, (self.runs, -1))[:, 0] for part in layer))  # type: ignore[arg-type]
-            for layer in self.critics
+            Layer(*(None if part is None else part.unflatten(0, (self.runs, -1))[:, 0] for part in layer))  # type: ignore[arg-type]
+            for layer in self.critics.layers(critics.detach())
         ]
-        value: Tensor = self.loss.critic.functional(first, batch["observation"], action)
-        return -value.mean((-2, -1))
+        return -through(first, torch.cat([seen, action], -1), False, self.factors).mean((-2, -1))
 
-    def _values(self, critic: MLP, layers: Sequence[Layer], observation: Tensor, action: Tensor) -> Tensor:
+    def _values(self, critics: Tensor, observation: Tensor, action: Tensor) -> Tensor:
         """Return what each critic says, `(R, C, B)`."""
         seen = torch.cat([observation, action], -1).repeat_interleave(self.count, 0)
-        return critic.functional(layers, seen).view(self.runs, self.count, self.rows)
+        found = through(self.critics.layers(critics), seen, False, self.factors)
+        return found.view(self.runs, self.count, self.rows)
 
-    def _descend(self, which: int, losses: Tensor, layers: Sequence[Layer]) -> None:
+    def _descend(self, which: int, losses: Tensor, stack: Stack) -> None:
         """Take a step of Adam down the losses of all runs, none of which depends on another run's weights."""
         self.losses[which].index_copy_(0, self.place, losses.detach().unsqueeze(0))
-        weights = _flat(layers)
-        # Adam, fused, reads gradients in the order of the memory, and those of products are transposed.
-        gradients = [g.contiguous() for g in torch.autograd.grad(losses.sum(), weights)]
+        (gradient,) = torch.autograd.grad(losses.sum(), stack.flat)
         if bound := self.settings.max_grad_norm:
-            squares = [g.reshape(self.runs, -1).square().sum(-1) for g in gradients]
+            parts = [part for layer in stack.layers(gradient) for part in layer if part is not None]
+            squares = [part.reshape(self.runs, -1).square().sum(-1) for part in parts]
             factor = (bound / (torch.stack(squares).sum(0).sqrt() + 1e-6)).clamp_max(1.0)
-            gradients = [(g.view(self.runs, -1) * factor.unsqueeze(-1)).view_as(g) for g in gradients]
-        for weight, gradient in zip(weights, gradients, strict=True):
-            weight.grad = gradient
+            for part in parts:
+                part.view(self.runs, -1).mul_(factor.unsqueeze(-1))
+        stack.flat.grad = gradient
         self.optimizers[which].step()
 
     def _draw(self, all_of_it: Sequence[Learning], updates: int) -> None:
@@ -209,16 +226,10 @@ class Learner:
         for r, work in enumerate(all_of_it):
             replay, generator = work.replay, work.agent.loss.generator
             noise = self._fresh((updates, *self.batches["noise"].shape[2:]), torch.float32)
-            rows: dict[TensorDictReplayBuffer, Tensor] = {}
-            for u in range(updates):
-                for buffer, drawn in replay.draw():
-                    if buffer not in rows:
-                        rows[buffer] = self._fresh((updates, len(drawn)), torch.int64)
-                    rows[buffer][u] = drawn
-                noise[u].normal_(0.0, 1.0, generator=generator)
+            drawn(noise, generator)
             self.batches["noise"][:updates, r].copy_(noise, non_blocking=True)
             begin = 0
-            for buffer, index in rows.items():
+            for buffer, index in replay.draws(updates, self._fresh):
                 places = index.flatten().to(replay.device, non_blocking=True)
                 end = begin + index.shape[-1]
                 observation, action, following, reward, _, terminated, _ = replay.columns(buffer)
@@ -232,30 +243,27 @@ class Learner:
         """Return room in the CPU's memory, from which a GPU reads while the CPU goes on."""
         return torch.empty(shape, dtype=dtype, pin_memory=self.device.type == "cuda")
 
-    def _networks(self, layers: Sequence[Layer], learns: bool = True) -> list[Layer]:
-        """Return room for the same networks of all runs."""
-
-        def _room(tensor: Tensor | None, single: int) -> Tensor | None:
-            if tensor is None:
-                return None
-            shape = (
-                (self.runs, *tensor.shape) if tensor.dim() == single else (self.runs * len(tensor), *tensor.shape[1:])
-            )
-            return torch.zeros(shape, device=self.device, requires_grad=learns)
-
-        return [Layer(*(_room(part, 2 - (k > 0)) for k, part in enumerate(layer))) for layer in layers]  # type: ignore[arg-type]
-
-    def _adam(self, layers: Sequence[Layer], lr: float) -> Adam:
+    def _adam(self, stack: Stack, lr: float) -> Adam:
         gpu = self.device.type == "cuda"
         rate = torch.tensor(lr, device=self.device) if gpu or self.settings.lr_decay else lr
-        optimizer = Adam(_flat(layers), lr=rate, fused=True, capturable=gpu)
-        for weight in _flat(layers):
-            optimizer.state[weight] = {
-                "step": torch.zeros((), device=self.device),
-                "exp_avg": torch.zeros_like(weight, requires_grad=False),
-                "exp_avg_sq": torch.zeros_like(weight, requires_grad=False),
-            }
+        stack.flat.requires_grad_()
+        optimizer = Adam([stack.flat], lr=rate, fused=True, capturable=gpu)
+        optimizer.state[stack.flat] = {
+            "step": torch.zeros((), device=self.device),
+            "exp_avg": torch.zeros_like(stack.flat, requires_grad=False),
+            "exp_avg_sq": torch.zeros_like(stack.flat, requires_grad=False),
+        }
         return optimizer
+
+    def _kept(self) -> list[Stack]:
+        """Return all that the agents keep from one call to the next: weights, targets, averages and Adam's moments."""
+        found = [getattr(self, name) for name in _WEIGHTS]
+        for optimizer, stack in zip(self.optimizers, (self.critics, self.actors), strict=True):
+            for name in ("exp_avg", "exp_avg_sq"):
+                moments = copy.copy(stack)
+                moments.flat = optimizer.state[stack.flat][name]
+                found.append(moments)
+        return found
 
     @torch.no_grad()
     def _read(self, agents: Sequence[TD3]) -> None:
@@ -263,6 +271,8 @@ class Learner:
         for r, agent in enumerate(agents):
             mine, theirs = map(list, zip(*self._pairs(agent, r), strict=True))
             torch._foreach_copy_(mine, theirs)
+        for stack, home in zip(self.kept, self.home, strict=True):
+            stack.flat.copy_(home.flat)
         for optimizer, other in self._optimizers(agents[0]):
             (step, *_) = (state["step"] for state in other.state.values())
             for state in optimizer.state.values():
@@ -273,44 +283,53 @@ class Learner:
     @torch.no_grad()
     def _give(self, agents: Sequence[TD3]) -> None:
         """Give weights, targets and moments back to all agents."""
+        for stack, home in zip(self.kept, self.home, strict=True):
+            home.flat.copy_(stack.flat, non_blocking=True)
+        if self.device.type == "cuda":
+            torch.cuda.current_stream(self.device).synchronize()
+        steps, rates = self._steps(), [float(each.param_groups[0]["lr"]) for each in self.optimizers]
         for r, agent in enumerate(agents):
             mine, theirs = map(list, zip(*self._pairs(agent, r), strict=True))
             torch._foreach_copy_(theirs, mine)
-            for optimizer, other in self._optimizers(agent):
-                (step, *_) = (state["step"] for state in optimizer.state.values())
+            for (_, other), rate, count in zip(self._optimizers(agent), rates, steps, strict=True):
                 for state in other.state.values():
-                    state["step"].copy_(step)
-                other.param_groups[0]["lr"] = float(optimizer.param_groups[0]["lr"])
+                    state["step"].copy_(count)
+                other.param_groups[0]["lr"] = rate
+
+    def _steps(self) -> list[Tensor]:
+        """Return how many steps each optimiser has taken."""
+        return [state["step"].cpu() for optimizer in self.optimizers for state in optimizer.state.values()]
 
     def _optimizers(self, agent: TD3) -> Iterator[tuple[Adam, Adam]]:
         """Return the optimisers of critics and actor, here and there."""
         return zip(self.optimizers, (agent.critic_optimizer, agent.actor_optimizer), strict=True)
 
     def _pairs(self, agent: TD3, r: int) -> Iterator[tuple[Tensor, Tensor]]:
-        """Yield where a tensor of a run lies here, and there."""
+        """Yield where a tensor of a run lies in the memory at home, and there."""
         loss, c = agent.loss, self.count
         averages = agent.deployed.module.layers() if self.settings.policy_average else []
-        single, several = slice(r, r + 1), slice(r * c, (r + 1) * c)
-        for mine, theirs, part in (
-            (self.actors, loss.actor_layers, single),
-            (self.target_actors, loss.target_actor_layers, single),
-            (self.averages if averages else [], averages, single),
-            (self.critics, loss.critic_layers, several),
-            (self.target_critics, loss.target_critic_layers, several),
+        single, several = (r, r + 1), (r * c, (r + 1) * c)
+        actors, critics, target_actors, target_critics, average, *moments = self.home
+        for stack, theirs, part in (
+            (actors, loss.actor_layers, single),
+            (critics, loss.critic_layers, several),
+            (target_actors, loss.target_actor_layers, single),
+            (target_critics, loss.target_critic_layers, several),
+            *([(average, averages, single)] if averages else []),
         ):
-            for here_, there in zip(_flat(mine), _flat(theirs), strict=True):
-                yield here_.detach()[part], there.detach().view_as(here_[part])
-        for optimizer, layers, there, part in (
-            (self.optimizers[1], loss.actor_layers, agent.actor_optimizer, single),
-            (self.optimizers[0], loss.critic_layers, agent.critic_optimizer, several),
+            for mine, there in zip(stack.of(*part), _flat(theirs), strict=True):
+                yield mine, there.detach().view_as(mine)
+        for (first, second), layers, there, part in (
+            (moments[:2], loss.critic_layers, agent.critic_optimizer, several),
+            (moments[2:], loss.actor_layers, agent.actor_optimizer, single),
         ):
             states = kept_by(there, _flat(layers))
-            for mine, state in zip(optimizer.state.values(), states, strict=True):
-                for name in ("exp_avg", "exp_avg_sq"):
-                    yield mine[name][part], state[name].view_as(mine[name][part])
+            for name, stack in (("exp_avg", first), ("exp_avg_sq", second)):
+                for mine, state in zip(stack.of(*part), states, strict=True):
+                    yield mine, state[name].view_as(mine)
 
     def _ends(
-        self, agents: Sequence[TD3], losses: Tensor, kinds: Sequence[tuple[bool, bool]]
+        self, agents: Sequence[TD3], losses: Tensor, kinds: Sequence[tuple[bool, bool]], weights: Sequence[bool]
     ) -> list[Exception | None]:
         """Return what the learning of each run ended in.
 
@@ -318,6 +337,7 @@ class Learner:
             agents: The agents.
             losses: Of critics and actors, `(U, 2, R)`.
             kinds: Which updates the actors took part in.
+            weights: Whether the weights of each run are finite.
         """
         ends: list[Exception | None] = []
         moved = torch.tensor([actor for actor, _ in kinds])
@@ -327,7 +347,7 @@ class Learner:
             if moved.any():
                 agent.actor_loss = losses[moved, 1, r][-1].clone()
             if bool(sound.all()):
-                ends.append(None)
+                ends.append(None if weights[r] else _checked(agent))
                 continue
             first = int((~sound).int().argmax())
             agent.updates = before + first + 1
@@ -336,6 +356,20 @@ class Learner:
             told = f"the critics' loss is {of_critics}" if critics_fail else f"the actor's loss is {of_actor}"
             ends.append(agent.diverged(told))
         return ends
+
+
+def _checked(agent: TD3) -> Exception | None:
+    """Return what the check of an agent ends in, None for nothing."""
+    try:
+        agent.check()
+    except Diverged as error:
+        return error
+    return None
+
+
+def _batch(batches: dict[str, Tensor], place: Tensor) -> dict[str, Tensor]:
+    """Return the batches of one update, `(R, B, ...)`."""
+    return {name: column.index_select(0, place).squeeze(0) for name, column in batches.items()}
 
 
 def _flat(layers: Sequence[Layer]) -> list[Any]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -15,7 +16,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
 from dynasindy.checking import Check, Thresholds
-from dynasindy.checking.flights import TOLERANCE
+from dynasindy.checking.flights import TOLERANCE, gone
 from dynasindy.checking.margins import broken, frequencies
 from dynasindy.durations import in_words
 from dynasindy.systems import Signature
@@ -48,8 +49,28 @@ ROOM = 1.3
 """Distance of two ticks, at least [widths of the widest number at one]."""
 LISTED = 3
 """Targets without a curve that are listed by name."""
+EDGE = 0.08
+"""Room between what stays near its target and the edge of an axis that cuts off what runs away [height of the axis]."""
 NAMED = 9
 """Loops that have a colour and a name of their own, those that come nearest to -1 first."""
+
+
+class Tracked(NamedTuple):
+    """An output in the figure of a step.
+
+    Attributes:
+        name: of the output.
+        unit: Its unit.
+        target: Where it is to go [unit of the output].
+        error: Steady error that passes the check [unit of the output].
+        reach: Distance from the target beyond which a plant that ends there has run away [unit of the output].
+    """
+
+    name: str
+    unit: str
+    target: float
+    error: float
+    reach: float = math.inf
 
 
 def draw(found: Check, thresholds: Thresholds | None = None) -> dict[str, Figure]:
@@ -112,12 +133,12 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
     if found.drawn is not None:
         x, u = torch.cat([x, found.drawn.x]), torch.cat([u, found.drawn.u])
     names, units, ranges = signature.state_names, signature.state_units, signature.x_scale
-    targets = found.targets[far].tolist()
+    tracked = zip(outputs, found.targets[far].tolist(), found.reach.tolist(), strict=True)
     return steps(
         found.steps.dt,
         array(x[:, :, outputs]),
         array(u),
-        [(names[i], units[i], r, limits.error * ranges[i]) for i, r in zip(outputs, targets, strict=True)],
+        [Tracked(names[i], units[i], r, limits.error * ranges[i], reach) for i, r, reach in tracked],
         signature,
         f"Step from {found.beginning(symbol)} to {_target(found, far)}, the farthest target",
         f"coefficients {found.spread.how.by}",
@@ -174,37 +195,45 @@ def steps(
     dt: float,
     outputs: ArrayLike,
     inputs: ArrayLike,
-    names: Sequence[tuple[str, str, float, float]],
+    tracked: Sequence[Tracked],
     signature: Signature,
     title: str = "Step",
     how: str = "other coefficients",
 ) -> Figure:
     """Draw a step of the model and of plants that were drawn around it, under one controller.
 
+    Where some run away, so that they end out of reach of the target, the axes end with what stays within reach, and
+    the legend says how many are cut off.
+
     Args:
         dt: Control period [s].
         outputs: `(rows, T + 1, n_r)`; the first row is that of the model, all others are of other plants.
         inputs: `(rows, T, n_u)`, in [-1, 1], likewise; drawn in their own units.
-        names: Name, unit and target of each output, and the steady error that passes the check.
+        tracked: What is to be drawn beside each output.
         signature: Tells the inputs, their units and ranges.
         title: of the figure.
         how: What the other plants have that the model has not.
     """
     y, u = array(outputs), array(inputs)
     n_u = signature.n_u
-    figure, axes = panels(len(names) + n_u, 1, (7.0, 2.1 * len(names) + 1.4 * n_u), title)
+    figure, axes = panels(len(tracked) + n_u, 1, (7.0, 2.1 * len(tracked) + 1.4 * n_u), title)
     seconds = array(dt * np.arange(y.shape[1]))
-    others = f"{len(y) - 1} plants, {how}"
-    looks: list[dict[str, Any]] = [{"color": BLUE, "zorder": 3, "label": "the model itself"}]
-    looks += [{"color": SKY, "linewidth": 0.8, "label": "_" * (k > 0) + others} for k in range(len(y) - 1)]
-    for i, (axis, (name, unit, target, error)) in enumerate(zip(axes, names, strict=False)):
-        axis.axhline(target, color=BLACK, linestyle="--", linewidth=1.2, label="target")
+    targets, reach = np.array([[each.target, each.reach] for each in tracked]).T
+    near = np.isfinite(y) & (np.abs(y - targets) <= reach)
+    stays = ~gone(torch.from_numpy(y), torch.from_numpy(targets), torch.from_numpy(reach), dt).numpy()
+    looks = _looks(stays, how)
+    for i, (axis, output) in enumerate(zip(axes, tracked, strict=False)):
+        axis.axhline(output.target, color=BLACK, linestyle="--", linewidth=1.2, label="target")
         for row, look in zip(y, looks, strict=True):
             axis.plot(seconds, row[:, i], **look)
-        told = "steady error that passes"
-        axis.axhspan(target - error, target + error, color=GREY, alpha=0.2, lw=0, label=told)
-        axis.set_ylabel(label(name, unit))
-    for i, axis in enumerate(axes[len(names) :]):
+        low, high = output.target - output.error, output.target + output.error
+        axis.axhspan(low, high, color=GREY, alpha=0.2, lw=0, label="steady error that passes")
+        if not near.all():
+            values = y[stays, :, i][near[stays, :, i]]
+            low, high = float(values.min(initial=low)), float(values.max(initial=high))
+            axis.set_ylim(low - EDGE * (high - low), high + EDGE * (high - low))
+        axis.set_ylabel(label(output.name, output.unit))
+    for i, axis in enumerate(axes[len(tracked) :]):
         for row, look in zip(signature.in_own_units(u), looks, strict=True):
             axis.step(*held(seconds[:-1], row[:, i]), where="post", **{"linewidth": 1.0, **look})
         input_axis(axis, signature, i)
@@ -212,6 +241,20 @@ def steps(
     time_axis(axes[-1], seconds)
     axes[-1].set_xlim(0, float(seconds[-1]))
     return figure
+
+
+def _looks(stays: NDArray[np.bool_], how: str) -> list[dict[str, Any]]:
+    """Return how the model, the first row, and each other plant are drawn, and named once in the legend."""
+    drawn = len(stays) - 1
+    away = int((~stays[1:]).sum())
+    near = f"{drawn} plants, {how}" if not away else f"{drawn - away} of {drawn} plants, {how}"
+    words = {True: near, False: f"{away} of these {drawn} that run away, cut off at the edges"}
+    model = "the model itself" if stays[0] else "the model itself, which runs away"
+    looks: list[dict[str, Any]] = [{"color": BLUE, "zorder": 3, "label": model}]
+    for held_near in stays[1:].tolist():
+        color, told = SKY if held_near else ORANGE, words.pop(held_near, "_")
+        looks.append({"color": color, "linewidth": 0.8, "label": told})
+    return looks
 
 
 @styled

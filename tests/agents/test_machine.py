@@ -228,9 +228,9 @@ def test_a_compiler_that_fails_costs_one_warning(monkeypatch, error):
 
 
 @pytest.fixture
-def tiles():
+def bfloat16():
     if compiler() is None or not pair(matmul_precision="medium")[0]._steps._agent.parts:
-        pytest.skip("the processor has no tiles for products in bfloat16")
+        pytest.skip("the processor takes no products in bfloat16")
 
 
 class Rounded(torch.autograd.Function):
@@ -267,16 +267,17 @@ def filled(x):
     return torch.nn.functional.pad(x, (0, 0, 0, -x.shape[-2] % 32))
 
 
-@pytest.mark.usefixtures("tiles")
+@pytest.mark.usefixtures("bfloat16")
 @pytest.mark.parametrize("precision", ["high", "medium"])
 @pytest.mark.parametrize("rows", [1, 33, 100])
 @pytest.mark.parametrize(
     ("n_obs", "n_u", "hidden", "critics"),
     [(20, 9, (17, 40, 33), 3), (31, 8, (16, 32), 2), (40, 11, (64,), 2), (30, 16, (70, 9), 2), (3, 2, (6, 5), 2)],
 )
-def test_products_by_tiles_are_those_of_rounded_factors(monkeypatch, precision, rows, n_obs, n_u, hidden, critics):
+def test_products_in_bfloat16_are_those_of_rounded_factors(monkeypatch, precision, rows, n_obs, n_u, hidden, critics):
     """The other agent's products are torch's, in float64, of factors that were rounded to bfloat16 before."""
     ours, torchs = pair(n_obs, n_u, hidden=hidden, critics=critics, matmul_precision=precision)
+    ours._steps._agent.parts = PARTS[precision]  # also two of them, where float32 is faster than that
     exact = pair(n_obs, n_u, hidden=hidden, critics=critics)[0]
     monkeypatch.setattr(Rounded, "parts", PARTS[precision])
     monkeypatch.setattr(networks, "_linear", lambda x, layer: Rounded.apply(x, layer.weight, layer.bias))
@@ -292,11 +293,12 @@ def test_products_by_tiles_are_those_of_rounded_factors(monkeypatch, precision, 
     assert differs == (min(hidden) >= 8)  # what is smaller is left to float32
 
 
-@pytest.mark.usefixtures("tiles")
+@pytest.mark.usefixtures("bfloat16")
 @pytest.mark.parametrize("precision", ["high", "medium"])
 @pytest.mark.parametrize("rows", [1, 70])
 def test_the_room_holds_the_factors_in_bfloat16(precision, rows):
     agent = TD3(9, 8, hidden=(33, 65, 9), policy_delay=1, matmul_precision=precision)
+    agent._steps._agent.parts = PARTS[precision]
     agent._steps._place(rows)
     size = len(agent._steps._room)
     guarded = torch.full((size + 2048,), 7.0)
@@ -305,14 +307,25 @@ def test_the_room_holds_the_factors_in_bfloat16(precision, rows):
     assert (guarded[size:] == 7.0).all()
 
 
-@needs_compiler
-def test_without_tiles_every_precision_is_float32(monkeypatch):
+def without(monkeypatch, *words):
+    """Have the compiler do without some of the processor's instructions."""
     run = compiling._run
-    words = ["-mno-amx-tile", "-mno-avx512bf16"]
     monkeypatch.setattr(
         compiling, "_run", lambda given, *files: run([*given, *(words if "-c" in given else [])], *files)
     )
     forget()
+
+
+@pytest.mark.usefixtures("bfloat16")
+def test_without_tiles_one_number_is_one_bfloat16_or_float32(monkeypatch):
+    without(monkeypatch, "-mno-amx-tile")
+    parts = [TD3(20, 9, hidden=(40, 33), matmul_precision=precision)._steps._agent.parts for precision in PARTS]
+    assert parts == [1 if precision == "medium" else 0 for precision in PARTS]
+
+
+@needs_compiler
+def test_without_bfloat16_every_precision_is_float32(monkeypatch):
+    without(monkeypatch, "-mno-amx-tile", "-mno-avx512bf16")
     agents = [TD3(20, 9, hidden=(40, 33), seed=3, matmul_precision=precision) for precision in PARTS]
     for agent in agents:
         agent.update(transitions(40, 20, 9))

@@ -16,7 +16,7 @@ from dynasindy.checking.flights import Flights
 from dynasindy.checking.flown import Flown
 from dynasindy.checking.margins import Margins
 from dynasindy.checking.uncertainty import Drawing
-from dynasindy.checking.verdict import Thresholds, in_short, lost, verdict
+from dynasindy.checking.verdict import Thresholds, in_figures, in_short, lost, verdict
 
 SMALL = Settings((-0.4,), (0.4,), points=2, seconds=8.0, grid=3, draws=2)
 
@@ -39,9 +39,9 @@ def test_a_cart_with_a_sound_law_is_sound(good):
     found = by_name(good)
     assert len(found) == 13
     assert [name for name, each in found.items() if not each.good] == ["noise"] or all(f.good for f in found.values())
-    assert "stable at all 2 targets; largest spectral radius" in found["stability"].words
+    assert "stable at all 2 targets of p; largest spectral radius" in found["stability"].words
     assert found["recovery"].words.startswith(
-        "comes back from errors of up to 1 times the typical size of each state: 100 % in p and v;"
+        "comes back from errors of up to 1 times the typical size of each state: 100 % in p and v, of 9 errors in each"
     )
 
 
@@ -49,7 +49,9 @@ def test_a_stable_loop_is_as_slow_as_its_largest_eigenvalue(loops):
     # u = -2 p - 2.5 v on a double integrator: what is left after t is exp(-t / 0.73 s).
     a = np.array([[1.0, 0.1], [0.0, 1.0]]) - np.array([[0.005], [0.1]]) @ np.array([[2.0, 2.5]])
     slowest = -0.1 / np.log(np.abs(np.linalg.eigvals(a)).max())
-    assert f"a time constant of {slowest:.2g} s;" in by_name(check(loops(), SMALL))["stability"].words
+    words = by_name(check(loops(), SMALL))["stability"].words
+    assert f"plant and controller together dies out with a time constant of {slowest:.2g} s, which is -dt / ln" in words
+    assert "the control period dt = 0.1 s;" in words
 
 
 def test_findings_come_in_the_order_of_what_they_build_on(good):
@@ -66,7 +68,16 @@ def test_noise_is_weak_beyond_its_threshold_only_and_none_where_the_file_states_
         found = by_name(noisy, Thresholds(noise=limit))["noise"]
         assert found.good is sound and "moves force by 0.04 (standard deviation)" in found.words
     silent = by_name(check(loops(), SMALL))["noise"]
-    assert silent.good and silent.words.startswith("the file states no noise of sensors")
+    assert silent.good is None and not silent.weak
+    assert str(silent).startswith("?    noise: not known, as the controller's file states no noise")
+
+
+def test_what_is_not_known_is_no_weakness_and_is_summed_up(loops):
+    found = check(loops(), SMALL)
+    findings = [Finding("slew", True, ""), *(each for each in verdict(found) if each.name == "noise")]
+    assert in_short(found, findings) == "In short: stable at all 2 targets, and no finding is weak; not known: noise."
+    figures = in_figures(found, findings)
+    assert figures["unknown"] == ["noise"] and figures["weak"] == []
 
 
 def test_the_largest_slew_and_saturation_over_the_targets_decide(good):
@@ -122,29 +133,64 @@ def test_the_threshold_of_the_steady_error_has_the_unit_of_its_value(good):
 def test_an_unstable_loop_says_so_first_and_where(loops, law):
     lines = verdict(check(loops(law(-1.0, 0.0)), SMALL))
     assert lines[0].name == "stability" and not lines[0].good
-    assert lines[0].words.startswith("NOT stable at 2 of 2 targets, such as (-0.4); flown there for 40 s, p ends")
+    assert lines[0].words.startswith("NOT stable at 2 of 2 targets of p, such as (-0.4); flown there for 40 s, p ends")
     assert "p runs away, or its swings still grow; thresholds" in lines[0].words
     assert not any("margin" in each.name for each in lines)
 
 
 def test_the_only_target_without_a_stable_loop_is_the_one_that_is_named(good):
     lost = replace(good, rest=replace(good.rest, still=torch.tensor([True, False])))
-    assert by_name(lost)["stability"].words.startswith("NOT stable at 1 of 2 targets, (0.4); at 1 of them there is no")
+    assert by_name(lost)["stability"].words.startswith(
+        "NOT stable at 1 of 2 targets of p, (0.4); at 1 of these targets there is no rest"
+    )
 
 
 def test_a_coefficient_that_makes_it_unstable_is_named(loops, carts, law):
     # u = -18 v holds v while 18 b dt < 2; with b = 1.2 it is too much.
     found = by_name(check(loops(law(1.0, 18.0), carts()), SMALL))
     assert found["stability"].good and not found["one coefficient"].good
-    assert "NOT stable with 1 of 2, worst force in v' +20 %" in found["one coefficient"].words
+    words = found["one coefficient"].words
+    assert words.startswith("2 plants from 1 coefficient, 20 % up and down, one at a time, at the 2 targets where")
+    assert "NOT stable with 1 of these 2 plants, worst force in v' +20 %" in words
+    # What swings around its target has an error there that is no steady one.
+    assert "m of p, of which 1 of 2 is left out that does not come to rest; threshold" in words
+
+
+def test_drawn_plants_without_a_rest_or_that_run_away_in_flight_are_counted(good):
+    others = good.spread  # two draws, then one coefficient up and down
+    restless = replace(others, radius=others.radius.clone(), error=others.error.clone())
+    restless.radius[0, 1], restless.error[:, 1] = 1.3, 7.0
+    words = by_name(replace(good, spread=restless))["all coefficients"].words
+    assert "NOT stable with 1 of these 2 plants" in words and " 7 m" not in words
+    assert "of which 1 of 2 is left out that does not come to rest; threshold" in words
+    restless.radius[1] = 2.0
+    restless.radius[0, 0] = torch.inf
+    both = by_name(replace(good, spread=restless))["all coefficients"]
+    assert "no steady error, as none comes to rest" in both.words and not both.good
+    assert "run" not in by_name(good)["all coefficients"].words.partition("worst")[2]
+    flown = replace(good.drawn, x=good.drawn.x.clone())
+    flown.x[0, -1, 0] = 50.0
+    lost = by_name(replace(good, drawn=flown))["all coefficients"]
+    assert "; 1 runs away in the step of steps.png; threshold" in lost.words and not lost.good
+
+
+@pytest.mark.parametrize(("step", "hidden"), [(0.5, True), (1e-9, False)])
+def test_an_error_that_the_sensor_does_not_resolve_is_said_to_be_one(good, step, hidden):
+    # At rest the cart is 0.01 m from its target, which an encoder of 0.5 m does not see.
+    beside = replace(good.steps, x=good.steps.x.clone())
+    beside.x[:, :, 0] = beside.r + 0.01
+    found = replace(good, steps=beside, resolution=np.array([step, 0.0]))
+    words = by_name(found)["steady error"].words
+    assert ("at most 0.01 m of p (the sensor cannot show it, which resolves 0.5 m);" in words) == hidden
+    assert ("sensor" in words) == hidden
 
 
 def test_draws_are_told_with_their_size_and_weak_coefficients_are_not_blamed_on_the_data(good):
     words = by_name(good)["all coefficients"].words
-    assert words.startswith("2 draws of all coefficients, each within 5 % of itself, as the model tells no")
+    assert words.startswith("2 plants with all coefficients drawn, each within 5 % of itself, as the model tells no")
     spread = replace(good.spread, how=Drawing("by their standard errors", "all at a time"))
     assert (
-        "coefficients, by their standard errors, all at a time, where"
+        "coefficients drawn, by their standard errors, all at a time, at the 2 targets where the model"
         in by_name(replace(good, spread=spread))["all coefficients"].words
     )
     for name in ("one coefficient", "all coefficients"):

@@ -3,7 +3,7 @@ import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
-from dynasindy.data.recording import measured, transitions
+from dynasindy.data.recording import Logged, measured, transitions
 from dynasindy.envs import ControlEnv
 from dynasindy.systems import Tras, rk4
 from dynasindy.tasks import Step, Tracking
@@ -49,6 +49,17 @@ def test_periods_at_a_stop_are_left_out_and_break_the_segment():
     assert len(data) == 5 * int((~at_stop).sum())
     follows = data.segment[1:] == data.segment[:-1]
     assert torch.equal(data.x[1:][follows], data.x_next[:-1][follows])
+
+
+def test_some_periods_and_the_others_are_read_of_the_same_log():
+    rows = rollout([0.2, 0.4], 12)
+    rows["next", "at_stop"][5] = True
+    logged, some = Logged(rows, 0.01), torch.tensor([True] * 4 + [False, True] * 4)
+    for among in (some, ~some, torch.ones(12, dtype=torch.bool)):
+        found, wanted = logged.transitions(among), transitions(rows[among], 0.01)
+        for name in ("x", "u", "x_next", "segment"):
+            assert torch.equal(getattr(found, name), getattr(wanted, name)), name
+    assert len(logged.transitions()) == 55
 
 
 def test_an_observer_reads_the_first_measurement_and_that_at_the_end_of_each_period():

@@ -6,6 +6,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
 from dynasindy.envs import ControlEnv
+from dynasindy.envs.late import LateEnv
 from dynasindy.systems import Pendulum, Signature, System, Tras, Xi, integrate
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward, Wave
 
@@ -320,3 +321,19 @@ def test_a_plant_that_moves_in_steps_has_periods_of_whole_steps_and_no_samples_w
         ControlEnv(plant, task, 0.1, 5).check_plant()
     with pytest.raises(ValueError, match=r"the plant Alternating is a difference equation with a step of 0\.1 s and"):
         ControlEnv(plant, task, 0.05, 1).check_plant()
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.07])
+def test_periods_that_follow_each_other_are_advanced_one_by_one(delay):
+    """Also where inputs are late, of which only `advance` knows."""
+    env = LateEnv.around(make(), delay) if delay else make()
+    rng, x = torch.Generator().manual_seed(0), torch.zeros(3, 6)
+    u = 2 * torch.rand(8, 3, 2, generator=rng) - 1
+    if delay:
+        env.past.extend([torch.full((3, 2), -0.5), torch.full((3, 2), 0.5), torch.zeros(3, 2)])
+    samples, touched = env.follow(x, u)
+    for k in range(8):
+        wanted, hit = env.advance(x, u[k])
+        assert torch.equal(samples[k], wanted) and torch.equal(touched[k], hit)
+        x = wanted[:, -1]
+    assert not torch.equal(samples[-1], samples[-2])

@@ -51,6 +51,23 @@ def test_times_of_a_first_order_system() -> None:
     assert metrics["mean_abs_error"].item() == pytest.approx(0.3 * tau / 20, rel=2e-3)
 
 
+def test_a_gust_after_the_step_is_no_part_of_it() -> None:
+    """y = 1 - exp(-t) is within 5 % after ln 20 s = 3 s; a gust from 12 to 15 s pushes it by 0.4."""
+    time = 0.01 * torch.arange(3000, dtype=torch.float64)
+    y = (1 - torch.exp(-time)).reshape(1, -1, 1)
+    pushed = y + 0.4 * ((time >= 12) & (time < 15)).double().reshape(1, -1, 1)
+    r, u = torch.ones_like(y), torch.zeros(1, 3000, 1)
+    found = tracking_metrics(time, pushed, r, u, until=12.0)
+    assert found["settling_time"].item() == pytest.approx(math.log(20), abs=0.02)
+    assert found["overshoot"].item() == 0.0
+    polluted = tracking_metrics(time, pushed, r, u)
+    assert polluted["settling_time"].item() == pytest.approx(15.0, abs=0.02) and polluted["overshoot"].item() > 39
+    # Errors are of the whole record, and what disturbs from the start on is part of the step.
+    assert torch.equal(found["rmse"], polluted["rmse"])
+    always = tracking_metrics(time, pushed, r, u, until=0.0)
+    assert torch.equal(always["settling_time"], polluted["settling_time"])
+
+
 def test_settling_waits_for_the_last_excursion() -> None:
     # The envelope of the error is exp(-zeta omega t) / sqrt(1 - zeta^2): settled no later than it enters 5 %.
     zeta, omega = 0.3, 2.0

@@ -1,5 +1,8 @@
 """A prediction is as good as the worst of the models that it was made on."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
@@ -12,6 +15,7 @@ from dynasindy.evaluation import predicted as module
 from dynasindy.evaluation.held import Held
 from dynasindy.evaluation.predicted import Prediction, predict
 from dynasindy.evaluation.scenarios import Scenario, evaluate
+from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, System
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
 
@@ -47,6 +51,25 @@ def test_one_model_that_is_not_held_breaks_it(flights, words):
         raise ValueError(found.words())
     assert found.record()["promised"] is False
     assert len(found.record()["flights"]) == len(flights)
+
+
+def test_an_error_that_is_finer_than_the_sensor_is_told_as_one_that_it_cannot_show():
+    fine = Prediction((seen(0.001), seen(0.002)), resolved={"theta": 0.01})
+    told = "theta 0.1 to 0.2 % of the target range on average (its sensor resolves 1 %, and cannot show what is less)"
+    assert told in fine.words()
+    assert "sensor" not in replace(fine, resolved={"theta": 0.0005}).words()
+    assert "sensor" not in replace(fine, resolved={}).words()
+
+
+def test_what_a_sensor_resolves_is_a_share_of_the_targets():
+    box = {"low": [-0.2], "high": [0.2]}
+    task = Tracking(Pendulum().signature, Step([[0.2]]), ("theta",), ("Omega",), TrackingReward((1.0,)), **box)
+    env = ControlEnv(Pendulum(), task)
+    idle = TensorDictModule(lambda seen: 0 * seen[..., :1], ["observation"], ["action"])
+    shown = evaluate(env, idle, Scenario("step", seconds=1.0))
+    for keys, share in (({"resolution": 0.004}, {"theta": pytest.approx(0.01)}), ({"noise": 0.004}, {})):
+        sensing = SimpleNamespace(observer=SimpleNamespace(sensors=Sensors({"theta": keys})))
+        assert module._resolved(shown, sensing) == share
 
 
 def test_it_is_shown_in_a_line_without_its_flights():

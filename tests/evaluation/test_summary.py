@@ -9,12 +9,12 @@ import torch
 from tensordict import TensorDict
 
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.disturbances import Pushed
+from dynasindy.evaluation.disturbances import DelayedActuator, Pushed
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, tracking_metrics
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
-from dynasindy.evaluation.summary import heading, restless, summarise, to_text
+from dynasindy.evaluation.summary import beyond_targets, heading, restless, summarise, to_text
 from dynasindy.systems import Pendulum, Signature
-from dynasindy.tasks import Step, Tracking, TrackingReward
+from dynasindy.tasks import Step, Tracking, TrackingReward, Wave, wave
 
 
 def evaluation(**changes: torch.Tensor) -> Evaluation:
@@ -141,9 +141,34 @@ def test_the_heading_says_how_long_and_when_the_plant_was_disturbed() -> None:
     gust = {"plant": partial(Pushed, push={"Omega": 1.0}), "windows": [(0.5, 1.5)]}
     scenario = Scenario("wind", Step([[0.5], [0.2]]), episodes=2, seconds=3.0, **gust)
     result = evaluate(ControlEnv(system, task, substeps=1), still, scenario)
-    assert heading(result) == "Scenario 'wind' (2 references, 3 s, disturbed from 0.5 s to 1.5 s)"
+    assert heading(result) == (
+        "Scenario 'wind' (2 references, 3 s, pushed by 1 rad/s^2 on Omega, disturbed from 0.5 s to 1.5 s, "
+        "overshoot, rise and settling time from what lies before 0.5 s)"
+    )
     calm = evaluate(ControlEnv(system, task, substeps=1), still, Scenario("step", seconds=1.5))
     assert heading(calm) == "Scenario 'step' (1 reference, 1.5 s)"
+    late = Scenario("delay", seconds=1.5, wrappers=[partial(DelayedActuator, periods=3)])
+    assert heading(evaluate(ControlEnv(system, task, substeps=1), still, late)) == (
+        "Scenario 'delay' (1 reference, 1.5 s, inputs late by 3 control periods, 0.15 s)"
+    )
+
+
+def test_references_beyond_the_targets_of_the_plant_are_told_and_others_are_not() -> None:
+    system = Pendulum()
+    box = {"low": [-0.3], "high": [0.4]}
+    task = Tracking(system.signature, Step([[0.1]]), ["theta"], ["Omega"], TrackingReward((4.0,)), **box)
+    env = ControlEnv(system, task, substeps=1)
+
+    def still(td):
+        return td.set("action", torch.zeros(*td.batch_size, 1))
+
+    own = Wave([0.35], [1.0], "square")
+    (line,) = beyond_targets(evaluate(env, still, Scenario("square", own, seconds=2.0)))
+    assert "theta in scenario 'square' go from -0.35 to 0.35 rad, and its targets" in line
+    assert "from -0.3 to 0.4 rad" in line and "plant.signals=null" in line
+    derived = wave("square", [-0.3], [0.4], 20, 0.05)
+    assert beyond_targets(evaluate(env, still, Scenario("square", derived, seconds=2.0))) == []
+    assert beyond_targets(evaluate(env, still, Scenario("step", Step([[0.4], [-0.3]]), 2, 1.0))) == []
 
 
 def test_the_table_carries_the_units_of_the_outputs() -> None:

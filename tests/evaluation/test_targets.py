@@ -7,7 +7,7 @@ import torch
 
 from dynasindy.data.csv import Recording
 from dynasindy.evaluation.source import Source
-from dynasindy.evaluation.targets import in_words, require_radians, targets_like
+from dynasindy.evaluation.targets import in_words, logged_range, require_radians, targets_like
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
@@ -30,6 +30,14 @@ def test_as_many_states_as_inputs_are_held_where_eight_tenths_of_the_log_are(sou
         "low": ["100", "20.10"],
         "high": ["900", "20.90"],
     }
+
+
+def test_the_range_of_a_log_is_told_without_its_outermost_hundredths(source):
+    # q goes evenly from 0 to 1000 m, T from 20 to 21.
+    assert [float(end) for end in logged_range(source, "q")] == pytest.approx([10, 990], abs=1)
+    assert [float(end) for end in logged_range(source, "T")] == pytest.approx([20.01, 20.99], abs=1e-3)
+    with pytest.raises(ValueError, match="the log has no sample of h; choose an output that it has"):
+        logged_range(source, "h")
 
 
 def test_what_was_given_stays(source):

@@ -190,7 +190,7 @@ def test_cut_rollouts_are_counted_as_stored_and_evicted_as_counted():
     kept = iter([3, 4, 1, 2, 5, 5])
 
     class First(Bounds):
-        def masks(self, env, real, generator):
+        def masks(self, env, real, generator, largest=None):
             steps = next(kept)
             return [lambda rollout: (torch.arange(5) < steps).expand(rollout.shape)]
 

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -25,3 +27,26 @@ def test_what_lies_in_a_folder_of_runs_stays(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, cwd=tmp_path)
     assert done.returncode == 2 and "nowhere.csv does not exist" in done.stderr
     assert [str(path.relative_to(tmp_path)) for path in sorted(tmp_path.rglob("*"))] == ["runs", "runs/before"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["planning.learning_rate=1,2"], "'learning_rate' does not exist in 'planning'"),
+        (["system=pendulum,nothing"], "'nothing' does not exist in 'system'"),
+        (["seed=range(0,0)"], "the sweep has no job"),
+        (["seed=0,1", "threads=many"], "threads is 'many'"),
+    ],
+)
+@pytest.mark.parametrize("before", [False, True])
+def test_a_sweep_that_is_refused_leaves_nothing_and_takes_nothing_away(tmp_path, words, said, before):
+    sweep = tmp_path / "runs" / "mine"
+    if before:  # an earlier sweep in this folder
+        (sweep / "0_seed-0").mkdir(parents=True)
+        (sweep / "multirun.yaml").write_text("{}")
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, str(ROOT / "scripts" / "train.py"), "-m", "hydra.sweep.dir=runs/mine", *words]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, cwd=tmp_path)
+    assert done.returncode == 2 and said in done.stderr
+    left = ["runs", "runs/mine", "runs/mine/0_seed-0", "runs/mine/multirun.yaml"] if before else []
+    assert [str(path.relative_to(tmp_path)) for path in sorted(tmp_path.rglob("*"))] == left

@@ -167,6 +167,11 @@ def test_a_plan_that_fails_leaves_the_model(log, tmp_path):
         ([*TASK, "planning=dyna"], "leave planning=gradient"),
         ([*TASK, "evaluation.within=0"], "evaluation.within must be positive, got 0"),
         ([*TASK, "env.dt=-1.0"], "env.dt must be a time > 0, got -1.0 s"),
+        (
+            ["plant.outputs=[theta]", "plant.low=[-0.6]"],
+            "plant.high is not given; say within which targets theta",
+        ),
+        (["plant.outputs=[theta]"], "of its samples the log lies within plant.low=[-"),
         (["plant.outputs=[thta]", *TASK[1:]], "state 'thta' does not exist; the states are theta, Omega"),
         ([*TASK, "plant.library=['1',u,'sinh(theta)']"], "function 'sinh' is not known"),
         ([*TASK, "data.path=nowhere.csv"], "nowhere.csv does not exist"),

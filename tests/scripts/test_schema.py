@@ -16,7 +16,7 @@ from omegaconf import OmegaConf
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 sys.path.append(str(SCRIPTS))
-from mistakes import CONF, in_words  # noqa: E402
+from mistakes import CONF, MEANINGS, in_words  # noqa: E402
 from schema import check  # noqa: E402
 
 ALL = ("train", "ablation", "identify", "evaluate", "report", "export", "check")
@@ -120,6 +120,46 @@ def test_formats_are_those_of_the_command(command, words, said):
     with pytest.raises(ValueError, match=r".") as error:
         check(composed(command, words))
     assert said in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("word", "hint"),
+    [
+        ("planning.learning_rate", "'lr'"),
+        ("planning.lrr", "'lr'"),
+        ("learning_rate", "'agent.actor_lr' or 'agent.critic_lr' or 'planning.lr'"),
+        ("episodes", "'train.episodes' or 'scenario.episodes'"),
+        ("task.n_episodes", "'train.episodes' or 'scenario.episodes'"),
+        ("planning.random_seed", "'seed'"),
+        ("duration", "'excitation.duration'"),  # and not evaluation, which is spelt alike
+        ("agent.discount", "'gamma'"),
+    ],
+)
+def test_a_key_by_another_name_is_offered_where_it_stands(monkeypatch, word, hint):
+    monkeypatch.setattr(sys, "argv", ["train.py", f"{word}=1"])
+    with initialize_config_dir(str(CONF), version_base="1.3"), pytest.raises(ConfigCompositionException) as error:
+        compose("train", [f"{word}=1"])
+    line = in_words(error.value, "train")
+    assert line.endswith(f"; did you mean {hint}?") and "; allowed are " in line
+
+
+def test_a_key_that_means_nothing_that_exists_comes_with_those_of_its_group(monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["train.py", "checkpoint.xyz=1"])
+    with initialize_config_dir(str(CONF), version_base="1.3"), pytest.raises(ConfigCompositionException) as error:
+        compose("train", ["checkpoint.xyz=1"])
+    assert in_words(error.value, "train") == "'xyz' does not exist in 'checkpoint'; allowed are every"
+
+
+@pytest.mark.parametrize("words", MEANINGS, ids=sorted(map(min, MEANINGS)))
+def test_each_group_of_names_that_mean_the_same_has_one_that_exists(words):
+    written = "\n".join(file.read_text() for file in CONF.rglob("*.yaml"))
+    assert any(f"{word}:" in written.split() for word in words), words
+
+
+def test_a_plant_in_the_place_of_what_is_known_of_one_is_looked_for_among_the_systems():
+    cfg = OmegaConf.create({"plant": "tras"})
+    with pytest.raises(ValueError, match=r"^plant=tras is a name, .*: did you mean system=tras\?$"):
+        check(cfg)
 
 
 def test_what_is_not_given_is_missed():

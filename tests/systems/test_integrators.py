@@ -3,7 +3,19 @@ import math
 import pytest
 import torch
 
-from dynasindy.systems import Pendulum, Signature, Stops, System, integrate, moved, rk4, steps_needed
+from dynasindy.systems import (
+    Pendulum,
+    Signature,
+    Stops,
+    System,
+    Tras,
+    flight,
+    integrate,
+    moved,
+    repeated,
+    rk4,
+    steps_needed,
+)
 
 
 def oscillator(x, u):
@@ -138,3 +150,29 @@ def test_a_stop_holds_a_difference_equation_after_each_of_its_steps():
     one = torch.ones(1, 1, dtype=torch.float64)
     samples, touched = integrate(DOUBLING, one, 2 * one, 0.2, 1, Stops((0,), (0,), (-2.5,), (2.5,)))
     assert bool(touched.all()) and float(samples.abs().max()) <= 2.5
+
+
+class Slow(Pendulum):
+    """A pendulum whose class does not say that it has machine code."""
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize(("make", "n_u"), [(Pendulum, 1), (Slow, 1), (Tras, 2)])
+def test_a_flight_is_its_periods_one_by_one(make, n_u, dtype):
+    system, rng = make(), torch.Generator().manual_seed(2)
+    stops = Stops((0,), (1,), (-0.02,), (0.02,))
+    x = 0.02 * torch.randn(5, system.signature.n_x, generator=rng).to(dtype)
+    u = 2 * torch.rand(30, 5, n_u, generator=rng).to(dtype) - 1
+    samples, touched = flight(system, x, u, 0.05, 3, stops)
+    wanted, hit = repeated(lambda x, u: integrate(system, x, u, 0.05, 3, stops), x, u)
+    assert samples.shape == (30, 5, 3, system.signature.n_x)
+    assert torch.equal(samples, wanted) and torch.equal(touched, hit)
+    assert touched.any() and not touched.all()
+
+
+def test_a_flight_under_gradients_has_them():
+    system = Pendulum()
+    u = torch.zeros(4, 1, 1, requires_grad=True)
+    samples, _ = flight(system, torch.zeros(1, system.signature.n_x), u, 0.05, 2)
+    samples[-1, 0, -1, 0].backward()
+    assert u.grad is not None and bool((u.grad != 0).all())

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 import torch
@@ -81,6 +82,30 @@ def test_a_stop_holds_what_moves_outwards_and_lets_go_what_moves_inwards():
     assert samples[0, 0].tolist() == [1.0, 0.0] and samples[1, 0].tolist() == [-1.0, 0.0]
     assert samples[2, 0, 0] < 1.0 and samples[2, 0, 1] < -2.0
     assert touched.tolist() == [True, True, False]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("rows", [(), (1,), (37,), (2, 3)])
+@pytest.mark.parametrize("step", [None, 0.05])
+def test_a_flight_is_its_periods_one_by_one(dtype, rows, step):
+    wall, code = Stops((0,), (-1,), (-0.3,), (0.3,)), Machine(replace(SPRING, step=step), dtype)
+    rng = torch.Generator().manual_seed(1)
+    x = torch.rand(*rows, 2, generator=rng).to(dtype) - 0.5
+    u = torch.rand(60, *rows, 1, generator=rng).to(dtype) * 8 - 4
+    samples, touched = code.flight(x, u, 0.1, 2, wall)
+    assert samples.shape == (60, *rows, 2, 2) and touched.shape == (60, *rows)
+    for k in range(60):
+        wanted, hit = code.integrate(x, u[k], 0.1, 2, wall)
+        assert torch.equal(samples[k], wanted) and torch.equal(touched[k], hit)
+        x = wanted[..., -1, :]
+    assert touched.any() and not touched.all()
+
+
+def test_a_flight_of_a_falling_row_is_the_parabola_that_it_falls_along():
+    fall = Machine(Program(2, 1, (), ("x[1]", "u[0]")), torch.float64)
+    u = torch.tensor([1.0, -2.0, 0.5], dtype=torch.float64).reshape(3, 1, 1)
+    samples, _ = fall.flight(torch.tensor([[0.25, 1.0]], dtype=torch.float64), u, 1.0, 1)
+    assert samples[:, 0, 0].tolist() == [[1.75, 2.0], [2.75, 0.0], [3.0, 0.5]]
 
 
 def test_a_program_is_compiled_once_whatever_its_constants(monkeypatch):

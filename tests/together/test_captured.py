@@ -1,9 +1,11 @@
-"""A step that repeats does the same, captured or not."""
+"""A step that repeats does the same, captured or not, compiled or not."""
+
+from functools import partial
 
 import pytest
 import torch
 
-from dynasindy.together.captured import captured
+from dynasindy.together.captured import captured, compiled
 
 
 @pytest.mark.parametrize(
@@ -20,3 +22,36 @@ def test_a_step_goes_on_from_what_the_last_one_left(device):
     for _ in range(5):
         again()
     assert number.item() == 2**5 - 1
+
+
+def square(x):
+    return x.square().sum()
+
+
+def test_what_is_compiled_for_a_gpu_computes_the_same_with_its_derivatives(monkeypatch):
+    asked = []
+
+    def _backend(graph, inputs):
+        asked.append(graph)
+        return graph.forward
+
+    monkeypatch.setattr(torch, "compile", partial(torch.compile, backend=_backend))
+    x = torch.tensor([1.0, 2.0], requires_grad=True)
+    again = compiled(square, torch.device("cuda"))
+    (slope,) = torch.autograd.grad(again(x), x)
+    assert slope.tolist() == [2.0, 4.0] and len(asked) == 1
+    again(x)
+    assert len(asked) == 1
+
+
+def test_what_torch_cannot_compile_stays_as_it_is(monkeypatch):
+    def _backend(graph, inputs):
+        raise RuntimeError("no Triton")
+
+    monkeypatch.setattr(torch, "compile", partial(torch.compile, backend=_backend))
+    again = compiled(square, torch.device("cuda"))
+    assert again(torch.tensor([1.0, 2.0])).item() == 5.0
+
+
+def test_on_the_cpu_nothing_is_compiled():
+    assert compiled(square, torch.device("cpu")) is square

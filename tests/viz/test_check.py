@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -7,7 +9,7 @@ from dynasindy.control import Controller
 from dynasindy.control.controller import Pace
 from dynasindy.systems import Signature
 from dynasindy.tasks import Step, Tracking, TrackingReward
-from dynasindy.viz.check import coefficients, draw, nyquist, recovery, steps
+from dynasindy.viz.check import Tracked, coefficients, draw, nyquist, recovery, steps
 from dynasindy.world_models import SindyModel
 
 CART = Signature(("p", "v"), ("m", "m/s"), ("force",), (2.0, 3.0))
@@ -133,7 +135,7 @@ def test_a_plane_is_drawn_with_the_first_state_to_the_right():
 
 def test_steps_of_the_model_and_of_other_plants_are_drawn_with_the_target_and_what_passes():
     y, u = np.random.default_rng(0).normal(size=(4, 6, 1)), np.zeros((4, 5, 1))
-    figure = steps(0.1, y, u, [("p", "m", 0.3, 0.05)], CART, how="coefficients by their standard errors")
+    figure = steps(0.1, y, u, [Tracked("p", "m", 0.3, 0.05)], CART, how="coefficients by their standard errors")
     upper, lower = figure.axes
     np.testing.assert_allclose(upper.lines[3].get_ydata(), y[2, :, 0])
     assert upper.lines[0].get_ydata()[0] == 0.3 and upper.lines[1].get_xdata()[-1] == 0.5
@@ -150,8 +152,36 @@ def test_steps_of_the_model_and_of_other_plants_are_drawn_with_the_target_and_wh
     assert len(lower.lines) == 4 and lower.lines[0].get_xdata()[-1] == 0.5
 
 
+def test_plants_that_run_away_are_counted_and_leave_the_axes_to_those_that_stay():
+    y = np.tile(np.linspace(0.0, 0.3, 41)[:, None], (6, 1, 1))  # 4 s of 0.1 s; the last 2 s are the end
+    y[1, 20, 0] = 0.5
+    y[2, 20, 0] = 40.0  # comes back
+    y[3, 10:, 0] = 40.0 * 10.0 ** np.arange(31)
+    y[4, 25:, 0] = np.nan
+    upper, _ = steps(0.1, y, np.zeros((6, 40, 1)), [Tracked("p", "m", 0.3, 0.05, 1.0)], CART, how="others").axes
+    told = [text.get_text() for text in upper.get_legend().get_texts()]
+    assert "3 of 5 plants, others" in told and "2 of these 5 that run away, cut off at the edges" in told
+    low, high = upper.get_ylim()
+    assert -0.1 < low < 0.0 and 0.5 < high < 0.6
+    colors = [line.get_color() for line in upper.lines]
+    assert colors[4] == colors[5] != colors[2] == colors[3] == colors[6]
+    y[0] = 1e9
+    lost = steps(0.1, y, np.zeros((6, 40, 1)), [Tracked("p", "m", 0.3, 0.05, 1.0)], CART).axes[0]
+    assert "the model itself, which runs away" in [text.get_text() for text in lost.get_legend().get_texts()]
+
+
+def test_a_plant_has_run_away_beyond_three_ranges_of_the_targets_or_ways_to_them():
+    found = held_cart(draws=2)
+    assert found.reach.tolist() == pytest.approx([3 * 0.8])  # from -0.4 to 0.4 m
+    far = replace(found, begin=torch.tensor([2.0, 0.0], dtype=torch.float64))
+    assert far.reach.tolist() == pytest.approx([3 * 2.4])
+    found.drawn.x[1, -1, 0] = -0.4 + 2.5
+    told = [text.get_text() for text in draw(found)["steps"].axes[0].get_legend().get_texts()]
+    assert "1 of these 2 that run away, cut off at the edges" in told
+
+
 def test_steps_have_inputs_in_the_unit_of_the_actuator():
     volts = Signature(("p",), ("m",), ("force",), (1.0,), [[-8, 8]], [[0, 1]], ["N"])
     y, u = np.zeros((2, 6, 1)), np.full((2, 5, 1), 0.5)
-    lower = steps(0.1, y, u, [("p", "m", 0.3, 0.05)], volts).axes[1]
+    lower = steps(0.1, y, u, [Tracked("p", "m", 0.3, 0.05)], volts).axes[1]
     assert lower.lines[1].get_ydata().tolist() == [4.0] * 6 and lower.get_ylabel() == "force [N]"

@@ -1,9 +1,10 @@
 /* Products of matrices: out[m] = sum_k a(m, k) x[k] for rows m of a factor and panels x of P columns. They are taken in
-   float32, or by the tiles of a processor (Intel AMX), which read factors in bfloat16 and add in float32.
+   float32, or by a processor that reads factors in bfloat16 and adds in float32: by its tiles (Intel AMX), or, where it
+   has none, by its vectors (AVX-512 BF16, which processors of AMD have, too).
 
-   For tiles a number is rounded to one bfloat16, or held as the sum of two, of whose four products the largest three are
+   For that a number is rounded to one bfloat16, or held as the sum of two, of whose four products the largest three are
    taken: what is left out is some 2^-16 of it. Blocks of 32 rows are read 32 numbers at a time, in pairs of halves of a
-   word, as _tile_dpbf16ps takes them. */
+   word, as _tile_dpbf16ps and _mm512_dpbf16_ps take them. A tile holds 16 rows of 16 such words. */
 #include <stdint.h>
 #include <string.h>
 
@@ -29,11 +30,11 @@ typedef struct {
 typedef struct {
     int parts;             /* bfloat16 for each number; 0 where products are taken in float32 */
     int rows, steps;       /* of the left factor */
-    int used;              /* whether this product is taken by tiles */
+    int used;              /* whether this product is taken in bfloat16 */
     uint32_t *left, *right;
 } Halves;
 
-enum { SIDE = 32, TILE = 256, LEAST = 8 }; /* rows of a block; words of a tile; numbers of a sum that is worth tiles */
+enum { SIDE = 32, TILE = 256, LEAST = 8 }; /* rows of a block; words of a tile; numbers of a sum that is worth it */
 
 static int steps_of(Factor f) { return f.outer * ((f.inner + SIDE - 1) / SIDE); }
 
@@ -80,9 +81,9 @@ INLINE int product(int left, int wide, Factor f, const float *x, float *out)
     return tile(1, wide, f, x, out), 1;
 }
 
-/* ---- by tiles ---- */
+/* ---- in bfloat16 ---- */
 
-#if defined(__AMX_TILE__) && defined(__AMX_BF16__) && defined(__AVX512BF16__) && defined(__linux__)
+#if defined(__AVX512BF16__) && defined(__AVX512BW__)
 #include <immintrin.h>
 
 /* What rounding to bfloat16 leaves of each number. */
@@ -167,6 +168,9 @@ static void enter_left(Halves *halves, Factor f, int rows)
 
 static void enter_right(Halves *halves, Factor f, int rows) { round_rows(f, rows, halves->parts, 1, halves->right); }
 
+static int allowed; /* whether the system lets this process use tiles */
+
+#if defined(__AMX_TILE__) && defined(__AMX_BF16__) && defined(__linux__)
 INLINE void load_left(const uint32_t *from)
 {
     _tile_loadd(4, from, 64);
@@ -190,12 +194,10 @@ INLINE void add_products(void)
 /* What lies there is as it was written: compilers do not know how much the instructions of tiles read and write. */
 INLINE void settle(const void *what) { __asm__ volatile("" : : "r"(what) : "memory"); }
 
-/* The next rows of the product from row m, a multiple of 32: out[i * 32 + j]. Returns how many. */
-static int multiply(const Halves *halves, int m, float *out)
+/* The sums of a block of 32 rows and 32 columns. */
+static void tile_sums(const Halves *halves, const uint32_t *left, const uint32_t *right, float *sums)
 {
-    const int count = halves->rows - m < SIDE ? halves->rows - m : SIDE, size = 2 * halves->parts * TILE;
-    const uint32_t *left = halves->left + (long)(m / SIDE) * halves->steps * size, *right = halves->right;
-    float some[SIDE * SIDE], *sums = count == SIDE ? out : some;
+    const int size = 2 * halves->parts * TILE;
     settle(sums);
     _tile_zero(0);
     _tile_zero(1);
@@ -217,13 +219,12 @@ static int multiply(const Halves *halves, int m, float *out)
     _tile_stored(2, sums + 16 * SIDE, 4 * SIDE);
     _tile_stored(3, sums + 16 * SIDE + 16, 4 * SIDE);
     settle(sums);
-    if (count < SIDE) memcpy(out, some, sizeof(float) * SIDE * (unsigned)count);
-    return count;
 }
 
 /* Sets the tiles of this thread to 16 rows of 64 bytes, until `release_tiles`. */
 static void set_tiles(void)
 {
+    if (!allowed) return;
     struct {
         uint8_t palette, start, unused[14];
         uint16_t bytes[16];
@@ -235,16 +236,88 @@ static void set_tiles(void)
     _tile_loadconfig(&shape);
 }
 
-static void release_tiles(void) { _tile_release(); }
+static void release_tiles(void)
+{
+    if (allowed) _tile_release();
+}
 
-/* Whether the system lets this process use tiles. */
-int tiles(void)
+static int ask_for_tiles(void)
 {
     long syscall(long number, ...);
     return syscall(158, 0x1023, 18) == 0; /* arch_prctl(ARCH_REQ_XCOMP_PERM, XFEATURE_XTILE_DATA) */
 }
 #else
-int tiles(void) { return 0; }
+static void tile_sums(const Halves *halves, const uint32_t *left, const uint32_t *right, float *sums)
+{
+    (void)halves, (void)left, (void)right, (void)sums;
+}
+static void set_tiles(void) {}
+static void release_tiles(void) {}
+static int ask_for_tiles(void) { return 0; }
+#endif
+
+enum { ROWS = 8 }; /* rows of sums that fit into the registers, two vectors each */
+
+/* Add the products of 8 rows of a tile, from row i on, with 32 columns: a pair of numbers of each at a time. */
+INLINE void add_pairs(__m512 sum[ROWS][2], int i, const uint32_t *left, const uint32_t *right)
+{
+#pragma GCC unroll 4
+    for (int k = 0; k < 16; k++) {
+        const __m512bh first = (__m512bh)_mm512_loadu_si512(right + 16 * k);
+        const __m512bh second = (__m512bh)_mm512_loadu_si512(right + TILE + 16 * k);
+#pragma GCC unroll 8
+        for (int m = 0; m < ROWS; m++) {
+            const __m512bh row = (__m512bh)_mm512_set1_epi32((int)left[16 * (i + m) + k]);
+            sum[m][0] = _mm512_dpbf16_ps(sum[m][0], row, first);
+            sum[m][1] = _mm512_dpbf16_ps(sum[m][1], row, second);
+        }
+    }
+}
+
+/* The sums of a block of 32 rows and 32 columns. */
+static void vector_sums(const Halves *halves, const uint32_t *left, const uint32_t *right, float *sums)
+{
+    const int size = 2 * halves->parts * TILE;
+    for (int m = 0; m < SIDE; m += ROWS) {
+        const uint32_t *a = left + m / 16 * TILE, *b = right;
+        __m512 sum[ROWS][2];
+#pragma GCC unroll 8
+        for (int i = 0; i < ROWS; i++)
+            sum[i][0] = sum[i][1] = _mm512_setzero_ps();
+        for (int step = 0; step < halves->steps; step++, a += size, b += size) {
+            add_pairs(sum, m % 16, a, b);
+            if (halves->parts == 1) continue;
+            add_pairs(sum, m % 16, a, b + 2 * TILE);
+            add_pairs(sum, m % 16, a + 2 * TILE, b);
+        }
+#pragma GCC unroll 8
+        for (int i = 0; i < ROWS; i++)
+#pragma GCC unroll 2
+            for (int v = 0; v < 2; v++)
+                _mm512_storeu_ps(sums + (m + i) * SIDE + 16 * v, sum[i][v]);
+    }
+}
+
+/* The next rows of the product from row m, a multiple of 32: out[i * 32 + j]. Returns how many. */
+static int multiply(const Halves *halves, int m, float *out)
+{
+    const int count = halves->rows - m < SIDE ? halves->rows - m : SIDE;
+    const uint32_t *left = halves->left + (long)(m / SIDE) * halves->steps * 2 * halves->parts * TILE;
+    float some[SIDE * SIDE], *sums = count == SIDE ? out : some;
+    (allowed ? tile_sums : vector_sums)(halves, left, halves->right, sums);
+    if (count < SIDE) memcpy(out, some, sizeof(float) * SIDE * (unsigned)count);
+    return count;
+}
+
+/* Of how many bfloat16 for each number products are best taken, if as many as `parts` are wanted; 0 for float32. Asks the
+   system for tiles, if there are any. By vectors, two parts would take longer than float32. */
+int halves(int parts)
+{
+    allowed = ask_for_tiles();
+    return allowed || parts == 1 ? parts : 0;
+}
+#else
+int halves(int parts) { return (void)parts, 0; }
 static void set_tiles(void) {}
 static void release_tiles(void) {}
 static void enter_left(Halves *halves, Factor f, int rows) { (void)halves, (void)f, (void)rows; }

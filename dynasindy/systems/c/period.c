@@ -1,4 +1,4 @@
-/* One control period of a vector field, and its derivatives, for many rows at once. Generated code fills the gaps. A step
+/* Control periods of a vector field, and the derivatives of one, for many rows at once. Generated code fills the gaps. A step
    has four stages, those of Runge and Kutta, or the one of a difference equation. */
 #include <math.h>
 
@@ -76,47 +76,51 @@ static void gather(const real *from, long rows, long first, int n, real *to)
     }
 }
 
-/* The state after each of `steps` steps of h [s], and whether a stop was touched. At a stop a position is held
-   and its outward rate is zero. */
-void advance(long rows, const real *x0, const real *u0, const real *k, real h, int steps, int n_stops,
+/* The states after each of `steps` steps of h [s] of each of `periods`, under inputs of their own, and whether a stop was
+   touched; inputs and results are by period, then by row. At a stop a position is held and its outward rate is zero. */
+void advance(long periods, long rows, const real *x0, const real *u0, const real *k, real h, int steps, int n_stops,
              const int *position, const int *rate, const real *low, const real *high, real *out, unsigned char *touched)
 {
     int at[W];
     real x[N * W], u[M * W], y[N * W], a[N * W], b[N * W], c[N * W], d[N * W];
     for (long first = 0; first < rows; first += W) {
-        gather(x0, rows, first, N, x);
-        gather(u0, rows, first, M, u);
-        for (int r = 0; r < W; r++)
-            at[r] = 0;
-        for (int step = 0; step < steps; step++) {
-            rates(x, u, k, a);
-            if (STAGES == 1) {
-                for (int i = 0; i < N * W; i++) x[i] += h * a[i];
-            } else {
-                for (int i = 0; i < N * W; i++) y[i] = x[i] + (real)0.5 * h * a[i];
-                rates(y, u, k, b);
-                for (int i = 0; i < N * W; i++) y[i] = x[i] + (real)0.5 * h * b[i];
-                rates(y, u, k, c);
-                for (int i = 0; i < N * W; i++) y[i] = x[i] + h * c[i];
-                rates(y, u, k, d);
-                for (int i = 0; i < N * W; i++) x[i] += h / 6 * (a[i] + d[i] + 2 * (b[i] + c[i]));
-            }
-            for (int s = 0; s < n_stops; s++) {
-                real *place = x + position[s] * W, *speed = x + rate[s] * W;
-                for (int r = 0; r < W; r++) {
-                    int below = place[r] <= low[s], above = place[r] >= high[s];
-                    int outward = (below && speed[r] < 0) || (above && speed[r] > 0);
-                    at[r] |= below | above;
-                    place[r] = place[r] < low[s] ? low[s] : place[r] > high[s] ? high[s] : place[r];
-                    speed[r] = outward ? 0 : speed[r];
+        for (long period = 0; period < periods; period++) {
+            const long before = period * rows;
+            if (period == 0)
+                gather(x0, rows, first, N, x);
+            gather(u0 + before * M, rows, first, M, u);
+            for (int r = 0; r < W; r++)
+                at[r] = 0;
+            for (int step = 0; step < steps; step++) {
+                rates(x, u, k, a);
+                if (STAGES == 1) {
+                    for (int i = 0; i < N * W; i++) x[i] += h * a[i];
+                } else {
+                    for (int i = 0; i < N * W; i++) y[i] = x[i] + (real)0.5 * h * a[i];
+                    rates(y, u, k, b);
+                    for (int i = 0; i < N * W; i++) y[i] = x[i] + (real)0.5 * h * b[i];
+                    rates(y, u, k, c);
+                    for (int i = 0; i < N * W; i++) y[i] = x[i] + h * c[i];
+                    rates(y, u, k, d);
+                    for (int i = 0; i < N * W; i++) x[i] += h / 6 * (a[i] + d[i] + 2 * (b[i] + c[i]));
                 }
+                for (int s = 0; s < n_stops; s++) {
+                    real *place = x + position[s] * W, *speed = x + rate[s] * W;
+                    for (int r = 0; r < W; r++) {
+                        int below = place[r] <= low[s], above = place[r] >= high[s];
+                        int outward = (below && speed[r] < 0) || (above && speed[r] > 0);
+                        at[r] |= below | above;
+                        place[r] = place[r] < low[s] ? low[s] : place[r] > high[s] ? high[s] : place[r];
+                        speed[r] = outward ? 0 : speed[r];
+                    }
+                }
+                for (int r = 0; r < W && first + r < rows; r++)
+                    for (int i = 0; i < N; i++)
+                        out[((before + first + r) * steps + step) * N + i] = x[i * W + r];
             }
             for (int r = 0; r < W && first + r < rows; r++)
-                for (int i = 0; i < N; i++)
-                    out[((first + r) * steps + step) * N + i] = x[i * W + r];
+                touched[before + first + r] = (unsigned char)at[r];
         }
-        for (int r = 0; r < W && first + r < rows; r++)
-            touched[first + r] = (unsigned char)at[r];
     }
 }
 

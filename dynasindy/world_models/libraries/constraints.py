@@ -30,6 +30,7 @@ class Constraints:
         known: Mapping[str, str],
         allowed: Mapping[str, Sequence[str]],
         fixed: Mapping[str, Mapping[str, float]],
+        stated_in: str = "world_model.fixed",
     ) -> Constraints:
         """Translate names into tensors.
 
@@ -38,18 +39,26 @@ class Constraints:
             known: state to the function that is its rate, coefficient 1, e.g. `{"alpha_a": "Omega_a"}`.
             allowed: state to the functions that may occur in its equation; it goes before the library's own.
             fixed: state to functions with given coefficients.
+            stated_in: key of the settings in which `fixed` stands, for messages.
 
         Raises:
             ValueError: a state or a function does not exist.
         """
         states = library.signature
-        named: dict[str, Iterable[str]] = {"allowed": allowed, "fixed": fixed, "known": known}
+        named: dict[str, Mapping[str, Iterable[str]]] = {
+            "world_model.allowed": allowed,
+            stated_in: fixed,
+            "world_model.known": {state: [name] for state, name in known.items()},
+        }
         for key, stated in named.items():
             if absent := sorted(map(str, set(stated) - set(states.state_names))):
                 raise ValueError(
-                    f"world_model.{key} names {', '.join(absent)}, which is no state; the states are "
+                    f"{key} names {', '.join(absent)}, which is no state; the states are "
                     f"{', '.join(states.state_names)}: correct the name"
                 )
+            for state, functions in stated.items():
+                for name in functions:
+                    _require(library, name, f"{key}.{state}")
         free = torch.ones(len(library), states.n_x, dtype=torch.bool)
         offset = torch.zeros(len(library), states.n_x, dtype=torch.float64)
         for state, names in {**library.allowed, **allowed}.items():
@@ -65,3 +74,11 @@ class Constraints:
             free[:, i], offset[:, i] = False, 0.0
             offset[library.index(name), i] = 1.0
         return cls(free, offset)
+
+
+def _require(library: Library, name: str, key: str) -> None:
+    """Refuse a function that the library lacks, with the key of the settings that names it."""
+    try:
+        library.index(name)
+    except ValueError as error:
+        raise ValueError(f"{key}: {error}") from error

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from itertools import islice
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -31,6 +32,19 @@ def bounded(features: Iterable[Feature]) -> list[Feature]:
             "plant.library"
         )
     return first
+
+
+class _Plan(NamedTuple):
+    """Hold how a library is computed.
+
+    Attributes:
+        products: places of the values whose product each feature is.
+        steps: factors, each with the places of what it reads; its value has the next place after all earlier ones, of
+            which the first are the states and inputs.
+    """
+
+    products: list[tuple[int, ...]]
+    steps: list[tuple[Factor, tuple[int, ...]]]
 
 
 class Library:
@@ -73,6 +87,7 @@ class Library:
                 "the file of the plant"
             )
         self.names = tuple(f.name() for f in self.features)
+        self._plan: _Plan | None = None
         self.allowed: dict[str, tuple[str, ...]] = {}
         for state, group in (allowed or {}).items():
             signature.state_index(state)
@@ -119,10 +134,33 @@ class Library:
         Returns:
             Theta, `(*batch, n_features)`, in the dtype of `x`.
         """
-        columns = (*x.unbind(-1), *u.to(x.dtype).unbind(-1))
-        values: dict[Factor, Tensor] = {}
-        ones = torch.ones_like(columns[0])
-        return torch.stack([self._product(f.factors, columns, values, ones) for f in self.features], -1)
+        if self._plan is None:
+            self._plan = self._planned()
+        values = [*x.unbind(-1), *u.to(x.dtype).unbind(-1)]
+        for factor, places in self._plan.steps:
+            args = [values[place] for place in places]
+            values.append(factor.compute()(*args) if factor.power == 1 else args[0] ** factor.power)
+        columns = []
+        for places in self._plan.products:
+            column = values[places[0]] if places else torch.ones_like(values[0])
+            for place in places[1:]:
+                column = column * values[place]
+            columns.append(column)
+        return torch.stack(columns, -1)
+
+    def _planned(self) -> _Plan:
+        """Return what there is to compute, each factor once."""
+        steps: list[tuple[Factor, tuple[int, ...]]] = []
+        known: dict[Factor, int] = {}
+
+        def _place(factor: Factor) -> int:
+            if factor not in known:
+                read = tuple(self._index[v] for v in factor.variables)
+                steps.append((factor, read if factor.power == 1 else (_place(factor.base),)))
+                known[factor] = len(self._index) + len(steps) - 1
+            return known[factor]
+
+        return _Plan([tuple(_place(factor) for factor in f.factors) for f in self.features], steps)
 
     @property
     def shapes(self) -> tuple[Factor, ...]:

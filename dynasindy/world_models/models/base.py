@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from abc import abstractmethod
 from collections.abc import Callable
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
@@ -68,6 +69,10 @@ class WorldModel(System):
             NotImplementedError: The model keeps no sums of earlier data.
         """
         raise NotImplementedError(f"{type(self).__name__} is fitted to all transitions at once; use fit")
+
+    def kept(self) -> Callable[[], object]:
+        """Return what takes the model back to what it has learnt so far, its `state_dict`, when called."""
+        return partial(self.load_state_dict, copy.deepcopy(self.state_dict()))
 
     @abstractmethod
     def fit(self, transitions: Transitions) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -42,7 +42,7 @@ class FitReport:
         unmeasured: states whose rates of change were not measured, or are functions of what was not: of an estimate
             that nobody measured a part that stays unexplained says nothing.
         in_pieces: whether simulations meet the log in pieces only, which begin anew: something is lacking.
-        covariance: how well the coefficients are known; None where that is not told.
+        told: how well the coefficients are known, or what computes it; None where that is not told.
         delay_at_end: whether the delay of the inputs is the longest that was tried.
         unscaled: states that no sensor sees and of which nothing tells the unit.
         aside: what the fit by one simulation through all samples found, where it was set aside for one in pieces.
@@ -56,7 +56,7 @@ class FitReport:
     notes: tuple[str, ...] = ()
     dt: float | None = None
     in_pieces: bool = False
-    covariance: Covariance | None = None
+    told: Covariance | Callable[[], Covariance | None] | None = field(default=None, repr=False)
     unmeasured: frozenset[str] = frozenset()
     delay_at_end: bool = False
     unscaled: tuple[str, ...] = ()
@@ -103,6 +103,11 @@ class FitReport:
         """Judge what the samples can tell; computed when first asked for."""
         library, _, sums = self._source
         return Identifiability.of(library, sums)
+
+    @cached_property
+    def covariance(self) -> Covariance | None:
+        """How well the coefficients are known; None where that is not told. Computed when first asked for."""
+        return self.told() if callable(self.told) else self.told
 
     @property
     def known(self) -> str:
@@ -181,6 +186,8 @@ def unmeasured(library: Library, coefficients: Tensor, data: Transitions) -> fro
     """
     names, blind = library.signature.state_names, data.x.isnan().all(0).tolist()
     unseen = {name for name, never in zip(names, blind, strict=True) if never}
+    if not unseen:
+        return frozenset()
     read = [
         {v for k in column.nonzero().flatten().tolist() for v in library.features[k].variables}
         for column in coefficients.unbind(-1)

@@ -15,27 +15,35 @@ A difference equation has the functions where its steps begin, and its changes o
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
-from dynasindy.systems.base import PRECISIONS, Signature
+from dynasindy.systems.base import Signature
 from dynasindy.systems.diverged import Diverged
-from dynasindy.systems.integrators import moved
-from dynasindy.systems.machine import Machine
 from dynasindy.systems.steps import UNTOLD
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries import LibraryBuilder, build_library
 from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.models.base import WorldModel, whole
+from dynasindy.world_models.models.base import whole
 from dynasindy.world_models.models.report import FitReport, unmeasured
+from dynasindy.world_models.models.sparse import SparseModel
 from dynasindy.world_models.refinement.delay import delayed, known_inputs
-from dynasindy.world_models.refinement.measured import at_rest, begun, followed, imagined, rates_known, reconstruct
+from dynasindy.world_models.refinement.measured import (
+    Seen,
+    at_rest,
+    begun,
+    followed,
+    imagined,
+    rates_known,
+    reconstruct,
+)
 from dynasindy.world_models.refinement.quotient import one_quotient
 from dynasindy.world_models.refinement.recording import Recording
 from dynasindy.world_models.refinement.refine import Refinement
@@ -48,14 +56,15 @@ from dynasindy.world_models.regression.covariance import Covariance, of_rates, o
 from dynasindy.world_models.regression.finite import require_finite
 from dynasindy.world_models.regression.regression import Regression, Rows, RunningSums, integral_form
 from dynasindy.world_models.regression.selection import DEPENDENT
-from dynasindy.world_models.writers.fast_field import Field, generate
 from dynasindy.world_models.writers.files import Model as Read
 from dynasindy.world_models.writers.files import load, record, save, understand
-from dynasindy.world_models.writers.machine import machine
 from dynasindy.world_models.writers.tables import equations
 
+Told = Covariance | Callable[[], Covariance | None] | None
+"""The covariance of coefficients, what computes it, or None where nothing tells it."""
 
-class SindyModel(WorldModel):
+
+class SindyModel(SparseModel):
     """A vector field that is a sparse sum of candidate functions.
 
     Args:
@@ -78,8 +87,6 @@ class SindyModel(WorldModel):
         ValueError: a name of a state, an input or a function does not exist, or `time` is another word.
     """
 
-    coefficients: Tensor
-
     def __init__(
         self,
         signature: Signature,
@@ -93,23 +100,25 @@ class SindyModel(WorldModel):
         machine_code: bool = True,
         time: Literal["continuous", "discrete"] | None = None,
     ) -> None:
-        super().__init__(signature)
-        self.machine_code = machine_code
-        self.library = timed(build_library(library, signature), time)
+        super().__init__(signature, timed(build_library(library, signature), time), machine_code)
         self.regression, self.refinement = regression or Regression(), refinement
         self.constraints = Constraints.build(self.library, known or {}, allowed or {}, fixed or {})
-        self.initial = None if initial is None else Constraints.build(self.library, {}, {}, initial).offset
-        self.initial_delay = 0.0  # of the inputs in that guess [s]
+        guess = Constraints.build(self.library, {}, {}, initial or {}, "plant.initial").offset
+        self.initial, self.initial_delay = None if initial is None else guess, 0.0  # of the inputs in that guess [s]
         self.sums = RunningSums(len(self.library), signature.n_x)
-        self.register_buffer("coefficients", self.constraints.offset.clone())
-        self.covariance: Covariance | None = None
-        self._field: Field | None = None
-        self._field_of: tuple[Tensor, int, Library] | None = None
+        self.coefficients = self.constraints.offset.clone()
+        self._covariance: Told = None
 
     @property
-    def step(self) -> float | None:
-        """Step of its difference equation [s], `UNTOLD` before a fit; None of a differential equation."""
-        return self.library.step
+    def covariance(self) -> Covariance | None:
+        """How well the coefficients are known; None where nothing tells. It is computed when first asked for."""
+        if callable(self._covariance):
+            self._covariance = self._covariance()
+        return self._covariance
+
+    @covariance.setter
+    def covariance(self, told: Told) -> None:
+        self._covariance = told
 
     @property
     def followed(self) -> dict[str, str]:
@@ -121,32 +130,6 @@ class SindyModel(WorldModel):
         """Places of the states that only follow another state, and of that."""
         names = self.signature.state_names
         return {names.index(name): names.index(s) for name, s in self.followed.items() if s in names}
-
-    def forward(self, x: Tensor, u: Tensor) -> Tensor:
-        """Compute dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
-        return self._written()(x, u)
-
-    def compiled(self, x: Tensor, u: Tensor) -> Machine | None:
-        """Return the model as machine code for such states and inputs, in the memory of the CPU."""
-        if not self.machine_code or x.dtype not in PRECISIONS or type(self).forward is not SindyModel.forward:
-            return None
-        self._written()
-        return self._machine(x, u, lambda dtype: machine(self.library, self.coefficients, dtype))
-
-    def _written(self) -> Field:
-        """Return the equations as torch code, written anew where they have changed."""
-        made_of, version, library = self._field_of or (None, 0, None)
-        anew = made_of is not self.coefficients or version != self.coefficients._version or library is not self.library
-        # The tensor itself is compared and so kept alive: its id may be that of a later one once it is gone.
-        if self._field is None or anew:
-            self._field = generate(self.library, self.coefficients.cpu())
-            self._machines.clear()
-            self._field_of = self.coefficients, self.coefficients._version, self.library
-        return self._field
-
-    def __getstate__(self) -> dict[str, object]:
-        """Leave generated code out of copies and pickles; it is written again when needed."""
-        return {**super().__getstate__(), "_field": None}
 
     def get_extra_state(self) -> dict[str, object]:
         """Return what `state_dict` keeps besides the coefficients: the running sums, the fitted factors, the delay."""
@@ -160,30 +143,23 @@ class SindyModel(WorldModel):
         self.sums.r, self.sums.count = state["r"].clone(), state["count"]
         self.library = self.library.with_shapes(state["shapes"]).with_step(state.get("step"))
         self.covariance = (known := state.get("covariance")) and Covariance(*known)  # not in older states
-        self.delay, self._field = state["delay"], None
+        self.delay, self._field_of = state["delay"], None
 
-    def predict(self, x: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
-        """Predict states one sampling time ahead, `(*batch, n_x)`, by `substeps` Runge-Kutta steps."""
-        # State-major memory: every row of an elementwise operation is contiguous.
-        x, u = (t.movedim(-1, 0).contiguous().movedim(0, -1) for t in (x, u))
-        return moved(self, x, u, dt, substeps)
+    def kept(self) -> Callable[[], object]:
+        """Return what takes the model back to what it has learnt so far when called."""
+        if type(self).get_extra_state is not SindyModel.get_extra_state:
+            return super().kept()
+        # A fit replaces these and changes nothing inside of them, but for the sums.
+        return partial(
+            self._go_back, self.library, self.coefficients.clone(), self.sums.copy(), self.delay, self._covariance
+        )
 
-    def simulate(self, x0: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
-        """Predict trajectories open loop.
-
-        Args:
-            x0: start states, `(*batch, n_x)`.
-            u: inputs held in each interval, `(*batch, T, n_u)`.
-            dt: sampling time [s].
-            substeps: Runge-Kutta steps per interval.
-
-        Returns:
-            States, `(*batch, T + 1, n_x)`, the start first.
-        """
-        states = [x0]
-        for held in u.unbind(-2):
-            states.append(self.predict(states[-1], held, dt, substeps))
-        return torch.stack(states, -2)
+    def _go_back(
+        self, library: Library, coefficients: Tensor, sums: RunningSums, delay: float, covariance: Told
+    ) -> None:
+        self.library, self.sums, self.delay = library, sums.copy(), delay
+        self.set_coefficients(coefficients)
+        self.covariance = covariance
 
     def fit(self, transitions: Transitions) -> FitReport:
         """Identify the model from transitions alone, forgetting earlier data.
@@ -229,9 +205,9 @@ class SindyModel(WorldModel):
             return
         data, rates = self._checked(transitions), rates_known(self.library, self.constraints)
         guess = at_rest(reconstruct(data, rates), self.followers)
-        self.sums.add(self._rows(Recording.of(data, guess, rates, self.delay), self.delay))
+        self.sums.add(self._rows(Recording.of(data, guess, rates, self.delay).seen(self.delay)))
 
-    @whole("library", "sums", "delay", "coefficients", "covariance")
+    @whole("library", "sums", "delay", "coefficients", "_covariance")
     def _identify(self, transitions: Transitions, sums: RunningSums, delay: float, library: Library) -> FitReport:
         """Fit to the sums of earlier data and to new transitions, whose inputs act `delay` seconds later."""
         start, self.sums, earlier, self.library = time.perf_counter(), sums, sums.count, library
@@ -244,15 +220,16 @@ class SindyModel(WorldModel):
             late = imagined(self.library, first, data, late, rates)
             guess = replace(begun(self.library, first, late, self.followers), u=data.u)
         recording = Recording.of(data, guess, rates, delay)
-        rows = self._rows(recording, delay)
+        seen = recording.seen(delay)
+        rows = self._rows(seen)
         self.sums.add(rows)
-        free = one_quotient(self.library, self.constraints.free, lambda trial: self._rows(recording, delay, trial))
+        free = one_quotient(self.library, self.constraints.free, lambda trial: self._rows(seen, trial))
         constraints = replace(self.constraints, free=free)
         if first is None:
-            self._solve(self.sums, constraints, recording.seen(delay).dependent)
+            self._solve(self.sums, constraints, seen.dependent)
             if self.refinement is None:
-                known = self.coefficients, constraints.free
-                self.covariance = of_sums(*known, self.sums) if earlier else of_rates(*known, *rows)
+                known = self.coefficients.clone(), constraints.free
+                self.covariance = partial(of_sums, *known, self.sums.copy()) if earlier else of_rates(*known, *rows)
         else:
             self.set_coefficients(first)
         self.delay = delay
@@ -264,7 +241,7 @@ class SindyModel(WorldModel):
         # The sums may be of fewer rows than that, each of them the average of many transitions.
         samples = int(known_inputs(data, self.delay).sum()) + (earlier if self.sums is sums else 0)
         fields |= {"unmeasured": unmeasured(*of, data), "unscaled": unscaled(*of, constraints.free, data)}
-        return replace(report, samples=samples, covariance=self.covariance, **fields)
+        return replace(report, samples=samples, told=self._covariance, **fields)
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
         """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`.
@@ -383,15 +360,15 @@ class SindyModel(WorldModel):
             self.library, self.delay = found.library, found.delay
             self.sums = RunningSums(len(self.library), self.signature.n_x)
             recording = Recording.of(data, guess, rates_known(self.library, self.constraints), self.delay)
-            self.sums.add(self._rows(recording, self.delay))
+            self.sums.add(self._rows(recording.seen(self.delay)))
         if self.refinement.method == "integral" or len(data) <= ENOUGH:
             return list(found.notes), fields
         chosen = f"{ENOUGH} of {len(data)} rows, in {STRETCHES} stretches spread evenly over them"
         return [*found.notes, f"functions were chosen on {chosen}; the coefficients were fitted on all rows"], fields
 
-    def _rows(self, recording: Recording, delay: float, library: Library | None = None) -> Rows:
-        """Return averaged functions and rates of change, under inputs that act `delay` seconds later."""
-        seen, library = recording.seen(delay), library or self.library
+    def _rows(self, seen: Seen, library: Library | None = None) -> Rows:
+        """Return averaged functions and rates of change of what regressions read."""
+        library = library or self.library
         return seen.rows(library, self) if seen.half else integral_form(library, seen.guess)
 
     def _solve(self, sums: RunningSums, constraints: Constraints, dependent: float = DEPENDENT) -> None:

@@ -92,9 +92,11 @@ def rates_known(library: Library, constraints: Constraints) -> dict[int, int]:
         constraints: what is known of the equations.
     """
     found = {}
-    for i in range(library.signature.n_x):
+    for i, fitted in enumerate(constraints.free.any(0).tolist()):
+        if fitted:
+            continue
         given = constraints.offset[:, i].nonzero().flatten().tolist()
-        if bool(constraints.free[:, i].any()) or len(given) != 1 or float(constraints.offset[given[0], i]) != 1:
+        if len(given) != 1 or float(constraints.offset[given[0], i]) != 1:
             continue
         if (name := library.names[given[0]]) in library.signature.state_names:
             found[library.signature.state_index(name)] = i
@@ -108,10 +110,10 @@ def followed(library: Library, constraints: Constraints) -> dict[str, str]:
         library: candidate functions.
         constraints: what is known of the equations.
     """
-    found = {}
+    found, used = {}, constraints.free | (constraints.offset != 0)
+    counts = used.sum(0).tolist()
     for i, name in enumerate(library.signature.state_names):
-        own = (constraints.free[:, i] | (constraints.offset[:, i] != 0)).nonzero().flatten().tolist()
-        factors = [*library.features[own[0]].factors] if len(own) == 1 else []
+        factors = [*library.features[int(used[:, i].int().argmax())].factors] if counts[i] == 1 else []
         if [factor.function for factor in factors] == ["ahead"] and factors[0].variables[1] == name:
             found[name] = factors[0].variables[0]
     return found

@@ -56,6 +56,8 @@ def of_one_angle(library: Library) -> dict[tuple[str, ...], Tensor]:
         library: candidate functions.
     """
     angles = [_angle(shape) for shape in library.shapes if shape.function in QUOTIENTS]
+    if not angles:
+        return {}
     owners = [_owner(feature, angles) for feature in library.features]
     pulls = [len(feature.factors) < 2 and not _divided(feature) for feature in library.features]
     return {

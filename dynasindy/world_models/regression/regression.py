@@ -25,6 +25,8 @@ from dynasindy.systems.steps import step_of
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.regression.selection import DEPENDENT, least_missed
 
+AT_ONCE = 10_000
+"""Rows of which the functions at both ends are computed at once; of more they would fill the memory."""
 Rows = tuple[Tensor, Tensor]
 Theta = Callable[[Tensor, Tensor], Tensor]
 
@@ -46,7 +48,11 @@ def integral_form(library: Theta, data: Transitions) -> Rows:
     data = data.to(torch.float64)
     if step_of(library) is not None:
         return library(data.x, data.u), (data.x_next - data.x) / data.dt
-    theta = 0.5 * (library(data.x, data.u) + library(data.x_next, data.u))
+    if len(data) > AT_ONCE:
+        theta = 0.5 * (library(data.x, data.u) + library(data.x_next, data.u))
+    else:  # where single operations cost more than what they compute
+        ends = library(torch.cat([data.x, data.x_next]), torch.cat([data.u, data.u]))
+        theta = 0.5 * (ends[: len(data)] + ends[len(data) :])
     return theta, (data.x_next - data.x) / data.dt
 
 
@@ -109,7 +115,8 @@ class RunningSums:
             ValueError: a sample is not finite.
         """
         stacked = torch.cat([rows[0], rows[1]], -1).to(torch.float64)
-        if not bool(torch.isfinite(stacked).all()):
+        # A sum is a pass over the numbers; of numbers that are finite it may be too large for one.
+        if not math.isfinite(float(stacked.sum())) and not bool(torch.isfinite(stacked).all()):
             bad = int((~torch.isfinite(stacked)).any(-1).sum())
             raise ValueError(
                 f"{bad} of {len(stacked)} samples give functions that are not finite; allowed are finite ones: "
@@ -233,11 +240,11 @@ def stlsq(theta: Tensor, targets: Tensor, support: Tensor, limits: Tensor, max_i
         max_iterations: limit on the refits of a target.
     """
     coefficients = torch.zeros(theta.shape[1], targets.shape[1], dtype=theta.dtype)
-    if bool(support.all()):
+    if everything := bool(support.all()):
         coefficients = least_squares(theta, targets)
     for i in range(targets.shape[1]):
         active = support[:, i].nonzero().squeeze(-1)
-        xi = coefficients[active, i] if bool(support.all()) else least_squares(theta[:, active], targets[:, i])
+        xi = coefficients[:, i].clone() if everything else least_squares(theta[:, active], targets[:, i])
         for _ in range(max_iterations):
             big = xi.abs() >= limits[i]
             if bool(big.all()):

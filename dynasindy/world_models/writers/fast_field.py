@@ -34,13 +34,7 @@ def generate(library: Library, coefficients: Tensor) -> Field:
     Raises:
         ValueError: a coefficient is not finite, or the model has more functions than can be written.
     """
-    if len(wrong := (~coefficients.isfinite()).nonzero()):
-        k, i = wrong[0].tolist()
-        raise ValueError(
-            f"{len(wrong)} coefficients are not finite, such as {coefficients[k, i].item()} of {library.names[k]} in "
-            f"{library.signature.state_names[i]}'; allowed are finite ones: fit on data that excite this function, or "
-            "leave it out of the library"
-        )
+    refuse_not_finite(library, coefficients)
     try:
         writer = FieldWriter(library, coefficients)
     except RecursionError as error:
@@ -51,6 +45,23 @@ def generate(library: Library, coefficients: Tensor) -> Field:
     field.__doc__ = writer.source()
     field.__dict__["step"] = library.step
     return field
+
+
+def refuse_not_finite(library: Library, coefficients: Tensor) -> None:
+    """Refuse to write a model whose coefficients, `(n_features, n_x)`, are not all finite.
+
+    Raises:
+        ValueError: one is not.
+    """
+    if bool(coefficients.isfinite().all()):
+        return
+    wrong = (~coefficients.isfinite()).nonzero()
+    k, i = wrong[0].tolist()
+    raise ValueError(
+        f"{len(wrong)} coefficients are not finite, such as {coefficients[k, i].item()} of {library.names[k]} in "
+        f"{library.signature.state_names[i]}'; allowed are finite ones: fit on data that excite this function, or "
+        "leave it out of the library"
+    )
 
 
 class Constants:

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from dynasindy.systems.base import Signature
+from dynasindy.world_models import SindyModel
 from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.features import CONSTANT, of, variable
 from dynasindy.world_models.libraries.library import Library
@@ -50,10 +51,10 @@ def test_a_given_coefficient_is_no_longer_estimated():
     ("knowledge", "said"),
     [
         ({"known": {"c": "b"}}, "world_model.known names c, which is no state; the states are"),
-        ({"known": {"a": "c"}}, "function 'c' is not among the 5 candidate functions, such as "),
-        ({"allowed": {"b": ["cos(a)"]}}, "function 'cos(a)' is not among the "),
+        ({"known": {"a": "c"}}, "world_model.known.a: function 'c' is not among the 5 candidate functions, such as "),
+        ({"allowed": {"b": ["cos(a)"]}}, "world_model.allowed.b: function 'cos(a)' is not among the "),
         ({"allowed": {"u": ["a"]}}, "world_model.allowed names u, which is no state; the states are"),
-        ({"fixed": {"b": {"b^2": 1.0}}}, "function 'b^2' is not among the "),
+        ({"fixed": {"b": {"b^2": 1.0}}}, "world_model.fixed.b: function 'b^2' is not among the "),
         ({"fixed": {"c": {"b": 1.0}}}, "world_model.fixed names c, which is no state; the states are"),
     ],
 )
@@ -61,3 +62,18 @@ def test_names_that_do_not_exist_are_refused_in_one_line(knowledge, said):
     with pytest.raises(ValueError, match=r".") as error:
         build(**knowledge)
     assert said in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("initial", "said"),
+    [
+        (
+            {"b": {"a": 1.0, "sinh(a)": 0.1}},
+            r"^plant\.initial\.b: function 'sinh\(a\)' is not among the 5 ",
+        ),
+        ({"c": {"a": 1.0}}, r"^plant\.initial names c, which is no state; the states are a, b: correct the name$"),
+    ],
+)
+def test_a_first_guess_that_the_library_lacks_says_where_it_stands(initial, said):
+    with pytest.raises(ValueError, match=said):
+        SindyModel(SIGNATURE, Library(SIGNATURE, FEATURES), initial=initial)

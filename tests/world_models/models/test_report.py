@@ -83,19 +83,19 @@ def test_the_text_says_how_well_coefficients_are_known():
     assert (
         "coefficients are known within 3 % of themselves in the median, and that of u in b', the least of all, "
         "within 25 % (standard errors)"
-    ) in replace(found, covariance=known).to_text().splitlines()
+    ) in replace(found, told=known).to_text().splitlines()
 
 
 def test_coefficients_of_a_difference_equation_are_those_of_the_change_in_a_step():
     found, sums = report(rows())
     stepped = FitReport.of(LIBRARY.with_step(0.01), XI, sums, 0.25, dt=0.01)
     known = Covariance(torch.tensor([2]), torch.tensor([1]), torch.diag(torch.tensor([0.25])).double())
-    told = replace(stepped, covariance=known).known
+    told = replace(stepped, told=known).known
     assert told.startswith("coefficients of the change over a step are known within 25 % of themselves in the median")
     assert "that of u in the change of b, the least" in told
     part = f"{100 * stepped.residual['a']:.3g} % of it, the change over a step, stays unexplained (RMS)"
     assert stepped.to_text().splitlines()[1] == f"  a[k+1] - a[k]: 1 term; {part}"
-    assert "that of u in b', the least" in replace(found, covariance=known).known
+    assert "that of u in b', the least" in replace(found, told=known).known
 
 
 def test_what_the_others_of_an_equation_leave_over_of_a_function_is_the_sine_of_the_angle_between_them():
@@ -121,7 +121,7 @@ def test_nothing_is_said_of_what_stays_unexplained_of_a_rate_that_nobody_measure
 def known_by(factor):
     """Return what is said of coefficients a in a', 1 in b' and u in b', which are 2, 1 and -1."""
     covariance = Covariance(torch.tensor([1, 0, 2]), torch.tensor([0, 1, 1]), torch.tensor(factor, dtype=torch.float64))
-    return replace(report(rows())[0], covariance=covariance).known
+    return replace(report(rows())[0], told=covariance).known
 
 
 def test_one_change_that_the_data_hardly_tell_is_named_with_the_signs_of_its_parts():

@@ -17,9 +17,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.libraries.features import CONSTANT, variable
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.models import sindy
 from dynasindy.world_models.refinement.refined import Refined
-from dynasindy.world_models.writers.fast_field import generate
 
 # The paper, table "SINDY model Xi matrix": 19 coefficients.
 PUBLISHED = {
@@ -123,20 +121,6 @@ def test_forward_is_theta_times_xi_and_follows_new_coefficients():
         model.set_coefficients(xi)
         assert torch.allclose(model(x, u), model.library(x, u) @ xi)
     assert model(x.float(), u.float()).dtype == torch.float32
-
-
-def test_code_is_written_anew_only_for_new_coefficients(monkeypatch):
-    x, u = _points(4)
-    model, written = SindyModel(Xi().signature), []
-    monkeypatch.setattr(sindy, "generate", lambda *of: written.append(of) or generate(*of))
-    for _ in range(3):
-        model(x, u)
-    assert len(written) == 1
-    model.coefficients.fill_(0.5)
-    model(x, u)
-    model.set_coefficients(model.coefficients.clone())
-    model(x, u)
-    assert len(written) == 3
 
 
 def test_coefficients_replaced_twice_between_predictions_are_the_ones_used():

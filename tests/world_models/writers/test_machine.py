@@ -131,6 +131,51 @@ def test_other_numbers_in_the_same_functions_need_no_compiler(monkeypatch):
     torch.testing.assert_close(samples, reference(changed, 2 * xi, x, u, 0.1, 1)[0].float(), rtol=1e-5, atol=1e-6)
 
 
+def test_one_code_serves_all_models_of_a_library(monkeypatch):
+    library, xi = made([A, B, U, A * B, of("sin", "a")])
+    whole = machine(library, xi, torch.float64, whole=True)
+    monkeypatch.setattr(compiling, "build", lambda *_: pytest.fail("compiled again"))
+    x, u = (part.double() for part in drawn(19))
+    for changed in (xi, -xi, torch.where(xi > 0, xi, 0.0), torch.ones_like(xi), torch.zeros_like(xi)):
+        found = machine(library, changed, torch.float64, whole=True).integrate(x, u, 0.1, 2)[0]
+        torch.testing.assert_close(found, reference(library, changed, x, u, 0.1, 2)[0], rtol=1e-13, atol=1e-14)
+    assert not torch.equal(whole.integrate(x, u, 0.1, 2)[0], found)
+
+
+def test_a_model_is_as_its_coefficients_are_whichever_of_them_are_zero_or_one():
+    library, xi = made([A, B, U, A * B, of("sin", "a", frequency=3.0)])
+    x, u = (part.double() for part in drawn(7))
+    rng = torch.Generator().manual_seed(5)
+    for _ in range(6):
+        drawn_kinds = torch.randint(4, xi.shape, generator=rng)
+        changed = torch.where(drawn_kinds == 0, 0.0, torch.where(drawn_kinds == 1, 1.0, xi))
+        changed = torch.where(drawn_kinds == 2, torch.full_like(xi, 3.0), changed)  # as the number in the sine
+        found = machine(library, changed, torch.float64).integrate(x, u, 0.1, 2)[0]
+        torch.testing.assert_close(found, reference(library, changed, x, u, 0.1, 2)[0], rtol=1e-13, atol=1e-14)
+
+
+def test_a_name_that_is_registered_anew_is_the_new_function():
+    x, u = (part.double() for part in drawn(5))
+    for formula, compute in (("2.0 * {0}", lambda z: 2.0 * z), ("{0} * {0}", lambda z: z * z)):
+        register_function("twice_test", compute, formula=formula)
+        library, xi = made([A, of("twice_test", "b")])
+        found = machine(library, xi, torch.float64).integrate(x, u, 0.1, 1)[0]
+        torch.testing.assert_close(found, reference(library, xi, x, u, 0.1, 1)[0], rtol=1e-13, atol=1e-14)
+    unregister_function("twice_test")
+
+
+@pytest.mark.parametrize("rows", [1, 8, 11])
+def test_whole_models_fly_as_sparse_ones(rows):
+    library, xi = made([A, B, U, A * B, of("sin", "a")])
+    model = SindyModel(SIGNATURE, library)
+    model.set_coefficients(torch.where(xi > 0.5, xi, 0.0))
+    x, u = drawn(rows)
+    held = u.expand(4, *u.shape)
+    found, _ = model.compiled(x, u, whole=True).flight(x, held, 0.1, 2)
+    assert model.compiled(x, u, whole=True) is not model.compiled(x, u)
+    torch.testing.assert_close(found, model.compiled(x, u).flight(x, held, 0.1, 2)[0], rtol=1e-5, atol=1e-6)
+
+
 def test_a_function_without_a_formula_is_refused():
     register_function("wild_test", lambda z: torch.special.erf(z))
     library, xi = made([A, of("wild_test", "a")])
