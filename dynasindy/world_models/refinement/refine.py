@@ -170,9 +170,12 @@ class Refinement:
             library, coefficients = self._regressed(library, coefficients, constraints, brief.seen(delay))
             delay = self._regressed_delay(delay, (library, coefficients), constraints, brief)
         found = self._regressed(library, coefficients, constraints, brief.seen(delay))
+        raw, hidden = recording, not bool(found[1].any()) and self.method in ("auto", "trajectory")
+        if hidden and not bool(data.x.isnan().any()):  # noise of single samples may hide every function
+            recording, found = self._smoothed(found, constraints, recording, delay)
         if not late and not bool(found[1].any()):  # no function is left to follow, step by step or further
             return Refined(*found, delay)
-        method, noisy, notes = self._chosen(*found, data, recording.guessed(delay))
+        method, noisy, notes = self._chosen(*found, data, raw.guessed(delay))
         left = None
         if method == "one_step":
             found = refine_one_step(*found, constraints.free, recording.guessed(delay), self.tolerance)
@@ -180,11 +183,17 @@ class Refinement:
         known = self._certainty(method, found, constraints, recording, delay)
         refined = Refined(*found, delay, covariance=known, missed=left)
         if method == "trajectory":
-            if noisy:
-                recording = recording.smoothed(library.step)
-                found = self._regressed(*found, constraints, recording.brief(self._longest).seen(delay))
+            if noisy and not hidden:
+                recording, found = self._smoothed(found, constraints, recording, delay)
             refined = self._by_trajectories(found, delay, constraints, recording)
         return refined.with_notes(notes, self._longest, data.dt)
+
+    def _smoothed(
+        self, found: Model, constraints: Constraints, recording: Recording, delay: float
+    ) -> tuple[Recording, Model]:
+        """Return a recording as one whose samples are noisy, and what regressions find in it."""
+        smooth = recording.smoothed(found[0].step)
+        return smooth, self._regressed(*found, constraints, smooth.brief(self._longest).seen(delay))
 
     def _certainty(
         self, method: str, found: Model, constraints: Constraints, recording: Recording, delay: float
