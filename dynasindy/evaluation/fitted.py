@@ -18,7 +18,8 @@ from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import unresolved
 from dynasindy.systems import Signature
 from dynasindy.told import tell, telling
-from dynasindy.world_models import FitReport, SindyModel
+from dynasindy.world_models import FitReport, Refinement, SindyModel
+from dynasindy.world_models.models.aside import aside
 from dynasindy.world_models.models.follower import Trial, trials
 from dynasindy.world_models.refinement.delay import arrived
 from dynasindy.world_models.refinement.order import moving_on
@@ -42,6 +43,15 @@ STRAIGHT = (
     "no fit has seen no worse"
 )
 """What is said of a fit without functions that bend."""
+CHOSEN = (
+    "the fit of one simulation through all samples was taken (error=simulation), not the one in pieces: on the part of "
+    "the log that no fit has seen, its errors are {:.2f} times those of the other"
+)
+NOT_CHOSEN = (
+    "a fit of one simulation through all samples was not taken: on the part of the log that no fit has seen, its "
+    "errors are {:.2f} times those of the fit in pieces"
+)
+"""What is said of a choice between two fits."""
 IN_VAIN = (
     "the equations miss the log by more than its sensors explain, so {} that no sensor sees was looked for, one that "
     "follows an input or a measured state; none was found that predicts the kept part of the log far better. A hidden "
@@ -100,20 +110,60 @@ def _fitted(model: SindyModel, source: Source) -> Fitted:
     before = forecast(model, source.training, source.validation) if source.logged else None
     if before is None:
         return plain
-    lacking = bool(unresolved(before, model.signature).any())
+    settings = model.refinement
+    plain, before = _whole(plain, before)
+    if model.initial is not None:
+        # A state that nobody saw and somebody knew of comes before one that is guessed.
+        plain, before = _straighter(plain, before)
+    model, lacking = plain.model, bool(unresolved(before, model.signature).any())
     # A state that follows a signal is one of a differential equation.
     if lacking and model.step is None and not moving_on(model.library, arrived(source.training, model.delay)):
-        for found in _wider(model, source):
+        for found in _wider(model, source, settings):
             after = _forecast(found) if found.follower else None
-            if after is not None and _better(before, after, model.signature):
-                return _straighter(found, after)
+            if after is None:
+                continue
+            found, after = _whole(found, after)
+            if _better(before, after, model.signature):
+                return _straighter(found, after)[0]
         named = hidden_states(model, source.training)
         plain = replace(plain, sought=IN_VAIN.format("another state" if named else "a state"))
-    return _straighter(plain, before)
+    return _straighter(plain, before)[0]
 
 
-def _straighter(found: Fitted, before: Forecasts) -> Fitted:
-    """Return the fit without functions that bend, where it predicts as well what no fit has seen.
+def _whole(found: Fitted, before: Forecasts) -> tuple[Fitted, Forecasts]:
+    """Return the fit by one simulation, if it was set aside and predicts better what no fit has seen; and its errors.
+
+    Where a trajectory strays, something pushes the plant, which spoils its fit, or functions are missing. Then pieces
+    are so short that they hardly tell what is slow, and it depends on the plant which of the two fits is the better.
+    """
+    kept, signature = found.report.aside, found.model.signature
+    if kept is None:
+        return found, before
+    with suppress(*FAILURES), telling("fit by one simulation"):
+        model, report = aside(found.model, kept, found.source.training)
+        whole = _renamed(replace(found, model=model, report=report))
+        after = _forecast(whole) if bool(whole.follower) == bool(found.follower) else None
+        if after is not None:
+            ratio = float(_ratios(before, after, signature).nanmean().exp())
+            if ratio < 1 / ROUGHLY and _as_good(before, after, signature):
+                return _noted(whole, CHOSEN.format(ratio)), after
+            return _noted(found, NOT_CHOSEN.format(ratio)), before
+    return found, before
+
+
+def _renamed(found: Fitted) -> Fitted:
+    """Return the fit with what its equations now say of the state that follows a signal, if it has one."""
+    signal = found.model.followed.get(found.model.signature.state_names[-1], "") if found.follower else ""
+    return replace(found, follower=Trial(found.model, signal, 0.0).words() if signal else "")
+
+
+def _noted(found: Fitted, note: str) -> Fitted:
+    """Return the fit with one more note in its report."""
+    return replace(found, report=replace(found.report, notes=(*found.report.notes, note)))
+
+
+def _straighter(found: Fitted, before: Forecasts) -> tuple[Fitted, Forecasts]:
+    """Return the fit without functions that bend, where it predicts as well what no fit has seen; and its errors.
 
     Where a model that lacks something is fitted, its errors last, and all the samples of one error are witnesses of the
     same. Products and squares then come in that make up for a shape of the motion, and turn up as bent characteristics
@@ -122,21 +172,15 @@ def _straighter(found: Fitted, before: Forecasts) -> Fitted:
     lasting = found.report.in_pieces or bool(unresolved(before, found.model.signature).any())
     model = _straight(found.model) if lasting else None
     if model is None:
-        return found
+        return found, before
     with suppress(*FAILURES), telling("fit without functions that bend"):
-        report = model.fit(found.source.training)
-        followed = model.followed.get(model.signature.state_names[-1], "") if found.follower else ""
-        words = Trial(model, followed, 0.0).words() if followed else ""
-        straight = replace(found, model=model, report=report, follower=words)
-        after = _forecast(straight) if bool(words) == bool(found.follower) else None
-        if after is not None and _as_good(before, after, model.signature):
-            return _left_out(straight)
-    return found
-
-
-def _left_out(found: Fitted) -> Fitted:
-    """Return the fit, whose report says that functions that bend were left out."""
-    return replace(found, report=replace(found.report, notes=(*found.report.notes, STRAIGHT)))
+        straight = _renamed(replace(found, model=model, report=model.fit(found.source.training)))
+        after = _forecast(straight) if bool(straight.follower) == bool(found.follower) else None
+        if after is not None:
+            straight, after = _whole(straight, after)
+            if _as_good(before, after, model.signature):
+                return _noted(straight, STRAIGHT), after
+    return found, before
 
 
 def _straight(model: SindyModel) -> SindyModel | None:
@@ -162,7 +206,7 @@ def _forecast(found: Fitted) -> Forecasts | None:
     return forecast(found.model, found.source.training, found.source.validation)
 
 
-def _wider(model: SindyModel, source: Source) -> Iterator[Fitted]:
+def _wider(model: SindyModel, source: Source, settings: Refinement | None) -> Iterator[Fitted]:
     """Yield fits with one state more, those first that regressions prefer; a fit that fails is left out.
 
     Products and squares may bend to what the followed signal alone explained, so each is fitted without them, too. The
@@ -170,11 +214,12 @@ def _wider(model: SindyModel, source: Source) -> Iterator[Fitted]:
     """
     with suppress(*FAILURES):
         for trial in trials(model, source.training)[:MOST]:
+            trial.model.refinement = settings
             if (found := _with(trial, source)) is not None:
                 yield found
             bare = _straight(trial.model)
             if bare is not None and (found := _with(replace(trial, model=bare), source)) is not None:
-                yield _left_out(found)
+                yield _noted(found, STRAIGHT)
 
 
 def _with(trial: Trial, source: Source) -> Fitted | None:
@@ -202,7 +247,15 @@ def _ratios(before: Forecasts, after: Forecasts, signature: Signature) -> Tensor
 
     An error counts as what the sensor resolves at least, and as what has run away at most; exact logs resolve anything.
     """
-    most = LOST * torch.tensor(signature.x_scale, dtype=before.model.dtype)[: before.model.shape[1]]
+    # A model that runs away is judged over shorter horizons as well, which the other is not.
+    (ours, theirs), n_x = _over_the_same(after, before), before.model.shape[1]
+    most = LOST * torch.tensor(signature.x_scale, dtype=theirs.dtype)[:n_x]
     least = before.resolution.nan_to_num(nan=0.0).to(most).clamp(FINEST / LOST * most, most)
-    ours, theirs = (f.model[:, : len(most)].clamp(least, most) for f in (after, before))
-    return torch.where(before.model.isnan(), math.nan, (ours / theirs).log())
+    ratios = ours[:, :n_x].clamp(least, most) / theirs.clamp(least, most)
+    return torch.where(theirs.isnan(), math.nan, ratios.log())
+
+
+def _over_the_same(*both: Forecasts) -> list[Tensor]:
+    """Return the errors of models over the horizons that all of them are judged over, `(horizons, n_x)` each."""
+    shared = set.intersection(*(set(one.horizons) for one in both))
+    return [one.model[[horizon in shared for horizon in one.horizons]] for one in both]

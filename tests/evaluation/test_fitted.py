@@ -19,6 +19,7 @@ from dynasindy.systems import Diverged, Pendulum, Signature, System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.models.follower import Trial
+from dynasindy.world_models.refinement.refined import Refined
 
 
 @pytest.fixture
@@ -173,7 +174,7 @@ def test_what_bends_for_nothing_is_left_out_of_a_fit_in_pieces(bend, straight):
     """The plant itself is straight, or its outflow grows with the square of its level."""
     found = tank(bend)
     names, before = found.model.library.names, module._forecast(found)
-    kept = module._straighter(found, before).model.coefficients[:, 0]
+    kept = module._straighter(found, before)[0].model.coefficients[:, 0]
     bent = {name for name, size in zip(names, kept.tolist(), strict=True) if size} & {"y^2", "y u", "u^2"}
     assert (bent == set()) == straight
     if straight:
@@ -181,8 +182,8 @@ def test_what_bends_for_nothing_is_left_out_of_a_fit_in_pieces(bend, straight):
         assert kept[names.index("y")] == pytest.approx(-0.5, rel=0.05)
         explained = replace(found, report=replace(found.report, in_pieces=False))
         good = replace(before, model=before.resolution.expand_as(before.model))
-        assert module._straighter(explained, good) is explained
-        assert module._straighter(explained, before) is not explained  # the last part of the log is missed
+        assert module._straighter(explained, good)[0] is explained
+        assert module._straighter(explained, before)[0] is not explained  # the last part of the log is missed
 
 
 def test_a_state_that_follows_is_fitted_without_products_and_squares_too():
@@ -200,7 +201,7 @@ def test_a_state_that_follows_is_fitted_without_products_and_squares_too():
     log = Source(Signature(("y",), ("m",), ("u",), (3.0,)), seen, seen, logged=True)
     model = SindyModel(log.signature, "polynomial", Regression("bic"), Refinement("trajectory"))
     model.fit(log.training)
-    bent, straight = list(module._wider(model, log))[:2]
+    bent, straight = list(module._wider(model, log, model.refinement))[:2]
     assert bent.model.library.names == straight.model.library.names
     found = dict(zip(straight.model.library.names, straight.model.coefficients[:, 0].tolist(), strict=True))
     wanted = dict.fromkeys(found, 0.0) | {"u_lagging": 2.0, "y": -0.5}
@@ -240,7 +241,7 @@ def of_one(error):
 def test_what_bends_is_left_out_only_where_no_error_is_larger_without(part, straight, monkeypatch):
     found = bowl()
     monkeypatch.setattr(module, "_forecast", lambda given: of_one(0.1 * part))
-    kept = module._straighter(found, of_one(0.1))
+    kept = module._straighter(found, of_one(0.1))[0]
     assert (kept is not found) == straight
     if straight:
         assert float(kept.model.coefficients[kept.model.library.index("y^2"), 0]) == 0.0
@@ -268,4 +269,61 @@ def test_a_model_with_functions_that_are_no_polynomials_keeps_its_squares(fricti
     xi[found.model.library.index("tanh(50 y)"), 0] = friction
     found.model.set_coefficients(xi)
     monkeypatch.setattr(module, "_forecast", lambda given: of_one(0.05))
-    assert (module._straighter(found, of_one(0.1)) is not found) == straight
+    assert (module._straighter(found, of_one(0.1))[0] is not found) == straight
+
+
+@pytest.mark.parametrize(("part", "taken"), [(0.8, True), (0.95, False), (1.3, False)])
+def test_what_was_set_aside_is_taken_where_it_predicts_better_by_a_tenth(part, taken, monkeypatch):
+    """Errors of the two fits on the kept part of the log are given."""
+    found = bowl()
+    xi = found.model.coefficients.clone()
+    kept = Refined(found.model.library, 0.5 * xi, in_pieces=True)
+    found.model.refinement = Refinement("auto")
+    found = replace(found, report=replace(found.report, aside=kept))
+    monkeypatch.setattr(module, "_forecast", lambda given: of_one(0.1 * part))
+    after, errors = module._whole(found, of_one(0.1))
+    assert torch.equal(after.model.coefficients, (0.5 if taken else 1.0) * xi)
+    assert float(errors.model[0, 0]) == pytest.approx(0.1 * (part if taken else 1.0))
+    assert after.model.refinement.error == ("simulation" if taken else None)
+    assert f"{part:.2f} times" in after.report.notes[-1] and (" not taken" in after.report.notes[-1]) == (not taken)
+
+
+def two_tanks(seed, samples=400, dt=4.0):
+    """Log of the lower one of two tanks, each of which drains slowly, with a slow unknown flow into the lower one."""
+    generator, x, w, seen = np.random.default_rng(seed), np.array([0.5, 0.5]), 0.0, []
+    u = np.repeat(generator.uniform(0, 1, samples // 20), 20)
+    for held in u:
+        seen.append(x[1])
+        for _ in range(20):
+            w += -w * dt / 20 / 40 + 0.05 * np.sqrt(2 * dt / 20 / 40) * generator.normal()
+            x = x + dt / 20 * np.array([(held - x[0]) / 80, (x[0] - x[1] + w) / 60])
+    y = np.full((samples + 1, 2), np.nan)
+    y[:, 1] = np.array([*seen, x[1]]) + 0.01 * generator.normal(size=samples + 1)
+    return Transitions.from_trajectory(torch.from_numpy(y), torch.from_numpy(u[:, None]), dt)
+
+
+def test_the_better_one_of_two_fits_is_the_better_one_on_other_logs_too():
+    """Which of the two is taken is told by the kept part; the oracle are logs of the same tanks that nothing saw."""
+    signature, data = Signature(("upper", "lower"), ("m", "m"), ("u",), (1.0, 1.0)), two_tanks(1)
+    place = torch.arange(len(data))
+    source = Source(signature, data.select(place < 300), data.select(place >= 300), logged=True)
+    initial = {"upper": {"u": 0.02, "upper": -0.02}, "lower": {"upper": 0.02, "lower": -0.02}}
+    model = SindyModel(signature, ["1", "upper", "lower", "u"], Regression("bic"), Refinement("auto"), initial=initial)
+    report = model.fit(source.training)
+    assert report.in_pieces
+    taken = module._whole(Fitted(model, source, report), forecast(model, source.training, source.validation))[0]
+    assert taken.model is not model and "(error=simulation)" in taken.report.notes[-1]
+    others = [two_tanks(seed) for seed in (11, 12, 13)]
+    ours, theirs = (
+        sum(float(forecast(each, source.training, other).model[:, 1].log().mean()) for other in others)
+        for each in (taken.model, model)
+    )
+    assert ours < theirs
+
+
+def test_a_model_that_is_judged_over_shorter_horizons_is_compared_over_those_of_both():
+    """One that runs away is judged over shorter horizons, too; there the other one has no errors."""
+    signature = Signature(("q", "w"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
+    lost = replace(forecasts([0.1, 0.1], [9.0, 9.0], [9.0, 9.0]), horizons=(0.01, 0.1, 0.2))
+    assert module._better(lost, forecasts([0.1, 0.1], [0.1, 0.1]), signature)
+    assert not module._better(forecasts([0.1, 0.1], [0.1, 0.1]), lost, signature)

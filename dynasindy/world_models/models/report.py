@@ -11,6 +11,7 @@ from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.library import Library
+from dynasindy.world_models.refinement.refined import Refined
 from dynasindy.world_models.regression.covariance import Covariance
 from dynasindy.world_models.regression.identifiability import Identifiability
 from dynasindy.world_models.regression.regression import RunningSums
@@ -20,6 +21,10 @@ CHANGE = "the change over a step"
 """What percentages of a difference equation are of."""
 EXACT = 1e-6
 """Part of a rate of change that may stay unexplained where a fit is called exact; digits of the data end there."""
+
+LOOSE, APART, PART = 1.0, 0.3, 0.3
+"""Standard error by its coefficient, from which on it is asked whether one change makes it; part of the standard errors
+that is left without that change where it does; and of its largest share, from which on a coefficient takes part."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,8 @@ class FitReport:
         in_pieces: whether simulations meet the log in pieces only, which begin anew: something is lacking.
         told: how well the coefficients are known, or what computes it; None where that is not told.
         delay_at_end: whether the delay of the inputs is the longest that was tried.
+        unscaled: states that no sensor sees and of which nothing tells the unit.
+        aside: what the fit by one simulation through all samples found, where it was set aside for one in pieces.
     """
 
     samples: int
@@ -52,6 +59,8 @@ class FitReport:
     told: Covariance | Callable[[], Covariance | None] | None = field(default=None, repr=False)
     unmeasured: frozenset[str] = frozenset()
     delay_at_end: bool = False
+    unscaled: tuple[str, ...] = ()
+    aside: Refined | None = field(default=None, repr=False)
 
     @classmethod
     def of(
@@ -108,12 +117,47 @@ class FitReport:
         library, xi, _ = self._source
         shares = 100 * self.covariance.shares(xi)
         worst = int(shares.argmax())
-        feature, state = int(self.covariance.features[worst]), int(self.covariance.states[worst])
-        place = f"that of {library.names[feature]} in {change_of(library, library.signature.state_names[state])}"
         whose = "" if library.step is None else f" of {CHANGE}"
         return (
             f"coefficients{whose} are known within {float(shares.median()):.2g} % of themselves in the median, and "
-            f"{place}, the least of all, within {float(shares[worst]):.2g} % (standard errors)"
+            f"that of {self._place(worst)}, the least of all, within {float(shares[worst]):.2g} % (standard errors)"
+            f"{self._loosest()}"
+        )
+
+    def _loosest(self) -> str:
+        """Name the change of coefficients that the data hardly tell, if all others are known far better."""
+        if self.covariance is None or len(self.covariance.factor) < 2:
+            return ""
+        xi = self._source[1]
+        change, rest = self.covariance.loosest(xi)
+        before, after = (float(known.shares(xi).median()) for known in (self.covariance, rest))
+        if float(self.covariance.shares(xi).max()) < LOOSE or after > APART * before:
+            return ""
+        moved = (change.abs() > PART * change.abs().max()).nonzero().flatten().tolist()
+        grown, shrunk = ([self._place(k) for k in moved if sign * change[k] > 0] for sign in (1, -1))
+        ways = [(grown or shrunk, "larger"), (shrunk if grown else [], "smaller")]
+        words = ", and ".join(f"{', '.join(places)} {how}" for places, how in ways if places)
+        return (
+            f"; nearly all of that is one change that the data hardly tell: {words} in size, at the same time. Were it "
+            f"known, the others would be within {100 * after:.2g} % in the median"
+        )
+
+    def _place(self, k: int) -> str:
+        """Name a coefficient of the covariance by its function and its equation."""
+        assert self.covariance is not None
+        library, feature, state = self._source[0], int(self.covariance.features[k]), int(self.covariance.states[k])
+        return f"{library.names[feature]} in {change_of(library, library.signature.state_names[state])}"
+
+    @property
+    def units(self) -> str:
+        """Say of which hidden states nothing tells the unit; nothing where there are none."""
+        if not self.unscaled:
+            return ""
+        which, its = " and ".join(self.unscaled), "its" if len(self.unscaled) == 1 else "their"
+        return (
+            f"no sensor sees {which}, and nothing else tells {its} unit: in any other unit, with coefficients to "
+            "match, the model predicts the same. The fit keeps about the unit of the first guess, and coefficients and "
+            "standard errors are in that unit"
         )
 
     def to_text(self) -> str:
@@ -127,7 +171,8 @@ class FitReport:
             left = f"nothing of {it} stays unexplained" if part <= EXACT else left  # what is not a number is not exact
             missed = "" if state in self.unmeasured else f"; {left}"
             lines.append(f"  {state}{moves.format(state)}: {counts[state]}{missed}")
-        told = [*filter(None, [self.known]), *(f"note: {note}" for note in self.notes)]
+        notes = [*filter(None, [self.units]), *self.notes]
+        told = [*filter(None, [self.known]), *(f"note: {note}" for note in notes)]
         return "\n".join([*lines, *told, self.identifiability.to_text()])
 
 

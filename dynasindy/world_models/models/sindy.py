@@ -47,6 +47,7 @@ from dynasindy.world_models.refinement.measured import (
 from dynasindy.world_models.refinement.quotient import one_quotient
 from dynasindy.world_models.refinement.recording import Recording
 from dynasindy.world_models.refinement.refine import Refinement
+from dynasindy.world_models.refinement.scale import unscaled
 from dynasindy.world_models.refinement.shapes import stayed
 from dynasindy.world_models.refinement.shooting import RunsAway
 from dynasindy.world_models.refinement.stepwise import stepwise, timed
@@ -140,10 +141,9 @@ class SindyModel(SparseModel):
         """Restore what `get_extra_state` returned."""
         self.sums = RunningSums(len(self.library), self.signature.n_x)
         self.sums.r, self.sums.count = state["r"].clone(), state["count"]
-        self.library, self.delay = self.library.with_shapes(state["shapes"]), state["delay"]
-        self.library = self.library.with_step(state.get("step"))
+        self.library = self.library.with_shapes(state["shapes"]).with_step(state.get("step"))
         self.covariance = (known := state.get("covariance")) and Covariance(*known)  # not in older states
-        self._field_of = None
+        self.delay, self._field_of = state["delay"], None
 
     def kept(self) -> Callable[[], object]:
         """Return what takes the model back to what it has learnt so far when called."""
@@ -236,12 +236,12 @@ class SindyModel(SparseModel):
         notes, fields = self._refine(data, guess, constraints, 0.0 if first is None else self.initial_delay)
         if self.refinement is not None:
             notes += stayed(self.library, self.coefficients)
-        seconds = time.perf_counter() - start
-        report = FitReport.of(self.library, self.coefficients, self.sums, seconds, notes, data.dt)
+        of, seconds = (self.library, self.coefficients), time.perf_counter() - start
+        report = FitReport.of(*of, self.sums, seconds, notes, data.dt)
         # The sums may be of fewer rows than that, each of them the average of many transitions.
         samples = int(known_inputs(data, self.delay).sum()) + (earlier if self.sums is sums else 0)
-        unseen = unmeasured(self.library, self.coefficients, data)
-        return replace(report, samples=samples, unmeasured=unseen, told=self._covariance, **fields)
+        fields |= {"unmeasured": unmeasured(*of, data), "unscaled": unscaled(*of, constraints.free, data)}
+        return replace(report, samples=samples, told=self._covariance, **fields)
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
         """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`.
@@ -353,7 +353,7 @@ class SindyModel(SparseModel):
             return ["the refinement dropped every function, so the fit before it stays; log longer or cleaner data"], {}
         self.set_coefficients(refined)
         self.covariance = found.covariance
-        fields: dict[str, Any] = {"in_pieces": found.in_pieces, "delay_at_end": found.delay_at_end}
+        fields: dict[str, Any] = {k: getattr(found, k) for k in ("in_pieces", "delay_at_end", "aside")}
         fields |= {} if found.missed is None else {"residual": found.missed}
         if found.library is not self.library or found.delay != self.delay:
             # The functions are others now, and so are the sums of their products.

@@ -18,6 +18,8 @@ from dynasindy.world_models.writers.fast_field import generate
 
 EXACT = 1e-100
 """Error taken for that of a state that is met exactly, as one that never moves; its inverse has a finite square."""
+ROUNDING = 1e-12
+"""Part of a state below which errors are those of arithmetic, which differ from processor to processor."""
 FINE, COARSE, STABLE, MOST_STEPS = 0.1, 0.3, 1.5, 10
 """Runge-Kutta step times the fastest rate of the model: for an error of 1e-7, for one of 2e-5, by which functions and
 delays are compared, and the most that is stable; and how many steps of an interval the first two may ask for."""
@@ -82,11 +84,15 @@ class Flow:
         return ~finite
 
     def sigma(self) -> Tensor:
-        """Return the error of each state, `(n_x,)`; `EXACT` where none was measured. Of lasting ones what is new."""
+        """Return the error of each state, `(n_x,)`, not below rounding; of lasting ones what is new.
+
+        It is `EXACT` where none was measured, or a state is zero throughout.
+        """
         windows = self.windows
         error = white((windows.measured - self.predicted).unsqueeze(-1) * windows.mask.unsqueeze(-1), windows)
-        error = error.squeeze(-1)
-        return (error.square().sum((0, 1)) / windows.mask.sum((0, 1)).clamp_min(1)).sqrt().clamp_min(EXACT)
+        size = (windows.measured * windows.mask).square().sum((0, 1))
+        squares = (error.squeeze(-1).square().sum((0, 1)), ROUNDING**2 * size)
+        return (torch.maximum(*squares) / windows.mask.sum((0, 1)).clamp_min(1)).sqrt().clamp_min(EXACT)
 
 
 def states_of(estimate: Estimate, windows: Windows) -> Tensor:

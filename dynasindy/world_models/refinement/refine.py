@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from torch import Tensor
 
@@ -29,6 +29,7 @@ from dynasindy.world_models.refinement.noisy import looks_noisy
 from dynasindy.world_models.refinement.one_step import refine_one_step
 from dynasindy.world_models.refinement.order import moving_on
 from dynasindy.world_models.refinement.recording import Recording
+from dynasindy.world_models.refinement.refined import Refined
 from dynasindy.world_models.refinement.shapes import fit_shapes
 from dynasindy.world_models.refinement.shooting import RunsAway, certainty
 from dynasindy.world_models.refinement.trajectory import WORSE, Fitted, few_steps, refine_trajectory, strain
@@ -66,30 +67,6 @@ Model = tuple[Library, Tensor]
 """A library with the numbers inside its fitted factors, and coefficients, `(n_features, n_x)`."""
 
 
-class Refined(NamedTuple):
-    """Hold what a refinement found.
-
-    Attributes:
-        library: candidate functions, with the numbers inside fitted factors.
-        coefficients: Xi, `(n_features, n_x)`.
-        delay: time between an input and its effect [s].
-        notes: sentences on what was chosen, and by what.
-        in_pieces: whether `auto` found that the log is met in pieces only, which begin anew: something is lacking.
-        covariance: how well the coefficients are known; None where that is not told.
-        delay_at_end: whether the delay is the longest that was tried.
-        missed: part of each state's change that predictions of single steps miss, where these were fitted.
-    """
-
-    library: Library
-    coefficients: Tensor
-    delay: float = 0.0
-    notes: tuple[str, ...] = ()
-    in_pieces: bool = False
-    covariance: Covariance | None = None
-    delay_at_end: bool = False
-    missed: dict[str, float] | None = None
-
-
 @dataclass(frozen=True)
 class Refinement:
     """Settings of the refinement.
@@ -110,7 +87,7 @@ class Refinement:
             is new in such errors, as they last from sample to sample (`coloured`), of windows that begin anew
             (`prediction`), for plants that are pushed at random or unstable, or what a Kalman filter leaves over in
             such windows (`innovation`), the sizes of pushes and of noise estimated; `auto` takes windows that begin
-            anew where they leave over much less than a trajectory.
+            anew where they leave over much less than a trajectory, and keeps the latter aside.
             The default is `auto` for the method `auto`, and `simulation` for others.
         correlated: whether a coefficient of `trajectory` must be worth the more, the longer errors last: for real
             plants, of which every model leaves over more than noise. If not, every sample counts.
@@ -193,9 +170,12 @@ class Refinement:
             library, coefficients = self._regressed(library, coefficients, constraints, brief.seen(delay))
             delay = self._regressed_delay(delay, (library, coefficients), constraints, brief)
         found = self._regressed(library, coefficients, constraints, brief.seen(delay))
+        raw, hidden = recording, not bool(found[1].any()) and self.method in ("auto", "trajectory")
+        if hidden and not bool(data.x.isnan().any()):  # noise of single samples may hide every function
+            recording, found = self._smoothed(found, constraints, recording, delay)
         if not late and not bool(found[1].any()):  # no function is left to follow, step by step or further
             return Refined(*found, delay)
-        method, noisy, notes = self._chosen(*found, data, recording.guessed(delay))
+        method, noisy, notes = self._chosen(*found, data, raw.guessed(delay))
         left = None
         if method == "one_step":
             found = refine_one_step(*found, constraints.free, recording.guessed(delay), self.tolerance)
@@ -203,18 +183,17 @@ class Refinement:
         known = self._certainty(method, found, constraints, recording, delay)
         refined = Refined(*found, delay, covariance=known, missed=left)
         if method == "trajectory":
-            if noisy:
-                recording = recording.smoothed(library.step)
-                found = self._regressed(*found, constraints, recording.brief(self._longest).seen(delay))
+            if noisy and not hidden:
+                recording, found = self._smoothed(found, constraints, recording, delay)
             refined = self._by_trajectories(found, delay, constraints, recording)
-        notes += refined.notes
-        at_end = bool(refined.delay) and refined.delay > self._longest - 0.5 * data.dt
-        if at_end:
-            notes += (
-                f"the best delay of the inputs is the longest that was tried, {self._longest:g} s; it may be "
-                f"longer: give longest_delay={2 * self._longest:g}, or 0 where it stands for what the equations lack",
-            )
-        return refined._replace(notes=notes, delay_at_end=at_end)
+        return refined.with_notes(notes, self._longest, data.dt)
+
+    def _smoothed(
+        self, found: Model, constraints: Constraints, recording: Recording, delay: float
+    ) -> tuple[Recording, Model]:
+        """Return a recording as one whose samples are noisy, and what regressions find in it."""
+        smooth = recording.smoothed(found[0].step)
+        return smooth, self._regressed(*found, constraints, smooth.brief(self._longest).seen(delay))
 
     def _certainty(
         self, method: str, found: Model, constraints: Constraints, recording: Recording, delay: float
@@ -279,6 +258,7 @@ class Refinement:
         error = self.error or ("auto" if self.method == "auto" else "simulation")
         if error != "auto":
             return self._in_turn(first, rough, constraints, recording, kinds[error])
+        whole: Refined | None = None
         try:
             found = self._in_turn(first, rough, constraints, recording, descent, HOPELESS)
             ratio = _strain(found[:2], found.delay, constraints.free, recording, descent)
@@ -300,16 +280,17 @@ class Refinement:
                 )
                 return found._replace(notes=(note, *found.notes))
             else:
-                why = (
-                    f"in one simulation through all samples the error of {name} is {times} as large, so something "
-                    "pushes the plant, or functions are missing"
-                )
+                strays = f"in one simulation through all samples the error of {name} is {times}"
+                so = "so something pushes the plant, or functions are missing"
+                why = f"{strays} as large, {so}"
+                aside = (f"{strays} that of pieces that begin anew every {descent.window} samples, {so}",)
+                whole = found._replace(notes=(*aside, *found.notes), in_pieces=True)
         note = (
             f"the fit simulates the log in pieces that begin anew every {descent.window} samples: {why} "
             "(error=prediction)"
         )
         found = self._in_turn(first, rough, constraints, recording, kinds["prediction"])
-        return found._replace(notes=(note, *found.notes), in_pieces=True)
+        return found._replace(notes=(note, *found.notes), in_pieces=True, aside=whole)
 
     def _in_turn(
         self,

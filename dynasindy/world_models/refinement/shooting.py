@@ -19,6 +19,7 @@ from torch import Tensor
 from dynasindy.world_models.refinement.coloured import remaining
 from dynasindy.world_models.refinement.flow import EXACT, Estimate, Flow, white
 from dynasindy.world_models.refinement.pushes import Noise, estimated, whiten
+from dynasindy.world_models.refinement.scale import free_scales, holding
 from dynasindy.world_models.refinement.windows import Windows
 from dynasindy.world_models.regression.covariance import STRETCHES, Covariance, jackknife
 from dynasindy.world_models.regression.sensitivity import Parameters
@@ -102,7 +103,15 @@ def certainty(flow: Flow) -> Covariance | None:
 
 def _rows(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
     """Return weighted rows `(M, F + P + 1)`, moves of the nodes, weighted errors, and the cost."""
-    return (_joined if bool(flow.windows.joined.any()) else _alone)(flow, sigma)
+    rows, moves, errors, cost = (_joined if bool(flow.windows.joined.any()) else _alone)(flow, sigma)
+    estimate, parameters, windows = flow.estimate, flow.parameters, flow.windows
+    unseen = windows.first.isnan().all(0) & ~windows.mask.flatten(0, 1).any(0)
+    if bool(unseen.any()):
+        may = parameters.support(estimate.xi.shape)
+        exponents = free_scales(estimate.library, estimate.xi, may, unseen)[1]
+        held = holding(exponents, estimate.xi, rows, (parameters.features, parameters.states))
+        rows = torch.cat([rows, held])
+    return rows, moves, errors, cost
 
 
 def _joined(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:

@@ -20,7 +20,7 @@ from dynasindy.world_models.models.follower import (
     trials,
     widened,
 )
-from dynasindy.world_models.refinement.refine import Refined
+from dynasindy.world_models.refinement.refined import Refined
 
 SIGNATURE = Signature(("q", "w"), ("rad", "rad/s"), ("u",), (1.0, 3.0))
 DT, STEP = 0.02, 2 * math.pi / 4096

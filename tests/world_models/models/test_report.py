@@ -116,3 +116,39 @@ def test_nothing_is_said_of_what_stays_unexplained_of_a_rate_that_nobody_measure
     found, _ = report(rows())
     lines = replace(found, unmeasured=frozenset({"b"})).to_text().splitlines()
     assert "stays unexplained" in lines[1] and lines[2] == "  b': 2 terms"
+
+
+def known_by(factor):
+    """Return what is said of coefficients a in a', 1 in b' and u in b', which are 2, 1 and -1."""
+    covariance = Covariance(torch.tensor([1, 0, 2]), torch.tensor([0, 1, 1]), torch.tensor(factor, dtype=torch.float64))
+    return replace(report(rows())[0], told=covariance).known
+
+
+def test_one_change_that_the_data_hardly_tell_is_named_with_the_signs_of_its_parts():
+    """a in a' and 1 in b' grow by 19 times themselves while u in b' loses as much; each alone is known within 5 %."""
+    told = known_by([[38.0, 0.1, 0.0, 0.0], [19.0, 0.0, 0.05, 0.0], [19.0, 0.0, 0.0, -0.05]])
+    assert "within 1.9e+03 %" in told and "one change that the data hardly tell" in told
+    change = told.split("hardly tell: ")[1].split(" in size")[0]
+    assert change in (
+        "a in a', 1 in b' larger, and u in b' smaller",
+        "u in b' larger, and a in a', 1 in b' smaller",
+    )
+    assert float(told.split("would be within ")[1].split(" %")[0]) < 5
+
+
+@pytest.mark.parametrize(
+    "factor",
+    [
+        [[38.0, 0.0, 0.0], [0.0, 19.0, 0.0], [0.0, 0.0, 19.0]],  # all of them are unknown, each on its own
+        [[1.0, 0.01, 0.0], [0.5, 0.0, 0.01], [0.5, 0.0, 0.0]],  # they go together, but are known
+    ],
+)
+def test_no_change_is_named_where_none_stands_out_or_all_is_known(factor):
+    assert "hardly tell" not in known_by(factor)
+
+
+def test_the_free_unit_of_a_hidden_state_is_said_once():
+    found = report(rows())[0]
+    assert "unit" not in found.to_text()
+    told = replace(found, unscaled=("a", "b")).to_text()
+    assert told.count("note: no sensor sees a and b, and nothing else tells their unit") == 1

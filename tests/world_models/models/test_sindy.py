@@ -17,7 +17,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.libraries.features import CONSTANT, variable
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.refine import Refined
+from dynasindy.world_models.refinement.refined import Refined
 
 # The paper, table "SINDY model Xi matrix": 19 coefficients.
 PUBLISHED = {

@@ -7,6 +7,8 @@ import pytest
 import torch
 from scipy.linalg import expm
 
+from dynasindy.benchmarks.instruments.textbook import CASES
+from dynasindy.data.simulated import disturb
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models import SindyModel
@@ -233,6 +235,19 @@ def test_a_long_delay_is_told_where_single_steps_are_mostly_noise():
     found = Refinement("auto", longest_delay=None).run(LIBRARY, first(data), FREE, data)
     assert found.delay == pytest.approx(late, abs=1.0)
     assert found.coefficients[:2, 0].numpy() == pytest.approx([-1 / 40, 1 / 40], rel=0.1)
+
+
+@pytest.mark.parametrize("method", ["auto", "trajectory"])
+def test_functions_that_noise_hides_from_single_steps_are_found(method):
+    """A fifth of each state is noise, beside which no function explains a single step of 20 ms."""
+    case = CASES["van_der_pol"]
+    data, library = disturb(case.clean(1)[0], 0.2, 1000), case.library()
+    alone = Refinement("one_step").run(library, case.truth(), Constraints.build(library, {}, {}, {}), data)
+    assert not alone.coefficients.any()
+    model = SindyModel(library.signature, library, Regression("bic"), Refinement(method))
+    model.fit(data)
+    assert torch.equal(model.coefficients != 0, case.truth() != 0)
+    torch.testing.assert_close(model.coefficients, case.truth(), rtol=0.05, atol=0.0)
 
 
 @pytest.mark.parametrize(("push", "noise", "turns"), [(0.05, 0.01, [2, 4]), (0.0, 0.05, [4])])
