@@ -47,6 +47,12 @@ def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
         raise FileNotFoundError(f"{folder} is not a run folder, it has no config.yaml; give one that train.py printed")
     config = read_config(file)
     if config.get("data") is not None or config.get("model") is not None:
+        if not (folder / "metrics.json").is_file():
+            raise ValueError(
+                f"{folder} was planned from a log or a model, and stopped before it had a controller; its equations "
+                f"are kept, so give the command in {folder / 'origin.json'} once more, with model={folder / 'model.json'}, "
+                "which plans on them without a new fit"
+            )
         raise ValueError(
             f"{folder} was planned from a log or a model, so there is no plant to fly; what its controller does on "
             f"models stands in {folder / 'metrics.json'}, and {called('check')} run={folder} tells more of it"

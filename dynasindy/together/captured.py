@@ -10,6 +10,8 @@ import torch
 import torch._dynamo
 import torch._functorch.config
 
+EAGER = "force_non_lazy_backward_lowering"
+"""Setting of torch by which derivatives are compiled together with what they are of."""
 KINDS = 64
 """Kinds of steps that torch compiles before it gives up."""
 WARM_UP = 3
@@ -54,14 +56,12 @@ def compiled(function: Callable[..., Any], device: torch.device) -> Callable[...
     # Each kind of step is another function to us, and the same one with other sizes to torch.
     torch._dynamo.config.recompile_limit = max(KINDS, torch._dynamo.config.recompile_limit)
     made = torch.compile(function, dynamic=False)
+    # With derivatives compiled at once, nothing is left that could fail later; older versions of torch cannot do it.
+    at_once = {name: True for name in (EAGER,) if hasattr(torch._functorch.config, name)}
 
     @wraps(function)
     def _called(*given: Any) -> Any:
-        # With derivatives compiled at once, nothing is left that could fail later.
-        with (
-            torch._dynamo.config.patch(suppress_errors=True),
-            torch._functorch.config.patch(force_non_lazy_backward_lowering=True),
-        ):
+        with torch._dynamo.config.patch(suppress_errors=True), torch._functorch.config.patch(at_once):
             return made(*given)
 
     return _called

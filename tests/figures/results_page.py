@@ -43,6 +43,7 @@ def ties(text: str) -> Iterator[Tie]:
     yield from _untuned()
     yield from _own_returns()
     yield from _mujoco()
+    yield from _pendulum_without_a_model()
 
 
 def _bench() -> Iterator[Tie]:
@@ -373,6 +374,24 @@ def _own_returns() -> Iterator[Tie]:
     yield Tie(PAGE, words, tuple(steps))
     (stands,) = {f"{steps:.0f}" for steps in ours}
     yield Tie(PAGE, "Ours stands after {} on each seed.", (stands,))
+
+
+def _pendulum_without_a_model() -> Iterator[Tie]:
+    """Yield after how many steps agents without a model have Pendulum-v1 upright, and hold it."""
+
+    def first(agent: str, seed: int, what: str) -> str:
+        found = rows("swing_up.csv", plant="pendulum_v1", agent=agent, seed=seed)
+        steps = [float(row["real_steps"]) for row in found if row[what] == "1"]
+        return f"{min(steps):.0f}" if steps else ""
+
+    sac, td3 = ([(agent, seed) for seed in range(n)] for agent, n in (("sac", 3), ("td3", 2)))
+    words = "upright in all of 16 episodes after {}, {} and {} steps, and holds it to 1 % after {}, {} and {}."
+    yield Tie(PAGE, words, tuple(first(*run, what) for what in ("upright", "held") for run in sac))
+    yield Tie(PAGE, "has it upright after {} and {} (two seeds).", tuple(first(*run, "upright") for run in td3))
+    assert first("td3", 0, "held") == ""
+    most = max(numbers(rows("swing_up.csv", plant="pendulum_v1", agent="td3", seed=0), "real_steps"))
+    figures = first("td3", 1, "held"), f"{most:.0f}"
+    yield Tie(PAGE, "It holds it to 1 % after {} on one of them, and not within {} on the other.", figures)
 
 
 def _mujoco() -> Iterator[Tie]:

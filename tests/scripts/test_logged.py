@@ -209,12 +209,21 @@ LOGGED = {"data": {"_target_": "dynasindy.evaluation.identification.Logged", "pa
 def test_a_run_without_a_simulated_plant_says_that_there_is_none_to_fly(tmp_path, settings, why):
     settings = {**settings, "plant": {"outputs": ["theta"]}}
     (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(settings))
+    (tmp_path / "metrics.json").write_text("{}")
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     command = [sys.executable, str(ROOT / "scripts" / "evaluate.py"), f"run={tmp_path}"]
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, check=False)
     assert done.returncode == 2
     assert why in done.stderr
     assert f"python scripts/check.py run={tmp_path}" in done.stderr
+
+
+def test_a_plan_that_was_stopped_is_gone_on_with_by_its_equations(tmp_path):
+    (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml({**LOGGED, "plant": {"outputs": ["theta"]}}))
+    done = train(f"resume={tmp_path}", cwd=tmp_path)
+    (line,) = done.stderr.splitlines()
+    assert done.returncode == 2 and "stopped before it had a controller" in line
+    assert f"model={tmp_path / 'model.json'}" in line and "no plant to fly" not in line
 
 
 ARM = """# @package _global_
