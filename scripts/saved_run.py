@@ -50,8 +50,8 @@ def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
         if not (folder / "metrics.json").is_file():
             raise ValueError(
                 f"{folder} was planned from a log or a model, and stopped before it had a controller; its equations "
-                f"are kept, so give the command in {folder / 'origin.json'} once more, with model={folder / 'model.json'}, "
-                "which plans on them without a new fit"
+                f"are kept, so give the command in {folder / 'origin.json'} once more, with "
+                f"model={folder / 'model.json'}, which plans on them without a new fit"
             )
         raise ValueError(
             f"{folder} was planned from a log or a model, so there is no plant to fly; what its controller does on "

@@ -37,7 +37,7 @@ def sound(rows: TensorDictBase, keys: Collection[NestedKey]) -> bool:
             rest.append(key)
         elif (values := rows.get(key)).is_floating_point():
             # A sum is a pass over the numbers; to ask them one by one takes several.
-            total = total + values.sum()
+            total = total + values.detach().sum()
     if not math.isfinite(total):  # a sum of numbers that are finite may be too large for one
         rest = [*keys]
     return not any(bool(unsound(key, rows).any()) for key in rest)

@@ -118,6 +118,7 @@ class SindyModel(SparseModel):
 
     @covariance.setter
     def covariance(self, told: Told) -> None:
+        """Take how well the coefficients are known, or what computes it."""
         self._covariance = told
 
     @property
