@@ -5,18 +5,14 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass, replace
 
-from torch import Tensor
-
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models.libraries.constraints import Constraints
-from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.models.report import FitReport
 from dynasindy.world_models.models.sindy import SindyModel
 from dynasindy.world_models.refinement.refine import Refinement
 from dynasindy.world_models.refinement.refined import Refined
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Taken(Refinement):
     """Return what was found before, at no cost.
 
@@ -24,19 +20,11 @@ class Taken(Refinement):
         found: what it was.
     """
 
-    found: Refined | None = None
+    found: Refined
 
-    def run(
-        self,
-        library: Library,
-        coefficients: Tensor,
-        constraints: Constraints,
-        data: Transitions,
-        guess: Transitions | None = None,
-        late: float = 0.0,
-    ) -> Refined:
+    def run(self, *of: object, **given: object) -> Refined:
         """Return it, whatever the data are."""
-        return self.found or Refined(library, coefficients)
+        return self.found
 
 
 def aside(model: SindyModel, found: Refined, data: Transitions) -> tuple[SindyModel, FitReport]:
