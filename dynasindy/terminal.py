@@ -37,6 +37,8 @@ COMMAND = re.compile(r"\s*(?:dynasindy \w+|python scripts/\w+\.py)(?: |$)")
 REMARK = "  # "
 """What a comment behind a command begins with."""
 SIGN = re.compile(r" (?=[+-] )")
+COLUMN = re.compile(r".*\S {2,}(?=\S)")
+"""A row up to its last column, two spaces or more behind the one before."""
 
 
 class Shown:
@@ -314,6 +316,7 @@ def say(*texts: str) -> None:
 def fitted(text: str, columns: int) -> str:
     """Return a text whose lines are no longer than so many columns: equations end between terms, sentences at words.
 
+    A row whose last column is too wide goes on below that column, if it begins in the left half.
     A command stays one line, which the terminal wraps: of two lines, a shell would take the second for another command.
     A comment that does not fit behind it stands below it, each of its lines a comment. A table in Markdown that is too
     wide is turned.
@@ -337,6 +340,9 @@ def _broken(whole: str, columns: int) -> list[str]:
         return [command, *below] if sign else [whole]
     equation = re.match(r"\s*\S+(?:'|\[k\+1\]) = ", whole)
     if equation is None:
+        row = COLUMN.match(whole)
+        if row is not None and len(row[0]) <= columns // 2:
+            start = " " * len(row[0])
         return textwrap.wrap(whole, columns, subsequent_indent=start, break_long_words=False, break_on_hyphens=False)
     return _equation(whole, columns, " " * min(len(equation[0]), columns // 3))
 

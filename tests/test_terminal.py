@@ -355,6 +355,17 @@ def test_equations_end_between_terms_and_sentences_between_words():
     assert all(len(line) <= 30 for line in fitted(text, 30).splitlines())
 
 
+def test_a_row_goes_on_below_its_last_column_unless_that_begins_too_far_to_the_right():
+    """The last column begins after 24 places, which is in the left half of 50 and in the right half of 40."""
+    row = "Omega_a'  -9.81 ± 0.03  sin(alpha_p) cos(alpha_p) Omega_a"
+    assert fitted(row, 60) == row
+    assert fitted(row, 50).splitlines() == [
+        "Omega_a'  -9.81 ± 0.03  sin(alpha_p) cos(alpha_p)",
+        " " * 24 + "Omega_a",
+    ]
+    assert fitted(row, 40).splitlines() == ["Omega_a'  -9.81 ± 0.03  sin(alpha_p)", "cos(alpha_p) Omega_a"]
+
+
 def test_equations_in_discrete_time_end_between_terms_too():
     text = "p_long_name[k+1] = 0.5 p_long_name + v_long - 0.0025 sin(3 p_long_name) + 0.1 cos(3 p_long_name)"
     assert fitted(text, 50).splitlines() == [

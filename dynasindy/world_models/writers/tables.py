@@ -91,7 +91,9 @@ def mapping(library: Library, coefficients: Tensor) -> tuple[Library, Tensor]:
 
 
 def with_errors(library: Library, coefficients: Tensor, errors: Tensor) -> list[str]:
-    """Write a line for each coefficient that has a standard error, such as `v'  sin(p)  -9.81 ± 0.03`.
+    """Write a line for each coefficient that has a standard error, such as `v'  -9.81 ± 0.03  sin(p)`.
+
+    What a coefficient stands before comes last, as in an equation, so that a long function leaves the others in line.
 
     Of a difference equation it is that of the right side, whose coefficients are the step times those of the rates.
 
@@ -105,13 +107,14 @@ def with_errors(library: Library, coefficients: Tensor, errors: Tensor) -> list[
     spread = torch.zeros_like(table)
     spread[[place[feature.key] for feature in library.features]] = (library.step or 1.0) * errors.to(table)
     left = [moved_on(library, state) for state in library.signature.state_names]
-    wide, long = max(map(len, left)), max(map(len, whole.names))
-    return [
-        f"{left[i]:<{wide}}  {whole.names[k]:<{long}}  {plus_minus(float(xi), float(error))}"
+    found = [
+        (left[i], plus_minus(float(xi), float(error)), whole.names[k])
         for i in range(len(left))
         for k, (xi, error) in enumerate(zip(table[:, i], spread[:, i], strict=True))
         if error
     ]
+    wide, long = (max((len(row[k]) for row in found), default=0) for k in (0, 1))
+    return [f"{name:<{wide}}  {number:<{long}}  {feature}" for name, number, feature in found]
 
 
 def plus_minus(value: float, error: float) -> str:
