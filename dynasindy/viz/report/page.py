@@ -44,6 +44,8 @@ MARKS = {
 """Class of a cell that is a verdict."""
 WORDY = 40
 """Cells of more letters than this keep a width on a narrow screen at which they can be read; the table scrolls."""
+FEW = 2
+"""Columns that a phone shows side by side. Of more of them, a verdict would be out of sight: each row becomes a card."""
 PAGE = """<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -96,8 +98,12 @@ def _digest(script: str) -> str:
 def _html(part: Part) -> str:
     if isinstance(part, Table):
         head = "".join(f"<th>{_inline(cell)}</th>" for cell in part.header)
-        rows = "".join("<tr>" + "".join(_cell(cell) for cell in row) + "</tr>" for row in part.rows)
-        return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
+        judged = any(_verdict(cell) in MARKS for row in part.rows for cell in row)
+        cards = judged and len(part.header) > FEW
+        names = part.header if cards else [""] * len(part.header)
+        rows = "".join("<tr>" + "".join(map(_cell, row, names)) + "</tr>" for row in part.rows)
+        kind = ' class="cards"' if cards else ""
+        return f'<div class="wide"><table{kind}><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
     if isinstance(part, Listing):
         return f"<pre>{html.escape(chr(10).join(part.lines))}</pre>"
     if isinstance(part, Picture):
@@ -120,11 +126,16 @@ def _themed(element: str) -> str:
     return in_tags("|".join(named), lambda colour: named[colour[0]], element)
 
 
-def _cell(cell: Cell) -> str:
-    if isinstance(cell, Link):
-        words = re.sub(r" \(.*", "", cell.words)
-        return f'<td{_mark(words)}><a href="#{anchor(cell.title)}">{_inline(cell.words)}</a></td>'
-    return f"<td{_mark(cell)}>{_inline(cell)}</td>"
+def _cell(cell: Cell, name: str) -> str:
+    """Return a cell, which knows the name of its column where a narrow screen shows it beside the cell."""
+    head = f' data-name="{html.escape(name.replace("`", ""))}"' if name else ""
+    words = f'<a href="#{anchor(cell.title)}">{_inline(cell.words)}</a>' if isinstance(cell, Link) else _inline(cell)
+    return f"<td{_mark(_verdict(cell))}{head}>{words}</td>"
+
+
+def _verdict(cell: Cell) -> str:
+    """Return the words of a cell, those of a link without its numbers."""
+    return re.sub(r" \(.*", "", cell.words) if isinstance(cell, Link) else cell
 
 
 def _mark(words: str) -> str:

@@ -98,6 +98,7 @@ def test_a_caption_is_followed_by_command_and_commit(text):
 
 
 def test_verdicts_have_a_colour_each_and_claims_lead_to_their_evidence(text):
+    text = re.sub(r' data-name="[^"]*"', "", text)
     assert '<td class="as">as in the paper</td>' in text and '<td class="short">not reached</td>' in text
     assert '<td class="part"><a href="#figure-1-all">in part (1 of 2)</a></td>' in text
     assert '<td class="as"><a href="#empty">holds (2 of 2)</a></td>' in text
@@ -112,6 +113,17 @@ def test_cells_of_many_words_stay_readable_on_a_narrow_page(tmp_path):
     assert f'<td class="words">{sentence}</td><td class="as">' in page and "<td>short</td><td>0.1</td>" in page
     narrow = page.partition("@media (max-width: 60rem)")[2].partition("@media print")[0]
     assert "td.words { min-width: 13rem; }" in narrow
+
+
+def test_a_verdict_beside_many_columns_is_in_sight_of_a_phone(tmp_path):
+    """Rows of more than two columns become cards, in which each cell stands beside the name of its column."""
+    wide = Table(["claim", "xi, `dyna`", "verdict"], [["it holds", "0.1", "as in the paper"]])
+    parts = [wide, Table(["verdict", "means"], [["as in the paper", "x"]]), Table(["a", "b", "c"], [["1", "2", "3"]])]
+    page = write_html("t", [Section("s", parts)], tmp_path / "p.html").read_text()
+    assert page.count('<table class="cards">') == 1 and page.count("<table>") == 2
+    assert '<td data-name="xi, dyna">0.1</td><td class="as" data-name="verdict">as in the paper</td>' in page
+    phone = page.partition("@media screen and (max-width: 40rem)")[2].partition("@media print")[0]
+    assert "content: attr(data-name)" in phone and ".cards thead { display: none; }" in phone
 
 
 def test_the_contents_stay_on_a_wide_page_and_open_on_a_narrow_one_and_paper_is_white(text):
