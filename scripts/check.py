@@ -26,6 +26,7 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.checking.verdict import in_figures, in_short, lost
     from dynasindy.evaluation.files import add_to_record, write_json
     from dynasindy.export.write import Exported
+    from dynasindy.terminal import say
     from dynasindy.viz.check import draw
     from dynasindy.viz.style import save
 
@@ -51,12 +52,11 @@ def main(cfg: DictConfig) -> None:
         add_to_record(kept, "check", in_figures(found, findings))
     for name, figure in draw(found).items():
         save(figure, folder / name)
-    print(
+    say(
         "What the model predicts; the plant itself was not asked.",
         *in_lines(findings),
         in_short(found, findings),
         f"Files: {folder}",
-        sep="\n",
     )
     if bool(lost(found).any()):
         sys.exit(1)

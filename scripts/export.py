@@ -13,6 +13,7 @@ def main(cfg: DictConfig) -> None:
 
     from dynasindy.evaluation.given import folder_for
     from dynasindy.export.write import Exported, write
+    from dynasindy.terminal import say
 
     torch.set_num_threads(cfg.threads)
     if cfg.run is None:
@@ -20,9 +21,7 @@ def main(cfg: DictConfig) -> None:
     run = Path(cfg.run)
     exported = Exported.read(run)
     folder = folder_for(cfg.folder, run, "export")
-    for line in write(exported, folder, cfg.formats, cfg.fmi):
-        print(line)
-    print(f"Files: {folder}")
+    say(*write(exported, folder, cfg.formats, cfg.fmi), f"Files: {folder}")
 
 
 if __name__ == "__main__":

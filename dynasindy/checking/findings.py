@@ -12,7 +12,7 @@ CAREFUL = (
 )
 VARIED = (
     "Where a plant is not stable, try planning.variation.parameters=0.2, by which training varies the plant by up to "
-    "that share; where only the steady error is too large, give the controller integral action, as docs/check.md shows"
+    "that share; where only the steady error is too large, give the controller integral action, as the page on checks shows"
 )
 REMEDIES = {
     "stability": "To mend it, narrow the targets, or excite the plant near these targets and train anew",
@@ -58,8 +58,8 @@ class Finding:
 
     def __str__(self) -> str:
         """Return it as a line, where it is weak with what may mend it."""
-        mark = "?   " if self.good is None else "WEAK" if self.weak else "ok  "
-        return f"{mark} {self.name}: {self.words}{'. ' * bool(self.mend)}{self.mend}"
+        mark = "?" if self.good is None else "WEAK" if self.weak else "ok"
+        return f"{mark:<4}  {self.name}: {self.words}{'. ' * bool(self.mend)}{self.mend}"
 
 
 def in_lines(findings: Sequence[Finding]) -> list[str]:

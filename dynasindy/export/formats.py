@@ -106,7 +106,7 @@ def control_system(model: SindyModel) -> Any:
         import control
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
-            "this needs python-control, which is not installed; install the extra: pip install -e '.[export]'"
+            "this needs python-control, which is not installed; install it by pip install 'dynasindy[export]'"
         ) from error
     field, states = numpy_field(model), identifiers(model.signature.state_names)
     return control.nlsys(

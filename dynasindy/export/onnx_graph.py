@@ -30,7 +30,7 @@ class Graph:
             from onnx import helper, numpy_helper
         except ModuleNotFoundError as error:
             raise ModuleNotFoundError(
-                "ONNX needs the package onnx, which is not installed; install the extra: pip install -e '.[export]'"
+                "ONNX needs the package onnx, which is not installed; install it by pip install 'dynasindy[export]'"
             ) from error
         self.helper, self.numpy_helper = helper, numpy_helper
         self.nodes: list[Any] = []

@@ -69,7 +69,7 @@ def test_noise_is_weak_beyond_its_threshold_only_and_none_where_the_file_states_
         assert found.good is sound and "moves force by 0.04 (standard deviation)" in found.words
     silent = by_name(check(loops(), SMALL))["noise"]
     assert silent.good is None and not silent.weak
-    assert str(silent).startswith("?    noise: not known, as the controller's file states no noise")
+    assert str(silent).startswith("?     noise: not known, as the controller's file states no noise")
 
 
 def test_what_is_not_known_is_no_weakness_and_is_summed_up(loops):
@@ -204,7 +204,7 @@ def test_every_finding_that_may_be_weak_has_a_remedy_whose_settings_exist(good):
     cfg = OmegaConf.to_container(composed())
     for name in (*by_name(good), "large movements"):
         line = str(Finding(name, False, "b"))
-        assert line.startswith(f"WEAK {name}: b. ") and str(Finding(name, True, "b")) == f"ok   {name}: b"
+        assert line.startswith(f"WEAK  {name}: b. ") and str(Finding(name, True, "b")) == f"ok    {name}: b"
         for key in re.findall(r"((?:\w+\.)+\w+)=", line):
             node = cfg
             for step in key.split("."):

@@ -39,6 +39,6 @@ def test_the_columns_of_the_observation_are_told(pendulum):
 
 def test_without_onnx_one_line_says_what_to_install(pendulum, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(ModuleNotFoundError, match=r"install the extra: pip install -e '\.\[export\]'"):
+    with pytest.raises(ModuleNotFoundError, match=r"install it by pip install 'dynasindy\[export\]'"):
         policy_onnx(pendulum(), tmp_path / "p.onnx")
     assert not list(tmp_path.iterdir())

@@ -70,7 +70,7 @@ def test_the_main_figures_join_what_the_run_has_written_and_leave_it_as_it_is(tm
     assert told["margins"] == {"force": whole["targets"][0]["margins"]["force"]}
     assert told["recovered"] == {" and ".join(each["states"]): each["share"] for each in whole["recovery"]}
     assert told["weak"] == [line["finding"] for line in whole["verdict"] if line["good"] is False]
-    assert "noise" in told["unknown"] and "\n?    noise: not known" in done.stdout
+    assert "noise" in told["unknown"] and "\n?     noise: not known" in done.stdout
     called(tmp_path, *SMALL, f"folder={tmp_path}/elsewhere", "low=[-0.2]")
     assert json.loads(kept.read_text())["check"] == told
 

@@ -31,7 +31,7 @@ def casadi() -> Any:
         import casadi as module
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
-            "MPC needs CasADi, which is not installed; install the extra: pip install -e '.[mpc]'"
+            "MPC needs CasADi, which is not installed; install it by pip install 'dynasindy[mpc]'"
         ) from error
     return module
 
