@@ -12,7 +12,8 @@ CAREFUL = (
 )
 VARIED = (
     "Where a plant is not stable, try planning.variation.parameters=0.2, by which training varies the plant by up to "
-    "that share; where only the steady error is too large, give the controller integral action, as the page on checks shows"
+    "that share; where only the steady error is too large, give the controller integral action, as the page on checks "
+    "shows"
 )
 REMEDIES = {
     "stability": "To mend it, narrow the targets, or excite the plant near these targets and train anew",

@@ -49,8 +49,8 @@ def table(forecasts: Forecasts, signature: Signature) -> list[str]:
     wide, heads = max(map(len, kinds)) + 2, [in_words(horizon) for horizon in forecasts.horizons]
     fine = (forecasts.resolution < FINEST * torch.tensor(signature.x_scale)).tolist()
     lines = [
-        f"RMS error of predictions that begin at {forecasts.starts} samples which the fit did not see; the linear model "
-        f"predicts from {forecasts.order} past samples; over the first",
+        f"RMS error of predictions that begin at {forecasts.starts} samples which the fit did not see; the linear "
+        f"model predicts from {forecasts.order} past samples; over the first",
         f"  {'':<{wide + 2}}{''.join(f'{head:>11}' for head in heads)}",
     ]
     for i, (name, unit) in enumerate(zip(signature.state_names, signature.state_units, strict=True)):

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import ArrayLike
 
-from dynasindy.viz.identification import EPISODE, JUDGED, TYPICAL
+from dynasindy.viz.identification import CLOSES, EPISODE, JUDGED, OPENS, TYPICAL
 from dynasindy.viz.style import (
     BLACK,
     BLUE,
@@ -65,7 +65,7 @@ def gate(
     upper.plot(x, columns["judged_reward_error"], color=BLUE, label=JUDGED, **dots)
     # Half an episode to each side, as the shade of a closed one is as wide.
     wide = np.concatenate([x[:1] - 0.5, x, x[-1:] + 0.5])
-    for name, line, words in (("open_below", ":", "opens below"), ("close_above", "--", "closes above")):
+    for name, line, words in (("open_below", ":", OPENS), ("close_above", "--", CLOSES)):
         bound = np.pad(columns[name], 1, mode="edge")
         upper.plot(wide, bound, color=BLACK, linestyle=line, linewidth=0.9, label=f"{words} {columns[name][0]:g}")
     for number, closed in enumerate(x[columns["open"] == 0]):
@@ -109,7 +109,7 @@ def _once(columns: Mapping[str, float], title: str, unit: str, windows: Mapping[
     }
     judged = array(windows.get("reward_error", ()))
     _rows(upper, columns, errors, f"reward error [{unit}]", (judged, 1, BLUE))
-    for name, line, words in (("open_below", ":", "opens below"), ("close_above", "--", "closes above")):
+    for name, line, words in (("open_below", ":", OPENS), ("close_above", "--", CLOSES)):
         if np.isfinite(columns[name]):
             told = f"{words} {columns[name]:g}"
             upper.axvline(columns[name], color=BLACK, linestyle=line, linewidth=0.9, label=told)

@@ -48,6 +48,8 @@ GAP = "gap: samples missing or left out"
 NOTHING = "exactly 0, below the axis"
 EPISODE, JUDGED = "whole episode, before the refit", "held-out windows, judged"
 """What an error of the model is of: what it had not seen, and what the gate compares with its thresholds."""
+OPENS, CLOSES = "trusted below", "no longer trusted above"
+"""The thresholds of the gate, each with its number behind it."""
 MOST = 50
 """More gaps than these are not marked, as the marks would hide the data."""
 
@@ -194,21 +196,22 @@ def model_error(
     y = y.reshape(len(y), -1)
     figure, (axis,) = panels(1, 1, (7.0 if judged is None else 8.5, 3.2), title)
     dots: dict[str, Any] = {"marker": "o", "markersize": 2.5}
-    middle = _draw_positive(axis, x, np.median(y, axis=1), label=None if judged is None else EPISODE, **dots)
-    name_single(axis, x, middle, RED)
+    color, label = (RED, None) if judged is None else (GREY, EPISODE)  # grey as beside the gate's decisions
+    middle = _draw_positive(axis, x, np.median(y, axis=1), color, label=label, **dots)
+    name_single(axis, x, middle, color)
     windows = np.full(len(x), np.nan) if judged is None else array(judged)
     if judged is not None:
         _draw_positive(axis, x, windows, color=BLUE, label=JUDGED, **dots)
     axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axis.set_xlim(x.min(initial=1.0) - 0.5, x.max(initial=1.0) + 0.5)
     if y.shape[1] > 1:
-        axis.fill_between(x, y.min(1), y.max(1), color=RED, alpha=0.2, linewidth=0)
+        axis.fill_between(x, y.min(1), y.max(1), color=color, alpha=0.2, linewidth=0)
     for k, at in enumerate([] if refits is None else array(refits)):
         axis.axvline(at, color=GREY, linestyle=":", linewidth=0.8, label="model refitted" if k == 0 else None)
     axis.set_yscale("log")
     for (words, level), line in zip((thresholds or {}).items(), cycle((":", "--"))):
         axis.axhline(level, color=BLACK, linestyle=line, linewidth=0.9, label=f"{words} {level:g}")
-    mark_away(axis, x[~np.isfinite(y).all(axis=1)], RED)
+    mark_away(axis, x[~np.isfinite(y).all(axis=1)], color)
     mark_away(axis, x[np.isinf(windows)], BLUE)
     if axis.get_legend_handles_labels()[0]:
         legend_beside(axis)

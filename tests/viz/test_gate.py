@@ -90,9 +90,9 @@ def test_a_single_episode_has_a_line_for_each_figure():
     dots = [line.get_xydata().tolist()[0] for line in upper.lines if line.get_marker() == "o"]
     assert dots == [[0.03, 0.0], [0.02, 1.0]]
     bounds = {line.get_label(): line.get_xdata()[0] for line in upper.lines if line.get_linestyle() != "-"}
-    assert {name: bounds[name] for name in ("opens below 0.05", "closes above 0.1")} == {
-        "opens below 0.05": 0.05,
-        "closes above 0.1": 0.1,
+    assert {name: bounds[name] for name in ("trusted below 0.05", "no longer trusted above 0.1")} == {
+        "trusted below 0.05": 0.05,
+        "no longer trusted above 0.1": 0.1,
     }
     assert [text.get_text() for axis in (upper, lower) for text in axis.texts] == ["0.03", "0.02", "0.0123"]
     names = [text.get_text() for axis in (upper, lower) for text in axis.get_yticklabels()]

@@ -76,8 +76,8 @@ def _lengths(results: Results) -> dict[str, str]:
         with suppress(MissingResult):
             saved = int(results.compared(plant, experiment, "rollouts_800").setting("train.episodes") or 0)
             curves = results.lengths(plant, experiment) or {saved}
-            longer = f"{listed(map(str, sorted(curves)))} in figure 11, {saved} elsewhere"
-            found[told(plant, experiment)] = f"{saved} episodes" if curves == {saved} else f"episodes: {longer}"
+            longer = f"{listed(map(str, sorted(curves)))} episodes in figure 11, {saved} elsewhere"
+            found[told(plant, experiment)] = f"{saved} episodes" if curves == {saved} else longer
     return found
 
 

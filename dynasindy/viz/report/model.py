@@ -11,7 +11,7 @@ import torch
 
 from dynasindy.systems.transitions import Transitions
 from dynasindy.systems.twin_rotor import SIGNATURE
-from dynasindy.viz.identification import BEYOND, model_error, prediction
+from dynasindy.viz.identification import BEYOND, CLOSES, OPENS, model_error, prediction
 from dynasindy.viz.report.document import Listing, Part, Picture, Section, Table, Text
 from dynasindy.viz.report.model_verdicts import (
     AGAIN,
@@ -84,7 +84,7 @@ def learning_progress(results: Results) -> Section:
                     error,
                     what="reward error per period",
                     title=f"SINDy model learning progress: plant {plant}, experiment {experiment}",
-                    thresholds={"trusted below": float(below), "no longer trusted above": float(above)},
+                    thresholds={OPENS: float(below), CLOSES: float(above)},
                     judged=windows,
                 ),
                 "Mean difference of the reward per control period between the plant and the model. One curve is of the "

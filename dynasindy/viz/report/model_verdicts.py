@@ -18,6 +18,8 @@ ROTORS = Statement("the rotor speeds are predicted well", MODEL)
 BEAM = Statement("angles and rates are not predicted well")
 CLOSELY = Statement("all six states are predicted closely", MODEL)
 AGAIN = Statement("so they are when the chirp is applied again", MODEL)
+AWAY = "the model ran away"
+"""What is said of an error that is no number."""
 Coefficients = Mapping[str, Mapping[str, float]]
 
 
@@ -62,10 +64,11 @@ def learning_agrees(case: str, episode: Array, error: Array, opened: Array, belo
     trusted = f"trusted from episode {opened[0]:.0f}" if len(opened) else "never trusted"
     fallen = bool(error[-1] < FALL.value * error[0] and error[-1] < below)
     worst = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
+    first, last, most = (f"{one:.2g} per period" if np.isfinite(one) else AWAY for one in error[[0, -1, worst]])
     return FALLS.of(
         case,
-        f"{error[0]:.2g} per period in episode 1, {error[-1]:.2g} in episode {episode[-1]:.0f}, the greatest "
-        f"{error[worst]:.2g} in episode {episode[worst]:.0f}; trusted below {below:g} on held-out windows, {trusted}",
+        f"{first} in episode 1, {last} in episode {episode[-1]:.0f}, at worst "
+        f"{most} in episode {episode[worst]:.0f}; trusted below {below:g} on held-out windows, {trusted}",
         judged(fallen, bool((error < below).all())),
     )
 

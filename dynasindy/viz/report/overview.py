@@ -71,12 +71,12 @@ def _claims(places: Sequence[tuple[Finding, str]], lengths: Mapping[str, str]) -
             row.append(Link(words, (short or [of[0][1]])[0]) if of else words)
         rows.append(row)
     counts = "; ".join(
-        f"with {words} {', '.join(_count(full, lengths, plant, experiment) for plant in PLANTS)}"
+        f"with {words} {' and '.join(_count(full, lengths, plant, experiment) for plant in PLANTS)}"
         for experiment, words in (("dyna", "our settings"), ("paper", "the paper's settings"))
     )
     return [
         Text(
-            f"**The paper makes {len(CLAIMS)} claims. These numbers of them hold here in full: {counts}.** The paper's "
+            f"**The paper makes {len(CLAIMS)} claims. So many of them hold here in full: {counts}.** The paper's "
             f"controllers with a model have learnt for {PAPER_EPISODES} episodes; what `paper` does not reach here it "
             "does not reach in the episodes of these runs. Each cell leads to its evidence, and says how many of "
             "the statements behind it hold."
@@ -88,7 +88,7 @@ def _claims(places: Sequence[tuple[Finding, str]], lengths: Mapping[str, str]) -
 def _count(full: Mapping[str, int], lengths: Mapping[str, str], plant: str, experiment: str) -> str:
     """Return how many claims hold in full in a case, and after how many episodes."""
     case = told(plant, experiment)
-    return f"{full[case]} on `{plant}`" + (f" ({lengths[case]})" if case in lengths else "")
+    return f"{full[case] or 'none'} on `{plant}`" + (f" ({lengths[case]})" if case in lengths else "")
 
 
 def _statements(sections: Sequence[Section]) -> list[Part]:

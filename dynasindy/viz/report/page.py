@@ -45,7 +45,7 @@ MARKS = {
 WORDY = 40
 """Cells of more letters than this keep a width on a narrow screen at which they can be read; the table scrolls."""
 FEW = 2
-"""Columns that a phone shows side by side. Of more of them, a verdict would be out of sight: each row becomes a card."""
+"""Columns that a phone shows side by side. Where there are more, a verdict would be out of sight: rows become cards."""
 PAGE = """<!DOCTYPE html>
 <html lang="en">
 <head>

@@ -6,6 +6,7 @@ import pytest
 from dynasindy.viz.report import model
 from dynasindy.viz.report.document import Picture, Table, Text, Verdict
 from dynasindy.viz.report.sources import Results
+from dynasindy.viz.style import BLUE, GREY
 
 MISSING = 3  # of four cases, xi and tras in two experiments, one is there
 
@@ -27,8 +28,8 @@ def test_the_models_error_falls_and_its_trust_is_told(results):
     (finding,) = measured(section)
     assert finding.verdict is Verdict.AS and finding.case == "xi, `dyna`"
     assert finding.ours == (
-        "0.5 per period in episode 1, 5e-06 in episode 6, the greatest 0.5 in episode 1; trusted below 0.2 "
-        "on held-out windows, trusted from episode 2"
+        "0.5 per period in episode 1, 5e-06 per period in episode 6, at worst 0.5 per period in episode 1; trusted "
+        "below 0.2 on held-out windows, trusted from episode 2"
     )
     (picture,) = [part for part in section.parts if isinstance(part, Picture)]
     whole, judged, *levels = picture.figure.axes[0].lines
@@ -36,6 +37,7 @@ def test_the_models_error_falls_and_its_trust_is_told(results):
     np.testing.assert_allclose(whole.get_ydata(), [5.0 * 0.1**k for k in range(1, 7)])
     np.testing.assert_allclose(judged.get_ydata(), [0.1**k for k in range(1, 7)])
     assert judged.get_label() == "held-out windows, judged"
+    assert (whole.get_color(), judged.get_color()) == (GREY, BLUE)  # as in the gate's own figure
     assert [line.get_label() for line in levels] == ["trusted below 0.2", "no longer trusted above 0.5"]
     assert len(missing(section)) == MISSING
 

@@ -42,7 +42,7 @@ def test_a_claim_with_a_statement_that_is_not_measured_does_not_hold_in_full():
         return overview([Section("Figure 1: one", findings)], {})[0].parts[1].words
 
     assert "with our settings 1 on `xi`" in words(AS, BETTER)
-    assert "with our settings 0 on `xi`" in words(AS, UNKNOWN)
+    assert "with our settings none on `xi`" in words(AS, UNKNOWN)
 
 
 def tables(section):
@@ -57,7 +57,9 @@ def test_claims_come_first_and_lead_to_what_falls_short():
     assert table.rows[0][3] == Link("not reached (0 of 1)", "Figure 1: one")
     assert table.rows[1][1] == Link("holds (1 of 1)", "Figure 2: two") and table.rows[1][2] == "not measured"
     words = verdict.parts[1].words
-    assert "with our settings 1 on `xi` (20 episodes), 0 on `tras`; with the paper's settings 0 on `xi`" in words
+    assert (
+        "with our settings 1 on `xi` (20 episodes) and none on `tras`; with the paper's settings none on `xi`" in words
+    )
 
 
 def test_every_statement_has_a_line_that_leads_to_its_evidence():
