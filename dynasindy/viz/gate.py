@@ -100,7 +100,7 @@ def gate(
 
 def _once(columns: Mapping[str, float], title: str, unit: str, windows: Mapping[str, ArrayLike]) -> Figure:
     """Draw what the gate saw in the only episode: errors along the axis, one below the other, and those of windows."""
-    figure, (upper, lower) = panels(2, 1, (7.0, 3.2), title, sharex=False)
+    figure, (upper, lower) = panels(2, 1, (8.5, 3.2), title, sharex=False)
     closed = "" if columns["open"] else ", closes the gate"
     kept = {1.0: "", 0.0: ", rolled back"}.get(columns["refit_kept"], ", not tested")
     errors = {
