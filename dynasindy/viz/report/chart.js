@@ -2,7 +2,7 @@
 // Draws the figures of a report again from their numbers: zoom, read-out of values, series and seeds to switch.
 // `render` returns text and touches no document, so that it runs anywhere; `mount` puts it into a page.
 const Report = (() => {
-  const LEFT = 64, RIGHT = 10, TOP = 20, FOOT = 36, NARROW = 640;
+  const LEFT = 64, RIGHT = 10, TOP = 20, FOOT = 36, NARROW = 640, LETTER = 6.2, LINE = 14;
   const escaped = (words) => String(words).replace(/[&<>"']/g, (sign) => `&#${sign.charCodeAt(0)};`);
   // A symbol with its index lowered: α_a.
   const symbols = (words) => escaped(words).replace(/(^| )(\S)_(\w+)/g, '$1$2<tspan dy="3" font-size="9">$3</tspan><tspan dy="-3">\u200b</tspan>');
@@ -86,6 +86,9 @@ const Report = (() => {
     return most > least ? [axis.back(-0.08), axis.back(1.08)] : [least - (Math.abs(least) || 1) * 0.1, most + (Math.abs(most) || 1) * 0.1];
   }
 
+  // Whether a panel's title finds no room behind the label, and stands below it.
+  const below = (panel, wide) => Boolean(panel.title) && (panel.ylabel.length + 1 + panel.title.length) * LETTER > wide;
+
   // Where each panel lies and its scales; one column on a narrow page.
   function layout(chart, state, width) {
     const columns = width < NARROW ? 1 : chart.columns, height = chart.panels.length === 1 ? 250 : 130;
@@ -93,18 +96,19 @@ const Report = (() => {
     let top = 0;
     const rows = Math.ceil(chart.panels.length / columns), cell = width / columns, places = [];
     for (let row = 0; row < rows; row++) {
-      const foot = shared && row < rows - 1 ? 6 : FOOT;
+      const foot = shared && row < rows - 1 ? 6 : FOOT, all = chart.panels.slice(row * columns, (row + 1) * columns);
+      const head = TOP + (all.some((panel) => below(panel, cell)) ? LINE : 0);
       for (let column = 0; column < columns && row * columns + column < chart.panels.length; column++) {
         const panel = chart.panels[row * columns + column], left = column * cell + LEFT;
-        const box = { left, right: (column + 1) * cell - RIGHT, top: top + TOP, bottom: top + TOP + height };
+        const box = { left, right: (column + 1) * cell - RIGHT, top: top + head, bottom: top + head + height };
         const range = (shared && state.zoom) || panel.x.slice(0, 2), y = limits(panel, shared ? state : { ...state, zoom: null });
         places.push({
-          panel, box, foot: foot === FOOT, range, limits: y,
+          panel, box, foot: foot === FOOT, two: below(panel, cell), range, limits: y,
           x: scale(panel.x[2], range, [box.left, box.right], panel.linear),
           y: scale(panel.y[2], y, [box.bottom, box.top], panel.linear),
         });
       }
-      top += TOP + height + foot;
+      top += head + height + foot;
     }
     return { places, height: top };
   }
@@ -152,7 +156,9 @@ const Report = (() => {
       + (place.foot ? xs.map((v) => `<text x="${short(place.x.of(v))}" y="${box.bottom + 14}" text-anchor="middle">${written(v)}</text>`).join("")
         + `<text ${at} y="${box.bottom + 30}">${escaped(panel.xlabel || "time [s]")}</text>` : "")
       + ys.map((v) => `<text x="${box.left - 5}" y="${short(place.y.of(v)) + 4}" text-anchor="end">${written(v)}</text>`).join("")
-      + `<text class="label" x="${box.left - LEFT + 4}" y="${box.top - 7}">${symbols(panel.ylabel.replace("\n", " "))}${panel.title ? ` <tspan class="title">${escaped(panel.title)}</tspan>` : ""}</text>`;
+      + `<text class="label" x="${box.left - LEFT + 4}" y="${box.top - 7 - (place.two ? LINE : 0)}">${symbols(panel.ylabel.replace("\n", " "))}`
+      + (place.two ? `</text><text class="title" x="${box.left - LEFT + 4}" y="${box.top - 7}">${escaped(panel.title)}</text>`
+        : `${panel.title ? ` <tspan class="title">${escaped(panel.title)}</tspan>` : ""}</text>`);
   }
 
   const START = { off: [], seeds: [], zoom: null };

@@ -71,6 +71,18 @@ def test_numbers_are_written_as_people_read_them():
                      "1.235\u00b710\u2075", "none"]  # fmt: skip
 
 
+def test_a_title_that_is_wider_than_its_panel_stands_on_a_line_of_its_own():
+    """40 letters of 6 px have no room behind a label on 300 px, and do on 600."""
+    given = steps()
+    given["panels"][0]["title"] = "x" * 40
+    narrow, wide = (run(f"R.render(given, R.START, {width})", given=given) for width in (300, 600))
+    label, title = (re.search(rf'<text class="{name}" x="4" y="(\d+)"', narrow) for name in ("label", "title"))
+    assert int(title[1]) - int(label[1]) == 14 and "<tspan class" not in narrow
+    assert '<text class="title"' not in wide and f'<tspan class="title">{"x" * 40}</tspan>' in wide
+    grown = [run(f"R.layout(given, R.START, {width}).height", given=given) for width in (300, 600)]
+    assert grown[0] - grown[1] == 14  # one panel of several has such a title
+
+
 def steps() -> dict:
     y = np.stack([np.sin(TIME), 0.5 * np.cos(TIME)], -1)
     return chart(tracking(TIME, 0 * y, {"a": y, "b <i>": 2 * y}, {"a": y, "b <i>": -y}, title="T"))
