@@ -10,7 +10,7 @@ import numpy as np
 
 from dynasindy.evaluation.rows import read_rows
 from dynasindy.viz.report.document import Part, Table, Text
-from dynasindy.viz.report.sources import SETTINGS, Results, listed
+from dynasindy.viz.report.sources import SETTINGS, Results, commits, listed
 from dynasindy.viz.style import Array
 
 TABLE = "paper_in_full.csv"
@@ -26,6 +26,7 @@ class Longer:
         episode: `(n,)` episodes after which it was evaluated.
         returns: `(n,)` evaluated return after each [-].
         error: `(n,)` steady-state error of the worse axis after each [rad].
+        commit: Commit of its code.
     """
 
     setting: str
@@ -33,6 +34,7 @@ class Longer:
     episode: Array
     returns: Array
     error: Array
+    commit: str
 
     @property
     def last(self) -> float:
@@ -53,7 +55,7 @@ def longer(results: Results, plant: str, experiment: str, beyond: float) -> list
             own.sort(key=lambda row: float(row["episode"]))
             episode, returns = (np.array([float(row[key]) for row in own]) for key in ("episode", "evaluated_return"))
             error = np.array([max(float(row[axis]) for axis in ("azimuth", "pitch")) for row in own])
-            runs.append(Longer(words, seed, episode, returns, error))
+            runs.append(Longer(words, seed, episode, returns, error, commits(own)))
     return [run for run in runs if run.last > beyond]
 
 
@@ -88,7 +90,8 @@ def course(results: Results, runs: Sequence[Longer], case: str, beyond: float) -
     words = (
         f"**{case}, the whole curve**: the statements are judged up to episode {beyond:g}, which every seed of every "
         f"setting has reached. {len(runs)} single run{'s' * (len(runs) > 1)} went on. From there to the end the return "
-        f"rose in {further} of them, and the error of the worse axis fell in {closer}. {results.source(TABLE)}"
+        f"rose in {further} of them, and the error of the worse axis fell in {closer}. {results.source(TABLE)} "
+        "Setting and seed are those of a run; the README beside the table says with which words besides."
     )
     rows = [
         [
@@ -96,6 +99,7 @@ def course(results: Results, runs: Sequence[Longer], case: str, beyond: float) -
             run.seed,
             f"{run.last:g}",
             *(f"{_at(run, values, at):.4g}" for values in (run.returns, run.error) for at in (beyond, run.last)),
+            run.commit,
         ]
         for run in runs
     ]
@@ -106,6 +110,7 @@ def course(results: Results, runs: Sequence[Longer], case: str, beyond: float) -
         "episodes",
         *(f"return {end}" for end in ends),
         *(f"error {end} [rad]" for end in ends),
+        "commit",
     ]
     return [Text(words), Table(header, rows)]
 

@@ -66,8 +66,8 @@ def test_what_became_of_them_after_the_curves_end_is_told(both):
     assert "4 single runs went on. From there to the end the return rose in 3 of them" in words
     assert "the error of the worse axis fell in 3" in words
     (table,) = [part for part in parts if isinstance(part, Table)]
-    assert table.rows[0] == ["no planning", "0", "12", "-6", "-12", "0.06", "0.12"]
-    assert table.rows[3] == ["800 rollouts", "2", "9", "-16.67", "-11.11", "0.05", "0.03333"]
+    assert table.rows[0] == ["no planning", "0", "12", "-6", "-12", "0.06", "0.12", "abc1234"]
+    assert table.rows[3] == ["800 rollouts", "2", "9", "-16.67", "-11.11", "0.05", "0.03333", "abc1234"]
 
 
 def test_without_runs_that_went_on_nothing_is_said_of_any(results, both):
