@@ -1,9 +1,22 @@
 """From a log to a controller and to what it will do: `read`, `identify`, `plan`, `foretell`; `load` a saved one.
 
-    log = dynasindy.read("log.csv")
-    model = dynasindy.identify(log)
-    controller = dynasindy.plan(model, {"angle": (-0.5, 0.5)}, log=log)
-    print(dynasindy.foretell(controller, model, log).words())
+The speed of a cart follows its motor with a time constant of 0.5 s, sampled every 0.05 s, without noise:
+
+>>> import dynasindy, numpy
+>>> u, speed = numpy.sin(numpy.arange(300) // 10), numpy.zeros(300)
+>>> for k in range(299):
+...     speed[k + 1] = u[k] + numpy.exp(-0.1) * (speed[k] - u[k])
+>>> rows = numpy.column_stack((0.05 * numpy.arange(300), speed, u))
+>>> numpy.savetxt("log.csv", rows, delimiter=",", header="time [s],speed [m/s],u", comments="")
+>>> log = dynasindy.read("log.csv")
+>>> model = dynasindy.identify(log)
+>>> print(*model.equations())
+speed' = -2 speed + 2 u
+>>> controller = dynasindy.plan(model, {"speed": (-0.5, 0.5)}, log=log, updates=60)  # without it, as many as suit
+>>> print(dynasindy.foretell(controller, model, log).words())
+PREDICTED on 3 models fitted to data that the plan never saw (no plant was moved): CONTROLLED: ...
+>>> controller.reset()
+>>> u = controller.act({"speed": 0.1}, {"speed": 0.3})  # once per control period: measured, wanted
 
 Nothing is printed while they work; `with dynasindy.Shown():` around them shows on standard error what is under way.
 `train.py data=csv` calls the same and writes everything down; `train.py` alone has a plant in the loop.

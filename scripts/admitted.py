@@ -3,6 +3,7 @@
 A run folder may be anybody's. What a user composes himself, from conf/ or --config-dir, is his own and not looked at.
 """
 
+import importlib
 import inspect
 import os
 import re
@@ -11,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.evaluation.given import DamagedFileError, read_text, understood
@@ -154,10 +154,15 @@ def _check_target(target: Any, plugins: Sequence[str], where: str) -> None:
     package = next((name for name in ("dynasindy", *plugins) if target.startswith(f"{name}.")), None)
     if package is None:
         raise ValueError(f"{where} has _target_: {shown}, which is of another package; {advice}")
+    module, _, name = target.rpartition(".")
     try:
-        part = get_object(target)
-    except Exception as error:
-        raise ValueError(f"{where} has _target_: {shown}, which does not exist here; {advice}") from error
+        part = getattr(importlib.import_module(module), name)
+    except Exception as error:  # a plug-in may raise anything while it is imported
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+        found = f"; name the folder that {package} lies in by PYTHONPATH" if package != "dynasindy" else ""
+        raise ValueError(
+            f"{where} has _target_: {shown}, which cannot be imported ({reason}){found}; {advice}"
+        ) from error
     if not _is_part(part, package):
         raise ValueError(f"{where} has _target_: {shown}, which is no part of an experiment; {advice}")
 

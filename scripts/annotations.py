@@ -25,7 +25,7 @@ def made(node: Mapping[str, Any], key: str) -> Any:
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
         raise ValueError(
             f"{key}._target_ is {shown(target)}, which cannot be imported ({reason}); allowed is the dotted path of "
-            "a class or function: correct it, or install the package that it is in"
+            "a class or function: correct it, or install the package that it is in, or name its folder by PYTHONPATH"
         ) from error
 
 

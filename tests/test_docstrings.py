@@ -1,6 +1,8 @@
 """The package's written rules, read off the source: documented, typed, short, mirrored by tests."""
 
 import ast
+import doctest
+import importlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -152,3 +154,19 @@ def test_rules_accept_a_module_that_keeps_them():
         '    def __init__(self, x: int) -> None:\n        raise ValueError(f"got {x}")\n'
     )
     assert not any(rule(ast.parse(source)) for rule in RULES)
+
+
+EXAMPLES = [path for path in MODULES if ">>> " in path.read_text()]
+
+
+def test_the_way_from_a_log_to_a_controller_has_an_example():
+    assert PACKAGE / "workbench.py" in EXAMPLES
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_examples_in_docstrings_say_what_comes_out(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    module = importlib.import_module(".".join(path.relative_to(REPOSITORY).with_suffix("").parts))
+    tried = doctest.testmod(module, optionflags=doctest.ELLIPSIS)
+    assert tried.attempted and not tried.failed

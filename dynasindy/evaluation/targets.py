@@ -161,7 +161,8 @@ def in_words(signature: Signature, targets: Mapping[str, Sequence[float]]) -> st
 def require_radians(source: Source, targets: Mapping[str, Sequence[float]]) -> None:
     """Refuse targets in degrees of an angle that is in radians.
 
-    They are such where they lie many times as far as the log went, and as degrees within what it saw, or nearly so.
+    They are such where they lie beyond half a turn and many times as far as the log went, and as degrees within what
+    it saw, or nearly so. Within half a turn radians may well be meant, of a log that hardly moved the angle.
 
     Args:
         source: The log.
@@ -176,7 +177,7 @@ def require_radians(source: Source, targets: Mapping[str, Sequence[float]]) -> N
             continue
         seen = source.training.x[:, signature.state_index(name)]
         reach, asked = float(seen.abs().nan_to_num(nan=0.0).max()), max(map(abs, ends))
-        if 0 < FAR * reach < asked and asked * DEGREE < NEAR * reach:
+        if 0 < FAR * reach < asked and asked > math.pi and asked * DEGREE < NEAR * reach:
             radians = [f"{end * DEGREE:.4g}" for end in ends]
             raise ValueError(
                 f"the targets of {name} go from {ends[0]:g} to {ends[1]:g} rad, the log to {reach:.3g} rad only; "

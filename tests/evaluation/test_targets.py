@@ -68,9 +68,13 @@ def test_targets_in_degrees_of_an_angle_in_radians_are_refused_with_those_in_rad
 
 @pytest.mark.parametrize(
     ("reach", "unit", "ends"),
-    [(0.9, "rad", (-1.2, 1.2)), (60.0, "deg", (-60, 60)), (0.9, "rad", (0, 3.14)), (0.0, "rad", (-60, 60))],
+    [
+        *((0.9, "rad", (-1.2, 1.2)), (60.0, "deg", (-60, 60)), (0.9, "rad", (0, 3.14)), (0.0, "rad", (-60, 60))),
+        *((0.04, "rad", (-0.5, 0.5)), (0.08, "rad", (0, 3.14))),
+    ],
 )
 def test_targets_that_may_be_meant_as_they_are_stay(reach, unit, ends):
+    """Half a turn is 3.14 rad; a log that hardly moved its angle does not make degrees of half a radian."""
     require_radians(swung(reach, unit), {"angle": ends, "other": (-60, 60)})
 
 

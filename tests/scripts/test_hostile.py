@@ -200,6 +200,17 @@ def test_a_plug_in_is_imported_only_where_the_user_names_it(saved_run, run, cana
     monkeypatch.delitem(sys.modules, "my_part")
 
 
+def test_a_plug_in_that_is_not_found_costs_one_line_that_says_how_to_find_it(
+    saved_run, run, caplog, tmp_path, monkeypatch
+):
+    change(run, "system", {"_target_": "my_plants.Tank"})
+    told = refused(saved_run, run, "No module named 'my_plants'", plugins=["my_plants"])
+    assert "name the folder that my_plants lies in by PYTHONPATH" in told and not caplog.records
+    (tmp_path / "my_plants.py").write_text("raise OSError('no licence\\nfor it')")
+    monkeypatch.syspath_prepend(tmp_path)
+    refused(saved_run, run, r"cannot be imported \(OSError: no licence for it\)", plugins=["my_plants"])
+
+
 def test_no_admitted_class_takes_a_file(monkeypatch):
     monkeypatch.syspath_prepend(REPOSITORY / "scripts")
     import inspect

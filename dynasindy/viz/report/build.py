@@ -8,7 +8,7 @@ from pathlib import Path
 
 from dynasindy.evaluation.given import understood
 from dynasindy.viz.framework import framework
-from dynasindy.viz.report import beyond, control, data, model
+from dynasindy.viz.report import beyond, control, data, engineering, model
 from dynasindy.viz.report.document import Picture, Section, Text, write_markdown
 from dynasindy.viz.report.overview import overview
 from dynasindy.viz.report.page import write_html
@@ -36,6 +36,8 @@ def sections(results: Results) -> list[Section]:
         beyond.baselines(results),
         beyond.trust(results),
         beyond.identification(results),
+        engineering.real_logs(results),
+        engineering.margins(results),
         beyond.speed(results),
     ]
 

@@ -104,7 +104,7 @@ def test_without_any_result_every_section_stands_and_says_what_makes_it(empty, t
     html, markdown, *figures = build(empty, tmp_path / "report")
     assert {figure.stem for figure in figures} == {"framework"}
     text = markdown.read_text()
-    assert len(titles(text)) == len(FIRST) + len(PAPER) + 5 and html.is_file()
+    assert len(titles(text)) == len(FIRST) + len(PAPER) + 7 and html.is_file()
     blocks = dict(zip(titles(text), re.split(r"^## .+$", text, flags=re.M)[1:], strict=True))
     for title, block in blocks.items():
         if not title.startswith((*FIRST, "Figures 1 to 4")):

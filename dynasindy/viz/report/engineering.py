@@ -1,0 +1,106 @@
+"""Sections for the engineer: models of real plants on logs that they have not seen, and what controllers bear."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
+
+from dynasindy.viz.report.document import Part, Picture, Section, Table, Text
+from dynasindy.viz.report.sources import Results, commits, each
+from dynasindy.viz.style import BLACK, BLUE, GREY, panels, styled
+
+RIGS_COMMAND = "python scripts/benchmark.py rigs --data FOLDER"
+RIGS = {"emps": "the EMPS axis", "tanks": "the cascaded tanks", "qube": "the QUBE pendulum"}
+"""Real plants of which logs were measured."""
+ELSEWHERE = {
+    "emps": {"best published": 2.64, "best baseline": 5.17},
+    "tanks": {"best published": 0.191, "best baseline": 0.396},
+}
+"""Errors on the test logs that others reached (arXiv 2405.10779), in the unit of the rows."""
+SHOWN = ("test simulated, RMSE", "both angles 0.2 s ahead, RMSE", "both angles 0.5 s ahead, RMSE")
+"""Errors that are drawn, each in a panel of its own."""
+MARGINS = {
+    "gain": "gain margin",
+    "phase_deg": "phase margin [deg]",
+    "delay_s": "delay margin [s]",
+    "disk": "disk margin",
+}
+"""What controllers bear: columns of the table, and their words."""
+
+
+def real_logs(results: Results) -> Section:
+    """Return a figure per real plant: errors of its models on the test log."""
+
+    def _of(rig: str) -> list[Part]:
+        rows = results.rows("rigs.csv", RIGS_COMMAND)
+        found = scored([row for row in rows if row["rig"] == rig])
+        if not found:
+            return [Text(f"Not measured: `{results.folder.name}/rigs.csv` has no row of `{rig}`.")]
+        caption = f"Errors of models of {RIGS[rig]} on the test log, fitted to the training log."
+        table = results.source("rigs.csv").rstrip(".")
+        source = f"{table}, made by `{RIGS_COMMAND}` at commit {commits(found)}."
+        return [Picture(f"rig_{rig}", errors(found, ELSEWHERE.get(rig, {})), caption, source)]
+
+    words = (
+        "Logs of real plants: models are fitted to the training log, and predict a test log that no fit has seen. "
+        "The last scores are drawn; those of earlier settings, and what was chosen after a look at one of them, stand "
+        "in `docs/results/README.md`."
+    )
+    return Section("Beyond the paper: logs of real plants", [Text(words), *each(_of, *((rig,) for rig in RIGS))])
+
+
+def scored(rows: Sequence[Mapping[str, str]]) -> list[Mapping[str, str]]:
+    """Return the rows of errors on a test log, the newest of each model; names with a comma are earlier settings."""
+    kept = (row for row in rows if row["metric"] in SHOWN and "," not in row["model"])
+    return list({(row["metric"], row["model"]): row for row in kept}.values())
+
+
+@styled
+def errors(rows: Sequence[Mapping[str, str]], elsewhere: Mapping[str, float]) -> Figure:
+    """Draw a bar per model, the shortest at the top of each panel, and lines where others are.
+
+    Args:
+        rows: Rows of a rig with `metric`, `model`, `value` and `unit`.
+        elsewhere: Errors of others in the same unit, by what they are.
+    """
+    metrics = list(dict.fromkeys(row["metric"] for row in rows))
+    figure, axes = panels(len(metrics), size=(7.0, 1.0 + 1.6 * len(metrics)), sharex=False)
+    for axis, metric in zip(axes, metrics, strict=True):
+        here = sorted((row for row in rows if row["metric"] == metric), key=lambda row: -float(row["value"]))
+        values = [float(row["value"]) for row in here]
+        bars = axis.barh(
+            [row["model"] for row in here], values, color=[BLUE if row["model"] == "ours" else GREY for row in here]
+        )
+        axis.bar_label(bars, [row["value"] for row in here], padding=3)
+        axis.set_xscale("log")
+        axis.xaxis.set_minor_formatter(NullFormatter())  # each bar has its number
+        for dashes, (words, value) in zip(("--", ":"), elsewhere.items(), strict=False):
+            axis.axvline(value, color=BLACK, linestyle=dashes, label=f"{words}, {value:g} {here[0]['unit']}")
+        axis.set_xlim(0.5 * min([*values, *elsewhere.values()]), 2 * max([*values, *elsewhere.values()]))
+        axis.set_xlabel(f"{metric} [{here[0]['unit']}]")
+        if elsewhere:
+            axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+    return figure
+
+
+def margins(results: Results) -> Section:
+    """Return what controllers bear by the checks of `check.py`: the least margins over inputs, targets and seeds."""
+
+    def _table() -> list[Part]:
+        rows = results.rows("margins.csv", "python scripts/benchmark.py margins")
+        cells = []
+        for plant, planning in dict.fromkeys((row["plant"], row["planning"]) for row in rows):
+            here = [row for row in rows if (row["plant"], row["planning"]) == (plant, planning)]
+            least = [f"{min(float(row[name]) for row in here):.3g}" for name in MARGINS]
+            lost, drawn = (sum(int(row[name]) for row in here) for name in ("unstable_draws", "draws"))
+            cells.append([plant, planning, str(len(here)), *least, f"{lost} of {drawn}"])
+        header = ["plant", "planning", "seeds", *MARGINS.values(), "not stable with other coefficients"]
+        return [Text(results.source("margins.csv")), Table(header, cells)]
+
+    words = (
+        "What `check.py` finds on the identified model: the least margins over inputs, targets and seeds, and with how "
+        "many plants whose coefficients differ from the model's the loop is not stable."
+    )
+    return Section("Beyond the paper: margins of the controllers", [Text(words), *each(_table, ())])
