@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -10,7 +11,7 @@ from torch import Tensor
 
 from dynasindy.checking.linear import Rest, rest
 from dynasindy.checking.loop import Loop
-from dynasindy.told import counted
+from dynasindy.told import counted, tell
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.writers.tables import change_of
 
@@ -18,6 +19,10 @@ SHARE = 0.2
 """By how much a coefficient is moved, as a share of itself."""
 DRAWN = 0.05
 """Largest share by which coefficients are drawn at random where the model does not tell how well it knows them."""
+
+
+PHASE = "plants that differ from the model"
+"""What is under way, in words."""
 
 
 class Drawing(NamedTuple):
@@ -142,10 +147,16 @@ def spread(loop: Loop, r: Tensor, nominal: Rest, changed: Variants, seconds: flo
         torch.zeros(len(r), count, dtype=torch.float64),
         torch.zeros(len(r), count, r.shape[-1], dtype=torch.float64),
     )
-    several = counted("plants that differ from the model", r.double() if count else [], len(r), "targets")
+    several = counted(PHASE, r.double() if count else [], len(r), "targets")
     for k, target in enumerate(several):
         start = nominal.select(torch.full((count,), k))
-        found = rest(loop.varied(changed.coefficients), target.expand(count, -1), start, seconds)
+        say = partial(_said, k, len(r))
+        found = rest(loop.varied(changed.coefficients), target.expand(count, -1), start, seconds, say)
         radii[k] = torch.from_numpy(found.linear.radius).where(found.still, torch.inf)
         errors[k] = found.error
     return Spread(changed.labels, radii, errors, changed.draws, changed.how)
+
+
+def _said(target: int, targets: int, known: int, words: str) -> None:
+    """Tell how many plants are known to rest at a target."""
+    tell(PHASE, target, targets, "targets", f"{known} plants known at the next one{words and f', {words}'}")

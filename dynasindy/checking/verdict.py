@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from dynasindy.checking.check import Check, number
+from dynasindy.checking.check import Check
 from dynasindy.checking.findings import Finding
 from dynasindy.checking.flights import TOLERANCE
 from dynasindy.checking.flown import GAINS, LATEST, Flown
 from dynasindy.checking.margins import Margins
+from dynasindy.checking.record import number
 from dynasindy.checking.uncertainty import SHARE
 from dynasindy.durations import in_words
 
@@ -108,7 +109,9 @@ def verdict(found: Check, thresholds: Thresholds | None = None) -> list[Finding]
     lines = [_stability(found, limits)]
     if any(found.margins):
         lines += [*_margins(found, limits), *_flown(found, limits), _noise(found, limits)]
-    lines += [*_flights(found, limits), *_changes(found, limits)]
+    if len(found.steps.x):
+        lines += _flights(found, limits)
+    lines += _changes(found, limits)
     return [*lines, _recovery(found, limits)] if found.planes else lines
 
 
