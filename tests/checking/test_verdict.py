@@ -11,12 +11,12 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from dynasindy.checking.check import Settings, check
-from dynasindy.checking.findings import Finding
+from dynasindy.checking.findings import Finding, Thresholds
 from dynasindy.checking.flights import Flights
 from dynasindy.checking.flown import Flown
 from dynasindy.checking.margins import Margins
 from dynasindy.checking.uncertainty import Drawing
-from dynasindy.checking.verdict import Thresholds, in_figures, in_short, lost, verdict
+from dynasindy.checking.verdict import in_figures, in_short, lost, verdict
 
 SMALL = Settings((-0.4,), (0.4,), points=2, seconds=8.0, grid=3, draws=2)
 
