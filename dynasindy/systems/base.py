@@ -15,6 +15,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
+from dynasindy.nearest import did_you_mean
 from dynasindy.systems.machine import Machine
 from dynasindy.systems.steps import require_step, taken
 from dynasindy.systems.stops import Stops
@@ -163,7 +164,8 @@ class Signature:
             ValueError: No state has that name.
         """
         if name not in self.state_names:
-            raise ValueError(f"state '{name}' does not exist; the states are {', '.join(self.state_names)}")
+            hint = did_you_mean(name, self.state_names)
+            raise ValueError(f"state '{name}' does not exist; the states are {', '.join(self.state_names)}{hint}")
         return self.state_names.index(name)
 
 
