@@ -100,7 +100,7 @@ class Controller:
         ends = "[-1, 1]"
         if self.pace.task.limited:
             ends = ", ".join(f"[{low:.3g}, {high:.3g}]" for low, high in self.pace.task.input_limits.mT.tolist())
-        inputs = "; ".join([f"{inputs} in {ends} every {self.dt:g} s{more}", *self.signature.own_inputs()])
+        inputs = "; ".join([f"{inputs} in {ends} every {self.dt:g} s{more}", *self.signature.own_inputs(ranged=False)])
         return f"Controller(holds {outputs}; reads {seen}; sets {inputs})"
 
     def reset(self) -> None:

@@ -134,8 +134,12 @@ class Signature:
             x_scale=(*self.x_scale, scale),
         )
 
-    def own_inputs(self) -> list[str]:
-        """Say what each input is in the unit of its actuator, a line for each that has one."""
+    def own_inputs(self, ranged: bool = True) -> list[str]:
+        """Say what each input is in the unit of its actuator, a line for each that has one.
+
+        Args:
+            ranged: Whether its range is said, too; it need not be that of a controller, which may stay within less.
+        """
         limits = self.input_limits or (WHOLE,) * self.n_u
         units = [f" {unit}" if unit != "-" else "" for unit in self.input_units or ("-",) * self.n_u]
         lines = []
@@ -146,10 +150,8 @@ class Signature:
                 continue
             rest, one = 0.5 * (low + high), 0.5 * (high - low)
             zero = f"{rest:.6g}{unit} + " if rest else ""
-            lines.append(
-                f"the plant's {name} is {zero}{one:.6g}{unit} times the controller's, which is in "
-                f"[{least:.6g}, {most:.6g}]"
-            )
+            within = f", which is in [{least:.6g}, {most:.6g}]" if ranged else ""
+            lines.append(f"the plant's {name} is {zero}{one:.6g}{unit} times the controller's{within}")
         return lines
 
     def in_own_units(self, u: ArrayLike) -> NDArray[np.float64]:
