@@ -72,6 +72,12 @@ class Settings:
             )
 
     @property
+    def middle(self) -> Tensor:
+        """Middle of the target range, `(n_r,)`."""
+        low, high = (torch.tensor(ends, dtype=torch.float64) for ends in (self.low, self.high))
+        return (low + high) / 2
+
+    @property
     def targets(self) -> Tensor:
         """All combinations of targets, `(points ** n_r, n_r)`."""
         ends = zip(self.low, self.high, strict=True)
@@ -132,9 +138,9 @@ class Check:
         return max(1, round(self.settings.seconds / self.loop.dt)) * self.loop.dt
 
     @property
-    def middle(self) -> int:
-        """Number of the target around which the errors of `planes` lie."""
-        return _middle(self.targets)
+    def middle(self) -> Tensor:
+        """Target around which the errors of `planes` lie, `(n_r,)`: the middle of their range."""
+        return self.settings.middle
 
     @property
     def farthest(self) -> int:
@@ -201,7 +207,7 @@ def _begun(loop: Loop, settings: Settings) -> Check:
     count, n_r, n_u, seconds = len(targets), loop.task.n_r, signature.n_u, float(settings.seconds or 0.0)
     tell(RESTS, 0, count, "targets")
     found = rest(loop, targets, seconds=seconds)
-    begin = _begin(loop, settings, targets[_middle(targets)])
+    begin = _begin(loop, settings, settings.middle)
     none, no_x, no_u = (torch.zeros(shape).double() for shape in ((count, 0), (0, 2, signature.n_x), (0, 1, n_u)))
     return Check(
         loop,
@@ -253,9 +259,12 @@ def _varying(found: Check) -> dict[str, Any]:
 
 
 def _recovering(found: Check) -> dict[str, Any]:
-    settings, middle = found.settings, found.middle
-    x, r = found.rest.z[middle, found.loop.parts["x"]], found.targets[middle]
-    return {"planes": recovery(found.loop, x, r, settings.reach, settings.grid, found.seconds)}
+    """Start around the middle of the target range, which is none of an even number of targets along an output."""
+    settings, r = found.settings, found.middle.unsqueeze(0)
+    held = torch.isclose(found.targets, r, atol=0.0).all(-1).nonzero().flatten()
+    home = found.rest.select(held) if len(held) else rest(found.loop, r, seconds=found.seconds)
+    x = home.z[0, found.loop.parts["x"]]
+    return {"planes": recovery(found.loop, x, r[0], settings.reach, settings.grid, found.seconds)}
 
 
 def _flying(found: Check) -> dict[str, Any]:
@@ -277,10 +286,6 @@ STAGES: dict[str, Callable[[Check], dict[str, Any]]] = {
     "large movements": _flying,
 }
 """What is looked at once it is known where the loop rests, one after the other, and what fills fields of a check."""
-
-
-def _middle(targets: Tensor) -> int:
-    return int((targets - targets.mean(0)).square().sum(-1).argmin())
 
 
 def _farthest(loop: Loop, targets: Tensor, begin: Tensor) -> int:

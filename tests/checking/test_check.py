@@ -120,6 +120,15 @@ def test_what_was_found_is_handed_on_before_the_rest_is_looked_at(loops):
     assert kept[1].left[0] == "steps" and record(kept[1])["targets"][0]["steady_error"] is None
 
 
+@pytest.mark.parametrize("points", [1, 2, 3, 4])
+def test_errors_lie_around_the_middle_of_the_range_however_many_targets_there_are(loops, carts, points):
+    """Under 2 (r - p) = p the cart rests at two thirds of its target: 0.1 m short of 0.3 m, halfway from 0 to 0.6."""
+    settings = Settings((0.0,), (0.6,), points=points, seconds=10.0, grid=3, draws=0)
+    found = check(loops(model=carts(spring=1.0)), settings)
+    assert found.middle.tolist() == pytest.approx([0.3])
+    assert found.planes[0].steady_error.tolist() == pytest.approx([0.1], abs=1e-3)
+
+
 def test_flights_are_as_many_control_periods_for_a_slow_plant(loops):
     loop = loops()
     found = check(loop, replace(SMALL, seconds=None, points=1, draws=0))
