@@ -28,6 +28,8 @@ REMEDIES = {
     "saturation": "To mend it, narrow the targets, for these steps ask for more than the actuator has",
     "one coefficient": f"The size of these changes is fixed, so longer data do not help. {VARIED}",
     "all coefficients": VARIED,
+    "settling": "For a plant that is not as the model says, try planning.variation.parameters=0.2, or give the "
+    "controller integral action, as docs/check.md shows",
     "recovery": "Switch the controller on near the middle of the targets, or give plant.start the range from which it "
     "is to come back, and train anew",
 }
@@ -49,6 +51,7 @@ class Thresholds:
         noise: Largest standard deviation of an input under the noise of the sensors.
         slew: Largest change of an input in a control period.
         saturated: Largest share of a step at the limit of an input.
+        settled: Longest time in which the end of a step is closed, whatever coefficient is wrong [flights].
     """
 
     gain: float = 2.0
@@ -61,6 +64,7 @@ class Thresholds:
     noise: float = 0.05
     slew: float = 1.0
     saturated: float = 0.2
+    settled: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from dynasindy.checking.bearing import in_flight, margins_kept
 from dynasindy.checking.check import Check
 from dynasindy.checking.findings import Finding, Thresholds
 from dynasindy.checking.record import number
+from dynasindy.checking.settling import CLOSED, LONGEST
 from dynasindy.checking.uncertainty import SHARE
 from dynasindy.checking.words import below, error, least, most, name_of, place, sizes
 from dynasindy.durations import in_words
@@ -80,7 +81,7 @@ def verdict(found: Check, thresholds: Thresholds | None = None) -> list[Finding]
         lines += [*margins_kept(found, limits), *in_flight(found, limits), _noise(found, limits)]
     if len(found.steps.x):
         lines += _flights(found, limits)
-    lines += _changes(found, limits)
+    lines += [*_changes(found, limits), *_settling(found, limits)]
     return [*lines, _recovery(found, limits)] if found.planes else lines
 
 
@@ -214,6 +215,22 @@ def _changes(found: Check, limits: Thresholds) -> list[Finding]:
             )
         )
     return lines
+
+
+def _settling(found: Check, limits: Thresholds) -> list[Finding]:
+    times = found.spread.settling
+    if times is None or len(times[0]) < 2:
+        return []
+    slowest, own = float(times[:, :-1].amax()), float(times[:, -1].amax())
+    label = found.spread.labels[int(times[:, :-1].amax(0).argmax())]
+    end = f"more than {in_words(LONGEST * found.seconds, digits=2)}"
+    shown, model = (in_words(time, digits=3) if time < math.inf else end for time in (slowest, own))
+    words = (
+        f"between opposite targets, limits of inputs apart, all but {100 * CLOSED:g} % of the way is done after "
+        f"{model} with the model, and after {shown} with the slowest of {len(times[0]) - 1} plants with other "
+        f"coefficients, {label}; threshold: {in_words(limits.settled * found.seconds, digits=3)}"
+    )
+    return [Finding("settling", slowest <= limits.settled * found.seconds, words)]
 
 
 def _recovery(found: Check, limits: Thresholds) -> Finding:

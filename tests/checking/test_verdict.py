@@ -37,7 +37,7 @@ def by_name(found, thresholds=None):
 
 def test_a_cart_with_a_sound_law_is_sound(good):
     found = by_name(good)
-    assert len(found) == 13
+    assert len(found) == 14
     assert [name for name, each in found.items() if not each.good] == ["noise"] or all(f.good for f in found.values())
     assert "stable at all 2 targets of p; largest spectral radius" in found["stability"].words
     assert found["recovery"].words.startswith(
@@ -57,7 +57,7 @@ def test_a_stable_loop_is_as_slow_as_its_largest_eigenvalue(loops):
 def test_findings_come_in_the_order_of_what_they_build_on(good):
     assert list(by_name(good)) == [
         *("stability", "gain margin", "gain reduction", "phase margin", "delay margin", "disk margin", "noise"),
-        *("steady error", "slew", "saturation", "one coefficient", "all coefficients", "recovery"),
+        *("steady error", "slew", "saturation", "one coefficient", "all coefficients", "settling", "recovery"),
     ]
 
 
@@ -215,7 +215,7 @@ def test_one_line_sums_up(good, loops, law):
     findings = verdict(good, Thresholds(slew=0.0, error=1.0))
     weak = [each.name for each in findings if not each.good]
     assert in_short(good, findings) == (
-        f"In short: stable at all 2 targets, and weak in {len(weak)} of 13 findings: {', '.join(weak)}."
+        f"In short: stable at all 2 targets, and weak in {len(weak)} of 14 findings: {', '.join(weak)}."
     )
     sound = [replace(each, good=True) for each in findings]
     assert in_short(good, sound) == "In short: stable at all 2 targets, and no finding is weak."
