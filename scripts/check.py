@@ -3,16 +3,22 @@
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from admitted import read_config
 from command import command
 from omegaconf import DictConfig, OmegaConf
 
+from dynasindy.dyna.stopped import Stopped
 from dynasindy.evaluation.given import folder_for, understood
+
+if TYPE_CHECKING:
+    from dynasindy.checking import Check
 
 ENDS = ("low", "high")
 """Settings of the target range."""
+STOPPED = "stopped.json"
+"""What a check that was stopped had found."""
 
 
 @command("check")
@@ -21,12 +27,14 @@ def main(cfg: DictConfig) -> None:
     import torch
 
     from dynasindy.checking import Loop, Plant, Settings, check, verdict
-    from dynasindy.checking.check import record
     from dynasindy.checking.findings import in_lines
+    from dynasindy.checking.plant import step_for
+    from dynasindy.checking.record import record
     from dynasindy.checking.verdict import in_figures, in_short, lost
     from dynasindy.evaluation.files import add_to_record, write_json
     from dynasindy.export.write import Exported
     from dynasindy.terminal import say
+    from dynasindy.told import counted
     from dynasindy.viz.check import draw
     from dynasindy.viz.style import save
 
@@ -42,15 +50,23 @@ def main(cfg: DictConfig) -> None:
         **_places(cfg, run), **{key: cfg[key] for key in ("points", "seconds", "reach", "grid", "draws", "seed")}
     )
     folder = folder_for(cfg.folder, run, "check")
-    plant = Plant(given.model, given.controller.dt, given.step, given.stops)
-    found = check(Loop(given.controller, plant), settings)
+    step = step_for(given.model, given.controller.pace, given.step)
+    loop = Loop(given.controller, Plant(given.model, given.controller.dt, step, given.stops))
+    kept: list[Check] = []  # what was found until now, the latest last
+    try:
+        found = check(loop, settings, kept.append)
+    except KeyboardInterrupt as stop:
+        if not kept:
+            raise
+        raise Stopped(_keep(kept[-1], folder / STOPPED), getattr(stop, "signal", 2)) from stop
     findings = verdict(found)
-    words = [{"finding": each.name, "good": each.good, "words": each.words} for each in findings]
-    write_json(folder / "check.json", {"verdict": words, **record(found)})
-    kept = folder.parent / "metrics.json"
-    if cfg.folder is None and kept.is_file():  # of another folder nobody knows that it is of this run
-        add_to_record(kept, "check", in_figures(found, findings))
-    for name, figure in draw(found).items():
+    write_json(folder / "check.json", record(found, findings))
+    (folder / STOPPED).unlink(missing_ok=True)
+    metrics = folder.parent / "metrics.json"
+    if cfg.folder is None and metrics.is_file():  # of another folder nobody knows that it is of this run
+        add_to_record(metrics, "check", in_figures(found, findings))
+    figures = draw(found)
+    for name, figure in counted("figures", figures.items(), len(figures), "files"):
         save(figure, folder / name)
     say(
         "What the model predicts; the plant itself was not asked.",
@@ -60,6 +76,23 @@ def main(cfg: DictConfig) -> None:
     )
     if bool(lost(found).any()):
         sys.exit(1)
+
+
+def _keep(found: "Check", file: Path) -> str:
+    """Write what was found until a check was stopped, and say so in one line."""
+    from dynasindy.checking import verdict
+    from dynasindy.checking.record import record
+    from dynasindy.evaluation.files import write_json
+
+    findings = verdict(found)
+    write_json(file, record(found, findings))
+    weak = [each.name for each in findings if each.weak]
+    of_them = f"weak in {', '.join(weak)}" if weak else "none of them weak"
+    count = f"{len(findings)} finding{'s' * (len(findings) > 1)}"
+    return (
+        f"stopped; {count}, {of_them}, kept in {file}; not looked at: {', '.join(found.left)}; the same command "
+        "begins anew"
+    )
 
 
 def _places(cfg: DictConfig, run: Path) -> dict[str, Any]:

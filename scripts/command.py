@@ -30,7 +30,7 @@ from hydra.types import RunMode
 from manual import manual
 from mistakes import CONF, MENDABLE, in_words
 from omegaconf import DictConfig, OmegaConf, open_dict
-from places import complete, require_writable
+from places import as_text, complete, require_writable
 from reader import while_read
 
 import dynasindy
@@ -78,7 +78,7 @@ def command(
                 end_with_parent()
                 listen(stop)
             swept = HydraConfig.get().mode == RunMode.MULTIRUN
-            with suppress(SystemExit) if swept else nullcontext(), while_read(), _mistakes_in_words(config_name):
+            with suppress(SystemExit) if swept else nullcontext(), while_read(), _mistakes_in_words(config_name, cfg):
                 try:
                     from schema import check  # it imports torch, which a command that only prints its help does without
 
@@ -106,6 +106,7 @@ def command(
                 if asks(sys.argv[1:]):
                     print(manual(config_name, sys.argv[1:]))
                     return
+                sys.argv[1:] = map(as_text, sys.argv[1:])
                 complete(sys.argv)
                 with SHOWN, _whole_names() if completes(sys.argv[1:]) else nullcontext():
                     main()
@@ -319,14 +320,15 @@ def _whole_names() -> Iterator[None]:
 
 
 @contextmanager
-def _mistakes_in_words(config_name: str) -> Iterator[None]:
+def _mistakes_in_words(config_name: str, cfg: DictConfig | None = None) -> Iterator[None]:
+    settings = None if cfg is None else OmegaConf.to_container(cfg)  # as they were given, before anything is read
     try:
         yield
     except (*MENDABLE, ArithmeticError) as error:
         diverged = type(error).__name__ == "Diverged"  # its class would cost every command the import of torch
         if os.environ.get("DYNASINDY_TRACEBACK") or (isinstance(error, ArithmeticError) and not diverged):
             raise
-        line = f"error: {in_words(error, config_name)}"
+        line = f"error: {in_words(error, config_name, settings)}"
         with suppress(OSError):  # the disk may be what is wrong
             _leave_word(line)
             if Sweep.running:

@@ -114,8 +114,7 @@ def draw(found: "Identified", source: "Source", folder: Path, formats: list[str]
             shown,
         ),
     }
-    for name, figure in figures.items():
-        viz.save(figure, folder / name, formats)
+    viz.save_all(figures, folder, formats)
 
 
 if __name__ == "__main__":

@@ -77,8 +77,14 @@ CAUSES = {
 }
 
 
-def in_words(error: BaseException, config_name: str) -> str:
+def in_words(error: BaseException, config_name: str, settings: object = None) -> str:
     """Return the innermost message of an error on one line, with what is allowed where it names a key.
+
+    Args:
+        error: The error.
+        config_name: The command.
+        settings: Its settings as they were given, which say of a key that takes its value from another from which one;
+            the message then names that one, where the value was given.
 
     Raises:
         BrokenPipeError: The error is that, which is nobody's mistake.
@@ -127,7 +133,12 @@ def in_words(error: BaseException, config_name: str) -> str:
         return "no trial came to an end, so none of them is the best; error.txt in the folder of each says why"
     # Where the key itself exists, what it holds cannot be extended.
     whole = "; replace the whole of a group's keys in a file of its own, as conf/ has them"
-    return text + whole * bool(misspelt and misspelt[1] == "Could not override")
+    return as_given(text, settings) + whole * bool(misspelt and misspelt[1] == "Could not override")
+
+
+def as_given(text: str, settings: object) -> str:
+    """Return a text whose keys that take their values from others are those: `task.outputs` is `plant.outputs`."""
+    return re.sub(r"\b[a-z_]+(?:\.[a-z_]+)+\b", lambda key: _taken_from(key[0], settings) or key[0], text)
 
 
 def _missing_package(error: BaseException) -> str:

@@ -7,6 +7,9 @@ import re
 from pathlib import Path
 from tempfile import TemporaryFile
 
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
+
 SWEEPING = ("-m", "--multirun")
 
 
@@ -31,6 +34,33 @@ def complete(words: list[str]) -> None:
         _add(words, f"hydra.run.dir={_quoted(folder)}")
     elif any(word in SWEEPING for word in words) and "hydra.sweep.dir" not in given:
         _add(words, f"hydra.sweep.dir={_quoted('runs/' + name(words[1:]))}")
+
+
+def as_text(word: str) -> str:
+    """Return a word of a command line as Hydra reads it: a value or an item of a list that it cannot read is text.
+
+    The shell takes away the quotation marks of `data.time="Time [ms]"`, and a bracket within a value is none that Hydra
+    knows. What has brackets that are not closed is left as it is, to be refused.
+    """
+    key, sign, value = word.partition("=")
+    closed = all(value.count(a) == value.count(b) for a, b in ("[]", "()", "{}"))
+    if not sign or word.startswith("-") or not value or not closed or _is_read(word):
+        return word
+    if value[0] == "[" and value[-1] == "]":
+        items = [item.strip() for item in re.split(r",(?![^\[({]*[\])}])", value[1:-1])]
+        made = f"{key}=[{','.join(item if _is_read(f'{key}={item}') else _quoted(item) for item in items)}]"
+    else:
+        made = word if value[0] in "[{('\"" else f"{key}={_quoted(value)}"
+    return made if _is_read(made) else word
+
+
+def _is_read(word: str) -> bool:
+    """Tell whether Hydra can read a word."""
+    try:
+        OverridesParser.create().parse_override(word)
+    except HydraException:
+        return False
+    return True
 
 
 def _add(words: list[str], setting: str) -> None:

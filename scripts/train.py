@@ -4,6 +4,7 @@ import math
 import sys
 from pathlib import Path
 
+from admitted import read_config
 from command import command, needs_score
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
@@ -42,7 +43,8 @@ def main(cfg: DictConfig) -> float:
     from dynasindy.viz.controllers import by_planning
     from dynasindy.viz.run import draw_run  # Matplotlib, when there is something to draw
 
-    draw_run(folder, done.recipe.system.signature, controller=by_planning(cfg.planning))
+    planning = read_config(folder / "config.yaml").planning  # a run that is resumed has its own
+    draw_run(folder, done.recipe.system.signature, controller=by_planning(planning))
     say(report(done.metrics, folder))
     if not swept:
         written = (folder / NAME).is_file()  # a task without targets leaves no controller to check or to export

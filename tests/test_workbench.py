@@ -2,13 +2,10 @@
 
 import ast
 import copy
-import csv
 import math
 import re
 import warnings
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -300,22 +297,6 @@ def test_targets_that_no_input_holds_are_told(model):
 def test_the_package_says_what_it_has():
     with pytest.raises(AttributeError, match=r"it has Controller, .*, foretell, identify, load, plan, read"):
         dynasindy.train  # noqa: B018
-
-
-def test_the_lines_of_the_readme_run(tmp_path, monkeypatch, capsys):
-    """Its log has an angle and a rate; planning is cut short."""
-    block, *_ = re.findall(r"```python\n(.*?)```", (Path(__file__).parents[1] / "README.md").read_text(), re.S)
-    data = record(Pendulum(), Multisine(1, duration=8, dt=0.05, amplitude=[0.4], seed=0).samples(0.01), 0.01)
-    with (tmp_path / "log.csv").open("w", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(["time [s]", "angle [rad]", "rate [rad/s]", "u"])
-        writer.writerows([[0.01 * k, *data.x[k].tolist(), float(data.u[k, 0])] for k in range(len(data))])
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(dynasindy, "plan", partial(dynasindy.plan, updates=1, rollouts=4), raising=False)
-    names = {}
-    exec(block, names)
-    assert np.abs(names["u"]).max() <= 1
-    assert "angle' = " in capsys.readouterr().out
 
 
 def angle_alone(source):

@@ -1,4 +1,4 @@
-"""All that can be said of a controller on its model before it touches metal, as one record."""
+"""All that can be said of a controller on its model before it touches metal."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from dynasindy.checking.linear import RESTS, Array, Rest, guess, rest
 from dynasindy.checking.loop import Loop
 from dynasindy.checking.margins import Margins, margins
 from dynasindy.checking.noise import noise_gain
-from dynasindy.checking.swings import Swings, swings
+from dynasindy.checking.swings import Swings, swings, unmoved
 from dynasindy.checking.uncertainty import Spread, Variants, spread, variants
 from dynasindy.systems import ranges
 from dynasindy.systems.ranges import Ends
-from dynasindy.told import tell
+from dynasindy.told import counted, tell
 
 PERIODS = 400
 """Control periods of a flight whose length is not given, those of the paper's episodes; a slow plant gets more time."""
@@ -72,6 +72,12 @@ class Settings:
             )
 
     @property
+    def middle(self) -> Tensor:
+        """Middle of the target range, `(n_r,)`."""
+        low, high = (torch.tensor(ends, dtype=torch.float64) for ends in (self.low, self.high))
+        return (low + high) / 2
+
+    @property
     def targets(self) -> Tensor:
         """All combinations of targets, `(points ** n_r, n_r)`."""
         ends = zip(self.low, self.high, strict=True)
@@ -105,6 +111,7 @@ class Check:
         swings: What becomes of flights to the targets at which the loop is not stable.
         flown: Margins of flights from each target at which the loop is stable to the opposite one; None where there is
             none, and of a plant without dry friction, whose margins at rest are those of large movements as well.
+        left: What is not looked at yet, in words; the fields that it would fill are empty.
     """
 
     loop: Loop
@@ -122,16 +129,18 @@ class Check:
     planes: list[Plane]
     swings: Swings
     flown: Flown | None
+    left: tuple[str, ...] = ()
 
     @property
     def seconds(self) -> float:
         """Length of its flights [s]."""
-        return self.steps.u.shape[1] * self.loop.dt
+        assert self.settings.seconds is not None, "a check knows how long it flew"
+        return max(1, round(self.settings.seconds / self.loop.dt)) * self.loop.dt
 
     @property
-    def middle(self) -> int:
-        """Number of the target around which the errors of `planes` lie."""
-        return _middle(self.targets)
+    def middle(self) -> Tensor:
+        """Target around which the errors of `planes` lie, `(n_r,)`: the middle of their range."""
+        return self.settings.middle
 
     @property
     def farthest(self) -> int:
@@ -168,12 +177,13 @@ class Check:
         return self.rest.still & torch.from_numpy(self.rest.linear.radius < 1)
 
 
-def check(loop: Loop, settings: Settings) -> Check:
+def check(loop: Loop, settings: Settings, keep: Callable[[Check], object] | None = None) -> Check:
     """Look at a loop.
 
     Args:
         loop: Controller and model.
         settings: What is tried.
+        keep: Is handed what was found so far, each time that more was; `Check.left` says what is still to come.
 
     Raises:
         ValueError: The target range has another number of outputs than the controller.
@@ -182,45 +192,100 @@ def check(loop: Loop, settings: Settings) -> Check:
         raise ValueError(
             f"low and high have {len(settings.low)} numbers; give one for each of {', '.join(loop.task.output_names)}"
         )
-    targets, seconds = settings.targets, settings.seconds or PERIODS * loop.dt
-    settings = replace(settings, seconds=seconds)
-    tell(RESTS, 0, len(targets), "targets")
+    settings = replace(settings, seconds=settings.seconds or PERIODS * loop.dt)
+    found = _begun(loop, settings)
+    for done, look in enumerate(STAGES.values(), 1):
+        found = replace(found, **look(found), left=tuple(STAGES)[done:])
+        if keep is not None:
+            keep(found)
+    return found
+
+
+def _begun(loop: Loop, settings: Settings) -> Check:
+    """Return where the loop rests, and nothing else yet."""
+    targets, signature = settings.targets, loop.signature
+    count, n_r, n_u, seconds = len(targets), loop.task.n_r, signature.n_u, float(settings.seconds or 0.0)
+    tell(RESTS, 0, count, "targets")
     found = rest(loop, targets, seconds=seconds)
-    good = found.still & torch.from_numpy(found.linear.radius < 1)
-    stable = good.tolist()
-    rows = [found.linear.row(k) for k in range(len(targets))]
-    others = variants(loop.plant.model, settings.draws, settings.seed)
-    middle = _middle(targets)
-    begin = _begin(loop, settings, targets[middle])
-    steps = fly(loop, begin.expand(len(targets), -1), targets, seconds)
+    begin = _begin(loop, settings, settings.middle)
+    none, no_x, no_u = (torch.zeros(shape).double() for shape in ((count, 0), (0, 2, signature.n_x), (0, 1, n_u)))
     return Check(
         loop,
         settings,
         targets,
         begin,
         found,
-        [margins(row) if ok else [] for row, ok in zip(rows, stable, strict=True)],
-        [noise_gain(row) if ok else None for row, ok in zip(rows, stable, strict=True)],
+        [[] for _ in targets],
+        [None for _ in targets],
         _stated(loop),
         _resolved(loop),
-        steps,
-        _drawn(loop, targets, others, seconds, begin),
-        spread(loop, targets[good], found.select(good), others, seconds),
-        recovery(
-            loop,
-            found.z[middle, loop.parts["x"]],
-            targets[middle],
-            settings.reach,
-            settings.grid,
-            seconds,
-        ),
-        swings(loop, targets, good, seconds, begin),
-        _flown(loop, targets[good], found.z[good], seconds, begin),
+        Flights(no_x, no_u, targets[:0], loop.task.outputs, loop.dt, loop.task.input_limits),
+        None,
+        Spread([], none, none.unsqueeze(-1).expand(count, 0, n_r), 0),
+        [],
+        unmoved(count, n_r, n_u, seconds),
+        None,
+        tuple(STAGES),
     )
 
 
-def _middle(targets: Tensor) -> int:
-    return int((targets - targets.mean(0)).square().sum(-1).argmin())
+def _swinging(found: Check) -> dict[str, Any]:
+    return {"swings": swings(found.loop, found.targets, found.stable, found.seconds, found.begin)}
+
+
+def _bearing(found: Check) -> dict[str, Any]:
+    """Return margins and what noise does, at the targets at which the loop is stable."""
+    stable = found.stable.tolist()
+    rows = [found.rest.linear.row(k) if ok else None for k, ok in enumerate(stable)]
+    told = counted("margins", rows, len(rows), "targets")
+    both = [([], None) if row is None else (margins(row), noise_gain(row)) for row in told]
+    return {"margins": [each for each, _ in both], "noise": [each for _, each in both]}
+
+
+def _stepping(found: Check) -> dict[str, Any]:
+    begin = found.begin.expand(len(found.targets), -1)
+    return {"steps": fly(found.loop, begin, found.targets, found.seconds)}
+
+
+def _others(found: Check) -> Variants:
+    return variants(found.loop.plant.model, found.settings.draws, found.settings.seed)
+
+
+def _varying(found: Check) -> dict[str, Any]:
+    """Return where the loop rests with other plants, and flights of those that are drawn."""
+    others, good = _others(found), found.stable
+    rests = spread(found.loop, found.targets[good], found.rest.select(good), others, found.seconds)
+    return {"drawn": _drawn(found, others), "spread": rests}
+
+
+def _recovering(found: Check) -> dict[str, Any]:
+    """Start around the middle of the target range, which is none of an even number of targets along an output."""
+    settings, r = found.settings, found.middle.unsqueeze(0)
+    held = torch.isclose(found.targets, r, atol=0.0).all(-1).nonzero().flatten()
+    home = found.rest.select(held) if len(held) else rest(found.loop, r, seconds=found.seconds)
+    x = home.z[0, found.loop.parts["x"]]
+    return {"planes": recovery(found.loop, x, r[0], settings.reach, settings.grid, found.seconds)}
+
+
+def _flying(found: Check) -> dict[str, Any]:
+    """Fly from rest at each target to the opposite one; a single target is flown to from where steps begin."""
+    loop, targets, good = found.loop, found.targets[found.stable], found.stable
+    if not len(targets) or not rubs(loop.plant.model):
+        return {"flown": None}
+    x = found.rest.z[good][:, loop.parts["x"]]
+    x = x if len(targets) > 1 else found.begin.expand_as(x)
+    return {"flown": flown(loop, x, targets.flip(0), found.seconds)}
+
+
+STAGES: dict[str, Callable[[Check], dict[str, Any]]] = {
+    "swings where it is not stable": _swinging,
+    "margins": _bearing,
+    "steps": _stepping,
+    "other coefficients": _varying,
+    "recovery": _recovering,
+    "large movements": _flying,
+}
+"""What is looked at once it is known where the loop rests, one after the other, and what fills fields of a check."""
 
 
 def _farthest(loop: Loop, targets: Tensor, begin: Tensor) -> int:
@@ -250,76 +315,11 @@ def _resolved(loop: Loop) -> Array:
     return loop.observer.sensors.resolution(loop.signature).numpy()
 
 
-def _flown(loop: Loop, targets: Tensor, z: Tensor, seconds: float, begin: Tensor) -> Flown | None:
-    """Fly from rest at each target to the opposite one; a single target is flown to from `begin`."""
-    if not len(targets) or not rubs(loop.plant.model):
-        return None
-    x = z[:, loop.parts["x"]]
-    return flown(loop, x if len(targets) > 1 else begin.expand_as(x), targets.flip(0), seconds)
-
-
-def _drawn(loop: Loop, targets: Tensor, others: Variants, seconds: float, begin: Tensor) -> Flights | None:
+def _drawn(found: Check, others: Variants) -> Flights | None:
     if not others.draws:
         return None
-    farthest = targets[_farthest(loop, targets, begin)]
-    start = begin.expand(others.draws, -1)
-    plants = loop.varied(others.coefficients[: others.draws])
-    return fly(plants, start, farthest.expand(others.draws, -1), seconds, "steps of plants that differ from the model")
-
-
-def record(found: Check) -> dict[str, Any]:
-    """Return all figures as plain numbers; null stands for what is infinite or does not exist."""
-    signature, outputs = found.loop.signature, found.loop.task.output_names
-    names, eigenvalues = signature.input_names, found.rest.linear.eigenvalues
-    targets = []
-    for k, target in enumerate(found.targets.tolist()):
-        gain = found.noise[k]
-        targets.append(
-            {
-                "target": dict(zip(outputs, target, strict=True)),
-                "rests": bool(found.rest.still[k]),
-                "stable": bool(found.stable[k]),
-                "spectral_radius": number(found.rest.linear.radius[k]),
-                "eigenvalues": [[number(v.real), number(v.imag)] for v in eigenvalues[k] if abs(v) > 1e-6],
-                "steady_error": _named(outputs, found.steps.steady_error[k]),
-                "swing": None
-                if bool(found.stable[k])
-                else _named((*outputs, *names), torch.cat([found.swings.outputs[k], found.swings.inputs[k]])),
-                "margins": {
-                    name: {key: number(value) for key, value in vars(margin).items()}
-                    for name, margin in zip(names, found.margins[k], strict=False)
-                },
-                "noise_to_input": {
-                    name: _named(signature.state_names, row) for name, row in zip(names, gain, strict=True)
-                }
-                if gain is not None
-                else None,
-                "slew": _named(names, found.steps.slew[k]),
-                "saturated": _named(names, found.steps.saturated[k]),
-            }
-        )
-    others = found.spread
-    changes = [
-        {
-            "change": label,
-            "spectral_radius": number(float(others.worst[k])),
-            "steady_error": _named(outputs, others.farthest[k]),
-        }
-        for k, label in enumerate(others.labels)
-    ]
-    planes = [
-        {"states": plane.names, "share": plane.share, "steady_error": _named(outputs, plane.steady_error)}
-        for plane in found.planes
-    ]
-    settings = {name: list(v) if isinstance(v, tuple) else v for name, v in vars(found.settings).items()}
-    flights = None if found.flown is None else vars(found.flown)
-    return {"settings": settings, "targets": targets, "flown": flights, "changes": changes, "recovery": planes}
-
-
-def number(value: float) -> float | None:
-    """Return a number as JSON can hold it: None for what is not finite."""
-    return float(value) if math.isfinite(value) else None
-
-
-def _named(names: Any, values: Any) -> dict[str, float | None]:
-    return {name: number(float(value)) for name, value in zip(names, values, strict=True)}
+    farthest = found.targets[found.farthest]
+    start = found.begin.expand(others.draws, -1)
+    plants = found.loop.varied(others.coefficients[: others.draws])
+    phase = "steps of plants that differ from the model"
+    return fly(plants, start, farthest.expand(others.draws, -1), found.seconds, phase)

@@ -1,9 +1,11 @@
-"""A finding of a check, in words, and what may mend it."""
+"""A finding of a check, in words, where it begins to be a weak one, and what may mend it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+
+from dynasindy.checking.flights import TOLERANCE
 
 GENTLE = "Where plant.rates names rates, try task.reward.rate_weight=10, by which quick movements cost more than by 0.1"
 CAREFUL = (
@@ -27,10 +29,43 @@ REMEDIES = {
     "saturation": "To mend it, narrow the targets, for these steps ask for more than the actuator has",
     "one coefficient": f"The size of these changes is fixed, so longer data do not help. {VARIED}",
     "all coefficients": VARIED,
+    "settling": "For a plant that is not as the model says, try planning.variation.parameters=0.2, or give the "
+    "controller integral action, as docs/check.md shows",
     "recovery": "Switch the controller on near the middle of the targets, or give plant.start the range from which it "
     "is to come back, and train anew",
 }
 """What may mend a finding that is weak, by its name."""
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Where a finding begins to be a weak one.
+
+    Attributes:
+        gain: Least gain margin upwards; downwards it is the inverse.
+        phase: Least phase margin [deg].
+        delay: Least delay margin [control periods].
+        disk: Least disk margin.
+        swing: Largest swing to either side where the loop is not stable [typical sizes of the outputs].
+        error: Largest steady error [typical sizes of the outputs].
+        recovered: Least share of initial errors from which the plant comes back.
+        noise: Largest standard deviation of an input under the noise of the sensors.
+        slew: Largest change of an input in a control period.
+        saturated: Largest share of a step at the limit of an input.
+        settled: Longest time in which the end of a step is closed, whatever coefficient is wrong [flights].
+    """
+
+    gain: float = 2.0
+    phase: float = 30.0
+    delay: float = 1.0
+    disk: float = 0.5
+    swing: float = 0.01
+    error: float = TOLERANCE
+    recovered: float = 0.9
+    noise: float = 0.05
+    slew: float = 1.0
+    saturated: float = 0.2
+    settled: float = 1.0
 
 
 @dataclass(frozen=True)

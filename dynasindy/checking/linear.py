@@ -7,6 +7,7 @@ model has a kink, as dry friction has at standstill, the slope is the mean of bo
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +37,10 @@ Array = NDArray[np.float64]
 
 RESTS = "where the loop rests"
 """What is under way, in words."""
+Say = Callable[[int, str], None]
+"""Hears how many of some loops are known to rest, and what is being done, in words."""
+OFTEN = 20
+"""Control periods of the observer after which is told how many there were."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +108,11 @@ class Rest:
         return Rest(self.z[rows], self.covariance[rows], self.u[rows], self.still[rows], self.error[rows], picked)
 
 
-def guess(loop: Loop, r: Tensor) -> Tensor:
+def _unheard(known: int, words: str) -> None:
+    """Say nothing."""
+
+
+def guess(loop: Loop, r: Tensor, say: Say = _unheard) -> Tensor:
     """Return vectors near those at rest, `(rows, n)`: the plant where the model rests with its outputs at `r`.
 
     Where the model has no such place, it is the state at the origin with the outputs put to `r`.
@@ -116,6 +125,7 @@ def guess(loop: Loop, r: Tensor) -> Tensor:
     except ValueError:
         return loop.at(x, u)
     for k, target in enumerate(r):
+        say(0, f"place {k + 1} of {len(r)} sought in the model")
         try:
             x[k], u[k] = found.state_and_input(target, found(target))
         except (ValueError, RuntimeError):  # out of reach, or a slope that has no inverse
@@ -124,14 +134,16 @@ def guess(loop: Loop, r: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def covariance_at(loop: Loop, z: Tensor) -> Tensor:
-    """Return the covariance of the observer where the plant stays at `z` and nothing is lost, `(rows, n_o, n_o)`."""
+def covariance_at(loop: Loop, z: Tensor, say: Say = _unheard) -> Tensor:
+    """Return the covariance of the observer where the plant stays at `z` and nothing is lost, `(*batch, n_o, n_o)`."""
     covariance = loop.uncertain(z)
     if loop.observer is None:
         return covariance
-    zero = torch.zeros(len(z), loop.task.n_r, dtype=torch.float64)
-    for _ in range(SETTLED):
-        before, covariance = covariance, loop.step(z, covariance, zero).covariance
+    watched = loop.watched(z)  # once: where nothing moves, the slopes of the observer's model stay as they are
+    for k in range(SETTLED):
+        if k % OFTEN == 0:
+            say(0, f"observer after {k} of {SETTLED} control periods")
+        before, covariance = covariance, watched(covariance)
         size = covariance.diagonal(dim1=-2, dim2=-1).unsqueeze(-1)
         if bool(((covariance - before).abs() < 1e-9 * size).all()):
             break
@@ -161,64 +173,58 @@ def linearise(loop: Loop, z: Tensor, covariance: Tensor, r: Tensor) -> tuple[Lin
     return Linear(a, b, c, e, f, loop.dt), centre[:, 0, :n] - z, centre[:, 0, n:]
 
 
-def rest(loop: Loop, r: Tensor, start: Rest | None = None, seconds: float = 20.0) -> Rest:
+def rest(loop: Loop, r: Tensor, start: Rest | None = None, seconds: float = 20.0, say: Say | None = None) -> Rest:
     """Find where loops rest, by Newton's method; where it fails, by letting the loop run and trying again.
-
-    Without a place to begin it tells at how many targets that is known.
 
     Args:
         loop: The loop, of as many rows as `r` has, or of one plant.
         r: References, `(rows, n_r)`.
         start: Where to begin, such as the same loops with other coefficients; by default where the model rests.
         seconds: How long the loop may run [s].
+        say: Hears at how many references the rest is known, and what is being done; by default it is told of targets.
     """
-    r = r.double()
-    z = guess(loop, r) if start is None else start.z
-    covariance = covariance_at(loop, z) if start is None else start.covariance
-    told, total = start is None, len(r)
-    found, still = _newton(loop, z, covariance, r, (0, total) if told else None)
+    r, total = r.double(), len(r)
+    say = say or (lambda known, words: tell(RESTS, known, total, "targets", words))
+    z = guess(loop, r, say) if start is None else start.z
+    covariance = covariance_at(loop, z, say) if start is None else start.covariance
+    found, still = _newton(loop, z, covariance, r, 0, say)
     lost = (~still).nonzero().flatten()
     ran = torch.zeros(len(r), loop.task.n_r, dtype=torch.float64)
     if len(lost):
-        moved, spread, ran[lost] = _run(loop.rows(lost), z[lost], covariance[lost], r[lost], seconds, told)
-        known = (total - len(lost), total) if told else None
-        again, calm = _newton(loop.rows(lost), moved, spread, r[lost], known)
+        known = total - len(lost)
+        moved, spread, ran[lost] = _run(loop.rows(lost), z[lost], covariance[lost], r[lost], seconds, known, say)
+        again, calm = _newton(loop.rows(lost), moved, spread, r[lost], known, say)
         found, covariance = found.index_copy(0, lost, again), covariance.index_copy(0, lost, spread)
         still = still.index_copy(0, lost, calm)
     linear, _, u = linearise(loop, found, covariance, r)
+    restless = total - int(still.sum())
+    say(total, f"{restless} of them without a rest" if restless else "")
     error = (r - found[:, loop.parts["x"]][:, loop.task.outputs]).abs().where(still.unsqueeze(-1), ran)
     return Rest(found, covariance, u, still, error, linear.finite())
 
 
 def _run(
-    loop: Loop, z: Tensor, covariance: Tensor, r: Tensor, seconds: float, told: bool
+    loop: Loop, z: Tensor, covariance: Tensor, r: Tensor, seconds: float, known: int, say: Say
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Let loops run; return vectors, covariances, and the mean absolute error over the last seconds, `(rows, n_r)`."""
     steps, last = math.ceil(seconds / loop.dt), math.ceil(LAST / loop.dt)
     errors: list[Tensor] = []
     for k in range(steps):
-        if told:
-            tell(RESTS, k, steps, "control periods", f"flown to the {len(r)} targets that are left")
+        say(known, f"{k} of {steps} control periods of flights of the {len(r)} that are left")
         z, covariance, _ = loop.step(z, covariance, r)
         errors = [*errors[1 - last :], (r - z[:, loop.parts["x"]][:, loop.task.outputs]).abs()]
     return z, covariance, torch.stack(errors).mean(0).nan_to_num(torch.inf, torch.inf)
 
 
-def _newton(
-    loop: Loop, z: Tensor, covariance: Tensor, r: Tensor, known: tuple[int, int] | None = None
-) -> tuple[Tensor, Tensor]:
-    """Return vectors at rest, as far as they are found, and whether they are, bool `(rows,)`.
-
-    With `known`, targets that are known already and all of them, it tells how many are known.
-    """
+def _newton(loop: Loop, z: Tensor, covariance: Tensor, r: Tensor, known: int, say: Say) -> tuple[Tensor, Tensor]:
+    """Return vectors at rest, as far as they are found, and whether they are, bool `(rows,)`; it says how many are."""
     scale, unit = loop.scale, np.eye(loop.size)
     z, still, left = z.clone(), torch.zeros(len(z), dtype=torch.bool), torch.arange(len(z))
-    for _ in range(NEWTON):
+    for k in range(NEWTON):
+        say(known + int(still.sum()), f"step {k + 1} of Newton's method")
         linear, moved, _ = linearise(loop.rows(left), z[left], covariance[left], r[left])
         calm = ((moved / scale).abs() < STILL).all(-1)
         still[left] = calm
-        if known is not None:
-            tell(RESTS, known[0] + int(still.sum()), known[1], "targets")
         sound = moved.isfinite().all(-1) & torch.from_numpy(np.isfinite(linear.a).all((-2, -1)))
         on = (~calm & sound).nonzero().flatten()
         if not len(on):

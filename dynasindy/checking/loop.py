@@ -17,6 +17,7 @@ covariance is for, acts on nothing: to first order the vector alone decides.
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -138,6 +139,20 @@ class Loop:
         return self.observer.begin(self._measured(z)).covariance.clone()
 
     @torch.no_grad()
+    def watched(self, z: Tensor) -> Callable[[Tensor], Tensor]:
+        """Return what a control period makes of a covariance of the observer, `(*batch, n_o, n_o)`, if nothing moves.
+
+        Args:
+            z: Vectors of the loop that stay, `(*batch, n)`.
+        """
+        assert self.observer is not None, "without an observer nothing is watched"
+        observer, y, mean = self.observer, self._measured(z), z[..., self.parts["mean"]]
+        ahead, slopes = observer.transition(mean, self._remembered(z))
+        return lambda covariance: (
+            observer.correct(observer.carried(Belief(mean, covariance), ahead, slopes), y)[0].covariance
+        )
+
+    @torch.no_grad()
     def step(
         self,
         z: Tensor,
@@ -182,13 +197,17 @@ class Loop:
         part = self.parts.get("late", self.parts["x"])
         return z[..., part.start : part.start + self.signature.n_x]
 
+    def _remembered(self, z: Tensor) -> Tensor:
+        """Return the commands that the observer remembers, `(*batch, memory, n_u)`."""
+        return z[..., self.parts["inputs"]].unflatten(-1, (-1, self.signature.n_u))
+
     def _estimated(
         self, z: Tensor, after: Tensor, covariance: Tensor, y: Tensor, first: bool
     ) -> tuple[Tensor, Tensor, Tensor | None]:
         """Return the state that the policy is shown, covariance and shift, and note what the observer holds."""
         if (observer := self.observer) is None:
             return y, covariance, None
-        inputs = z[..., self.parts["inputs"]].unflatten(-1, (-1, self.signature.n_u))
+        inputs = self._remembered(z)
         belief = observer.begin(y)
         if not first:
             # One covariance may serve many rows, as the differences of a linearisation.

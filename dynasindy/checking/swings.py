@@ -44,9 +44,8 @@ def swings(loop: Loop, targets: Tensor, stable: Tensor, seconds: float, begin: T
         seconds: Length of the other flights [s].
         begin: State in which flights begin, `(n_x,)`.
     """
-    n, n_r, whole = len(targets), loop.task.n_r, LONGER * seconds
-    outputs, inputs, error = (torch.zeros(n, width).double() for width in (n_r, loop.signature.n_u, n_r))
-    found = Swings(outputs, inputs, error, whole)
+    whole = LONGER * seconds
+    found = unmoved(len(targets), loop.task.n_r, loop.signature.n_u, whole)
     lost = ~stable
     if not bool(lost.any()):
         return found
@@ -59,6 +58,12 @@ def swings(loop: Loop, targets: Tensor, stable: Tensor, seconds: float, begin: T
     found.inputs[lost] = _half(flights.u[:, -part:])
     found.error[lost] = (y[:, -part:] - r.double().unsqueeze(1)).abs().mean(1).nan_to_num(math.inf, math.inf)
     return found
+
+
+def unmoved(n: int, n_r: int, n_u: int, seconds: float) -> Swings:
+    """Return the swings at so many targets where the loop is stable, which are none."""
+    outputs, inputs, error = (torch.zeros(n, width, dtype=torch.float64) for width in (n_r, n_u, n_r))
+    return Swings(outputs, inputs, error, seconds)
 
 
 def _half(values: Tensor) -> Tensor:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from dynasindy.checking.linear import Rest, rest
+from dynasindy.checking.linear import Array, Rest, rest
 from dynasindy.checking.loop import Loop
-from dynasindy.told import counted
+from dynasindy.checking.settling import settling
+from dynasindy.told import counted, tell
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.writers.tables import change_of
 
@@ -18,6 +21,10 @@ SHARE = 0.2
 """By how much a coefficient is moved, as a share of itself."""
 DRAWN = 0.05
 """Largest share by which coefficients are drawn at random where the model does not tell how well it knows them."""
+
+
+PHASE = "plants that differ from the model"
+"""What is under way, in words."""
 
 
 class Drawing(NamedTuple):
@@ -108,6 +115,8 @@ class Spread:
         error: Steady error of the outputs, `(n_targets, n, n_r)`, infinite where they run away.
         draws: How many, the first ones, are drawn at random.
         how: By how much these are drawn.
+        settling: Time in which the end of a step from the opposite target is closed, `(n_targets, n + 1)` [s], that of
+            the model itself last; infinite where it is very long, 0 where the loop is not stable. None of one target.
     """
 
     labels: list[str]
@@ -115,6 +124,7 @@ class Spread:
     error: Tensor
     draws: int
     how: Drawing = WITHIN
+    settling: Tensor | None = None
 
     @property
     def worst(self) -> Tensor:
@@ -142,10 +152,31 @@ def spread(loop: Loop, r: Tensor, nominal: Rest, changed: Variants, seconds: flo
         torch.zeros(len(r), count, dtype=torch.float64),
         torch.zeros(len(r), count, r.shape[-1], dtype=torch.float64),
     )
-    several = counted("plants that differ from the model", r.double() if count else [], len(r), "targets")
+    rests, slopes = [], []
+    several = counted(PHASE, r.double() if count else [], len(r), "targets")
     for k, target in enumerate(several):
         start = nominal.select(torch.full((count,), k))
-        found = rest(loop.varied(changed.coefficients), target.expand(count, -1), start, seconds)
+        say = partial(_said, k, len(r))
+        found = rest(loop.varied(changed.coefficients), target.expand(count, -1), start, seconds, say)
         radii[k] = torch.from_numpy(found.linear.radius).where(found.still, torch.inf)
         errors[k] = found.error
-    return Spread(changed.labels, radii, errors, changed.draws, changed.how)
+        rests.append(np.concatenate([found.z.numpy(), nominal.z[k : k + 1].numpy()]))
+        slopes.append(np.concatenate([found.linear.a, nominal.linear.a[k : k + 1]]))
+    closing = _closing(loop, r, np.stack(rests), np.stack(slopes), radii, seconds) if len(rests) > 1 else None
+    return Spread(changed.labels, radii, errors, changed.draws, changed.how, closing)
+
+
+def _closing(loop: Loop, r: Tensor, rests: Array, slopes: Array, radii: Tensor, seconds: float) -> Tensor:
+    """Return in which time the end of steps between opposite targets is closed, `(n_targets, n + 1)` [s]."""
+    first, periods = loop.parts["x"].start, max(1, round(seconds / loop.dt))
+    outputs, ways = [first + place for place in loop.task.outputs], (r.flip(0) - r).numpy()
+    stable = np.pad(radii.numpy() < 1, ((0, 0), (0, 1)), constant_values=True)
+    there = np.where(stable[..., None, None], slopes, 0.0)
+    away = np.where((stable & stable[::-1])[..., None], rests[::-1] - rests, 0.0)
+    found = [settling(a, z, outputs, way, periods) for a, z, way in zip(there, away, ways, strict=True)]
+    return torch.from_numpy(np.stack(found) * loop.dt)
+
+
+def _said(target: int, targets: int, known: int, words: str) -> None:
+    """Tell how many plants are known to rest at a target."""
+    tell(PHASE, target, targets, "targets", f"{known} plants known at the next one{words and f', {words}'}")

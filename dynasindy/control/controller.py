@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tensordict import TensorDict
 from torch import Tensor
 
+from dynasindy.nearest import did_you_mean
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.sensing import Observer
 from dynasindy.sensing.observer import Belief
@@ -99,7 +100,7 @@ class Controller:
         ends = "[-1, 1]"
         if self.pace.task.limited:
             ends = ", ".join(f"[{low:.3g}, {high:.3g}]" for low, high in self.pace.task.input_limits.mT.tolist())
-        inputs = "; ".join([f"{inputs} in {ends} every {self.dt:g} s{more}", *self.signature.own_inputs()])
+        inputs = "; ".join([f"{inputs} in {ends} every {self.dt:g} s{more}", *self.signature.own_inputs(ranged=False)])
         return f"Controller(holds {outputs}; reads {seen}; sets {inputs})"
 
     def reset(self) -> None:
@@ -172,7 +173,8 @@ class Controller:
         measured = self._measured() if what == "measurement" else list(names)
         estimated = ", ".join(each for each in names if each not in measured)
         more = f"; leave out {estimated}, which the controller estimates" if estimated else ""
-        return ValueError(f"{what} has '{name}', which does not exist; allowed are {', '.join(measured)}{more}")
+        hint = did_you_mean(name, measured)
+        return ValueError(f"{what} has '{name}', which does not exist; allowed are {', '.join(measured)}{more}{hint}")
 
     def _warn_far(self, r: Tensor) -> None:
         """Warn once of a reference that lies more than a target range beyond the targets of the plan."""

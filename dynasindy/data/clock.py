@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dynasindy.data.table import Table, split_unit
+from dynasindy.data.table import Table, named_by, split_unit
 
 Array = NDArray[np.float64]
 SECONDS = {
@@ -71,8 +71,8 @@ def clock_of(headings: Sequence[str], time: str = CLOCK) -> Clock:
     """Return the column of time: the one that is named, or the only one that can be meant.
 
     Where nobody named one and no heading is `time`, it is `Time`, `t` or `t_ms`, or `T` with a unit of time, for alone
-    it may be a temperature. What is not there is returned as it was named. A unit may be said with the name, as in
-    `count [ms]` of a column `count`.
+    it may be a temperature. What is not there is returned as it was named. A unit may be said with the name, in any
+    brackets: that of the heading, or where it has none, such as `count [ms]` of a column `count`, the one that counts.
 
     Args:
         headings: All headings of the file.
@@ -80,9 +80,8 @@ def clock_of(headings: Sequence[str], time: str = CLOCK) -> Clock:
     """
     if time in headings:
         return Clock(time, parts_of(time)[1])
-    split = {heading: split_unit(heading) for heading in headings}
-    if named := [(heading, unit) for heading, (name, unit) in split.items() if name == time]:
-        return Clock(named[0][0] if len(named) == 1 else time, named[0][1])
+    if named := named_by(time, headings):
+        return Clock(named[0] if len(named) == 1 else time, split_unit(named[0])[1])
     name, unit = split_unit(time)
     if unit and name in headings:
         return Clock(name, unit)

@@ -13,6 +13,7 @@ from dynasindy.data.survey import Survey, survey
 from dynasindy.data.table import MAP, split_unit
 from dynasindy.data.units import with_units
 from dynasindy.data.unnamed import guessed
+from dynasindy.nearest import did_you_mean
 
 
 @dataclass(frozen=True)
@@ -179,7 +180,8 @@ def chosen(columns: Mapping[str, Column], names: Collection[str], path: str, key
     """
     wanted = [split_unit(name)[0] for name in names]
     if absent := [name for name in wanted if name not in columns]:
-        raise ValueError(f"{key} names '{absent[0]}'; {path} has {', '.join(columns)}: name columns of the file")
+        hint = did_you_mean(absent[0], columns)
+        raise ValueError(f"{key} names '{absent[0]}'; {path} has {', '.join(columns)}: name columns of the file{hint}")
     return {name: columns[name] for name in wanted}
 
 

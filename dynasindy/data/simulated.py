@@ -8,6 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from dynasindy.nearest import did_you_mean
 from dynasindy.systems import Diverged
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.integrators import integrate
@@ -133,5 +134,6 @@ def _noises(given: Mapping[str, float], names: Sequence[str]) -> Tensor:
     if absent := [name for name in given if name not in names]:
         raise ValueError(
             f"data.noise names '{absent[0]}', which is no state; the states are {', '.join(names)}: correct it"
+            f"{did_you_mean(absent[0], names)}"
         )
     return torch.tensor([given.get(name, 0.0) for name in names], dtype=torch.float64)

@@ -7,7 +7,7 @@ import math
 import re
 from array import array
 from codecs import getincrementaldecoder
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice, pairwise
 from pathlib import Path
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynasindy.data.dates import ALLOWED, seconds_of_date
+from dynasindy.nearest import did_you_mean
 
 MAP = "correct the column map (data.time, data.states, data.inputs)"
 SEPARATORS = ",;\t"
@@ -110,6 +111,19 @@ def split_unit(heading: str) -> tuple[str, str]:
     return (found[1], (found[2] or found[3] or "").strip()) if found and found[1] else (heading, "")
 
 
+def named_by(name: str, headings: Sequence[str]) -> list[str]:
+    """Return the headings that a name means: its own, else those of which it is the name, else those in other brackets.
+
+    So `T`, `T [degC]` and `T(degC)` all name the column `T [degC]`.
+    """
+    same: tuple[Callable[[str], bool], ...] = (
+        lambda heading: heading == name,
+        lambda heading: split_unit(heading)[0] == name,
+        lambda heading: split_unit(heading) == split_unit(name),
+    )
+    return next(filter(None, ([h for h in headings if alike(h)] for alike in same)), [])
+
+
 def number(text: str) -> float:
     """Return a number, NaN for what is none; a comma that is left in a value is that of a decimal."""
     try:
@@ -119,11 +133,12 @@ def number(text: str) -> float:
 
 
 def _find(path: Path, name: str, headings: Sequence[str]) -> int:
-    """Return the place of a column by its heading, else by its heading without the unit."""
-    places = [k for k, h in enumerate(headings) if h == name]
-    places = places or [k for k, h in enumerate(headings) if split_unit(h)[0] == name]
+    """Return the place of a column by its heading, with or without its unit."""
+    named = named_by(name, headings)
+    places = [k for k, heading in enumerate(headings) if heading in named]
     if not places:
-        raise ValueError(f"{path} has no column {name!r}; allowed are {', '.join(headings)}: {MAP}")
+        hint = did_you_mean(name, [*headings, *(split_unit(heading)[0] for heading in headings)])
+        raise ValueError(f"{path} has no column {name!r}; allowed are {', '.join(headings)}: {MAP}{hint}")
     if len(places) > 1:
         raise ValueError(f"{path} has {len(places)} columns {name!r}; allowed is one: rename the others")
     return places[0]

@@ -142,7 +142,7 @@ class ControlEnv(EnvBase):
         return integrate(self.system, x, u, self.dt, self.substeps, self.stops)
 
     def follow(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        """Advance states by control periods that follow each other, as `advance` does again and again.
+        """Advance states by control periods that follow each other, as the steps of an episode do.
 
         Args:
             x: States, `(*batch, n_x)`.
@@ -151,8 +151,8 @@ class ControlEnv(EnvBase):
         Returns:
             Samples after each sub-step, `(T, *batch, substeps, n_x)`, and whether a stop was touched, `(T, *batch)`.
         """
-        if type(self).advance is not ControlEnv.advance:
-            return repeated(self.advance, x, u)
+        if type(self).advance is not ControlEnv.advance or math.isfinite(self.left_beyond):
+            return repeated(self._within, x, u)
         return flight(self.system, x, u, self.dt, self.substeps, self.stops)
 
     def judged(
@@ -225,10 +225,13 @@ class ControlEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         x = tensordict["state"]
-        samples, touched = self.advance(x, tensordict["action"].to(x.dtype))
-        if math.isfinite(self.left_beyond):
-            samples = self._left(x, samples)
+        samples, touched = self._within(x, tensordict["action"].to(x.dtype))
         return self._moved(tensordict, samples, touched)
+
+    def _within(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+        """Advance states as `advance` does; those that leave their ranges stay where they leave them."""
+        samples, touched = self.advance(x, u)
+        return (self._left(x, samples) if math.isfinite(self.left_beyond) else samples), touched
 
     def _left(self, x: Tensor, samples: Tensor) -> Tensor:
         """Return samples `(*batch, substeps, n_x)` of which an episode ends where its first states leave their ranges.

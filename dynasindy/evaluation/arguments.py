@@ -6,6 +6,7 @@ import re
 
 SETTINGS = re.compile(
     r"\b(?:data\.(?=(?:path|states|inputs|time|dt)\b)|plant\.(?=(?:library|libraries|known|outputs|low|high)\b)"
+    r"|task\.(?=(?:outputs|rates|start|bounds|rests)\b)"
     r"|planning\.(?!csv|json)|world_model\.(?:refinement\.)?|refinement\.)(?=\w)"
 )
 """How messages name settings of the scripts, whose last word is the name of an argument here."""

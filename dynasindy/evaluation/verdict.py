@@ -32,6 +32,8 @@ ROOM = 0.05
 AFAR = 0.5
 """Part of the range of a logged state by which targets may lie beyond it, if the equations depend on the state: what
 bends there may be too small within the log to be found, and is eight times as large at twice its ends."""
+COARSE = 5e-3
+"""Part of what a state covers in a log from which on the step of its sensor may shift coefficients."""
 HELPFUL = 0.5
 """Part of the error of the last value held that a model may have that predicts."""
 
@@ -302,7 +304,12 @@ def found_in_data(data: Transitions, signature: Signature) -> list[str]:
     lines = []
     for name, unit, column in zip(signature.state_names, signature.state_units, samples_of(data), strict=True):
         if step := step_of(column):
-            lines.append(f"{name} is read in steps of {step:.3g} {unit}")
+            coarse = step > COARSE * float(np.ptp(column[~np.isnan(column)]))
+            more = (
+                "; standard errors take it that the sensor rounds: one that cuts off reads half a step too low, "
+                "which no log tells and none of them holds"
+            )
+            lines.append(f"{name} is read in steps of {step:.3g} {unit}{more * coarse}")
     limits = signature.input_limits or ((-1.0, 1.0),) * signature.n_u
     ends = signature.in_own_units(np.array(limits).T).T.tolist()
     units = signature.input_units or ("-",) * signature.n_u

@@ -198,7 +198,7 @@ def _told(controller: Controller, whole: Cost) -> list[str]:
     units = dict(zip(signature.state_names, signature.state_units, strict=True))
     targets = controller.targets_in_words()
     return [
-        *signature_words(signature),
+        *signature_words(signature, controller.pace.task.input_limits.mT.tolist()),
         "r: references" + (f", planned for {', '.join(targets)}" if targets else ""),
         *(f"    {i}  {n} [{units[n]}]" for i, n in enumerate(controller.outputs)),
         "",

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from dynasindy.export.expressions import Formulas, right_sides
 from dynasindy.export.names import comment, identifiers, module_name, number
 from dynasindy.systems import Signature
+from dynasindy.systems.base import WHOLE
 from dynasindy.world_models import SindyModel
 
 _HELPERS = {
@@ -86,15 +87,24 @@ def places(signature: Signature, name: str) -> str:
     return "\n".join(lines).rstrip(",")
 
 
-def signature_words(signature: Signature) -> list[str]:
-    """Return lines that tell states and inputs with their units."""
+def signature_words(signature: Signature, limits: Sequence[Sequence[float]] = ()) -> list[str]:
+    """Return lines that tell states and inputs with their units.
+
+    Args:
+        signature: Of the plant.
+        limits: Least and largest value of each input that is commanded; by default what the plant takes.
+    """
+    ends = limits or signature.input_limits or (WHOLE,) * signature.n_u
     states = zip(signature.state_names, signature.state_units, signature.x_scale, strict=True)
     return [
         "x: states",
         *(f"    {i}  {n} [{unit}], of a range of {number(scale)}" for i, (n, unit, scale) in enumerate(states)),
-        "u: inputs of the plant, in [-1, 1]",
-        *(f"    {i}  {n} [-]" for i, n in enumerate(signature.input_names)),
-        *signature.own_inputs(),
+        "u: inputs of the plant",
+        *(
+            f"    {i}  {n} [-], from {low:.6g} to {high:.6g}"
+            for i, (n, (low, high)) in enumerate(zip(signature.input_names, ends, strict=True))
+        ),
+        *signature.own_inputs(ranged=False),
     ]
 
 

@@ -144,19 +144,31 @@ class Observer:
             belief: At the time of the last measurement that has arrived.
             inputs: Commands so far, `(*batch, memory, n_u)`, the last one that of the period that has just ended.
         """
-        n = belief.mean.shape[-1]
+        return self.carried(belief, *self.transition(belief.mean, inputs))
+
+    def transition(self, mean: Tensor, inputs: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the mean one control period ahead, `(*batch, n)`, and the slope of that by the mean, `(*batch, n, n)`.
+
+        Args:
+            mean: At the time of the last measurement that has arrived, `(*batch, n)`.
+            inputs: As those of `advance`.
+        """
+        n = mean.shape[-1]
         steps = NUDGE * self.scale
         nudges = torch.cat([torch.zeros(1, n, dtype=torch.float64), torch.diag(steps), -torch.diag(steps)])
-        around = self._period(belief.mean.unsqueeze(-2) + nudges, inputs)
-        mean, forth, back = around.split([1, n, n], -2)
-        transition = ((forth - back) / (2 * steps.unsqueeze(-1))).mT
+        around = self._period(mean.unsqueeze(-2) + nudges, inputs)
+        ahead, forth, back = around.split([1, n, n], -2)
+        return ahead.squeeze(-2), ((forth - back) / (2 * steps.unsqueeze(-1))).mT
+
+    def carried(self, belief: Belief, mean: Tensor, transition: Tensor) -> Belief:
+        """Return the belief one control period later, of what `transition` returned for its mean."""
         noise = torch.diag_embed((self.q * self.scale).square() * self.dt)
         covariance = transition @ belief.covariance @ transition.mT + noise
         # A model that explodes is no ground to lose an estimate; it is doubted instead.
-        sound = mean.isfinite().all(-1, keepdim=True) & covariance.isfinite().all((-2, -1), keepdim=True)
+        sound = mean.isfinite().all(-1, keepdim=True) & covariance.isfinite().all((-2, -1)).unsqueeze(-1)
         doubted = belief.covariance + torch.diag_embed((UNKNOWN * self.scale).square())
-        kept = torch.where(sound.squeeze(-1), mean.squeeze(-2), belief.mean)
-        return Belief(kept, torch.where(sound, covariance, doubted))
+        kept = torch.where(sound, mean, belief.mean)
+        return Belief(kept, torch.where(sound.unsqueeze(-1), covariance, doubted))
 
     def correct(self, belief: Belief, y: Tensor) -> tuple[Belief, Tensor, Tensor]:
         """Return the belief after a measurement `(*batch, n_x)`, NaN where there is none, its NIS and log-likelihood.

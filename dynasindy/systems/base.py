@@ -15,6 +15,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
+from dynasindy.nearest import did_you_mean
 from dynasindy.systems.machine import Machine
 from dynasindy.systems.steps import require_step, taken
 from dynasindy.systems.stops import Stops
@@ -133,8 +134,12 @@ class Signature:
             x_scale=(*self.x_scale, scale),
         )
 
-    def own_inputs(self) -> list[str]:
-        """Say what each input is in the unit of its actuator, a line for each that has one."""
+    def own_inputs(self, ranged: bool = True) -> list[str]:
+        """Say what each input is in the unit of its actuator, a line for each that has one.
+
+        Args:
+            ranged: Whether its range is said, too; it need not be that of a controller, which may stay within less.
+        """
         limits = self.input_limits or (WHOLE,) * self.n_u
         units = [f" {unit}" if unit != "-" else "" for unit in self.input_units or ("-",) * self.n_u]
         lines = []
@@ -145,10 +150,8 @@ class Signature:
                 continue
             rest, one = 0.5 * (low + high), 0.5 * (high - low)
             zero = f"{rest:.6g}{unit} + " if rest else ""
-            lines.append(
-                f"the plant's {name} is {zero}{one:.6g}{unit} times the controller's, which is in "
-                f"[{least:.6g}, {most:.6g}]"
-            )
+            within = f", which is in [{least:.6g}, {most:.6g}]" if ranged else ""
+            lines.append(f"the plant's {name} is {zero}{one:.6g}{unit} times the controller's{within}")
         return lines
 
     def in_own_units(self, u: ArrayLike) -> NDArray[np.float64]:
@@ -163,7 +166,8 @@ class Signature:
             ValueError: No state has that name.
         """
         if name not in self.state_names:
-            raise ValueError(f"state '{name}' does not exist; the states are {', '.join(self.state_names)}")
+            hint = did_you_mean(name, self.state_names)
+            raise ValueError(f"state '{name}' does not exist; the states are {', '.join(self.state_names)}{hint}")
         return self.state_names.index(name)
 
 

@@ -14,7 +14,7 @@ from dynasindy.systems.steps import VectorField, step_of, steps_of
 from dynasindy.systems.stops import Stops
 
 COARSE = 1e-3
-"""Ranges of a state that a control period may end elsewhere when its Runge-Kutta steps are halved."""
+"""How far from each other a control period and one of steps half as long may end [ranges of a state]."""
 MOST_DOUBLINGS = 5
 """How often they are halved at most."""
 
@@ -156,7 +156,7 @@ def sampled(samples: Tensor, step: float | None, substeps: int) -> Tensor:
 
 
 def steps_needed(
-    f: System, x: Tensor, u: Tensor, dt: float, substeps: int, stops: Stops | None = None
+    f: System, x: Tensor, u: Tensor, dt: float, substeps: int, stops: Stops | None = None, apart: float = COARSE
 ) -> tuple[int | None, float]:
     """Return how many Runge-Kutta steps a control period needs so that twice as many end it in the same place.
 
@@ -167,6 +167,7 @@ def steps_needed(
         dt: Control period [s].
         substeps: Number of Runge-Kutta steps in the period that is asked about.
         stops: Mechanical stops, if any; periods that touch them do not count.
+        apart: How far from each other both may end [ranges of a state].
 
     Returns:
         `substeps`, doubled as often as it takes, and None where so many as `MOST_DOUBLINGS` allows are not enough; and
@@ -183,9 +184,9 @@ def steps_needed(
     for doublings in range(MOST_DOUBLINGS + 1):
         finer, also = _ends(substeps * 2 ** (doublings + 1))
         distance = ((finer - ends).abs() / scale)[~(touched | also)].nan_to_num(torch.inf, torch.inf)
-        apart = float(distance.amax()) if distance.numel() else 0.0
-        first = apart if doublings == 0 else first
-        if apart <= COARSE:
+        farthest = float(distance.amax()) if distance.numel() else 0.0
+        first = farthest if doublings == 0 else first
+        if farthest <= apart:
             return substeps * 2**doublings, first
         ends, touched = finer, also
     return None, first

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
+from dynasindy.nearest import did_you_mean
 from dynasindy.systems.base import Signature
 
 Ends = float | Sequence[float]
@@ -84,9 +85,10 @@ def _put(signature: Signature, given: Mapping[str, Ends], key: str, ends: Tensor
     for name, value in given.items():
         pair = [value, value] if isinstance(value, int | float) else list(value)
         if name not in signature.state_names or len(pair) != 2 or not -math.inf < pair[0] <= pair[1] < math.inf:
+            hint = "" if name in signature.state_names else did_you_mean(name, signature.state_names)
             raise ValueError(
                 f"{key} has {name}: {value}; name one of the states {', '.join(signature.state_names)}, with a "
-                "value or the two ends of a range"
+                f"value or the two ends of a range{hint}"
             )
         ends[:, signature.state_index(name)] = torch.tensor(pair).to(ends)
     return ends

@@ -10,6 +10,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from dynasindy.nearest import did_you_mean
 from dynasindy.systems import Signature, ranges
 from dynasindy.systems.ranges import Ends
 from dynasindy.tasks import references
@@ -97,8 +98,8 @@ class Tracking(Task):
             allowed = (*signature.state_names, *([None] if key == "rates" else []))
             if absent := [name for name in names if name not in allowed]:
                 raise ValueError(
-                    f"state '{absent[0]}' does not exist; the states are {', '.join(signature.state_names)}: correct "
-                    f"task.{key}, or plant.{key} from which it is copied"
+                    f"task.{key} names '{absent[0]}', which is no state; the states are "
+                    f"{', '.join(signature.state_names)}{did_you_mean(str(absent[0]), signature.state_names)}"
                 )
         self.begins = bool(start)
         self.output_names = tuple(outputs)

@@ -94,7 +94,10 @@ def replay(
     x, u = x.to(env.float_type), u.to(env.float_type)
     # The code of all functions serves all runs, and is through before a device has begun thousands of small operations.
     if math.isinf(env.left_beyond) and plain(x, u) and (code := env.system.compiled(x, u[0], whole=True)) is not None:
-        return env.judged(x, u, code.flight(x, u, env.dt, env.substeps, env.stops), params.to(x), begun)
+        moved = code.flight(x, u, env.dt, env.substeps, env.stops)
+        # A function that this run's equations lack may be infinite where they are not.
+        moved = moved if bool(moved[0].isfinite().all()) else env.follow(x, u)
+        return env.judged(x, u, moved, params.to(x), begun)
     start = TensorDict({"state": x, "task_params": params, "step_count": begun.unsqueeze(-1)}, [len(x)])
     start["observation"] = torch.zeros(len(x), env.task.n_o)  # nobody looks
     found = company.ask(Flight(env, None, u, start, len(u), what))
@@ -302,16 +305,17 @@ class Coefficients(System):
         device: Where they lie.
     """
 
-    # Functions that no equation has count, too: where one of them is infinite, the sum is no number.
     def __init__(self, like: SindyModel, runs: int, dtype: torch.dtype, device: torch.device) -> None:
         super().__init__(like.signature, like.stops)
         self.library = like.library
         self.stacked = torch.zeros(runs, *like.coefficients.shape, dtype=dtype, device=device)
+        self.used = torch.zeros_like(self.stacked)  # 1 where a run's equation has a function
 
     def put(self, r: int, model: System) -> None:
         """Take the coefficients of a run as they are now."""
         assert isinstance(model, SindyModel)
         self.stacked[r].copy_(model.coefficients)
+        self.used[r].copy_(self.stacked[r] != 0)
 
     @property
     def step(self) -> float | None:
@@ -319,8 +323,14 @@ class Coefficients(System):
         return self.library.step
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
-        """Return dx/dt of states `(R, n, n_x)` under inputs `(R, n, n_u)`."""
-        return torch.bmm(self.library(x, u), self.stacked)
+        """Return dx/dt of states `(R, n, n_x)` under inputs `(R, n, n_u)`.
+
+        An infinite function spoils the equations that have it, as in a run alone, where no other is computed.
+        """
+        theta = self.library(x, u)
+        wrong = ~theta.isfinite()
+        spoilt = torch.bmm(wrong.to(theta.dtype), self.used) > 0
+        return torch.bmm(theta.masked_fill(wrong, 0.0), self.stacked).masked_fill(spoilt, torch.nan)
 
 
 def _flies(env: ControlEnv) -> bool:

@@ -3,7 +3,7 @@
 from dynasindy.viz.identification import coefficient_table, excitation, model_error, prediction, training_data
 from dynasindy.viz.learning import average_rewards, learning_curve
 from dynasindy.viz.response import error_fan, step_response, tracking
-from dynasindy.viz.style import save
+from dynasindy.viz.style import save, save_all
 
 __all__ = [
     "average_rewards",
@@ -14,6 +14,7 @@ __all__ = [
     "model_error",
     "prediction",
     "save",
+    "save_all",
     "step_response",
     "tracking",
     "training_data",

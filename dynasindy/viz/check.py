@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
 
 from dynasindy.checking import Check, Thresholds
 from dynasindy.checking.flights import TOLERANCE, gone
@@ -79,7 +80,7 @@ def draw(found: Check, thresholds: Thresholds | None = None) -> dict[str, Figure
     figures: dict[str, Figure] = {}
     if planes := [(p.names, p.units, p.first, p.second, p.back) for p in found.planes]:
         words = (
-            f"Errors from which the model comes back to its rest at {_target(found, found.middle)}: within "
+            f"Errors from which the model comes back to its rest at {_in_words(found, found.middle)}: within "
             f"{in_words(found.seconds)} to {100 * TOLERANCE:g} % of each output's range "
             f"(asked for: {100 * limits.recovered:.0f} % of them)"
         )
@@ -101,8 +102,12 @@ def draw(found: Check, thresholds: Thresholds | None = None) -> dict[str, Figure
 
 def _target(found: Check, number: int) -> str:
     """Return a target by the names of its outputs: `theta = 0.5 rad`."""
+    return _in_words(found, found.targets[number])
+
+
+def _in_words(found: Check, target: Tensor) -> str:
     signature, outputs = found.loop.signature, found.loop.task.outputs
-    values = zip(outputs, found.targets[number].tolist(), strict=True)
+    values = zip(outputs, target.tolist(), strict=True)
     return ", ".join(f"{symbol(signature.state_names[i])} = {v:.3g} {signature.state_units[i]}" for i, v in values)
 
 

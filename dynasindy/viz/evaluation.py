@@ -10,7 +10,7 @@ from torch import Tensor
 from dynasindy.evaluation.drawn import drawn
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.viz.response import error_fan, step_response, tracking
-from dynasindy.viz.style import ORANGE, legend_above, save, spelt, styled
+from dynasindy.viz.style import ORANGE, legend_above, save_all, spelt, styled
 
 
 def draw_evaluation(
@@ -32,10 +32,7 @@ def draw_evaluation(
     Returns:
         The files.
     """
-    files = []
-    for name, figure in figures(evaluation, label, place=place).items():
-        files += save(figure, folder / name, formats)
-    return files
+    return save_all(figures(evaluation, label, place=place), folder, formats)
 
 
 def figures(evaluation: Evaluation, label: str = "policy", place: str = "") -> dict[str, Figure]:

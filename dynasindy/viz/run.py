@@ -15,7 +15,7 @@ from dynasindy.viz.gate import gate
 from dynasindy.viz.identification import excitation, growing_error, model_error, prediction, training_data
 from dynasindy.viz.learning import learning_curve
 from dynasindy.viz.response import step_response, tracking
-from dynasindy.viz.style import save
+from dynasindy.viz.style import save_all
 
 Table = dict[str, NDArray[np.float64]]
 
@@ -49,10 +49,7 @@ def draw_run(
     Returns:
         The files, in `folder/figures`.
     """
-    files = []
-    for name, figure in _figures(folder, signature, controller).items():
-        files += save(figure, folder / "figures" / name, formats)
-    return files
+    return save_all(_figures(folder, signature, controller), folder / "figures", formats)
 
 
 def _figures(folder: Path, signature: Signature, controller: str = "policy") -> dict[str, Figure]:

@@ -2,10 +2,11 @@
 
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
+from weakref import WeakKeyDictionary
 
 import matplotlib
 import numpy as np
@@ -16,7 +17,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
 from dynasindy.data.rates import NAMED
-from dynasindy.durations import unit_of
+from dynasindy.durations import TimeUnit, unit_of
 from dynasindy.systems.base import WHOLE, Signature
 from dynasindy.told import tell
 
@@ -192,6 +193,22 @@ def time_axis(axis: Axes, seconds: ArrayLike, words: str = "time") -> None:
         words: What it shows.
     """
     unit = unit_of(float(np.ptp(array(seconds)))) if np.size(seconds) else unit_of(0.0)
+    TIMED[axis] = words, unit
+    _told_in(axis, words, unit)
+
+
+TIMED: WeakKeyDictionary[Axes, tuple[str, TimeUnit]] = WeakKeyDictionary()
+"""Axes of time, with what they show and the unit that they have by themselves."""
+
+
+def in_one_unit(figures: Iterable[Figure]) -> None:
+    """Tell the times of all figures in one unit, the smallest of those that they have by themselves."""
+    timed = [(axis, *TIMED[axis]) for figure in figures for axis in figure.axes if axis in TIMED]
+    for axis, words, _ in timed:
+        _told_in(axis, words, min((unit for *_, unit in timed), key=lambda unit: unit.seconds))
+
+
+def _told_in(axis: Axes, words: str, unit: TimeUnit) -> None:
     axis.set_xlabel(f"{words} [{unit.name}]")
     if unit.seconds != 1 or isinstance(axis.xaxis.get_major_locator(), _Scaled):  # which had another unit before
         axis.xaxis.set_major_locator(_Scaled(unit.seconds))
@@ -273,6 +290,12 @@ def mark_away(axis: Axes, x: Array, color: str) -> None:
     if len(x):
         look: dict[str, Any] = {"marker": "^", "markersize": 6, "linestyle": "none", "clip_on": False, "zorder": 3}
         axis.plot(x, np.full(len(x), top), color=color, label=AWAY, **look)
+
+
+def save_all(figures: Mapping[str, Figure], folder: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
+    """Write figures that belong together, their times in one unit, as `folder/NAME`, and return the files."""
+    in_one_unit(figures.values())
+    return [file for name, figure in figures.items() for file in save(figure, folder / name, formats)]
 
 
 def save(figure: Figure, path: str | Path, formats: Sequence[str] = ("png",)) -> list[Path]:

@@ -88,3 +88,8 @@ def carts():
 @pytest.fixture(scope="session")
 def networks():
     return network_loop
+
+
+@pytest.fixture(scope="session")
+def tasks():
+    return task_of

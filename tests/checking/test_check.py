@@ -8,8 +8,13 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from dynasindy.checking.check import Settings, check, number, record
+from dynasindy.checking import Plant, verdict
+from dynasindy.checking.check import Settings, check
+from dynasindy.checking.linear import covariance_at
+from dynasindy.checking.loop import Loop
+from dynasindy.checking.record import number, record
 from dynasindy.told import hearing
+from dynasindy.world_models import SindyModel
 
 SMALL = Settings((-0.4,), (0.4,), points=3, seconds=5.0, grid=3, draws=2)
 
@@ -51,9 +56,10 @@ def test_a_record_is_json_of_what_was_found(loops, carts):
         found = check(loops(model=carts(spring=1.0), observer={}), SMALL)
     assert list(dict.fromkeys(told.phase for told in heard)) == [
         "where the loop rests",
+        "margins",
         "steps to the targets",
-        "steps of plants that differ from the model",
         "plants that differ from the model",
+        "steps of plants that differ from the model",
         "recovery from initial errors",
     ]
     (*_, rests) = (told for told in heard if told.phase == "where the loop rests")
@@ -68,6 +74,59 @@ def test_a_record_is_json_of_what_was_found(loops, carts):
     assert held["recovery"] == [{"states": ["p", "v"], "share": 1.0, "steady_error": {"p": pytest.approx(0.0)}}]
     assert found.sensors.tolist() == pytest.approx([0.01, 0.0])
     assert held["settings"]["low"] == [-0.4]
+
+
+def test_what_is_told_moves_with_every_control_period_of_every_loop(loops, law, monkeypatch):
+    """Of plants that are let run, too: a force of 0.3 at most holds against 0.29, and with a fifth less it does not."""
+    model = SindyModel(loops().signature, ["force", "v", "1"], known={"p": "v"})
+    model.set_coefficients(torch.tensor([[0.0, 1.0], [1.0, -0.5], [0.0, -0.29]], dtype=torch.float64))
+    heard, silent, step = [""], [0], Loop.step
+
+    def hear(told):
+        if str(told) != heard[-1]:
+            heard.append(str(told))
+            silent.append(0)
+
+    def counting(self, *args, **named):
+        silent[-1] += 1
+        return step(self, *args, **named)
+
+    monkeypatch.setattr(Loop, "step", counting)
+    with hearing(hear):
+        found = check(loops(law(2.0, 2.5, limit=0.3), model, observer={}), SMALL)
+    assert found.stable.all() and found.spread.radius.isinf().any()
+    assert any("control periods of flights" in told for told in heard)
+    assert sum(silent) > 100 and max(silent) <= 2
+
+
+def test_the_covariance_of_the_observer_moves_no_plant(loops, monkeypatch):
+    loop = loops(observer={})
+    monkeypatch.setattr(Plant, "period", lambda *args: pytest.fail("the plant was moved"))
+    z = loop.started(torch.zeros(1, 2, dtype=torch.float64))
+    assert float(covariance_at(loop, z)[0, 0, 0]) < 1e-4  # that of a single measurement, before any was averaged
+
+
+def test_what_was_found_is_handed_on_before_the_rest_is_looked_at(loops):
+    """What is stopped at any moment keeps the findings that were ready, and they are those of a whole check."""
+    kept = []
+    whole = check(loops(observer={}), SMALL, kept.append)
+    lines = [[str(line) for line in verdict(found)] for found in kept]
+    assert lines[-1] == [str(line) for line in verdict(whole)] and whole.left == ()
+    assert [len(found.left) for found in kept] == [5, 4, 3, 2, 1, 0]
+    for found, said in zip(kept, lines, strict=True):
+        assert [line for line in lines[-1] if line in said] == said
+        assert json.loads(json.dumps(record(found), allow_nan=False))["left"] == list(found.left)
+    assert [len(said) for said in lines] == sorted(len(said) for said in lines) and len(lines[0]) == 1
+    assert kept[1].left[0] == "steps" and record(kept[1])["targets"][0]["steady_error"] is None
+
+
+@pytest.mark.parametrize("points", [1, 2, 3, 4])
+def test_errors_lie_around_the_middle_of_the_range_however_many_targets_there_are(loops, carts, points):
+    """Under 2 (r - p) = p the cart rests at two thirds of its target: 0.1 m short of 0.3 m, halfway from 0 to 0.6."""
+    settings = Settings((0.0,), (0.6,), points=points, seconds=10.0, grid=3, draws=0)
+    found = check(loops(model=carts(spring=1.0)), settings)
+    assert found.middle.tolist() == pytest.approx([0.3])
+    assert found.planes[0].steady_error.tolist() == pytest.approx([0.1], abs=1e-3)
 
 
 def test_flights_are_as_many_control_periods_for_a_slow_plant(loops):

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.checking.plant import Plant
+from dynasindy.checking.plant import FINE, Plant, step_for
+from dynasindy.control.controller import Pace
 from dynasindy.systems import Stops
 
 
@@ -29,6 +30,18 @@ def test_stops_hold(carts):
     plant = Plant(carts(), 0.1, 0.05, Stops((0,), (1,), (-1.0,), (0.5,)))
     x = plant.period(torch.tensor([[0.45, 2.0]], dtype=torch.float64), torch.zeros(1, 1, 1))
     assert x[0].tolist() == [0.5, 0.0]
+
+
+@pytest.mark.parametrize("spring", [1e-4, 1.0, 100.0, 1e6])
+def test_the_step_is_as_long_as_the_plant_allows(carts, tasks, spring):
+    """A spring that takes minutes is passed in one step of 2 s, and ends where its cosine does, as does a fast one."""
+    model, dt, finest = carts(spring=spring), 2.0, 0.01
+    step = step_for(model, Pace(tasks(), dt), finest)
+    assert (step == dt) == (spring == 1e-4) and step >= finest and (step == finest) == (spring > 1.0)
+    if spring < 1e6:
+        x = Plant(model, dt, step).period(torch.tensor([[1.0, 0.0]], dtype=torch.float64), torch.zeros(1, 1, 1))
+        omega = math.sqrt(spring)
+        assert x[0, 0].item() == pytest.approx(math.cos(omega * dt), abs=FINE if spring < 100 else 1e-4)
 
 
 @pytest.mark.parametrize(("delay", "pending"), [(0.0, 0), (0.1, 1), (0.3, 2)])

@@ -11,12 +11,12 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from dynasindy.checking.check import Settings, check
-from dynasindy.checking.findings import Finding
+from dynasindy.checking.findings import Finding, Thresholds
 from dynasindy.checking.flights import Flights
 from dynasindy.checking.flown import Flown
 from dynasindy.checking.margins import Margins
 from dynasindy.checking.uncertainty import Drawing
-from dynasindy.checking.verdict import Thresholds, in_figures, in_short, lost, verdict
+from dynasindy.checking.verdict import in_figures, in_short, lost, verdict
 
 SMALL = Settings((-0.4,), (0.4,), points=2, seconds=8.0, grid=3, draws=2)
 
@@ -37,7 +37,7 @@ def by_name(found, thresholds=None):
 
 def test_a_cart_with_a_sound_law_is_sound(good):
     found = by_name(good)
-    assert len(found) == 13
+    assert len(found) == 14
     assert [name for name, each in found.items() if not each.good] == ["noise"] or all(f.good for f in found.values())
     assert "stable at all 2 targets of p; largest spectral radius" in found["stability"].words
     assert found["recovery"].words.startswith(
@@ -57,7 +57,7 @@ def test_a_stable_loop_is_as_slow_as_its_largest_eigenvalue(loops):
 def test_findings_come_in_the_order_of_what_they_build_on(good):
     assert list(by_name(good)) == [
         *("stability", "gain margin", "gain reduction", "phase margin", "delay margin", "disk margin", "noise"),
-        *("steady error", "slew", "saturation", "one coefficient", "all coefficients", "recovery"),
+        *("steady error", "slew", "saturation", "one coefficient", "all coefficients", "settling", "recovery"),
     ]
 
 
@@ -84,7 +84,7 @@ def test_the_largest_slew_and_saturation_over_the_targets_decide(good):
     u = torch.zeros(2, 4, 1, dtype=torch.float64)
     u[1, :2, 0] = torch.tensor([-0.5, 1.0])  # of the second target
     steps = Flights(torch.zeros(2, 5, 2).double(), u, torch.zeros(2, 1), [0], 0.1, torch.tensor([[-1.0], [1.0]]))
-    found = by_name(replace(good, steps=steps))
+    found = by_name(replace(good, steps=steps, settings=replace(good.settings, seconds=0.4)))
     assert found["slew"].words.startswith("in a step force changes by up to 1.50 in a control period")
     assert found["saturation"].words.startswith("in a step force is at its limit for up to 25 % of 0.4 s")
     assert not found["slew"].good and not found["saturation"].good
@@ -215,7 +215,7 @@ def test_one_line_sums_up(good, loops, law):
     findings = verdict(good, Thresholds(slew=0.0, error=1.0))
     weak = [each.name for each in findings if not each.good]
     assert in_short(good, findings) == (
-        f"In short: stable at all 2 targets, and weak in {len(weak)} of 13 findings: {', '.join(weak)}."
+        f"In short: stable at all 2 targets, and weak in {len(weak)} of 14 findings: {', '.join(weak)}."
     )
     sound = [replace(each, good=True) for each in findings]
     assert in_short(good, sound) == "In short: stable at all 2 targets, and no finding is weak."

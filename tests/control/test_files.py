@@ -158,7 +158,7 @@ def damaged(tmp_path, change):
         (lambda r: r.pop("policy"), "it lacks 'policy'"),
         (lambda r: r["task"].update(dt=-1), "a positive number belongs"),
         (lambda r: r["task"].update(box=[0.0]), "a positive number belongs"),
-        (lambda r: r["task"].update(outputs=["phi"]), "state 'phi' does not exist"),
+        (lambda r: r["task"].update(outputs=["phi"]), "names 'phi', which is no state"),
         (lambda r: r["policy"][0].update(weight="AAAA"), "0 weights where 32 finite ones belong"),
         (lambda r: r["policy"][0].update(weight="AAAAAA=="), "1 weights where 32 finite ones belong"),
         (lambda r: r["policy"][1].update(bias="§"), "is damaged"),

@@ -105,3 +105,11 @@ def test_dates_with_points_are_read_with_the_day_first(tmp_path):
     found = Logged(written(tmp_path / "log.csv", "t", times)).recording(None)
     assert found.transitions.dt == pytest.approx(0.25) and found.transitions.segment.unique().tolist() == [0]
     assert found.notes == ("time is the column t, read as dates: 0.25 s between rows",)
+
+
+@pytest.mark.parametrize("heading", ["Time [ms]", "Time (ms)"])
+@pytest.mark.parametrize("named", ["Time", "Time [ms]", "Time (ms)", "Time[ms]"])
+def test_a_time_is_named_with_its_unit_or_without(heading, named):
+    found = clock_of([heading, "T [degC]", "u"], named)
+    assert (found.heading, found.seconds("log.csv")) == (heading, 1e-3)
+    assert clock_of([heading, "T [degC]", "u"], "Time [s]").heading not in (heading, "Time")

@@ -532,3 +532,12 @@ def test_files_that_do_not_fit_together_are_refused(tmp_path):
     assert "c.csv has no column 'rate'" in refusal([one, lacking])
     with pytest.raises(ValueError, match="csv got no path"):
         CsvLog([], STATES, INPUTS)
+
+
+@pytest.mark.parametrize("named", ["T", "T [degC]", "T (degC)", "T[degC]"])
+def test_a_column_is_named_with_its_unit_or_without(tmp_path, named):
+    path = tmp_path / "log.csv"
+    path.write_text("t [s],T [degC],u\n" + "".join(f"{k},{20 + k},{k % 2}\n" for k in range(20)))
+    for states in ({"heat": {"name": named, "unit": "degC"}}, {"heat": named}):
+        log = CsvLog(str(path), states, {"u": "u"}, "t", min_samples=5).read()
+        assert log.transitions.x[:, 0].tolist() == list(range(20, 39))

@@ -255,8 +255,13 @@ def test_what_sensors_and_inputs_show_is_said_of_those_that_show_it():
     clipped = np.clip(2 * np.sin(3 * t), -1, 1)
     data = Transitions.from_trajectory(torch.tensor(x), torch.tensor(np.stack([clipped, -0.3 * walk], -1)[:-1]), 0.01)
     share = 100 * np.mean(np.abs(clipped[:-1]) == 1)  # |sin| > 1/2 in two thirds of the time
-    assert found_in_data(data, Signature(("q", "w"), ("rad", "rpm"), ("u", "v"), (1.0, 1.0))) == [
-        "q is read in steps of 0.02 rad",
+    signature = Signature(("q", "w"), ("rad", "rpm"), ("u", "v"), (1.0, 1.0))
+    fine = replace(data, x=torch.tensor(np.stack([0.002 * np.round(np.sin(1.3 * t) / 0.002), walk], -1)[:-1]))
+    fine = replace(fine, x_next=torch.cat([fine.x[1:], fine.x[-1:]]))
+    assert found_in_data(fine, signature)[0] == "q is read in steps of 0.002 rad"  # a thousandth of its way
+    assert found_in_data(data, signature) == [
+        "q is read in steps of 0.02 rad; standard errors take it that the sensor rounds: one that cuts off reads half "
+        "a step too low, which no log tells and none of them holds",
         f"u is at an end of its range, -1 to 1, in {share:.0f} % of the samples",
         "a controller made v out of the measured states (closed loop)",
     ]

@@ -299,3 +299,17 @@ def test_the_header_tells_the_targets_of_the_plan_where_they_are_known():
         task = Tracking(signature, Step([[9.0]]), ("h",), ("v",), TrackingReward((1.0,)), **ends)
         controller = Controller(actor(task.n_o, 1, (4,)).requires_grad_(False), Pace(task, 0.1))
         assert f" * {line}\n" in controller_sources(controller).header
+
+
+@pytest.mark.parametrize(
+    ("limits", "narrower", "said"), [([[0, 1]], None, "0 to 1"), ([[0, 1]], [[0.1], [0.75]], "0.1 to 0.75")]
+)
+def test_the_header_says_once_between_which_ends_an_input_is(pendulum, limits, narrower, said):
+    """A motor of 0 to 12 V, and one whose log goes from 1.2 to 9 V only, which the controller keeps to."""
+    signature = Signature(("q", "w"), ("rad", "rad/s"), ("u",), (1.0, 3.0), [[-12, 12]], limits, ["V"])
+    controller = pendulum(signature=signature)
+    if narrower is not None:
+        controller.pace.task.input_limits = torch.tensor(narrower)
+    header = controller_sources(controller).header
+    assert header.count(f"0  u [-], from {said}\n") == 1 and "[-1, 1]" not in header and "[0, 1]" not in header
+    assert header.count("the plant's u is 12 V times the controller's") == 1

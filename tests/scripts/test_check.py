@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -103,3 +104,27 @@ def test_what_is_missing_costs_one_line(tmp_path):
     (tmp_path / "run" / "model.json").unlink()
     done = called(tmp_path, *SMALL, "low=[0]", "high=[0]")
     assert done.returncode == 2 and "run has no model of the plant" in done.stderr
+
+
+def test_a_check_that_is_stopped_keeps_what_it_found(tmp_path):
+    """Ctrl-C in the middle of its flights: one line names the file, which has the findings until then."""
+    run_folder(tmp_path / "run", 2.0)
+    (tmp_path / "run" / "config.yaml").write_text("plant: {low: [-0.1], high: [0.1]}\n")
+    command = [sys.executable, str(SCRIPT), "run=run", "points=1", "grid=2", "draws=1", "seconds=100000"]
+    work = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert work.stderr is not None
+    shown = ""
+    while "steps to the targets" not in shown and (line := work.stderr.readline()):
+        shown += line
+    work.send_signal(signal.SIGINT)
+    out, err = work.communicate(timeout=60)
+    file = Path("run") / "check" / "stopped.json"
+    assert work.returncode == 130 and out == "", shown + err
+    assert err.splitlines()[-1].startswith(
+        f"stopped; 7 findings, none of them weak, kept in {file}; not looked at: steps, "
+    )
+    found = json.loads((tmp_path / file).read_text())
+    assert found["verdict"][0]["finding"] == "stability" and len(found["verdict"]) == 7
+    assert found["left"][0] == "steps" and not (tmp_path / "run" / "check" / "check.json").exists()
+    assert called(tmp_path, *SMALL).returncode == 0
+    assert not (tmp_path / file).exists() and (tmp_path / "run" / "check" / "check.json").is_file()

@@ -172,7 +172,15 @@ def test_a_plan_that_fails_leaves_the_model(log, tmp_path):
             "plant.high is not given; say within which targets theta",
         ),
         (["plant.outputs=[theta]"], "of its samples the log lies within plant.low=[-"),
-        (["plant.outputs=[thta]", *TASK[1:]], "state 'thta' does not exist; the states are theta, Omega"),
+        (
+            ["plant.outputs=[thta]", *TASK[1:]],
+            "error: plant.outputs names 'thta', which is no state; the states are theta, Omega; did you mean 'theta'?",
+        ),
+        (
+            [*TASK, "plant.start={omega: 0}"],
+            "error: plant.start has omega: 0; name one of the states theta, Omega, with a value or the two ends of a "
+            "range; did you mean 'Omega'?",
+        ),
         ([*TASK, "plant.library=['1',u,'sinh(theta)']"], "function 'sinh' is not known"),
         ([*TASK, "data.path=nowhere.csv"], "nowhere.csv does not exist"),
     ],

@@ -3,6 +3,16 @@
 from pathlib import Path
 
 import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
+
+
+@pytest.fixture
+def as_text(monkeypatch):
+    """Return the function that reads a word."""
+    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[2] / "scripts")
+    import places
+
+    return places.as_text
 
 
 @pytest.fixture
@@ -42,3 +52,23 @@ def test_a_run_that_is_resumed_keeps_its_folder(completed, tmp_path):
     (tmp_path / "config.yaml").touch()
     line = completed(f"resume={tmp_path}", "--config-dir", "own")
     assert line == [f"resume={tmp_path}", f"hydra.run.dir='{tmp_path}'", "--config-dir", "own"]
+
+
+@pytest.mark.parametrize(
+    ("word", "read"),
+    [
+        ("data.time=Time [ms]", {"data.time": "Time [ms]"}),
+        ("data.time=Zeit (s)", {"data.time": "Zeit (s)"}),
+        ("data.states=[T [degC], h (m)]", {"data.states": ["T [degC]", "h (m)"]}),
+        ("data.states=['T [degC]',h]", {"data.states": ["T [degC]", "h"]}),
+        ("plant.low=[-0.5,1]", {"plant.low": [-0.5, 1]}),
+    ],
+)
+def test_a_heading_with_brackets_is_text_though_the_shell_took_its_quotation_marks(as_text, word, read):
+    (found,) = OverridesParser.create().parse_overrides([as_text(word)])
+    assert {found.key_or_group: found.value()} == read
+
+
+@pytest.mark.parametrize("word", ["plant.outputs=[yaw", "seed=0,1]", "-m", "data.time={a: b", "~data"])
+def test_what_is_not_closed_is_left_to_be_refused(as_text, word):
+    assert as_text(word) == word

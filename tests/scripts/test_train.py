@@ -71,7 +71,7 @@ def test_the_smoke_run_leaves_a_complete_folder_and_says_what_came_of_it(tmp_pat
         ),
         ("env.dt=-0.05", "need dt > 0 s"),
         ("plant.outputs=[yaw", "'plant.outputs=[yaw' cannot be read; write key=value, close all brackets"),
-        ("task.outputs=[yaw,alpha_p]", "state 'yaw' does not exist; the states are alpha_a"),
+        ("task.outputs=[yaw,alpha_p]", "task.outputs names 'yaw', which is no state; the states are alpha_a"),
     ],
 )
 def test_a_bad_setting_costs_one_line_and_leaves_nothing(tmp_path, override, words):

@@ -1,5 +1,6 @@
 """Runs that fly together come to what each comes to alone."""
 
+import math
 from functools import partial
 
 import pytest
@@ -12,6 +13,7 @@ from dynasindy.systems import Tras, Xi
 from dynasindy.systems.compiler import compiler
 from dynasindy.tasks import RandomStep, Tracking, Wave
 from dynasindy.together import Company, fly
+from dynasindy.together.flights import replay
 from dynasindy.world_models import Oracle, SindyModel
 
 COMPILER = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
@@ -225,3 +227,53 @@ def test_replays_of_models_are_those_of_each_run_alone(windows, device, machine_
         assert error.reward_error == pytest.approx(wanted.reward_error, rel=1e-4)
         assert error.state_error == pytest.approx(wanted.state_error, rel=1e-4)
         torch.testing.assert_close(error.states, wanted.states, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("machine_code", [pytest.param(True, marks=COMPILER), False])
+@pytest.mark.parametrize("used", [False, True])
+def test_an_infinite_function_counts_where_an_equation_has_it_and_nowhere_else(used, machine_code):
+    """e^(omega_a) is beyond all numbers at 2000 rpm: the model that lacks it goes on, in company as alone."""
+    signature = Xi().signature
+
+    def _model():
+        names = [*signature.state_names, *signature.input_names, "exp(omega_a)"]
+        found = SindyModel(signature, names, machine_code=machine_code)
+        xi = torch.zeros(len(names), 6, dtype=torch.float64)
+        xi[2, 0] = xi[3, 1] = 1.0
+        xi[range(2, 6), range(2, 6)] = -1.0
+        xi[6, 4] = xi[7, 5] = 500.0
+        xi[8, 4] = 1e-3 * used
+        found.set_coefficients(xi)
+        return found
+
+    def _moved():
+        place = env(0).with_system(_model())
+        x = torch.tensor([[0.1, 0.0, 0.2, 0.1, 2000.0, 300.0]], dtype=torch.float64)
+        start = place.start_from(x)
+        u = torch.full((3, 1, 2), 0.2, dtype=torch.float64)
+        return replay(place, x, start["task_params"], start["step_count"].squeeze(-1), u, "replay"), place.follow(x, u)
+
+    with Company().alone():
+        (states, earned), (alone, _) = _moved()
+    wanted = alone[..., -1, :]
+    assert bool(wanted.isfinite().all()) == bool(states.isfinite().all()) == (not used)
+    if not used:
+        torch.testing.assert_close(states, wanted, rtol=1e-9, atol=1e-9)
+        # omega' = 500 u - omega, from 2000, 0.15 s later, by hand
+        assert float(states[-1, 0, 4]) == pytest.approx(100 + 1900 * math.exp(-0.15), rel=1e-6)
+        assert bool(earned.isfinite().all())
+
+
+@pytest.mark.parametrize("machine_code", [pytest.param(True, marks=COMPILER), False])
+def test_a_replay_ends_where_states_leave_their_ranges_as_an_episode_does(machine_code):
+    place = env(0).with_system(model(0, machine_code))
+    place.left_beyond = 0.01
+    start = place.reset()
+    rollout = place.rollout(12, agent(0).deployed, auto_reset=False, tensordict=start)
+    wanted, u = rollout["next", "state"], rollout["action"].double().unsqueeze(1)
+    x, params, begun = start["state"].unsqueeze(0), start["task_params"].unsqueeze(0), start["step_count"]
+    assert (wanted[-1].abs() >= 0.01 * torch.tensor(place.system.signature.x_scale) - 1e-9).any()
+    torch.testing.assert_close(place.follow(x, u)[0][:, 0, -1], wanted, rtol=1e-9, atol=1e-12)
+    with Company().alone():
+        states, _ = replay(place, x, params, begun, u, "replay")
+    torch.testing.assert_close(states[:, 0], wanted, rtol=1e-6, atol=1e-9)

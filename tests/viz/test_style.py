@@ -17,6 +17,7 @@ from dynasindy.viz.style import (
     legend_above,
     panels,
     save,
+    save_all,
     span,
     spelt,
     styled,
@@ -198,3 +199,20 @@ def test_a_run_ends_with_its_last_period(times, ends) -> None:
 def test_the_last_input_is_held_to_the_end() -> None:
     times, values = held(np.array([0.0, 0.5]), np.array([[1.0, 2.0], [3.0, 4.0]]))
     assert times.tolist() == [0.0, 0.5, 1.0] and values.tolist() == [[1, 2], [3, 4], [3, 4]]
+
+
+def test_figures_of_one_run_have_one_unit_of_time(tmp_path: Path) -> None:
+    """By itself a log of 2400 s is told in minutes, and a prediction of its last 100 s in seconds."""
+    long, short = Figure(), Figure()
+    for figure, end in ((long, 2400.0), (short, 100.0)):
+        axis = figure.subplots()
+        axis.plot([0.0, end], [0.0, 1.0])
+        time_axis(axis, [0.0, end])
+    assert [figure.axes[0].get_xlabel() for figure in (long, short)] == ["time [min]", "time [s]"]
+    files = save_all({"long": long, "short": short}, tmp_path)
+    assert [file.name for file in files] == ["long.png", "short.png"] and all(file.is_file() for file in files)
+    for figure, end in ((long, 2400.0), (short, 100.0)):
+        axis = figure.axes[0]
+        assert axis.get_xlabel() == "time [s]"
+        told = {float(label.get_text()) for label in axis.get_xticklabels() if label.get_text()[:1].isdigit()}
+        assert told == {tick for tick in axis.get_xticks() if tick >= 0} and end * 0.8 <= max(told)

@@ -47,7 +47,7 @@ typedef struct {
 /* Forget what was measured: the next call takes the plant as at rest, its inputs zero. */
 void @name@_reset(@name@_state *s);
 
-/* Return in u the inputs of the control period that begins now, each in [-1, 1].
+/* Return in u the inputs of the control period that begins now, each within its limits above.
  *
  * y     what was measured now, @measured@
  * r     where the tracked states are to be

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from dynasindy.nearest import did_you_mean
 from dynasindy.world_models.libraries.library import Library
 
 
@@ -54,7 +55,7 @@ class Constraints:
             if absent := sorted(map(str, set(stated) - set(states.state_names))):
                 raise ValueError(
                     f"{key} names {', '.join(absent)}, which is no state; the states are "
-                    f"{', '.join(states.state_names)}: correct the name"
+                    f"{', '.join(states.state_names)}: correct the name{did_you_mean(absent[0], states.state_names)}"
                 )
             for state, functions in stated.items():
                 for name in functions:

@@ -51,7 +51,8 @@ class SparseModel(WorldModel):
             x: States, `(*batch, n_x)`.
             u: Inputs, `(*batch, n_u)`.
             whole: Whether functions that no equation has are computed, too. One code then serves the models of many
-                runs, whatever functions each has; where one of them is infinite, the rates are no numbers.
+                runs, whatever functions each has; where one of them is infinite, the rates are no numbers, though the
+                equations need not have it.
         """
         if not self.machine_code or x.dtype not in PRECISIONS or type(self).forward is not SparseModel.forward:
             return None

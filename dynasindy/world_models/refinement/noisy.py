@@ -24,6 +24,9 @@ PUSHED, SPREAD = -0.5, 3 / math.sqrt(2)
 (Bartlett's formula): in fewer samples less than `BENEATH` is asked for."""
 DUE = 0.6
 """Part of the squared errors of a difference equation's steps that noise of the sensors has to explain."""
+STILL, MOVES, WHOLE = 0.5, 10, 0.01
+"""Part of the samples at which a reading in steps stands still, of a plant that moves by less than a step from one to
+the next; least number of those at which it moves; and part of a step by which such a move may not be whole."""
 KEPT = 0.5
 """Part of the errors that the functions of the model have to leave over, as they do not explain noise."""
 
@@ -38,11 +41,16 @@ def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bo
     sensor sees are looked for by it. So most states have to be noisy by their errors, or one by their changes. Where
     the time between samples is long, errors of a model change from sample to sample, too. Those are functions of the
     present states and inputs, as noise is not.
+
+    A sensor that reads in steps longer than the plant moves between samples makes errors of another kind: they last
+    while the reading stands still, and are noise of the sensor all the same.
     """
     data = data.to(torch.float64)
     if library.step is not None:
         share = sensor_noise(library, coefficients, data)[1]
         return bool(coefficients.any()) and bool(2 * (share > DUE).sum() > len(share))
+    if bool(coefficients.any()) and bool(stands_on_steps(data).any()):
+        return True
     error = data.x_next - moved(generate(library, coefficients), data.x, data.u, data.dt)
     # A constant, too, as a library need not have one.
     functions = torch.nn.functional.pad(library(data.x, data.u), (0, 1), value=1.0)
@@ -55,6 +63,21 @@ def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bo
     least = min(BENEATH, PUSHED - SPREAD / math.sqrt(max(int(both.sum()), 1)))
     beneath = (_correlation(error.diff(dim=0), both) < least) & (_correlation(left.diff(dim=0), both) < least)
     return bool(2 * (plain & kept).sum() > len(plain)) or bool((beneath & kept).any())
+
+
+def stands_on_steps(data: Transitions) -> Tensor:
+    """Return which states are read in steps that they take several samples to pass, bool `(n_x,)`.
+
+    A plant that rests for long and moves in between does so by other amounts than one and the same.
+    """
+    found = []
+    for change in (data.x_next - data.x).abs().T:
+        change = change[change.isfinite()]
+        moves = change[change > 1e-9 * change.max()] if len(change) else change
+        step = moves.min() if len(moves) >= MOVES else torch.tensor(torch.nan)
+        whole = ((moves / step - (moves / step).round()).abs() < WHOLE).double().mean() > 1 - WHOLE
+        found.append(bool(whole) and len(moves) < (1 - STILL) * len(change) and bool(moves.median() < 1.5 * step))
+    return torch.tensor(found)
 
 
 def sensor_noise(library: Library, coefficients: Tensor, data: Transitions) -> tuple[Tensor, Tensor]:

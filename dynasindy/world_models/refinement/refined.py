@@ -49,6 +49,7 @@ class Refined(NamedTuple):
         if at_end:
             notes += (
                 f"the best delay of the inputs is the longest that was tried, {longest:g} s; it may be "
-                f"longer: give longest_delay={2 * longest:g}, or 0 where it stands for what the equations lack",
+                f"longer: give longest_delay={2 * longest:g}, or 0 where it stands for what the equations lack. "
+                "Coefficients may be further off than their standard errors say, which take the delay as right",
             )
         return self._replace(notes=notes, delay_at_end=at_end, aside=aside)

@@ -1,5 +1,7 @@
 """Noise of sensors, told from what a model lacks and from random pushes by what single steps miss."""
 
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -10,7 +12,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.features import variable
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.models.sindy import SindyModel
-from dynasindy.world_models.refinement.noisy import looks_noisy, sensor_noise
+from dynasindy.world_models.refinement.noisy import looks_noisy, sensor_noise, stands_on_steps
 from dynasindy.world_models.refinement.refine import Refinement
 from dynasindy.world_models.regression.regression import Regression
 
@@ -107,3 +109,49 @@ def test_the_noise_of_a_difference_equation_is_told_from_pushes(own, sensor_part
     noise, share = sensor_noise(library, xi, data)
     assert float(noise) == pytest.approx(0.01 * sensor_part, abs=0.001)
     assert looks_noisy(library, xi, data) == told == (float(share) > 0.6)
+
+
+def read_in_steps(step: float, moving: np.ndarray) -> Transitions:
+    """Readings of a motion, a sample every 0.1 s."""
+    x = torch.from_numpy(step * np.round(moving / step) if step else moving).unsqueeze(-1)
+    return Transitions.from_trajectory(x, torch.zeros(len(x) - 1, 1, dtype=torch.float64), 0.1)
+
+
+@pytest.mark.parametrize(
+    ("data", "told"),
+    [
+        (
+            read_in_steps(0.5, 5 * np.sin(np.arange(2000) / 100)),
+            True,
+        ),  # at most a tenth of a step from sample to sample
+        (read_in_steps(0.01, 5 * np.sin(np.arange(2000) / 100)), False),  # five steps
+        (read_in_steps(0.0, 5 * np.sin(np.arange(2000) / 100)), False),
+        (read_in_steps(0.0, np.maximum(0, np.sin(np.arange(2000) / 100) - 0.5)), False),  # at rest for two thirds
+    ],
+)
+def test_a_reading_that_stands_still_between_steps_is_told_from_a_plant_that_does(data, told):
+    assert stands_on_steps(data).tolist() == [told]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_slow_heater_that_is_read_in_coarse_steps_is_within_its_standard_errors(seed):
+    """T' = 0.1 u(t - 7 s) - T / 600 s, sampled every 2 s and read in steps of 0.5 K, which it takes long to pass."""
+    rng, kept = np.random.default_rng(seed), math.exp(-1 / 600)  # within a second
+    u = np.repeat(rng.uniform(0, 1, 25), 60)
+    x = np.zeros(len(u) + 1)
+    for k in range(len(u)):  # what was given 7 s before changes in the middle of a period
+        first, then = (60 * u[max(place, 0)] * (place >= 0) for place in (k - 4, k - 3))
+        x[k + 1] = kept**2 * x[k] + (1 - kept) * (kept * first + then)
+    read = torch.from_numpy(0.5 * np.round(x / 0.5)).unsqueeze(-1)
+    model = SindyModel(
+        Signature(("T",), ("K",), ("u",), (30.0,)),
+        ["T", "u", "T^2"],
+        Regression(method="bic"),
+        Refinement(method="auto", longest_delay=20.0),
+    )
+    model.fit(Transitions.from_trajectory(read, torch.from_numpy(u).unsqueeze(-1), 2.0))
+    xi = model.coefficients[:, 0]
+    assert model.delay == pytest.approx(7.0, abs=0.2) and model.covariance is not None and float(xi[2]) == 0
+    errors = model.covariance.shares(model.coefficients).flatten() * xi[:2].abs()
+    assert bool(((xi[:2] - torch.tensor([-1 / 600, 0.1])).abs() < 3 * errors).all())
+    assert bool((errors < 0.01 * xi[:2].abs()).all())

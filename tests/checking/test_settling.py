@@ -1,0 +1,50 @@
+"""The end of a step takes as long as the slowest part of a linear loop says."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy.checking import Thresholds, verdict
+from dynasindy.checking.check import Settings, check
+from dynasindy.checking.settling import settling
+
+
+def test_a_fiftieth_is_left_when_the_exponential_says_so():
+    """0.9^k is 0.02 at k = ln 0.02 / ln 0.9 = 37.1; a slow part that begins as 5 % takes ln 0.4 / ln 0.99 = 91.2."""
+    fast, slow = np.diag([0.9, 0.5]), np.diag([0.9, 0.99])
+    mixed = np.array([[0.9, 0.0], [0.0, 0.99]])
+    mixed = np.array([[1.0, 1.0], [0.0, 1.0]]) @ mixed @ np.array([[1.0, -1.0], [0.0, 1.0]])  # the output sees both
+    away = np.array([[1.0, 0.3], [1.0, 0.3], [1.0, 0.05]])
+    found = settling(np.stack([fast, slow, mixed]), away, [0], np.array([1.0]), 100)
+    assert found.tolist() == [38.0, 38.0, 92.0]
+    assert settling(np.eye(1)[None], np.ones((1, 1)), [0], np.ones(1), 10).tolist() == [math.inf]
+    assert settling(fast[None], away[:1], [0], np.zeros(1), 10).tolist() == [0.0]
+
+
+def test_a_cart_on_a_spring_settles_as_its_eigenvalues_on_paper_say(loops, carts):
+    """p'' = 2 (r - p) - 2.5 p' - p, sampled every 0.1 s: within 2 % when it has swung in, as NumPy moves it."""
+    settings = Settings((-0.4,), (0.4,), points=2, seconds=6.0, grid=3, draws=0)
+    found = check(loops(model=carts(spring=1.0)), settings)
+    assert found.spread.settling is not None and found.spread.settling.shape == (2, 5)
+    x, last = np.array([-0.8 * 2 / 3, 0.0]), 0
+    a, b = np.array([[0.0, 1.0], [-1.0, 0.0]]), np.array([0.0, 1.0])
+    whole = np.zeros((3, 3))
+    whole[:2, :2], whole[:2, 2] = a * 0.1, b * 0.1
+    power, term = np.eye(3), np.eye(3)
+    for k in range(1, 20):
+        term = term @ whole / k
+        power = power + term
+    for k in range(200):
+        last = k + 1 if abs(x[0]) > 0.02 * 0.8 else last
+        x = (power @ np.append(x, -2.0 * x[0] - 2.5 * x[1]))[:2]
+    assert found.spread.settling[:, -1].tolist() == pytest.approx([0.1 * last] * 2)
+    (line,) = (each for each in verdict(found) if each.name == "settling")
+    assert line.good and "the slowest of 4 plants with other coefficients, force in v' -20 %" in line.words
+    (line,) = (each for each in verdict(found, Thresholds(settled=0.2)) if each.name == "settling")
+    assert line.weak and line.words.endswith("threshold: 1.2 s")
+    slow = torch.full_like(found.spread.settling, math.inf)
+    (line,) = (e for e in verdict(replace(found, spread=replace(found.spread, settling=slow))) if e.name == "settling")
+    assert line.weak and "more than 120 s with the model" in line.words

@@ -1,0 +1,43 @@
+"""The example of README runs as it stands, and the log that it reads is what it says."""
+
+import math
+import re
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import dynasindy
+
+REPOSITORY = Path(__file__).parents[1]
+
+
+def test_the_lines_of_the_readme_run(monkeypatch, capsys):
+    """As they stand, in the folder of the repository, on the log that lies there; only planning is cut short."""
+    block, *_ = re.findall(r"```python\n(.*?)```", (REPOSITORY / "README.md").read_text(), re.S)
+    monkeypatch.chdir(REPOSITORY)
+    monkeypatch.setattr(dynasindy, "plan", partial(dynasindy.plan, updates=1, rollouts=4), raising=False)
+    names = {}
+    exec(block, names)
+    assert np.abs(names["u"]).max() <= 1
+    assert re.search(r"rate' = -0\.5\d* rate \+ 12\S* u - 9\.81\S* sin\(angle\)", capsys.readouterr().out)
+
+
+def test_the_log_that_is_there_to_try_is_one_of_a_pendulum():
+    """angle'' = 12 u - 9.81 sin(angle) - 0.5 angle', by SciPy; an encoder of 4096 steps, and a rate with noise."""
+    t, angle, rate, u = np.loadtxt(REPOSITORY / "docs" / "log.csv", delimiter=",", skiprows=1).T
+    x = np.zeros((len(t), 2))
+    for k in range(len(t) - 1):
+        moved = solve_ivp(
+            lambda _, x, u: [x[1], 12 * u - 9.81 * np.sin(x[0]) - 0.5 * x[1]],
+            (0, 0.01),
+            x[k],
+            args=(u[k],),
+            rtol=1e-9,
+            atol=1e-11,
+        )
+        x[k + 1] = moved.y[:, -1]
+    assert np.abs(angle - x[:, 0]).max() < math.pi / 4096 + 1e-4
+    assert np.std(rate - x[:, 1]) == pytest.approx(0.02, rel=0.1) and abs(np.mean(rate - x[:, 1])) < 0.002
