@@ -139,7 +139,7 @@ def test_targets_lie_in_the_box_of_the_plant():
         ({"library": ["1", "sinh(theta)"]}, "function 'sinh' is not known"),
         ({"library": ["1", "thta", "Omega"]}, "plant.library names thta, which is no state and no input"),
         ({"known": {"thta": "Omega"}}, "names thta, which is no state"),
-        ({"targets": {"thta": (-0.6, 0.6)}}, "state 'thta' does not exist"),
+        ({"targets": {"thta": (-0.6, 0.6)}}, "names 'thta', which is no state.*did you mean 'theta'"),
     ],
 )
 def test_what_no_model_can_be_made_of_is_refused_before_anything_moves(change, message):

@@ -60,7 +60,7 @@ def test_an_operation_without_counterpart_is_named():
 
 def test_a_missing_package_costs_one_line_that_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "casadi", None)
-    with pytest.raises(ModuleNotFoundError, match=r"MPC needs CasADi.*pip install -e '.\[mpc\]'"):
+    with pytest.raises(ModuleNotFoundError, match=r"MPC needs CasADi.*pip install 'dynasindy\[mpc\]'"):
         symbolic.vector_field(Xi())
 
 
