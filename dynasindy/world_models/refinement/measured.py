@@ -19,6 +19,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement.flow import substeps_for, turn_of
+from dynasindy.world_models.regression.prior import shares
 from dynasindy.world_models.regression.regression import Rows, Theta, simpson_form
 from dynasindy.world_models.regression.selection import DEPENDENT
 from dynasindy.world_models.regression.weak import weak_form
@@ -71,6 +72,10 @@ class Seen:
     def dependent(self) -> float:
         """Return the part that other functions leave over of one below which noise cannot tell it from them."""
         return NOISY if self.half else DEPENDENT
+
+    def shares(self, library: Library) -> Tensor | None:
+        """Return the prior of each term, `(n_features,)`; none of data without noise, which tell every coefficient."""
+        return shares(library) if self.half else None
 
     def rows(self, theta: Theta, field: Theta) -> Rows:
         """Average functions and rates of change: by the weak form, or within intervals if all states were measured.

@@ -89,8 +89,9 @@ class Refinement:
             such windows (`innovation`), the sizes of pushes and of noise estimated; `auto` takes windows that begin
             anew where they leave over much less than a trajectory, and keeps the latter aside.
             The default is `auto` for the method `auto`, and `simulation` for others.
-        correlated: whether a coefficient of `trajectory` must be worth the more, the longer errors last: for real
-            plants, of which every model leaves over more than noise. If not, every sample counts.
+        correlated: whether a coefficient of `trajectory` must be worth the more, the longer errors last: every model
+            of a real plant leaves over more than noise. With noise alone it changes nothing. If not, every sample
+            counts.
 
     Raises:
         ValueError: a setting is not allowed.
@@ -102,7 +103,7 @@ class Refinement:
     window: int = 20
     longest_delay: float | None = 0.0
     error: Literal["auto", "simulation", "coloured", "prediction", "innovation"] | None = None
-    correlated: bool = False
+    correlated: bool = True
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -363,7 +364,7 @@ class Refinement:
         for _ in range(self.rounds):
             sums = RunningSums(len(library), library.signature.n_x)
             sums.add(seen.rows(library, generate(library, coefficients)))
-            coefficients = regression.solve(sums, constraints.free, constraints.offset)
+            coefficients = regression.solve(sums, constraints.free, constraints.offset, seen.shares(library))
             library, coefficients = fit_shapes(library, coefficients, constraints.free, seen.rows, self.tolerance)
         return library, coefficients
 

@@ -42,7 +42,9 @@ class Linearised:
         triangle: R of [fixed unknowns, coefficients, target], all weighted and scaled.
         scale: norms of the columns.
         cost: sum of squared errors and of squared gaps between windows, both weighted; of whitened errors times the
-            geometric mean of their variances, so that its logarithm is that of the likelihood.
+            geometric mean of their variances, so that its logarithm is that of the likelihood. What is unlikely of
+            the coefficients counts as squared errors do.
+        unlikely: sum of squared coefficients over their variances before the recording tells them.
         moves: how the node of each window moves with the unknowns, `(W, n_x, F + P + 1)`.
         sigma: error of each state, `(n_x,)`.
         errors: weighted errors of the samples, zero where not measured, `(W, L, n_x)`; whitened where windows tell
@@ -55,6 +57,7 @@ class Linearised:
     moves: Tensor
     sigma: Tensor
     errors: Tensor
+    unlikely: float = 0.0
 
 
 def linearise(flow: Flow, sigma: Tensor | None = None) -> Linearised:
@@ -76,7 +79,7 @@ def linearise(flow: Flow, sigma: Tensor | None = None) -> Linearised:
     scale = rows[:, :-1].norm(dim=0).clamp_min(1e-300)
     target = rows[:, -1:] + rows[:, n_fixed:-1] @ parameters.read(flow.estimate.xi).unsqueeze(-1)
     triangle = torch.linalg.qr(torch.cat([rows[:, :-1] / scale, target], -1), mode="r")[1]
-    return Linearised(triangle, scale, cost, moves, sigma, errors)
+    return Linearised(triangle, scale, cost, moves, sigma, errors, _unlikely(flow))
 
 
 def certainty(flow: Flow) -> Covariance | None:
@@ -105,6 +108,8 @@ def _rows(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
     """Return weighted rows `(M, F + P + 1)`, moves of the nodes, weighted errors, and the cost."""
     rows, moves, errors, cost = (_joined if bool(flow.windows.joined.any()) else _alone)(flow, sigma)
     estimate, parameters, windows = flow.estimate, flow.parameters, flow.windows
+    if windows.likely is not None:
+        rows = torch.cat([rows, _small(flow, rows.shape[1])])
     unseen = windows.first.isnan().all(0) & ~windows.mask.flatten(0, 1).any(0)
     if bool(unseen.any()):
         may = parameters.support(estimate.xi.shape)
@@ -148,7 +153,8 @@ def _errors_of_joined(flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
     gaps = _gaps(flow) / _gap_sigma(sigma, estimate)
     # A gap shifts all samples that follow, so closing it is worth more than the errors it hid.
     gap_weight = 10.0 * windows.mask.shape[1]
-    return weighed, float(weighed.square().sum() + starts.square().sum() + gap_weight * gaps.square().sum())
+    cost = float(weighed.square().sum() + starts.square().sum() + gap_weight * gaps.square().sum())
+    return weighed, cost + _unlikely(flow)
 
 
 def cost_of(flow: Flow, sigma: Tensor) -> float:
@@ -162,6 +168,25 @@ def cost_of(flow: Flow, sigma: Tensor) -> float:
         return _errors_of_joined(flow, sigma)[1]
     error, seen = _errors(flow)
     return _weighed((error * seen).unsqueeze(-1), seen, flow, sigma)[1]
+
+
+def _unlikely(flow: Flow) -> float:
+    """Return the sum of squared coefficients over their variances before the recording tells them."""
+    if flow.windows.likely is None:
+        return 0.0
+    parameters = flow.parameters
+    return float((parameters.read(flow.estimate.xi) / parameters.read(flow.windows.likely)).square().sum())
+
+
+def _small(flow: Flow, width: int) -> Tensor:
+    """Return rows that say of each coefficient that it is likely to be small, `(P, F + P + 1)`."""
+    assert flow.windows.likely is not None
+    parameters = flow.parameters
+    weight = 1 / parameters.read(flow.windows.likely)
+    rows = torch.zeros(len(parameters), width, dtype=weight.dtype)
+    rows[:, width - 1 - len(parameters) : -1] = torch.diag(weight)
+    rows[:, -1] = -weight * parameters.read(flow.estimate.xi)
+    return rows
 
 
 def _alone(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
@@ -188,7 +213,7 @@ def _weighed(every: Tensor, seen: Tensor, flow: Flow, sigma: Tensor) -> tuple[Te
         every, half = whiten(every, seen, flow.steps[..., : every.shape[2]], windows.noise, windows.dt)
         # Where a model runs away, its filter expects errors of any size, by which small ones would be divided.
         spread = math.exp(min(2 * float(half / windows.mask.sum().clamp_min(1)), LARGEST))
-    return every, spread * float(every[..., -1].square().sum())
+    return every, spread * (float(every[..., -1].square().sum()) + _unlikely(flow))
 
 
 def _errors(flow: Flow) -> tuple[Tensor, Tensor]:
@@ -336,9 +361,13 @@ def move(flow: Flow, model: Linearised, kept: Tensor | Sequence[int], damping: f
 
 
 def left_over(model: Linearised, windows: Windows) -> float:
-    """Return N/2 times the logarithm of the squared errors, summed over measured states; of whitened ones together."""
+    """Return N/2 times the logarithm of the squared errors, summed over measured states; of whitened ones together.
+
+    Half of what is unlikely of the coefficients is added, the logarithm of their prior density but for its sign; the
+    cost of whitened errors has it in it.
+    """
     counts, sigma = windows.mask.sum((0, 1)), model.sigma
     if windows.noise is not None:
         return 0.5 * float(counts.sum()) * math.log(max(model.cost, EXACT))
     seen = sigma > EXACT
-    return float((counts * sigma.log())[seen].sum())
+    return float((counts * sigma.log())[seen].sum()) + 0.5 * model.unlikely

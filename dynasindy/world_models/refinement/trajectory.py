@@ -25,6 +25,7 @@ from dynasindy.world_models.refinement.descent import Descent
 from dynasindy.world_models.refinement.flow import COARSE, EXACT, FINE, Estimate, Flow, growth, substeps_for, turn_of
 from dynasindy.world_models.refinement.shooting import lasting_of, left_over, noise_of
 from dynasindy.world_models.refinement.windows import ENOUGH, Windows, spread
+from dynasindy.world_models.regression.prior import likely
 from dynasindy.world_models.regression.sensitivity import Parameters
 
 GROWN = 100.0
@@ -238,9 +239,10 @@ def _grown(
     turn = turn_of(estimate.library, estimate.xi, estimate.nodes, data.u, data.dt)
     substeps, parameters = substeps_for(turn, turned), Parameters.where(support)
     guess, length = estimate.nodes, descent.window
+    prior = likely(estimate.library, estimate.xi, guess, data, length)
 
     def _cut(found: Estimate, length: int) -> tuple[Estimate, Windows, bool]:
-        windows = Windows.of(data, length, descent.joins, substeps)
+        windows = replace(Windows.of(data, length, descent.joins, substeps), likely=prior)
         trial = replace(found, nodes=guess[windows.rows])
         return trial, windows, bool(Flow.of(trial, parameters, windows).lost().any())
 

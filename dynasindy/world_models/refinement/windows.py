@@ -33,6 +33,8 @@ class Windows:
             is weighed by its own errors, as if nothing pushed the plant.
         lasting: part of an error of each state that is left a sample later, `(n_x,)`; without, errors are taken for
             white.
+        likely: standard deviation of each coefficient before the recording tells it, `(n_features, n_x)`; without,
+            every coefficient is as likely as any other.
     """
 
     rows: Tensor
@@ -45,6 +47,7 @@ class Windows:
     substeps: int = 1
     noise: Noise | None = None
     lasting: Tensor | None = None
+    likely: Tensor | None = None
 
     @classmethod
     def of(cls, data: Transitions, length: int, joined: bool = True, substeps: int = 1) -> Windows:

@@ -190,13 +190,15 @@ class Regression:
                 "tolerance > 0 and max_iterations >= 1: correct them"
             )
 
-    def solve(self, sums: RunningSums, support: Tensor, offset: Tensor) -> Tensor:
+    def solve(self, sums: RunningSums, support: Tensor, offset: Tensor, share: Tensor | None = None) -> Tensor:
         """Find sparse coefficients.
 
         Args:
             sums: the samples.
             support: coefficients that may differ from zero, bool `(n_features, n_x)`.
             offset: coefficients that are given and stay, `(n_features, n_x)`.
+            share: standard deviation of the Gaussian prior of each term, in rates of change of its equation,
+                `(n_features,)`, for `bic`; none by default. See `prior`.
 
         Returns:
             Coefficients, offset included, in the units of the data, `(n_features, n_x)`.
@@ -214,6 +216,7 @@ class Regression:
                 sums.count,
                 self.tolerance,
                 self.dependent,
+                share,
             )
             return offset + free * rates / columns.unsqueeze(-1)
         threshold = self.threshold / math.sqrt(1000.0)
@@ -260,7 +263,13 @@ def stlsq(theta: Tensor, targets: Tensor, support: Tensor, limits: Tensor, max_i
 
 
 def eliminate(
-    theta: Tensor, targets: Tensor, support: Tensor, count: int, tolerance: float, dependent: float = DEPENDENT
+    theta: Tensor,
+    targets: Tensor,
+    support: Tensor,
+    count: int,
+    tolerance: float,
+    dependent: float = DEPENDENT,
+    share: Tensor | None = None,
 ) -> Tensor:
     """Drop, one at a time, the coefficient that is missed least, and keep the set of best Bayesian criterion.
 
@@ -271,6 +280,7 @@ def eliminate(
         count: number of samples behind the columns.
         tolerance: residual norm below which a fit is exact, so that more terms gain nothing.
         dependent: part of a column that others leave over, below which it depends on them.
+        share: standard deviation of each coefficient before the columns tell it, `(n_features,)`; none by default.
 
     Returns:
         Coefficients, `(n_features, n_x)`.
@@ -278,10 +288,20 @@ def eliminate(
     coefficients = torch.zeros(theta.shape[1], targets.shape[1], dtype=theta.dtype)
     for i in range(targets.shape[1]):
         mine = support[:, i].nonzero().squeeze(-1)
-        active = _best_subset(theta, targets[:, i], mine, count, tolerance, dependent)
+        columns, target = theta, targets[:, i]
+        if share is not None and len(mine):
+            columns, target = _with_prior(columns, target, mine, count, share)
+        active = _best_subset(columns, target, mine, count, tolerance, dependent)
         if len(active):
-            coefficients[active, i] = least_squares(theta[:, active], targets[:, i])
+            coefficients[active, i] = least_squares(columns[:, active], target)
     return coefficients
+
+
+def _with_prior(theta: Tensor, target: Tensor, mine: Tensor, count: int, share: Tensor) -> tuple[Tensor, Tensor]:
+    """Return columns and target with a row for each coefficient that says, as loudly as a sample does: it is small."""
+    left = target - theta[:, mine] @ least_squares(theta[:, mine], target)
+    small = torch.diag(left.norm() / math.sqrt(max(count, 1)) / share)
+    return torch.cat([theta, small]), torch.cat([target, torch.zeros_like(share)])
 
 
 def _best_subset(

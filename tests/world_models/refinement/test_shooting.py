@@ -18,7 +18,7 @@ from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement.descent import Descent
 from dynasindy.world_models.refinement.flow import Estimate, Flow
 from dynasindy.world_models.refinement.pushes import Noise
-from dynasindy.world_models.refinement.shooting import RunsAway, certainty, cost_of, linearise, move
+from dynasindy.world_models.refinement.shooting import RunsAway, certainty, cost_of, left_over, linearise, move
 from dynasindy.world_models.refinement.trajectory import refine_trajectory
 from dynasindy.world_models.refinement.windows import Windows
 from dynasindy.world_models.regression.sensitivity import Parameters
@@ -186,11 +186,31 @@ def test_the_start_of_a_state_that_forgets_it_within_a_sample_stays_near():
     assert float(moved.xi[2, 1]) == pytest.approx(100.0, rel=0.02)
 
 
+@pytest.mark.parametrize("joined", [True, False])
+def test_a_coefficient_that_is_likely_to_be_small_counts_as_one_measurement_more(joined):
+    # y' = c is linear in all unknowns: starts and c by least squares, with one row that says c = 0, 0.4 on either side.
+    y = np.random.default_rng(3).normal(size=8)
+    data = Transitions.from_trajectory(torch.from_numpy(y).unsqueeze(-1), torch.zeros(7, 1).double(), 0.5)
+    windows = replace(Windows.of(data, 7, joined), likely=column(1.0, 1.0, 0.4, 1.0))
+    parameters = Parameters.where(torch.tensor([[False], [False], [True], [False]]))
+    estimate = Estimate(LIBRARY, column(0.0, 0.0, 3.0, 0.0), torch.zeros(1, 1).double())
+    model = linearise(Flow.of(estimate, parameters, windows), torch.tensor([2.0]).double())
+    found = move(Flow.of(estimate, parameters, windows), model, torch.arange(len(model.scale)))
+    rows = np.concatenate([np.stack([np.ones(8), 0.5 * np.arange(8)], -1) / 2.0, [[0.0, 1 / 0.4]]])
+    start, slope = np.linalg.lstsq(rows, np.append(y / 2.0, 0.0), rcond=None)[0]
+    assert found.xi[2, 0].item() == pytest.approx(slope) and found.nodes.item() == pytest.approx(start)
+    missed = np.square((y - 3.0 * 0.5 * np.arange(8)) / 2.0).sum()
+    assert model.cost == pytest.approx(missed + (3.0 / 0.4) ** 2)
+    bare = linearise(Flow.of(estimate, parameters, replace(windows, likely=None)), torch.tensor([2.0]).double())
+    assert left_over(model, windows) - left_over(bare, windows) == pytest.approx(0.5 * (3.0 / 0.4) ** 2)
+
+
 @pytest.mark.parametrize(
     ("joined", "made_white"),
     [
         *((joined, made) for joined in (True, False) for made in ({}, {"lasting": column(0.6)[0]})),
         (False, {"noise": Noise(column(0.1)[0], column(2.0)[0])}),
+        *((joined, {"likely": column(1.0, 0.5, 1.0, 1.0)}) for joined in (True, False)),
     ],
 )
 def test_the_cost_of_a_trial_is_that_of_its_linear_model(joined, made_white):
