@@ -27,6 +27,7 @@ from dynasindy.evaluation.rows import Row, append_rows
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
+from dynasindy.workbench import identify, read
 from dynasindy.world_models.models.bounded import stays_near
 from dynasindy.world_models.models.sindy import SindyModel
 from dynasindy.world_models.refinement.delay import delayed
@@ -88,13 +89,23 @@ def _columns(path: Path) -> Mapping[str, Array]:
 def _fitted(model: SindyModel, data: Transitions) -> tuple[SindyModel, Row]:
     start = time.process_time()
     model.fit(data)
-    facts: Row = {
+    return model, _facts(model, start)
+
+
+def _facts(model: SindyModel, start: float) -> Row:
+    print(*model.equations(), sep="\n", flush=True)
+    return {
         "coefficients": int((model.coefficients[model.constraints.free] != 0).sum()),
         "delay_seconds": round(model.delay, 6),
         "cpu_seconds": round(time.process_time() - start, 1),
     }
-    print(*model.equations(), sep="\n", flush=True)
-    return model, facts
+
+
+def _by_default(paths: Sequence[Path]) -> tuple[SindyModel, Row]:
+    """Return what a user gets who knows nothing of a plant, its order of states that of the logs, rates last."""
+    start = time.process_time()
+    model = identify(read([str(path) for path in paths]), tell=print)
+    return model, _facts(model, start)
 
 
 def _simulated(model: System, x0: Tensor, data: Transitions, substeps: int) -> Tensor:
@@ -241,6 +252,7 @@ def qube(folder: Path) -> list[Row]:
     models: dict[str, tuple[System, Row]] = {}
     for name, allowed in (("ours", own), ("linear", {"dtheta": linear, "dalpha": linear})):
         models[name] = _fitted(_model(allowed), train)
+    models["ours by default"] = _by_default([folder / f"qube_{name}.csv" for name in ("train_1", "train_2")])
     models["published physics"] = (PublishedQube(signature), {})
     models["pysindy"] = (
         _pysindy(_model(own), train, lambda model: _together(ahead(model, logs["train_1"], logs["train_2"])[0][0])),

@@ -60,12 +60,13 @@ def ahead(model: System, train: Transitions, test: Transitions) -> tuple[Tensor,
     to that moment; its process noise is the one that suits the training log.
 
     Args:
-        model: what predicts.
+        model: what predicts; its states are both angles and their rates, in this order.
         train: log on which the filter is set.
         test: log to predict, from every 0.1 s after the first half second.
     """
-    channels: Any = {"theta": {"resolution": STEP}, "alpha": {"resolution": STEP}}
-    sensors = Sensors(channels=channels, rates={"theta": "dtheta", "alpha": "dalpha"})
+    names = model.signature.state_names
+    channels: Any = {name: {"resolution": STEP} for name in names[:2]}
+    sensors = Sensors(channels=channels, rates=dict(zip(names[:2], names[2:], strict=True)))
     delay = float(getattr(model, "delay", 0.0))
     env = cast(Any, SimpleNamespace(dt=train.dt, substeps=2, stops=None))
     if delay:
