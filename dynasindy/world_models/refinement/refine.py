@@ -91,7 +91,8 @@ class Refinement:
             The default is `auto` for the method `auto`, and `simulation` for others.
         correlated: whether a coefficient of `trajectory` must be worth the more, the longer errors last: every model
             of a real plant leaves over more than noise. With noise alone it changes nothing. If not, every sample
-            counts.
+            counts. By default it must in windows that begin anew, where errors last no longer than a window; what
+            pushes a plant may last through one simulation, beside which no function would be worth anything.
 
     Raises:
         ValueError: a setting is not allowed.
@@ -103,7 +104,7 @@ class Refinement:
     window: int = 20
     longest_delay: float | None = 0.0
     error: Literal["auto", "simulation", "coloured", "prediction", "innovation"] | None = None
-    correlated: bool = True
+    correlated: bool | None = None
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -249,11 +250,11 @@ class Refinement:
 
     def _by_trajectories(self, first: Model, rough: float, constraints: Constraints, recording: Recording) -> Refined:
         """Return the model that trajectories tell, the delay, and which error was minimised if that was chosen."""
-        descent = Descent(min(self.window, int(recording.known.sum())), correlated=self.correlated)
+        descent = Descent(min(self.window, int(recording.known.sum())), correlated=bool(self.correlated))
         kinds = {
             "simulation": descent,
             "coloured": replace(descent, coloured=True),
-            "prediction": replace(descent, joined=False),
+            "prediction": replace(descent, joined=False, correlated=self.correlated is not False),
             "innovation": replace(descent, joined=False, pushed=True),
         }
         error = self.error or ("auto" if self.method == "auto" else "simulation")
