@@ -7,8 +7,10 @@ of an angle, is a priori normally distributed about zero, its standard deviation
 equation, both as root-mean-squares over the data. Where data tell a coefficient the prior changes nothing: it acts as
 one measurement more. Where they do not, it keeps the coefficient small, so that functions can be dropped one by one.
 
-Other functions have no prior. Powers of a state that stays far from zero cancel one another by nature, as those of the
-speed of a turbine do, and so do temperatures in deg C; sine and cosine have their zero from the plant.
+An angle is what stands in a sine, a cosine or a quotient of the library. All functions of it are treated alike, its
+powers among them: with a prior on the sines alone a fit would rather take the angle, which grows where a sine does not.
+Functions of other states have no prior. Powers of a state that stays far from zero cancel one another by nature, as
+those of the speed of a turbine do, and so do temperatures in deg C.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ def shares(library: Library) -> Tensor:
     Args:
         library: candidate functions.
     """
-    turned = [any(factor.function.startswith(TURNED) for factor in feature.factors) for feature in library.features]
+    factors = (factor for feature in library.features for factor in feature.factors)
+    angles = {name for factor in factors if factor.function.startswith(TURNED) for name in factor.variables}
+    turned = [bool(angles & feature.variables) for feature in library.features]
     return torch.where(torch.tensor(turned), SHARE, torch.inf).to(torch.float64)
 
 

@@ -33,8 +33,9 @@ def test_a_term_is_likely_to_be_some_times_the_rate_of_change_of_its_equation():
     rate = 1.0 / 0.5
     turned = [math.sin(value) * u for value, u in zip((0, 1, 3, 100), (2, -2, 2, 9), strict=True)]
     sizes = [math.sqrt(sum(v**2 for v in column) / 4) for column in (turned, map(math.cos, (0, 1, 3, 100)))]
-    # Powers of states and inputs have none.
-    expected = [math.inf, math.inf, *(SHARE * rate / size for size in sizes)]
+    sizes.insert(0, math.sqrt((0 + 1 + 9 + 100**2) / 4))
+    # A constant has none.
+    expected = [math.inf, *(SHARE * rate / size for size in sizes)]
     assert found[:, 0].tolist() == pytest.approx(expected)
     assert found[:, 1].tolist() == [math.inf] * 4  # b does not move, and tells no size
 
@@ -59,11 +60,13 @@ def test_noise_of_single_samples_is_no_rate_of_change():
 
 
 def test_functions_of_angles_have_a_prior_and_others_have_none():
-    words = ["1", "a", "a^2", "a u", "tanh(20 b)", "b |b|", "sin(a)", "cos(a) b", "sin(2 a) u"]
+    words = ["1", "b", "b^2", "u", "tanh(20 b)", "b |b|", "a", "a^2 u", "sin(a)", "cos(a) b", "sin(2 a) u"]
     found = shares(Library(SIGNATURE, [parse(word) for word in words]))
-    assert found.tolist() == [math.inf] * 6 + [SHARE] * 3
+    assert found.tolist() == [math.inf] * 6 + [SHARE] * 5
+    # Where nothing is turned by a state it is no angle.
+    assert shares(Library(SIGNATURE, [parse(word) for word in words[:8]])).isinf().all()
     library = mechanical(Signature(("p", "q", "v", "w"), ("rad", "rad", "rad/s", "rad/s"), ("u",), (1,) * 4))
-    turned = ["sin" in name or "cos" in name for name in library.names]
+    turned = [any(name in words for name in "pq") for words in (feature.variables for feature in library.features)]
     assert (shares(library) == SHARE).tolist() == turned and sum(turned) > 50
 
 
