@@ -4,7 +4,6 @@ import ast
 import os
 import sys
 from collections.abc import Sequence
-from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from stopping import listen, stop  # isort: split
 from reader import while_read
 
 import dynasindy
+from dynasindy.nearest import did_you_mean
 
 COMMANDS = (
     "train",
@@ -69,8 +69,7 @@ def main() -> None:
             return
     name, *rest = words
     if name not in COMMANDS:
-        guess = get_close_matches(name, COMMANDS, 1)
-        hint = f"; did you mean '{guess[0]}'?" if guess else ""
+        hint = did_you_mean(name, COMMANDS)
         print(f"error: '{name}' is no command; there are {', '.join(COMMANDS)}{hint}", file=sys.stderr)
         sys.exit(2)
     sys.argv[1:] = rest

@@ -12,6 +12,7 @@ from dynasindy.nearest import did_you_mean
         ("omega", "; did you mean 'Omega'?"),
         ("THETA_RATE", "; did you mean 'theta_rate'?"),
         ("pressure", ""),
+        (1, ""),
     ],
 )
 def test_the_nearest_name_is_offered_and_none_that_is_far(name, hint):

@@ -214,11 +214,11 @@ def _held(signature: Signature) -> SindyModel:
 
 
 def replayed(before: Array, q: Array) -> float:
-    """Return the RMSE of places [m] that another log foretells because it shows the same motion [mm].
+    """Return the RMSE [mm] if another log, in which the axis moves alike, is taken as the prediction of a log.
 
     Args:
-        before: places of the other log, `(M,)`.
-        q: places that are foretold, `(N,)`; compared as far as both logs go.
+        before: Places of the axis in the other log [m], `(M,)`.
+        q: Places that are foretold [m], `(N,)`; they are compared as far as both logs go.
     """
     both = min(len(before), len(q))
     return 1e3 * float(np.sqrt(np.mean((before[:both] - q[:both]) ** 2)))

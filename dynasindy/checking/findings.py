@@ -30,7 +30,7 @@ REMEDIES = {
     "one coefficient": f"The size of these changes is fixed, so longer data do not help. {VARIED}",
     "all coefficients": VARIED,
     "settling": "For a plant that is not as the model says, try planning.variation.parameters=0.2, or give the "
-    "controller integral action, as docs/check.md shows",
+    "controller integral action, as the page on checks shows",
     "recovery": "Switch the controller on near the middle of the targets, or give plant.start the range from which it "
     "is to come back, and train anew",
 }

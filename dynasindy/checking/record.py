@@ -51,7 +51,9 @@ def record(found: Check, findings: Sequence[Finding] = ()) -> dict[str, Any]:
             "change": label,
             "spectral_radius": number(float(others.worst[k])),
             "steady_error": _named(outputs, others.farthest[k]),
-            "settling": None if others.settling is None else number(float(others.settling[:, k].amax())),
+            "settling": None
+            if others.settling is None or others.worst[k] >= 1
+            else number(float(others.settling[:, k].amax())),
         }
         for k, label in enumerate(others.labels)
     ]

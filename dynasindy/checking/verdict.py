@@ -218,17 +218,19 @@ def _changes(found: Check, limits: Thresholds) -> list[Finding]:
 
 
 def _settling(found: Check, limits: Thresholds) -> list[Finding]:
-    times = found.spread.settling
-    if times is None or len(times[0]) < 2:
+    times, stays = found.spread.settling, found.spread.worst < 1  # what is not stable has no end of a step
+    if times is None or not bool(stays.any()):
         return []
-    slowest, own = float(times[:, :-1].amax()), float(times[:, -1].amax())
-    label = found.spread.labels[int(times[:, :-1].amax(0).argmax())]
+    others = times[:, :-1].amax(0).where(stays, -1.0)
+    slowest, own = float(others.amax()), float(times[:, -1].amax())
+    label, count = found.spread.labels[int(others.argmax())], int(stays.sum())
+    left = "" if bool(stays.all()) else " that are stable"
     end = f"more than {in_words(LONGEST * found.seconds, digits=2)}"
     shown, model = (in_words(time, digits=3) if time < math.inf else end for time in (slowest, own))
     words = (
         f"between opposite targets, limits of inputs apart, all but {100 * CLOSED:g} % of the way is done after "
-        f"{model} with the model, and after {shown} with the slowest of {len(times[0]) - 1} plants with other "
-        f"coefficients, {label}; threshold: {in_words(limits.settled * found.seconds, digits=3)}"
+        f"{model} with the model, and after {shown} with the slowest of {count} plants with other "
+        f"coefficients{left}, {label}; threshold: {in_words(limits.settled * found.seconds, digits=3)}"
     )
     return [Finding("settling", slowest <= limits.settled * found.seconds, words)]
 

@@ -114,7 +114,7 @@ class Foreign(System):
         except (gymnasium.error.Error, ModuleNotFoundError, TypeError) as error:
             reason = (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")
             # Gymnasium's own words install a MuJoCo that TorchRL cannot be imported with.
-            reason = reason.replace('"gymnasium[mujoco]"', '-e ".[mujoco]"')
+            reason = reason.replace('"gymnasium[mujoco]"', "'dynasindy[mujoco]'")
             raise ValueError(
                 f"env.id={self.id}: {reason}; give an environment that gymnasium.make can build"
             ) from error

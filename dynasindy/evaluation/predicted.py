@@ -105,7 +105,8 @@ class Prediction:
         for name in flown[0].share:
             shares = [100 * _number(flight.share[name]) for flight in flown]
             worst = max(100 * _number(flight.worst[name]) for flight in flown)
-            ends = f"{min(shares):.2g} to {max(shares):.2g} %"
+            both = dict.fromkeys(f"{end:.2g}" for end in (min(shares), max(shares)))  # one of them where they are alike
+            ends = f"{' to '.join(both)} %"
             over = self.overshoot.get(name, 0.0)
             beyond = f", after it overshot by {over:.2g} % of the step" if over > OVERSHOT else ""
             step = 100 * self.resolved.get(name, 0.0)

@@ -162,7 +162,7 @@ class Sensors:
         if absent := [name for name in channels if name not in signature.state_names]:
             raise ValueError(
                 f"sensors.channels measures '{absent[0]}', which is no state; the states are "
-                f"{', '.join(signature.state_names)}{did_you_mean(str(absent[0]), signature.state_names)}"
+                f"{', '.join(signature.state_names)}{did_you_mean(absent[0], signature.state_names)}"
             )
         return {signature.state_index(name): _channel(name, given) for name, given in channels.items()}
 

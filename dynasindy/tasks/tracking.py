@@ -99,7 +99,7 @@ class Tracking(Task):
             if absent := [name for name in names if name not in allowed]:
                 raise ValueError(
                     f"task.{key} names '{absent[0]}', which is no state; the states are "
-                    f"{', '.join(signature.state_names)}{did_you_mean(str(absent[0]), signature.state_names)}"
+                    f"{', '.join(signature.state_names)}{did_you_mean(absent[0], signature.state_names)}"
                 )
         self.begins = bool(start)
         self.output_names = tuple(outputs)

@@ -9,6 +9,7 @@ import torch
 
 from dynasindy.checking import Thresholds, verdict
 from dynasindy.checking.check import Settings, check
+from dynasindy.checking.record import record
 from dynasindy.checking.settling import settling
 
 
@@ -48,3 +49,10 @@ def test_a_cart_on_a_spring_settles_as_its_eigenvalues_on_paper_say(loops, carts
     slow = torch.full_like(found.spread.settling, math.inf)
     (line,) = (e for e in verdict(replace(found, spread=replace(found.spread, settling=slow))) if e.name == "settling")
     assert line.weak and "more than 120 s with the model" in line.words
+    part = found.spread.radius.clone()
+    part[0, 0] = 1.01  # at one of both targets the first plant is not stable
+    (line,) = (e for e in verdict(replace(found, spread=replace(found.spread, radius=part))) if e.name == "settling")
+    assert "the slowest of 3 plants with other coefficients that are stable, force in v' -20 %" in line.words
+    assert record(replace(found, spread=replace(found.spread, radius=part)))["changes"][0]["settling"] is None
+    none = replace(found.spread, radius=torch.full_like(part, 1.01))
+    assert "settling" not in [each.name for each in verdict(replace(found, spread=none))]

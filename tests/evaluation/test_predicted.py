@@ -242,7 +242,7 @@ def test_models_of_which_some_are_held_ask_for_a_better_log_and_not_for_a_longer
 
 def test_a_prediction_says_when_the_end_is_and_how_far_a_flight_went_beyond_its_target():
     told = Prediction((seen(0.001),), seconds=400.0, overshoot={"theta": 62.0}).words()
-    assert "CONTROLLED: errors at the end of flights of 400 s: theta 0.1 to 0.1 % of the target range" in told
+    assert "CONTROLLED: errors at the end of flights of 400 s: theta 0.1 % of the target range" in told
     assert told.endswith("0.3 % at worst, after it overshot by 62 % of the step")
     assert "overshot" not in Prediction((seen(0.001),), seconds=400.0, overshoot={"theta": 19.0}).words()
 

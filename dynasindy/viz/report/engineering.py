@@ -45,14 +45,14 @@ def real_logs(results: Results) -> Section:
 
     words = (
         "Logs of real plants: models are fitted to the training log, and predict a test log that no fit has seen. "
-        "The last scores are drawn; those of earlier settings, and what was chosen after a look at one of them, stand "
-        "in `docs/results/README.md`."
+        "The last score of each is drawn. Variants, whose names go on behind a comma, stand in "
+        "`docs/results/README.md`: earlier settings, what was chosen after a look at a score, and single trials."
     )
     return Section("Beyond the paper: logs of real plants", [Text(words), *each(_of, *((rig,) for rig in RIGS))])
 
 
 def scored(rows: Sequence[Mapping[str, str]]) -> list[Mapping[str, str]]:
-    """Return the rows of errors on a test log, the newest of each model; names with a comma are earlier settings."""
+    """Return the rows of errors on a test log, the newest of each model; names with a comma are variants of one."""
     kept = (row for row in rows if row["metric"] in SHOWN and "," not in row["model"])
     return list({(row["metric"], row["model"]): row for row in kept}.values())
 
