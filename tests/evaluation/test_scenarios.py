@@ -357,7 +357,7 @@ def test_of_an_angle_that_goes_over_many_turns_errors_are_shares_of_one_turn() -
         found = held(result, torch.tensor([True, True]))
         assert found.turned == (["theta"] if box > 6 else [])
         told = Prediction((found,), result).words()
-        assert ("1 to 1 % of a turn on average" in told) is (box > 6)
+        assert ("1 % of a turn on average" in told) is (box > 6)
 
 
 def test_an_evaluation_tells_the_bounds_of_its_outputs() -> None:
