@@ -2,7 +2,8 @@
 
 The logs are not part of the project; `--data` names the folder that holds them. Where they come from, and what was
 measured, stands in docs/results/README.md. Beside our models stand a linear model fitted in the same way, PySINDy with
-the same functions at its best threshold, the last value held and, where there is one, the published physics.
+the same functions at its best threshold (of the tanks with functions of the reading and its rate, as it takes no hidden
+state), the last value held and, where there is one, the published physics.
 """
 
 from __future__ import annotations
@@ -21,30 +22,23 @@ from torch import Tensor
 
 from dynasindy.benchmarks.instruments.axis import published_axis, steady_force
 from dynasindy.benchmarks.instruments.commit import commit
+from dynasindy.benchmarks.instruments.open_loop import simulated
 from dynasindy.benchmarks.instruments.qube import PublishedQube, ahead
-from dynasindy.benchmarks.instruments.rivals import THRESHOLDS, stlsq
+from dynasindy.benchmarks.instruments.rivals import pysindy_of
+from dynasindy.benchmarks.instruments.tanks import FINE, FIRST, linear_tanks, pysindy_tanks, reading_error, states_of
 from dynasindy.evaluation.rows import Row, append_rows
 from dynasindy.systems.base import Signature, System
-from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
 from dynasindy.workbench import identify, read
 from dynasindy.world_models.models.bounded import stays_near
 from dynasindy.world_models.models.sindy import SindyModel
-from dynasindy.world_models.refinement.delay import delayed
-from dynasindy.world_models.refinement.measured import rates_known, reconstruct
 from dynasindy.world_models.refinement.refine import Refinement
 from dynasindy.world_models.regression.regression import Regression
 
 Array = NDArray[np.float64]
 COLUMNS = ("rig", "model", "metric", "value", "unit", "coefficients", "delay_seconds", "cpu_seconds", "commit")
-FIRST = 20
-"""Samples at the beginning of a log from which its start state is read."""
-
-
 SPRING = 0.5
 """Spring that holds the EMPS axis in a simulation [1/s^2]: pieces of the training log that were held out chose it."""
-FINE = 8
-"""Runge-Kutta steps in a sample of the tanks, whose sensor follows within a second."""
 
 
 @dataclass(frozen=True)
@@ -108,37 +102,6 @@ def _by_default(paths: Sequence[Path]) -> tuple[SindyModel, Row]:
     return model, _facts(model, start)
 
 
-def _simulated(model: System, x0: Tensor, data: Transitions, substeps: int) -> Tensor:
-    """Return the states of an open-loop simulation, `(N + 1, n_x)`, under the inputs as they take effect."""
-    late = delayed(data, float(getattr(model, "delay", 0.0)))
-    states = [x0]
-    with torch.no_grad():
-        for u in late.u:
-            x = states[-1]
-            for _ in range(substeps):
-                x = rk4(model, x, u, data.dt / substeps)
-            states.append(x)
-    return torch.stack(states)
-
-
-def _pysindy(model: SindyModel, data: Transitions, score: Callable[[SindyModel], float]) -> SindyModel:
-    """Return PySINDy's model of the same functions: smoothed states, the threshold that is best on the training log."""
-    import pysindy
-
-    guess = reconstruct(data, rates_known(model.library, model.constraints), True)
-    theta, dx = model.library(guess.x, guess.u), (guess.x_next - guess.x) / data.dt
-    found = []
-    for threshold in (*THRESHOLDS, 0.01, 0.001):
-        norms = dx.norm(dim=0).clamp_min(1e-300)
-        optimizer = pysindy.STLSQ(threshold=threshold / 100, alpha=0, normalize_columns=True)
-        xi = stlsq((theta, dx / norms), optimizer) * norms
-        theirs = SindyModel(model.signature, model.library)
-        theirs.set_coefficients(torch.where(model.constraints.offset.any(0), model.constraints.offset, xi))
-        if bool((theirs.coefficients != 0).any(0).all()):
-            found.append((score(theirs), theirs))
-    return min(found, key=lambda pair: pair[0])[1]
-
-
 def emps(folder: Path) -> list[Row]:
     """Measure the EMPS axis: position over the whole test log, simulated open loop from its start [mm]."""
     signature = Signature(("q", "v"), ("m", "m/s"), ("u",), (0.25, 0.15))
@@ -164,7 +127,7 @@ def emps(folder: Path) -> list[Row]:
         # A cubic, as the axis gathers speed there: a line would find the mean speed of the samples, not the first one.
         slope, place = np.polyfit(log.dt * np.arange(FIRST), q[:FIRST], 3)[2:]
         data = log.thinned(2)
-        path = _simulated(model, torch.tensor([place, slope]), data, 2)[:, 0].numpy()
+        path = simulated(model, torch.tensor([place, slope]), data, 2)[:, 0].numpy()
         error = np.sqrt(np.mean((path - q[::2][: len(path)]) ** 2))
         return float(1e3 * error) if np.isfinite(error) else float("inf")
 
@@ -182,7 +145,7 @@ def emps(folder: Path) -> list[Row]:
             | facts
             for log in ("train", "test")
         ]
-    others = {"pysindy": _pysindy(_model(words), data, lambda model: _error(model, "train"))}
+    others = {"pysindy": pysindy_of(_model(words), data, lambda model: _error(model, "train"))}
     others["published physics"] = published_axis(signature)
     for name, other in others.items():
         rows += [_row(name, f"{log} simulated, RMSE", _error(other, log), "mm") for log in ("train", "test")]
@@ -255,7 +218,7 @@ def qube(folder: Path) -> list[Row]:
     models["ours by default"] = _by_default([folder / f"qube_{name}.csv" for name in ("train_1", "train_2")])
     models["published physics"] = (PublishedQube(signature), {})
     models["pysindy"] = (
-        _pysindy(_model(own), train, lambda model: _together(ahead(model, logs["train_1"], logs["train_2"])[0][0])),
+        pysindy_of(_model(own), train, lambda model: _together(ahead(model, logs["train_1"], logs["train_2"])[0][0])),
         {},
     )
     rows: list[Row] = []
@@ -329,34 +292,15 @@ def tanks(folder: Path) -> list[Row]:
     )
     if not stays_near(model, logs["train"][0], torch.tensor([10.0, 1.0, 6.0, 6.0], dtype=torch.float64), FINE):
         print("under an input of the training log that is held, this model runs away", flush=True)
+    others = {"ours": (model, facts), "linear": _fitted(linear_tanks(), states_of(logs["train"][0], [0, -1]))}
+    others["pysindy"] = (pysindy_tanks(*logs["train"]), {})
     rows: list[Row] = []
-    for name, (data, level) in logs.items():
-        error = _best_start(model, data, level)
-        rows.append(_row("ours", f"{name} simulated, RMSE", error, "V") | facts)
+    for who, (found, told) in others.items():
+        for name, (data, level) in logs.items():
+            rows.append(_row(who, f"{name} simulated, RMSE", reading_error(found, data, level), "V") | told)
     level = logs["test"][1]
     held = float(np.sqrt(np.mean((level - level[0]) ** 2)))
     return [*rows, _row("last value held", "test simulated, RMSE", held, "V")]
-
-
-def _best_start(model: SindyModel, data: Transitions, level: Array) -> float:
-    """Return the error of the reading, its sensor ending at 10 V, from the levels that fit the first samples."""
-    from scipy.optimize import least_squares
-
-    def _path(start: Array, n: int) -> Array:
-        part = data.select(torch.arange(len(data)) < n)
-        x0 = torch.tensor([*start.tolist(), level[0], level[0]], dtype=torch.float64)
-        readings: Array = _simulated(model, x0, part, FINE)[:, 3].clamp_max(10.0).numpy()
-        return readings
-
-    def _error(start: Array) -> Array:
-        error: Array = _path(start, FIRST) - level[: FIRST + 1]
-        return error
-
-    # Within the play the reading does not move with the level: the fit begins from several places below the rim.
-    starts = (least_squares(_error, np.array([upper, level[0] - 5]), diff_step=1e-3) for upper in (2.0, 4.0, 6.0))
-    found = min(starts, key=lambda fit: float(fit.cost)).x
-    error = np.sqrt(np.mean((_path(found, len(data)) - level) ** 2))
-    return float(error)
 
 
 def _row(model: str, metric: str, value: float, unit: str) -> Row:

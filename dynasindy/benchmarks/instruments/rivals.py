@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -13,7 +14,8 @@ from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.measured import Seen, reconstruct
+from dynasindy.world_models.models.sindy import SindyModel
+from dynasindy.world_models.refinement.measured import Seen, rates_known, reconstruct
 from dynasindy.world_models.regression.regression import Rows, integral_form, simpson_form
 
 Score = tuple[int, int, float]
@@ -29,6 +31,31 @@ def score(found: Tensor, truth: Tensor) -> Score:
     true, mine = truth != 0, found != 0
     worst = ((found - truth)[true] / truth[true]).abs().max()
     return int((true & mine).sum()), int((mine & ~true).sum()), float(worst)
+
+
+def pysindy_of(model: SindyModel, data: Transitions, score: Callable[[SindyModel], float]) -> SindyModel:
+    """Return PySINDy's model of the same functions: smoothed states, the threshold whose score is the least.
+
+    Args:
+        model: Names the functions, and what is known of the equations; it is not fitted.
+        data: Training log, NaN where a state was not measured.
+        score: Error of a model on the training log.
+    """
+    import pysindy
+
+    guess = reconstruct(data, rates_known(model.library, model.constraints), True)
+    theta, dx = model.library(guess.x, guess.u), (guess.x_next - guess.x) / data.dt
+    found: list[tuple[float, SindyModel]] = []
+    for threshold in (*THRESHOLDS, 0.01, 0.001):
+        norms = dx.norm(dim=0).clamp_min(1e-300)
+        optimizer = pysindy.STLSQ(threshold=threshold / 100, alpha=0, normalize_columns=True)
+        xi = stlsq((theta, dx / norms), optimizer) * norms
+        theirs = SindyModel(model.signature, model.library)
+        theirs.set_coefficients(torch.where(model.constraints.offset.any(0), model.constraints.offset, xi))
+        alike = any(torch.equal(theirs.coefficients, other.coefficients) for _, other in found)
+        if not alike and bool((theirs.coefficients != 0).any(0).all()):
+            found.append((score(theirs), theirs))
+    return min(found, key=lambda pair: pair[0])[1]
 
 
 def given_rows(library: Library, data: Transitions) -> Rows:
