@@ -25,8 +25,16 @@ from dynasindy.benchmarks.instruments.commit import commit
 from dynasindy.benchmarks.instruments.open_loop import simulated
 from dynasindy.benchmarks.instruments.qube import PublishedQube, ahead
 from dynasindy.benchmarks.instruments.rivals import pysindy_of
-from dynasindy.benchmarks.instruments.tanks import FINE, FIRST, linear_tanks, pysindy_tanks, reading_error, states_of
-from dynasindy.evaluation.rows import Row, append_rows
+from dynasindy.benchmarks.instruments.tanks import (
+    FINE,
+    FIRST,
+    linear_tanks,
+    pysindy_tanks,
+    reading_errors,
+    rms,
+    states_of,
+)
+from dynasindy.evaluation.rows import Row, append_rows, read_rows, write_rows
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.workbench import identify, read
@@ -37,6 +45,11 @@ from dynasindy.world_models.regression.regression import Regression
 
 Array = NDArray[np.float64]
 COLUMNS = ("rig", "model", "metric", "value", "unit", "coefficients", "delay_seconds", "cpu_seconds", "commit")
+COURSES = ("rig", "model", "seconds", "error", "unit", "commit")
+POINTS = 250
+"""Errors of each model over the test log that are kept, evenly spread."""
+Found = tuple[list[Row], list[Row]]
+"""Scores, and errors over the test log."""
 SPRING = 0.5
 """Spring that holds the EMPS axis in a simulation [1/s^2]: pieces of the training log that were held out chose it."""
 
@@ -68,9 +81,14 @@ def main(arguments: argparse.Namespace) -> None:
     """Fit and score rigs, and append a row per rig, model and metric."""
     torch.set_num_threads(1)
     for rig in arguments.rigs:
-        for row in RIGS[rig](arguments.data):
-            append_rows(arguments.out, COLUMNS, [{"rig": rig, **row, "commit": commit()}])
+        rows, courses = RIGS[rig](arguments.data)
+        append_rows(arguments.out, COLUMNS, [{"rig": rig, **row, "commit": commit()} for row in rows])
+        for row in rows:
             print(", ".join(f"{key} {value}" for key, value in row.items()), flush=True)
+        if courses:
+            path = arguments.out.with_name(f"{arguments.out.stem}_over_time.csv")
+            others = [row for row in read_rows(path) if row["rig"] != rig] if path.exists() else []
+            write_rows(path, COURSES, [*others, *({"rig": rig, **row, "commit": commit()} for row in courses)])
 
 
 def _columns(path: Path) -> Mapping[str, Array]:
@@ -102,7 +120,7 @@ def _by_default(paths: Sequence[Path]) -> tuple[SindyModel, Row]:
     return model, _facts(model, start)
 
 
-def emps(folder: Path) -> list[Row]:
+def emps(folder: Path) -> Found:
     """Measure the EMPS axis: position over the whole test log, simulated open loop from its start [mm]."""
     signature = Signature(("q", "v"), ("m", "m/s"), ("u",), (0.25, 0.15))
     # Friction grows with the speed otherwise forth than back. Powers of the speed are left out: beyond the speeds of
@@ -121,15 +139,18 @@ def emps(folder: Path) -> list[Row]:
         # The force in 100 N.
         logs[name] = Log(y, columns["u_force"][:, None] / 100, 1e-3)
 
-    def _error(model: System, name: str) -> float:
+    def _errors(model: System, name: str) -> Array:
         log = logs[name]
         q = log.y[:, 0]
         # A cubic, as the axis gathers speed there: a line would find the mean speed of the samples, not the first one.
         slope, place = np.polyfit(log.dt * np.arange(FIRST), q[:FIRST], 3)[2:]
         data = log.thinned(2)
         path = simulated(model, torch.tensor([place, slope]), data, 2)[:, 0].numpy()
-        error = np.sqrt(np.mean((path - q[::2][: len(path)]) ** 2))
-        return float(1e3 * error) if np.isfinite(error) else float("inf")
+        errors: Array = 1e3 * (path - q[::2][: len(path)])
+        return errors
+
+    def _error(model: System, name: str) -> float:
+        return rms(_errors(model, name))
 
     def _model(functions: Sequence[str]) -> SindyModel:
         return SindyModel(signature, functions, Regression("bic"), refinement, known={"q": "v"})
@@ -149,6 +170,7 @@ def emps(folder: Path) -> list[Row]:
     others["published physics"] = published_axis(signature)
     for name, other in others.items():
         rows += [_row(name, f"{log} simulated, RMSE", _error(other, log), "mm") for log in ("train", "test")]
+    rivals = dict(others)
     # With everything scored: what the same functions make of the test log tells whether the axis rubs as before.
     again = "ours, fitted to the test log"
     others[again], _ = _fitted(_model(words), logs["test"].thinned(5))
@@ -157,11 +179,16 @@ def emps(folder: Path) -> list[Row]:
         force = steady_force(fits["ours"] if name == "ours" else others[again], speed)
         rows.append(_row(name, f"force at {speed} m/s", force, "N"))
     q = logs["test"].y[:, 0]
+    held = 1e3 * (q[0] - q)
+    drawn = {"ours": fits["ours"], "linear": fits["linear"], **rivals}
+    courses = [
+        row for name, model in drawn.items() for row in course(name, _errors(model, "test"), 2 * logs["test"].dt, "mm")
+    ]
     return [
         *rows,
         _row("training log replayed", "test simulated, RMSE", replayed(logs["train"].y[:, 0], q), "mm"),
-        _row("last value held", "test simulated, RMSE", 1e3 * float(np.sqrt(np.mean((q - q[0]) ** 2))), "mm"),
-    ]
+        _row("last value held", "test simulated, RMSE", rms(held), "mm"),
+    ], [*courses, *course("last value held", held, logs["test"].dt, "mm")]
 
 
 def _held(signature: Signature) -> SindyModel:
@@ -187,7 +214,7 @@ def replayed(before: Array, q: Array) -> float:
     return 1e3 * float(np.sqrt(np.mean((before[:both] - q[:both]) ** 2)))
 
 
-def qube(folder: Path) -> list[Row]:
+def qube(folder: Path) -> Found:
     """Measure the QUBE pendulum: both angles 0.2 and 0.5 s ahead, from every 0.1 s of the test log [mrad]."""
     signature = Signature(
         ("theta", "alpha", "dtheta", "dalpha"), ("rad", "rad", "rad/s", "rad/s"), ("u",), (1, 0.2, 3, 3)
@@ -227,7 +254,7 @@ def qube(folder: Path) -> list[Row]:
         for found, who in ((errors, name), (held, "last value held")):
             if who == name or name == "ours":
                 rows += [row | (facts if who == name else {}) for row in _ahead_rows(who, found)]
-    return rows
+    return rows, []
 
 
 def _ahead_rows(model: str, errors: Tensor) -> list[Row]:
@@ -243,7 +270,7 @@ def _together(error: Tensor) -> float:
     return float(error.square().mean().sqrt())
 
 
-def tanks(folder: Path) -> list[Row]:
+def tanks(folder: Path) -> Found:
     """Measure the cascaded tanks: reading of the lower level over the whole test log, simulated from its start [V]."""
     # Level 2 from 5 V, the middle of what its sensor shows; `float` is what the sensor makes of it.
     signature = Signature(("level_1", "level_2", "float", "reading"), ("V",) * 4, ("u",), (10.0, 5.0, 10.0, 10.0))
@@ -295,12 +322,31 @@ def tanks(folder: Path) -> list[Row]:
     others = {"ours": (model, facts), "linear": _fitted(linear_tanks(), states_of(logs["train"][0], [0, -1]))}
     others["pysindy"] = (pysindy_tanks(*logs["train"]), {})
     rows: list[Row] = []
+    courses: list[Row] = []
     for who, (found, told) in others.items():
         for name, (data, level) in logs.items():
-            rows.append(_row(who, f"{name} simulated, RMSE", reading_error(found, data, level), "V") | told)
-    level = logs["test"][1]
-    held = float(np.sqrt(np.mean((level - level[0]) ** 2)))
-    return [*rows, _row("last value held", "test simulated, RMSE", held, "V")]
+            errors = reading_errors(found, data, level)
+            rows.append(_row(who, f"{name} simulated, RMSE", rms(errors), "V") | told)
+        courses += course(who, errors, data.dt, "V")
+    held = level[0] - level
+    rows.append(_row("last value held", "test simulated, RMSE", rms(held), "V"))
+    return rows, [*courses, *course("last value held", held, data.dt, "V")]
+
+
+def course(model: str, errors: Array, dt: float, unit: str) -> list[Row]:
+    """Return rows of errors over a log, evenly spread; one that is not finite, and those behind it, are left out.
+
+    Args:
+        model: What made them.
+        errors: `(N,)`, in `unit`.
+        dt: Time between two of them [s].
+        unit: Of the errors.
+    """
+    kept = np.linspace(0, len(errors) - 1, min(len(errors), POINTS)).round().astype(int)
+    kept = kept[np.isfinite(errors).cumprod().astype(bool)[kept]]
+    return [
+        {"model": model, "seconds": _round(dt * int(k)), "error": _round(float(errors[k])), "unit": unit} for k in kept
+    ]
 
 
 def _row(model: str, metric: str, value: float, unit: str) -> Row:
@@ -311,5 +357,5 @@ def _round(value: float) -> float:
     return float(f"{value:.4g}")
 
 
-RIGS: dict[str, Callable[[Path], list[Row]]] = {"emps": emps, "qube": qube, "tanks": tanks}
+RIGS: dict[str, Callable[[Path], Found]] = {"emps": emps, "qube": qube, "tanks": tanks}
 """The rigs by name."""

@@ -130,7 +130,7 @@ OPTIONS: dict[str, Options] = {
     "rigs": {
         "--data": {"type": Path, "required": True, "help": "folder of the logs"},
         "--rigs": _chosen(RIGS),
-        **_appended("rigs"),
+        **_appended("rigs", "; errors over the test logs lie beside it"),
     },
     "speed": {
         "--seeds": _seeds(3, "seeds of the controllers"),

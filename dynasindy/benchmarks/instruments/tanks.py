@@ -61,7 +61,7 @@ def pysindy_tanks(data: Transitions, level: Array, sets: Sequence[Sequence[str]]
     signature = Signature(("reading", "rate"), ("V", "V/s"), ("u",), (10.0, 0.1))
 
     def _score(model: SindyModel) -> float:
-        return reading_error(model, data, level)
+        return rms(reading_errors(model, data, level))
 
     def _model(words: Sequence[str]) -> SindyModel:
         return SindyModel(signature, words, Regression("bic"), Refinement(), known={"reading": "rate"})
@@ -79,8 +79,8 @@ def states_of(data: Transitions, places: list[int]) -> Transitions:
     return replace(data, x=data.x[:, places], x_next=data.x_next[:, places])
 
 
-def reading_error(model: SindyModel, data: Transitions, level: Array) -> float:
-    """Return the error of the reading, its sensor ending at 10 V, from the hidden states that fit the first samples.
+def reading_errors(model: SindyModel, data: Transitions, level: Array) -> Array:
+    """Return the errors of a simulation of the reading [V], `(N + 1,)`; its hidden states fit the first samples.
 
     Args:
         model: Its states are the `reading`, `float`, what the sensor makes of the lower level, and hidden ones.
@@ -108,5 +108,11 @@ def reading_error(model: SindyModel, data: Transitions, level: Array) -> float:
     starts = [[0.0]] if "rate" in names else [[upper, *lower] for upper in (2.0, 4.0, 6.0)]
     fits = (least_squares(_error, np.array(start), diff_step=1e-3) for start in starts)
     found = min(fits, key=lambda fit: float(fit.cost)).x
-    error = np.sqrt(np.mean((_path(found, len(data)) - level) ** 2))
-    return float(error)
+    errors: Array = _path(found, len(data)) - level
+    return errors
+
+
+def rms(errors: Array) -> float:
+    """Return the root-mean-square of errors; infinite where one is not finite."""
+    found = float(np.sqrt(np.mean(errors**2)))
+    return found if np.isfinite(found) else float("inf")
