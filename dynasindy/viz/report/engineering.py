@@ -9,11 +9,15 @@ from matplotlib.ticker import NullFormatter
 
 from dynasindy.viz.report.document import Part, Picture, Section, Table, Text
 from dynasindy.viz.report.sources import Results, commits, each
-from dynasindy.viz.style import BLACK, BLUE, GREY, panels, styled
+from dynasindy.viz.style import BLACK, BLUE, GREY, panels, styled, time_axis
 
 RIGS_COMMAND = "python scripts/benchmark.py rigs --data FOLDER"
 RIGS = {"emps": "the EMPS axis", "tanks": "the cascaded tanks", "qube": "the QUBE pendulum"}
 """Real plants of which logs were measured."""
+SIMULATED = ("emps", "tanks")
+"""Those that are simulated through the whole test log."""
+OURS = "ours"
+"""How the names of our models begin."""
 ELSEWHERE = {
     "emps": {"best published": 2.64, "best baseline": 5.17},
     "tanks": {"best published": 0.191, "best baseline": 0.396},
@@ -41,7 +45,16 @@ def real_logs(results: Results) -> Section:
         caption = f"Errors of models of {RIGS[rig]} on the test log, fitted to the training log."
         table = results.source("rigs.csv").rstrip(".")
         source = f"{table}, made by `{RIGS_COMMAND}` at commit {commits(found)}."
-        return [Picture(f"rig_{rig}", errors(found, ELSEWHERE.get(rig, {})), caption, source)]
+        scores = Picture(f"rig_{rig}", errors(found, ELSEWHERE.get(rig, {})), caption, source)
+        return [scores, *each(_over_time, (rig,))] if rig in SIMULATED else [scores]
+
+    def _over_time(rig: str) -> list[Part]:
+        rows = [row for row in results.rows("rigs_over_time.csv", RIGS_COMMAND) if row["rig"] == rig]
+        caption = f"Errors of simulations of {RIGS[rig]} over the test log, from its start: simulated less measured."
+        source = (
+            f"{results.source('rigs_over_time.csv').rstrip('.')}, made by `{RIGS_COMMAND}` at commit {commits(rows)}."
+        )
+        return [Picture(f"rig_{rig}_over_time", over_time(rows), caption, source)] if rows else []
 
     words = (
         "Logs of real plants: models are fitted to the training log, and predict a test log that no fit has seen. "
@@ -70,9 +83,7 @@ def errors(rows: Sequence[Mapping[str, str]], elsewhere: Mapping[str, float]) ->
     for axis, metric in zip(axes, metrics, strict=True):
         here = sorted((row for row in rows if row["metric"] == metric), key=lambda row: -float(row["value"]))
         values = [float(row["value"]) for row in here]
-        bars = axis.barh(
-            [row["model"] for row in here], values, color=[BLUE if row["model"] == "ours" else GREY for row in here]
-        )
+        bars = axis.barh([row["model"] for row in here], values, color=[_colour(row["model"]) for row in here])
         axis.bar_label(bars, [row["value"] for row in here], padding=3)
         axis.set_xscale("log")
         axis.xaxis.set_minor_formatter(NullFormatter())  # each bar has its number
@@ -83,6 +94,30 @@ def errors(rows: Sequence[Mapping[str, str]], elsewhere: Mapping[str, float]) ->
         if elsewhere:
             axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     return figure
+
+
+@styled
+def over_time(rows: Sequence[Mapping[str, str]]) -> Figure:
+    """Draw the errors of each model over a log, each in a panel with limits of its own, ours first.
+
+    Args:
+        rows: Rows of a rig with `model`, `seconds`, `error` and `unit`.
+    """
+    models = sorted(dict.fromkeys(row["model"] for row in rows), key=lambda name: not name.startswith(OURS))
+    figure, axes = panels(len(models), size=(7.0, 0.6 + 1.1 * len(models)))
+    for axis, model in zip(axes, models, strict=True):
+        here = [row for row in rows if row["model"] == model]
+        seconds = [float(row["seconds"]) for row in here]
+        axis.plot(seconds, [float(row["error"]) for row in here], color=_colour(model))
+        axis.axhline(0.0, color=BLACK, linewidth=0.6)
+        axis.set_title(model, loc="left")
+        axis.set_ylabel(f"error [{here[0]['unit']}]")
+    time_axis(axes[-1], [float(row["seconds"]) for row in rows])
+    return figure
+
+
+def _colour(model: str) -> str:
+    return BLUE if model.startswith(OURS) else GREY
 
 
 def margins(results: Results) -> Section:

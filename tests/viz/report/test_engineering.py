@@ -43,13 +43,29 @@ def test_bars_are_as_long_as_the_errors_and_lines_stand_where_others_are():
     assert low < 0.191 and high > 2.5
 
 
+def test_errors_over_a_log_are_drawn_with_ours_first(empty):
+    rows = [("tanks", "linear", 0, 0.5, "V", "abc"), ("tanks", "linear", 4, -0.25, "V", "abc")]
+    rows += [("tanks", "ours", 0, 0.0, "V", "abc"), ("tanks", "ours", 4, 0.125, "V", "abc")]
+    header = ("rig", "model", "seconds", "error", "unit", "commit")
+    figure = engineering.over_time([dict(zip(header, map(str, row), strict=True)) for row in rows])
+    assert [axis.get_title(loc="left") for axis in figure.axes] == ["ours", "linear"]
+    assert figure.axes[1].lines[0].get_xydata().tolist() == [[0, 0.5], [4, -0.25]]
+    write(
+        empty, "rigs.csv", RIGS, [row_.values() for row_ in (row("ours", TEST, "0.2"), row("ours", TEST, "3", "qube"))]
+    )
+    write(empty, "rigs_over_time.csv", header, rows)
+    pictures = [picture.name for picture in parts(engineering.real_logs(empty), Picture)]
+    assert pictures == ["rig_tanks", "rig_tanks_over_time", "rig_qube"]
+
+
 def test_a_plant_that_was_not_measured_is_named(empty):
     assert all("rigs --data FOLDER` makes it" in part.words for part in parts(engineering.real_logs(empty), Text)[1:])
     write(empty, "rigs.csv", RIGS, [row("ours", TEST, "0.2").values()])
     section = engineering.real_logs(empty)
     assert [picture.name for picture in parts(section, Picture)] == ["rig_tanks"]
     missing = [part.words for part in parts(section, Text)[1:]]
-    assert len(missing) == 2 and missing[0].endswith("no row of `emps`.") and missing[1].endswith("no row of `qube`.")
+    assert [words.rpartition(" ")[2] for words in missing] == ["`emps`.", "it.", "`qube`."]
+    assert "/rigs_over_time.csv`" in missing[1]
 
 
 def test_the_least_margin_of_any_seed_counts_and_unstable_plants_are_added_up(empty):
