@@ -1,6 +1,7 @@
 """The site builds without a warning, and its generated pages say of every setting what configs and code say."""
 
 import importlib.util
+import json
 import re
 import subprocess
 import sys
@@ -16,18 +17,44 @@ FILES = sorted(CONF.rglob("*.yaml"))
 NEEDED = ("mkdocs", "material", "mkdocstrings")
 
 
-@pytest.fixture(scope="module")
-def settings():
-    """The module that writes the pages on settings."""
-    spec = importlib.util.spec_from_file_location("site_settings", SITE / "settings.py")
+def loaded(name):
+    """Return a module of the site, which is no package."""
+    spec = importlib.util.spec_from_file_location(f"site_{name}", SITE / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     path = list(sys.path)
-    sys.modules["site_settings"] = module
+    sys.modules[f"site_{name}"] = module
     try:
         spec.loader.exec_module(module)
     finally:
         sys.path[:] = path
     return module
+
+
+@pytest.fixture(scope="module")
+def settings():
+    """The module that writes the pages on settings."""
+    return loaded("settings")
+
+
+def notebook(folder, *sources):
+    """Write a notebook of Markdown where a source begins with #, else of code."""
+    cells = [{"cell_type": "markdown" if text[0] == "#" else "code", "source": [text]} for text in sources]
+    (folder / "a.ipynb").write_text(json.dumps({"cells": cells}))
+    return folder / "a.ipynb"
+
+
+def test_a_notebook_s_page_shows_below_each_cell_what_it_prints_and_draws(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    draws = "import matplotlib.pyplot as plt\nplt.plot([1, 2])\nplt.show()"
+    file = notebook(tmp_path, "# Title", "a = 1\nopen('kept.txt', 'w')", "print(f'<{a + 1}>')", draws)
+    parts = loaded("notebooks").page_of(file, run=True).split("\n\n")
+    assert parts[:2] == ["# Title", "```python\na = 1\nopen('kept.txt', 'w')\n```"]
+    assert parts[3] == "<pre><code>&lt;2&gt;</code></pre>" and parts[5].startswith('<img alt="what the cell draws"')
+    assert [path.name for path in tmp_path.iterdir()] == ["a.ipynb"] and Path.cwd() == tmp_path
+    plain = loaded("notebooks").page_of(file, run=False)
+    assert "&lt;2" not in plain and plain.endswith('<a href="../a.ipynb" download>Download this notebook</a>\n')
+    with pytest.raises(ZeroDivisionError):
+        loaded("notebooks").page_of(notebook(tmp_path, "1 / 0"), run=True)
 
 
 def leaves(tree, place=""):

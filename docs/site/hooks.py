@@ -4,7 +4,6 @@ The pages in docs/ link to code and configs as they lie in the repository. On th
 that are generated here; a link to a file that the site does not have becomes plain text.
 """
 
-import json
 import pkgutil
 import posixpath
 import pydoc
@@ -14,6 +13,7 @@ from inspect import isclass, isfunction, ismodule
 from pathlib import Path
 from typing import Any
 
+import notebooks
 import settings
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
@@ -63,7 +63,7 @@ def generated() -> Iterator[tuple[str, str]]:
     for room, modules in rooms().items():
         yield f"{REFERENCE}/{room}.md", _reference(room, modules)
     for notebook in sorted((DOCS / NOTEBOOKS).glob("*.ipynb")):
-        yield f"{NOTEBOOKS}/{notebook.stem}.md", _page_of(notebook)
+        yield f"{NOTEBOOKS}/{notebook.stem}.md", notebooks.page_of(notebook, notebooks.wanted())
     for name, path in ROOT_PAGES.items():
         yield path, (REPOSITORY / name).read_text()
 
@@ -92,17 +92,6 @@ def _front() -> Iterator[str]:
         if callable(thing := getattr(dynasindy, name)):
             words = (thing.__doc__ or "").partition("\n")[0]
             yield f"* [`dynasindy.{name}`][{thing.__module__}.{thing.__qualname__}]: {words}"
-
-
-def _page_of(notebook: Path) -> str:
-    """Return a notebook as a page, without outputs, and where to get it."""
-    cells = json.loads(notebook.read_text())["cells"]
-    parts = [
-        text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```"
-        for cell in cells
-        if (text := "".join(cell["source"]))
-    ]
-    return "\n\n".join([*parts, f'<a href="../{notebook.name}" download>Download this notebook</a>']) + "\n"
 
 
 def _filled(nav: Any, places: dict[str, list[Any]]) -> Any:
