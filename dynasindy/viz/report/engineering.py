@@ -84,7 +84,8 @@ def errors(rows: Sequence[Mapping[str, str]], elsewhere: Mapping[str, float]) ->
         here = sorted((row for row in rows if row["metric"] == metric), key=lambda row: -float(row["value"]))
         values = [float(row["value"]) for row in here]
         bars = axis.barh([row["model"] for row in here], values, color=[_colour(row["model"]) for row in here])
-        axis.bar_label(bars, [row["value"] for row in here], padding=3)
+        clear = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}  # lines of others may run through a number
+        axis.bar_label(bars, [row["value"] for row in here], padding=3, bbox=clear)
         axis.set_xscale("log")
         axis.xaxis.set_minor_formatter(NullFormatter())  # each bar has its number
         for dashes, (words, value) in zip(("--", ":"), elsewhere.items(), strict=False):
