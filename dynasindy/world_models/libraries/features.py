@@ -15,6 +15,7 @@ import math
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -81,7 +82,7 @@ class Factor:
     @property
     def base(self) -> Factor:
         """Return the same factor to the power of one."""
-        return replace(self, power=1)
+        return self if self.power == 1 else replace(self, power=1)
 
     def text(self, latex: bool = False) -> str:
         """Write the factor as a reader would."""
@@ -144,6 +145,11 @@ class Feature:
 
     def name(self) -> str:
         """Write the feature in the names of states and inputs, e.g. `Omega_a^2 sin(alpha_p)`."""
+        return self._name
+
+    @cached_property
+    def _name(self) -> str:
+        """The name, which a library asks for again whenever numbers inside its functions move."""
         return " ".join(f.text() for f in self.factors) or "1"
 
     def latex(self) -> str:

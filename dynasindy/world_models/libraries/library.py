@@ -172,6 +172,8 @@ class Library:
         new = {s: s.with_number(number).frequency for s, number in zip(self.shapes, numbers, strict=True)}
         features = [
             Feature(tuple(replace(f, frequency=new.get(f.base, f.frequency)) for f in feature.factors))
+            if any(f.fitted for f in feature.factors)
+            else feature
             for feature in self.features
         ]
         names = dict(zip(self.names, (f.name() for f in features), strict=True))
