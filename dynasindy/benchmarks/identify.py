@@ -20,6 +20,7 @@ from torch import Tensor
 from dynasindy.benchmarks.instruments import certainty, textbook
 from dynasindy.benchmarks.instruments.arguments import SEEDS
 from dynasindy.benchmarks.instruments.bound import cramer_rao
+from dynasindy.benchmarks.instruments.commit import commit
 from dynasindy.benchmarks.instruments.rivals import (
     Score,
     best_threshold,
@@ -43,6 +44,7 @@ from dynasindy.world_models.regression.sensitivity import Parameters
 KNOWN = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
 HOVER = (-0.12, 0.21)
 RESULTS = Path("docs/results/identification.csv")
+COLUMNS = ("case", "method", "measure", "value", "target", "commit")
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -53,7 +55,7 @@ def main(arguments: argparse.Namespace) -> None:
     rows: list[Row] = []
     for name in arguments.only or CASES:
         for row in CASES[name](arguments.seeds):
-            rows.append({"case": name, **row})
+            rows.append({"case": name, **row, "commit": commit()})
             print(f"{name:<14}{row['method']:<26}{row['measure']:<58}{row['value']:<40}{row['target']}", flush=True)
     if out is None:
         print(f"written to no file: fewer than {SEEDS} seeds; name one by --out")
@@ -68,7 +70,7 @@ def _write(rows: list[Row], path: Path, replace: bool) -> None:
     kept = [] if replace else [row for row in read_rows(path) if row["case"] not in fresh]
     order = {name: k for k, name in enumerate(CASES)}
     ordered = sorted([*kept, *rows], key=lambda row: order.get(row["case"], len(order)))
-    write_rows(path, ["case", "method", "measure", "value", "target"], ordered)
+    write_rows(path, COLUMNS, ordered)
 
 
 def row(method: str, measure: str, value: str, target: str = "") -> Row:

@@ -47,12 +47,15 @@ def test_rows_of_other_cases_stay_in_the_file(tmp_path, monkeypatch):
     path = tmp_path / "table.csv"
     quick = {name: lambda seeds, name=name: [identify.row(name, "m", str(seeds))] for name in ("first", "second")}
     monkeypatch.setattr(identify, "CASES", quick)
+    monkeypatch.setattr(identify, "commit", lambda: "abc")
     identify.main(parsed("identify", ["--seeds", "1", "--out", str(path)]))
+    monkeypatch.setattr(identify, "commit", lambda: "def")
     second = parsed("identify", ["--seeds", "2", "--out", str(path)])
     second.only = ["second"]
     identify.main(second)
     with path.open() as file:
-        assert [(r["case"], r["value"]) for r in csv.DictReader(file)] == [("first", "1"), ("second", "2")]
+        kept = [(r["case"], r["value"], r["commit"]) for r in csv.DictReader(file)]
+    assert kept == [("first", "1", "abc"), ("second", "2", "def")]
 
 
 @pytest.mark.parametrize(("seeds", "written"), [("9", False), ("10", True)])
