@@ -124,6 +124,21 @@ def test_an_error_beyond_ten_ranges_has_run_away_and_the_table_fits_a_terminal()
     assert max(map(len, table(five, SIGNATURE)[1:])) <= 80  # five horizons, the columns of a terminal
 
 
+def test_horizons_that_do_not_fit_beside_each_other_stand_in_a_table_below():
+    five = replace(
+        forecasts(0.002),
+        horizons=(0.1, 0.2, 0.5, 1.0, 2.0),
+        **dict.fromkeys(("model", "linear", "held"), torch.arange(1.0, 6.0)[:, None].expand(5, 3)),
+    )
+    wide, narrow = table(five, SIGNATURE), table(five, SIGNATURE, 60)
+    assert max(map(len, narrow[1:])) <= 60 and narrow[0] == wide[0]
+    heads = [line.split() for line in narrow if line.endswith(" s")]
+    assert heads == [["0.1", "s", "0.2", "s", "0.5", "s"], ["1", "s", "2", "s"]]
+    numbers = [line.split()[1:] for line in narrow if line.startswith("    model")]
+    assert numbers[0] == ["1", "2", "3"] and numbers[-1] == ["4", "5"]
+    assert table(five, SIGNATURE, 80) == wide
+
+
 def test_a_linear_model_that_knows_the_past_far_better_raises_doubts():
     """What is within twice the resolution is as good as a sensor can tell, however near a linear model comes."""
     near, far = torch.tensor([[0.001], [0.002]]), torch.tensor([[0.001], [0.05]])
