@@ -88,7 +88,7 @@ def page() -> str:
             *lines,
             "",
             "What a command makes goes into the folder in which it is called.",
-            'Tab completion in bash, in other shells as Hydra has it: eval "$(dynasindy -sc install=bash)"',
+            'Tab completion in bash: eval "$(dynasindy -sc install=bash)"; fish and zsh work, too.',
         ]
     )
 
