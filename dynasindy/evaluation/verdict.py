@@ -91,7 +91,7 @@ def judge(forecasts: Forecasts, signature: Signature) -> list[str]:
     ours, simple, seen = forecasts.model[k], forecasts.linear[k], _seen(forecasts, signature)
     names, ahead = signature.state_names, in_words(forecasts.horizons[k])
     fine = _fine(forecasts, seen)
-    near = f", {_listed(names, fine)} to what the sensors resolve" if fine else ""
+    near = f", and {_listed(names, fine)} as exactly as the sensors can tell" if fine else ""
     if doubtful:
         return [f"this model is better than the last value held for {ahead}, but it lacks something", *doubtful]
     large = [i for i in seen if i not in fine and float(ours[i]) > SMALL * signature.x_scale[i]]
