@@ -267,13 +267,14 @@ def _progress(file: TextIO) -> Progress:
             """Return a bar where the total is known."""
             return super().render(task) if task.total else ""
 
+    console = _Steady(file=file)
     return Progress(
         SpinnerColumn("line"),
         TimeElapsedColumn(),
-        _Known(bar_width=20),
+        _Known(bar_width=min(20, max(4, console.width - 60))),  # on a narrow terminal words tell more than a bar
         TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1)),
         expand=True,
-        console=_Steady(file=file),
+        console=console,
         transient=True,
         refresh_per_second=4,
         redirect_stdout=is_terminal(sys.stdout),
@@ -316,7 +317,8 @@ def say(*texts: str) -> None:
 def fitted(text: str, columns: int) -> str:
     """Return a text whose lines are no longer than so many columns: equations end between terms, sentences at words.
 
-    A row whose last column is too wide goes on below that column, if it begins in the left half.
+    A row whose last column is too wide goes on below that column, if it begins in the left half, else a little further
+    right than the row itself, so that rows can be told apart.
     A command stays one line, which the terminal wraps: of two lines, a shell would take the second for another command.
     A comment that does not fit behind it stands below it, each of its lines a comment. A table in Markdown that is too
     wide is turned.
@@ -341,8 +343,8 @@ def _broken(whole: str, columns: int) -> list[str]:
     equation = re.match(r"\s*\S+(?:'|\[k\+1\]) = ", whole)
     if equation is None:
         row = COLUMN.match(whole)
-        if row is not None and len(row[0]) <= columns // 2:
-            start = " " * len(row[0])
+        if row is not None:
+            start = " " * len(row[0]) if len(row[0]) <= columns // 2 else f"{start}    "
         return textwrap.wrap(whole, columns, subsequent_indent=start, break_long_words=False, break_on_hyphens=False)
     return _equation(whole, columns, " " * min(len(equation[0]), columns // 3))
 

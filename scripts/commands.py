@@ -82,13 +82,14 @@ def page() -> str:
     lines = [f"  {name:<{width}}  {purpose(name).partition(': `')[0]}" for name in COMMANDS]
     return "\n".join(
         [
-            "Identify nonlinear controlled systems and learn to control them, from little data.",
+            "Identify nonlinear systems and learn to control them, from little data.",
             "",
             "dynasindy COMMAND [--help] [words of the command]",
             *lines,
             "",
             "What a command makes goes into the folder in which it is called.",
-            'Tab completion in bash, in other shells as Hydra has it: eval "$(dynasindy -sc install=bash)"',
+            "Tab completion in bash, in other shells as Hydra has it:",
+            '  eval "$(dynasindy -sc install=bash)"',
         ]
     )
 

@@ -23,7 +23,7 @@ def main(cfg: DictConfig) -> None:
 
     from dynasindy.evaluation.before_fit import before_fit, plants_with
     from dynasindy.evaluation.identification import identify, to_words, write
-    from dynasindy.terminal import say
+    from dynasindy.terminal import say, width
     from dynasindy.told import tell
 
     torch.set_num_threads(cfg.threads)
@@ -48,7 +48,7 @@ def main(cfg: DictConfig) -> None:
     draw(found, source, folder, list(cfg.formats))
     steps = [following(cfg, found, known, before.lacking.shown if found.predicts else before.lacking.with_angles)]
     steps += [with_ends(HydraConfig.get().overrides.task, source.ends)] if source.ends else []
-    say(to_words(found, source), f"written to {folder}", listed(*steps))
+    say(to_words(found, source, width()), f"written to {folder}", listed(*steps))
 
 
 def following(cfg: DictConfig, found: "Identified", known: Sequence[str], rates: Mapping[str, str]) -> str:

@@ -14,7 +14,7 @@ NEXT = {
     "export": "writes the controller as C, for a microcontroller",
 }
 """What a command shows or makes of a run."""
-SMOKE = "experiment=smoke"
+SMOKE = ("experiment=smoke", "experiment=gradient_smoke")
 """What tries every part of a training once."""
 OWN = ("actuators", "folder", "formats", "horizons", "hydra")
 """Words of `identify` that other commands do not have."""
@@ -62,10 +62,10 @@ def mending(folder: object, words: Sequence[str], episodes: int | None = None, c
         episodes: Real episodes of the run; None of a plan from a log.
         checked: Whether there is a controller to look at.
     """
-    if SMOKE in words:
-        whole = _command("train", _without(words, (SMOKE.partition("=")[0], "train.episodes", "folder", "finish")))
+    if tried := next((word for word in words if word in SMOKE), None):
+        whole = _command("train", _without(words, ("experiment", "train.episodes", "folder", "finish")))
         return listed(
-            f"{whole}  # trains in earnest; {SMOKE} only tries whether every part runs, and learns too little"
+            f"{whole}  # trains in earnest; {tried} only tries whether every part runs, and learns too little"
         )
     lines = [f"{_of_run('check', folder)}  # tells at which targets the loop is weak, and how"] if checked else []
     if episodes is not None and not any(word.startswith("resume=") for word in words):

@@ -30,7 +30,7 @@ def main(cfg: DictConfig) -> None:
         )
     settings = {name: OmegaConf.to_container(config) for name, config in configs.items()}
     files = build(Results(results, settings), Path(cfg.output), list(cfg.formats))
-    print(f"{files[0]} and {files[1]}, from {len(settings)} saved runs")
+    print(f"{files[0]} and {files[1]}, from {len(settings)} saved run{'s' * (len(settings) != 1)}")
 
 
 def keep(cfg: DictConfig, target: Path) -> None:

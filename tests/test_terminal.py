@@ -305,12 +305,13 @@ def test_a_terminal_sees_phases_and_what_is_printed_and_keeps_its_cursor(monkeyp
     assert "\x1b[?25l" not in raw
 
 
-def test_the_score_of_a_plan_is_read_in_80_columns(monkeypatch):
-    screen = in_front(monkeypatch, 80)
+@pytest.mark.parametrize("columns", [60, 80])
+def test_the_score_of_a_plan_is_read_on_a_narrow_terminal(monkeypatch, columns):
+    screen = in_front(monkeypatch, columns)
     with Shown() as shown:
         tell("planning", 1000, 1000, "updates", "score -0.0706")
         shown.view.progress.refresh()
-        during = replayed(screen.getvalue(), 80)
+        during = replayed(screen.getvalue(), columns)
     assert during[-1].rstrip().endswith("planning: 1000 of 1000 updates, score -0.0706")
 
 
@@ -363,7 +364,7 @@ def test_a_row_goes_on_below_its_last_column_unless_that_begins_too_far_to_the_r
         "Omega_a'  -9.81 ± 0.03  sin(alpha_p) cos(alpha_p)",
         " " * 24 + "Omega_a",
     ]
-    assert fitted(row, 40).splitlines() == ["Omega_a'  -9.81 ± 0.03  sin(alpha_p)", "cos(alpha_p) Omega_a"]
+    assert fitted(row, 40).splitlines() == ["Omega_a'  -9.81 ± 0.03  sin(alpha_p)", "    cos(alpha_p) Omega_a"]
 
 
 def test_equations_in_discrete_time_end_between_terms_too():

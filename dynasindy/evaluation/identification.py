@@ -313,8 +313,14 @@ def _undelayed(bare: SindyModel, data: Transitions, before: Found) -> tuple[Foun
     return before, None
 
 
-def to_words(found: Identified, source: Source) -> str:
-    """Write equations, fit, identifiability, what the data show, errors, notes and a verdict for a reader."""
+def to_words(found: Identified, source: Source, columns: int | None = None) -> str:
+    """Write equations, fit, identifiability, what the data show, errors, notes and a verdict for a reader.
+
+    Args:
+        found: What was identified.
+        source: The data.
+        columns: Columns of the terminal that the table of errors has to fit; None lets lines be long.
+    """
     signature, shown = source.signature, found.forecasts
     seen = [*found_in_model(found.model, found.report), *verdict.found_in_data(source.training, signature)]
     if found.found is not None and found.found.actuator:
@@ -332,7 +338,7 @@ def to_words(found: Identified, source: Source) -> str:
         "",
     ]
     if shown is not None:
-        lines += verdict.table(shown, signature)
+        lines += verdict.table(shown, signature, columns)
     free = found.metrics["open_loop_nrmse"]
     lines.append(
         f"one prediction of all data that the fit did not see{anew(source.validation)}, relative to the standard "

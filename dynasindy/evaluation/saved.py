@@ -83,10 +83,11 @@ def check_copy(source: Path, target: Path, any_commit: bool = False) -> None:
     made_at = [str(origin[key]) for key in ("commit", "resumed_at_commit") if key in origin]
     commit = next((c for c in made_at if c in ("", "unknown") or c.endswith("-dirty")), None)
     if not any_commit and commit is not None:
-        raise ValueError(
-            f"{source} was made at commit '{commit}', so that nobody can make it again; commit, run it once more, and "
-            "save that, or give any_commit=true"
-        )
+        if commit.endswith("-dirty"):
+            why, instead = f"at commit '{commit}'", "commit, run it once more, and save that, or give any_commit=true"
+        else:
+            why, instead = "by code whose commit is unknown, as that of an installed package", "give any_commit=true"
+        raise ValueError(f"{source} was made {why}, so that nobody can make it again exactly; {instead}")
 
 
 def is_copy(folder: Path) -> bool:

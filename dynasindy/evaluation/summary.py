@@ -85,8 +85,8 @@ def beyond_targets(evaluation: Evaluation) -> list[str]:
         if least < low - room or most > high + room:
             lines.append(
                 f"note: the references of {name} in scenario '{evaluation.scenario}' go from {least:.3g} to {most:.3g} "
-                f"{unit}, and its targets, plant.low and plant.high, from {low:.3g} to {high:.3g} {unit}; what "
-                "plant.signals says counts before these, and train.py plant.signals=null keeps within them"
+                f"{unit}, and its targets, plant.low and plant.high, from {low:.3g} to {high:.3g} {unit}; the first "
+                "follow plant.signals, and a run that is trained with plant.signals=null keeps within the targets"
             )
     return lines
 

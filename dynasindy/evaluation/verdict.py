@@ -36,39 +36,49 @@ COARSE = 5e-3
 """Part of what a state covers in a log from which on the step of its sensor may shift coefficients."""
 HELPFUL = 0.5
 """Part of the error of the last value held that a model may have that predicts."""
+CELL = 11
+"""Columns of a number in the table of errors."""
 
 
-def table(forecasts: Forecasts, signature: Signature) -> list[str]:
+def table(forecasts: Forecasts, signature: Signature, columns: int | None = None) -> list[str]:
     """Write the errors over all horizons: of the model, of a linear one, and of the last value held, a line each.
 
     A linear model may run away without ever being infinite: beyond `LOST` ranges of a state its error is no number.
+
+    Args:
+        forecasts: The errors.
+        signature: Names and units of the states.
+        columns: Columns of the terminal; horizons that do not fit beside each other stand in a table below. None
+            lets lines be long.
     """
     kinds = {
         "model": forecasts.model,
         "linear model": forecasts.linear,
         "last value held": forecasts.held,
     }
-    wide, heads = max(map(len, kinds)) + 2, [in_words(horizon) for horizon in forecasts.horizons]
+    wide, heads = max(map(len, kinds)) + 4, [in_words(horizon) for horizon in forecasts.horizons]
+    beside = len(heads) if columns is None else max(1, (columns - wide - 2) // CELL)
     fine = (forecasts.resolution < FINEST * torch.tensor(signature.x_scale)).tolist()
     lines = [
         f"RMS error of predictions that begin at {forecasts.starts} samples which the fit did not see; the linear "
-        f"model predicts from {forecasts.order} past samples; over the first",
-        f"  {'':<{wide + 2}}{''.join(f'{head:>11}' for head in heads)}",
+        f"model predicts from {forecasts.order} past samples; over the first"
     ]
-    for i, (name, unit) in enumerate(zip(signature.state_names, signature.state_units, strict=True)):
-        if bool(forecasts.held[:, i].isnan().all()):
-            continue
-        told = (
-            "whose sensor shows no noise"
-            if fine[i]
-            else f"the sensor resolves {_short(float(forecasts.resolution[i]))}"
-        )
-        lines.append(f"  {name} [{unit}], {told}")
-        most = LOST * signature.x_scale[i]
-        for kind, found in kinds.items():
-            errors = [float(found[k, i]) for k in range(len(forecasts.horizons))]
-            cells = (_short(math.inf if error > most else error) for error in errors)
-            lines.append(f"    {kind:<{wide}}{''.join(f'{cell:>11}' for cell in cells)}")
+    for some in (range(len(heads))[first : first + beside] for first in range(0, len(heads), beside)):
+        lines.append(f"  {'':<{wide}}{''.join(f'{heads[k]:>{CELL}}' for k in some)}")
+        for i, (name, unit) in enumerate(zip(signature.state_names, signature.state_units, strict=True)):
+            if bool(forecasts.held[:, i].isnan().all()):
+                continue
+            told = (
+                "whose sensor shows no noise"
+                if fine[i]
+                else f"the sensor resolves {_short(float(forecasts.resolution[i]))}"
+            )
+            lines.append(f"  {name} [{unit}], {told}")
+            most = LOST * signature.x_scale[i]
+            for kind, found in kinds.items():
+                errors = [float(found[k, i]) for k in some]
+                cells = (_short(math.inf if error > most else error) for error in errors)
+                lines.append(f"    {kind:<{wide - 2}}{''.join(f'{cell:>{CELL}}' for cell in cells)}")
     return lines
 
 
@@ -81,7 +91,7 @@ def judge(forecasts: Forecasts, signature: Signature) -> list[str]:
     ours, simple, seen = forecasts.model[k], forecasts.linear[k], _seen(forecasts, signature)
     names, ahead = signature.state_names, in_words(forecasts.horizons[k])
     fine = _fine(forecasts, seen)
-    near = f", {_listed(names, fine)} to what the sensors resolve" if fine else ""
+    near = f", and {_listed(names, fine)} as exactly as the sensors can tell" if fine else ""
     if doubtful:
         return [f"this model is better than the last value held for {ahead}, but it lacks something", *doubtful]
     large = [i for i in seen if i not in fine and float(ours[i]) > SMALL * signature.x_scale[i]]

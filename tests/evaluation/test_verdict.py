@@ -42,8 +42,8 @@ def forecasts(q: float, w: float = 20.0, linear: float = 1.0) -> Forecasts:
 @pytest.mark.parametrize(
     ("q", "said"),
     [
-        (0.002, "this model predicts 2 s ahead, q, w to what the sensors resolve"),
-        (0.04, "this model predicts 2 s ahead, w to what the sensors resolve"),
+        (0.002, "this model predicts 2 s ahead, and q, w as exactly as the sensors can tell"),
+        (0.04, "this model predicts 2 s ahead, and w as exactly as the sensors can tell"),
         (0.06, "this model does not predict: over 2 s it misses q by 0.06 rad; the last value held misses 0.1"),
         (math.inf, "this model does not predict: within 2 s q runs away"),
     ],
@@ -56,13 +56,15 @@ def test_the_horizons_of_a_slow_plant_are_told_in_hours():
     shown = forecasts(0.002)
     hours = tuple(3600 * horizon for horizon in shown.horizons)
     slow = replace(shown, horizons=hours, characteristic=3600 * shown.characteristic)
-    assert judge(slow, SIGNATURE) == ["this model predicts 2 h ahead, q, w to what the sensors resolve"]
+    assert judge(slow, SIGNATURE) == ["this model predicts 2 h ahead, and q, w as exactly as the sensors can tell"]
     assert table(slow, SIGNATURE)[1].split() == ["12", "min", "2", "h", "5", "h"]
 
 
 def test_a_linear_model_that_is_better_is_said_to_be():
     (said,) = judge(forecasts(0.04, linear=0.03), SIGNATURE)
-    assert said.startswith("this model predicts 2 s ahead, w to what the sensors resolve, but a linear model on past ")
+    assert said.startswith(
+        "this model predicts 2 s ahead, and w as exactly as the sensors can tell, but a linear model on past "
+    )
     assert "better, as it misses q by 0.03 rad instead of 0.04: a function is missing" in said
     assert len(judge(forecasts(0.04, linear=0.039), SIGNATURE)) == 1
     lacking, why = judge(forecasts(0.04, linear=0.01), SIGNATURE)
@@ -122,6 +124,21 @@ def test_an_error_beyond_ten_ranges_has_run_away_and_the_table_fits_a_terminal()
         found, horizons=(0.1, 0.2, 0.5, 1.0, 2.0), **dict.fromkeys(("model", "linear", "held"), torch.ones(5, 3))
     )
     assert max(map(len, table(five, SIGNATURE)[1:])) <= 80  # five horizons, the columns of a terminal
+
+
+def test_horizons_that_do_not_fit_beside_each_other_stand_in_a_table_below():
+    five = replace(
+        forecasts(0.002),
+        horizons=(0.1, 0.2, 0.5, 1.0, 2.0),
+        **dict.fromkeys(("model", "linear", "held"), torch.arange(1.0, 6.0)[:, None].expand(5, 3)),
+    )
+    wide, narrow = table(five, SIGNATURE), table(five, SIGNATURE, 60)
+    assert max(map(len, narrow[1:])) <= 60 and narrow[0] == wide[0]
+    heads = [line.split() for line in narrow if line.endswith(" s")]
+    assert heads == [["0.1", "s", "0.2", "s", "0.5", "s"], ["1", "s", "2", "s"]]
+    numbers = [line.split()[1:] for line in narrow if line.startswith("    model")]
+    assert numbers[0] == ["1", "2", "3"] and numbers[-1] == ["4", "5"]
+    assert table(five, SIGNATURE, 80) == wide
 
 
 def test_a_linear_model_that_knows_the_past_far_better_raises_doubts():

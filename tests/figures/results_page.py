@@ -161,7 +161,7 @@ def _gradient_words() -> Iterator[Tie]:
     (push,) = set(GUST.values())
     yield Tie(PAGE, "a gust of {} rad/s^2 on both axes", (str(push),))
     band = inspect.signature(IntegralAction).parameters["band"].default
-    yield Tie(PAGE, "but its band of {} rad", (short(band, 2),))
+    yield Tie(PAGE, "has a band of {} rad", (short(band, 2),))
     plain = gradient("detuned", "tras", scenario="detuned_gust")[0]
     assert plain["seed"] == "0"
     yield Tie(

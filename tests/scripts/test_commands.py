@@ -81,6 +81,10 @@ def test_no_help_imports_what_takes_seconds(commands, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_the_first_page_of_help_fits_80_columns(commands):
+    assert max(map(len, commands.page().split("\n"))) <= 80
+
+
 def test_a_wrong_key_is_found_before_torch_is_imported(tmp_path):
     code = "import sys; sys.argv = ['train', 'sed=1']\nimport train\ntry: train.main()\nfinally: print(*sys.modules)"
     environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'scripts'}"}

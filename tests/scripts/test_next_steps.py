@@ -83,8 +83,10 @@ def test_a_plant_that_is_not_controlled_is_offered_a_look_and_more_episodes_but_
     head, check, more = steps.mending("runs/a b", words, 2).split("\n")
     assert head == "next:" and shlex.split(check)[:3] == ["python", "scripts/check.py", "run=runs/a b"]
     assert more.startswith("  python scripts/train.py system=xi hydra.run.dir=x train.episodes=4  # flies more")
-    tried = steps.mending("a", ["system=xi", "experiment=smoke", "train.episodes=2", "seed=3"], 2).split("\n")
-    assert tried[1].startswith("  python scripts/train.py system=xi seed=3  # trains in earnest;") and len(tried) == 2
+    for smoke in ("experiment=smoke", "experiment=gradient_smoke"):
+        tried = steps.mending("a", ["system=xi", smoke, "train.episodes=2", "seed=3"], 2).split("\n")
+        assert len(tried) == 2 and f"{smoke} only tries" in tried[1]
+        assert tried[1].startswith("  python scripts/train.py system=xi seed=3  # trains in earnest;")
     assert steps.mending("a", ["resume=a"], 2).count("\n") == 1  # a run that goes on takes no other settings
     assert (
         steps.mending("a", [], 1, checked=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from dynasindy.viz.report.document import Part, Picture, Section, Table, Text
 from dynasindy.viz.report.sources import Results, commits, each
@@ -85,12 +85,16 @@ def errors(rows: Sequence[Mapping[str, str]], elsewhere: Mapping[str, float]) ->
         values = [float(row["value"]) for row in here]
         bars = axis.barh([row["model"] for row in here], values, color=[_colour(row["model"]) for row in here])
         clear = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}  # lines of others may run through a number
-        axis.bar_label(bars, [row["value"] for row in here], padding=3, bbox=clear)
+        axis.bar_label(bars, [f"{value:g}" for value in values], padding=3, bbox=clear)
         axis.set_xscale("log")
         axis.xaxis.set_minor_formatter(NullFormatter())  # each bar has its number
         for dashes, (words, value) in zip(("--", ":"), elsewhere.items(), strict=False):
             axis.axvline(value, color=BLACK, linestyle=dashes, label=f"{words}, {value:g} {here[0]['unit']}")
-        axis.set_xlim(0.5 * min([*values, *elsewhere.values()]), 2 * max([*values, *elsewhere.values()]))
+        low, high = 0.5 * min([*values, *elsewhere.values()]), 2 * max([*values, *elsewhere.values()])
+        axis.set_xlim(low, high)
+        if high / low < 100:  # a single power of ten, or two, tell no scale
+            axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_xlabel(f"{metric} [{here[0]['unit']}]")
         if elsewhere:
             axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)

@@ -43,6 +43,17 @@ def test_bars_are_as_long_as_the_errors_and_lines_stand_where_others_are():
     assert low < 0.191 and high > 2.5
 
 
+def test_bars_have_at_least_two_labels_below_them_and_no_digit_that_was_not_measured():
+    rows = [row("ours", TEST, "72.37"), row("held", TEST, "2409.0")]
+    for few in (rows[:1], rows):
+        figure = engineering.errors(few, {})
+        (axis,) = figure.axes
+        low, high = axis.get_xlim()
+        shown = [place for place in axis.get_xticks() if low <= place <= high]
+        assert len(shown) >= 2 and all(axis.xaxis.get_major_formatter()(place) for place in shown)
+    assert {text.get_text() for text in axis.texts} == {"72.37", "2409"}
+
+
 def test_errors_over_a_log_are_drawn_with_ours_first(empty):
     rows = [("tanks", "linear", 0, 0.5, "V", "abc"), ("tanks", "linear", 4, -0.25, "V", "abc")]
     rows += [("tanks", "ours", 0, 0.0, "V", "abc"), ("tanks", "ours", 4, 0.125, "V", "abc")]
