@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from dynasindy.checking.linear import LAST
+from dynasindy.checking.linear import ending
 from dynasindy.checking.loop import Loop
 from dynasindy.told import counted
 
@@ -41,16 +41,20 @@ class Flights:
     limits: Tensor
 
     @property
+    def last(self) -> int:
+        """How many samples at the end count as steady."""
+        return ending(self.u.shape[1], self.dt)
+
+    @property
     def steady_error(self) -> Tensor:
         """Mean absolute error of each output over the last seconds, `(rows, n_r)`; infinite where a flight diverged."""
-        last = max(1, round(LAST / self.dt))
-        error = (self.x[:, -last:, self.outputs] - self.r.unsqueeze(1)).abs().mean(1)
+        error = (self.x[:, -self.last :, self.outputs] - self.r.unsqueeze(1)).abs().mean(1)
         return error.nan_to_num(torch.inf, torch.inf)
 
     @property
     def end(self) -> Tensor:
         """Mean of each output over the last seconds, `(rows, n_r)`."""
-        return self.x[:, -max(1, round(LAST / self.dt)) :, self.outputs].mean(1)
+        return self.x[:, -self.last :, self.outputs].mean(1)
 
     @property
     def slew(self) -> Tensor:
@@ -69,12 +73,12 @@ def gone(y: Tensor, r: Tensor, reach: Tensor, dt: float) -> Tensor:
     """Return which flights have run away: they end out of reach of their target, or in no number, bool `(rows,)`.
 
     Args:
-        y: Outputs, `(rows, T, n_r)`.
+        y: Outputs, `(rows, T + 1, n_r)`.
         r: Their targets, `(n_r,)`.
         reach: Distance of each output from its target beyond which it is out of reach, `(n_r,)`.
         dt: Time between two samples [s].
     """
-    end = y[:, -max(1, round(LAST / dt)) :]
+    end = y[:, -ending(y.shape[1] - 1, dt) :]
     return ~((end - r).abs() <= reach).all(-1).all(-1)
 
 

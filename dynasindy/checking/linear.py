@@ -28,7 +28,9 @@ LARGEST = 0.3
 STILL = 1e-8
 """What a loop at rest may move in a control period [ranges]."""
 LAST = 2.0
-"""Length of the end of a run in which its steady error is read [s]."""
+"""Longest end of a run in which its steady error is read [s]."""
+SHARE = 0.25
+"""Largest share of a run that it takes: a fast plant is flown for less than `LAST`, and its way is no steady error."""
 SETTLED = 600
 """Control periods after which the covariance of the observer is taken as steady."""
 
@@ -203,11 +205,22 @@ def rest(loop: Loop, r: Tensor, start: Rest | None = None, seconds: float = 20.0
     return Rest(found, covariance, u, still, error, linear.finite())
 
 
+def ending(periods: int, dt: float) -> int:
+    """Return how many control periods the end of a run has, in which its steady error is read.
+
+    Args:
+        periods: Control periods of the run.
+        dt: Control period [s].
+    """
+    return max(1, min(round(LAST / dt), round(SHARE * periods)))
+
+
 def _run(
     loop: Loop, z: Tensor, covariance: Tensor, r: Tensor, seconds: float, known: int, say: Say
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Let loops run; return vectors, covariances, and the mean absolute error over the last seconds, `(rows, n_r)`."""
-    steps, last = math.ceil(seconds / loop.dt), math.ceil(LAST / loop.dt)
+    steps = math.ceil(seconds / loop.dt)
+    last = ending(steps, loop.dt)
     errors: list[Tensor] = []
     for k in range(steps):
         say(known, f"{k} of {steps} control periods of flights of the {len(r)} that are left")

@@ -84,6 +84,12 @@ def infer(
             "as numbers, ON and OFF as 1 and 0"
         )
     named = {*_names(inputs or ()), *_names(states or ())}
+    empty = _empty(look, clock.heading)
+    if blank := [name for name in empty if name in named]:
+        raise ValueError(
+            f"{path}: the column {blank[0]} holds no number, only cells that are empty or NaN; allowed are columns of "
+            "numbers: log what it should hold, or leave it out"
+        )
     still = {name: look.still[c.name] for name, c in others.items() if c.name in look.still and name not in named}
     counts = [name for name, c in others.items() if c.name in look.counting and name not in named]
     if inputs is None:
@@ -95,7 +101,7 @@ def infer(
         left = chosen(left, states, path, "data.states")
         still = {name: value for name, value in still.items() if INPUT.fullmatch(name)}
         counts = [name for name in counts if INPUT.fullmatch(name)]
-    out = _left_out(still, counts, {name: text for name, text in words.items() if name not in dates})
+    out = _left_out(still, counts, {name: text for name, text in words.items() if name not in dates}, empty)
     if dates := dates if timed else dates[1:]:  # the first is the time where nothing else is
         out.append(f"left out, as they hold dates, and the time is another column: {', '.join(dates)}")
     if not left or not found or not timed:
@@ -109,7 +115,15 @@ def _names(named: Collection[str]) -> set[str]:
     return {split_unit(name)[0] for name in named}
 
 
-def _left_out(still: Mapping[str, float], counts: Sequence[str], words: Mapping[str, str]) -> list[str]:
+def _empty(look: Survey, clock: str) -> list[str]:
+    """Return the names of columns, other than the time, below whose heading stands nothing, or NaN alone."""
+    names = [split_unit(h)[0] for h in look.headings if h and h not in {*look.numeric, *look.worded, clock}]
+    return [name for name in names if name != clock]
+
+
+def _left_out(
+    still: Mapping[str, float], counts: Sequence[str], words: Mapping[str, str], empty: Sequence[str]
+) -> list[str]:
     """Say which columns were left out, and why."""
     notes = []
     if still:
@@ -126,6 +140,8 @@ def _left_out(still: Mapping[str, float], counts: Sequence[str], words: Mapping[
         notes.append(
             f"left out, as they hold words and no numbers: {told}; write ON and OFF as 1 and 0 to have them read"
         )
+    if empty:
+        notes.append(f"left out, as cells that are empty or NaN are all that they hold: {', '.join(empty)}")
     return notes
 
 
@@ -145,9 +161,11 @@ def _lacking(
     moving = [name for name in look.numeric if name not in {*look.still, *look.counting, clock}]
     if timed and len(moving) < 2:
         beside = f"besides {clock}, the time, {f'only {moving[0]}' if moving else 'nothing'} changes"
+        driven = [split_unit(name)[0] for name in moving] == list(inputs) != []
+        lack = "what the plant does" if driven else "the command that moves the plant"
         return (
-            f"{begin}; {beside}. Allowed are one state or more and one input or more: log the command that moves the "
-            f"plant, too, for without one nothing can be identified.{left_out}"
+            f"{begin}; {beside}. Allowed are one state or more and one input or more: log {lack}, too, for without one "
+            f"nothing can be identified.{left_out}"
         )
     lacking = _LACKING["time" if not timed else "inputs" if not inputs else "states"].format(clock=clock)
     guess = guessed(Path(path), look, clock if timed else None, inputs, dt) if look.numeric else ""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.checking.flights import Flights, fly, recovery
+from dynasindy.checking.flights import Flights, fly, gone, recovery
 from dynasindy.systems import Stops
 
 
@@ -32,6 +32,19 @@ def test_error_slew_and_saturation_are_counted():
     assert narrow.saturated.flatten().tolist() == [0.25, 0.05]
     falling = replace(flights, u=torch.linspace(0.9, 0.8, 40, dtype=torch.float64).reshape(1, 40, 1))
     assert falling.slew.item() == pytest.approx(0.9)  # the first command comes from zero, and the last goes nowhere
+
+
+def test_the_way_of_a_fast_plant_is_no_steady_error():
+    # 0.8 s of a plant that is 1 away for 0.1 s, and then rests 0.01 beside its target.
+    x = torch.full((1, 401, 1), 0.01, dtype=torch.float64)
+    x[:, :50] = 1.0
+    full = torch.tensor([[-1.0], [1.0]])
+    flights = Flights(x, torch.zeros(1, 400, 1, dtype=torch.float64), torch.zeros(1, 1), [0], 0.002, full)
+    assert flights.steady_error.item() == pytest.approx(0.01)
+    assert flights.end.item() == pytest.approx(0.01)
+    assert not gone(x, torch.zeros(1), torch.tensor([0.5]), 0.002).any()
+    slow = replace(flights, dt=0.05)  # 20 s: the last 2 s count
+    assert slow.last == 40
 
 
 def test_a_law_that_is_too_weak_for_a_hill_loses_the_plant_beyond_a_line(loops, carts, law):

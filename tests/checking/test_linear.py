@@ -99,10 +99,12 @@ def test_a_loop_that_nothing_stops_has_no_rest(loops, law):
     assert not bool(rest(loops(law(0.0, 0.0, bias=0.5)), targets(0.3), seconds=1.0).still.any())
 
 
-def test_the_error_of_a_loop_without_rest_is_that_of_its_last_two_seconds(loops, law):
-    # p = 0.5 t^2 / 2 from its target on: the mean over the last 20 of 30 control periods of 0.1 s.
-    found = rest(loops(law(0.0, 0.0, bias=0.5)), targets(0.3), seconds=3.0)
-    assert found.error.item() == pytest.approx(np.mean([0.25 * (0.1 * k) ** 2 for k in range(11, 31)]), rel=1e-6)
+@pytest.mark.parametrize(("seconds", "first", "last"), [(10.0, 81, 100), (3.2, 25, 32)])
+def test_the_error_of_a_loop_without_rest_is_that_of_its_last_two_seconds_or_quarter(loops, law, seconds, first, last):
+    # p = 0.5 t^2 / 2 from its target on, with control periods of 0.1 s.
+    found = rest(loops(law(0.0, 0.0, bias=0.5)), targets(0.3), seconds=seconds)
+    expected = np.mean([0.25 * (0.1 * k) ** 2 for k in range(first, last + 1)])
+    assert found.error.item() == pytest.approx(expected, rel=1e-6)
 
 
 def test_slopes_that_are_not_finite_count_as_none():

@@ -64,3 +64,20 @@ def test_a_counter_of_rows_beside_the_time_is_no_state_unless_it_is_named(tmp_pa
     with pytest.raises(ValueError, match=r"each row, as a counter of rows does: row;") as error:
         infer(path)
     assert str(error.value).endswith("'data.inputs=[volt]' 'data.states=[angle,rate]'")
+
+
+def test_a_column_of_nan_alone_is_told_and_refused_where_it_is_named(tmp_path):
+    path = tmp_path / "log.csv"
+    rows = [f"{0.1 * k},{math.sin(k)},NaN,{math.cos(k)}" for k in range(20)]
+    path.write_text("\n".join(["time,angle [rad],speed [rpm],volts [V]", *rows]))
+    notes: list[str] = []
+    states, inputs = infer(str(path), inputs=["volts"], notes=notes)
+    assert list(states) == ["angle"] and list(inputs) == ["volts"]
+    assert notes == ["left out, as cells that are empty or NaN are all that they hold: speed"]
+    for states_, inputs_ in ((["angle", "speed"], ["volts"]), (None, ["speed [rpm]"])):
+        with pytest.raises(ValueError, match=r"the column speed holds no number, only cells .*; allowed are .*: log"):
+            infer(str(path), states=states_, inputs=inputs_)
+    path.write_text("\n".join(["time,speed [rpm],volts [V]", *(f"{0.1 * k},,{math.cos(k)}" for k in range(20))]))
+    with pytest.raises(ValueError, match=r"log what the plant does, too, .* that they hold: speed\.") as error:
+        infer(str(path), inputs=["volts"])
+    assert "the command" not in str(error.value)
