@@ -108,12 +108,16 @@ def restarts(parts: Bench, rows: TensorDict) -> str:
     last = rows["next", "state"][ends]
     units = zip(signature.state_names, signature.state_units, low.tolist(), high.tolist(), strict=True)
     why = [
-        f"{name} beyond {a:g} to {b:g} {unit} {int(beyond)} times"
+        f"{name} beyond {a:g} to {b:g} {unit} {_times(int(beyond))}"
         for (name, unit, a, b), beyond in zip(units, (~((last >= low) & (last <= high))).sum(0).tolist(), strict=True)
         if beyond
     ]
-    times = "once" if len(ends) == 1 else f"{len(ends)} times"
-    return f"The excitation ended early and began anew at the start {times}: {', '.join(why) or 'an episode was over'}."
+    reasons = ", ".join(why) or "an episode was over"
+    return f"The excitation ended early and began anew at the start {_times(len(ends))}: {reasons}."
+
+
+def _times(n: int) -> str:
+    return "once" if n == 1 else f"{n} times"
 
 
 def left_out(rows: TensorDict) -> str:

@@ -28,6 +28,8 @@ from dynasindy.viz.style import (
 
 FEW_DECADES = 1000.0
 """Ends of an axis nearer to each other than this factor have few powers of ten between them."""
+BESIDE = 0.2
+"""Room for the number beside the last dot, as a share of the decades between the first and the last dot."""
 CLEAR = 1.1
 """An end of an axis lies beyond every value by this factor at least: what lies on the frame is not seen."""
 
@@ -153,7 +155,8 @@ def _rows(
     seen = values[np.isfinite(values) & (values > 0)]
     if len(seen):
         axis.set_xscale("log")
-        axis.set_xlim(*_around(np.append(seen, 2 * seen.max())))  # room for the figures beside the dots
+        room = max(2.0, (seen.max() / seen.min()) ** BESIDE)  # for the figures beside the dots
+        axis.set_xlim(*_around(np.append(seen, room * seen.max())))
 
 
 def _around(values: Array) -> tuple[float, float]:

@@ -65,9 +65,16 @@ def test_a_plant_that_falls_is_caught_after_its_first_fall():
     assert excited["action"][begins[-2] :].std() > 0.05  # the signal goes on, on top of the loop
     times = "once" if len(lengths) == 2 else f"{len(lengths) - 1} times"
     assert restarts(experiment, excited) == (
-        f"The excitation ended early and began anew at the start {times}: theta beyond -0.5 to 0.5 rad "
-        f"{len(lengths) - 1} times."
+        f"The excitation ended early and began anew at the start {times}: theta beyond -0.5 to 0.5 rad {times}."
     )
+
+
+def test_a_bound_that_was_left_once_is_told_in_words():
+    experiment = parts(Inverted(), bounds={"theta": 0.5})
+    excited = excite(experiment)
+    first = int((excited["step_count"][1:, 0] == 0).nonzero()[0]) + 1
+    told = restarts(experiment, excited[: first + 1])
+    assert told.endswith("anew at the start once: theta beyond -0.5 to 0.5 rad once.")
 
 
 def test_a_plant_that_falls_is_caught_by_its_encoder_alone():
