@@ -139,13 +139,18 @@ def _paper_in_full() -> Iterator[Tie]:
         last = max(int(row["episode"]) for row in rows("paper_in_full.csv", setting=run, seed=seed))
         shown = [f" {after(run, seed, at)} " if at <= last else " " for at in (60, 180, 220, 600, 1200)]
         yield Tie(PAGE, f"| {run.removeprefix('rollouts_')}, {seed} |" + "{}|" * len(shown), tuple(shown))
-    runs = [*(("rollouts_800", seed) for seed in (0, 1, 2)), ("rollouts_400", 0), ("rollouts_0", 0), ("rollouts_0", 1)]
+    runs = [("rollouts_800", 0), ("rollouts_800", 1), ("rollouts_800", 2), ("rollouts_400", 0)]
+    runs += [("rollouts_0", 0), ("rollouts_0", 1), ("rollouts_0", 2)]
     ends = [after(*run, 1200, 4) for run in runs]
-    words = "With 800 rollouts they end at {}, at {} and at {}, with 400 at {}, without rollouts at {} and at {}."
+    words = "With 800 rollouts they end at {}, at {} and at {}, with 400 at {}, "
+    words += "without rollouts at {}, at {} and at {}."
     yield Tie(PAGE, words, tuple(ends))
     yield Tie(PAGE, "was stopped after 840 episodes, at {}.", (after("rollouts_400", 1, 840, 4),))
     worse = [max(float(row[axis]) for axis in ("azimuth", "pitch")) for row in map(partial(_last, 1200), runs)]
-    assert max(worse[:3]) < worse[3] < min(worse[4:]) and min(worse[:3]) > 0.05  # as the page says
+    close = tuple(f"{value:.3f}".lstrip("0") for value in (max(worse[:3]), min(worse[4:])))
+    yield Tie(PAGE, "is ahead of the best of the others by little ({} against {})", close)
+    # As the page says.
+    assert max(worse[:3]) < min(worse[4:]) < worse[3] < sorted(worse[4:])[1] and min(worse[:3]) > 0.05
 
 
 def _last(episode: int, run: tuple[str, int]) -> dict[str, str]:
