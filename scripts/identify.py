@@ -22,7 +22,8 @@ def main(cfg: DictConfig) -> None:
     import torch
 
     from dynasindy.evaluation.before_fit import before_fit, plants_with
-    from dynasindy.evaluation.identification import identify, to_words, write
+    from dynasindy.evaluation.identification import identify
+    from dynasindy.evaluation.written import to_words, write
     from dynasindy.terminal import say, width
     from dynasindy.told import tell
 
@@ -92,7 +93,7 @@ def draw(found: "Identified", source: "Source", folder: Path, formats: list[str]
     import torch
 
     from dynasindy import viz
-    from dynasindy.evaluation.identification import anew
+    from dynasindy.evaluation.written import anew
 
     training, validation = source.training, source.validation
     shown, against = ("log", "the log") if source.logged else ("plant", "the plant")

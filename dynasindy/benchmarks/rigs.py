@@ -131,26 +131,10 @@ def emps(folder: Path) -> Found:
     # Ripple of the screw and friction push the axis at random: of a trajectory through the whole log they leave a
     # drift, which gain and friction would be bent to. Predictions are over 1 s.
     refinement = Refinement("trajectory", window=200, error="prediction")
-    logs = {}
-    for name in ("train", "test"):
-        columns = _columns(folder / f"emps_{name}.csv")
-        y = np.full((len(columns["q"]), 2), np.nan)
-        y[:, 0] = columns["q"]
-        # The force in 100 N.
-        logs[name] = Log(y, columns["u_force"][:, None] / 100, 1e-3)
-
-    def _errors(model: System, name: str) -> Array:
-        log = logs[name]
-        q = log.y[:, 0]
-        # A cubic, as the axis gathers speed there: a line would find the mean speed of the samples, not the first one.
-        slope, place = np.polyfit(log.dt * np.arange(FIRST), q[:FIRST], 3)[2:]
-        data = log.thinned(2)
-        path = simulated(model, torch.tensor([place, slope]), data, 2)[:, 0].numpy()
-        errors: Array = 1e3 * (path - q[::2][: len(path)])
-        return errors
+    logs = {name: _axis_log(folder / f"emps_{name}.csv") for name in ("train", "test")}
 
     def _error(model: System, name: str) -> float:
-        return rms(_errors(model, name))
+        return rms(_axis_errors(model, logs[name]))
 
     def _model(functions: Sequence[str]) -> SindyModel:
         return SindyModel(signature, functions, Regression("bic"), refinement, known={"q": "v"})
@@ -182,13 +166,34 @@ def emps(folder: Path) -> Found:
     held = 1e3 * (q[0] - q)
     drawn = {"ours": fits["ours"], "linear": fits["linear"], **rivals}
     courses = [
-        row for name, model in drawn.items() for row in course(name, _errors(model, "test"), 2 * logs["test"].dt, "mm")
+        row
+        for name, model in drawn.items()
+        for row in course(name, _axis_errors(model, logs["test"]), 2 * logs["test"].dt, "mm")
     ]
     return [
         *rows,
         _row("training log replayed", "test simulated, RMSE", replayed(logs["train"].y[:, 0], q), "mm"),
         _row("last value held", "test simulated, RMSE", rms(held), "mm"),
     ], [*courses, *course("last value held", held, logs["test"].dt, "mm")]
+
+
+def _axis_log(path: Path) -> Log:
+    """Return a log of the EMPS axis: its place [m], and the force in 100 N."""
+    columns = _columns(path)
+    y = np.full((len(columns["q"]), 2), np.nan)
+    y[:, 0] = columns["q"]
+    return Log(y, columns["u_force"][:, None] / 100, 1e-3)
+
+
+def _axis_errors(model: System, log: Log) -> Array:
+    """Return the errors of a simulation of the axis from its start [mm], at every second sample."""
+    q = log.y[:, 0]
+    # A cubic, as the axis gathers speed there: a line would find the mean speed of the samples, not the first one.
+    slope, place = np.polyfit(log.dt * np.arange(FIRST), q[:FIRST], 3)[2:]
+    data = log.thinned(2)
+    path = simulated(model, torch.tensor([place, slope]), data, 2)[:, 0].numpy()
+    errors: Array = 1e3 * (path - q[::2][: len(path)])
+    return errors
 
 
 def _held(signature: Signature) -> SindyModel:

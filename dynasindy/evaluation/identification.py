@@ -1,10 +1,8 @@
-"""Identify a model from a source of data, judge it on data it has not seen, and write down what was found."""
+"""Identify a model from a source of data, and judge it on data it has not seen."""
 
 from __future__ import annotations
 
 import copy
-import json
-import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -21,7 +19,6 @@ from dynasindy.data.table import all_headings, split_unit
 from dynasindy.data.units import as_words, with_units
 from dynasindy.data.unnamed import counted
 from dynasindy.evaluation import verdict
-from dynasindy.evaluation.equations import bend_hint, found_in_model, idle
 from dynasindy.evaluation.fitted import FAILURES, fitted
 from dynasindy.evaluation.horizons import Forecasts, begun, forecast
 from dynasindy.evaluation.quiet import heard, quiet_states, too_quiet
@@ -31,17 +28,14 @@ from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell, telling
 from dynasindy.world_models import FitReport, SindyModel
-from dynasindy.world_models.models.actuators import Found, behind, find_actuator
+from dynasindy.world_models.models.actuators import Found, find_actuator
 from dynasindy.world_models.models.bends import Bend, missing_bend
 from dynasindy.world_models.models.prediction import nrmse, one_step_error, open_loop
 from dynasindy.world_models.refinement.delay import arrived, delayed
 from dynasindy.world_models.refinement.measured import rates_known
 from dynasindy.world_models.refinement.order import moving_on
-from dynasindy.world_models.writers.tables import to_csv, to_latex, to_text, with_errors
 
 ExcitationBuilder = Callable[..., Excitation]
-BEHIND = "model_with_actuator.json"
-"""File of a model one of whose states is an actuator, which no sensor sees."""
 
 
 @dataclass(frozen=True)
@@ -194,10 +188,6 @@ class Logged:
             raise ValueError(f"{', '.join(self._files)}: {error}") from None
 
 
-UNKNOWN = "the refinement, which tells them, found no equations, or ones that run away from the data"
-"""Why coefficients that were fitted may have none."""
-
-
 @dataclass(frozen=True)
 class Identified:
     """Hold a fitted model and its figures.
@@ -313,92 +303,8 @@ def _undelayed(bare: SindyModel, data: Transitions, before: Found) -> tuple[Foun
     return before, None
 
 
-def to_words(found: Identified, source: Source, columns: int | None = None) -> str:
-    """Write equations, fit, identifiability, what the data show, errors, notes and a verdict for a reader.
-
-    Args:
-        found: What was identified.
-        source: The data.
-        columns: Columns of the terminal that the table of errors has to fit; None lets lines be long.
-    """
-    signature, shown = source.signature, found.forecasts
-    seen = [*found_in_model(found.model, found.report), *verdict.found_in_data(source.training, signature)]
-    if found.found is not None and found.found.actuator:
-        alone = "" if found.acting is None else ", with equations of their own, as a delay or a lag may stand for it"
-        seen.append(f"{found.found.words}; {BEHIND} has it{alone}")
-    lines = [
-        *found.model.equations(),
-        *_errors(found.model),
-        "",
-        found.report.to_text(),
-        *(f"found: {line}" for line in seen),
-        *found.hidden,
-        *idle(found.model, source.training),
-        *([bend_hint(found.bend, found.model)] if found.bend else []),
-        "",
-    ]
-    if shown is not None:
-        lines += verdict.table(shown, signature, columns)
-    free = found.metrics["open_loop_nrmse"]
-    lines.append(
-        f"one prediction of all data that the fit did not see{anew(source.validation)}, relative to the standard "
-        "deviation of each state"
-    )
-    lines += [f"  {state:<10} {_percent(error)}" for state, error in free.items()]
-    unsought = (found.found.words,) if found.found is not None and not found.found.sought else ()
-    lines += [f"note: {note}" for note in unsought]
-    if shown is None:
-        return "\n".join([*lines, "the validation data are too short to judge how far ahead the model predicts"])
-    lines += verdict.judge(told, signature) if (told := found.heard()) is not None else []
-    return "\n".join([*lines, *filter(None, [found.quiet])])
-
-
-def _errors(model: SindyModel) -> list[str]:
-    """Return a line for each coefficient with its standard error, below a heading, or why there is no such error."""
-    if model.covariance is None:
-        fitted = bool((model.constraints.free & (model.coefficients != 0)).any())
-        return ["", f"coefficients have no standard errors (±): {UNKNOWN if fitted else 'none of them was fitted'}"]
-    errors = model.covariance.table(model.coefficients.shape)
-    return ["", "coefficients and their standard errors", *with_errors(model.library, model.coefficients, errors)]
-
-
-def anew(data: Transitions) -> str:
-    """Say that a prediction of all data begins anew after gaps, and how often; empty where there is none."""
-    gaps = int(data.begins().sum()) - 1
-    if gaps < 1:
-        return ""
-    return ", begun anew after its gap" if gaps == 1 else f", begun anew after each of its {gaps} gaps"
-
-
 def _heading(name: str, given: object) -> str:
     """Return the heading of a column that a map names."""
     if isinstance(given, Column):
         return given.name or name
     return str(given.get("name", name) if isinstance(given, Mapping) else given)
-
-
-def _percent(error: float) -> str:
-    return f"{100 * error:.3g} %" if math.isfinite(error) else "runs away"
-
-
-def write(found: Identified, source: Source, folder: Path, before: Sequence[str] = ()) -> None:
-    """Write model.json, metrics.json, report.txt and the coefficients as text, LaTeX and CSV.
-
-    Where an input has a rate limit or play, the model that has it too is written beside.
-
-    Args:
-        found: the model and its figures.
-        source: the data.
-        folder: where; made if missing.
-        before: lines with which the report begins.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    library, coefficients = found.model.library, found.model.coefficients
-    found.model.save(folder / "model.json")
-    if found.found is not None and found.found.actuator:
-        behind(found.acting or found.model, found.found, source.training.dt).save(folder / BEHIND)
-    (folder / "metrics.json").write_text(json.dumps(found.metrics, indent=1) + "\n")
-    (folder / "report.txt").write_text("\n".join([*before, to_words(found, source)]) + "\n")
-    (folder / "coefficients.txt").write_text(to_text(library, coefficients) + "\n")
-    (folder / "coefficients.tex").write_text(to_latex(library, coefficients))
-    (folder / "coefficients.csv").write_text(to_csv(library, coefficients))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -12,7 +13,7 @@ from dynasindy.durations import in_words
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import known_ranges
-from dynasindy.planning.oscillation import fastest_oscillation
+from dynasindy.planning.oscillation import fastest_doubling, fastest_oscillation
 from dynasindy.planning.pace import LONGEST, TIME_CONSTANTS, settles
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import Tracking
@@ -26,6 +27,8 @@ SAMPLES = 10
 """Samples of a log in a control period at most, if nobody asks for another one."""
 PART = 5
 """Control periods in the fastest oscillation of the model at least, if nobody asks for another one."""
+HALF = 2
+"""The same in the time in which a deviation of an unstable model doubles: what acts a period late has to hold it."""
 PLACES = 64
 """Places of a log at which its model is looked at."""
 SHARED = 0.25
@@ -49,10 +52,10 @@ class Period:
 def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> Period:
     """Return the control period that suits a model and its log, where nobody asks for one.
 
-    It is what suits the log, but a fifth of the model's fastest oscillation at most, where the log mostly was or in a
-    quarter of its places; without a log where episodes begin. It is longer where a plan would otherwise not look as
-    far ahead as the regulated plant takes to settle. With a log it is a multiple of its sampling time, and one sample
-    at least. Of a difference equation without a log it is the step.
+    It is what suits the log, but a fifth of the model's fastest oscillation at most, and half of the time in which a
+    deviation doubles, where the log mostly was or in a quarter of its places; without a log where episodes begin. It is
+    longer where a plan would otherwise not look as far ahead as the regulated plant takes to settle. With a log it is a
+    multiple of its sampling time, and one sample at least. Of a difference equation without a log it is the step.
 
     Args:
         model: The fitted model.
@@ -63,14 +66,14 @@ def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> Peri
         return _chosen(model.step, "the step of the model")
     usual, step = nearest_period(log), log.training.dt if log else 0.0
     task, (x, u) = as_planned(task, model, log), _places(model, task, log)
-    oscillation = _oscillation(model, x, u, task.outputs)
-    longest = oscillation / PART
+    pace = _Pace.of(model, x, u, task.outputs)
+    longest = pace.longest
     if step < usual and longest < usual * (1 - 1e-6):
         step = step or _two_digits(longest)
         samples = math.floor(longest / step + 1e-6)
         if samples:
-            return _chosen(samples * step, f"a fifth of the model's fastest oscillation of {oscillation:.3g} s")
-        return _chosen(step, f"one sample of the log, as the model's fastest oscillation takes {oscillation:.3g} s")
+            return _chosen(samples * step, pace.part)
+        return _chosen(step, f"one sample of the log, as {pace.whole}")
     seconds = settles(ControlEnv(model, task, usual), x, u)
     if (slow := _lengthened(usual, seconds / LONGEST, longest, step)) > usual:
         return _chosen(
@@ -93,11 +96,11 @@ def other_period(model: SindyModel, task: Tracking, log: Source | None, dt: floa
     if model.step is not None:
         return ""  # a difference equation swings as often however it is sampled
     task, (x, u) = as_planned(task, model, log), _places(model, task, log)
-    step, oscillation = log.training.dt if log else 0.0, _oscillation(model, x, u, task.outputs)
-    longest = oscillation / PART
+    step, pace = log.training.dt if log else 0.0, _Pace.of(model, x, u, task.outputs)
+    longest = pace.longest
     if longest < dt * (1 - 1e-6):
         step = step or _two_digits(longest)
-        swings = f"the model swings every {oscillation:.3g} s, which is {oscillation / dt:.2g} control periods only"
+        swings = f"{pace.told}, which is {pace.seconds / dt:.2g} control periods only"
         if step < dt * (1 - 1e-6):
             return f"{swings}: {_try(step * max(1, math.floor(longest / step + 1e-6)))}"
         return f"{swings}: log with a sampling time of {longest:.2g} s at most"
@@ -145,10 +148,52 @@ def _places(model: SindyModel, task: Tracking, log: Source | None) -> tuple[Tens
     return torch.cat([middle.unsqueeze(0), x]), torch.cat([usual.unsqueeze(0), data.u[rows].double()])
 
 
-def _oscillation(model: SindyModel, x: Tensor, u: Tensor, outputs: list[int]) -> float:
-    """Return the fastest oscillation at the first place [s], or that of enough of the others, if it is faster."""
-    first, *others = (fastest_oscillation(model, *place, outputs) for place in zip(x, u, strict=True))
-    return min(first, sorted(others)[math.ceil(SHARED * len(others)) - 1]) if others else first
+@dataclass(frozen=True)
+class _Pace:
+    """How fast a model moves that is to be controlled.
+
+    Attributes:
+        seconds: The period of its fastest oscillation, or the time in which a deviation doubles [s].
+        grows: Whether it is the latter, which asks for the shorter control period.
+    """
+
+    seconds: float
+    grows: bool
+
+    @classmethod
+    def of(cls, model: SindyModel, x: Tensor, u: Tensor, outputs: list[int]) -> _Pace:
+        """Return that of a model at the first place, or that of enough of the others, if it is faster."""
+
+        def _fastest(found: Callable[..., float]) -> float:
+            first, *others = (found(model, *place, outputs) for place in zip(x, u, strict=True))
+            return min(first, sorted(others)[math.ceil(SHARED * len(others)) - 1]) if others else first
+
+        swing, doubling = _fastest(fastest_oscillation), _fastest(fastest_doubling)
+        return cls(doubling, True) if doubling / HALF < swing / PART else cls(swing, False)
+
+    @property
+    def longest(self) -> float:
+        """The longest control period that suits it [s]."""
+        return self.seconds / (HALF if self.grows else PART)
+
+    @property
+    def part(self) -> str:
+        """What the longest control period is of it."""
+        if self.grows:
+            return f"half of the {self.seconds:.3g} s in which a deviation of the unstable model doubles"
+        return f"a fifth of the model's fastest oscillation of {self.seconds:.3g} s"
+
+    @property
+    def whole(self) -> str:
+        """How long it takes, in words."""
+        if self.grows:
+            return f"a deviation of the unstable model doubles in {self.seconds:.3g} s"
+        return f"the model's fastest oscillation takes {self.seconds:.3g} s"
+
+    @property
+    def told(self) -> str:
+        """How often it does so, in words."""
+        return self.whole if self.grows else f"the model swings every {self.seconds:.3g} s"
 
 
 def _lengthened(usual: float, wanted: float, longest: float, step: float) -> float:

@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.benchmarks.instruments.open_loop import simulated
 from dynasindy.benchmarks.rigs import Log, _ahead_rows, _columns, replayed
-from dynasindy.systems.base import Signature
-from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models.models.sindy import SindyModel
 
 
 def test_a_thinned_log_keeps_samples_and_the_means_of_inputs():
@@ -23,16 +19,6 @@ def test_columns_go_by_the_name_before_the_unit(tmp_path):
     (tmp_path / "log.csv").write_text("time [s],q [m]\n0,1.5\n1,2.5\n")
     columns = _columns(tmp_path / "log.csv")
     assert columns["time"].tolist() == [0, 1] and columns["q"].tolist() == [1.5, 2.5]
-
-
-def test_a_simulation_takes_inputs_when_they_take_effect():
-    model = SindyModel(Signature(("y",), ("-",), ("u",), (1.0,)), ["u"])
-    model.set_coefficients(torch.tensor([[1.0]]))
-    model.delay = 0.2
-    u = torch.tensor([[1.0], [0.0], [0.0], [5.0]]).double()
-    data = Transitions.from_trajectory(torch.zeros(5, 1).double(), u, 0.1)
-    # y' = u two samples late; before the log its first input held.
-    assert simulated(model, torch.zeros(1).double(), data, 2)[:, 0].tolist() == pytest.approx([0, 0.1, 0.2, 0.3, 0.3])
 
 
 def test_errors_ahead_are_told_together_and_of_each_angle():

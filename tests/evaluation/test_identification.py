@@ -1,6 +1,5 @@
 """From a source of data to a model, its figures and its files."""
 
-import json
 import math
 from dataclasses import replace
 from functools import partial
@@ -13,8 +12,9 @@ from dynasindy.data.simulated import record
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation import identification
 from dynasindy.evaluation.fitted import fitted
-from dynasindy.evaluation.identification import Logged, anew, identify, to_words, write
+from dynasindy.evaluation.identification import Logged, identify
 from dynasindy.evaluation.source import Source
+from dynasindy.evaluation.written import to_words
 from dynasindy.excitation import Chirp, HeldRandom
 from dynasindy.systems import Diverged, Pendulum, Signature, Tras
 from dynasindy.systems.integrators import moved
@@ -56,37 +56,11 @@ def test_of_an_exact_log_nothing_stays_unexplained_and_of_a_poor_library_what_si
     assert list(found.report.residual.values()) == pytest.approx(parts, rel=1e-3) and parts[1] > 1e-3
 
 
-def test_coefficients_without_standard_errors_say_why():
-    source = Simulated().load(Pendulum(), EXCITATION)
-    given = SindyModel(source.signature, ["Omega", "u"], known={"theta": "Omega", "Omega": "u"})
-    words = to_words(identify(given, source), source)
-    assert "coefficients have no standard errors (±): none of them was fitted" in words.splitlines()
-    x = torch.randn(1001, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    noise = replace(source, training=replace(source.training, x=x[:-1], x_next=x[1:]))
-    model = SindyModel(source.signature, ["u", "1"], refinement=Refinement("one_step"))
-    words = to_words(identify(model, noise, actuators=False), noise)
-    said = "the refinement, which tells them, found no equations, or ones that run away from the data"
-    assert (
-        f"coefficients have no standard errors (±): {said}" in words.splitlines() and "dropped every function" in words
-    )
-
-
 def test_noise_has_the_level_asked_for_and_keeps_trajectories_whole():
     clean, noisy = (Simulated(noise=n, seed=3).load(Pendulum(), EXCITATION).training for n in (0.0, 0.1))
     error = noisy.x_next - clean.x_next
     assert torch.allclose(error.std(0), 0.1 * clean.x.std(0), rtol=0.1)
     assert torch.equal(noisy.x[1:], noisy.x_next[:-1])
-
-
-def test_everything_is_written(tmp_path):
-    source = Simulated(validation_seconds=2.0).load(Pendulum(), EXCITATION)
-    found = _identified(source)
-    write(found, source, tmp_path / "run")
-    names = {p.name for p in (tmp_path / "run").iterdir()}
-    tables = {f"coefficients.{suffix}" for suffix in ("txt", "tex", "csv")}
-    assert names == {"model.json", "metrics.json", "report.txt", *tables}
-    assert json.loads((tmp_path / "run/metrics.json").read_text()) == found.metrics
-    assert torch.equal(SindyModel.load(tmp_path / "run/model.json").coefficients, found.model.coefficients)
 
 
 def test_a_log_of_the_pendulum_gives_the_pendulum(tmp_path):
@@ -312,16 +286,6 @@ def test_no_verdict_is_given_on_a_log_that_is_too_quiet_to_tell():
     assert "the log is too quiet to tell of angle, which moves by 4 steps of its sensor" in words
     assert "this model" not in words and not quiet.predicts
     assert "this model" in to_words(loud, loud.source) and not loud.quiet
-
-
-@pytest.mark.parametrize(
-    ("segments", "said"),
-    [([0] * 6, ""), ([0, 0, 1, 1, 1, 1], ", begun anew after its gap"), ([0, 1, 1, 2, 2, 2], " each of its 2 gaps")],
-)
-def test_a_prediction_of_data_with_gaps_is_said_to_begin_anew(segments, said):
-    data = Transitions.from_trajectory(torch.zeros(7, 1), torch.zeros(6, 1), 0.1)
-    told = anew(Transitions(data.x, data.u, data.x_next, data.dt, torch.tensor(segments)))
-    assert told.endswith(said) and bool(told) == bool(said)
 
 
 @pytest.mark.parametrize("in_pieces", [False, True])

@@ -232,6 +232,37 @@ def test_a_plant_that_has_to_be_held_keeps_its_period():
     assert suited_period(model, tracking(model, {"p": (-0.5, 0.5)}), logged(1.0, model.signature)).seconds == 1.0
 
 
+def growing(rate):
+    """Return p' = v, v' = rate^2 (p + u), which grows as exp(rate t)."""
+    model = known(1.0, 0.1)
+    model.coefficients = torch.tensor([[0.0, rate**2], [1.0, 0.0], [0.0, rate**2]], dtype=torch.float64)
+    return model
+
+
+@pytest.mark.parametrize(
+    ("rate", "dt", "seconds"),
+    [
+        (60.0, 0.001, 0.005),  # doubles in 11.6 ms, of which a half is five samples; ten samples by the log alone
+        (60.0, 0.01, 0.01),  # one sample
+        (5.0, 0.01, 0.05),  # half of 139 ms is more than 50 ms
+        (-60.0, 0.001, 0.005),  # the same equations: rate^2
+    ],
+)
+def test_the_period_of_an_unstable_plant_is_half_the_time_in_which_it_doubles(rate, dt, seconds):
+    model = growing(rate)
+    found = suited_period(model, tracking(model, {"p": (-0.5, 0.5)}), logged(dt, model.signature))
+    assert found.seconds == pytest.approx(seconds)
+    assert (found.seconds <= max(dt, math.log(2) / abs(rate) / 2)) and ("doubles" in found.why) is (abs(rate) > 5)
+
+
+def test_a_plan_of_an_unstable_plant_that_fails_is_told_a_shorter_period():
+    model = growing(60.0)
+    task, log = tracking(model, {"p": (-0.5, 0.5)}), logged(0.001, model.signature)
+    told = other_period(model, task, log, 0.01)
+    assert told.startswith("a deviation of the unstable model doubles in 0.0116 s, which is 1.2 control periods only")
+    assert "try a control period of 0.005 s" in told and other_period(model, task, log, 0.005) == ""
+
+
 def test_a_plan_that_fails_is_told_which_period_to_try():
     spring, targets = known(9.4, 0.1), {"p": (-0.5, 0.5)}
     task, log = tracking(spring, targets), logged(0.005, spring.signature)

@@ -1,0 +1,61 @@
+"""What was identified, in words and in files."""
+
+import json
+from dataclasses import replace
+from functools import partial
+
+import pytest
+import torch
+
+from dynasindy.dyna.simulated import Simulated
+from dynasindy.evaluation.identification import identify
+from dynasindy.evaluation.written import anew, to_words, write
+from dynasindy.excitation import Chirp
+from dynasindy.systems import Pendulum
+from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models import Refinement, Regression, SindyModel
+
+EXCITATION = partial(Chirp, duration=10.0, amplitude=0.6)
+
+
+def _identified(source):
+    model = SindyModel(
+        source.signature, ["theta", "Omega", "u", "sin(theta)"], Regression("bic"), Refinement("one_step")
+    )
+    return identify(model, source)
+
+
+def test_coefficients_without_standard_errors_say_why():
+    source = Simulated().load(Pendulum(), EXCITATION)
+    given = SindyModel(source.signature, ["Omega", "u"], known={"theta": "Omega", "Omega": "u"})
+    words = to_words(identify(given, source), source)
+    assert "coefficients have no standard errors (±): none of them was fitted" in words.splitlines()
+    x = torch.randn(1001, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    noise = replace(source, training=replace(source.training, x=x[:-1], x_next=x[1:]))
+    model = SindyModel(source.signature, ["u", "1"], refinement=Refinement("one_step"))
+    words = to_words(identify(model, noise, actuators=False), noise)
+    said = "the refinement, which tells them, found no equations, or ones that run away from the data"
+    assert (
+        f"coefficients have no standard errors (±): {said}" in words.splitlines() and "dropped every function" in words
+    )
+
+
+def test_everything_is_written(tmp_path):
+    source = Simulated(validation_seconds=2.0).load(Pendulum(), EXCITATION)
+    found = _identified(source)
+    write(found, source, tmp_path / "run")
+    names = {p.name for p in (tmp_path / "run").iterdir()}
+    tables = {f"coefficients.{suffix}" for suffix in ("txt", "tex", "csv")}
+    assert names == {"model.json", "metrics.json", "report.txt", *tables}
+    assert json.loads((tmp_path / "run/metrics.json").read_text()) == found.metrics
+    assert torch.equal(SindyModel.load(tmp_path / "run/model.json").coefficients, found.model.coefficients)
+
+
+@pytest.mark.parametrize(
+    ("segments", "said"),
+    [([0] * 6, ""), ([0, 0, 1, 1, 1, 1], ", begun anew after its gap"), ([0, 1, 1, 2, 2, 2], " each of its 2 gaps")],
+)
+def test_a_prediction_of_data_with_gaps_is_said_to_begin_anew(segments, said):
+    data = Transitions.from_trajectory(torch.zeros(7, 1), torch.zeros(6, 1), 0.1)
+    told = anew(Transitions(data.x, data.u, data.x_next, data.dt, torch.tensor(segments)))
+    assert told.endswith(said) and bool(told) == bool(said)
