@@ -20,8 +20,7 @@ def main(cfg: DictConfig) -> None:
 
     torch.set_num_threads(cfg.threads)
     results = Path(cfg.results)
-    if cfg.save is not None:
-        keep(cfg, results / "runs")
+    kept = [] if cfg.save is None else keep(cfg, results / "runs")
     configs = {file.parent.name: read_config(file) for file in sorted(results.glob("runs/*/config.yaml"))}
     if not configs and not any(results.glob("*.csv")):
         raise ValueError(
@@ -29,17 +28,23 @@ def main(cfg: DictConfig) -> None:
             "they are, or save=RUN, which saves a run there first: a run folder, or runs/ablation"
         )
     settings = {name: OmegaConf.to_container(config) for name, config in configs.items()}
-    files = build(Results(results, settings), Path(cfg.output), list(cfg.formats))
+    found = Results(results, settings)
+    files = build(found, Path(cfg.output), list(cfg.formats))
     print(f"{files[0]} and {files[1]}, from {len(settings)} saved run{'s' * (len(settings) != 1)}")
+    for name in kept:
+        if name not in found.asked:
+            print(f"note: no section of the report reads a run called {name}; it reads {', '.join(sorted(found.asked))}")
 
 
-def keep(cfg: DictConfig, target: Path) -> None:
-    """Evaluate and save the runs that are asked for."""
-    for folder, name in to_save(Path(cfg.save), cfg.name, cfg.seed, cfg.settings).items():
+def keep(cfg: DictConfig, target: Path) -> list[str]:
+    """Evaluate and save the runs that are asked for, and return the names of their copies."""
+    runs = to_save(Path(cfg.save), cfg.name, cfg.seed, cfg.settings)
+    for folder, name in runs.items():
         check_copy(folder, target / name, cfg.any_commit)
         measure(folder, cfg.scenarios, cfg.plugins)
         files = keep_run(folder, target / name, folder.parent.name not in cfg.slim, cfg.any_commit)
         print(f"saved {target / name}: {sum(file.stat().st_size for file in files) / 1000:.0f} kB")
+    return list(runs.values())
 
 
 def measure(folder: Path, scenarios: list[str], plugins: list[str]) -> None:

@@ -33,13 +33,15 @@ def test_a_run_is_evaluated_saved_and_shown(trained: Path, tmp_path: Path) -> No
     assert str(tmp_path) not in (kept / "config.yaml").read_text()
     text = " ".join((tmp_path / "docs" / "report" / "report.md").read_text().split())
     assert "made by `python scripts/train.py system=xi experiment=smoke` at commit" in text
-    assert "![" in text and "docs/report/report.html" in done.stdout
+    assert "![" in text and "docs/report/report.html" in done.stdout and "note:" not in done.stdout
 
 
 def test_one_run_is_saved_under_a_name(trained: Path, tmp_path: Path) -> None:
     done = report(f"save={trained}", "name=mine", "scenarios=[]", "formats=[svg]", "any_commit=true", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "docs" / "results" / "runs" / "mine" / "metrics.json").is_file()
+    said = next(line for line in done.stdout.splitlines() if line.startswith("note: "))
+    assert "no section of the report reads a run called mine; it reads" in said and "xi_dyna_rollouts_800" in said
 
 
 def test_a_folder_without_runs_has_its_line(tmp_path: Path) -> None:

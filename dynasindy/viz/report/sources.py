@@ -86,10 +86,12 @@ class Results:
     Attributes:
         folder: Tables as CSV files, and `runs/` with saved runs.
         settings: Resolved configuration of each saved run, by name.
+        asked: Names of the runs that were asked for until now, saved or not.
     """
 
     folder: Path
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    asked: set[str] = field(default_factory=set, compare=False)
 
     def compared(self, system: str, experiment: str, setting: str) -> Run:
         """Return the saved run of an ablation's setting.
@@ -117,6 +119,7 @@ class Results:
             MissingResult: It is not saved; `make` is what makes it.
         """
         folder = self.folder / "runs" / name
+        self.asked.add(name)
         if name not in self.settings or not folder.is_dir():
             raise MissingResult(f"Not measured: no saved run `{name}`; {make} makes it.")
         return Run(folder, self.settings[name], make)
