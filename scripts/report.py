@@ -33,7 +33,9 @@ def main(cfg: DictConfig) -> None:
     print(f"{files[0]} and {files[1]}, from {len(settings)} saved run{'s' * (len(settings) != 1)}")
     for name in kept:
         if name not in found.asked:
-            print(f"note: no section of the report reads a run called {name}; it reads {', '.join(sorted(found.asked))}")
+            print(
+                f"note: no section of the report reads a run called {name}; it reads {', '.join(sorted(found.asked))}"
+            )
 
 
 def keep(cfg: DictConfig, target: Path) -> list[str]:

@@ -10,6 +10,7 @@ from typing import Any
 from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
 from dynasindy.evaluation.before_fit import before_fit
+from dynasindy.evaluation.equations import found_in_model
 from dynasindy.evaluation.files import write_json
 from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.held import WITHIN
@@ -72,7 +73,8 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
     if told := before_fit(built, source).lines:
         say(*told)
     found = fitted(built, source)
-    say(found.report.to_text(), *found.hidden)
+    seen = found_in_model(found.model, found.report)
+    say(found.report.to_text(), *(f"found: {line}" for line in seen), *found.hidden)
     return found.model
 
 
