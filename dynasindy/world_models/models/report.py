@@ -167,7 +167,7 @@ class FitReport:
         counts = {name: f"{count} term{'s' * (count != 1)}" for name, count in self.terms.items()}
         moves, it = ("'", "it") if self._source[0].step is None else ("[k+1] - {0}[k]", f"it, {CHANGE},")
         for state, part in self.residual.items():
-            left = f"{100 * part:.3g} % of {it} stays unexplained (RMS)"
+            left = f"{100 * part:.3g} % of {it} stays unexplained (RMS), noise of the samples included"
             left = f"nothing of {it} stays unexplained" if part <= EXACT else left  # what is not a number is not exact
             missed = "" if state in self.unmeasured else f"; {left}"
             lines.append(f"  {state}{moves.format(state)}: {counts[state]}{missed}")

@@ -50,7 +50,7 @@ def test_of_what_is_explained_to_the_digits_of_the_data_nothing_stays():
     theta, dx = rows(noise=0.0)
     a, b = report((theta, dx * torch.tensor([1.0, 1 + 1e-5])))[0].to_text().splitlines()[1:3]
     assert a == "  a': 1 term; nothing of it stays unexplained"
-    assert b == "  b': 2 terms; 0.001 % of it stays unexplained (RMS)", "a part of 1e-5"
+    assert b == "  b': 2 terms; 0.001 % of it stays unexplained (RMS), noise of the samples included", "a part of 1e-5"
     lost = replace(report((theta, dx))[0], residual={"a": float("nan")}).to_text()
     assert "a': 1 term; nan % of it stays unexplained" in lost, "a prediction that overflows explains nothing"
 
@@ -68,7 +68,10 @@ def test_the_text_says_the_figures():
     found, _ = report(rows(), rows(1))
     first, a, b, *rest = found.to_text().splitlines()
     assert first == "fit of 180 transitions of 0.01 s, which took 0.25 s"
-    assert a == f"  a': 1 term; {100 * found.residual['a']:.3g} % of it stays unexplained (RMS)"
+    assert (
+        a
+        == f"  a': 1 term; {100 * found.residual['a']:.3g} % of it stays unexplained (RMS), noise of the samples included"
+    )
     assert b.startswith("  b': 2 terms; ")
     assert "\n".join(rest) == found.identifiability.to_text() and rest[0].startswith(
         "the data can tell all 3 candidate functions apart"
@@ -93,7 +96,8 @@ def test_coefficients_of_a_difference_equation_are_those_of_the_change_in_a_step
     told = replace(stepped, told=known).known
     assert told.startswith("coefficients of the change over a step are known within 25 % of themselves in the median")
     assert "that of u in the change of b, the least" in told
-    part = f"{100 * stepped.residual['a']:.3g} % of it, the change over a step, stays unexplained (RMS)"
+    said = "of it, the change over a step, stays unexplained (RMS), noise of the samples included"
+    part = f"{100 * stepped.residual['a']:.3g} % {said}"
     assert stepped.to_text().splitlines()[1] == f"  a[k+1] - a[k]: 1 term; {part}"
     assert "that of u in b', the least" in replace(found, told=known).known
 
