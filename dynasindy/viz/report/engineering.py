@@ -50,7 +50,10 @@ def real_logs(results: Results) -> Section:
 
     def _over_time(rig: str) -> list[Part]:
         rows = [row for row in results.rows("rigs_over_time.csv", RIGS_COMMAND) if row["rig"] == rig]
-        caption = f"Errors of simulations of {RIGS[rig]} over the test log, from its start: simulated less measured."
+        caption = (
+            f"Errors of simulations of {RIGS[rig]} over the test log, from its start: simulated less measured. Each "
+            "panel has a range of its own."
+        )
         source = (
             f"{results.source('rigs_over_time.csv').rstrip('.')}, made by `{RIGS_COMMAND}` at commit {commits(rows)}."
         )
@@ -83,7 +86,7 @@ def errors(rows: Sequence[Mapping[str, str]], elsewhere: Mapping[str, float]) ->
     for axis, metric in zip(axes, metrics, strict=True):
         here = sorted((row for row in rows if row["metric"] == metric), key=lambda row: -float(row["value"]))
         values = [float(row["value"]) for row in here]
-        bars = axis.barh([row["model"] for row in here], values, color=[_colour(row["model"]) for row in here])
+        bars = axis.barh([_name(row["model"]) for row in here], values, color=[_colour(row["model"]) for row in here])
         clear = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}  # lines of others may run through a number
         axis.bar_label(bars, [f"{value:g}" for value in values], padding=3, bbox=clear)
         axis.set_xscale("log")
@@ -115,10 +118,15 @@ def over_time(rows: Sequence[Mapping[str, str]]) -> Figure:
         seconds = [float(row["seconds"]) for row in here]
         axis.plot(seconds, [float(row["error"]) for row in here], color=_colour(model))
         axis.axhline(0.0, color=BLACK, linewidth=0.6)
-        axis.set_title(model, loc="left")
+        axis.set_title(_name(model), loc="left")
         axis.set_ylabel(f"error [{here[0]['unit']}]")
     time_axis(axes[-1], [float(row["seconds"]) for row in rows])
     return figure
+
+
+def _name(model: str) -> str:
+    """Return the name of a model as a reader knows it."""
+    return "PySINDy" if model == "pysindy" else model
 
 
 def _colour(model: str) -> str:

@@ -32,12 +32,12 @@ def test_the_newest_score_of_each_model_on_a_test_log_is_kept():
 
 
 def test_bars_are_as_long_as_the_errors_and_lines_stand_where_others_are():
-    figure = engineering.errors([row("ours", TEST, "0.2"), row("held", TEST, "2.5")], {"best published": 0.191})
+    figure = engineering.errors([row("ours", TEST, "0.2"), row("pysindy", TEST, "2.5")], {"best published": 0.191})
     (axis,) = figure.axes
     widths = {
         label.get_text(): bar.get_width() for label, bar in zip(axis.get_yticklabels(), axis.patches, strict=True)
     }
-    assert widths == {"held": 2.5, "ours": 0.2}
+    assert widths == {"PySINDy": 2.5, "ours": 0.2}
     assert [tuple(line.get_xdata()) for line in axis.lines] == [(0.191, 0.191)]
     low, high = axis.get_xlim()
     assert low < 0.191 and high > 2.5

@@ -68,10 +68,8 @@ def test_the_text_says_the_figures():
     found, _ = report(rows(), rows(1))
     first, a, b, *rest = found.to_text().splitlines()
     assert first == "fit of 180 transitions of 0.01 s, which took 0.25 s"
-    assert (
-        a
-        == f"  a': 1 term; {100 * found.residual['a']:.3g} % of it stays unexplained (RMS), noise of the samples included"
-    )
+    said = "of it stays unexplained (RMS), noise of the samples included"
+    assert a == f"  a': 1 term; {100 * found.residual['a']:.3g} % {said}"
     assert b.startswith("  b': 2 terms; ")
     assert "\n".join(rest) == found.identifiability.to_text() and rest[0].startswith(
         "the data can tell all 3 candidate functions apart"
