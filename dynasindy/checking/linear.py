@@ -225,7 +225,7 @@ def _run(
     for k in range(steps):
         say(known, f"{k} of {steps} control periods of flights of the {len(r)} that are left")
         z, covariance, _ = loop.step(z, covariance, r)
-        errors = [*errors[1 - last :], (r - z[:, loop.parts["x"]][:, loop.task.outputs]).abs()]
+        errors = [*errors, (r - z[:, loop.parts["x"]][:, loop.task.outputs]).abs()][-last:]
     return z, covariance, torch.stack(errors).mean(0).nan_to_num(torch.inf, torch.inf)
 
 

@@ -99,7 +99,7 @@ def test_a_loop_that_nothing_stops_has_no_rest(loops, law):
     assert not bool(rest(loops(law(0.0, 0.0, bias=0.5)), targets(0.3), seconds=1.0).still.any())
 
 
-@pytest.mark.parametrize(("seconds", "first", "last"), [(10.0, 81, 100), (3.2, 25, 32)])
+@pytest.mark.parametrize(("seconds", "first", "last"), [(10.0, 81, 100), (3.2, 25, 32), (0.4, 4, 4)])
 def test_the_error_of_a_loop_without_rest_is_that_of_its_last_two_seconds_or_quarter(loops, law, seconds, first, last):
     # p = 0.5 t^2 / 2 from its target on, with control periods of 0.1 s.
     found = rest(loops(law(0.0, 0.0, bias=0.5)), targets(0.3), seconds=seconds)
