@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 from matplotlib.figure import Figure
@@ -77,6 +78,8 @@ def scored(rows: Sequence[Mapping[str, str]]) -> list[Mapping[str, str]]:
 def errors(rows: Sequence[Mapping[str, str]], elsewhere: Mapping[str, float]) -> Figure:
     """Draw a bar per model, the shortest at the top of each panel, and lines where others are.
 
+    A model whose simulation runs away has words in the place of a bar, as its error is no number.
+
     Args:
         rows: Rows of a rig with `metric`, `model`, `value` and `unit`.
         elsewhere: Errors of others in the same unit, by what they are.
@@ -86,14 +89,17 @@ def errors(rows: Sequence[Mapping[str, str]], elsewhere: Mapping[str, float]) ->
     for axis, metric in zip(axes, metrics, strict=True):
         here = sorted((row for row in rows if row["metric"] == metric), key=lambda row: -float(row["value"]))
         values = [float(row["value"]) for row in here]
-        bars = axis.barh([_name(row["model"]) for row in here], values, color=[_colour(row["model"]) for row in here])
+        known = [*filter(math.isfinite, values), *elsewhere.values()] or [1.0]
+        low, high = 0.5 * min(known), 2 * max(known)
+        widths = [value if math.isfinite(value) else low for value in values]
+        bars = axis.barh([_name(row["model"]) for row in here], widths, color=[_colour(row["model"]) for row in here])
         clear = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}  # lines of others may run through a number
-        axis.bar_label(bars, [f"{value:g}" for value in values], padding=3, bbox=clear)
+        told = [f"{value:g}" if math.isfinite(value) else "runs away" for value in values]
+        axis.bar_label(bars, told, padding=3, bbox=clear)
         axis.set_xscale("log")
         axis.xaxis.set_minor_formatter(NullFormatter())  # each bar has its number
         for dashes, (words, value) in zip(("--", ":"), elsewhere.items(), strict=False):
             axis.axvline(value, color=BLACK, linestyle=dashes, label=f"{words}, {value:g} {here[0]['unit']}")
-        low, high = 0.5 * min([*values, *elsewhere.values()]), 2 * max([*values, *elsewhere.values()])
         axis.set_xlim(low, high)
         if high / low < 100:  # a single power of ten, or two, tell no scale
             axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

@@ -2,6 +2,8 @@
 
 import csv
 
+import pytest
+
 from dynasindy.viz.report import engineering
 from dynasindy.viz.report.document import Picture, Table, Text
 
@@ -41,6 +43,14 @@ def test_bars_are_as_long_as_the_errors_and_lines_stand_where_others_are():
     assert [tuple(line.get_xdata()) for line in axis.lines] == [(0.191, 0.191)]
     low, high = axis.get_xlim()
     assert low < 0.191 and high > 2.5
+
+
+@pytest.mark.parametrize("others", [["ours"], []])
+def test_a_model_that_runs_away_has_words_in_the_place_of_a_bar(others):
+    figure = engineering.errors([row("linear", TEST, "inf"), *(row(name, TEST, "0.2") for name in others)], {})
+    (axis,) = figure.axes
+    assert [text.get_text() for text in axis.texts] == ["runs away", *("0.2" for _ in others)]
+    assert axis.patches[0].get_width() == axis.get_xlim()[0]
 
 
 def test_bars_have_at_least_two_labels_below_them_and_no_digit_that_was_not_measured():
