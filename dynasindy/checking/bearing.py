@@ -40,7 +40,7 @@ def margins_kept(found: Check, limits: Thresholds) -> list[Finding]:
     disk, where_disk = _worst(_all(lambda m: m.disk))
     factor, reduced = least(up, limits.gain, 2), most(1 / down, 1 / limits.gain, 2)
     angle, periods, size = least(phase, limits.phase, 0), least(delay, limits.delay, 2), least(disk, limits.disk, 2)
-    decibel = least(_db(up), _db(limits.gain), 1, of_limit=1)
+    decibel = least(_db(up), _db(limits.gain), 1, of_limit=2)
     upwards = "without limit" if up == math.inf else f"{factor[0]} ({decibel[0]} dB)"
     downwards = "may fall to nothing" if down == math.inf else f"may fall to {reduced[0]}"
     return [

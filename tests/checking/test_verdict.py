@@ -112,6 +112,11 @@ def test_the_least_margin_over_targets_decides(good, changed, name, words):
     assert all(each.good for other, each in found.items() if "margin" in other and other != name)
 
 
+@pytest.mark.parametrize(("gain", "words"), [(2.0, "2 (6 dB)"), (3.0, "3 (9.5 dB)"), (4.0, "4 (12 dB)")])
+def test_the_threshold_of_the_gain_is_told_in_decibels(good, gain, words):
+    assert by_name(good, Thresholds(gain=gain))["gain margin"].words.endswith(f"threshold: {words}")
+
+
 def test_thresholds_are_those_that_are_given(good):
     strict = Thresholds(error=1e-9, recovered=1.1, noise=0.0, slew=0.0, saturated=-1.0)
     found = by_name(good, strict)
