@@ -159,7 +159,8 @@ def _check_target(target: Any, plugins: Sequence[str], where: str) -> None:
         part = getattr(importlib.import_module(module), name)
     except Exception as error:  # a plug-in may raise anything while it is imported
         reason = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
-        found = f"; name the folder that {package} lies in by PYTHONPATH" if package != "dynasindy" else ""
+        absent = isinstance(error, ModuleNotFoundError) and f"{package}.".startswith(f"{error.name}.")
+        found = f"; name the folder that {package} lies in by PYTHONPATH" if absent and package != "dynasindy" else ""
         raise ValueError(
             f"{where} has _target_: {shown}, which cannot be imported ({reason}){found}; {advice}"
         ) from error

@@ -208,7 +208,8 @@ def test_a_plug_in_that_is_not_found_costs_one_line_that_says_how_to_find_it(
     assert "name the folder that my_plants lies in by PYTHONPATH" in told and not caplog.records
     (tmp_path / "my_plants.py").write_text("raise OSError('no licence\\nfor it')")
     monkeypatch.syspath_prepend(tmp_path)
-    refused(saved_run, run, r"cannot be imported \(OSError: no licence for it\)", plugins=["my_plants"])
+    told = refused(saved_run, run, r"cannot be imported \(OSError: no licence for it\)", plugins=["my_plants"])
+    assert "PYTHONPATH" not in told  # it is found
 
 
 def test_no_admitted_class_takes_a_file(monkeypatch):
