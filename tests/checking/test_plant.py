@@ -9,6 +9,7 @@ import torch
 from dynasindy.checking.plant import FINE, Plant, step_for
 from dynasindy.control.controller import Pace
 from dynasindy.systems import Stops
+from dynasindy.world_models import SindyModel
 
 
 def test_a_spring_swings_as_a_cosine(carts):
@@ -42,6 +43,18 @@ def test_the_step_is_as_long_as_the_plant_allows(carts, tasks, spring):
         x = Plant(model, dt, step).period(torch.tensor([[1.0, 0.0]], dtype=torch.float64), torch.zeros(1, 1, 1))
         omega = math.sqrt(spring)
         assert x[0, 0].item() == pytest.approx(math.cos(omega * dt), abs=FINE if spring < 100 else 1e-4)
+
+
+@pytest.mark.parametrize("function", ["v^3", "force v"])
+def test_the_step_is_short_where_only_large_movements_or_inputs_make_the_plant_fast(carts, tasks, function):
+    """v' = -3 v^3 has a rate of 9 v^2, up to 324 per second at 6 m/s; v' = -30 u v one of 30 per second."""
+    model = SindyModel(carts().signature, ["v", function], known={"p": "v"})
+    model.set_coefficients(torch.tensor([[1.0, 0.0], [0.0, -3.0 if function == "v^3" else -30.0]], dtype=torch.float64))
+    assert step_for(model, Pace(tasks(), 0.1), 0.001) < 0.1
+
+
+def test_the_step_is_never_shorter_than_the_finest(carts, tasks):
+    assert step_for(carts(spring=1.0), Pace(tasks(), 2.0), 0.5) == 0.5
 
 
 @pytest.mark.parametrize(("delay", "pending"), [(0.0, 0), (0.1, 1), (0.3, 2)])
