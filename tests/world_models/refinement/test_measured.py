@@ -151,6 +151,14 @@ def test_where_a_state_that_follows_began_is_told_by_the_rates_that_it_acts_on()
     np.testing.assert_allclose(found.x_next, true.x_next, atol=1e-2)
 
 
+def test_functions_of_angles_have_a_prior_where_there_is_noise():
+    data = recording(cubic(np.arange(40.0)))
+    library = Library(Signature(("a",), ("rad",), ("u",), (1.0,)), [of("sin", "a"), variable("u")])
+    assert Seen.of(data, data, {}).shares(library) is None
+    told = Seen.of(data, data, {}, noisy=True).shares(library)
+    assert told is not None and told.isfinite().tolist() == [True, False]
+
+
 def test_segments_are_guessed_apart():
     t = DT * np.arange(20)
     parts = [recording(cubic(t), lost(20), t), recording(100 - 7 * t, lost(20), t)]

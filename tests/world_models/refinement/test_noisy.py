@@ -133,6 +133,23 @@ def test_a_reading_that_stands_still_between_steps_is_told_from_a_plant_that_doe
     assert stands_on_steps(data).tolist() == [told]
 
 
+@pytest.mark.parametrize(
+    ("moves", "told"),
+    [
+        ([1.0, 0.0, 0.0, -1.0, 0.0] * 40, True),
+        ([1.0, 0.0, 0.0, -1.0, 0.0] * 4, False),  # eight moves are too few
+        ([1.0, -1.0] * 100, False),  # it never stands still
+        ([1.0, 0.0, 0.0, -1.3, 0.0, 0.0, 0.3, 0.0] * 40, False),  # not in whole steps
+        ([1.0, 0.0, 0.0, -1.3, 0.0, 0.0, 1.15, 0.0] * 40, False),
+        ([1.0, 0.0, 0.0, -4.0, 0.0, 0.0, 3.0, 0.0, 0.0] * 40, False),  # it mostly passes several at once
+    ],
+)
+def test_a_reading_stands_on_steps_where_most_of_its_many_moves_are_one_of_them(moves, told):
+    x = torch.tensor([0.0, *moves], dtype=torch.float64).cumsum(0).unsqueeze(-1)
+    data = Transitions.from_trajectory(x, torch.zeros(len(x) - 1, 1, dtype=torch.float64), 0.1)
+    assert stands_on_steps(data).tolist() == [told]
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_slow_heater_that_is_read_in_coarse_steps_is_within_its_standard_errors(seed):
     """T' = 0.1 u(t - 7 s) - T / 600 s, sampled every 2 s and read in steps of 0.5 K, which it takes long to pass."""

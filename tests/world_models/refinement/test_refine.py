@@ -286,3 +286,31 @@ def test_a_model_without_functions_tells_no_delay():
     data, none = recording(0.05), torch.zeros(4, 1, dtype=torch.float64)
     settings, whole = Refinement("trajectory", longest_delay=0.2), Recording.of(data, data, {}, 0.2)
     assert settings._fine(0.05, (LIBRARY, none), FREE.free, whole, Descent(20)) == 0.05
+
+
+@pytest.mark.parametrize(
+    ("error", "given", "lasting"),
+    [
+        ("simulation", None, False),
+        ("simulation", True, True),
+        ("prediction", None, True),
+        ("prediction", False, False),
+        ("coloured", None, False),
+        ("innovation", None, False),
+    ],
+)
+def test_errors_may_last_by_default_in_windows_that_begin_anew_unless_pushes_are_told(
+    monkeypatch, error, given, lasting
+):
+    seen = []
+
+    def _refine(library, xi, free, data, descent, start):
+        seen.append(descent.correlated)
+        return refine_trajectory(library, xi, free, data, descent, start)
+
+    monkeypatch.setattr(refine, "refine_trajectory", _refine)
+    data = recording(0.05, 0.01)
+    SindyModel(
+        SIGNATURE, ["y", "u"], Regression("bic"), Refinement("trajectory", rounds=0, error=error, correlated=given)
+    ).fit(data)
+    assert set(seen) == {lasting}

@@ -13,14 +13,14 @@ from scipy.signal import lfilter
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.world_models.libraries.constraints import Constraints
-from dynasindy.world_models.libraries.features import CONSTANT, variable
+from dynasindy.world_models.libraries.features import CONSTANT, of, variable
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement import choosing, trajectory
 from dynasindy.world_models.refinement.descent import Descent
 from dynasindy.world_models.refinement.flow import Estimate, Flow, growth
 from dynasindy.world_models.refinement.one_step import refine_one_step
 from dynasindy.world_models.refinement.refine import Refinement
-from dynasindy.world_models.refinement.trajectory import refine_trajectory
+from dynasindy.world_models.refinement.trajectory import few_steps, refine_trajectory
 from dynasindy.world_models.refinement.windows import Windows, spread
 from dynasindy.world_models.regression.sensitivity import Parameters
 
@@ -344,3 +344,20 @@ def test_no_finer_steps_are_sought_for_a_difference_equation(monkeypatch):
     found = refine_trajectory(LIBRARY.with_step(DT), first, TWO, data, Descent(20))
     assert found.flow.windows.substeps == 1
     assert (DT * found.coefficients[:2, 0]).tolist() == pytest.approx([-1.6, 0.3], abs=1e-9)
+
+
+def test_functions_of_an_angle_that_look_alike_do_not_cancel_one_another():
+    """a' = -2 sin(a) + u at angles of some degrees: only the sum of a and sin(a) is told, the prior shares it out."""
+    rng, dt = np.random.default_rng(0), 0.05
+    a, u = [0.05], 0.2 * rng.uniform(-1, 1, 60).repeat(10)
+    for held in u:
+        for _ in range(20):
+            a.append(a[-1] + dt / 20 * (held - 2 * math.sin(a[-1])))
+        a[-20:] = a[-1:]
+    x = torch.from_numpy(np.array(a) + 0.005 * rng.normal(size=len(a))).unsqueeze(-1)
+    data = Transitions.from_trajectory(x, torch.from_numpy(u).unsqueeze(-1), dt)
+    library = Library(Signature(("a",), ("rad",), ("u",), (0.1,)), [variable("a"), of("sin", "a"), variable("u")])
+    free = torch.ones(3, 1, dtype=torch.bool)
+    found = few_steps(library, column(-1.0, -1.0, 1.0), free, data, Descent(20), data.x)[1].xi[:, 0]
+    assert float(found[:2].sum()) == pytest.approx(-2.0, abs=0.2) and float(found[2]) == pytest.approx(1.0, abs=0.05)
+    assert float(found[:2].abs().max()) < 50.0  # 10 times the rate of change, some 0.1 per second, over 0.05

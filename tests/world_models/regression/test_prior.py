@@ -65,6 +65,8 @@ def test_functions_of_angles_have_a_prior_and_others_have_none():
     assert found.tolist() == [math.inf] * 6 + [SHARE] * 5
     # Where nothing is turned by a state it is no angle.
     assert shares(Library(SIGNATURE, [parse(word) for word in words[:8]])).isinf().all()
+    quotient = of("per_cos2", "a", frequency=3.0, fitted=True)
+    assert shares(Library(SIGNATURE, [quotient, variable("a"), variable("b")])).tolist() == [SHARE, SHARE, math.inf]
     library = mechanical(Signature(("p", "q", "v", "w"), ("rad", "rad", "rad/s", "rad/s"), ("u",), (1,) * 4))
     turned = [any(name in words for name in "pq") for words in (feature.variables for feature in library.features)]
     assert (shares(library) == SHARE).tolist() == turned and sum(turned) > 50
