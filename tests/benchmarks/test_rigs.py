@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.benchmarks.rigs import Log, _ahead_rows, _columns, replayed
+from dynasindy.benchmarks.rigs import Log, _ahead_rows, _axis_errors, _columns, course, replayed
+from dynasindy.systems.base import Signature
+from dynasindy.world_models import SindyModel
 
 
 def test_a_thinned_log_keeps_samples_and_the_means_of_inputs():
@@ -31,3 +33,19 @@ def test_errors_ahead_are_told_together_and_of_each_angle():
 def test_a_log_that_is_replayed_counts_as_far_as_both_go():
     # Missed by 3 mm and 1 mm: the root of 5.
     assert replayed(np.array([0.0, 0.101, 9.0]), np.array([0.003, 0.1])) == pytest.approx(5**0.5)
+
+
+def test_errors_over_a_log_end_where_a_model_runs_away():
+    rows = course("ours", np.array([0.5, -1.0, np.nan, 3.0]), 0.1, "mm")
+    assert [(row["seconds"], row["error"]) for row in rows] == [(0.0, 0.5), (0.1, -1.0)]
+    rows = course("ours", np.arange(1000.0), 0.1, "mm")
+    assert len(rows) == 250 and (rows[0]["error"], rows[-1]["seconds"]) == (0.0, 99.9)
+
+
+def test_the_error_of_an_axis_is_simulated_less_measured():
+    """An axis without any force that is pushed on by 1 mm: a model of it stays behind."""
+    model = SindyModel(Signature(("q", "v"), ("m", "m/s"), ("u",), (0.25, 0.15)), ["v", "u"], known={"q": "v"})
+    model.set_coefficients(torch.tensor([[1.0, 0.0], [0.0, 0.0]], dtype=torch.float64))
+    q = np.where(np.arange(60) < 30, 0.0, 1e-3)
+    errors = _axis_errors(model, Log(np.stack([q, np.full(60, np.nan)], -1), np.zeros((60, 1)), 1e-3))
+    assert errors.tolist() == pytest.approx([0.0] * 15 + [-1.0] * (len(errors) - 15), abs=1e-9)
