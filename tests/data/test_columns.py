@@ -77,6 +77,10 @@ def test_a_column_of_nan_alone_is_told_and_refused_where_it_is_named(tmp_path):
     for states_, inputs_ in ((["angle", "speed"], ["volts"]), (None, ["speed [rpm]"])):
         with pytest.raises(ValueError, match=r"the column speed holds no number, only cells .*; allowed are .*: log"):
             infer(str(path), states=states_, inputs=inputs_)
+    worded = [f"{row},{'ON' if k % 3 else 'OFF'}" for k, row in enumerate(rows)]
+    path.write_text("\n".join(["time,angle [rad],speed [rpm],volts [V],pump", *worded]))
+    infer(str(path), inputs=["volts"], notes=(both := []))
+    assert "words" in both[0] and both[1].endswith("are all that they hold: speed") and len(both) == 2
     path.write_text("\n".join(["time,speed [rpm],volts [V]", *(f"{0.1 * k},,{math.cos(k)}" for k in range(20))]))
     with pytest.raises(ValueError, match=r"log what the plant does, too, .* that they hold: speed\.") as error:
         infer(str(path), inputs=["volts"])

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from dynasindy.planning.oscillation import fastest_oscillation
+from dynasindy.planning.oscillation import fastest_doubling, fastest_oscillation
 from dynasindy.systems import Pendulum, Signature, System
 
 
@@ -93,3 +93,11 @@ def test_a_difference_equation_whose_sign_changes_swings_every_two_steps():
     a, b = [[-1.6 / 0.25]], [[4.0]]
     assert of(Linear(a, b)) == math.inf
     assert of(Alternating(a, b)) == pytest.approx(0.5)
+
+
+def test_a_deviation_doubles_as_the_fastest_mode_says_that_an_input_moves_or_an_output_shows():
+    """q' = 3 q - 5 w + u, w' = -w, and a state of its own that nobody needs, v' = 40 v."""
+    plant = Linear([[3.0, 0.0, -5.0], [0.0, 40.0, 0.0], [0.0, 0.0, -1.0]], [[1.0], [0.0], [0.0]])
+    of_first, of_second = (fastest_doubling(plant, torch.zeros(3), torch.zeros(1), outputs) for outputs in ([0], [1]))
+    assert of_first == pytest.approx(math.log(2) / 3) and of_second == pytest.approx(math.log(2) / 40)
+    assert fastest_doubling(Pendulum(), torch.zeros(2), torch.zeros(1), [0]) == math.inf
