@@ -15,6 +15,7 @@ def main(cfg: DictConfig) -> None:
     """Save runs if asked to, then build the report from all that is saved."""
     import torch
 
+    from dynasindy.terminal import say
     from dynasindy.viz.report.build import build
     from dynasindy.viz.report.sources import Results
 
@@ -33,9 +34,7 @@ def main(cfg: DictConfig) -> None:
     print(f"{files[0]} and {files[1]}, from {len(settings)} saved run{'s' * (len(settings) != 1)}")
     for name in kept:
         if name not in found.asked:
-            print(
-                f"note: no section of the report reads a run called {name}; it reads {', '.join(sorted(found.asked))}"
-            )
+            say(f"note: no section of the report reads a run called {name}; it reads {', '.join(sorted(found.asked))}")
 
 
 def keep(cfg: DictConfig, target: Path) -> list[str]:

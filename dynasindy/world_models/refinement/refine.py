@@ -91,8 +91,8 @@ class Refinement:
             The default is `auto` for the method `auto`, and `simulation` for others.
         correlated: whether a coefficient of `trajectory` must be worth the more, the longer errors last: every model
             of a real plant leaves over more than noise. With noise alone it changes nothing. If not, every sample
-            counts. By default it must in windows that begin anew, where errors last no longer than a window; what
-            pushes a plant may last through one simulation, beside which no function would be worth anything.
+            counts. By default it must with `prediction`, whose errors last no longer than a window; what pushes a plant
+            may last through one simulation, beside which no function would be worth anything.
 
     Raises:
         ValueError: a setting is not allowed.
