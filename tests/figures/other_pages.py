@@ -293,7 +293,7 @@ UNTIED = [
     Untied(IDENTIFICATION, "On raw columns 0.9 would delete", "of the paper"),
     Untied(
         IDENTIFICATION,
-        "have to correlate by less than -0.3, or the changes of one state by less than -0.6",
+        "have to correlate by less than -0.3. The changes of one state may do so by less than -0.6",
         "of noisy.py",
     ),
     Untied(
