@@ -107,7 +107,8 @@ class Guard:
                 raise Fault("invalid", f"{name} was measured as {value}")
             low, high = self.ranges.get(name, (-np.inf, np.inf))
             if not low <= value <= high:
-                raise Fault("range", f"{name} is {value:.6g}, outside of {low:.6g} to {high:.6g}")
+                unit = wiring.signature.state_units[wiring.signature.state_index(name)]
+                raise Fault("range", f"{name} is {value:.6g} {unit}, outside of {low:.6g} to {high:.6g}")
 
 
 @dataclass(frozen=True)
@@ -120,17 +121,20 @@ class Flown:
         computing: Time from a sample to its inputs, in each period [s].
         jitter: How much later than due each period began, for a rig that is asked; for one that streams, how much
             longer than a period its samples were apart [s].
+        lost: Samples that did not come, the bridged ones too.
     """
 
     periods: int
     fault: Fault | None
     computing: Array
     jitter: Array
+    lost: int = 0
 
     def __str__(self) -> str:
         """Say it in one line."""
         slowest, latest = (1e3 * float(np.max(t, initial=0.0)) for t in (self.computing, self.jitter))
-        line = f"{self.periods} periods, inputs after {slowest:.2f} ms at most, jitter {latest:.2f} ms at most"
+        lost = f"{self.lost} sample{'s' * (self.lost != 1)} lost, " if self.lost else ""
+        line = f"{self.periods} periods, {lost}inputs after {slowest:.2f} ms at most, jitter {latest:.2f} ms at most"
         if self.fault is None:
             return line
         return f"{line}; ended by {self.fault.kind}: {self.fault}; the rig was asked for its safe input"
@@ -174,7 +178,7 @@ def fly(
             fault = broken(error)
         finally:
             loop.end()  # before anything else, the closing of the log included
-    return Flown(loop.flown, fault, np.array(loop.computing), np.array(loop.jitter))
+    return Flown(loop.flown, fault, np.array(loop.computing), np.array(loop.jitter), loop.lost)
 
 
 ROUNDING = 1e-6
@@ -202,7 +206,8 @@ class Loop:
         self.rig, self.wiring, self.guard, self.dt, self.clock = rig, wiring, guard, wiring.dt, clock
         self.computing: list[float] = []
         self.jitter: list[float] = []
-        self.flown = self.missed = 0
+        self.flown = self.missed = self.lost = 0
+        self.heard = False  # whether any sample has come
         self.watchdog = Watchdog(rig.rest, clock)
 
     def run(self, act: Act, periods: int, log: Log) -> None:
@@ -251,12 +256,12 @@ class Loop:
             OSError: The connection is broken.
         """
         took = self.clock.monotonic() - self.begun
+        self.computing.append(took)  # those that came too late, too: the line about the flight names the slowest
         self._on_time(took)
         u = self._inputs(given)
         self.rig.write(u)
         self._on_time(took)  # the watchdog may have barked meanwhile, and its safe input been overruled
         self.watchdog.within(2 * self.patience)  # what follows, the log too, is not what the rig waits for
-        self.computing.append(took)
         return u
 
     @property
@@ -308,17 +313,26 @@ class Loop:
             Fault: Too many were lost, or it is none with which a flight goes on.
         """
         if y is None:
-            self.missed += 1
-            if self.missed > self.guard.lost:
-                raise Fault("lost", f"{self.missed} samples in a row did not come")
+            self.missed, self.lost = self.missed + 1, self.lost + 1
+            if self.missed > self.guard.lost or not self.heard:  # nobody knows where a flight would begin
+                raise Fault("lost", self._lost())
             return np.full(self.wiring.signature.n_x, np.nan)
-        self.missed = 0
+        self.missed, self.heard = 0, True
         if np.shape(y) != (self.wiring.signature.n_x,):
             raise Fault(
                 "invalid", f"a sample has the shape {np.shape(y)}, the plant {self.wiring.signature.n_x} states"
             )
         self.guard.check(y, self.wiring)
         return y
+
+    def _lost(self) -> str:
+        """Say how many samples are missing, how many may be, and what came in their place."""
+        many = f"{self.missed} samples" if self.missed > 1 else "1 sample"
+        told = f"{many} in a row did not come, and guard.lost={self.guard.lost} is allowed"
+        if not self.heard:
+            told = "no sample came to begin with; see that the rig is on and sends one per period to this computer"
+        strange = getattr(self.rig, "strange", "")  # of a rig that tells what came in place of samples
+        return f"{told}; {strange}" if strange else told
 
     def _asked(self, act: Act, y: Array, t: float) -> Any:
         try:

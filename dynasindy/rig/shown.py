@@ -97,7 +97,12 @@ class Shown:
                 told.append(f"{name} within the sensor's step of {step:.3g} {unit}")
             else:
                 told.append(f"{name} to {error:.3g} {unit}")
-        return f"mean error over the last half of each target: {', '.join(told)}"
+        if not len(self.time):
+            return "no period was flown, so there is no error to tell"
+        # The last target of a flight that was cut short may hardly have been approached.
+        short = f", of the {len(self.time)} periods of {self.planned} that were flown"
+        flown = short if len(self.time) < self.planned else ""
+        return f"mean error over the last half of each target{flown}: {', '.join(told)}"
 
 
 def _ends(targets: Array) -> Array:

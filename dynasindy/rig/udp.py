@@ -44,8 +44,20 @@ def unpack(datagram: bytes, n: int) -> tuple[int, Array] | None:
     return number, np.array(values)
 
 
+def _strange(datagram: bytes, n: int) -> str:
+    """Say why a datagram is no sample of n states."""
+    begins = "" if datagram[:4] == MAGIC else f" that begin with {datagram[:4]!r}"
+    return (
+        f"what came last is no sample: {len(datagram)} bytes{begins}, and a sample of this rig is {8 + 8 * n} bytes: "
+        f"DYN1, its number as a uint32, and {n} double{'s' * (n != 1)}, one for each state of system"
+    )
+
+
 class UdpRig:
     """A rig that streams samples over UDP and takes inputs the same way.
+
+    Attributes:
+        strange: What came since the last sample that is none, in words; empty if nothing did.
 
     Args:
         n_x: Number of states in a sample.
@@ -64,6 +76,7 @@ class UdpRig:
         self.n_x, self.n_u, self.place = n_x, n_u, f"{host}, port {port}"
         self.last = -1
         self.first: int | None = None
+        self.strange = ""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             with self._named():
@@ -82,7 +95,7 @@ class UdpRig:
         Raises:
             OSError: The connection is broken.
         """
-        self.last, self.first = -1, None
+        self.last, self.first, self.strange = -1, None, ""
         self._socket.settimeout(0.0)
         for _ in range(MOST):
             try:
@@ -111,13 +124,16 @@ class UdpRig:
             self._socket.settimeout(max(left, 1e-6))
             try:
                 with self._named():
-                    found = unpack(self._socket.recv(65536), self.n_x)
+                    datagram = self._socket.recv(65536)
             except (TimeoutError, BlockingIOError):
                 if newest is not None:
                     return newest
                 continue
-            if found is not None and found[0] > self.last:
-                self.last, newest = found
+            found = unpack(datagram, self.n_x)
+            if found is None:
+                self.strange = _strange(datagram, self.n_x)
+            elif found[0] > self.last:
+                self.last, newest, self.strange = *found, ""
                 self.first = self.last if self.first is None else self.first
 
     def write(self, u: Array) -> None:

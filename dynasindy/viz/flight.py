@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dynasindy.durations import in_words
@@ -13,6 +14,7 @@ from dynasindy.viz.style import GREY, ORANGE, RED, legend_above, styled, time_ax
 
 if TYPE_CHECKING:  # figures know a flight by its attributes alone
     from dynasindy.rig import Guard, Wiring
+    from dynasindy.rig.base import Array
     from dynasindy.rig.shown import Shown
 
 LATE = 0.02
@@ -41,6 +43,7 @@ def flight(shown: Shown, wiring: Wiring, guard: Guard, name: str) -> Figure:
     for column, (axis, output) in enumerate(zip(figure.axes, shown.names, strict=False)):
         if np.isnan(shown.outputs[:, column]).all():
             axis.text(0.5, 0.5, "not measured", transform=axis.transAxes, ha="center", va="center", color=GREY)
+        _alone(axis, shown.time, shown.outputs[:, column])
         bottom, top = axis.get_ylim()
         room = 0.3 * (top - bottom)
         for end in guard.ranges.get(output, ()):
@@ -54,3 +57,12 @@ def flight(shown: Shown, wiring: Wiring, guard: Guard, name: str) -> Figure:
     figure.axes[-1].set_xlim(0.0, planned * (1 + LATE * bool(shown.fault)))
     legend_above(figure.axes[0])
     return figure
+
+
+def _alone(axis: Axes, time: Array, values: Array) -> None:
+    """Mark samples between two that were lost, of which a line shows nothing."""
+    known = np.isfinite(np.concatenate([[np.nan], values, [np.nan]]))
+    alone = known[1:-1] & ~known[:-2] & ~known[2:]
+    if alone.any():
+        measured = next(line for line in axis.lines if line.get_label() == "measured")
+        axis.plot(time[alone], values[alone], ".", color=measured.get_color(), markersize=3.0)

@@ -2,6 +2,7 @@
 
 import csv
 import math
+import socket
 import threading
 import time
 from dataclasses import replace
@@ -297,6 +298,8 @@ def test_one_lost_sample_is_shown_as_nan_and_bridged(tmp_path):
     result = fly(rig, act, replace(WIRING, dt=0.01), 6, tmp_path / "log.csv", Guard(late=50.0, lost=1))
     assert [np.isnan(v).all() for v in shown] == [False, True, False, True]
     assert (result.fault.kind, result.periods, rig.rested, len(rig.written)) == ("lost", 4, 1, 4)
+    assert str(result.fault) == "2 samples in a row did not come, and guard.lost=1 is allowed"
+    assert str(result).startswith("4 periods, 3 samples lost, inputs after ")
     rows = (tmp_path / "log.csv").read_text().splitlines()
     assert rows[2] == "0.010000,,,0.1"
 
@@ -335,7 +338,7 @@ def test_a_broken_connection_is_one_line(tmp_path):
 def test_a_guard_of_negative_numbers_is_refused():
     with pytest.raises(ValueError, match="give numbers >= 0"):
         Guard(late=-0.1)
-    with pytest.raises(Fault, match="theta is 3, outside of -1 to 2"):
+    with pytest.raises(Fault, match="theta is 3 rad, outside of -1 to 2"):
         Guard({"theta": -1.0}, {"theta": 2.0}).check(np.array([3.0, 0.0]), WIRING)
 
 
@@ -353,3 +356,38 @@ def test_the_ranges_in_which_a_flight_goes_on_are_said_in_the_units_of_the_state
     said = Guard({"theta": -1.5}, {"theta": 1.5, "Omega": 8.0}).words(wiring)
     assert said == "A flight goes on with theta within -1.5 to 1.5 rad, Omega within -inf to 8 rad/s"
     assert "No state has a range that ends a flight" in Guard().words(wiring)
+
+
+def test_a_rig_that_never_sends_a_sample_is_told_with_what_came_instead(tmp_path):
+    """Floats are sent in the place of doubles: 12 bytes, which is no sample of one state."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as far:
+        far.bind(("127.0.0.1", 0))
+        rig = UdpRig(2, 1, port=far.getsockname()[1])
+        thread = threading.Thread(target=lambda: far.sendto(b"DYN1" + bytes(12), far.recvfrom(100)[1]))
+        thread.start()
+        result = fly(rig, swing, replace(WIRING, dt=0.01), 9, tmp_path / "log.csv", Guard(late=9.0, lost=3))
+        thread.join()
+        rig.close()
+    assert result.fault is not None and result.fault.kind == "lost"
+    assert str(result.fault).startswith("no sample came to begin with; see that the rig is on")
+    assert result.periods == 0  # no input was sent to a rig of which nothing is known
+    assert "16 bytes, and a sample of this rig is 24 bytes: DYN1, its number as a uint32, and 2 doubles" in str(result)
+
+
+def test_inputs_that_end_a_flight_are_among_those_of_which_the_slowest_is_told(tmp_path):
+    class Slow(Still):
+        def read(self, seconds):
+            return np.zeros(2)
+
+        def write(self, u):
+            pass
+
+    def act(y, t):
+        if t > 0.25:
+            clock.sleep(0.04)
+        return np.array([0.1])
+
+    clock = FastClock()
+    result = fly(Slow(), act, WIRING, 12, tmp_path / "log.csv", Guard(late=0.5), clock)
+    assert result.fault is not None and result.fault.kind == "late"
+    assert "inputs after 40.00 ms at most" in str(result)

@@ -51,3 +51,15 @@ def test_the_range_of_the_guard_is_drawn_where_it_is_near() -> None:
 def test_an_output_without_a_sensor_is_said_to_have_none() -> None:
     figure = flight(ENDED, WIRING, Guard(), "flight_1")
     assert [[text.get_text() for text in axis.texts] for axis in figure.axes] == [[], ["not measured"], []]
+
+
+def test_samples_between_lost_ones_are_drawn_as_points() -> None:
+    """The second and the fourth of five samples were lost, so that no two of them make a line."""
+    outputs = OUTPUTS.copy()
+    outputs[[1, 3]] = np.nan
+    axis = flight(replace(ENDED, outputs=outputs), WIRING, Guard(), "flight_1").axes[0]
+    drawn = [line for line in axis.lines if line.get_marker() == "."]
+    assert drawn[0].get_xdata() == pytest.approx([0.0, 0.2, 0.4])
+    assert drawn[0].get_color() == axis.lines[1].get_color()
+    whole = flight(ENDED, WIRING, Guard(), "flight_1").axes[0]
+    assert not [line for line in whole.lines if line.get_marker() == "."]
