@@ -353,6 +353,11 @@ class Loop:
     def _on_time(self, took: float) -> None:
         allowed = self.guard.late * self.dt
         if self.watchdog.barked:
-            raise Fault("late", f"controller and rig did not come round within {1e3 * allowed:.1f} ms")
+            raise Fault("late", f"controller and rig did not come round within {1e3 * allowed:.1f} ms; {self._busy}")
         if took > allowed:
-            raise Fault("late", f"inputs took {1e3 * took:.1f} ms, {1e3 * allowed:.1f} ms are allowed")
+            raise Fault("late", f"inputs took {1e3 * took:.1f} ms, {1e3 * allowed:.1f} ms are allowed; {self._busy}")
+
+    @property
+    def _busy(self) -> str:
+        """What to do where inputs come too late."""
+        return f"end what else this computer does, or give more than guard.late={self.guard.late:g} of a period"

@@ -391,3 +391,4 @@ def test_inputs_that_end_a_flight_are_among_those_of_which_the_slowest_is_told(t
     result = fly(Slow(), act, WIRING, 12, tmp_path / "log.csv", Guard(late=0.5), clock)
     assert result.fault is not None and result.fault.kind == "late"
     assert "inputs after 40.00 ms at most" in str(result)
+    assert "or give more than guard.late=0.5 of a period; the rig was asked" in str(result)
