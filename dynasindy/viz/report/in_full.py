@@ -9,8 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynasindy.evaluation.rows import read_rows
+from dynasindy.evaluation.table import FEWEST, over_seeds
 from dynasindy.viz.report.document import Part, Table, Text
 from dynasindy.viz.report.sources import SETTINGS, Results, commits, listed
+from dynasindy.viz.report.thresholds import LEVEL, SOON
 from dynasindy.viz.style import Array
 
 TABLE = "paper_in_full.csv"
@@ -112,7 +114,48 @@ def course(results: Results, runs: Sequence[Longer], case: str, beyond: float) -
         *(f"error {end} [rad]" for end in ends),
         "commit",
     ]
+    return [Text(words), Table(header, rows), *by_setting(runs)]
+
+
+def by_setting(runs: Sequence[Longer]) -> list[Part]:
+    """Return the settings over the whole curve, of the runs that went as far as any; nothing of fewer than two."""
+    last = max(run.last for run in runs)
+    whole = {name: [run for run in runs if run.setting == name and run.last == last] for name in SETTINGS.values()}
+    if sum(map(bool, whole.values())) < 2:
+        return []
+    words = (
+        f"By setting, of the runs that went on to episode {last:g}: interquartile mean over seeds and 95 % bootstrap "
+        f"interval, or each seed where there are fewer than {FEWEST}. The required level is {LEVEL.value:g} "
+        f"{LEVEL.unit} on the worse axis, and the paper's 800 rollouts take {SOON.value:g} {SOON.unit} to it."
+    )
+    rows = [
+        [
+            name,
+            str(len(own)),
+            over_seeds([float(run.returns.mean()) for run in own], 4),
+            over_seeds([float(run.returns[-1]) for run in own], 4),
+            over_seeds([float(run.error[-1]) for run in own]),
+            f"{sum(_at(run, run.error, SOON.value) <= LEVEL.value for run in own)} of {len(own)}",
+            over_seeds([_first(run) for run in own], infinite="never"),
+        ]
+        for name, own in whole.items()
+        if own
+    ]
+    header = [
+        "setting",
+        "seeds",
+        "mean return of the whole curve",
+        "return at the end",
+        "error at the end [rad]",
+        f"at the level after {SOON.value:g}",
+        "first episode at the level",
+    ]
     return [Text(words), Table(header, rows)]
+
+
+def _first(run: Longer) -> float:
+    """Return the first episode after which the worse axis was within the required level, infinite if it never was."""
+    return float(min(run.episode[run.error <= LEVEL.value], default=np.inf))
 
 
 def _at(run: Longer, values: Array, episode: float) -> float:
