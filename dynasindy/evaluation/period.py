@@ -27,8 +27,9 @@ SAMPLES = 10
 """Samples of a log in a control period at most, if nobody asks for another one."""
 PART = 5
 """Control periods in the fastest oscillation of the model at least, if nobody asks for another one."""
-HALF = 2
-"""The same in the time in which a deviation of an unstable model doubles: what acts a period late has to hold it."""
+QUARTER = 4
+"""The same in the time in which a deviation of an unstable model doubles: inputs that act a period late have to hold
+it. With a hold of a period, which delays by half of one, a deviation grows by exp(0.26) until then."""
 PLACES = 64
 """Places of a log at which its model is looked at."""
 SHARED = 0.25
@@ -52,10 +53,10 @@ class Period:
 def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> Period:
     """Return the control period that suits a model and its log, where nobody asks for one.
 
-    It is what suits the log, but a fifth of the model's fastest oscillation at most, and half of the time in which a
-    deviation doubles, where the log mostly was or in a quarter of its places; without a log where episodes begin. It is
-    longer where a plan would otherwise not look as far ahead as the regulated plant takes to settle. With a log it is a
-    multiple of its sampling time, and one sample at least. Of a difference equation without a log it is the step.
+    It is what suits the log, but a fifth of the model's fastest oscillation at most, and a quarter of the time in which
+    a deviation doubles, where the log mostly was or in a quarter of its places; without a log where episodes begin. It
+    is longer where a plan would otherwise not look as far ahead as the regulated plant takes to settle. With a log it
+    is a multiple of its sampling time, and one sample at least. Of a difference equation without a log it is the step.
 
     Args:
         model: The fitted model.
@@ -169,18 +170,18 @@ class _Pace:
             return min(first, sorted(others)[math.ceil(SHARED * len(others)) - 1]) if others else first
 
         swing, doubling = _fastest(fastest_oscillation), _fastest(fastest_doubling)
-        return cls(doubling, True) if doubling / HALF < swing / PART else cls(swing, False)
+        return cls(doubling, True) if doubling / QUARTER < swing / PART else cls(swing, False)
 
     @property
     def longest(self) -> float:
         """The longest control period that suits it [s]."""
-        return self.seconds / (HALF if self.grows else PART)
+        return self.seconds / (QUARTER if self.grows else PART)
 
     @property
     def part(self) -> str:
         """What the longest control period is of it."""
         if self.grows:
-            return f"half of the {self.seconds:.3g} s in which a deviation of the unstable model doubles"
+            return f"a quarter of the {self.seconds:.3g} s in which a deviation of the unstable model doubles"
         return f"a fifth of the model's fastest oscillation of {self.seconds:.3g} s"
 
     @property
