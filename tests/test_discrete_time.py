@@ -90,6 +90,7 @@ def flown(controller, target, seen=lambda a, b: [a, b]):
     return a
 
 
+@pytest.mark.slow
 def test_a_log_of_a_map_that_no_differential_equation_is_leads_to_a_controller_of_it(tmp_path):
     log = logged(tmp_path)
     model = dynasindy.identify(log, "polynomial", time="discrete")

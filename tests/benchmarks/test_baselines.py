@@ -30,6 +30,7 @@ def options(tmp_path, *more):
     return ["--plants", "xi", "--seeds", "0", "--seconds", "1", "--out", str(tmp_path / "baselines.csv"), *more]
 
 
+@pytest.mark.slow
 def test_every_controller_and_model_has_its_rows_and_its_line(quick, tmp_path):
     pytest.importorskip("casadi")
     baselines.main(parsed("baselines", options(tmp_path)))

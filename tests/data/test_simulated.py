@@ -132,6 +132,7 @@ def test_a_recording_ends_where_the_plant_leaves_its_bounds():
     assert before_leaving(data, plant.signature, {"q": 4.0}, "") == (data, "")
 
 
+@pytest.mark.slow
 def test_a_plant_that_runs_away_soon_is_told_by_name_time_and_what_to_do():
     plant, u = Growing(), torch.ones(1000, 1)
     data = record(plant, u, 0.01)  # 1000 m are reached after log(2001) / 2 = 3.80 s

@@ -168,6 +168,7 @@ def test_only_jobs_of_the_present_command_are_counted(tmp_path):
     assert (earlier / "other" / "seed_1" / "error.txt").read_text() == "error: earlier\n"
 
 
+@pytest.mark.slow
 def test_a_finished_run_of_other_settings_stays_untouched_and_the_refusal_lies_beside_it(tmp_path):
     folder = tmp_path / "runs" / "ablation" / "xi" / "smoke" / "direct" / "seed_1"
     folder.mkdir(parents=True)

@@ -106,6 +106,7 @@ def test_what_is_missing_costs_one_line(tmp_path):
     assert done.returncode == 2 and "run has no model of the plant" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_check_that_is_stopped_keeps_what_it_found(tmp_path):
     """Ctrl-C in the middle of its flights: one line names the file, which has the findings until then."""
     run_folder(tmp_path / "run", 2.0)

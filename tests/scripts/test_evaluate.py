@@ -54,6 +54,7 @@ def test_it_writes_tables_figures_and_an_animation(run_folder: Path, tmp_path: P
     assert json.loads((run_folder / "evaluation" / "delay.json").read_text())["rows"] == 64
 
 
+@pytest.mark.slow
 def test_a_policy_that_was_trained_behind_sensors_is_evaluated_behind_them(tmp_path: Path) -> None:
     words = ["system=tras", "sensors=bench", "world_model=oracle", "experiment=gradient_smoke", "train.episodes=0"]
     script = [sys.executable, str(REPOSITORY / "scripts" / "train.py"), *words, "scenario.episodes=2"]

@@ -107,6 +107,7 @@ def test_the_library_gives_the_verdict_of_the_command(plant, promised, tmp_path)
     assert any("lagging" in line for line in told["equations"]) == (plant == "propeller")
 
 
+@pytest.mark.slow
 def test_a_model_that_swings_fast_is_controlled_in_shorter_periods_unless_one_is_asked_for(tmp_path):
     """p'' = -3600 p + 3600 u swings in 2 pi / 60 s, 0.1047 s; a fifth of it is 0.0209 s."""
     signature = Signature(("p", "v"), ("m", "m/s"), ("u",), (1.0, 60.0))
@@ -146,6 +147,7 @@ def test_a_model_and_a_plant_are_refused_together(tmp_path):
     assert "system names one; leave system out" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_plan_that_fails_leaves_the_model(log, tmp_path):
     given = [f"data.path={log}", *TASK, WORDS, "planning.lr=-1.0"]
     done = train("data=csv", *given, f"folder={tmp_path}/run")

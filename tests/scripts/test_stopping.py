@@ -340,6 +340,7 @@ def test_a_plan_from_a_log_that_is_stopped_in_its_fit_keeps_nothing_and_says_so(
     assert not any(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_plan_from_a_log_that_is_stopped_keeps_its_equations_and_goes_on_without_a_fit(log, tmp_path):
     code, line = stopped_at("planning", log, tmp_path)
     assert code == 143

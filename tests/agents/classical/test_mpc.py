@@ -103,6 +103,7 @@ class Pushed(Tras):
         return super().forward(x, u) + torch.tensor([0, 0, 0.1, 0.3, 0, 0], dtype=x.dtype)
 
 
+@pytest.mark.slow
 def test_the_estimated_model_error_removes_the_offset_of_a_wrong_model():
     assert final_error(flown(Pushed(), Tras(), [[0.4, 0.25]], correction=0.0)) > 5e-3
     assert final_error(flown(Pushed(), Tras(), [[0.4, 0.25]])) < 1e-3

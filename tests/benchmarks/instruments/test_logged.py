@@ -46,7 +46,7 @@ def test_the_plants_move_as_their_equations_say():
     assert moved("beam", [0.0, 0.2, 0.1], 0.5)[1:] == pytest.approx([-7 * math.sin(0.1) - 0.02, 0.075 / 0.06])
 
 
-@pytest.mark.parametrize("name", ["arm", "pole", "tanks"])
+@pytest.mark.parametrize("name", ["tanks", *(pytest.param(name, marks=pytest.mark.slow) for name in ("arm", "pole"))])
 def test_a_log_is_what_sensors_show_of_a_plant_that_is_kept_in_sensible_places(name):
     case = CASES[name]
     y, u = case.record(0)

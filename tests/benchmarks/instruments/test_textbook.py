@@ -24,6 +24,7 @@ def test_the_systems_are_the_published_ones(name):
     assert found == pytest.approx(TRUE[name])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TRUE)
 def test_ten_percent_of_noise_leave_the_terms_and_the_bound(name):
     rows = {row["measure"]: row["value"] for row in textbook.measure(textbook.CASES[name], 1)}
