@@ -88,6 +88,8 @@ class Shown:
 
     def words(self) -> str:
         """Return the errors in one line; one below the step of its sensor is no number of the plant."""
+        if not len(self.time):
+            return "no period was flown, so there is no error to tell"
         told = []
         for k, (name, unit, error) in enumerate(zip(self.names, self.units, self.errors().tolist(), strict=True)):
             step = step_of(self.outputs[:, k])
@@ -97,8 +99,6 @@ class Shown:
                 told.append(f"{name} within the sensor's step of {step:.3g} {unit}")
             else:
                 told.append(f"{name} to {error:.3g} {unit}")
-        if not len(self.time):
-            return "no period was flown, so there is no error to tell"
         # The last target of a flight that was cut short may hardly have been approached.
         short = f", of the {len(self.time)} periods of {self.planned} that were flown"
         flown = short if len(self.time) < self.planned else ""

@@ -359,7 +359,7 @@ def test_the_ranges_in_which_a_flight_goes_on_are_said_in_the_units_of_the_state
 
 
 def test_a_rig_that_never_sends_a_sample_is_told_with_what_came_instead(tmp_path):
-    """Floats are sent in the place of doubles: 12 bytes, which is no sample of one state."""
+    """Floats are sent in the place of doubles: 16 bytes, where a sample of two states has 24."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as far:
         far.bind(("127.0.0.1", 0))
         rig = UdpRig(2, 1, port=far.getsockname()[1])
