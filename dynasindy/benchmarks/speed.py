@@ -3,19 +3,23 @@
 The controller is that of `benchmark.py gradient`, case `step`: ten seconds of data, the fit, planning, and no more. The
 CPU time of the compiler counts. Seconds depend on the computer and on what else it does; their ratio hardly does.
 
-The job `start-up` is another comparison: what a run takes until its work begins, and `import torch` alone.
+Two jobs are other comparisons. `start-up` is what a run takes until its work begins, and `import torch` alone. With
+`--before FOLDER`, `imagined replay xi before` is the same command here and in a checkout of an earlier commit.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import statistics
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 from unittest.mock import patch
 
 import gymnasium
@@ -36,10 +40,7 @@ STEPS, REPEATS = 1000, 7
 """Control periods of the environment that are timed, and how often; other jobs disturb the least time least."""
 EPISODES = 5
 """Real episodes of imagined replay; with 800 rollouts, most seeds hold the required level after four."""
-TO_THE_LEVEL = (
-    *("experiment=dyna", "system=xi", "planning.rollouts=800"),
-    *(f"train.episodes={EPISODES}", "evaluation.must_improve=false"),
-)
+TO_THE_LEVEL = ("experiment=dyna", "system=xi", "planning.rollouts=800", f"train.episodes={EPISODES}")
 STARTS = {
     True: ("-m", "dynasindy", "train", "experiment=smoke"),
     False: ("-c", "import torch; print('Imported', flush=True)"),
@@ -48,30 +49,49 @@ STARTS = {
 IN_TORCH = ("world_model.machine_code=false", "agent.machine_code=false")
 
 
+@dataclass(frozen=True)
+class Job:
+    """What is timed.
+
+    Attributes:
+        seconds: CPU seconds of it [s], of our way (True) or of the other one (False).
+        beside: what the other way is called.
+    """
+
+    seconds: Callable[[bool], float]
+    beside: str = "torch code"
+
+
 def main(arguments: argparse.Namespace) -> None:
-    """Time every job and write the table."""
+    """Time the jobs that are asked for and write the table, which keeps its rows of the others."""
     torch.set_num_threads(1)
-    jobs: dict[str, Callable[[bool], float]] = {
-        "environment": environment,
-        **{f"controller {plant}": _controllers(plant, arguments.seeds) for plant in ("xi", "tras")},
-        "imagined replay xi": imagined_replay,
-        "start-up": start_up,
+    jobs = {
+        "environment": Job(environment),
+        **{f"controller {plant}": Job(_controllers(plant, arguments.seeds)) for plant in ("xi", "tras")},
+        "imagined replay xi": Job(imagined_replay),
+        "start-up": Job(start_up, "import torch"),
     }
+    if arguments.before is not None:
+        then = commit(arguments.before)
+        jobs["imagined replay xi before"] = Job(partial(replay_of_a_checkout, arguments.before), then)
     asked = arguments.jobs or list(jobs)
-    before = read_rows(arguments.out) if arguments.jobs and arguments.out.is_file() else []
-    rows = [row for row in before if row["job"] not in asked] + [measure(name, jobs[name]) for name in asked]
+    if missing := [name for name in asked if name not in jobs]:
+        raise SystemExit(f"benchmark.py speed: job '{missing[0]}' needs --before FOLDER, a checkout to compare with")
+    kept = read_rows(arguments.out) if arguments.out.is_file() else []
+    rows = [row for row in kept if row["job"] not in asked] + [measure(name, jobs[name]) for name in asked]
     write_rows(arguments.out, list(rows[0]), rows)
     print(f"written to {arguments.out}")
 
 
-def measure(name: str, job: Callable[[bool], float]) -> Row:
-    """Return a job's seconds with machine code and without, and their ratio."""
-    with_code, without = job(True), job(False)
+def measure(name: str, job: Job) -> Row:
+    """Return a job's seconds in our way and in the other one, and their ratio."""
+    ours, other = job.seconds(True), job.seconds(False)
     row: Row = {
         "job": name,
-        "machine_code_cpu_seconds": float(f"{with_code:.4g}"),
-        "torch_cpu_seconds": float(f"{without:.4g}"),
-        "ratio": round(without / with_code, 2),
+        "cpu_seconds": float(f"{ours:.4g}"),
+        "beside": job.beside,
+        "beside_cpu_seconds": float(f"{other:.4g}"),
+        "ratio": round(other / ours, 2),
         "commit": commit(),
     }
     print(", ".join(f"{key} {value}" for key, value in row.items()), flush=True)
@@ -111,10 +131,21 @@ def controller(plant: str, seed: int, machine_code: bool) -> float:
 
 def imagined_replay(machine_code: bool) -> float:
     """Return the CPU seconds of a whole command: 800 imagined rollouts a phase, to the required level on `xi` [s]."""
+    return _commanded(Path.cwd(), () if machine_code else IN_TORCH)
+
+
+def replay_of_a_checkout(before: Path, ours: bool) -> float:
+    """Return the CPU seconds of the same command, here or in a checkout of an earlier commit [s]."""
+    return _commanded(Path.cwd() if ours else before, ())
+
+
+def _commanded(checkout: Path, words: Sequence[str]) -> float:
+    """Return the CPU seconds of training in a checkout, to the required level [s]."""
     with tempfile.TemporaryDirectory() as folder:
-        words = [*TO_THE_LEVEL, *(() if machine_code else IN_TORCH), f"hydra.run.dir={folder}"]
+        command = [sys.executable, "scripts/train.py", *TO_THE_LEVEL, *words, f"hydra.run.dir={folder}"]
+        own = {**os.environ, "PYTHONPATH": str(checkout)}  # its package, whichever one is installed
         start = cpu_seconds()
-        subprocess.run([sys.executable, "scripts/train.py", *words], check=True, stdout=subprocess.DEVNULL)
+        subprocess.run(command, cwd=checkout, env=own, check=True, stdout=subprocess.DEVNULL)
         return cpu_seconds() - start
 
 

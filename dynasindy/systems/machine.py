@@ -84,6 +84,7 @@ class Machine:
         single = dtype == torch.float32
         source = _source(replace(program, constants=()), width if single else 1, single)
         self._code = load(source, ("advance", "sensitivities"), fast=single)
+        self._ends: dict[Stops, tuple[object, ...]] = {}
 
     def fits(self, x: Tensor, u: Tensor) -> bool:
         """Return whether states and inputs are as many numbers of the kind as it computes in, in the CPU's memory."""
@@ -139,7 +140,8 @@ class Machine:
         length, count, _ = steps_of(self.step, dt, substeps)
         samples = x.new_empty(*u.shape[:-1], count, self.n_x)
         touched = torch.empty(u.shape[:-1], dtype=torch.bool)
-        ends = self._places(stops.positions), self._places(stops.rates), self._reals(stops.low), self._reals(stops.high)
+        if (ends := self._ends.get(stops)) is None:
+            ends = self._ends[stops] = self._in_memory(stops)
         periods, rows = ctypes.c_long(len(u)), ctypes.c_long(x.shape[:-1].numel())
         h, n_stops, into = self._real(length), len(stops.positions), _data(samples, touched)
         self._code.advance(periods, rows, *_data(x, u), self._constants, h, int(count), n_stops, *ends, *into)
@@ -163,6 +165,13 @@ class Machine:
         rows, h = ctypes.c_long(x.numel() // self.n_x), self._real(length)
         self._code.sensitivities(rows, *_data(x, u), self._constants, h, int(count), *_data(a, b))
         return a, b
+
+    def _in_memory(self, stops: Stops) -> tuple[object, ...]:
+        """Return stops as the code reads them; they are kept, as to write them costs as much as a control period."""
+        return (
+            *(self._places(columns) for columns in (stops.positions, stops.rates)),
+            *(self._reals(ends) for ends in (stops.low, stops.high)),
+        )
 
     def _places(self, columns: Sequence[int]) -> ctypes.Array[ctypes.c_int]:
         """Return columns of the states, counted from the first; there are negative ones, from the last."""

@@ -123,19 +123,20 @@ def _measured(case: str, words: str, method: str = "ours") -> str:
 def speed(text: str) -> Iterator[Tie]:
     """Yield what docs/speed.md must say."""
     (start,) = rows("speed.csv", job="start-up")
-    ours, torch = (float(start[f"{kind}_cpu_seconds"]) for kind in ("machine_code", "torch"))
+    ours, torch = (float(start[kind]) for kind in TIMES_OF_JOBS)
     figures = (f"{ours:.2g}", f"{torch:.2g}", f"{ours / torch:.2g}")
     yield Tie(
         SPEED, "{} seconds of one core until it begins its work; `import torch` alone takes {}: {} times", figures
     )
     for row in (row for row in table("speed.csv") if row["job"] != "start-up"):
         per = 1e3 if row["job"] == "environment" else 1.0  # in milliseconds, or in seconds
-        times = [f"{per * float(row[f'{kind}_cpu_seconds']):.2g}" for kind in ("machine_code", "torch")]
+        times = [f"{per * float(row[kind]):.2g}" for kind in TIMES_OF_JOBS]
         yield Tie(SPEED, f"| {JOBS[row['job']]} | {{}} | {{}} | {{}} |", (*times, f"{float(row['ratio']):.2g}"))
-    (step,) = (float(row["machine_code_cpu_seconds"]) for row in rows("speed.csv", job="environment"))
+    (step,) = (float(row["cpu_seconds"]) for row in rows("speed.csv", job="environment"))
     yield Tie(SPEED, "makes {} steps in a second of one core", (f"{round(1 / step, -2):.0f}",))
 
 
+TIMES_OF_JOBS = ("cpu_seconds", "beside_cpu_seconds")
 JOBS = {
     "environment": "a step of `dynasindy/TwinRotor-v0` [ms]",
     "controller xi": "nothing to controller, `xi` [s]",

@@ -65,6 +65,17 @@ def test_batches_of_any_shape_are_moved_row_by_row():
             assert torch.equal(alone, samples[i, j])
 
 
+def test_stops_may_change_from_call_to_call():
+    code, x = Machine(SPRING, torch.float64), torch.tensor([2.0, 0.0], dtype=torch.float64)
+    u, places = torch.zeros(1, dtype=torch.float64), []
+    for end in (1.0, 0.5, None, 1.0):
+        stops = None if end is None else Stops((0,), (1,), (-end,), (end,))
+        samples, touched = code.integrate(x, u, 0.01, 1, stops)
+        places.append(samples[0, 0].item())
+        assert bool(touched) is (end is not None)
+    assert places[0] == places[3] == 1.0 and places[1] == 0.5 and places[2] > 1.9
+
+
 def test_no_rows_are_no_rows():
     for dtype in (torch.float32, torch.float64):
         samples, touched = Machine(DECAY, dtype).integrate(

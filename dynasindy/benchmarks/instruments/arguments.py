@@ -50,7 +50,10 @@ LOGGED = (
 )
 LEARNERS = ("sac_5", "sac", "td3_5", "td3")
 RIGS = ("emps", "qube", "tanks")
-JOBS = ("environment", "controller xi", "controller tras", "imagined replay xi", "start-up")
+JOBS = (
+    *("environment", "controller xi", "controller tras", "imagined replay xi", "start-up"),
+    "imagined replay xi before",
+)
 SWINGS = ("pendulum_v1", "swing_up", "mountain_car", "double_pendulum", "reacher")
 SWINGERS = ("sac", "sac_bullet", "td3")
 RESULTS = Path("docs/results")
@@ -76,6 +79,20 @@ def _appended(name: str, also: str = "") -> Options:
 def _replaced(name: str, least: int, of: str) -> Options:
     told = f"CSV file to write; {RESULTS / name}.csv by default, nothing if there are fewer than {least} {of}"
     return {"--out": {"type": Path, "help": told}}
+
+
+def _checkout(word: str) -> Path:
+    """Return a checkout of this project.
+
+    Raises:
+        argparse.ArgumentTypeError: It is none.
+    """
+    folder = Path(word).resolve()
+    if not (folder / "scripts" / "train.py").is_file():
+        raise argparse.ArgumentTypeError(
+            f"{word} has no scripts/train.py; give a folder made by `git worktree add FOLDER COMMIT`"
+        )
+    return folder
 
 
 def _episodes(word: str) -> int:
@@ -136,6 +153,7 @@ OPTIONS: dict[str, Options] = {
         "--seeds": _seeds(3, "seeds of the controllers"),
         "--out": {"type": Path, "default": RESULTS / "speed.csv", "help": "CSV file to write"},
         "--jobs": {"nargs": "+", "choices": JOBS, "help": "jobs to measure; the file keeps its rows of the others"},
+        "--before": {"type": _checkout, "help": "checkout of an earlier commit, for `imagined replay xi before`"},
     },
     "standin": {
         "--logs": {"type": int, "default": LOGS, "help": "logs of each case"},
