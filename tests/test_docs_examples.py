@@ -3,10 +3,10 @@
 import os
 import re
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
+import forked
 import numpy as np
 import pytest
 
@@ -34,9 +34,7 @@ def extended(tmp_path_factory):
 def run(root: Path, *arguments: str) -> str:
     """Run Python on the copied package and return what it printed."""
     environment = os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(
-        [sys.executable, *arguments], cwd=root, env=environment, capture_output=True, text=True, timeout=1200
-    )
+    done = forked.run([sys.executable, *arguments], cwd=root, env=environment, timeout=1200)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import forked
 import pytest
 import torch
 
@@ -53,7 +54,7 @@ def test_the_program_of_the_page_acts_as_the_controller(controller, tmp_path):
 def test_the_command_writes_what_the_page_says(controller, tmp_path):
     save(controller, tmp_path / "run" / "controller.json")
     command = [sys.executable, str(REPOSITORY / "scripts" / "export.py"), "run=run", "formats=[c,fmu,model]"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    done = forked.run(command, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     table = re.findall(r"^\| `(c|fmu|model)` \| ([^|]+) \|", PAGE, re.M)
     names = {name for _, files in table for name in re.findall(r"`([\w.]+)`", files)}

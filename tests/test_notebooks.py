@@ -4,10 +4,10 @@ import ast
 import json
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
+import forked
 import pytest
 
 REPOSITORY = Path(__file__).parents[1]
@@ -42,14 +42,7 @@ def test_a_notebook_runs_and_its_controller_holds_the_plant(notebook, tmp_path):
     if notebook.stem == "log_to_c" and not any(shutil.which(name) for name in ("cc", "gcc", "clang")):
         pytest.skip("there is no C compiler")
     environment = os.environ | {"PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
-    done = subprocess.run(
-        [sys.executable, "-c", code(notebook)],
-        cwd=tmp_path,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=900,
-    )
+    done = forked.run([sys.executable, "-c", code(notebook)], cwd=tmp_path, env=environment, timeout=900)
     assert done.returncode == 0, done.stdout + done.stderr
     (line,) = [line for line in done.stdout.splitlines() if line.startswith("mean error of the last 5 s")]
     assert all(float(word) < 0.002 for word in line.split() if word.startswith("0."))

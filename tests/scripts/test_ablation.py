@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import forked
 import pytest
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "ablation.py"
@@ -18,7 +19,7 @@ SMALL = (
 
 def start(*overrides, cwd):
     command = [sys.executable, str(SCRIPT), *overrides]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=600)
+    return forked.run(command, cwd=cwd, timeout=600)
 
 
 def run(*overrides, cwd):
@@ -105,7 +106,7 @@ def test_jobs_in_lockstep_come_to_what_they_come_to_one_after_the_other(tmp_path
 @pytest.mark.slow
 def test_a_job_in_lockstep_that_fails_does_not_end_the_others(tmp_path):
     command = [sys.executable, str(SCRIPT), *SMALL, "hydra/launcher=together", "agent.critics=2,1"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    done = forked.run(command, cwd=tmp_path, timeout=600)
     assert done.returncode == 2
     assert "agent.critics is 1" in done.stderr
     assert "2 jobs failed; error.txt says why" in done.stderr
@@ -117,7 +118,7 @@ def test_a_job_in_lockstep_that_diverges_under_way_leaves_its_word_and_the_other
     words = ("setting=rollouts_400", "agent.critic_lr=1e19,1e-3,1e-4", "train.updates_per_step=1")
     given = [word for word in SMALL if not word.startswith(("setting=", "train.updates"))]
     command = [sys.executable, str(SCRIPT), *given, *words, "hydra/launcher=together"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    done = forked.run(command, cwd=tmp_path, timeout=600)
     assert done.returncode == 2
     assert "1 jobs failed; error.txt says why" in done.stderr
     (word,) = (tmp_path / "runs").rglob("error.txt")
@@ -142,7 +143,7 @@ print(Sweep.wrong)
 def test_jobs_that_all_fail_leave_no_tables_and_each_is_named_by_what_it_has_of_its_own(tmp_path):
     words = ("hydra/launcher=basic", "agent.critics=1,0", "setting=direct", "seed=1,2")
     command = [sys.executable, str(SCRIPT), *SMALL, *words]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    done = forked.run(command, cwd=tmp_path, timeout=600)
     assert done.returncode == 2 and "Warning" not in done.stderr
     assert done.stderr.strip().splitlines()[-1].startswith("error: 4 jobs failed; error.txt says why in ")
     own = [(critics, seed) for seed in (1, 2) for critics in (1, 0)]
@@ -159,7 +160,7 @@ def test_only_jobs_of_the_present_command_are_counted(tmp_path):
         (earlier / name / "seed_1" / "error.txt").write_text("error: earlier\n")
     words = ("experiment=smoke", "system=xi", "setting=direct", "seed=1", "results=results", "agent.critics=1,0")
     command = [sys.executable, str(SCRIPT), *words, "hydra/launcher=basic"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    done = forked.run(command, cwd=tmp_path, timeout=600)
     last = done.stderr.strip().splitlines()[-1]
     assert done.returncode == 2 and last == (
         "error: 2 jobs failed; error.txt says why in runs/ablation/xi/smoke/direct/agent.critics-0/seed_1, "
@@ -178,7 +179,7 @@ def test_a_finished_run_of_other_settings_stays_untouched_and_the_refusal_lies_b
     before = {file.name: (file.read_bytes(), file.stat().st_mtime_ns) for file in folder.iterdir()}
     for _ in range(2):  # the line of an earlier command does not hide that of the next
         command = [sys.executable, str(SCRIPT), *words]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+        done = forked.run(command, cwd=tmp_path, timeout=600)
         assert {file.name: (file.read_bytes(), file.stat().st_mtime_ns) for file in folder.iterdir()} == before
         assert done.returncode == 2
         (line,) = [line for line in done.stderr.splitlines() if "refused" in line]
@@ -190,7 +191,7 @@ def test_a_table_that_cannot_be_read_is_one_line_before_the_first_job(tmp_path):
     (tmp_path / "results").mkdir()
     (tmp_path / "results" / "ablation.csv").write_text("\n")
     command = [sys.executable, str(SCRIPT), *SMALL, "hydra/launcher=basic"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    done = forked.run(command, cwd=tmp_path, timeout=600)
     assert done.returncode == 2 and "Job 1" not in done.stdout
     (line,) = [line for line in done.stderr.splitlines() if not line.startswith("sweep: ")]
     assert line.startswith("error: results/ablation.csv is damaged") and "To make it again" in line
@@ -211,7 +212,7 @@ def test_a_run_that_cannot_be_read_at_the_end_is_a_line_and_no_warning(tmp_path)
 @pytest.mark.parametrize("launcher", ["together", "basic"])
 def test_a_device_that_is_not_there_costs_one_line_and_leaves_nothing(tmp_path, launcher):
     command = [sys.executable, str(SCRIPT), *SMALL, f"hydra/launcher={launcher}", "device=tpu"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    done = forked.run(command, cwd=tmp_path, timeout=600)
     assert done.returncode == 2
     (line,) = [line for line in done.stderr.splitlines() if not line.startswith("sweep: ")]
     assert line.startswith("error: device=tpu is not to be had; on this machine there is")
@@ -220,7 +221,7 @@ def test_a_device_that_is_not_there_costs_one_line_and_leaves_nothing(tmp_path, 
 
 def test_jobs_in_lockstep_that_name_several_devices_are_refused_in_one_line(tmp_path):
     command = [sys.executable, str(SCRIPT), *SMALL, "hydra/launcher=together", "device=cpu,cuda"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    done = forked.run(command, cwd=tmp_path, timeout=600)
     assert done.returncode == 2
     told = "error: device=cpu,cuda: jobs in lockstep share one device; name one, or choose another hydra/launcher"
     assert done.stderr.splitlines()[-1] == told and "Traceback" not in done.stderr

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import forked
 import pytest
 import torch
 
@@ -36,7 +37,7 @@ def run_folder(folder, spring):
 
 def called(folder, *words):
     command = [sys.executable, str(SCRIPT), "run=run", *words]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=300)
+    return forked.run(command, cwd=folder, timeout=300)
 
 
 @pytest.mark.parametrize(("spring", "code"), [(2.0, 0), (-2.0, 1)])

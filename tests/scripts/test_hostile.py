@@ -7,11 +7,11 @@ import os
 import pickle
 import re
 import shutil
-import subprocess
 import sys
 import zipfile
 from pathlib import Path
 
+import forked
 import joblib
 import pytest
 import torch
@@ -357,7 +357,7 @@ def test_results_are_not_written_through_links(run, tmp_path, name):
 def script(name: str, *arguments: str, cwd: Path) -> str:
     """Run a script that must refuse what it is given; return its one line."""
     command = [sys.executable, str(REPOSITORY / "scripts" / f"{name}.py"), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd, timeout=300)
+    done = forked.run(command, cwd=cwd, timeout=300)
     lines = done.stderr.strip().splitlines()
     assert done.returncode == 2 and len(lines) == 1 and lines[0].startswith("error: "), done.stderr
     return lines[0]

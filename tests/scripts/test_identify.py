@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import forked
 import pytest
 import torch
 import yaml
@@ -19,13 +20,10 @@ REPOSITORY = Path(__file__).parents[2]
 
 
 def _run(folder: Path, *words: str) -> subprocess.CompletedProcess:
-    return subprocess.run(
+    return forked.run(
         [sys.executable, "scripts/identify.py", f"folder={folder}", f"hydra.run.dir={folder}", *words],
         cwd=REPOSITORY,
-        capture_output=True,
-        text=True,
         timeout=300,
-        check=False,
     )
 
 
@@ -83,7 +81,7 @@ def test_what_is_said_to_come_next_runs_as_it_stands_and_has_all_that_was_given(
     assert words[5] == "plant.outputs=[theta]" and len(words) == 8
     more = ["planning.updates=1", "planning.rollouts=4", "evaluation.must_control=false", f"folder={tmp_path}/run"]
     command = [sys.executable, script, *words, *more]
-    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, timeout=300, check=False)
+    done = forked.run(command, cwd=REPOSITORY, timeout=300)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "run" / "controller.json").is_file()
 

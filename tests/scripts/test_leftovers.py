@@ -1,10 +1,10 @@
 """What a command leaves behind: nothing beside what was asked for."""
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
+import forked
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -14,7 +14,7 @@ def test_a_run_in_a_folder_of_its_own_leaves_no_other_one(tmp_path):
     words = ["system=pendulum", "excitation.duration=3", "data.validation_seconds=1", f"folder={tmp_path}/mine"]
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     command = [sys.executable, str(ROOT / "scripts" / "identify.py"), *words]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, cwd=tmp_path)
+    done = forked.run(command, env=environment, timeout=300, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["mine"] and (tmp_path / "mine" / "model.json").is_file()
     assert "next:\n  python scripts/train.py system=pendulum excitation.duration=3  # excites" in done.stdout
@@ -24,7 +24,7 @@ def test_what_lies_in_a_folder_of_runs_stays(tmp_path):
     (tmp_path / "runs" / "before").mkdir(parents=True)
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     command = [sys.executable, str(ROOT / "scripts" / "identify.py"), "data=csv", "data.path=nowhere.csv"]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, cwd=tmp_path)
+    done = forked.run(command, env=environment, timeout=300, cwd=tmp_path)
     assert done.returncode == 2 and "nowhere.csv does not exist" in done.stderr
     assert [str(path.relative_to(tmp_path)) for path in sorted(tmp_path.rglob("*"))] == ["runs", "runs/before"]
 
@@ -46,7 +46,7 @@ def test_a_sweep_that_is_refused_leaves_nothing_and_takes_nothing_away(tmp_path,
         (sweep / "multirun.yaml").write_text("{}")
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     command = [sys.executable, str(ROOT / "scripts" / "train.py"), "-m", "hydra.sweep.dir=runs/mine", *words]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, cwd=tmp_path)
+    done = forked.run(command, env=environment, timeout=300, cwd=tmp_path)
     assert done.returncode == 2 and said in done.stderr
     left = ["runs", "runs/mine", "runs/mine/0_seed-0", "runs/mine/multirun.yaml"] if before else []
     assert [str(path.relative_to(tmp_path)) for path in sorted(tmp_path.rglob("*"))] == left

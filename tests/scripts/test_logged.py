@@ -4,10 +4,10 @@ import hashlib
 import json
 import os
 import shlex
-import subprocess
 import sys
 from pathlib import Path
 
+import forked
 import pytest
 import torch
 from omegaconf import OmegaConf
@@ -42,7 +42,7 @@ def log(tmp_path_factory, write_log):
 def train(*words, cwd=None):
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     command = [sys.executable, str(ROOT / "scripts" / "train.py"), *words]
-    return subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, check=False, cwd=cwd)
+    return forked.run(command, env=environment, timeout=300, cwd=cwd)
 
 
 WORDS = "plant.library=['1',u,theta,Omega,'sin(theta)']"
@@ -222,7 +222,7 @@ def test_a_run_without_a_simulated_plant_says_that_there_is_none_to_fly(tmp_path
     (tmp_path / "metrics.json").write_text("{}")
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     command = [sys.executable, str(ROOT / "scripts" / "evaluate.py"), f"run={tmp_path}"]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, check=False)
+    done = forked.run(command, env=environment, timeout=300)
     assert done.returncode == 2
     assert why in done.stderr
     assert f"python scripts/check.py run={tmp_path}" in done.stderr

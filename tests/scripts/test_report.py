@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import forked
 import pytest
 
 REPOSITORY = Path(__file__).parents[2]
@@ -12,14 +13,14 @@ REPOSITORY = Path(__file__).parents[2]
 
 def report(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(REPOSITORY / "scripts" / "report.py"), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd, timeout=300)
+    return forked.run(command, cwd=cwd, timeout=300)
 
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("ablation") / "xi" / "dyna" / "rollouts_800" / "seed_0"
     command = [sys.executable, str(REPOSITORY / "scripts" / "train.py"), "system=xi", "experiment=smoke"]
-    subprocess.run([*command, f"folder={folder}", f"hydra.run.dir={folder}"], cwd=folder.parents[3], check=True)
+    forked.run([*command, f"folder={folder}", f"hydra.run.dir={folder}"], cwd=folder.parents[3], check=True)
     return folder
 
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import forked
 import numpy as np
 import pytest
 import torch
@@ -34,13 +35,10 @@ def command(*words):
     ],
 )
 def test_a_mistake_costs_one_line_and_nothing_moves(tmp_path, word, message):
-    done = subprocess.run(
+    done = forked.run(
         command(word, f"folder={tmp_path}/run"),
-        capture_output=True,
-        text=True,
         env=ENVIRONMENT,
         timeout=200,
-        check=False,
     )
     assert done.returncode == 2
     assert message in done.stderr
@@ -55,7 +53,7 @@ def test_the_file_of_the_page_is_a_rig_that_only_a_connection_is_missing_of(tmp_
     (tmp_path / "system" / "arm.yaml").write_text(block)
     words = ["--config-dir", str(tmp_path), "system=arm", f"folder={tmp_path}/run"]
     words = [sys.executable, str(ROOT / "scripts" / "rig.py"), *words]
-    done = subprocess.run(words, capture_output=True, text=True, env=ENVIRONMENT, timeout=200, check=False)
+    done = forked.run(words, env=ENVIRONMENT, timeout=200)
     assert done.returncode == 2
     assert done.stdout == "A flight goes on with angle within -1.5 to 1.5 rad\n"
     assert "nobody knows of this one; give rig=udp" in done.stderr
@@ -82,7 +80,7 @@ def test_a_plant_of_a_user_without_known_equations_is_rehearsed(tmp_path):
     words += ["excitation.duration=10", "seconds=0.5", "planner={updates: 2}", "guard.late=50", "guard.lost=100"]
     environment = ENVIRONMENT | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(tmp_path)])}
     words = [sys.executable, str(ROOT / "scripts" / "rig.py"), *words]
-    done = subprocess.run(words, capture_output=True, text=True, env=environment, timeout=300, check=False)
+    done = forked.run(words, env=environment, timeout=300)
     assert "Traceback" not in done.stderr
     assert done.returncode == 0, done.stderr
     # What was identified is dh/dt = 0.2 + 0.2 pump - 0.2 h.
@@ -112,7 +110,7 @@ def test_a_rig_in_another_process_is_excited_identified_planned_for_flown_and_re
     given = ["flights=2", "seconds=5", "targets=[[0.5],[-0.4]]", *small]
     patient = ["guard.late=20", "guard.lost=100"]  # other jobs may hold the cores; nothing here can be damaged
     words = command(f"folder={tmp_path}/run", "sensors=bench", *given, *patient)
-    done = subprocess.run(words, capture_output=True, text=True, env=ENVIRONMENT, timeout=1500, check=False)
+    done = forked.run(words, env=ENVIRONMENT, timeout=1500)
     assert done.returncode == 0, done.stdout + done.stderr
     said = [line.split(":")[0] for line in done.stdout.splitlines() if not line.startswith(" ")]
     assert said[0].startswith("No state has a range that ends a flight")
@@ -121,7 +119,7 @@ def test_a_rig_in_another_process_is_excited_identified_planned_for_flown_and_re
     assert "export.py run=" in export and "rig.py system=pendulum sensors=bench flights=2 seconds=5" in again
     words = [sys.executable, str(ROOT / "scripts" / "check.py"), *shlex.split(check, comments=True)[2:]]
     words += ["points=3", "draws=2", "grid=3", "seconds=5"]
-    looked = subprocess.run(words, capture_output=True, text=True, env=ENVIRONMENT, timeout=300, check=False)
+    looked = forked.run(words, env=ENVIRONMENT, timeout=300)
     assert looked.returncode == 0, looked.stdout + looked.stderr
     files = [tmp_path / "run" / f"{name}.csv" for name in ("excitation", "flight_1", "flight_2")]
     # The encoder measures the angle alone.

@@ -4,10 +4,10 @@ import errno
 import math
 import shlex
 import socket
-import subprocess
 import sys
 from pathlib import Path
 
+import forked
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
@@ -224,12 +224,9 @@ def test_an_error_of_a_connection_speaks_of_no_file(code):
 def test_a_word_in_capitals_that_is_copied_as_it_stands_costs_one_line(tmp_path, words, said):
     (tmp_path / "log.csv").write_text("\n".join(["time,angle,u", *(f"{k / 9},{k % 7},{k % 2}" for k in range(80))]))
     command, *given = shlex.split(words)
-    done = subprocess.run(
+    done = forked.run(
         [sys.executable, str(SCRIPTS / f"{command}.py"), *given],
         cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
         timeout=300,
     )
     assert done.returncode == 2 and said in done.stderr

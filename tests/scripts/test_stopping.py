@@ -19,6 +19,7 @@ import sys
 import time
 from pathlib import Path
 
+import forked
 import pytest
 import torch
 
@@ -243,7 +244,7 @@ def test_an_ablation_that_is_stopped_leaves_no_workers_and_goes_on(tmp_path, how
         time.sleep(0.2)
     assert not workers(tmp_path)
     before = done[0].stat().st_mtime_ns
-    again = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    again = forked.run(command, cwd=tmp_path, timeout=600)
     assert again.returncode == 0, again.stderr
     assert done[0].stat().st_mtime_ns == before
     assert len(sorted((tmp_path / "runs").rglob("metrics.json"))) == 4
@@ -296,7 +297,8 @@ def test_a_run_with_a_class_of_the_user_s_own_goes_on_by_the_command_that_is_pri
 def test_a_signal_during_the_imports_costs_one_line(tmp_path):
     command = [sys.executable, str(ROOT / "scripts" / "train.py"), "experiment=smoke"]
     child = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-    time.sleep(0.5)
+    while "torch" not in Path(f"/proc/{child.pid}/maps").read_text() and child.poll() is None:
+        time.sleep(0.01)
     child.send_signal(signal.SIGINT)
     _, error = child.communicate(timeout=60)
     assert child.returncode == 130

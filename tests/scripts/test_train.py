@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import forked
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -29,13 +30,17 @@ ConfigStore.instance().store(
 
 
 def run(*overrides, cwd, **more):
-    command = [sys.executable, str(ROOT / "scripts" / "train.py"), *overrides]
-    environment = os.environ | more
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, env=environment)
+    return forked.run(command(*overrides), cwd=cwd, timeout=300, env=os.environ | more)
+
+
+def command(*overrides):
+    return [sys.executable, str(ROOT / "scripts" / "train.py"), *overrides]
 
 
 def test_the_smoke_run_leaves_a_complete_folder_and_says_what_came_of_it(tmp_path):
-    done = run("experiment=smoke", f"hydra.run.dir={tmp_path / 'run'}", cwd=tmp_path)
+    # A process of its own, which imports all that it needs, as that of a user.
+    words = ("experiment=smoke", f"hydra.run.dir={tmp_path / 'run'}")
+    done = subprocess.run(command(*words), cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     folder = tmp_path / "run"
     files = {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()}

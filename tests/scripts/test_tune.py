@@ -2,11 +2,11 @@
 
 import json
 import os
-import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+import forked
 import pytest
 import yaml
 
@@ -24,7 +24,7 @@ def tune(log, folder):
     words = ["-m", "experiment=tune", f"data.path={log}", *WORDS, "hydra.sweeper.n_trials=3", "seed=4"]
     command = [sys.executable, str(ROOT / "scripts" / "train.py"), *words, f"hydra.sweep.dir={folder}"]
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    return subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, check=False)
+    return forked.run(command, env=environment, timeout=300)
 
 
 @pytest.fixture(scope="module")

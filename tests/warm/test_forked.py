@@ -1,0 +1,74 @@
+"""A command in a fork says and leaves what the same command does as a process of its own."""
+
+import os
+import subprocess
+import sys
+
+import forked
+import pytest
+
+SCRIPT = """
+import atexit, os, sys
+from pathlib import Path
+import beside
+atexit.register(print, "at its end")
+if __name__ == "__main__":
+    print(sys.argv, Path.cwd().name, os.environ.get("GIVEN"), "PATH" in os.environ, beside.NAME)
+    print("an error", file=sys.stderr)
+    sys.path and Path("left").write_text(sys.path[0])
+    how = sys.argv[1]
+    if how == "raise":
+        raise KeyError("the plant")
+    sys.exit({"none": None, "zero": 0, "two": 2, "words": "what is wrong"}[how])
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "scripts").mkdir()
+    (tmp_path / "scripts" / "work.py").write_text(SCRIPT)
+    (tmp_path / "scripts" / "beside.py").write_text("NAME = 'beside the script'")
+    (tmp_path / "more").mkdir()
+    (tmp_path / "more" / "beside.py").write_text("NAME = 'on the path'")
+    (tmp_path / "work").mkdir()
+    return tmp_path
+
+
+def both(command, **more):
+    given = {"capture_output": True, "text": True, **more}
+    return forked.run(command, **more), subprocess.run(command, **given)
+
+
+@pytest.mark.parametrize("how", ["none", "zero", "two", "words", "raise"])
+def test_a_script_ends_alike(folder, how):
+    environment = {"GIVEN": "a word", "PATH": os.environ["PATH"]}
+    command = [sys.executable, str(folder / "scripts" / "work.py"), how, "x=[1, 2]"]
+    ours, plain = both(command, cwd=folder / "work", env=environment)
+    assert (ours.returncode, ours.stdout) == (plain.returncode, plain.stdout)
+    assert "a word" in ours.stdout and "beside the script" in ours.stdout and ours.stdout.endswith("at its end\n")
+    assert ours.stderr.splitlines()[0] == "an error" and ours.stderr.splitlines()[-1] == plain.stderr.splitlines()[-1]
+    assert (folder / "work" / "left").read_text() == str(folder / "scripts")
+
+
+@pytest.mark.parametrize(
+    "words", [["-m", "beside"], ["-c", "import sys, beside; x = 1; print(beside.NAME, sys.argv, (lambda: x)())", "y"]]
+)
+def test_so_do_a_module_and_a_line(folder, words):
+    environment = {**os.environ, "PYTHONPATH": str(folder / "more")}
+    ours, plain = both([sys.executable, *words], cwd=folder / "work", env=environment)
+    assert (ours.returncode, ours.stdout, ours.stderr) == (plain.returncode, plain.stdout, plain.stderr)
+    assert ours.returncode == 0
+
+
+def test_the_libraries_of_others_are_there_and_nothing_of_ours(folder):
+    code = "import sys; print('torchrl.envs' in sys.modules, [m for m in sys.modules if m.startswith('dynasindy')])"
+    assert forked.run([sys.executable, "-c", code]).stdout == "True []\n"
+
+
+def test_what_takes_too_long_or_fails_or_is_no_python_is_told():
+    with pytest.raises(subprocess.TimeoutExpired):
+        forked.run([sys.executable, "-c", "import time; time.sleep(60)"], timeout=0.5)
+    with pytest.raises(subprocess.CalledProcessError):
+        forked.run([sys.executable, "-c", "import sys; sys.exit(3)"], check=True)
+    with pytest.raises(ValueError, match=r"use subprocess\.run"):
+        forked.run(["ls"])
