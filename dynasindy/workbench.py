@@ -42,6 +42,7 @@ from dynasindy.data.rates import Mismatch, require_known, unit_of_rate
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.arguments import as_arguments, as_warning
 from dynasindy.evaluation.before_fit import missing_rates, rates_lacking, with_missing_rates, wrong_units
+from dynasindy.evaluation.equations import found_in_model
 from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.horizons import forecast
@@ -147,7 +148,9 @@ def identify(
         method: How the fit is refined; `auto` chooses by the noise of the data.
         longest_delay: Longest delay of the inputs that is looked for [s]; None where the data are to tell.
         tell: Called before the fit with a line, in the words of the commands, for each rate that was added, that is
-            missing, or that is in other units than its state. If omitted, these are warnings.
+            missing, or that is in other units than its state, and after it for what of delay, dry friction, springs
+            and bends is in the equations. If omitted, the lines before the fit are warnings, and the others are not
+            said.
         time: `continuous` identifies differential equations, `discrete` difference equations whose step is the sampling
             time of the log, for what moves in steps: all states have to be in the log.
 
@@ -171,7 +174,11 @@ def identify(
             warnings.warn(as_warning(line), stacklevel=3)  # past the context manager
         else:
             tell(line)
-    return fitted(model, source).model
+    found = fitted(model, source)
+    if tell is not None:
+        for line in found_in_model(found.model, found.report):
+            tell(f"found: {line}")
+    return found.model
 
 
 @_arguments_named()

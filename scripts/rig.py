@@ -81,10 +81,17 @@ def again(folder: str) -> str:
 
 
 def draw(session: "Session") -> None:
-    """Draw each flight: references, what was measured, inputs, and what ended it early."""
+    """Draw the excitations of the folder, and each flight with its references and what ended it early."""
+    from dynasindy.rig.shown import samples
     from dynasindy.viz.flight import flight
+    from dynasindy.viz.identification import training_data
     from dynasindy.viz.style import save
 
+    signature = session.wiring.signature
+    for path, rows in session.logs("excitation").items():
+        if rows:
+            title = f"{path.stem.replace('_', ' ').capitalize()} of the rig"
+            save(training_data(*samples(path, signature), signature, title), session.folder / "figures" / path.stem)
     for name, shown in session.shown.items():
         if len(shown.time):  # it did not end before its first sample
             figure = flight(shown, session.wiring, session.guard, name)

@@ -56,6 +56,25 @@ def test_a_log_is_read_with_its_units_and_gaps(log):
     assert log.training.x[:, 1].isnan().all()
 
 
+def test_what_the_equations_hold_is_told_after_the_fit(write_log, tmp_path):
+    """A shaft with dry friction, v' = 10 u - v - 2 tanh(20 v), sampled every 0.01 s."""
+    time, told = np.arange(600) * 0.01, []
+    u, v = 0.8 * np.sign(np.sin(2 * np.pi * 0.7 * time)), [0.0]
+    for held in u:
+        now = v[-1]
+        for _ in range(20):
+            now += 0.0005 * (10 * held - now - 2 * math.tanh(20 * now))
+        v.append(now)
+    columns = (torch.tensor(each).unsqueeze(-1) for each in (v[:-1], u.tolist()))
+    log = dynasindy.read(write_log(tmp_path / "log.csv", ["v [rad/s]", "u"], *columns))
+    found = dynasindy.identify(log, ["u", "v", "tanh(20 v)"], longest_delay=0.0, tell=told.append)
+    assert found.coefficients[found.library.index("tanh(20 v)"), 0].item() == pytest.approx(-2, rel=0.05)
+    assert told == ["found: v' has dry friction"]
+    told.clear()
+    dynasindy.identify(log, ["u", "v", "v^3"], longest_delay=0.0, tell=told.append)
+    assert told == []
+
+
 def test_the_equations_are_those_of_the_pendulum(model):
     """l = 1 m, m = 1 kg: theta'' = 12 u - 9.81 sin(theta) - 0.5 theta'."""
     found = dict(zip(model.library.names, model.coefficients[:, 1].tolist(), strict=True))

@@ -13,6 +13,8 @@ from dynasindy.world_models.libraries.functions import QUOTIENTS
 from dynasindy.world_models.models.bends import Bend, bends_in
 from dynasindy.world_models.refinement.measured import rates_known
 
+LATE = "the inputs act"
+"""How a delay is begun to be told."""
 FULL = 5.0
 """Widths of a function tanh(rate / width), at least, in the range of the rate, for it to be dry friction."""
 SHORT = 0.5
@@ -27,7 +29,7 @@ def late(delay: float) -> str:
     Args:
         delay: Delay of the inputs [s].
     """
-    return f"the inputs act {f'{1e3 * delay:.3g} ms' if delay < 1 else in_words(delay)} late"
+    return f"{LATE} {f'{1e3 * delay:.3g} ms' if delay < 1 else in_words(delay)} late"
 
 
 def found_in_model(model: SindyModel, report: FitReport | None = None) -> list[str]:

@@ -16,6 +16,7 @@ from dynasindy import workbench
 from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
 from dynasindy.data.rates import with_rates
+from dynasindy.evaluation.equations import LATE
 from dynasindy.evaluation.identification import Logged
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source, alike_ends
@@ -184,9 +185,12 @@ class Session:
         """
         log = self._source(knowledge.ranged)
         delay = knowledge.longest_delay
-        model = workbench.identify(
-            log, knowledge.library, knowledge.known, longest_delay=delay, tell=lambda line: self.tell(f"  {line}")
-        )
+
+        def _say(line: str) -> None:
+            if not line.startswith(f"found: {LATE}"):  # which is said below, in control periods too
+                self.tell(f"  {line}")
+
+        model = workbench.identify(log, knowledge.library, knowledge.known, longest_delay=delay, tell=_say)
         model.save(self.folder / "model.json")
         self.model = model
         for line in model.equations():

@@ -61,20 +61,16 @@ class Shown:
             targets: One number per output each, of every row, `(T, n_r)`.
             fault: What ended it early, in words.
         """
-        with path.open(newline="", encoding="utf-8") as file:
-            headings, *rows = list(csv.reader(file))
-        names = [heading.partition(" [")[0] for heading in headings]
-        columns = np.array([[float(cell) if cell else np.nan for cell in row] for row in rows]).reshape(-1, len(names))
-        table = dict(zip(names, columns.T, strict=True))
-        missing = np.full(len(columns), np.nan)
-        wanted = np.array([list(target) for target in targets], dtype=np.float64)[: len(columns)]
+        time, states, inputs = samples(path, signature)
+        places = [signature.state_index(name) for name in outputs]
+        wanted = np.array([list(target) for target in targets], dtype=np.float64)[: len(time)]
         return cls(
             tuple(outputs),
-            tuple(signature.state_units[signature.state_index(name)] for name in outputs),
-            table["time"],
+            tuple(signature.state_units[place] for place in places),
+            time,
             wanted,
-            np.stack([table.get(name, missing) for name in outputs], -1),
-            np.stack([table[name] for name in signature.input_names], -1),
+            states[:, places],
+            inputs,
             _ends(wanted),
             len(targets),
             fault,
@@ -103,6 +99,20 @@ class Shown:
         short = f", of the {len(self.time)} periods of {self.planned} that were flown"
         flown = short if len(self.time) < self.planned else ""
         return f"mean error over the last half of each target{flown}: {', '.join(told)}"
+
+
+def samples(path: Path, signature: Signature) -> tuple[Array, Array, Array]:
+    """Return the times `(T,)` [s], states `(T, n_x)` and inputs `(T, n_u)` of the log of a flight.
+
+    What was lost is NaN, and so is a state that is not measured.
+    """
+    with path.open(newline="", encoding="utf-8") as file:
+        headings, *rows = list(csv.reader(file))
+    names = [heading.partition(" [")[0] for heading in headings]
+    columns = np.array([[float(cell) if cell else np.nan for cell in row] for row in rows]).reshape(-1, len(names))
+    table, missing = dict(zip(names, columns.T, strict=True)), np.full(len(columns), np.nan)
+    states = np.stack([table.get(name, missing) for name in signature.state_names], -1)
+    return table["time"], states, np.stack([table[name] for name in signature.input_names], -1)
 
 
 def _ends(targets: Array) -> Array:

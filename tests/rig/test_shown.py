@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dynasindy.rig.shown import Shown
+from dynasindy.rig.shown import Shown, samples
 from dynasindy.systems import Signature
 
 SIGNATURE = Signature(("theta", "level"), ("rad", "m"), ("u",), (1.0, 1.0))
@@ -40,6 +40,14 @@ def test_what_is_drawn_is_the_log(flight):
     assert flight.inputs[:, 0].tolist()[:6] == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
     assert np.isnan(flight.outputs[6, 0]) and np.isnan(flight.inputs[6, 0])
     assert flight.references[:, 0].tolist() == [1.0] * 4 + [-1.0] * 4
+
+
+def test_samples_are_those_of_the_log_in_the_order_of_the_plant(tmp_path):
+    (tmp_path / "log.csv").write_text("time [s],v [m/s],u [-],w [-]\n0.0,1.5,0.1,-0.1\n0.5,,0.2,-0.2\n")
+    plant = Signature(("x", "v"), ("m", "m/s"), ("w", "u"), (1.0, 1.0))
+    time, states, inputs = samples(tmp_path / "log.csv", plant)
+    assert time.tolist() == [0.0, 0.5] and inputs.tolist() == [[-0.1, 0.1], [-0.2, 0.2]]
+    assert np.isnan(states[:, 0]).all() and states[0, 1] == 1.5 and np.isnan(states[1, 1])
 
 
 def test_a_flight_that_ended_early_is_shown_as_far_as_it_went(tmp_path):

@@ -124,6 +124,8 @@ def test_a_rig_in_another_process_is_excited_identified_planned_for_flown_and_re
     files = [tmp_path / "run" / f"{name}.csv" for name in ("excitation", "flight_1", "flight_2")]
     # The encoder measures the angle alone.
     assert {file.read_text().splitlines()[0] for file in files} == {"time [s],theta [rad],u [-]"}
+    drawn = {path.name for path in (tmp_path / "run" / "figures").iterdir()}
+    assert drawn == {"excitation.png", "flight_1.png", "flight_2.png"}
     excited, first, second = (np.genfromtxt(file, delimiter=",", skip_header=1).T for file in files)
     for time, *_ in (excited, first, second):
         assert np.allclose(np.diff(time), 0.05)
