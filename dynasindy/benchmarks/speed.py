@@ -63,7 +63,11 @@ class Job:
 
 
 def main(arguments: argparse.Namespace) -> None:
-    """Time the jobs that are asked for and write the table, which keeps its rows of the others."""
+    """Time the jobs that are asked for and write the table, which keeps its rows of the others.
+
+    Raises:
+        SystemExit: A job is asked for that compares with a checkout, and none is given.
+    """
     torch.set_num_threads(1)
     jobs = {
         "environment": Job(environment),

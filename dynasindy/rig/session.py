@@ -18,17 +18,16 @@ from dynasindy.control.files import NAME
 from dynasindy.data.rates import with_rates
 from dynasindy.evaluation.equations import LATE
 from dynasindy.evaluation.identification import Logged
-from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source, alike_ends
 from dynasindy.excitation import Excitation
 from dynasindy.rig.base import Array, Clock, Rig, Wiring
 from dynasindy.rig.flight import ROUNDING, Flown, Guard, fly
+from dynasindy.rig.foretold import foretold
 from dynasindy.rig.log import heading
-from dynasindy.rig.shown import LAST, Shown
-from dynasindy.systems import Diverged, Signature
+from dynasindy.rig.shown import Shown
+from dynasindy.systems import Signature
 from dynasindy.systems.base import WHOLE
 from dynasindy.systems.transitions import Transitions
-from dynasindy.tasks import Step
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.libraries import LibraryBuilder
 
@@ -216,7 +215,7 @@ class Session:
         """
         self._require(controller)
         if self.model is not None and controller is self.learnt:  # nobody knows the model of one that was given
-            self.tell(f"  {_foretold(controller, self.model, targets, seconds)}")
+            self.tell(f"  {foretold(controller, self.model, targets, seconds)}")
         self._tell_inputs(controller.signature)
         names, theirs = self.wiring.signature.state_names, set(controller.signature.state_names)
 
@@ -349,32 +348,6 @@ def _no_delay(longest: float | None) -> str:
     if longest == 0:
         return "no delay of the inputs was looked for, as longest_delay=0 says"
     return "no delay of the inputs was found" + (f" up to {1e3 * longest:.3g} ms" if longest else "")
-
-
-def _foretold(controller: Controller, model: SindyModel, targets: Sequence[Sequence[float]], seconds: float) -> str:
-    """Say how near a model comes to each target; where the model cannot be flown, say why, as the flight goes on."""
-    try:
-        return _predicted(controller, model, targets, seconds)
-    except (ValueError, RuntimeError, Diverged) as error:
-        why = " ".join(str(error).split())
-        return (
-            "prediction: nothing is foretold of this flight, as the model could not be flown "
-            f"({type(error).__name__}{why and f': {why}'}); the flight goes on without it"
-        )
-
-
-def _predicted(controller: Controller, model: SindyModel, targets: Sequence[Sequence[float]], seconds: float) -> str:
-    """Fly a model to each target, from where episodes begin, and say how near it comes, as of a flight."""
-    scenario = Scenario("flight", Step(targets), len(targets), seconds)
-    flight = workbench.foretell(controller, model, None, scenario).shown
-    if flight is None:
-        return "prediction: on the model this flight runs away"
-    signature, wanted = model.signature, torch.tensor(np.array(targets, dtype=float)).unsqueeze(1)
-    apart = (flight.outputs.double() - wanted).abs()
-    errors = apart[:, round((1 - LAST) * apart.shape[1]) :].mean((0, 1)).tolist()
-    units = (signature.state_units[signature.state_index(name)] for name in controller.outputs)
-    told = [f"{n} to {error:.3g} {unit}" for n, error, unit in zip(controller.outputs, errors, units, strict=True)]
-    return f"prediction of the model, mean error over the last half of each target: {', '.join(told)}"
 
 
 def _ends(signature: Signature) -> str:

@@ -9,7 +9,6 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from tensordict.nn import TensorDictModule
 
 from dynasindy import Controller, load
 from dynasindy.agents.networks import actor
@@ -293,7 +292,7 @@ def test_only_the_controller_that_was_planned_on_the_model_is_foretold(session, 
     signature = session.wiring.signature
     task = Tracking(signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), TrackingReward((1.0,)))
     mine, given = (Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)) for _ in range(2))
-    monkeypatch.setattr("dynasindy.rig.session._foretold", lambda controller, *_: "foretold" * (controller is mine))
+    monkeypatch.setattr("dynasindy.rig.session.foretold", lambda controller, *_: "foretold" * (controller is mine))
     session.model, session.learnt = SindyModel(signature, "polynomial"), mine
     session.fly(given, [[0.1]], 0.1)
     assert not any("foretold" in line for line in told)
@@ -340,22 +339,6 @@ def foretelling(tmp_path, monkeypatch, error):
 
     monkeypatch.setattr("dynasindy.workbench.foretell", failing)
     return session, told
-
-
-def test_the_error_that_is_foretold_of_a_flight_is_that_of_the_last_half_of_its_steps(tmp_path):
-    """Of y' = 2 (u - y) under u = r, a step from zero to r leaves r exp(-2 t); targets of 0.5 and 0.25 m, 2 s each."""
-    signature, dt, targets, told = Signature(("y",), ("m",), ("u",), (1.0,)), 0.05, (0.5, 0.25), []
-    model = SindyModel(signature, ["y", "u"])
-    model.set_coefficients(torch.tensor([[-2.0], [2.0]]))
-    rig = InProcessRig(model, clock=FastClock())
-    session = Session(rig, Wiring(signature, (True,), dt), Guard(), tmp_path, told.append, rig.clock, model=model)
-    task = Tracking(signature, RandomStep([0.0], [1.0]), ("y",), (), TrackingReward((1.0,)))
-    policy = TensorDictModule(lambda params: params[..., 0, :1].float(), ["task_params"], ["action"])
-    session.learnt = Controller(policy, Pace(task, dt))
-    session.fly(session.learnt, [[target] for target in targets], 2.0)
-    (said,) = [line for line in told if line.startswith("  prediction of the model")]
-    left = np.mean(targets) * np.exp(-2 * dt * np.arange(40))
-    assert float(re.search(r"y to (\S+) m$", said)[1]) == pytest.approx(left[20:].mean(), rel=0.005)
 
 
 def test_a_rig_is_moved_little_at_first_and_under_no_feedback(tmp_path):
