@@ -49,6 +49,11 @@ def test_a_cart_on_a_spring_settles_as_its_eigenvalues_on_paper_say(loops, carts
     slow = torch.full_like(found.spread.settling, math.inf)
     (line,) = (e for e in verdict(replace(found, spread=replace(found.spread, settling=slow))) if e.name == "settling")
     assert line.weak and "more than 120 s with the model" in line.words
+    apart = torch.tensor([[1.0, 2.0, 3.0, 4.0, 5.0], [7.0, 1.0, 1.0, 6.0, 8.0]], dtype=torch.float64)
+    unlike = replace(found, spread=replace(found.spread, settling=apart))  # the slower one of both ways counts
+    (line,) = (each for each in verdict(unlike) if each.name == "settling")
+    assert "is done after 8 s with the model, and after 7 s with the slowest" in line.words
+    assert [change["settling"] for change in record(unlike)["changes"]] == [7.0, 2.0, 3.0, 6.0]
     part = found.spread.radius.clone()
     part[0, 0] = 1.01  # at one of both targets the first plant is not stable
     (line,) = (e for e in verdict(replace(found, spread=replace(found.spread, radius=part))) if e.name == "settling")
