@@ -148,9 +148,9 @@ def identify(
         method: How the fit is refined; `auto` chooses by the noise of the data.
         longest_delay: Longest delay of the inputs that is looked for [s]; None where the data are to tell.
         tell: Called before the fit with a line, in the words of the commands, for each rate that was added, that is
-            missing, or that is in other units than its state, and after it for what of delay, dry friction, springs
-            and bends is in the equations. If omitted, the lines before the fit are warnings, and the others are not
-            said.
+            missing, or that is in other units than its state, and after it for what of delay, dry friction, springs,
+            dead zones and saturations is in the equations. If omitted, the lines before the fit are warnings, and the
+            others are not said.
         time: `continuous` identifies differential equations, `discrete` difference equations whose step is the sampling
             time of the log, for what moves in steps: all states have to be in the log.
 

@@ -120,6 +120,8 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
             f"'{merged[1]}' gives a group of keys where one value is wanted, or one value where a group of keys "
             "stands; give it in a file of its own, as conf/ has it"
         )
+    if text.startswith("Config group override must be") and (chosen := _no_choice()):
+        return chosen
     several = re.match(r"Ambiguous value for argument '(.+?)' 1\. ", text)
     misspelt = re.search(MISSPELT, text)
     # Hydra says first that there are several values, which is no mistake in a command that sweeps.
@@ -134,6 +136,15 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
     # Where the key itself exists, what it holds cannot be extended.
     whole = "; replace the whole of a group's keys in a file of its own, as conf/ has them"
     return as_given(text, settings) + whole * bool(misspelt and misspelt[1] == "Could not override")
+
+
+def _no_choice() -> str:
+    """Return what may be chosen in the group of a word that chooses no file, as `sensors=null`; '' if there is none."""
+    for group, _, option in (word.partition("=") for word in sys.argv[1:] if not word.startswith("-")):
+        choices = {file.stem for file in (CONF / group).glob("[!_]*.yaml")}
+        if choices and not (CONF / group / f"{option}.yaml").is_file():
+            return unknown(option, choices, group)
+    return ""
 
 
 def as_given(text: str, settings: object) -> str:

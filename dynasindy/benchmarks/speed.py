@@ -36,10 +36,12 @@ from dynasindy.systems import System
 from dynasindy.systems.compiler import forget
 from dynasindy.world_models import SindyModel
 
+COLUMNS = ["job", "cpu_seconds", "beside", "beside_cpu_seconds", "ratio", "commit"]
 STEPS, REPEATS = 1000, 7
 """Control periods of the environment that are timed, and how often; other jobs disturb the least time least."""
 EPISODES = 5
 """Real episodes of imagined replay; with 800 rollouts, most seeds hold the required level after four."""
+# No setting that an earlier commit may not know.
 TO_THE_LEVEL = ("experiment=dyna", "system=xi", "planning.rollouts=800", f"train.episodes={EPISODES}")
 STARTS = {
     True: ("-m", "dynasindy", "train", "experiment=smoke"),
@@ -66,7 +68,7 @@ def main(arguments: argparse.Namespace) -> None:
     """Time the jobs that are asked for and write the table, which keeps its rows of the others.
 
     Raises:
-        SystemExit: A job is asked for that compares with a checkout, and none is given.
+        SystemExit: A job is asked for that compares with a checkout, and none is given, or the file is another table.
     """
     torch.set_num_threads(1)
     jobs = {
@@ -81,9 +83,14 @@ def main(arguments: argparse.Namespace) -> None:
     asked = arguments.jobs or list(jobs)
     if missing := [name for name in asked if name not in jobs]:
         raise SystemExit(f"benchmark.py speed: job '{missing[0]}' needs --before FOLDER, a checkout to compare with")
-    kept = read_rows(arguments.out) if arguments.out.is_file() else []
+    kept = read_rows(arguments.out)
+    if kept and list(kept[0]) != COLUMNS:
+        raise SystemExit(
+            f"benchmark.py speed: {arguments.out} has the columns {', '.join(kept[0])}, and these rows have "
+            f"{', '.join(COLUMNS)}; give another file by --out"
+        )
     rows = [row for row in kept if row["job"] not in asked] + [measure(name, jobs[name]) for name in asked]
-    write_rows(arguments.out, list(rows[0]), rows)
+    write_rows(arguments.out, COLUMNS, rows)
     print(f"written to {arguments.out}")
 
 

@@ -14,7 +14,7 @@ from dynasindy.world_models.models.bends import Bend, bends_in
 from dynasindy.world_models.refinement.measured import rates_known
 
 LATE = "the inputs act"
-"""How a delay is begun to be told."""
+"""First words of the line that tells a delay."""
 FULL = 5.0
 """Widths of a function tanh(rate / width), at least, in the range of the rate, for it to be dry friction."""
 SHORT = 0.5

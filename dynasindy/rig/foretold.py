@@ -1,4 +1,4 @@
-"""What a model says of a flight of a rig that it is a model of, before that flight."""
+"""What a model foretells of the next flight of its rig."""
 
 from __future__ import annotations
 

@@ -104,12 +104,13 @@ class Shown:
 def samples(path: Path, signature: Signature) -> tuple[Array, Array, Array]:
     """Return the times `(T,)` [s], states `(T, n_x)` and inputs `(T, n_u)` of the log of a flight.
 
-    What was lost is NaN, and so is a state that is not measured.
+    What was lost is NaN, and so is a state that is not measured. A row that was not written to its end is left out.
     """
     with path.open(newline="", encoding="utf-8") as file:
         headings, *rows = list(csv.reader(file))
     names = [heading.partition(" [")[0] for heading in headings]
-    columns = np.array([[float(cell) if cell else np.nan for cell in row] for row in rows]).reshape(-1, len(names))
+    whole = [[float(cell) if cell else np.nan for cell in row] for row in rows if len(row) == len(names)]
+    columns = np.array(whole).reshape(-1, len(names))
     table, missing = dict(zip(names, columns.T, strict=True)), np.full(len(columns), np.nan)
     states = np.stack([table.get(name, missing) for name in signature.state_names], -1)
     return table["time"], states, np.stack([table[name] for name in signature.input_names], -1)

@@ -118,6 +118,13 @@ def test_an_earlier_commit_is_compared_with_only_where_its_checkout_is_given(tmp
     assert not (tmp_path / "speed.csv").exists()
 
 
+def test_a_file_with_other_columns_is_refused_before_anything_is_measured(tmp_path, monkeypatch):
+    (tmp_path / "speed.csv").write_text("job,machine_code_cpu_seconds\nenvironment,1\n")
+    monkeypatch.setattr(speed, "start_up", lambda ours: pytest.fail("measured"))
+    with pytest.raises(SystemExit, match=r"has the columns job, machine_code_cpu_seconds, and .* give another file"):
+        speed.main(parsed("speed", ["--jobs", "start-up", "--out", str(tmp_path / "speed.csv")]))
+
+
 def test_imagined_replay_is_one_command_with_machine_code_and_without(monkeypatch):
     said = []
     monkeypatch.setattr(speed.subprocess, "run", lambda words, **_: said.append(words[1:]))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy import Controller, load
+from dynasindy import Controller, load, workbench
 from dynasindy.agents.networks import actor
 from dynasindy.control.controller import Pace
 from dynasindy.evaluation.identification import Logged
@@ -170,14 +170,21 @@ def multisine(seconds=10.0):
     return Multisine(1, duration=seconds, dt=0.05, amplitude=[0.5], seed=0)
 
 
-def test_a_rig_of_which_names_and_units_are_known_is_identified_and_held_though_its_input_is_late(tmp_path):
+def test_a_rig_of_which_names_and_units_are_known_is_identified_and_held_though_its_input_is_late(
+    tmp_path, monkeypatch
+):
     """Omega' = 12 u(t - 80 ms) - 9.81 sin(theta) - 0.5 Omega, from an encoder of the angle alone."""
     session, rig = blind(tmp_path, 0.08)
+    seen, told = workbench.found_in_model, []
+    monkeypatch.setattr(workbench, "found_in_model", lambda *given: [*seen(*given), "Omega' has dry friction"])
+    session.tell = told.append
     UNKNOWN.require_of(session.wiring.signature)
     session.excite(multisine())
     controller = session.learn(UNKNOWN)
     model = SindyModel.load(tmp_path / "model.json")
     assert model.delay == pytest.approx(0.08, abs=0.004)
+    (late,) = [line for line in told if "late" in line]
+    assert late.endswith(f"{model.delay / 0.05:.2g} control periods") and "  found: Omega' has dry friction" in told
     theta, omega, u = (torch.linspace(-1, 1, 9).double() * k for k in (0.4, 1.0, 0.3))
     found = model(torch.stack([theta, omega], -1), u.unsqueeze(-1))[:, 1]
     torch.testing.assert_close(found, 12 * u - 9.81 * theta.sin() - 0.5 * omega, atol=0.15, rtol=0.02)
@@ -292,12 +299,13 @@ def test_only_the_controller_that_was_planned_on_the_model_is_foretold(session, 
     signature = session.wiring.signature
     task = Tracking(signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), TrackingReward((1.0,)))
     mine, given = (Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)) for _ in range(2))
-    monkeypatch.setattr("dynasindy.rig.session.foretold", lambda controller, *_: "foretold" * (controller is mine))
+    asked = []
+    monkeypatch.setattr("dynasindy.rig.session.foretold", lambda *given: asked.append(given) or "foretold")
     session.model, session.learnt = SindyModel(signature, "polynomial"), mine
     session.fly(given, [[0.1]], 0.1)
-    assert not any("foretold" in line for line in told)
+    assert not asked and not any("foretold" in line for line in told)
     session.fly(mine, [[0.1]], 0.1)
-    assert "  foretold" in told
+    assert asked == [(mine, session.model, [[0.1]], 0.1)] and "  foretold" in told
 
 
 @pytest.mark.parametrize(

@@ -130,3 +130,21 @@ def test_after_the_command_and_a_space_all_commands_are_offered(commands, tmp_pa
     assert completed("dynasindy ", tmp_path) == list(commands.COMMANDS)
     registered = dynasindy("-sc", "install=bash", cwd=tmp_path).stdout
     assert registered.rstrip().endswith("hydra_bash_completion dynasindy")
+
+
+@pytest.mark.slow
+def test_each_command_has_all_that_it_imports_in_a_process_of_its_own(tmp_path):
+    small = ("points=1", "grid=2", "draws=1", "seconds=1")
+    calls = (
+        ("identify", "system=pendulum", "excitation.duration=3", "data.validation_seconds=1", "folder=model"),
+        ("train", "experiment=gradient_smoke", "system=pendulum", "scenario.episodes=2", "folder=run"),
+        ("evaluate", "run=run", "scenarios=[step]", "formats=[svg]", "animate=true"),
+        ("check", "run=run", *small),
+        ("export", "run=run", "formats=[c,model]"),
+        ("report", "save=run", "name=mine", "scenarios=[]", "formats=[svg]", "any_commit=true"),
+        ("rig", "system=pendulum", "controller=run/controller.json", "sensors=exact", "seconds=0.2", "guard.late=100"),
+    )
+    for words in calls:
+        done = dynasindy(*words, cwd=tmp_path)
+        assert done.returncode in ((0, 1) if words[0] == "check" else (0,)), (words, done.stderr)
+        assert "Traceback" not in done.stderr, (words, done.stderr)

@@ -65,11 +65,28 @@ def test_the_smoke_run_leaves_a_complete_folder_and_says_what_came_of_it(tmp_pat
         assert words in done.stdout, words
 
 
+@pytest.mark.slow
+def test_a_run_is_the_same_whatever_the_order_of_words_in_a_set(tmp_path):
+    kept = []
+    for seed in ("1", "2"):
+        words = ("experiment=smoke", f"hydra.run.dir={tmp_path / seed}")
+        environment = os.environ | {"PYTHONHASHSEED": seed}
+        subprocess.run(command(*words), cwd=tmp_path, env=environment, capture_output=True, timeout=300, check=True)
+        with (tmp_path / seed / "progress.csv").open() as file:
+            rows = [
+                {name: cell for name, cell in row.items() if name != "wall_seconds"} for row in csv.DictReader(file)
+            ]
+        kept.append((rows, (tmp_path / seed / "model.json").read_text()))
+    assert kept[0] == kept[1] and len(kept[0][0]) > 0
+
+
 @pytest.mark.parametrize(
     ("override", "words"),
     [
         ("planning.rolouts=3", "did you mean 'rollouts'?"),
         ("planning=magic", "'magic' does not exist in 'planning'; allowed are "),
+        ("sensors=null", "'null' does not exist in 'sensors'; allowed are bench, bench_delay, exact"),
+        ("planning=3", "'3' does not exist in 'planning'; allowed are dyna, "),
         (
             "system=logged",
             "system=logged is no plant to train on, only a log of one; choose one of gymnasium, pendul",

@@ -2,29 +2,36 @@
 
 A command takes some four seconds of one core to import torch, TorchRL and what they need, and the tests call hundreds.
 So a server (`multiprocessing`'s forkserver) imports them once, and each command is a fork of it. Nothing of `dynasindy`
-is among them: a command imports it anew, with its own settings, folder and environment, and ends as any process does.
-What a command says or leaves out before its work begins is not seen in such a fork: what is imported, and what that
-prints. Tests of that start a process of their own.
+is among them: a command imports it anew, with its own settings, folder and environment.
+
+Some things are not as in a process of its own. Imports that are forgotten, and what imports print, are not seen. The
+order of sets of words, and what libraries read of the environment when they are imported, are those of the server.
+Tests of that start a process of their own.
 """
 
 import atexit
 import json
 import multiprocessing
 import os
+import random
 import runpy
 import subprocess
 import sys
 import tempfile
-import traceback
+import threading
+import time
 import types
 from collections.abc import Mapping, Sequence
 from functools import cache
+from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 LIBRARIES = (
     *("torch", "tensordict", "tensordict.nn", "torchrl", "torchrl.data", "torchrl.envs", "torchrl.modules"),
-    *("torchrl.objectives", "torchrl.record", "torchrl.collectors", "hydra", "hydra.main", "omegaconf", "gymnasium"),
-    *("scipy.linalg", "scipy.optimize", "scipy.signal", "tqdm", "matplotlib.pyplot", "matplotlib.animation"),
+    *("torchrl.objectives", "hydra", "omegaconf", "numpy", "scipy.linalg", "matplotlib.pyplot"),
 )
 
 
@@ -56,7 +63,7 @@ def run(
 
     Raises:
         ValueError: The command is another one.
-        subprocess.TimeoutExpired: It takes longer than `timeout` [s].
+        subprocess.TimeoutExpired: It, or what it has started, takes longer than `timeout` [s].
         subprocess.CalledProcessError: It fails, and `check` is true.
     """
     python, *words = (str(word) for word in command)
@@ -64,30 +71,60 @@ def run(
         raise ValueError(f"{command} is not Python with a script, -m or -c; use subprocess.run")
     folder = Path(cwd or Path.cwd()).resolve()
     environment = dict(os.environ if env is None else env)
-    with tempfile.TemporaryDirectory() as told:
-        process = _server().Process(target=_command, args=(words, folder, environment, _installed(), told))
+    if "forkserver" not in multiprocessing.get_all_start_methods():  # as on Windows
+        more: dict[str, Any] = {"cwd": folder, "env": environment, "timeout": timeout, "check": check}
+        return subprocess.run([python, *words], capture_output=True, text=True, **more)
+    pipes = [multiprocessing.Pipe(duplex=False) for _ in range(2)]
+    given = (words, folder, environment, _installed(), [writer for _, writer in pipes])
+    process = _server().Process(target=_command, args=given)
+    try:
         process.start()
-        process.join(timeout)
-        if process.exitcode is None:
-            process.kill()
-            process.join()
-            raise subprocess.TimeoutExpired(list(command), timeout)
-        out, err = ((Path(told) / name).read_text() if (Path(told) / name).exists() else "" for name in ("1", "2"))
+        for _, writer in pipes:
+            writer.close()  # or its other end would wait for this one
+        ended, (out, err) = _heard([reader for reader, _ in pipes], time.monotonic() + timeout)
+        if not ended:
+            raise subprocess.TimeoutExpired(list(command), timeout, output=out.encode(), stderr=err.encode())
+        process.join()
+    except BaseException:  # a test that is stopped leaves no command behind
+        process.kill()
+        raise
     done = subprocess.CompletedProcess(list(command), process.exitcode, out, err)
     if check:
         done.check_returncode()
     return done
 
 
-def _command(words: list[str], folder: Path, environment: dict[str, str], installed: list[str], told: str) -> None:
+def _heard(readers: list[Connection], deadline: float) -> tuple[bool, list[str]]:
+    """Return whether all writers of some pipes are gone before a deadline, and what each pipe has brought."""
+    said: list[list[bytes]] = [[] for _ in readers]
+
+    def _listen(reader: Connection, pieces: list[bytes]) -> None:
+        while piece := os.read(reader.fileno(), 65536):
+            pieces.append(piece)
+
+    threads = [threading.Thread(target=_listen, args=pair, daemon=True) for pair in zip(readers, said, strict=True)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(max(0.0, deadline - time.monotonic()))
+    return not any(thread.is_alive() for thread in threads), [b"".join(pieces).decode() for pieces in said]
+
+
+def _command(
+    words: list[str], folder: Path, environment: dict[str, str], installed: list[str], writers: list[Connection]
+) -> None:
     """Become the process of a command, in a fork of the server."""
     os.chdir(folder)
     os.environ.clear()
     os.environ.update(environment)
-    for number in (1, 2):
-        file = os.open(Path(told) / str(number), os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-        os.dup2(file, number)
-        os.close(file)
+    for number, writer in enumerate(writers, 1):
+        os.dup2(writer.fileno(), number)
+        writer.close()
+    # What a process of its own would find out anew.
+    np.random.seed()  # noqa: NPY002 - the generator that all forks would share
+    random.seed()
+    tempfile.tempdir = None
+    multiprocessing.process.ORIGINAL_DIR = str(folder)  # type: ignore[attr-defined]
     more = [place for place in environment.get("PYTHONPATH", "").split(os.pathsep) if place]
     first = {"-m": str(folder), "-c": ""}.get(words[0], str(Path(words[0]).resolve().parent))
     sys.path[:] = [first, *more, *installed]
@@ -111,11 +148,11 @@ def _done(words: list[str]) -> int:
         if code and not isinstance(end.code, int):
             print(end.code, file=sys.stderr)
     except BaseException:
-        traceback.print_exc()
+        sys.excepthook(*sys.exc_info())  # type: ignore[arg-type]
         code = 1
+    # A process of multiprocessing ends without them.
+    threading._shutdown()  # type: ignore[attr-defined]
     atexit._run_exitfuncs()
-    sys.stdout.flush()
-    sys.stderr.flush()
     return code
 
 

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 
 import forked
 import pytest
@@ -14,6 +15,7 @@ import beside
 atexit.register(print, "at its end")
 if __name__ == "__main__":
     print(sys.argv, Path.cwd().name, os.environ.get("GIVEN"), "PATH" in os.environ, beside.NAME)
+    print("FROM_OUTSIDE" in os.environ, sys.path)
     print("an error", file=sys.stderr)
     sys.path and Path("left").write_text(sys.path[0])
     how = sys.argv[1]
@@ -40,7 +42,8 @@ def both(command, **more):
 
 
 @pytest.mark.parametrize("how", ["none", "zero", "two", "words", "raise"])
-def test_a_script_ends_alike(folder, how):
+def test_a_script_ends_alike(folder, how, monkeypatch):
+    monkeypatch.setenv("FROM_OUTSIDE", "which the environment of the command lacks")
     environment = {"GIVEN": "a word", "PATH": os.environ["PATH"]}
     command = [sys.executable, str(folder / "scripts" / "work.py"), how, "x=[1, 2]"]
     ours, plain = both(command, cwd=folder / "work", env=environment)
@@ -51,10 +54,18 @@ def test_a_script_ends_alike(folder, how):
 
 
 @pytest.mark.parametrize(
-    "words", [["-m", "beside"], ["-c", "import sys, beside; x = 1; print(beside.NAME, sys.argv, (lambda: x)())", "y"]]
+    "words",
+    [
+        ["-m", "beside"],
+        ["-c", "import sys, beside; x = 1; print(beside.NAME, sys.argv, sys.path, (lambda: x)())", "y"],
+        ["-c", "import tempfile; print(tempfile.gettempdir())"],
+        ["-c", "import threading as t, time; t.Thread(target=lambda: (time.sleep(0.2), print('later'))).start()"],
+        ["-c", "import os, time; os.fork() or (time.sleep(0.2), print('from a child that stays'))"],
+    ],
+    ids=["module", "line", "folder", "thread", "child"],
 )
 def test_so_do_a_module_and_a_line(folder, words):
-    environment = {**os.environ, "PYTHONPATH": str(folder / "more")}
+    environment = {**os.environ, "PYTHONPATH": str(folder / "more"), "TMPDIR": str(folder)}
     ours, plain = both([sys.executable, *words], cwd=folder / "work", env=environment)
     assert (ours.returncode, ours.stdout, ours.stderr) == (plain.returncode, plain.stdout, plain.stderr)
     assert ours.returncode == 0
@@ -65,9 +76,18 @@ def test_the_libraries_of_others_are_there_and_nothing_of_ours(folder):
     assert forked.run([sys.executable, "-c", code]).stdout == "True []\n"
 
 
-def test_what_takes_too_long_or_fails_or_is_no_python_is_told():
-    with pytest.raises(subprocess.TimeoutExpired):
-        forked.run([sys.executable, "-c", "import time; time.sleep(60)"], timeout=0.5)
+def test_two_commands_draw_other_numbers():
+    code = "import random, numpy; print(random.random(), numpy.random.rand())"
+    first, second = (forked.run([sys.executable, "-c", code]).stdout.split() for _ in range(2))
+    assert first[0] != second[0] and first[1] != second[1]
+
+
+def test_what_takes_too_long_or_fails_or_is_no_python_is_told(tmp_path):
+    code = "import time, pathlib; print('said', flush=True); time.sleep(4); pathlib.Path('left').touch()"
+    with pytest.raises(subprocess.TimeoutExpired) as late:
+        forked.run([sys.executable, "-c", code], cwd=tmp_path, timeout=2)
+    time.sleep(3)
+    assert late.value.output == b"said\n" and not (tmp_path / "left").exists()
     with pytest.raises(subprocess.CalledProcessError):
         forked.run([sys.executable, "-c", "import sys; sys.exit(3)"], check=True)
     with pytest.raises(ValueError, match=r"use subprocess\.run"):
