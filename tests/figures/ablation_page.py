@@ -62,6 +62,7 @@ def ties(text: str) -> Iterator[Tie]:
     yield from _paper(text)
     yield from _paper_in_lockstep()
     yield from _paper_in_full()
+    yield from _paper_with_our_library()
     yield from _tuning()
     yield from _tuned_without_model()
     yield from _without_model()
@@ -132,13 +133,29 @@ def _paper_in_lockstep() -> Iterator[Tie]:
     yield Tie(PAGE, words, (ends["rollouts_800"][-1], ends["rollouts_0"][0]))
 
 
+def _paper_with_our_library() -> Iterator[Tie]:
+    """Yield the runs on `tras` with `world_model=sindy`, one seed a setting, as far as they went."""
+    for name in ("rollouts_800", "rollouts_0"):
+        own = rows("paper_in_full.csv", system="tras", setting=f"{name},world_model=sindy", seed=0)
+        episodes = [int(row["episode"]) for row in own]
+        assert episodes == list(range(10, episodes[-1] + 1, 10))
+        (*_, last), at = own, {int(row["episode"]): row for row in own}
+        shown = [
+            pair(lambda axis, row=row: float(row[axis]), 3, axes=("azimuth", "pitch"))
+            for row in (*(at[episode] for episode in (60, 180, 300, 600)), last)
+        ]
+        cells = (last["episode"], *shown, f"{float(last['evaluated_return']):.0f}")
+        yield Tie(PAGE, f"| `tras`, {name.removeprefix('rollouts_')}, our library |" + " {} |" * len(cells), cells)
+
+
 def _paper_in_full() -> Iterator[Tie]:
     def after(run: str, seed: int, episode: int, digits: int = 3) -> str:
-        (row,) = rows("paper_in_full.csv", setting=run, seed=seed, episode=episode)
+        (row,) = rows("paper_in_full.csv", system="xi", setting=run, seed=seed, episode=episode)
         return pair(lambda axis: float(row[axis]), digits, axes=("azimuth", "pitch"))
 
-    for run, seed in sorted({(row["setting"], int(row["seed"])) for row in table("paper_in_full.csv")}):
-        last = max(int(row["episode"]) for row in rows("paper_in_full.csv", setting=run, seed=seed))
+    ours = rows("paper_in_full.csv", system="xi")
+    for run, seed in sorted({(row["setting"], int(row["seed"])) for row in ours}):
+        last = max(int(row["episode"]) for row in rows("paper_in_full.csv", system="xi", setting=run, seed=seed))
         shown = [f" {after(run, seed, at)} " if at <= last else " " for at in (60, 180, 220, 600, 1200)]
         yield Tie(PAGE, f"| {run.removeprefix('rollouts_')}, {seed} |" + "{}|" * len(shown), tuple(shown))
     words = "| {} | {} | {} | {} |"
@@ -161,17 +178,17 @@ def _paper_in_full() -> Iterator[Tie]:
     # As the page says of the ends, and of the level at any evaluation.
     at_end = [sorted(run[2] for run in runs) for runs in (many, few, none)]
     assert at_end[0][-1] < at_end[1][0] and at_end[2][0] < at_end[1][0] and at_end[1][-1] < at_end[2][1]
-    assert all(float(row["azimuth"]) > 0.05 or float(row["pitch"]) > 0.05 for row in table("paper_in_full.csv"))
+    assert all(float(row["azimuth"]) > 0.05 or float(row["pitch"]) > 0.05 for row in ours)
 
 
 def _axes(setting: str, seed: int, episode: int) -> tuple[float, float]:
-    (row,) = rows("paper_in_full.csv", setting=setting, seed=seed, episode=episode)
+    (row,) = rows("paper_in_full.csv", system="xi", setting=setting, seed=seed, episode=episode)
     return float(row["azimuth"]), float(row["pitch"])
 
 
 def _curve(setting: str, seed: int) -> tuple[float, float, float]:
     """Return the mean return of a run, its last return, and its error at the end."""
-    own = rows("paper_in_full.csv", setting=setting, seed=seed)
+    own = rows("paper_in_full.csv", system="xi", setting=setting, seed=seed)
     assert [int(row["episode"]) for row in own] == list(range(10, 1201, 10))
     returns = numbers(own, "evaluated_return")
     return sum(returns) / len(returns), returns[-1], max(_axes(setting, seed, 1200))

@@ -130,8 +130,10 @@ def speed(text: str) -> Iterator[Tie]:
     )
     (then,) = rows("speed.csv", job="imagined replay xi before")
     took = [f"{float(then[kind]):.2g}" for kind in reversed(TIMES_OF_JOBS)]
-    figures = (then["beside"], *took, f"{float(then['ratio']):.2g}")
-    yield Tie(SPEED, "At {}, where nothing was machine code yet, it took {} seconds, and it takes {} now: {}", figures)
+    figures = (then["beside"], *took, then["commit"], f"{float(then['ratio']):.2g}")
+    yield Tie(
+        SPEED, "At {}, where nothing was machine code yet, it took {} seconds, and it takes {} at {}: {}", figures
+    )
     for row in (row for row in table("speed.csv") if row["job"] not in ("start-up", "imagined replay xi before")):
         per = 1e3 if row["job"] == "environment" else 1.0  # in milliseconds, or in seconds
         times = [f"{per * float(row[kind]):.2g}" for kind in TIMES_OF_JOBS]

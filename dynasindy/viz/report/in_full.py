@@ -1,4 +1,4 @@
-"""Single runs of the paper's experiment that went on after the episode at which the curves of figure 11 end."""
+"""Other runs of the paper's experiment, which went beyond the episode at which the curves of figure 11 end."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TABLE = "paper_in_full.csv"
 
 @dataclass(frozen=True)
 class Longer:
-    """A run that went on.
+    """A run that went further than the curves.
 
     Attributes:
         setting: Its setting in words.
@@ -79,7 +79,7 @@ def how_far(runs: Sequence[Longer], beyond: float) -> str:
         for (setting, last), count in counts.items()
     )
     none = [_with(setting) for setting in SETTINGS.values() if setting not in {run.setting for run in runs}]
-    words = f" Thin lines are single runs that went on after episode {beyond:g}: {far}"
+    words = f" Thin lines are other runs, which went beyond episode {beyond:g}: {far}"
     return words + f"; no seed {' or '.join(none)} did" * bool(none) + "."
 
 
@@ -91,8 +91,8 @@ def course(results: Results, runs: Sequence[Longer], case: str, beyond: float) -
     closer = sum(float(run.error[-1]) < _at(run, run.error, beyond) for run in runs)
     words = (
         f"**{case}, the whole curve**: the statements are judged up to episode {beyond:g}, which every seed of every "
-        f"setting has reached. {len(runs)} single run{'s' * (len(runs) > 1)} went on. From there to the end the return "
-        f"rose in {further} of them, and the error of the worse axis fell in {closer}. {results.source(TABLE)} "
+        f"setting has reached. {len(runs)} other run{'s' * (len(runs) > 1)} went beyond it. From there to the end the "
+        f"return rose in {further} of them, and the error of the worse axis fell in {closer}. {results.source(TABLE)} "
         "Setting and seed are those of a run; the README beside the table says with which words besides."
     )
     rows = [

@@ -51,7 +51,7 @@ def test_runs_that_went_on_are_thin_lines_up_to_their_own_end(both):
 def test_the_caption_counts_the_seeds_of_the_table(both):
     (picture,) = [part for part in control.rewards(both).parts if isinstance(part, Picture)]
     assert picture.caption.endswith(
-        "Thin lines are single runs that went on after episode 6: 1 seed without planning to episode 12, 2 seeds with "
+        "Thin lines are other runs, which went beyond episode 6: 1 seed without planning to episode 12, 2 seeds with "
         "800 rollouts to episode 12 and 1 seed with 800 rollouts to episode 9; no seed with 400 rollouts did."
     )
     with (both.folder / "paper_in_full.csv").open("a") as file:
@@ -63,7 +63,7 @@ def test_the_caption_counts_the_seeds_of_the_table(both):
 def test_what_became_of_them_after_the_curves_end_is_told(both):
     parts = control.rewards(both).parts
     (words,) = [part.words for part in parts if isinstance(part, Text) and "the whole curve" in part.words]
-    assert "4 single runs went on. From there to the end the return rose in 3 of them" in words
+    assert "4 other runs went beyond it. From there to the end the return rose in 3 of them" in words
     assert "the error of the worse axis fell in 3" in words
     table, settings = (part for part in parts if isinstance(part, Table))
     # Errors with 800 rollouts are 0.3 / k, so 0.05 rad is reached at once after 6; without they are 0.01 k until 5.
