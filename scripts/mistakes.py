@@ -12,6 +12,7 @@ from pathlib import Path
 os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors reach us instead of Hydra's printer
 
 import hydra
+import yaml
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
@@ -19,7 +20,16 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 CONF = Path(__file__).resolve().parents[1] / "conf"
-MENDABLE = (ValueError, TypeError, KeyError, OSError, ModuleNotFoundError, HydraException, OmegaConfBaseException)
+MENDABLE = (
+    yaml.YAMLError,
+    ValueError,
+    TypeError,
+    KeyError,
+    OSError,
+    ModuleNotFoundError,
+    HydraException,
+    OmegaConfBaseException,
+)
 EXTRAS = {
     "joblib": "sweep",
     "submitit": "slurm",
@@ -100,6 +110,9 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
         if error.filename is None and error.errno not in CAUSES and error.strerror:
             return cause  # of a connection, which is no file
         return f"{'a file' if error.filename is None else error.filename}: {cause}"
+    if isinstance(error, yaml.MarkedYAMLError) and (mark := error.problem_mark) is not None:
+        where = f"{mark.name}, line {mark.line + 1}"
+        return f"{where}: {error.problem}; mend the file, in which blanks tell what belongs where"
     if isinstance(error, OverrideParseException):
         return (
             f"'{error.override}' cannot be read; write key=value, close all brackets and quotes, and put a word with "

@@ -49,8 +49,14 @@ def after_flights(folder: object, words: Sequence[str]) -> str:
         words: What the user gave.
     """
     more = _command("rig", [*_without(words, ("folder",)), f"folder={folder}"])
+    own = [word for word in words if word.partition("=")[0].partition(".")[0] in ("system", "plant")]
+    log = _command("identify", [*own, "data=csv", f"data.path={folder}/excitation.csv"])
     lines = (f"{_of_run(name, folder)}  # {NEXT[name]}" for name in ("check", "export"))
-    return listed(*lines, f"{more}  # learns from all logs in the folder and flies again")
+    return listed(
+        f"{log}  # draws equations against the log",
+        *lines,
+        f"{more}  # learns from all logs in the folder and flies again",
+    )
 
 
 def mending(folder: object, words: Sequence[str], episodes: int | None = None, checked: bool = True) -> str:

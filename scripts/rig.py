@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from command import command
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
+from mistakes import CONF, unknown
 from next_steps import after_flights
 from omegaconf import DictConfig, OmegaConf
 
@@ -15,6 +16,10 @@ from dynasindy.dyna.stopped import Stopped
 
 if TYPE_CHECKING:
     from dynasindy.rig.session import Session
+
+
+SETTINGS = {name for name in OmegaConf.load(CONF / "planning" / "gradient.yaml") if not str(name).startswith("_")}
+"""What `planner` may set."""
 
 
 @command("rig", shown=False)  # a clock of its own keeps the time
@@ -41,7 +46,10 @@ def main(cfg: DictConfig) -> None:
     ends = zip(plant["outputs"], plant["low"], plant["high"], strict=True)
     targets = {name: (low, high) for name, low, high in ends}
     guard = guard.or_limits(plant.get("bounds") or {}, wiring)
+    guard.require(wiring)
     planning = dict(cfg.planner or {})
+    if wrong := [name for name in planning if name not in SETTINGS]:
+        raise ValueError(unknown(wrong[0], SETTINGS, "planner"))
     known = plant.get("known")
     if known is None and system.known:  # of an unknown plant the logs tell which rates are missing
         known = {}
@@ -67,12 +75,19 @@ def main(cfg: DictConfig) -> None:
             told = f"stopped; the rig was asked for its safe input, its logs are in {cfg.folder}; {again(cfg.folder)}"
             raise Stopped(told, getattr(stop, "signal", 2)) from stop
     draw(session)
-    print(f"Logs, model, controller and figures: {cfg.folder}")
+    print(f"{kept(Path(cfg.folder))}: {cfg.folder}")
     if session.failed:
         print(f"Mend what ended the flight; {again(cfg.folder)}")
         sys.exit(1)
     if given is None:
         say(after_flights(cfg.folder, words))
+
+
+def kept(folder: Path) -> str:
+    """Say what a session has left in its folder."""
+    left = {"model": "model.json", "controller": "controller.json", "figures": "figures"}
+    first, *others = ["logs", *(what for what, name in left.items() if (folder / name).exists())]
+    return " and ".join(filter(None, [", ".join([first, *others[:-1]]), *others[-1:]])).capitalize()
 
 
 def again(folder: str) -> str:
@@ -90,7 +105,8 @@ def draw(session: "Session") -> None:
     signature = session.wiring.signature
     for path, rows in session.logs("excitation").items():
         if rows:
-            title = f"{path.stem.replace('_', ' ').capitalize()} of the rig"
+            fault = session.faults.get(path.stem)
+            title = f"{path.stem.replace('_', ' ').capitalize()} of the rig" + (f", ended by {fault}" if fault else "")
             save(training_data(*samples(path, signature), signature, title), session.folder / "figures" / path.stem)
     for name, shown in session.shown.items():
         if len(shown.time):  # it did not end before its first sample

@@ -149,7 +149,7 @@ def _noise(found: Check, limits: Thresholds) -> Finding:
 
 
 def _flights(found: Check, limits: Thresholds) -> list[Finding]:
-    names, steps = found.loop.signature.input_names, found.steps
+    names, steps, begun = found.loop.signature.input_names, found.steps, f"in steps from {found.beginning()}"
     largest, word, output, allowed = error(found, steps.steady_error, limits)
     slew, saturated = steps.slew.nan_to_num(torch.inf).amax(0), steps.saturated.amax(0)
     i, j = int(slew.argmax()), int(saturated.argmax())
@@ -159,18 +159,17 @@ def _flights(found: Check, limits: Thresholds) -> list[Finding]:
         Finding(
             "steady error",
             largest <= limits.error,
-            f"in steps from {found.beginning()} at most {word} of {name_of(found, output)}"
-            f"{below(found, largest, output)}; threshold: {allowed}",
+            f"{begun} at most {word} of {name_of(found, output)}{below(found, largest, output)}; threshold: {allowed}",
         ),
         Finding(
             "slew",
             float(slew[i]) <= limits.slew,
-            f"in a step {names[i]} changes by up to {changes} in a control period; threshold: {most_change}",
+            f"{begun} {names[i]} changes by up to {changes} in a control period; threshold: {most_change}",
         ),
         Finding(
             "saturation",
             float(saturated[j]) <= limits.saturated,
-            f"in a step {names[j]} is at its limit for up to {shares} % of "
+            f"{begun} {names[j]} is at its limit for up to {shares} % of "
             f"{in_words(found.seconds)}; threshold: {most_shares} %",
         ),
     ]

@@ -134,7 +134,8 @@ class Flown:
         """Say it in one line."""
         slowest, latest = (1e3 * float(np.max(t, initial=0.0)) for t in (self.computing, self.jitter))
         lost = f"{self.lost} sample{'s' * (self.lost != 1)} lost, " if self.lost else ""
-        line = f"{self.periods} periods, {lost}inputs after {slowest:.2f} ms at most, jitter {latest:.2f} ms at most"
+        times = f"inputs after {slowest:.2f} ms at most, jitter {latest:.2f} ms at most"
+        line = f"{self.periods} periods, {lost}{times}" if self.periods else "no period was flown"
         if self.fault is None:
             return line
         return f"{line}; ended by {self.fault.kind}: {self.fault}; the rig was asked for its safe input"

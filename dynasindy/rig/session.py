@@ -101,6 +101,7 @@ class Session:
         clock: Tells the time and waits.
         flights: What came of each flight.
         shown: What the flights of controllers show, by the name of their logs.
+        faults: What ended flights early, in words, by the name of their logs.
         model: What was identified last; None before.
         learnt: The controller that was planned on it; None before.
     """
@@ -113,6 +114,7 @@ class Session:
     clock: Clock = time
     flights: list[Flown] = field(default_factory=list)
     shown: dict[str, Shown] = field(default_factory=dict)
+    faults: dict[str, str] = field(default_factory=dict)
     model: SindyModel | None = None
     learnt: Controller | None = None
 
@@ -233,10 +235,9 @@ class Session:
             return controller.act(_seen(y), rows[min(round(t / self.wiring.dt), len(rows) - 1)])
 
         numbers = (path.stem.removeprefix("flight_") for path in self.logs("flight"))
-        name = f"flight_{max([len(self.flights), *(int(number) + 1 for number in numbers if number.isdigit())])}"
-        flown = self._fly(name, _act, len(rows))
-        fault = "" if flown.fault is None else f"{flown.fault.kind}: {flown.fault}"
-        shown = Shown.of(self.folder / f"{name}.csv", controller.signature, controller.outputs, rows, fault)
+        name = f"flight_{max([1, *(int(number) + 1 for number in numbers if number.isdigit())])}"
+        flown, path = self._fly(name, _act, len(rows)), self.folder / f"{name}.csv"
+        shown = Shown.of(path, controller.signature, controller.outputs, rows, self.faults.get(name, ""))
         self.shown[name] = shown
         self.tell(f"  {shown.words()}")
         return flown
@@ -286,6 +287,8 @@ class Session:
         self.tell(f"{name.replace('_', ' ')}: {periods * self.wiring.dt:g} s")
         flown = fly(self.rig, act, self.wiring, periods, self.folder / f"{name}.csv", self.guard, self.clock)
         self.flights.append(flown)
+        if flown.fault is not None:
+            self.faults[name] = f"{flown.fault.kind}: {flown.fault}"
         self.tell(f"  {flown}")
         return flown
 
@@ -330,16 +333,20 @@ def _require_reached(signal: Excitation, levels: Array, signature: Signature) ->
         ValueError: It does not.
     """
     low, high = np.array(signature.input_limits or (WHOLE,) * signature.n_u).T
-    beyond = np.maximum(levels.max(0) - high, low - levels.min(0))
+    # What is asked for beyond -1 and 1 is cut off in the signal itself.
+    ends = (signal.offset + sign * signal.amplitude.abs() for sign in (-1, 1))
+    wide = np.stack([end.expand(signature.n_u).numpy() for end in ends])
+    cut = np.where(np.abs(wide).max(0) > 1 + ROUNDING, wide, np.stack([levels.min(0), levels.max(0)]))
+    beyond = np.maximum(cut[1] - high, low - cut[0])
     if not (beyond > ROUNDING).any():
         return
     amplitude = np.minimum(signal.amplitude.abs().numpy(), 0.5 * (high - low))
     offset = np.clip(signal.offset.numpy(), low + amplitude, high - amplitude)
     place, words = int(beyond.argmax()), [f"[{','.join(f'{v:.4g}' for v in values)}]" for values in (amplitude, offset)]
     raise ValueError(
-        f"the excitation takes {signature.input_names[place]} from {levels[:, place].min():.3g} to "
-        f"{levels[:, place].max():.3g}, and its actuator reaches {low[place]:.3g} to {high[place]:.3g}; nothing has "
-        f"moved: give plant.amplitude={words[0]} plant.offset={words[1]}, or others within these limits"
+        f"the excitation takes {signature.input_names[place]} from {cut[0, place]:.3g} to {cut[1, place]:.3g}, and its "
+        f"actuator reaches {low[place]:.3g} to {high[place]:.3g}; nothing has moved: give plant.amplitude={words[0]} "
+        f"plant.offset={words[1]}, or others within these limits"
     )
 
 

@@ -185,7 +185,7 @@ def nyquist(
         axis.plot(np.cos(angle), np.sin(angle), color=GREY, linestyle=":", linewidth=0.9, label="gain 1")
         told = f"disk margin < {disk:g}"
         axis.add_patch(Circle((0.5 * (near + far), 0), 0.5 * (near - far), color=ORANGE, alpha=0.2, lw=0, label=told))
-        axis.plot([-1], [0], color=RED, marker="+", markersize=10, linestyle="none", label="-1")
+        axis.plot([-1], [0], color=BLACK, marker="+", markersize=10, linestyle="none", label="critical point -1")
         axis.set_xlim(-3, 1.5)
         axis.set_ylim(-2.25, 2.25)
         axis.set_aspect("equal")

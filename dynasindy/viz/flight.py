@@ -43,6 +43,9 @@ def flight(shown: Shown, wiring: Wiring, guard: Guard, name: str) -> Figure:
     for column, (axis, output) in enumerate(zip(figure.axes, shown.names, strict=False)):
         if np.isnan(shown.outputs[:, column]).all():
             axis.text(0.5, 0.5, "not measured", transform=axis.transAxes, ha="center", va="center", color=GREY)
+        for line in axis.lines:
+            if line.get_label() == "reference":  # a target is held, and the next one follows at once
+                line.set_drawstyle("steps-post")
         _alone(axis, shown.time, shown.outputs[:, column])
         bottom, top = axis.get_ylim()
         room = 0.3 * (top - bottom)

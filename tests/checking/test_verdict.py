@@ -85,8 +85,10 @@ def test_the_largest_slew_and_saturation_over_the_targets_decide(good):
     u[1, :2, 0] = torch.tensor([-0.5, 1.0])  # of the second target
     steps = Flights(torch.zeros(2, 5, 2).double(), u, torch.zeros(2, 1), [0], 0.1, torch.tensor([[-1.0], [1.0]]))
     found = by_name(replace(good, steps=steps, settings=replace(good.settings, seconds=0.4)))
-    assert found["slew"].words.startswith("in a step force changes by up to 1.50 in a control period")
-    assert found["saturation"].words.startswith("in a step force is at its limit for up to 25 % of 0.4 s")
+    assert found["slew"].words.startswith("in steps from the origin force changes by up to 1.50 in a control period")
+    assert found["saturation"].words.startswith(
+        "in steps from the origin force is at its limit for up to 25 % of 0.4 s"
+    )
     assert not found["slew"].good and not found["saturation"].good
 
 

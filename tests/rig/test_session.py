@@ -91,7 +91,7 @@ def test_units_of_inputs_are_told_before_a_flight(session, ends, lines):
     signature = replace(session.wiring.signature, input_ends=ends)
     task = Tracking(signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), TrackingReward((1.0,)))
     session.fly(Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)), [[0.1]], 0.1)
-    begun = told.index("flight 0: 0.1 s")
+    begun = told.index("flight 1: 0.1 s")
     assert begun == lines and all("u is 6 + 6 times the controller's" in line for line in told[:begun])
 
 
@@ -110,6 +110,16 @@ def test_an_excitation_beyond_an_actuator_is_refused_and_the_words_that_are_told
     assert "the plant's u is 12 V times the controller's, which is in [0, 1]" in told[0]
     u = np.genfromtxt(tmp_path / "excitation.csv", delimiter=",", skip_header=1)[:, 2]
     assert u.min() >= 0.0 and u.max() <= 0.8 and np.ptp(u) > 0.4
+
+
+def test_an_excitation_that_its_signal_would_cut_off_is_refused(tmp_path):
+    """0.3 - 0.8 to 0.3 + 0.8 is cut off at 1; an offset of 0.2 leaves room."""
+    session, rig = blind(tmp_path)
+    words = r"takes u from -0\.5 to 1\.1, and its actuator reaches -1 to 1; .*amplitude=\[0\.8\] plant\.offset=\[0\.2\]"
+    with pytest.raises(ValueError, match=words):
+        session.excite(Multisine(1, duration=2, dt=0.05, amplitude=0.8, offset=0.3, seed=0))
+    assert not session.flights and rig.u.tolist() == [0.0]
+    assert session.excite(Multisine(1, duration=2, dt=0.05, amplitude=0.8, offset=0.2, seed=0)).fault is None
 
 
 def test_a_fault_is_kept_and_told(session):
@@ -239,9 +249,9 @@ def test_a_session_goes_on_in_its_folder_and_what_was_cut_short_is_repeated(tmp_
     whole.tell = told.append
     for _ in range(2):
         whole.fly(Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)), [[0.1]], 0.1)
-    again = replace(whole, flights=[], shown={})
+    again = replace(whole, flights=[], shown={}, faults={})
     again.fly(Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)), [[0.1]], 0.1)
-    assert [path.name for path in again.logs("flight")] == ["flight_0.csv", "flight_1.csv", "flight_2.csv"]
+    assert [path.name for path in again.logs("flight")] == ["flight_1.csv", "flight_2.csv", "flight_3.csv"]
 
 
 def test_a_rig_that_is_unplugged_leaves_its_log_and_the_next_session_excites_it_again(tmp_path):
@@ -306,6 +316,7 @@ def test_only_the_controller_that_was_planned_on_the_model_is_foretold(session, 
     assert not asked and not any("foretold" in line for line in told)
     session.fly(mine, [[0.1]], 0.1)
     assert asked == [(mine, session.model, [[0.1]], 0.1)] and "  foretold" in told
+    assert list(session.shown) == ["flight_1", "flight_2"]
 
 
 @pytest.mark.parametrize(

@@ -58,6 +58,14 @@ def test_after_a_session_on_a_rig_its_controller_is_looked_at_taken_away_and_flo
     lines = steps.after_flights("runs/a b", ["system=arm", "rig=udp", "folder=runs/old", "targets=[[0.4]]"]).split("\n")
     assert lines[0] == "next:"
     assert [shlex.split(line, comments=True)[1:] for line in lines[1:]] == [
+        [
+            "scripts/identify.py",
+            "--config-dir",
+            "my_rig",
+            "system=arm",
+            "data=csv",
+            "data.path=runs/a b/excitation.csv",
+        ],
         ["scripts/check.py", "run=runs/a b"],
         ["scripts/export.py", "run=runs/a b"],
         ["scripts/rig.py", "--config-dir", "my_rig", "system=arm", "rig=udp", "targets=[[0.4]]", "folder=runs/a b"],

@@ -32,6 +32,8 @@ def command(*words):
         ("seconds=null", "fly nothing; give seconds > 0"),
         ("flights=0", "fly nothing; give seconds > 0"),
         ("guard.late=-1", "give numbers >= 0"),
+        ("guard.low={thta: -1}", "a guard has a range of 'thta', which is not measured; allowed are theta"),
+        ("planner={update: 100}", "'update' does not exist in 'planner'; allowed are check_every, "),
     ],
 )
 def test_a_mistake_costs_one_line_and_nothing_moves(tmp_path, word, message):
@@ -57,6 +59,15 @@ def test_the_file_of_the_page_is_a_rig_that_only_a_connection_is_missing_of(tmp_
     assert done.returncode == 2
     assert done.stdout == "A flight goes on with angle within -1.5 to 1.5 rad\n"
     assert "nobody knows of this one; give rig=udp" in done.stderr
+
+
+def test_a_slip_in_a_file_of_a_user_costs_one_line_with_its_place(tmp_path):
+    (tmp_path / "system").mkdir()
+    (tmp_path / "system" / "arm.yaml").write_text("# @package _global_\nplant: {low: [0.1}\n")
+    words = ["--config-dir", str(tmp_path), "system=arm", f"folder={tmp_path}/run"]
+    done = forked.run([sys.executable, str(ROOT / "scripts" / "rig.py"), *words], env=ENVIRONMENT)
+    assert done.returncode == 2 and "arm.yaml, line 2: expected ',' or ']', but got '}'; mend the file" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
 
 
 @pytest.mark.slow

@@ -78,7 +78,7 @@ def test_a_loop_is_drawn_for_each_input_beside_the_point_that_it_must_not_go_aro
     (disk,) = figure.axes[0].patches
     assert [disk.center[0] + disk.radius, disk.center[0] - disk.radius] == pytest.approx([-0.5, -2.0])
     told = nyquist({"a": curve}, ("u",)).axes[0].get_legend().texts
-    assert [text.get_text() for text in told] == ["a", "gain 1", "disk margin < 0.5", "-1"]
+    assert [text.get_text() for text in told] == ["a", "gain 1", "disk margin < 0.5", "critical point -1"]
 
 
 def test_each_loop_is_named_by_its_target_in_one_colour_the_nearest_to_minus_one_first():
