@@ -98,16 +98,15 @@ def again(folder: str) -> str:
 def draw(session: "Session") -> None:
     """Draw the excitations of the folder, and each flight with its references and what ended it early."""
     from dynasindy.rig.shown import samples
-    from dynasindy.viz.flight import flight
-    from dynasindy.viz.identification import training_data
+    from dynasindy.viz.flight import excitation, flight
     from dynasindy.viz.style import save
 
-    signature = session.wiring.signature
     for path, rows in session.logs("excitation").items():
         if rows:
             fault = session.faults.get(path.stem)
             title = f"{path.stem.replace('_', ' ').capitalize()} of the rig" + (f", ended by {fault}" if fault else "")
-            save(training_data(*samples(path, signature), signature, title), session.folder / "figures" / path.stem)
+            figure = excitation(samples(path, session.wiring.signature), session.wiring, session.guard, title)
+            save(figure, session.folder / "figures" / path.stem)
     for name, shown in session.shown.items():
         if len(shown.time):  # it did not end before its first sample
             figure = flight(shown, session.wiring, session.guard, name)

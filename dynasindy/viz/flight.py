@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dynasindy.durations import in_words
+from dynasindy.viz.identification import training_data
 from dynasindy.viz.response import tracking
 from dynasindy.viz.style import GREY, ORANGE, RED, legend_above, styled, time_axis
 
@@ -47,12 +49,7 @@ def flight(shown: Shown, wiring: Wiring, guard: Guard, name: str) -> Figure:
             if line.get_label() == "reference":  # a target is held, and the next one follows at once
                 line.set_drawstyle("steps-post")
         _alone(axis, shown.time, shown.outputs[:, column])
-        bottom, top = axis.get_ylim()
-        room = 0.3 * (top - bottom)
-        for end in guard.ranges.get(output, ()):
-            if bottom - room < end < top + room:  # one that is far off would flatten the flight
-                axis.axhline(end, color=ORANGE, linestyle="-.", linewidth=1.0)
-                figure.axes[0].plot([], [], color=ORANGE, linestyle="-.", linewidth=1.0, label="range of the guard")
+        _draw_range(figure, axis, guard.ranges.get(output, ()))
     for axis in figure.axes:
         if shown.fault:
             axis.axvline(ended, color=RED, linewidth=1.0, label="ended, safe input")
@@ -60,6 +57,36 @@ def flight(shown: Shown, wiring: Wiring, guard: Guard, name: str) -> Figure:
     figure.axes[-1].set_xlim(0.0, planned * (1 + LATE * bool(shown.fault)))
     legend_above(figure.axes[0])
     return figure
+
+
+@styled
+def excitation(samples: tuple[Array, Array, Array], wiring: Wiring, guard: Guard, title: str) -> Figure:
+    """Draw what an excitation moved, and the ranges of the guard where they are near.
+
+    Args:
+        samples: Times `(T,)` [s], states `(T, n_x)`, NaN where they were not measured, and inputs `(T, n_u)`.
+        wiring: Tells names and units, and what is measured.
+        guard: Tells the ranges of the states within which a flight goes on.
+        title: Of the figure.
+    """
+    time, states, inputs = samples
+    figure = training_data(time, states, inputs, wiring.signature, title)
+    seen = [i for i in range(states.shape[1]) if not np.isnan(states[:, i]).all()]
+    for axis, place in zip(list(figure.axes), seen, strict=False):
+        _draw_range(figure, axis, guard.ranges.get(wiring.signature.state_names[place], ()))
+    if figure.axes[0].get_legend_handles_labels()[0]:
+        legend_above(figure.axes[0])
+    return figure
+
+
+def _draw_range(figure: Figure, axis: Axes, ends: Sequence[float]) -> None:
+    """Draw the ends of a range of the guard that are near; one that is far off would flatten the flight."""
+    bottom, top = axis.get_ylim()
+    room = 0.3 * (top - bottom)
+    for end in ends:
+        if bottom - room < end < top + room:
+            axis.axhline(end, color=ORANGE, linestyle="-.", linewidth=1.0)
+            figure.axes[0].plot([], [], color=ORANGE, linestyle="-.", linewidth=1.0, label="range of the guard")
 
 
 def _alone(axis: Axes, time: Array, values: Array) -> None:

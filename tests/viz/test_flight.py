@@ -8,7 +8,7 @@ import pytest
 from dynasindy.rig import Guard, Wiring
 from dynasindy.rig.shown import Shown
 from dynasindy.systems import Signature
-from dynasindy.viz.flight import flight
+from dynasindy.viz.flight import excitation, flight
 
 SIGNATURE = Signature(("theta", "level"), ("rad", "m"), ("u",), (1.0, 1.0))
 WIRING = Wiring(SIGNATURE, (True, False), 0.1)
@@ -46,6 +46,28 @@ def test_the_range_of_the_guard_is_drawn_where_it_is_near() -> None:
     lines = [line for line in figure.axes[0].lines if line.get_linestyle() == "-." and len(line.get_xdata())]
     levels = [line.get_ydata()[0] for line in lines]
     assert levels == [0.45] and words(figure)[2:] == ["range of the guard", "ended, safe input"]
+
+
+def test_an_excitation_shows_what_was_measured_and_the_range_that_ended_it() -> None:
+    guard = Guard(low={"theta": -5.0, "level": 0.1}, high={"theta": 0.45})
+    figure = excitation((TIME, OUTPUTS, np.full((5, 1), 0.2)), WIRING, guard, "Excitation of the rig, ended by range")
+    assert figure.get_suptitle() == "Excitation of the rig, ended by range; not measured: level"
+    theta, u = figure.axes
+    np.testing.assert_allclose(theta.lines[0].get_ydata(), OUTPUTS[:, 0])
+    lines = [
+        [line for line in axis.lines if line.get_linestyle() == "-." and len(line.get_xdata())] for axis in (theta, u)
+    ]
+    assert [[line.get_ydata()[0] for line in found] for found in lines] == [[0.45], []]
+    assert words(figure) == ["range of the guard"]
+    assert excitation((TIME, OUTPUTS, np.full((5, 1), 0.2)), WIRING, Guard(), "Excitation").axes[0].get_legend() is None
+
+
+def test_targets_are_drawn_as_they_are_held() -> None:
+    targets = np.tile([[0.3, 0.5]], (5, 1))
+    targets[3:] = -0.3
+    axis = flight(replace(ENDED, references=targets), WIRING, Guard(), "flight_1").axes[0]
+    (line,) = [line for line in axis.lines if line.get_label() == "reference"]
+    assert line.get_drawstyle() == "steps-post"
 
 
 def test_an_output_without_a_sensor_is_said_to_have_none() -> None:
