@@ -138,7 +138,8 @@ def _paper_with_our_library() -> Iterator[Tie]:
     for name in ("rollouts_800", "rollouts_0"):
         own = rows("paper_in_full.csv", system="tras", setting=f"{name},world_model=sindy", seed=0)
         episodes = [int(row["episode"]) for row in own]
-        assert episodes == list(range(10, episodes[-1] + 1, 10))
+        assert episodes == list(range(10, episodes[-1] + 1, 10)) and episodes[-1] >= 800
+        assert min(max(float(row["azimuth"]), float(row["pitch"])) for row in own) > 0.05  # the required level
         (*_, last), at = own, {int(row["episode"]): row for row in own}
         shown = [
             pair(lambda axis, row=row: float(row[axis]), 3, axes=("azimuth", "pitch"))
