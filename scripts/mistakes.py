@@ -153,9 +153,9 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
 
 def _no_choice() -> str:
     """Return what may be chosen in the group of a word that chooses no file, as `sensors=null`; '' if there is none."""
-    for group, _, option in (word.partition("=") for word in sys.argv[1:] if not word.startswith("-")):
-        choices = {file.stem for file in (CONF / group).glob("[!_]*.yaml")}
-        if choices and not (CONF / group / f"{option}.yaml").is_file():
+    for group, sign, option in (word.partition("=") for word in sys.argv[1:] if not word.startswith("-")):
+        choices = {file.stem for file in (CONF / group).glob("[!_]*.yaml")} if sign else set()
+        if choices and not isinstance(yaml.safe_load(option), str):  # a name may be that of a file of the user
             return unknown(option, choices, group)
     return ""
 
