@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from command import command
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
-from mistakes import CONF, unknown
 from next_steps import after_flights
 from omegaconf import DictConfig, OmegaConf
 
@@ -16,10 +15,6 @@ from dynasindy.dyna.stopped import Stopped
 
 if TYPE_CHECKING:
     from dynasindy.rig.session import Session
-
-
-SETTINGS = {name for name in OmegaConf.load(CONF / "planning" / "gradient.yaml") if not str(name).startswith("_")}
-"""What `planner` may set."""
 
 
 @command("rig", shown=False)  # a clock of its own keeps the time
@@ -48,8 +43,6 @@ def main(cfg: DictConfig) -> None:
     guard = guard.or_limits(plant.get("bounds") or {}, wiring)
     guard.require(wiring)
     planning = dict(cfg.planner or {})
-    if wrong := [name for name in planning if name not in SETTINGS]:
-        raise ValueError(unknown(wrong[0], SETTINGS, "planner"))
     known = plant.get("known")
     if known is None and system.known:  # of an unknown plant the logs tell which rates are missing
         known = {}
@@ -103,8 +96,9 @@ def draw(session: "Session") -> None:
 
     for path, rows in session.logs("excitation").items():
         if rows:
-            fault = session.faults.get(path.stem)
-            title = f"{path.stem.replace('_', ' ').capitalize()} of the rig" + (f", ended by {fault}" if fault else "")
+            flown = session.flights.get(path.stem)  # what ended one of an earlier session is not known
+            ended = f", ended by {flown.ended}" if flown is not None and flown.ended else ""
+            title = f"{path.stem.replace('_', ' ').capitalize()} of the rig{ended}"
             figure = excitation(samples(path, session.wiring.signature), session.wiring, session.guard, title)
             save(figure, session.folder / "figures" / path.stem)
     for name, shown in session.shown.items():

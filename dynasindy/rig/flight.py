@@ -136,9 +136,12 @@ class Flown:
         lost = f"{self.lost} sample{'s' * (self.lost != 1)} lost, " if self.lost else ""
         times = f"inputs after {slowest:.2f} ms at most, jitter {latest:.2f} ms at most"
         line = f"{self.periods} periods, {lost}{times}" if self.periods else "no period was flown"
-        if self.fault is None:
-            return line
-        return f"{line}; ended by {self.fault.kind}: {self.fault}; the rig was asked for its safe input"
+        return f"{line}; ended by {self.ended}; the rig was asked for its safe input" if self.ended else line
+
+    @property
+    def ended(self) -> str:
+        """What ended it early, in words; empty if nothing did."""
+        return "" if self.fault is None else f"{self.fault.kind}: {self.fault}"
 
 
 def fly(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import inspect
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,6 +21,8 @@ from dynasindy.evaluation.equations import LATE
 from dynasindy.evaluation.identification import Logged
 from dynasindy.evaluation.source import Source, alike_ends
 from dynasindy.excitation import Excitation
+from dynasindy.nearest import did_you_mean
+from dynasindy.planning import GradientPlanning
 from dynasindy.rig.base import Array, Clock, Rig, Wiring
 from dynasindy.rig.flight import ROUNDING, Flown, Guard, fly
 from dynasindy.rig.foretold import foretold
@@ -47,6 +50,9 @@ class Knowledge:
         longest_delay: Longest delay of the inputs that is looked for [s]; None where the data are to tell.
         planning: Settings of `GradientPlanning`.
         ranged: Whether the ranges of the states are known; if not, they are those of the logs.
+
+    Raises:
+        ValueError: A setting of the planning does not exist.
     """
 
     library: str | Sequence[str] | LibraryBuilder
@@ -55,6 +61,15 @@ class Knowledge:
     longest_delay: float | None = None
     planning: Mapping[str, Any] = field(default_factory=dict)
     ranged: bool = True
+
+    def __post_init__(self) -> None:
+        taken = inspect.signature(GradientPlanning).parameters.values()
+        allowed = sorted({each.name for each in taken if each.kind is each.KEYWORD_ONLY} - {"others", "seed"})
+        if wrong := [name for name in self.planning if name not in allowed]:
+            raise ValueError(
+                f"'{wrong[0]}' is no setting of the planning; allowed are {', '.join(allowed)}"
+                f"{did_you_mean(wrong[0], allowed)}"
+            )
 
     def require_of(self, signature: Signature) -> None:
         """Refuse, before anything moves, what no model or no task of a plant can be made of.
@@ -99,9 +114,8 @@ class Session:
         folder: Where logs, model and controller are written.
         tell: Says where it is, a line at a time.
         clock: Tells the time and waits.
-        flights: What came of each flight.
+        flights: What came of each flight, by the name of its log.
         shown: What the flights of controllers show, by the name of their logs.
-        faults: What ended flights early, in words, by the name of their logs.
         model: What was identified last; None before.
         learnt: The controller that was planned on it; None before.
     """
@@ -112,16 +126,15 @@ class Session:
     folder: Path
     tell: Tell = print
     clock: Clock = time
-    flights: list[Flown] = field(default_factory=list)
+    flights: dict[str, Flown] = field(default_factory=dict)
     shown: dict[str, Shown] = field(default_factory=dict)
-    faults: dict[str, str] = field(default_factory=dict)
     model: SindyModel | None = None
     learnt: Controller | None = None
 
     @property
     def failed(self) -> bool:
         """Whether a flight was ended by a fault."""
-        return any(flown.fault is not None for flown in self.flights)
+        return any(flown.fault is not None for flown in self.flights.values())
 
     def excite(self, signal: Excitation) -> Flown | None:
         """Move the rig by a signal that begins at `signal.first` of its strength, open loop, into `excitation.csv`.
@@ -237,7 +250,7 @@ class Session:
         numbers = (path.stem.removeprefix("flight_") for path in self.logs("flight"))
         name = f"flight_{max([1, *(int(number) + 1 for number in numbers if number.isdigit())])}"
         flown, path = self._fly(name, _act, len(rows)), self.folder / f"{name}.csv"
-        shown = Shown.of(path, controller.signature, controller.outputs, rows, self.faults.get(name, ""))
+        shown = Shown.of(path, controller.signature, controller.outputs, rows, flown.ended)
         self.shown[name] = shown
         self.tell(f"  {shown.words()}")
         return flown
@@ -286,9 +299,7 @@ class Session:
     def _fly(self, name: str, act: Callable[[Array, float], Array], periods: int) -> Flown:
         self.tell(f"{name.replace('_', ' ')}: {periods * self.wiring.dt:g} s")
         flown = fly(self.rig, act, self.wiring, periods, self.folder / f"{name}.csv", self.guard, self.clock)
-        self.flights.append(flown)
-        if flown.fault is not None:
-            self.faults[name] = f"{flown.fault.kind}: {flown.fault}"
+        self.flights[name] = flown
         self.tell(f"  {flown}")
         return flown
 
@@ -333,18 +344,18 @@ def _require_reached(signal: Excitation, levels: Array, signature: Signature) ->
         ValueError: It does not.
     """
     low, high = np.array(signature.input_limits or (WHOLE,) * signature.n_u).T
+    offset, amplitude = signal.offset.numpy(), signal.amplitude.abs().numpy()
+    asked, given = np.stack([offset - amplitude, offset + amplitude]), np.stack([levels.min(0), levels.max(0)])
     # What is asked for beyond -1 and 1 is cut off in the signal itself.
-    ends = (signal.offset + sign * signal.amplitude.abs() for sign in (-1, 1))
-    wide = np.stack([end.expand(signature.n_u).numpy() for end in ends])
-    cut = np.where(np.abs(wide).max(0) > 1 + ROUNDING, wide, np.stack([levels.min(0), levels.max(0)]))
-    beyond = np.maximum(cut[1] - high, low - cut[0])
+    least, most = np.where(np.abs(asked).max(0) > 1 + ROUNDING, asked, given)
+    beyond = np.maximum(most - high, low - least)
     if not (beyond > ROUNDING).any():
         return
-    amplitude = np.minimum(signal.amplitude.abs().numpy(), 0.5 * (high - low))
-    offset = np.clip(signal.offset.numpy(), low + amplitude, high - amplitude)
+    amplitude = np.minimum(amplitude, 0.5 * (high - low))
+    offset = np.clip(offset, low + amplitude, high - amplitude)
     place, words = int(beyond.argmax()), [f"[{','.join(f'{v:.4g}' for v in values)}]" for values in (amplitude, offset)]
     raise ValueError(
-        f"the excitation takes {signature.input_names[place]} from {cut[0, place]:.3g} to {cut[1, place]:.3g}, and its "
+        f"the excitation takes {signature.input_names[place]} from {least[place]:.3g} to {most[place]:.3g}, and its "
         f"actuator reaches {low[place]:.3g} to {high[place]:.3g}; nothing has moved: give plant.amplitude={words[0]} "
         f"plant.offset={words[1]}, or others within these limits"
     )

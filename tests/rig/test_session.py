@@ -80,7 +80,7 @@ def test_a_controller_of_another_plant_is_refused_before_anything_moves(session)
     session.wiring = replace(session.wiring, signature=replace(signature, input_names=("torque",)))
     with pytest.raises(ValueError, match="the rig has theta, Omega and torque"):
         session.fly(Controller(policy, Pace(task, 0.05)), [[0.1]], 1.0)
-    assert session.flights == []
+    assert not session.flights
 
 
 @pytest.mark.parametrize(("ends", "lines"), [((), 0), (((0.0, 12.0),), 1)])
@@ -230,7 +230,7 @@ def test_a_log_of_a_rig_known_by_names_says_the_same_in_a_session_and_to_the_com
 def test_a_session_goes_on_in_its_folder_and_what_was_cut_short_is_repeated(tmp_path):
     first, _ = blind(tmp_path, high={"theta": 0.1}, low={"theta": -9.0})
     first.excite(multisine())
-    assert first.failed and "theta is" in str(first.flights[0].fault)
+    assert first.failed and "theta is" in str(first.flights["excitation"].fault)
     second, _ = blind(tmp_path)
     assert second.excite(multisine()).periods == 200
     third, rig = blind(tmp_path)
@@ -249,7 +249,7 @@ def test_a_session_goes_on_in_its_folder_and_what_was_cut_short_is_repeated(tmp_
     whole.tell = told.append
     for _ in range(2):
         whole.fly(Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)), [[0.1]], 0.1)
-    again = replace(whole, flights=[], shown={}, faults={})
+    again = replace(whole, flights={}, shown={})
     again.fly(Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)), [[0.1]], 0.1)
     assert [path.name for path in again.logs("flight")] == ["flight_1.csv", "flight_2.csv", "flight_3.csv"]
 
@@ -300,7 +300,7 @@ def test_a_controller_in_other_units_is_refused_before_anything_moves(session, m
     )
     with pytest.raises(ValueError, match=message):
         session.fly(Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)), [[0.1]], 1.0)
-    assert session.flights == []
+    assert not session.flights
 
 
 def test_only_the_controller_that_was_planned_on_the_model_is_foretold(session, monkeypatch):
@@ -340,7 +340,7 @@ def test_a_mistake_in_the_program_is_no_line_before_a_flight(tmp_path, monkeypat
     session, _ = foretelling(tmp_path, monkeypatch, error("x"))
     with pytest.raises(error):
         session.fly(session.learnt, [[0.1]], 0.2)
-    assert session.flights == []  # nothing has moved
+    assert not session.flights  # nothing has moved
 
 
 def foretelling(tmp_path, monkeypatch, error):

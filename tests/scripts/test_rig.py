@@ -33,15 +33,11 @@ def command(*words):
         ("flights=0", "fly nothing; give seconds > 0"),
         ("guard.late=-1", "give numbers >= 0"),
         ("guard.low={thta: -1}", "a guard has a range of 'thta', which is not measured; allowed are theta"),
-        ("planner={update: 100}", "'update' does not exist in 'planner'; allowed are check_every, "),
+        ("planner={update: 100}", "'update' is no setting of the planning; allowed are check_every, "),
     ],
 )
 def test_a_mistake_costs_one_line_and_nothing_moves(tmp_path, word, message):
-    done = forked.run(
-        command(word, f"folder={tmp_path}/run"),
-        env=ENVIRONMENT,
-        timeout=200,
-    )
+    done = forked.run(command(word, f"folder={tmp_path}/run"), env=ENVIRONMENT)
     assert done.returncode == 2
     assert message in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
