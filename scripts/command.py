@@ -118,9 +118,8 @@ def command(
             if refused:
                 words = "jobs were refused, and the finished runs in their folders are as they were; the reasons are in"
                 Sweep.wrong.append(f"{len(refused)} {words} {', '.join(refused)}")
-            for line in Sweep.wrong:
-                print(f"error: {line}", file=sys.stderr)
             if Sweep.wrong:
+                print(*(f"error: {line}" for line in Sweep.wrong), sep="\n", file=sys.stderr)
                 sys.exit(2)
 
         return start

@@ -168,10 +168,8 @@ class Machine:
 
     def _in_memory(self, stops: Stops) -> tuple[object, ...]:
         """Return stops as the code reads them; they are kept, as to write them costs as much as a control period."""
-        return (
-            *(self._places(columns) for columns in (stops.positions, stops.rates)),
-            *(self._reals(ends) for ends in (stops.low, stops.high)),
-        )
+        places = self._places(stops.positions), self._places(stops.rates)
+        return *places, self._reals(stops.low), self._reals(stops.high)
 
     def _places(self, columns: Sequence[int]) -> ctypes.Array[ctypes.c_int]:
         """Return columns of the states, counted from the first; there are negative ones, from the last."""

@@ -72,7 +72,7 @@ def excitation(samples: tuple[Array, Array, Array], wiring: Wiring, guard: Guard
     time, states, inputs = samples
     figure = training_data(time, states, inputs, wiring.signature, title)
     seen = [i for i in range(states.shape[1]) if not np.isnan(states[:, i]).all()]
-    for axis, place in zip(list(figure.axes), seen, strict=False):
+    for axis, place in zip(figure.axes, seen, strict=False):
         _draw_range(figure, axis, guard.ranges.get(wiring.signature.state_names[place], ()))
     if figure.axes[0].get_legend_handles_labels()[0]:
         legend_above(figure.axes[0])

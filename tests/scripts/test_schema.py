@@ -224,11 +224,7 @@ def test_an_error_of_a_connection_speaks_of_no_file(code):
 def test_a_word_in_capitals_that_is_copied_as_it_stands_costs_one_line(tmp_path, words, said):
     (tmp_path / "log.csv").write_text("\n".join(["time,angle,u", *(f"{k / 9},{k % 7},{k % 2}" for k in range(80))]))
     command, *given = shlex.split(words)
-    done = forked.run(
-        [sys.executable, str(SCRIPTS / f"{command}.py"), *given],
-        cwd=tmp_path,
-        timeout=300,
-    )
+    done = forked.run([sys.executable, str(SCRIPTS / f"{command}.py"), *given], cwd=tmp_path)
     assert done.returncode == 2 and said in done.stderr
     assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
 

@@ -51,7 +51,11 @@ LOGGED = (
 LEARNERS = ("sac_5", "sac", "td3_5", "td3")
 RIGS = ("emps", "qube", "tanks")
 JOBS = (
-    *("environment", "controller xi", "controller tras", "imagined replay xi", "start-up"),
+    "environment",
+    "controller xi",
+    "controller tras",
+    "imagined replay xi",
+    "start-up",
     "imagined replay xi before",
 )
 SWINGS = ("pendulum_v1", "swing_up", "mountain_car", "double_pendulum", "reacher")
