@@ -120,7 +120,6 @@ class Case:
         variation: How imagined plants stray.
         margin: By what share inputs of imagined episodes are weaker or stronger, at most; None for the default.
         updates: Gradient updates of the first planning phase; None for as many as suit the plant.
-        terminal_updates: Critic updates per window, for a value of what follows it.
         width: Error at which the imagined cost turns linear [rad].
         hidden: Widths of the policy's hidden layers.
         plants: Plants that it is measured on.
@@ -138,7 +137,6 @@ class Case:
     variation: Variation = field(default_factory=Variation)
     margin: float | None = None
     updates: int | None = None
-    terminal_updates: int = 0
     width: float = 0.02
     hidden: tuple[int, ...] = (128, 128)
     plants: tuple[str, ...] = ("xi", "tras")
@@ -149,7 +147,6 @@ CASES = {
     "nominal": Case(episodes=1, variation=Variation(late=0.0), margin=0.0),  # planned on the model as it is
     "small": Case(hidden=(64, 64)),
     "oracle": Case(oracle=True),
-    "terminal": Case(terminal_updates=4),
     "moving": Case(moving=True, updates=400),
     "moving_long": Case(moving=True, updates=1000),
     "moving_long_wide": Case(moving=True, updates=1000, width=0.1),
@@ -234,7 +231,7 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
 
 
 def _planning(case: Case) -> dict[str, Any]:
-    return {name: getattr(case, name) for name in ("variation", "margin", "updates", "terminal_updates", "width")}
+    return {name: getattr(case, name) for name in ("variation", "margin", "updates", "width")}
 
 
 def sparse_model(library: str, case: Case, signature: Any) -> SindyModel:

@@ -1,7 +1,7 @@
 """Planning through the model's gradient: the policy learns by back-propagation through imagined rollouts.
 
 The model is a smooth closed-form function, so the derivative of the imagined return by the policy's parameters is
-exact (analytic policy gradient; SVG(inf), Heess et al. 2015; SHAC, Xu et al. 2022). Episodes are imagined side by
+exact (analytic policy gradient; SVG(inf), Heess et al. 2015). Episodes are imagined side by
 side and carried on from window to window; the gradient reaches back to the start of each window.
 """
 
@@ -28,7 +28,6 @@ from dynasindy.planning.improve import Improved, improve, rewards
 from dynasindy.planning.margin import Margin
 from dynasindy.planning.pace import LONGEST, UNTOLD, PlanSettings, pace_of, rests_of
 from dynasindy.planning.rests import Rests
-from dynasindy.planning.terminal import TerminalValue
 from dynasindy.planning.trust import Bound
 from dynasindy.planning.variation import Variation
 from dynasindy.planning.window import Network, backward, imagine
@@ -72,7 +71,6 @@ class GradientPlanning(Planner):
         substeps: Runge-Kutta steps per imagined control period.
         check_every: Updates between two tests on held-out imagined references; the best policy is kept.
         patience: Tests in a row without improvement after which a phase ends early.
-        terminal_updates: Critic updates per window; the critics then value what follows a window. 0 for no such value.
         searches: Most searches for ways that earn more than the policy's, after the updates of a phase, where the task
             tracks no reference.
         variation: How imagined plants stray from the model; by default inputs are a control period late in
@@ -111,7 +109,6 @@ class GradientPlanning(Planner):
         patience: int | None = None,
         held: bool | None = None,
         margin: float | None = None,
-        terminal_updates: Count = 0,
         searches: Count = 16,
         variation: Variation | None = None,
         others: Sequence[System] = (),
@@ -124,11 +121,11 @@ class GradientPlanning(Planner):
         sizes = {"check_every": check_every, "more_lr": more_lr, "max_grad_norm": max_grad_norm, "width": width}
         _require_positive({**{k: v for k, v in self.given.items() if k not in ("updates", "held", "margin")}, **sizes})
         _require_share(margin)
-        least = min(rollouts, updates or 0, more_updates, terminal_updates, real_starts, jumps)
+        least = min(rollouts, updates or 0, more_updates, real_starts, jumps)
         if least < 0 or real_starts + jumps > 1:
             raise ValueError(
                 f"gradient planning got rollouts={rollouts}, updates={updates}, more_updates={more_updates}, "
-                f"terminal_updates={terminal_updates}, real_starts={real_starts}, jumps={jumps}; rollouts and updates "
+                f"real_starts={real_starts}, jumps={jumps}; rollouts and updates "
                 "must be >= 0 and the shares at most 1 together: mend planning"
             )
         _require_memory(env.system.signature, rollouts, window or UNTOLD)
@@ -143,7 +140,8 @@ class GradientPlanning(Planner):
         self.rng = torch.Generator().manual_seed(seed)
         self.env = ControlEnv(env.system, _imagined_task(env.task, width, held), env.dt, substeps or 1)
         self.env.stops = env.stops
-        self.terminal = self._terminal(terminal_updates)
+        if self.variation.members and replay is None:
+            raise ValueError("members of the model are fitted to stored transitions; give replay=, or no members")
         self.held_out = references(self.env, 64, torch.Generator().manual_seed(seed + 1))
         self.log_dt, self.finest, self.phase = env.log_dt, env.substeps, 0
         self.pace = dataclasses.replace(PlanSettings(), **self.given)
@@ -262,11 +260,7 @@ class GradientPlanning(Planner):
         rows, system = episodes.rows, episodes.system
         window = imagine(self.env, system, self.network, rows, self.pace.window, self.rng)
         optimizer.zero_grad()
-        terminal = None
-        if self.terminal is not None:
-            self.terminal.learn(rows, window)
-            terminal = self.terminal.slope(rows, window)
-        backward(self.env, system, self.network, rows, window, terminal)
+        backward(self.env, system, self.network, rows, window)
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), self.max_grad_norm)
         alive = window.alive[-1]
         episodes.diverged += len(alive) - int(alive.sum())
@@ -275,16 +269,6 @@ class GradientPlanning(Planner):
             optimizer.step()
         episodes.carry_on(window.states[-1], window.actions[-1], alive)
         return finite and bool(alive.any())
-
-    def _terminal(self, updates: Count) -> TerminalValue | None:
-        """Return the value of what follows a window; refuse what an actor alone cannot have."""
-        if self.variation.members and self.replay is None:
-            raise ValueError("members of the model are fitted to stored transitions; give replay=, or no members")
-        if updates and not isinstance(self.agent, TD3):
-            raise ValueError("a value at the end of each window needs critics; give a TD3, or terminal_updates=0")
-        return (
-            TerminalValue(self.env, self.agent, updates, self.rng) if isinstance(self.agent, TD3) and updates else None
-        )
 
     def _weights(self) -> dict[str, Tensor]:
         return copy.deepcopy(self.network.state_dict())

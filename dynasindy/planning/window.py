@@ -157,7 +157,6 @@ def backward(
     network: Network,
     rows: Rows,
     window: Window,
-    terminal: Tensor | None = None,
 ) -> Tensor:
     """Add the gradient of the window's mean cost, the negative reward, to the policy's parameters.
 
@@ -170,7 +169,6 @@ def backward(
         network: Policy.
         rows: Where the window began.
         window: What `imagine` returned.
-        terminal: Derivative of what follows the window by its last states, `(rows, n_x)`; nothing follows if omitted.
 
     Returns:
         The mean reward of the window's periods, a scalar; a row that diverged earns zero.
@@ -182,8 +180,6 @@ def backward(
         # A period that ends in divergence has derivatives without bounds; times zero they would not be zero.
         a, b = (slope.where(window.alive[1:, :, None, None], torch.zeros(())) for slope in (a, b))
         reward, cost, effort = _cost(env, rows, window)
-        if terminal is not None:
-            cost[-1] += terminal * window.alive[-1].unsqueeze(-1)
         if (layers := window.layers) is not None:
             observed = _observed(env, rows, window)
             _adjoint(a, b, cost, effort, rows.late, lambda step, slope: (layers[step].pull(slope), observed[step]))

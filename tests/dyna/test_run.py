@@ -23,7 +23,7 @@ from dynasindy.world_models import Refinement, Regression, SindyModel
 
 REPLAYED = partial(ImaginedReplay, rollouts=6, horizon=[2, 4, 2], generations=2, bounds=Bounds(distance=2.0))
 GRADIENT = partial(
-    GradientPlanning, updates=2, more_updates=2, rollouts=4, window=3, check_every=1, terminal_updates=1, searches=0,
+    GradientPlanning, updates=2, more_updates=2, rollouts=4, window=3, check_every=1, searches=0,
     variation=Variation(parameters=0.1, noise=[1e-3] * 6),
 )  # fmt: skip
 PLANNERS = {

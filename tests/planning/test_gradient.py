@@ -55,18 +55,6 @@ def test_the_actor_of_the_agent_itself_learns_and_td3_goes_on_from_it(setting, s
     assert sorted(learnt.tolist()) == sorted(weights(agent.policy).tolist())
 
 
-def test_a_terminal_value_changes_the_plan_and_trains_the_critics(setting, planned, small):
-    def planned(terminal_updates):
-        env, agent, replay = setting()
-        before = agent.critic_optimizer.param_groups[0]["params"][0].clone()
-        GradientPlanning(env, agent, replay, updates=4, terminal_updates=terminal_updates, **small).plan()
-        moved = not torch.equal(before, agent.critic_optimizer.param_groups[0]["params"][0])
-        return weights(agent.policy), moved
-
-    (plain, left), (valued, trained) = planned(0), planned(2)
-    assert trained and not left and not torch.equal(plain, valued)
-
-
 def test_a_deployed_average_becomes_the_planned_actor(setting, small):
     env, agent, replay = setting(policy_average=0.01)
     GradientPlanning(env, agent, replay, updates=4, **small).plan()
@@ -445,13 +433,10 @@ def test_an_actor_alone_is_planned_as_that_of_an_agent_with_empty_storages(setti
     assert not torch.equal(weights(alone.policy), before)
 
 
-@pytest.mark.parametrize(("wrong", "words"), [({"terminal_updates": 1}, "critics"), ({"variation": 4}, "replay=")])
-def test_what_an_actor_alone_cannot_do_is_refused(setting, wrong, words, small):
+def test_members_of_the_model_need_stored_transitions(setting, small):
     env, _, _ = setting()
-    if "variation" in wrong:
-        wrong = {"variation": Variation(members=4)}
-    with pytest.raises(ValueError, match=words):
-        GradientPlanning(env, Actor(env.task.n_o, 2, hidden=(8, 8)), **wrong, **small)
+    with pytest.raises(ValueError, match="replay="):
+        GradientPlanning(env, Actor(env.task.n_o, 2, hidden=(8, 8)), variation=Variation(members=4), **small)
 
 
 def test_a_resumed_plan_says_what_the_plan_before_it_chose(setting, small):
